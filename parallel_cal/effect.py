@@ -1,0 +1,76 @@
+"""What an effect is: given what was measured, what does the ideal mechanism see?"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+from parallel_cal.mechanism import Mechanism, load_class
+from parallel_cal.parameters import Named, Parameter, ParameterTable
+
+# Conditions of a sample: unit, the value that means "nothing special", one a joint or not.
+CONDITIONS: dict[str, tuple[str, float, bool]] = {
+    "time": ("s", 0.0, False),
+    "temperature": ("degC", 20.0, False),
+    "payload": ("kg", 0.0, False),
+    "direction": ("1", 0.0, True),
+    "velocity": ("rad/s", 0.0, True),
+}
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What the closure is given: joints q, position r, rotation R, geometry p."""
+
+    q: Any
+    r: Any
+    R: Any
+    p: Named
+
+    def with_q(self, q: Any) -> Seen:
+        return replace(self, q=q)
+
+
+class Effect(ABC):
+    """One physical effect; subclass it in a file of its own, whose name is its name."""
+
+    needs: ClassVar[tuple[str, ...]] = ()
+    physics: ClassVar[str]
+    source: ClassVar[str]
+    lookalikes: ClassVar[tuple[str, ...]] = ()
+    separated_by: ClassVar[str] = ""
+
+    @abstractmethod
+    def parameters(self, mechanism: Mechanism) -> list[Parameter]:
+        """Its numbers, named without the effect's own name (`joint2.sin`); 0 = no effect."""
+
+    @abstractmethod
+    def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
+        """What the ideal mechanism sees; `e` its numbers, `at` the sample's conditions."""
+
+    @property
+    def name(self) -> str:
+        return type(self).__module__.removeprefix("parallel_cal.effects.")
+
+    def table(self, mechanism: Mechanism) -> ParameterTable:
+        """Its parameters under their full names (`encoder_eccentricity.joint2.sin`)."""
+        return ParameterTable(
+            Parameter(
+                f"{self.name}.{p.name}", p.unit, p.nominal, p.tolerance, "effect", p.low, p.high
+            )
+            for p in self.parameters(mechanism)
+        )
+
+    def conditions(self, mechanism: Mechanism) -> list[str]:
+        """The condition columns it needs: `direction` becomes one a joint."""
+        columns: list[str] = []
+        for need in self.needs:
+            per_joint = CONDITIONS[need][2]
+            columns += [f"{need}.{j}" for j in mechanism.joints] if per_joint else [need]
+        return columns
+
+
+def load_effect(name: str) -> Effect:
+    """An effect by file name (`backlash`) or Python path (`my_pkg.my_effect`)."""
+    return load_class("effects", name, Effect)()

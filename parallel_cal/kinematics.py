@@ -1,0 +1,429 @@
+"""Direct (FK) and inverse (IK) problem of a model: solutions, status, uncertainty."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import cached_property
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from parallel_cal.compiled import Batch, Single, compiled
+from parallel_cal.errors import SolveError
+from parallel_cal.model import Model
+from parallel_cal.rotation import matrix_to_quaternion, quaternion_to_matrix, rotation_matrix
+from parallel_cal.solvers.newton import newton_functions
+
+CLOSED = 1e-10  # m: a closure residual below this is a solution
+SETTLED = 1e-10  # m: a last step below this leaves an error below rounding (third order)
+SINGULAR = 1e-4  # smallest scaled singular value: errors are amplified more than 10^4 times
+SUSPECT_PIVOT = 1e-2  # the cheap sign that a sample may be near a singularity
+
+
+class Status(IntEnum):
+    """What a solution is worth; the numbers are those of parallel_cal_msgs/Solution."""
+
+    CONVERGED = 0
+    UNREACHABLE = 1
+    SINGULAR = 2
+    OUTSIDE_LIMITS = 3
+    NOT_CONVERGED = 4
+    INVALID_INPUT = 5
+
+    @property
+    def text(self) -> str:
+        return self.name.lower()
+
+
+@dataclass(frozen=True)
+class Solutions:
+    """N solved configurations: joints (N, nq), position (N, 3) m, rotation (N, 3, 3),
+    residual (N,) m and status (N,). Indexing gives one, or a smaller set."""
+
+    joints: np.ndarray
+    position: np.ndarray
+    rotation: np.ndarray
+    residual: np.ndarray
+    status: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.joints)
+
+    def __getitem__(self, key: Any) -> Solutions:
+        parts = (self.joints, self.position, self.rotation, self.residual, self.status)
+        return Solutions(*(part[key] for part in parts))
+
+    def __iter__(self) -> Iterator[Solutions]:
+        return (self[i] for i in range(len(self)))
+
+    @property
+    def quaternion(self) -> np.ndarray:
+        """x y z w with w >= 0."""
+        return matrix_to_quaternion(self.rotation)
+
+    @property
+    def ok(self) -> np.ndarray:
+        return self.status == Status.CONVERGED
+
+
+class Kinematics:
+    """The direct and inverse problem of one model, its tables computed once."""
+
+    def __init__(self, model: Model, compile: bool = False):
+        self.model = model
+        self._compile = compile
+        self._n = len(model.joints)
+        self._limits = np.array(model.mechanism.joint_limits, dtype=float).reshape(-1, 2)
+
+    def direct(
+        self, q: np.ndarray, at: Mapping[str, Any] | None = None, start: Solutions | None = None
+    ) -> Solutions:
+        """Poses for joints q (nq,) or (N, nq), on the home branch or from `start`."""
+        return self._solve(self._direct, self._joints_given(q), q, at, start)
+
+    def inverse(
+        self,
+        position: np.ndarray,
+        rotation: np.ndarray | None = None,
+        at: Mapping[str, Any] | None = None,
+        start: Solutions | None = None,
+    ) -> Solutions:
+        """Joints for positions (3,) or (N, 3) and rotations; passive coordinates follow."""
+        given = self._pose_given(position, rotation)
+        return self._solve(self._inverse, given, position, at, start)
+
+    def direct_all(self, q: np.ndarray, at: Mapping[str, Any] | None = None) -> Solutions:
+        """Every distinct pose found for joints (nq,), from all candidates; home branch first."""
+        starts = self._candidates(q)
+        found = self._distinct([self.direct(q, at)], starts, lambda s: self.direct(q, at, s))
+        return found
+
+    def inverse_all(
+        self,
+        position: np.ndarray,
+        rotation: np.ndarray | None = None,
+        at: Mapping[str, Any] | None = None,
+    ) -> Solutions:
+        """Every distinct joint set found for a pose, from all candidates; home branch first."""
+        given = self._pose_given(position, rotation)[0]
+        starts = self._joint_candidates(given)
+        first = self.inverse(position, rotation, at)
+        return self._distinct([first], starts, lambda s: self.inverse(position, rotation, at, s))
+
+    def direct_covariance(
+        self, solution: Solutions, at: Mapping[str, Any] | None = None, joint_sigma: float = 0.0
+    ) -> np.ndarray:
+        """Covariance (6, 6) of an answered pose (m, rad about base axes) from the parameters'
+        covariance and the joints' noise: dx = -J_x^-1 (J_v dv + J_q dq)."""
+        return self._covariance(solution, at, self.model.mechanism.moved, 0, joint_sigma)
+
+    def inverse_covariance(
+        self, solution: Solutions, at: Mapping[str, Any] | None = None
+    ) -> np.ndarray:
+        """Covariance (nq, nq) of answered joints from the parameters' covariance."""
+        columns = [c - self._n for c in range(self._n)] + self.model.mechanism.passive
+        return self._covariance(solution, at, columns, self._n, 0.0)
+
+    # ------------------------------------------------------------------ the two problems
+
+    @cached_property
+    def _direct(self) -> _Problem:
+        return _Problem(self.model, "direct", self._compile)
+
+    @cached_property
+    def _inverse(self) -> _Problem:
+        return _Problem(self.model, "inverse", self._compile)
+
+    def _solve(
+        self,
+        problem: _Problem,
+        given: np.ndarray,
+        shape_like: np.ndarray,
+        at: Mapping[str, Any] | None,
+        start: Solutions | None,
+    ) -> Solutions:
+        if np.ndim(shape_like) == 1 and start is None:
+            return self._solve_one(problem, given[0], at)
+        rows = self.model.condition_rows(at, len(given))
+        begin = None if start is None else problem.begin(given, start)
+        configuration, step, residual, pivot = problem.many(given, rows, begin)
+        solutions = self._classified(problem, configuration, step, residual, pivot, rows, given)
+        return solutions[0] if np.ndim(shape_like) == 1 else solutions
+
+    def _solve_one(
+        self, problem: _Problem, given: np.ndarray, at: Mapping[str, Any] | None
+    ) -> Solutions:
+        """The same for one sample without array overhead; anything unusual goes the long way."""
+        rows = self.model.condition_rows(at, 1)
+        x, step, residual, pivot = problem.one(given, rows[0], problem.k)
+        n = self._n
+        usual = step[0] < SETTLED and residual[0] < CLOSED and pivot[0] > SUSPECT_PIVOT
+        if usual and self._inside_limits(x[:n]):
+            status = np.array(Status.CONVERGED, dtype=np.int8)
+            return Solutions(x[:n], x[n : n + 3], x[n + 3 :].reshape(3, 3), residual[0], status)
+        parts = (x[None], step, residual, pivot, rows, given[None])
+        return self._classified(problem, *parts)[0]
+
+    def _inside_limits(self, q: np.ndarray) -> bool:
+        return bool(((q >= self._limits[:, 0]) & (q <= self._limits[:, 1])).all())
+
+    def _classified(
+        self,
+        problem: _Problem,
+        x: np.ndarray,
+        step: np.ndarray,
+        residual: np.ndarray,
+        pivot: np.ndarray,
+        rows: np.ndarray,
+        given: np.ndarray,
+    ) -> Solutions:
+        """Solutions with status; samples that the fast way left open are solved carefully."""
+        x, step, residual, pivot = self._refined(problem, x, step, residual, pivot, rows)
+        status = np.full(len(x), Status.CONVERGED, dtype=np.int8)
+        finite = np.isfinite(given).all(axis=1) & np.isfinite(rows).all(axis=1)
+        status[~finite] = Status.INVALID_INPUT
+        x[~finite], residual[~finite] = np.nan, np.nan
+        settled = (step < SETTLED) & (residual < CLOSED)
+        for i in np.flatnonzero(finite & ~settled):
+            x[i], residual[i], status[i] = problem.careful(x[i], rows[i], given[i])
+        suspect = finite & ~(settled & (pivot > SUSPECT_PIVOT))
+        for i in np.flatnonzero(suspect & (status == Status.CONVERGED)):
+            if problem.smallest_singular_value(x[i], rows[i]) < SINGULAR:
+                status[i] = Status.SINGULAR
+        q = _turned_towards(x[:, : self._n], problem.unknown_joints, self.model)
+        outside = ~((q >= self._limits[:, 0]) & (q <= self._limits[:, 1])).all(axis=1)
+        status[outside & (status == Status.CONVERGED)] = Status.OUTSIDE_LIMITS
+        n = self._n
+        return Solutions(q, x[:, n : n + 3], x[:, n + 3 :].reshape(-1, 3, 3), residual, status)
+
+    @staticmethod
+    def _refined(problem: _Problem, x: np.ndarray, *parts: np.ndarray) -> list[np.ndarray]:
+        """Further iterations where the last step is still large; flat copies of all parts."""
+        *measures, rows = parts
+        step, residual, pivot = (part.reshape(-1).copy() for part in measures)
+        results = [x.copy(), step, residual, pivot]
+        open_ = np.flatnonzero(np.isfinite(step) & (step >= SETTLED))
+        if len(open_):
+            for array, new in zip(results, problem.refine(x[open_], rows[open_]), strict=True):
+                array[open_] = new.reshape(array[open_].shape)
+        return results
+
+    # ------------------------------------------------------------------ input
+
+    def _joints_given(self, q: np.ndarray) -> np.ndarray:
+        q = np.atleast_2d(np.asarray(q, dtype=float))
+        if q.shape[1] != self._n:
+            raise SolveError(
+                f"{q.shape[1]} joint values given, but {self.model.mechanism.name} has "
+                f"{self._n} joints: {', '.join(self.model.joints)}"
+            )
+        home = self._home
+        given = np.empty((len(q), self._n + 12))
+        given[:] = home
+        given[:, : self._n] = q
+        return given
+
+    def _pose_given(self, position: np.ndarray, rotation: np.ndarray | None) -> np.ndarray:
+        r = np.atleast_2d(np.asarray(position, dtype=float))
+        if r.shape[1] != 3:
+            raise SolveError(f"a position has 3 coordinates (m), {r.shape[1]} given")
+        given = np.empty((len(r), self._n + 12))
+        given[:] = self._home
+        given[:, self._n : self._n + 3] = r
+        if rotation is not None:
+            given[:, self._n + 3 :] = np.asarray(rotation, dtype=float).reshape(-1, 9)
+        return given
+
+    @cached_property
+    def _home(self) -> np.ndarray:
+        home = self.model.mechanism.home
+        R = quaternion_to_matrix(np.array(home.quaternion))
+        return np.array([*home.joints, *home.position, *R.ravel()])
+
+    # ------------------------------------------------------------------ all solutions
+
+    def _candidates(self, q: np.ndarray) -> list[Solutions]:
+        columns = np.array(self.model.structure.candidates(q, self.model.values)).T
+        poses = [(c[:3], c[3:].reshape(3, 3)) for c in columns if np.isfinite(c).all()]
+        return [_start(np.asarray(q, dtype=float), r, R) for r, R in poses]
+
+    def _joint_candidates(self, given: np.ndarray) -> list[Solutions]:
+        r, R9 = given[self._n : self._n + 3], given[self._n + 3 :]
+        choices = self.model.structure.joint_candidates.call([r, R9, self.model.values])
+        sets = [np.array(c) for c in product(*(np.array(c).ravel() for c in choices))]
+        return [_start(q, r, R9.reshape(3, 3)) for q in sets if np.isfinite(q).all()]
+
+    @staticmethod
+    def _distinct(first: list[Solutions], starts: list[Solutions], solve: Any) -> Solutions:
+        """The solutions reached from all starts, each once (1e-7 m or rad apart)."""
+        found = [s for s in first if s.status in (Status.CONVERGED, Status.OUTSIDE_LIMITS)]
+        for start in starts:
+            new = solve(start)
+            if new.status not in (Status.CONVERGED, Status.OUTSIDE_LIMITS, Status.SINGULAR):
+                continue
+            if all(_apart(new, old) > 1e-7 for old in found):
+                found.append(new)
+        return _stacked(found or first)
+
+    def _covariance(
+        self,
+        solution: Solutions,
+        at: Mapping[str, Any] | None,
+        columns: list[int],
+        answer_size: int,
+        joint_sigma: float,
+    ) -> np.ndarray:
+        n = self._n
+        x = np.concatenate([solution.joints, solution.position, solution.rotation.ravel()])
+        J_x, J_v = self._blocks(x, self.model.condition_rows(at, 1)[0])
+        unknown = J_x[:, [c + n for c in columns]]
+        spread = np.zeros((len(J_x), len(J_x)))
+        if self.model.covariance is not None:
+            spread += J_v @ self.model.covariance @ J_v.T
+        spread += joint_sigma**2 * J_x[:, :n] @ J_x[:, :n].T
+        inverse = np.linalg.pinv(unknown)
+        covariance = inverse @ spread @ inverse.T
+        if answer_size:
+            return covariance[:answer_size, :answer_size]
+        full = np.zeros((6, 6))
+        full[np.ix_(columns, columns)] = covariance
+        return full
+
+    def _blocks(self, x: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        s = self.model.structure
+        _, J_x, J_v = self._closure(x, a, self.model.values)
+        rows = s.phi.shape[0]
+        return J_x.reshape(-1, rows).T, J_v.reshape(-1, rows).T
+
+    @cached_property
+    def _closure(self) -> Single:
+        return Single(self.model.structure.closure)
+
+
+class _Problem:
+    """One split into given and unknown coordinates, with this model's numbers."""
+
+    def __init__(self, model: Model, name: str, compile: bool):
+        functions = newton_functions(model.structure, name)
+        ready = compiled if compile else (lambda f: f)
+        self._model, self._name = model, name
+        self._n = len(model.joints)
+        self.unknown_joints = name == "inverse"
+        self.k = Single(functions.tables)(model.values)[0]
+        self.one = Single(ready(functions.solve))
+        self._many = Batch(ready(functions.solve))
+        self._refine_function, self._ready = functions.refine, ready
+        self.columns = functions.columns
+
+    def many(
+        self, given: np.ndarray, rows: np.ndarray, begin: np.ndarray | None
+    ) -> list[np.ndarray]:
+        if begin is None:
+            return self._many(given, rows, self.k)
+        return self.refine(begin, rows)
+
+    def refine(self, begin: np.ndarray, rows: np.ndarray) -> list[np.ndarray]:
+        """Newton iterations from given configurations."""
+        return self._refine(begin, rows, self.k)
+
+    @cached_property
+    def _refine(self) -> Batch:
+        return Batch(self._ready(self._refine_function))
+
+    def begin(self, given: np.ndarray, start: Solutions) -> np.ndarray:
+        """`given`, with the unknown coordinates taken from `start`."""
+        begin, n = given.copy(), self._n
+        if self.unknown_joints:
+            begin[:, :n] = start.joints
+        from_start = self._model.mechanism.passive if self.unknown_joints else range(6)
+        for i in from_start:
+            if i < 3:
+                begin[:, n + i] = np.asarray(start.position)[..., i]
+        if any(i >= 3 for i in from_start):
+            begin[:, n + 3 :] = np.asarray(start.rotation).reshape(-1, 9)
+        return begin
+
+    # ------------------------------------------------------------------ the careful way
+
+    @cached_property
+    def _evaluate(self) -> Single:
+        return Single(self._model.structure.closure_configuration)
+
+    def _phi_and_jacobian(self, x: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        phi, J = self._evaluate(x, a, self._model.values)
+        J = J.reshape(-1, len(phi)).T[:, self.columns]
+        return phi, J / self._model.structure.scale[self.columns]
+
+    def smallest_singular_value(self, x: np.ndarray, a: np.ndarray) -> float:
+        """Of the closure's Jacobian in the unknowns, scaled to metres: 0 = singular."""
+        return float(np.linalg.svd(self._phi_and_jacobian(x, a)[1], compute_uv=False)[-1])
+
+    def careful(
+        self, x: np.ndarray, a: np.ndarray, given: np.ndarray
+    ) -> tuple[np.ndarray, float, Status]:
+        """Levenberg-Marquardt from where the fast way ended, then from home (C.4)."""
+        ends = []
+        for start in (x, given):
+            if not np.isfinite(start).all():
+                continue
+            ends.append(self._descend(start, a))
+            if ends[-1][2] == Status.CONVERGED:
+                return ends[-1]
+        return min(ends, key=lambda end: end[1])
+
+    def _descend(self, x: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, float, Status]:
+        phi, J = self._phi_and_jacobian(x, a)
+        damping, size = 1e-3, float(np.linalg.norm(phi))
+        for _ in range(100):
+            gradient, normal = J.T @ phi, J.T @ J
+            step = -np.linalg.solve(normal + damping * np.eye(len(normal)), gradient)
+            if np.linalg.norm(step) < 1e-15:
+                break
+            candidate = self._moved(x, step)
+            new_phi, new_J = self._phi_and_jacobian(candidate, a)
+            new_size = float(np.linalg.norm(new_phi))
+            if new_size < size:
+                improved = size - new_size > 1e-14
+                x, phi, J, size, damping = candidate, new_phi, new_J, new_size, damping / 10
+                if not improved:
+                    break
+            else:
+                damping = max(damping * 10, 1e-12)
+                if damping > 1e12:
+                    break
+        if size < CLOSED:
+            return x, size, Status.CONVERGED
+        flat = float(np.linalg.norm(J.T @ phi)) < 1e-6 * size
+        return x, size, Status.UNREACHABLE if flat or size > 1e-6 else Status.NOT_CONVERGED
+
+    def _moved(self, x: np.ndarray, step: np.ndarray) -> np.ndarray:
+        n, change = self._n, np.zeros(self._n + 6)
+        change[self.columns] = step / self._model.structure.scale[self.columns]
+        R = rotation_matrix(change[n + 3 :]) @ x[n + 3 :].reshape(3, 3)
+        return np.concatenate([x[: n + 3] + change[: n + 3], R.ravel()])
+
+
+def _start(q: np.ndarray, r: np.ndarray, R: np.ndarray) -> Solutions:
+    return Solutions(q, r, R, np.array(np.nan), np.array(Status.NOT_CONVERGED))
+
+
+def _stacked(found: list[Solutions]) -> Solutions:
+    parts = ("joints", "position", "rotation", "residual", "status")
+    return Solutions(*(np.stack([getattr(s, part) for s in found]) for part in parts))
+
+
+def _apart(a: Solutions, b: Solutions) -> float:
+    joints = np.abs(np.angle(np.exp(1j * (a.joints - b.joints)))).max()
+    pose = max(np.abs(a.position - b.position).max(), np.abs(a.rotation - b.rotation).max())
+    return float(max(joints, pose))
+
+
+def _turned_towards(q: np.ndarray, unknown: bool, model: Model) -> np.ndarray:
+    """Solved angles moved by whole turns to within half a turn of home."""
+    if not unknown or model.mechanism.joint_unit != "rad":
+        return q
+    home = np.array(model.mechanism.home.joints)
+    return q - 2 * np.pi * np.round((q - home) / (2 * np.pi))

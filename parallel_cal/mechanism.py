@@ -1,0 +1,178 @@
+"""What a mechanism is: a parameter table and one closure phi(q, x, p) = 0."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from importlib import import_module
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from parallel_cal.errors import ModelError
+from parallel_cal.parameters import Named, ParameterTable
+from parallel_cal.rotation import quaternion_to_matrix
+
+POSE = ("x", "y", "z", "rx", "ry", "rz")
+
+
+@dataclass(frozen=True)
+class Home:
+    """A configuration in the assembly mode that the robot works in.
+
+    Every choice between branches (elbow in or out, platform above or below) goes to the
+    solution nearest to it, so it belongs to the model file, not to a solver.
+    """
+
+    joints: tuple[float, ...]
+    position: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    quaternion: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Workspace:
+    """A box of controlled coordinates around `Home` (m and rad), for sampling and planning."""
+
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+
+
+class Mechanism(ABC):
+    """A robot's geometry: parameters, joints, moved and controlled coordinates, closure.
+
+    Subclass it in a file of its own; the file's name is the mechanism's name.
+    """
+
+    joints: tuple[str, ...]
+    joint_unit: str = "rad"
+    periodic: bool = True  # a whole turn of a joint changes nothing (a spool's does)
+    moves: tuple[str, ...] = POSE
+    controls: tuple[str, ...] = POSE
+    parameters: ParameterTable
+    fixed: tuple[str, ...] = ()
+    home: Home
+    workspace: Workspace
+    joint_limits: tuple[tuple[float, float], ...]
+    length: float = 0.1
+    options: Mapping[str, Any] = {}
+
+    @abstractmethod
+    def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
+        """phi(q, x, p): a CasADi column, zero where the mechanism closes, in m or rad.
+
+        q (n_joints, 1), r (3, 1) position and R (3, 3) rotation of {P} in {B}.
+        """
+
+    def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
+        """Poses near the solutions of the direct problem: [(r, R)]; home by default.
+
+        Exact where the documents give a closed form; else where Newton's method starts.
+        """
+        return [(ca.DM(self.home.position), ca.DM(quaternion_to_matrix(self.home.quaternion)))]
+
+    def joint_candidates(self, r: Any, R: Any, p: Named) -> list[tuple[Any, ...]]:
+        """The same for the inverse problem: for each joint its possible values."""
+        return [(joint,) for joint in self.home.joints]
+
+    def start(self, q: Any, p: Named) -> tuple[Any, Any]:
+        """The candidate pose nearest to home: the robot's assembly mode."""
+        position, rotation = Mechanism.candidates(self, q, p)[0]
+
+        def apart(pose: tuple[Any, Any]) -> Any:
+            turned = ca.sumsqr(pose[1] - rotation) / 2  # the angle squared, where it is small
+            return ca.sumsqr(pose[0] - position) + self.length**2 * turned
+
+        return _nearest(self.candidates(q, p), apart)
+
+    def start_inverse(self, r: Any, R: Any, p: Named) -> Any:
+        """For each joint the candidate nearest to home, angles compared on the circle."""
+        choices = zip(self.joint_candidates(r, R, p), self.home.joints, strict=True)
+        return ca.vertcat(*[_nearest(c, partial(self._joint_distance, h)) for c, h in choices])
+
+    def _joint_distance(self, home: float, q: Any) -> Any:
+        return 1 - ca.cos(q - home) if self.joint_unit == "rad" else ca.fabs(q - home)
+
+    def widen(self, values: Mapping[str, float]) -> tuple[str, dict[str, float]]:
+        """The larger model this one is a special case of, and its parameter values."""
+        raise ModelError(f"{self.name} is not a special case of a larger model")
+
+    @property
+    def name(self) -> str:
+        """The name in model files: the file's name, or the Python path of a user's file."""
+        module = type(self).__module__
+        return module.removeprefix("parallel_cal.mechanisms.")
+
+    @property
+    def moved(self) -> list[int]:
+        return [POSE.index(c) for c in self.moves]
+
+    @property
+    def controlled(self) -> list[int]:
+        return [POSE.index(c) for c in self.controls]
+
+    @property
+    def passive(self) -> list[int]:
+        """Moved coordinates that follow by themselves (the Delta's orientation)."""
+        return [i for i in self.moved if i not in self.controlled]
+
+    def sample(self, n: int, rng: np.random.Generator) -> np.ndarray:
+        """n uniform draws of the controlled coordinates in the workspace, (n, n_controlled)."""
+        low, high = np.array(self.workspace.low), np.array(self.workspace.high)
+        return rng.uniform(low, high, size=(n, len(self.controls)))
+
+
+def _nearest(candidates: Sequence[Any], distance: Callable[[Any], Any]) -> Any:
+    """The candidate of least distance, decided when the expression is evaluated."""
+    best = candidates[0]
+    for other in candidates[1:]:
+        closer = distance(other) < distance(best)
+        if isinstance(best, tuple):
+            best = tuple(ca.if_else(closer, o, b) for o, b in zip(other, best, strict=True))
+        else:
+            best = ca.if_else(closer, other, best)
+    return best
+
+
+def load_class(shelf: str, name: str, base: type) -> type:
+    """The one subclass of `base` in parallel_cal/<shelf>/<name>.py or at a Python path."""
+    path = name if "." in name else f"parallel_cal.{shelf}.{name}"
+    try:
+        module = import_module(path)
+    except ModuleNotFoundError as error:
+        if error.name is None or not path.startswith(error.name):
+            raise
+        raise ModelError(
+            f"no {shelf.rstrip('s')} '{name}': expected one of {', '.join(shelf_names(shelf))}, "
+            f"or the Python path of your own (my_pkg.my_file)"
+        ) from None
+    found = [c for c in vars(module).values() if _defined_here(c, base, module.__name__)]
+    if len(found) != 1:
+        raise ModelError(f"{path} defines {len(found)} subclasses of {base.__name__}, expected 1")
+    return found[0]
+
+
+def _defined_here(candidate: Any, base: type, module: str) -> bool:
+    return (
+        isinstance(candidate, type)
+        and issubclass(candidate, base)
+        and candidate.__module__ == module
+        and not candidate.__name__.startswith("_")
+    )
+
+
+def shelf_names(shelf: str) -> list[str]:
+    """The public names on a shelf: its file names."""
+    from pkgutil import iter_modules
+
+    package = import_module(f"parallel_cal.{shelf}")
+    return sorted(m.name for m in iter_modules(package.__path__) if not m.name.startswith("_"))
+
+
+def load_mechanism(name: str, **options: Any) -> Mechanism:
+    """A mechanism by file name (`delta54`) or Python path (`my_pkg.my_robot`)."""
+    mechanism = load_class("mechanisms", name, Mechanism)(**options)
+    mechanism.options = options
+    return mechanism

@@ -1,0 +1,1 @@
+"""One mechanism a file: the file name is the mechanism's public name."""

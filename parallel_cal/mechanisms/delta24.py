@@ -1,0 +1,51 @@
+"""Delta robot with perfect parallelograms, 24 parameters (eqs 3.13-3.16)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import casadi as ca
+
+from parallel_cal.mechanism import Mechanism, Workspace
+from parallel_cal.mechanisms.delta54 import HOME, POSITION, Delta54, chain_parameters
+from parallel_cal.parameters import Named
+from parallel_cal.rotation import rot_x, rot_z
+from parallel_cal.solvers.closed_form import joint_angles, positions
+
+
+class Delta24(Mechanism):
+    """Three arms and three rods that meet in one point: the platform stays parallel."""
+
+    joints = ("joint1", "joint2", "joint3")
+    moves = ("x", "y", "z")
+    controls = ("x", "y", "z")
+    parameters = chain_parameters({"position": POSITION})
+    home = HOME
+    workspace = Workspace(low=Delta54.workspace.low, high=Delta54.workspace.high)
+    joint_limits = Delta54.joint_limits
+    length = Delta54.length
+
+    def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
+        """Eq. 3.16 divided by 2 Lb: length error of each rod, in metres."""
+        return ca.vertcat(*[self.rod(q[i], r, p[f"chain{i + 1}"]) for i in range(3)])
+
+    @staticmethod
+    def rod(angle: Any, r: Any, c: Named) -> Any:
+        """The closure row of one chain."""
+        T = rot_z(c.theta) @ rot_x(c.alpha)
+        D, La = c.vector("D_x", "D_y", "D_z"), ca.vertcat(c.La_x, c.La_y, 0)
+        CB = r - T @ (D + rot_z(angle) @ La)
+        return (ca.dot(CB, CB) - c.Lb**2) / (2 * c.Lb)
+
+    def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
+        """Both solutions of the general position problem (eqs 6.25-6.26)."""
+        return [(r, ca.DM.eye(3)) for r in positions(self, q, p)]
+
+    def joint_candidates(self, r: Any, R: Any, p: Named) -> list[tuple[Any, ...]]:
+        """Both solutions of each joint-angle problem (eqs 6.27-6.30)."""
+        return joint_angles(self, r, R, p)
+
+    def widen(self, values: Mapping[str, float]) -> tuple[str, dict[str, float]]:
+        """Model 54 with a perfect parallelogram (eq. 3.14) and the nominal platform."""
+        return "delta54", dict(values)

@@ -1,0 +1,107 @@
+"""Delta robot, complete calibration model with 54 parameters (table 3.10, eqs 3.9-3.12)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from parallel_cal.mechanism import POSE, Home, Mechanism, Workspace
+from parallel_cal.parameters import Named, Parameter, ParameterTable
+from parallel_cal.rotation import rot_x, rot_y, rot_z
+
+MM, DEGREE = 1e-3, np.pi / 180
+
+# name: unit, nominal value (table 5.12), tolerance of a real robot (1 sigma).
+POSITION = {
+    "D_x": ("m", 76 * MM, 1 * MM),
+    "D_y": ("m", -16.5 * MM, 1 * MM),
+    "D_z": ("m", 0.0, 1 * MM),
+    "theta": ("rad", 0.0, 0.5 * DEGREE),
+    "alpha": ("rad", 90 * DEGREE, 0.5 * DEGREE),
+    "La_x": ("m", 119.963 * MM, 0.5 * MM),
+    "La_y": ("m", -3 * MM, 1 * MM),
+    "Lb": ("m", 240 * MM, 0.5 * MM),
+}
+PARALLELOGRAM = {  # set P1 (eq. 3.14): errors of the spatial parallelogram
+    "dalpha": ("rad", 0.0, 0.5 * DEGREE),
+    "dbeta": ("rad", 0.0, 0.5 * DEGREE),
+    "dC_x": ("m", 0.0, 0.1 * MM),
+    "dC_y": ("m", 0.0, 0.1 * MM),
+    "dC_z": ("m", 0.0, 0.1 * MM),
+    "dLb": ("m", 0.0, 0.1 * MM),
+}
+PLATFORM = {  # set P2 (eq. 3.15): size of the platform, nearly unobservable, fixed by default
+    "d_z": ("m", 20 * MM, 0.2 * MM),
+    "b_x": ("m", 24 * MM, 0.2 * MM),
+    "b_y": ("m", 0.0, 0.2 * MM),
+    "b_z": ("m", 0.0, 0.2 * MM),
+}
+GROUPS = {"position": POSITION, "P1": PARALLELOGRAM, "P2": PLATFORM}
+HOME = Home(joints=(30.65 * DEGREE,) * 3, position=(0.0, 0.0, 0.2))
+
+
+def chain_parameters(groups: dict[str, dict[str, tuple[str, float, float]]]) -> ParameterTable:
+    """The table of three equal chains, 120 degrees apart (theta is the thesis' vartheta)."""
+    return ParameterTable(
+        Parameter(
+            f"chain{i + 1}.{name}",
+            unit,
+            nominal + (i * 120 * DEGREE if name == "theta" else 0.0),
+            tolerance,
+            group,
+        )
+        for i in range(3)
+        for group, members in groups.items()
+        for name, (unit, nominal, tolerance) in members.items()
+    )
+
+
+class Delta54(Mechanism):
+    """Three arms, six rods of free length and orientation; all six coordinates move."""
+
+    joints = ("joint1", "joint2", "joint3")
+    moves = POSE
+    controls = ("x", "y", "z")
+    parameters = chain_parameters(GROUPS)
+    fixed = tuple(f"*.{name}" for name in PLATFORM)
+    home = HOME
+    workspace = Workspace(low=(-0.06, -0.06, 0.14), high=(0.06, 0.06, 0.26))
+    joint_limits = ((-30 * DEGREE, 135 * DEGREE),) * 3  # section 2.3.2: mechanical stops
+    length = 24 * MM
+
+    def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
+        """G1 and G2 of eq. 3.12, divided by 2 Lb and Lb: mean and half difference of a rod
+        pair's length error, three rows each, in metres."""
+        pairs = [self.rod_pair(q[i], r, R, p[f"chain{i + 1}"]) for i in range(3)]
+        return ca.vertcat(*[g1 for g1, _ in pairs], *[g2 for _, g2 in pairs])
+
+    @staticmethod
+    def rod_pair(angle: Any, r: Any, R: Any, c: Named) -> tuple[Any, Any]:
+        """Both closure rows of one chain."""
+        T = rot_z(c.theta) @ rot_x(c.alpha)
+        dT = rot_x(c.dalpha) @ rot_y(c.dbeta)
+        Q = rot_z(angle)
+        b, D = c.vector("b_x", "b_y", "b_z"), c.vector("D_x", "D_y", "D_z")
+        La, dC = ca.vertcat(c.La_x, c.La_y, 0), c.vector("dC_x", "dC_y", "dC_z")
+        d = ca.vertcat(0, 0, c.d_z)
+        CB = r + R @ (T @ b) - T @ (b + D + dT @ (Q @ La))
+        dd = R @ (T @ d) - T @ (dT @ (d + Q @ dC))
+        mean = (ca.dot(CB, CB) + ca.dot(dd, dd) - c.Lb**2 - c.dLb**2) / (2 * c.Lb)
+        difference = (ca.dot(CB, dd) - c.Lb * c.dLb) / c.Lb
+        return mean, difference
+
+    def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
+        """Model 24's two positions, platform parallel to the base (section 6.4.1)."""
+        return self._model24().candidates(q, p)
+
+    def joint_candidates(self, r: Any, R: Any, p: Named) -> list[tuple[Any, ...]]:
+        """Model 24's two angles a joint (section 6.4.1)."""
+        return self._model24().joint_candidates(r, R, p)
+
+    @staticmethod
+    def _model24() -> Mechanism:
+        from parallel_cal.mechanisms.delta24 import Delta24
+
+        return Delta24()

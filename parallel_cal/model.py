@@ -1,0 +1,247 @@
+"""A model: mechanism + ordered effects + numbers, and the functions derived from its closure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from parallel_cal.compiled import Batch, dense
+from parallel_cal.effect import CONDITIONS, Effect, Seen, load_effect
+from parallel_cal.errors import ModelError
+from parallel_cal.mechanism import Mechanism, load_mechanism
+from parallel_cal.parameters import Named, ParameterTable
+from parallel_cal.rotation import left_generators
+
+
+class Structure:
+    """The symbolic half of a model: everything but its numbers; shared and cached.
+
+    Symbols: q joints, r position, R9 rotation (row-major), v parameter vector, a conditions.
+    """
+
+    def __init__(self, mechanism: Mechanism, effects: Sequence[Effect]):
+        self.mechanism, self.effects = mechanism, tuple(effects)
+        self.table = ParameterTable(mechanism.parameters)
+        for effect in effects:
+            self.table = self.table + effect.table(mechanism)
+        needed = [c for effect in effects for c in effect.conditions(mechanism)]
+        self.conditions = tuple(dict.fromkeys(needed))
+        self.q = ca.SX.sym("q", len(mechanism.joints))
+        self.r, self.R9 = ca.SX.sym("r", 3), ca.SX.sym("R", 9)
+        self.v = ca.SX.sym("v", len(self.table))
+        self.a = ca.SX.sym("a", len(self.conditions))
+
+    @property
+    def R(self) -> Any:
+        return ca.reshape(self.R9, 3, 3).T
+
+    @property
+    def configuration(self) -> Any:
+        """(q, r, R9) as one column: what the closure ties together."""
+        return ca.vertcat(self.q, self.r, self.R9)
+
+    @cached_property
+    def phi(self) -> Any:
+        """The closure of the ideal mechanism at what the effects let it see."""
+        seen = Seen(self.q, self.r, self.R, self.geometry)
+        numbers, at = Named(self.table.names, self.v), Named(self.conditions, self.a)
+        for effect in self.effects:
+            seen = effect.ideal(seen, numbers[effect.name], at, self.mechanism)
+        phi = ca.vertcat(self.mechanism.closure(seen.q, seen.r, seen.R, seen.p))
+        return self._checked(phi)
+
+    def _checked(self, phi: Any) -> Any:
+        moved = len(self.mechanism.moves)
+        if phi.shape[1] != 1 or phi.shape[0] < moved:
+            raise ModelError(
+                f"mechanism {self.mechanism.name}: its closure has shape {phi.shape}, expected "
+                f"one column with at least {moved} rows, one for each moved coordinate"
+            )
+        unknown = {str(s) for s in ca.symvar(phi)} - {
+            str(s) for s in ca.symvar(ca.vertcat(self.configuration, self.v, self.a))
+        }
+        if unknown:
+            raise ModelError(f"mechanism {self.mechanism.name}: free symbols {sorted(unknown)}")
+        return phi
+
+    @cached_property
+    def jacobian_pose(self) -> Any:
+        """d phi / d (r, w) with R <- exp(w) R, shape (rows, 6)."""
+        turned = ca.jacobian(self.phi, self.R9) @ left_generators(self.R)
+        return ca.horzcat(ca.jacobian(self.phi, self.r), turned)
+
+    @cached_property
+    def jacobian_configuration(self) -> Any:
+        """d phi / d (q, r, w), shape (rows, n_joints + 6)."""
+        return ca.horzcat(ca.jacobian(self.phi, self.q), self.jacobian_pose)
+
+    @cached_property
+    def closure(self) -> ca.Function:
+        """(configuration, a, v) -> phi, d phi/d(q, r, w), d phi/dv."""
+        inputs = (self.configuration, self.a, self.v)
+        outputs = (self.phi, self.jacobian_configuration, ca.jacobian(self.phi, self.v))
+        return dense("closure", inputs, outputs)
+
+    @cached_property
+    def closure_batch(self) -> Batch:
+        """`closure` on arrays of samples."""
+        return Batch(self.closure)
+
+    @cached_property
+    def closure_configuration(self) -> ca.Function:
+        """(configuration, a, v) -> phi, d phi/d(q, r, w): what a careful solver needs."""
+        inputs = (self.configuration, self.a, self.v)
+        return dense("closure_configuration", inputs, (self.phi, self.jacobian_configuration))
+
+    @property
+    def geometry(self) -> Named:
+        names = self.mechanism.parameters.names
+        return Named(names, self.v[: len(names)])
+
+    @cached_property
+    def candidates(self) -> ca.Function:
+        """(q, v) -> one column (r, R9) for each pose the direct problem may start from."""
+        poses = self.mechanism.candidates(self.q, self.geometry)
+        columns = [ca.vertcat(r, ca.vec(ca.SX(R).T)) for r, R in poses]
+        return dense("candidates", (self.q, self.v), [ca.horzcat(*columns)])
+
+    @cached_property
+    def joint_candidates(self) -> ca.Function:
+        """(r, R9, v) -> for each joint one column of the values it may start from."""
+        choices = self.mechanism.joint_candidates(self.r, self.R, self.geometry)
+        return dense("joints", (self.r, self.R9, self.v), [ca.vertcat(*c) for c in choices])
+
+    @cached_property
+    def scale(self) -> np.ndarray:
+        """Metres a unit of each of (q, r, w) moves things: the mechanism's length for angles."""
+        m = self.mechanism
+        joint = m.length if m.joint_unit == "rad" else 1.0
+        return np.array([joint] * len(m.joints) + [1.0] * 3 + [m.length] * 3)
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Measurement noise, 1 sigma: joint readings (rad or m), position (m), orientation (rad)."""
+
+    joint: float | None = None
+    position: float | None = None
+    orientation: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """Mechanism, effects and numbers; immutable, so that it can be swapped while in use."""
+
+    mechanism: Mechanism
+    effects: tuple[Effect, ...]
+    values: np.ndarray
+    covariance: np.ndarray | None = None
+    fixed: np.ndarray = None  # type: ignore[assignment]  # the mechanism's own where not given
+    noise: Noise = Noise()
+    history: tuple[dict[str, Any], ...] = ()
+    frames: Mapping[str, str] = field(
+        default_factory=lambda: {"base": "base", "platform": "platform"}
+    )
+
+    def __post_init__(self) -> None:
+        values = np.array(self.values, dtype=float)
+        values.setflags(write=False)
+        object.__setattr__(self, "values", values)
+        if self.fixed is None:
+            pattern = self.mechanism.fixed
+            mask = (
+                self.table.matching(pattern) if pattern else np.zeros(len(self.table), dtype=bool)
+            )
+            object.__setattr__(self, "fixed", mask)
+        if len(values) != len(self.table):
+            raise ModelError(f"{len(values)} values for {len(self.table)} parameters")
+
+    @cached_property
+    def structure(self) -> Structure:
+        return _structure(self.mechanism, self.effects)
+
+    @property
+    def table(self) -> ParameterTable:
+        return self.structure.table
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        return self.mechanism.joints
+
+    @property
+    def conditions(self) -> tuple[str, ...]:
+        return self.structure.conditions
+
+    def with_values(self, values: np.ndarray, covariance: np.ndarray | None = None) -> Model:
+        return replace(self, values=values, covariance=covariance)
+
+    def value(self, name: str) -> float:
+        return float(self.values[self.table.index_of(name)])
+
+    def with_effect(self, name: str) -> Model:
+        """The model with one more effect, at zero, after those it has."""
+        if any(effect.name == name for effect in self.effects):
+            raise ModelError(f"the model already has the effect '{name}'")
+        return self._with_effects((*self.effects, load_effect(name)))
+
+    def without_effect(self, name: str) -> Model:
+        """The model without one of its effects."""
+        kept = tuple(effect for effect in self.effects if effect.name != name)
+        if len(kept) == len(self.effects):
+            has = ", ".join(effect.name for effect in self.effects) or "none"
+            raise ModelError(f"the model has no effect '{name}'; it has {has}")
+        return self._with_effects(kept)
+
+    def _with_effects(self, effects: tuple[Effect, ...]) -> Model:
+        table = _structure(self.mechanism, effects).table
+        known = dict(zip(self.table.names, zip(self.values, self.fixed, strict=True), strict=True))
+        values = np.array([known[p.name][0] if p.name in known else p.nominal for p in table])
+        fixed = np.array([p.name in known and known[p.name][1] for p in table], dtype=bool)
+        return replace(self, effects=effects, values=values, fixed=fixed, covariance=None)
+
+    def widened(self) -> Model:
+        """The same robot in the next larger model (delta24 -> delta54): equal poses."""
+        name, values = self.mechanism.widen(
+            self.mechanism.parameters.mapping(self.values[: len(self.mechanism.parameters)])
+        )
+        larger = load_mechanism(name)
+        larger.home, larger.joint_limits = self.mechanism.home, self.mechanism.joint_limits
+        return replace(new_model(larger, values), noise=self.noise, frames=self.frames)
+
+    def condition_rows(self, at: Mapping[str, Any] | None, n: int) -> np.ndarray:
+        """(n, n_conditions) from named scalars or (n,) columns; neutral where not given.
+
+        A condition of a joint that is not named is neutral too (direction 0: mid-play).
+        """
+        rows = np.empty((n, len(self.conditions)))
+        for k, name in enumerate(self.conditions):
+            neutral = CONDITIONS[name.split(".")[0]][1]
+            rows[:, k] = neutral if at is None else at.get(name, neutral)
+        return rows
+
+
+@lru_cache(maxsize=64)
+def _cached_structure(mechanism: Mechanism, effects: tuple[str, ...]) -> Structure:
+    return Structure(mechanism, [load_effect(name) for name in effects])
+
+
+def _structure(mechanism: Mechanism, effects: tuple[Effect, ...]) -> Structure:
+    return _cached_structure(mechanism, tuple(effect.name for effect in effects))
+
+
+def new_model(
+    mechanism: Mechanism | str,
+    values: Mapping[str, float] | None = None,
+    effects: Sequence[str] = (),
+) -> Model:
+    """A model with nominal values, overwritten by the given ones."""
+    if isinstance(mechanism, str):
+        mechanism = load_mechanism(mechanism)
+    loaded = tuple(load_effect(name) for name in effects)
+    table = _structure(mechanism, loaded).table
+    return Model(mechanism, loaded, table.vector(values or {}))

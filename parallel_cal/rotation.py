@@ -1,0 +1,100 @@
+"""Rotations: the symbolic building blocks of closures, and quaternions at the border."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+
+def rot_x(angle: Any) -> Any:
+    """Rotation about x (eq. B.1)."""
+    c, s = ca.cos(angle), ca.sin(angle)
+    return ca.vertcat(ca.horzcat(1, 0, 0), ca.horzcat(0, c, -s), ca.horzcat(0, s, c))
+
+
+def rot_y(angle: Any) -> Any:
+    """Rotation about y (eq. B.1)."""
+    c, s = ca.cos(angle), ca.sin(angle)
+    return ca.vertcat(ca.horzcat(c, 0, s), ca.horzcat(0, 1, 0), ca.horzcat(-s, 0, c))
+
+
+def rot_z(angle: Any) -> Any:
+    """Rotation about z (eq. B.1)."""
+    c, s = ca.cos(angle), ca.sin(angle)
+    return ca.vertcat(ca.horzcat(c, -s, 0), ca.horzcat(s, c, 0), ca.horzcat(0, 0, 1))
+
+
+def cayley(w: Any) -> Any:
+    """A rotation equal to exp(w) to second order, rational in w: smooth at w = 0."""
+    h = ca.skew(w / 2)
+    return ca.SX.eye(3) + 2 / (1 + ca.dot(w, w) / 4) * (h + h @ h)
+
+
+def left_generators(R: Any) -> Any:
+    """d vec(exp(w) R) / dw at w = 0, row-major vec; shape (9, 3)."""
+    columns = [ca.vec((ca.skew(ca.DM(axis)) @ R).T) for axis in np.eye(3)]
+    return ca.horzcat(*columns)
+
+
+def quaternion_to_matrix(quaternion: np.ndarray | Sequence[float]) -> np.ndarray:
+    """(..., 4) quaternions x y z w, of any non-zero length, to (..., 3, 3) matrices."""
+    q = np.asarray(quaternion, dtype=float)
+    x, y, z, w = np.moveaxis(q / np.linalg.norm(q, axis=-1, keepdims=True), -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def matrix_to_quaternion(R: np.ndarray) -> np.ndarray:
+    """(..., 3, 3) rotation matrices to (..., 4) quaternions x y z w with w >= 0."""
+    R = np.asarray(R, dtype=float)
+    trace = np.trace(R, axis1=-2, axis2=-1)
+    diagonal = np.stack([R[..., 0, 0], R[..., 1, 1], R[..., 2, 2], trace], axis=-1)
+    # Four formulas, each good where its own component is the largest (Shepperd).
+    candidates = np.stack([_quaternion_from_largest(R, trace, k) for k in range(4)], axis=-2)
+    best = np.argmax(diagonal, axis=-1)
+    q = np.take_along_axis(candidates, best[..., None, None], axis=-2)[..., 0, :]
+    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    return np.where(q[..., 3:] < 0, -q, q)
+
+
+def _quaternion_from_largest(R: np.ndarray, trace: np.ndarray, k: int) -> np.ndarray:
+    """An unnormalised quaternion proportional to component k times the true one."""
+    if k == 3:
+        skew = [
+            R[..., 2, 1] - R[..., 1, 2],
+            R[..., 0, 2] - R[..., 2, 0],
+            R[..., 1, 0] - R[..., 0, 1],
+        ]
+        return np.stack([*skew, 1 + trace], axis=-1)
+    i, j = (k + 1) % 3, (k + 2) % 3
+    q = np.empty((*trace.shape, 4))
+    q[..., k] = 1 + R[..., k, k] - R[..., i, i] - R[..., j, j]
+    q[..., i] = R[..., i, k] + R[..., k, i]
+    q[..., j] = R[..., j, k] + R[..., k, j]
+    q[..., 3] = R[..., j, i] - R[..., i, j]
+    return q
+
+
+def rotation_vector(R: np.ndarray) -> np.ndarray:
+    """(..., 3, 3) rotation matrices to (..., 3) rotation vectors (rad)."""
+    q = matrix_to_quaternion(R)
+    sine = np.linalg.norm(q[..., :3], axis=-1)
+    angle = 2 * np.arctan2(sine, q[..., 3])
+    # angle / sine tends to 2 where the rotation vanishes.
+    scale = np.where(sine > 1e-12, angle / np.where(sine > 1e-12, sine, 1), 2.0)
+    return scale[..., None] * q[..., :3]
+
+
+def rotation_matrix(vector: np.ndarray) -> np.ndarray:
+    """(..., 3) rotation vectors (rad) to (..., 3, 3) matrices: exp(w)."""
+    vector = np.asarray(vector, dtype=float)
+    half = np.linalg.norm(vector, axis=-1, keepdims=True) / 2
+    axis = 0.5 * np.sinc(half / np.pi) * vector
+    return quaternion_to_matrix(np.concatenate([axis, np.cos(half)], axis=-1))

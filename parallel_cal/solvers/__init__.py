@@ -1,0 +1,1 @@
+"""Algorithms for the direct and inverse problem."""

@@ -1,0 +1,145 @@
+"""Status, limits, uncertainty and input checks of the direct and inverse problem."""
+
+import numpy as np
+import pytest
+import virtual_robot as vr
+
+from parallel_cal.errors import ModelError, SolveError
+from parallel_cal.kinematics import Kinematics, Status
+from parallel_cal.model import new_model
+from parallel_cal.rotation import rotation_vector
+
+
+@pytest.fixture(scope="module")
+def mock_up():
+    return Kinematics(new_model("delta54", vr.TABLE_5_18))
+
+
+def test_a_point_out_of_reach_is_unreachable(mock_up):
+    assert mock_up.inverse([0, 0, 0.6]).status == Status.UNREACHABLE
+    assert mock_up.inverse([1.0, 0, 0.2]).status == Status.UNREACHABLE
+
+
+def test_joints_beyond_the_stops_are_solved_and_marked(mock_up):
+    answer = mock_up.direct(np.radians([-35, 0, 0]))
+    assert answer.status == Status.OUTSIDE_LIMITS
+    assert answer.residual < 1e-12
+
+
+def test_arms_stretched_into_one_line_are_singular():
+    """Arm and rod of chain 1 in one line: an inverse singularity (6.2.4)."""
+    model = new_model("delta24")
+    q = Kinematics(model).inverse([0, 0, 0.2]).joints
+    p = model.table.mapping(model.values)
+    angle = q[0] + np.arctan2(p["chain1.La_y"], p["chain1.La_x"])
+    reach = np.hypot(p["chain1.La_x"], p["chain1.La_y"]) + p["chain1.Lb"]
+    foot = np.array([p["chain1.D_x"], 0, p["chain1.D_y"]])
+    stretched = foot + reach * np.array([np.cos(angle), 0, np.sin(angle)])
+    free = model.with_values(
+        model.values
+        * np.where(np.array(["Lb" in n and "chain1" not in n for n in model.table.names]), 2, 1)
+    )
+    assert Kinematics(free).inverse(stretched).status in (Status.SINGULAR, Status.UNREACHABLE)
+    near = foot + (reach - 1e-12) * np.array([np.cos(angle), 0, np.sin(angle)])
+    assert Kinematics(free).inverse(near).status == Status.SINGULAR
+
+
+def test_nan_and_infinity_are_invalid_input_and_spoil_no_neighbour(mock_up):
+    answers = mock_up.inverse([[0, 0, 0.2], [np.nan, 0, 0.2], [0, np.inf, 0.2], [0, 0.01, 0.2]])
+    assert [Status(s).text for s in answers.status] == [
+        "converged", "invalid_input", "invalid_input", "converged",
+    ]  # fmt: skip
+    assert np.isnan(answers.joints[1]).all()
+
+
+def test_wrong_number_of_joints_is_an_error_that_names_them(mock_up):
+    with pytest.raises(SolveError, match=r"2 joint values given.*3 joints: joint1, joint2, joint3"):
+        mock_up.direct([0.1, 0.2])
+
+
+def test_single_and_batch_calls_answer_the_same(mock_up):
+    targets = mock_up.model.mechanism.sample(50, np.random.default_rng(0))
+    batch = mock_up.inverse(targets)
+    singles = [mock_up.inverse(t) for t in targets]
+    assert all(np.array_equal(b.joints, s.joints) for b, s in zip(batch, singles, strict=True))
+
+
+def test_a_start_keeps_its_assembly_mode(mock_up):
+    everything = mock_up.inverse_all([0.01, 0.02, 0.2])
+    other = everything[len(everything) - 1]
+    moved = mock_up.inverse([0.011, 0.02, 0.2], start=other)
+    assert np.abs(moved.joints - other.joints).max() < 0.05
+    assert np.abs(moved.joints - mock_up.inverse([0.011, 0.02, 0.2]).joints).max() > 0.1
+
+
+def test_pose_covariance_is_the_spread_of_answers_over_parameter_draws(mock_up):
+    model = mock_up.model
+    rng = np.random.default_rng(3)
+    root = rng.standard_normal((54, 54)) * 2e-6
+    uncertain = Kinematics(model.with_values(model.values, root @ root.T))
+    q = np.array([0.5, 0.55, 0.6])
+    predicted = uncertain.direct_covariance(uncertain.direct(q))
+    draws = model.values + rng.standard_normal((4000, 54)) @ root.T
+    spread = [Kinematics(model.with_values(v)).direct(q) for v in draws[:400]]
+    centre = mock_up.direct(q)
+    pose = np.array(
+        [
+            [*(s.position - centre.position), *rotation_vector(s.rotation @ centre.rotation.T)]
+            for s in spread
+        ]
+    )
+    assert np.sqrt(np.diag(np.cov(pose.T))) == pytest.approx(np.sqrt(np.diag(predicted)), rel=0.12)
+
+
+def test_backlash_moves_the_answer_by_half_its_width_with_the_direction():
+    plain = new_model("delta54", vr.TABLE_5_18)
+    values = {**vr.TABLE_5_18, "backlash.joint2.width": 4e-4}
+    model = new_model("delta54", values, effects=["backlash"])
+    q = np.array([0.5, 0.5, 0.5])
+    up = Kinematics(model).direct(q, at={"direction.joint2": 1.0})
+    expected = Kinematics(plain).direct(q - [0, 2e-4, 0])
+    assert np.abs(up.position - expected.position).max() < 1e-14
+    resting = Kinematics(model).direct(q)
+    assert np.abs(resting.position - Kinematics(plain).direct(q).position).max() < 1e-14
+
+
+def test_effects_hold_in_the_inverse_too():
+    names = ["encoder_eccentricity", "backlash"]
+    model = new_model("delta54", vr.TABLE_5_18, effects=names)
+    model = model.with_values(
+        model.values + 1e-3 * np.array(["sin" in n or "width" in n for n in model.table.names])
+    )
+    at = {"direction.joint1": 1.0, "direction.joint2": -1.0, "direction.joint3": 1.0}
+    kinematics = Kinematics(model)
+    targets = model.mechanism.sample(100, np.random.default_rng(4))
+    joints = kinematics.inverse(targets, at=at)
+    assert np.abs(kinematics.direct(joints.joints, at).position - targets).max() < 1e-13
+
+
+@pytest.mark.parametrize("name", ["encoder_eccentricity", "backlash"])
+def test_an_effect_at_zero_changes_nothing(name):
+    plain, model = new_model("delta54"), new_model("delta54").with_effect(name)
+    q = np.array([0.4, 0.5, 0.6])
+    assert np.array_equal(
+        Kinematics(plain).direct(q).position, Kinematics(model).direct(q).position
+    )
+
+
+def test_eccentricity_is_a_sine_of_the_reading_worked_by_hand():
+    values = {"encoder_eccentricity.joint1.sin": 2e-3, "encoder_eccentricity.joint3.cos": 1e-3}
+    model = new_model("delta54", values, effects=["encoder_eccentricity"])
+    answer = Kinematics(model).direct(np.array([np.pi / 6, 0.5, np.pi / 3]))
+    expected = Kinematics(new_model("delta54")).direct(
+        np.array([np.pi / 6 + 1e-3, 0.5, np.pi / 3 + 0.5e-3])
+    )
+    assert np.abs(answer.position - expected.position).max() < 1e-15
+
+
+def test_adding_an_effect_twice_or_removing_an_absent_one_is_an_error():
+    model = new_model("delta24").with_effect("backlash")
+    with pytest.raises(ModelError, match="already has the effect 'backlash'"):
+        model.with_effect("backlash")
+    with pytest.raises(ModelError, match="no effect 'encoder_eccentricity'; it has backlash"):
+        model.without_effect("encoder_eccentricity")
+    with pytest.raises(ModelError, match=r"no effect 'tides': expected one of .*backlash"):
+        model.with_effect("tides")
