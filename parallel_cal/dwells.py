@@ -1,0 +1,167 @@
+"""Where a robot stood still, seen by the spread of its joint readings, never by their velocity."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .recording import Array
+
+Indices = NDArray[np.intp]
+
+# The tolerance is a few times the spread seen while still, kept between these parts of the travel:
+# below FLOOR, settling would cut dwells short; a calm spread above SLOW may be slow motion, and
+# nothing above CEILING is noise of a robot worth calibrating.
+FLOOR, SLOW, CEILING = 2e-5, 1e-3, 5e-2
+
+
+@dataclass(frozen=True)
+class Interval:
+    """Readings first..last (inclusive) that stay within the tolerance of their median."""
+
+    first: int
+    last: int
+
+
+def still_tolerance(time: Array, q: Array, min_dwell: float) -> Array:
+    """How far each joint (nq,) may stray from its median and still stand still.
+
+    Four times the spread of the calmest tenth of all windows of length `min_dwell` (up to 1e-3 of
+    the joint's travel), at least 10 sigma of the reading-to-reading noise and 1.5 encoder steps,
+    within 2e-5 to 5e-2 of the travel. A joint that never does more than that stands still always.
+    """
+    travel = np.ptp(q, axis=0)
+    calm = np.quantile(window_spread(time, q, min_dwell), 0.1, axis=0)
+    noise = np.maximum(10.0 * _jitter(time, q, min_dwell), 1.5 * _encoder_step(q))
+    tolerance = np.maximum(noise, np.minimum(4.0 * calm, SLOW * travel))
+    tolerance = np.clip(tolerance, FLOOR * travel, CEILING * travel)
+    rests = travel <= 1.5 * np.maximum(noise, 4.0 * calm)
+    return np.where(rests, np.maximum(travel, 1e-12), tolerance)
+
+
+def window_spread(time: Array, q: Array, length: float) -> Array:
+    """Largest minus smallest reading (m, nq) in the window of `length` s from each reading on."""
+    last = np.searchsorted(time, time + length, side="right") - 1
+    whole = time + length <= time[-1] + 1e-9
+    if not whole.any():
+        return np.ptp(q, axis=0)[None]
+    return _range(q, np.flatnonzero(whole), last[whole])
+
+
+def _range(q: Array, first: Indices, last: Indices) -> Array:
+    """max - min of q[first..last] for many windows: two overlapping blocks of length 2^k each."""
+    spread = np.zeros((len(first), q.shape[1]))
+    level = np.frexp(last - first + 1)[1] - 1
+    low = high = q
+    for k in range(int(level.max()) + 1):
+        at = level == k
+        a, b = first[at], last[at] + 1 - 2**k
+        spread[at] = np.maximum(high[a], high[b]) - np.minimum(low[a], low[b])
+        step = 2**k
+        low, high = np.minimum(low[:-step], low[step:]), np.maximum(high[:-step], high[step:])
+    return spread
+
+
+def _jitter(time: Array, q: Array, length: float) -> Array:
+    """Reading-to-reading noise sigma (nq,): rms second difference of the calmest windows."""
+    if len(q) < 11:
+        return np.zeros(q.shape[1])
+    width = int(np.clip(length / np.median(np.diff(time)), 8, len(q) - 3))
+    second = q[2:] - 2.0 * q[1:-1] + q[:-2]
+    sums = np.cumsum(np.vstack([np.zeros(q.shape[1]), second**2]), axis=0)
+    mean = np.maximum(sums[width:] - sums[:-width], 0.0) / width
+    return np.sqrt(np.quantile(mean, 0.1, axis=0) / 6.0)
+
+
+def _encoder_step(q: Array) -> Array:
+    """The smallest step (nq,) of joints that often repeat a reading exactly; 0 for others."""
+    change = np.abs(np.diff(q, axis=0))
+    repeats = np.mean(change == 0.0, axis=0) > 0.3
+    smallest = np.min(np.where(change > 0.0, change, np.inf), axis=0, initial=np.inf)
+    return np.where(repeats & np.isfinite(smallest), smallest, 0.0)
+
+
+def still_intervals(
+    time: Array, q: Array, tolerance: Array, shortest: float, max_gap: float
+) -> list[Interval]:
+    """Maximal intervals of at least `shortest` s without gap in which every joint stays put."""
+    n = len(time)
+    if n < 3:
+        return []
+    last = np.searchsorted(time, time + shortest, side="left")
+    last = np.maximum(last, np.arange(n) + 2)
+    first = np.flatnonzero(last < n)
+    last = last[first]
+    gaps = np.concatenate([[0], np.cumsum(np.diff(time) > max_gap)])
+    still = (_range(q, first, last) <= tolerance).all(axis=1) & (gaps[last] == gaps[first])
+    # a reading belongs with the next where any still window holds both
+    joined = np.zeros(n, np.int64)
+    np.add.at(joined, first[still], 1)
+    np.add.at(joined, last[still], -1)
+    intervals = []
+    for a, b in _runs(np.cumsum(joined) > 0):
+        intervals += _split(q, a, b + 1, tolerance)
+    return [i for i in intervals if time[i.last] - time[i.first] >= 0.999 * shortest]
+
+
+def _runs(flags: ArrayLike) -> list[tuple[int, int]]:
+    """First and last index of every run of True."""
+    edges = np.diff(np.concatenate([[0], np.asarray(flags, int), [0]]))
+    starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1
+    return list(zip(starts.tolist(), ends.tolist(), strict=True))
+
+
+def _split(q: Array, first: int, last: int, tolerance: Array) -> list[Interval]:
+    """Cut a calm stretch into intervals within the tolerance of their own median.
+
+    A stretch is longer than one dwell where the robot crept from one to the next.
+    """
+    done, pending = [], [(first, last)]
+    while pending:
+        a, b = pending.pop()
+        if b - a < 2:
+            continue
+        part = q[a : b + 1]
+        near = np.all(np.abs(part - np.median(part, axis=0)) <= tolerance, axis=1)
+        runs = _runs(near)
+        if not runs:  # a median of several joints that none of the readings is close to
+            pending += [(a, (a + b) // 2), ((a + b) // 2 + 1, b)]
+            continue
+        i, j = max(runs, key=lambda run: run[1] - run[0])
+        done.append(Interval(a + i, a + j))
+        pending += [(a, a + i - 1), (a + j + 1, b)]
+    return sorted(done, key=lambda interval: interval.first)
+
+
+def drift(q: Array) -> Array:
+    """How far the readings (n, nq) moved from the first to the last third of an interval."""
+    third = max(1, len(q) // 3)
+    return q[-third:].mean(axis=0) - q[:third].mean(axis=0)
+
+
+def approach(q: Array, at: Sequence[int], level: Array, threshold: Array) -> NDArray[np.int64]:
+    """Direction (N, nq) in -1 0 1 of each joint's last real motion before reading `at` (N,).
+
+    Going back in time, the first reading further than `threshold` from the sample's `level`
+    (N, nq) tells where the joint came from; 0 when it never moved that far.
+    """
+    direction = np.zeros(level.shape, np.int64)
+    for i, end in enumerate(at):
+        for j in range(q.shape[1]):
+            direction[i, j] = _came_from(q[:end, j], level[i, j], threshold[j])
+    return direction
+
+
+def _came_from(before: Array, level: float, threshold: float) -> int:
+    """Sign of the last motion; looks back in growing steps because it is mostly recent."""
+    end, step = len(before), 256
+    while end > 0:
+        begin = max(0, end - step)
+        far = np.flatnonzero(np.abs(before[begin:end] - level) > threshold)
+        if len(far):
+            return int(np.sign(level - before[begin + far[-1]]))
+        end, step = begin, 4 * step
+    return 0

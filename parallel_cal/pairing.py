@@ -1,0 +1,73 @@
+"""Channels -> one sample per pose message of a moving robot, joints interpolated to its time."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .errors import DatasetError
+from .recording import Array, Bools, Dropped, JointStream, Recording
+from .rotation import quaternion_to_matrix
+from .samples import Options, Sample, Samples, max_gap
+
+
+def paired_samples(recording: Recording, options: Options, tolerance: Array) -> Samples:
+    """One sample per pose message, with the joints interpolated to its time."""
+    joints, pose = recording.joints, recording.pose
+    found = Samples("continuous", [], tolerance, [])
+    usable = _bracketed(joints, pose.time, max_gap(joints, options))
+    if (~usable).any():
+        first, count = float(pose.time[np.argmin(usable)]), int((~usable).sum())
+        detail = f"{count} of {len(usable)} messages on {pose.topic}"
+        found.dropped.append(Dropped(first, "no joint readings around the pose", detail, count))
+    at = np.flatnonzero(usable)
+    if not len(at):
+        raise DatasetError(f"{recording.source}: no pose has joint readings around it in time")
+    columns = _interpolated(joints, pose.time[at])
+    R = quaternion_to_matrix(pose.quaternion)
+    nowhere = np.full(len(joints.names), np.nan)
+    reading = np.searchsorted(joints.time, pose.time[at])
+    for k, i in enumerate(at):
+        q, effort, velocity = (column[k] for column in columns)
+        found.kept.append(
+            Sample(
+                time=float(pose.time[i]),
+                duration=0.0,
+                q=q,
+                effort=effort,
+                velocity=velocity,
+                scatter_q=nowhere,
+                r=pose.position[i],
+                R=R[i],
+                measured=pose.measured[i],
+                pose_cov=pose.covariance[i],
+                scatter_pose=np.full(6, np.nan),
+                count_q=1,
+                count_pose=1,
+                first_reading=int(reading[k]),
+            )
+        )
+    return found
+
+
+def _bracketed(joints: JointStream, time: Array, gap: float) -> Bools:
+    """True (m,) where two joint readings close in time enclose the pose, or one coincides."""
+    after = np.searchsorted(joints.time, time).clip(0, len(joints.time) - 1)
+    before = (after - 1).clip(0)
+    inside = (joints.time[before] <= time) & (time <= joints.time[after])
+    coincides = joints.time[after] == time
+    return coincides | (inside & (joints.time[after] - joints.time[before] <= gap))
+
+
+def _interpolated(joints: JointStream, time: Array) -> tuple[Array, Array, Array]:
+    """Joint position, effort and velocity (m, nq) each at the given times."""
+
+    def at(values: Array, when: Array) -> Array:
+        return np.stack([np.interp(when, joints.time, c) for c in values.T], axis=1)
+
+    period = float(np.median(np.diff(joints.time))) if len(joints.time) > 1 else 1.0
+    # ends are clipped so that the difference is divided by the time that it really spans
+    late = np.minimum(time + 2 * period, joints.time[-1])
+    early = np.maximum(time - 2 * period, joints.time[0])
+    span = np.maximum(late - early, 1e-9)[:, None]
+    velocity = (at(joints.position, late) - at(joints.position, early)) / span
+    return at(joints.position, time), at(joints.effort, time), velocity

@@ -1,0 +1,111 @@
+"""A recording as plain arrays on one clock; it knows neither bags nor ROS."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+Progress = Callable[[float, str], None]
+
+COORDINATES = ("x", "y", "z", "rx", "ry", "rz")
+
+
+@dataclass(frozen=True)
+class Topics:
+    """Topic names of the channels; an empty name switches an optional channel off."""
+
+    joint_states: str = "joint_states"
+    measured_pose: str = "measured_pose"
+    measured_position: str = "measured_position"
+    temperature: str = "temperature"
+    payload: str = "payload"
+
+
+@dataclass(frozen=True)
+class Dropped:
+    """Something recorded that is not used: time in s since the start, reason, detail, how many."""
+
+    time: float
+    reason: str
+    detail: str = ""
+    count: int = 1
+
+
+@dataclass(frozen=True)
+class TopicInfo:
+    """A topic in the bag: name, message type, number of messages."""
+
+    name: str
+    type: str
+    count: int
+
+
+@dataclass
+class Raw:
+    """Messages of one topic as they came: log and header times in ns, and rows of content."""
+
+    topic: str
+    type: str
+    log: list[int] = field(default_factory=list)
+    stamp: list[int] = field(default_factory=list)
+    rows: list[tuple] = field(default_factory=list)
+    undecodable: int = 0
+
+
+@dataclass(frozen=True)
+class JointStream:
+    """Joint readings: time (n,) in s, position (n, nq) in rad or m, effort (n, nq), NaN if none."""
+
+    topic: str
+    names: tuple[str, ...]
+    time: Array
+    position: Array
+    effort: Array
+
+
+@dataclass(frozen=True)
+class PoseStream:
+    """Measured poses: time (m,), position (m, 3) in m, unit quaternion (m, 4) x y z w.
+
+    `measured` (m, 6) marks x y z rx ry rz; `covariance` (m, 6, 6) in m and rad is NaN where the
+    message gives none.
+    """
+
+    topic: str
+    type: str
+    frame: str
+    time: Array
+    position: Array
+    quaternion: Array
+    measured: Bools
+    covariance: Array
+
+
+@dataclass(frozen=True)
+class ScalarStream:
+    """One number over time: time (k,) in s, value (k,)."""
+
+    topic: str
+    time: Array
+    value: Array
+
+
+@dataclass(frozen=True)
+class Recording:
+    """All channels of a recording on one clock: seconds since `start_ns`."""
+
+    source: str
+    sha256: str
+    start_ns: int
+    topics: tuple[TopicInfo, ...]
+    joints: JointStream
+    pose: PoseStream
+    temperature: ScalarStream | None = None
+    payload: ScalarStream | None = None
+    dropped: tuple[Dropped, ...] = ()
+    notes: tuple[str, ...] = ()

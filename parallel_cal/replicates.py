@@ -1,0 +1,138 @@
+"""Poses visited more than once: found, counted, measured for noise, kept together in folds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import DatasetError
+from .recording import Array, Bools
+from .rotation import rotation_vector
+
+Ids = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class ReplicateNoise:
+    """Pooled 1-sigma scatter of revisited poses about their group's mean.
+
+    `joint` (nq,) in rad or m and `pose` (6,) in m and rad, NaN where not measured or without
+    replicates; `dof` = samples in groups minus groups. A robot does not come back to exactly the
+    same joints, so part of `pose` is the robot's own: `joint_deviation` (M, nq) and
+    `pose_deviation` (M, 6) of the samples `index` (M,) let a model subtract that part.
+    """
+
+    joint: Array
+    pose: Array
+    dof: int
+    groups: int
+    index: NDArray[np.intp]
+    joint_deviation: Array
+    pose_deviation: Array
+
+
+def replicate_ids(
+    q: Array, r: Array, R: Array, measured: Bools, scatter_q: Array, tolerance: float | None = None
+) -> Ids:
+    """Group number (N,) of each sample; samples of one pose share it.
+
+    A sample joins the first earlier pose whose joints all lie within the tolerance: 0.2 % of the
+    joint's travel (backlash and encoder errors stay below) but at most a fifth of the robot's usual
+    step, so that a fine sweep is not merged, and at least 20 times the scatter within a dwell. The
+    measured pose must agree to 5 % of its range and 0.1 rad, which only tells assembly modes apart:
+    what replicates reveal (backlash, warming) must not split them.
+    """
+    scale = _joint_scale(q, scatter_q, tolerance)
+    reach = 0.05 * np.ptp(r, axis=0).max(initial=0.0) + 1e-9
+    ids, leaders = np.zeros(len(q), np.int64), np.zeros(0, np.int64)
+    for i in range(len(q)):
+        near = (np.abs(q[leaders] - q[i]) <= scale).all(axis=1)
+        apart = np.abs(r[leaders] - r[i]) * (measured[leaders, :3] & measured[i, :3])
+        near &= (apart <= reach).all(axis=1)
+        near &= _chord(R[leaders], R[i], measured[leaders], measured[i]) <= 0.1
+        found = np.flatnonzero(near)
+        ids[i] = found[0] if len(found) else len(leaders)
+        if not len(found):
+            leaders = np.append(leaders, i)
+    return ids
+
+
+def _joint_scale(q: Array, scatter_q: Array, tolerance: float | None) -> Array:
+    """Largest joint difference (nq,) between two visits of one pose."""
+    if tolerance is not None:
+        return np.full(q.shape[1], float(tolerance))
+    if len(q) < 2:
+        return np.full(q.shape[1], 1e-12)
+    noise = 20.0 * np.nan_to_num(np.median(scatter_q, axis=0)) + 1e-12
+    part = 2e-3 * np.ptp(q, axis=0) + 1e-12
+    usual_step = np.quantile((np.abs(np.diff(q, axis=0)) / part).max(axis=1), 0.75)
+    return np.maximum(noise, part * min(1.0, 0.2 * usual_step))
+
+
+def _chord(many: Array, one: Array, measured: Bools, here: Bools) -> Array:
+    """Angle (n,) in rad, for small angles, between fully measured rotations; 0 for others."""
+    compare = measured[:, 3:].all(axis=1) & here[3:].all()
+    distance = np.linalg.norm(many - one, axis=(1, 2)) / np.sqrt(2.0)
+    return np.where(compare, distance, 0.0)
+
+
+def replicate_noise(
+    ids: Ids, q: Array, r: Array, R: Array, measured: Bools, mean_rotation: NDArray[np.float64]
+) -> ReplicateNoise:
+    """Pool the deviations of all samples that share a pose with another.
+
+    `mean_rotation` (G, 3, 3) is the mean of each group's rotations.
+    """
+    index = np.flatnonzero(np.bincount(ids, minlength=1)[ids] > 1)
+    members, group = np.unique(ids[index], return_inverse=True)
+    complete = measured[index].copy()
+    for g in range(len(members)):
+        complete[group == g] = measured[index][group == g].all(axis=0)
+    turned = R[index] @ np.swapaxes(mean_rotation[ids[index]], 1, 2)
+    pose = np.hstack([_about_mean(r[index], group), rotation_vector(turned)])
+    pose[~complete] = np.nan
+    joint = _about_mean(q[index], group)
+    return ReplicateNoise(
+        _pooled(joint, group), _pooled(pose, group), len(index) - len(members), len(members),
+        index, joint, pose,
+    )  # fmt: skip
+
+
+def _about_mean(values: Array, group: NDArray[np.intp]) -> Array:
+    """Rows (M, k) minus the mean of their group."""
+    size = np.bincount(group)
+    sums = np.stack([np.bincount(group, column) for column in values.T], axis=1)
+    return values - (sums / size[:, None])[group] if len(group) else values
+
+
+def _pooled(deviation: Array, group: NDArray[np.intp]) -> Array:
+    """Standard deviation per column with one degree of freedom less per group; NaN without any."""
+    known = np.isfinite(deviation)
+    groups = np.array([len(np.unique(group[column])) for column in known.T])
+    dof = known.sum(axis=0) - groups
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.sqrt(np.where(dof > 0, np.nansum(deviation**2, axis=0) / dof, np.nan))
+
+
+def make_folds(
+    groups: Ids, fraction: float, seed: int
+) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+    """(train, test) indices of round(1/fraction) folds that never split a group."""
+    if not 0.0 < fraction <= 0.5:
+        raise DatasetError(f"hold-out fraction {fraction}; expected above 0 and at most 0.5")
+    names, size = np.unique(groups, return_counts=True)
+    count = min(round(1.0 / fraction), len(names))
+    if count < 2:
+        raise DatasetError(
+            f"all {len(groups)} samples are of one pose: none can be held out. Measure other poses."
+        )
+    order = np.random.default_rng(seed).permutation(len(names))
+    order = order[np.argsort(-size[order], kind="stable")]  # large groups first, then fill up
+    load, fold_of = np.zeros(count, np.int64), np.zeros(len(names), np.int64)
+    for g in order:
+        fold_of[g] = np.argmin(load)
+        load[fold_of[g]] += size[g]
+    fold = fold_of[np.searchsorted(names, groups)]
+    return [(np.flatnonzero(fold != k), np.flatnonzero(fold == k)) for k in range(count)]

@@ -1,0 +1,103 @@
+"""What a sample is, the options for making samples, and the small sums that both ways share."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from .errors import DatasetError
+from .recording import Array, Bools, Dropped, JointStream
+
+
+@dataclass(frozen=True)
+class Options:
+    """How samples are made. Times in s; `still_tolerance` and `joint_sigma` in joint units.
+
+    mode: "dwell" (one sample per standstill), "continuous" (one per pose message), or "auto".
+    still_tolerance: how far a joint strays while standing still (default: from the data).
+    min_pose_messages: default 3, or 1 where the device gives fewer per dwell.
+    assume_units: accept positions that look like millimetres.
+    replicate_tolerance: joint distance between two visits of one pose (default: from the data).
+    """
+
+    mode: str = "auto"
+    min_dwell: float = 0.3
+    trim_start: float = 0.1
+    trim_end: float = 0.05
+    still_tolerance: float | Sequence[float] | None = None
+    min_joint_messages: int = 3
+    min_pose_messages: int | None = None
+    max_gap: float | None = None
+    joint_sigma: float | Sequence[float] | None = None
+    assume_units: bool = False
+    replicate_tolerance: float | None = None
+
+
+@dataclass
+class Sample:
+    """One sample: joints, pose, what was measured, and how the single readings scattered."""
+
+    time: float
+    duration: float
+    q: Array
+    effort: Array
+    velocity: Array
+    scatter_q: Array
+    r: Array
+    R: Array
+    measured: Bools
+    pose_cov: Array
+    scatter_pose: Array
+    count_q: int
+    count_pose: int
+    first_reading: int  # of the untrimmed interval: motion before it tells the direction
+
+
+@dataclass
+class Samples:
+    """The samples, the tolerance (nq,) that told motion from noise, and what was not used."""
+
+    mode: str
+    kept: list[Sample]
+    tolerance: Array
+    dropped: list[Dropped]
+    warnings: list[str] = field(default_factory=list)
+
+
+def per_joint(value: float | Sequence[float], names: Sequence[str], what: str) -> Array:
+    """A positive number per joint (nq,) from one number or one per joint; DatasetError if not."""
+    values = np.atleast_1d(np.asarray(value, float))
+    if values.shape not in ((1,), (len(names),)) or not (values > 0).all():
+        raise DatasetError(
+            f"{what}={value}: expected one positive number, or one for each of {', '.join(names)}"
+        )
+    return np.broadcast_to(values, (len(names),)).copy()
+
+
+def max_gap(joints: JointStream, options: Options) -> float:
+    """The longest silence in s that may lie inside a sample."""
+    if options.max_gap is not None:
+        return options.max_gap
+    period = float(np.median(np.diff(joints.time))) if len(joints.time) > 1 else 0.0
+    return max(0.5, 5.0 * period)
+
+
+def mean_rotation(R: Array) -> Array:
+    """Mean (3, 3) of rotations (n, 3, 3): the rotation closest to all of them by chords."""
+    u, _, vt = np.linalg.svd(R.mean(axis=0))
+    return u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+
+
+def sample_sd(values: Array) -> Array:
+    """Sample standard deviation per column; NaN for a single row."""
+    if len(values) < 2:
+        return np.full(values.shape[1], np.nan)
+    return values.std(axis=0, ddof=1)
+
+
+def slope(time: Array, values: Array) -> Array:
+    """Mean velocity: the slope of the line through the readings."""
+    t = time - time.mean()
+    return t @ values / max(float(t @ t), 1e-300)

@@ -1,0 +1,83 @@
+"""Channels -> samples and the conditions each was taken under."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .dwells import approach, still_tolerance
+from .errors import DatasetError
+from .pairing import paired_samples
+from .recording import Array, JointStream, Recording, ScalarStream
+from .samples import Options, Samples, per_joint
+from .standstill import standstill_samples
+
+
+def samples_of(recording: Recording, options: Options) -> Samples:
+    """Make samples of a recording; DatasetError when there is none or the mode is unknown."""
+    if options.mode not in ("auto", "dwell", "continuous"):
+        raise DatasetError(f"mode='{options.mode}'; expected 'auto', 'dwell' or 'continuous'")
+    joints = recording.joints
+    tolerance = _tolerance(joints, options)
+    if options.mode == "continuous":
+        return paired_samples(recording, options, tolerance)
+    samples = standstill_samples(recording, options, tolerance)
+    if not samples.kept:
+        raise DatasetError(_why_none(recording, options, samples))
+    return samples
+
+
+def _tolerance(joints: JointStream, options: Options) -> Array:
+    """The standstill tolerance (nq,): the user's or the data's."""
+    if options.still_tolerance is None:
+        return still_tolerance(joints.time, joints.position, options.min_dwell)
+    return per_joint(options.still_tolerance, joints.names, "still_tolerance")
+
+
+def _why_none(recording: Recording, options: Options, samples: Samples) -> str:
+    """The message for a recording without a single usable dwell."""
+    reasons = sorted({d.reason for d in samples.dropped})
+    tolerance = ", ".join(f"{t:.2g}" for t in samples.tolerance)
+    return (
+        f"{recording.source}: no usable dwell of at least {options.min_dwell} s "
+        f"(candidates dropped: {'; '.join(reasons) or 'none found'}; joints counted as still "
+        f"within {tolerance}). Let the robot stand at each pose, adjust min_dwell or "
+        "still_tolerance, or pair every pose with the moving joints: mode='continuous'."
+    )
+
+
+def conditions_of(
+    recording: Recording, samples: Samples, warnings: list[str]
+) -> dict[str, NDArray[np.float64]]:
+    """The circumstances (N,) of each sample by name; times in s, payload in kg."""
+    joints, kept = recording.joints, samples.kept
+    time = np.array([s.time for s in kept])
+    conditions = {"time": time}
+    if recording.temperature:
+        conditions["temperature"] = np.interp(
+            time, recording.temperature.time, recording.temperature.value
+        )
+    if recording.payload:
+        conditions["payload"] = _latest(recording.payload, time, warnings)
+    level = np.array([s.q for s in kept])
+    # a motion counts as real when it is more than what passes for standing still
+    before = [s.first_reading for s in kept]
+    direction = approach(joints.position, before, level, samples.tolerance)
+    effort = np.array([s.effort for s in kept])
+    for j, name in enumerate(joints.names):
+        conditions[f"direction.{name}"] = direction[:, j].astype(float)
+        conditions[f"velocity.{name}"] = np.array([s.velocity[j] for s in kept])
+        if np.isfinite(effort[:, j]).all():
+            conditions[f"effort.{name}"] = effort[:, j]
+    return conditions
+
+
+def _latest(stream: ScalarStream, time: Array, warnings: list[str]) -> Array:
+    """The last value before each time; the first value, with a warning, before any."""
+    index = np.searchsorted(stream.time, time, side="right") - 1
+    if (index < 0).any():
+        warnings.append(
+            f"{stream.topic}: {int((index < 0).sum())} samples lie before its first message and "
+            "take its value"
+        )
+    return stream.value[index.clip(0)]

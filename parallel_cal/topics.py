@@ -1,0 +1,104 @@
+"""Which topic of a recording serves which channel, by name and by message type."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from .errors import BagError
+from .recording import TopicInfo, Topics
+
+Available = Sequence[TopicInfo]
+Types = tuple[str, ...]
+
+JOINTS = ("sensor_msgs/msg/JointState",)
+POSES = ("geometry_msgs/msg/PoseWithCovarianceStamped", "geometry_msgs/msg/PoseStamped")
+POINTS = ("geometry_msgs/msg/PointStamped",)
+TEMPERATURE = ("sensor_msgs/msg/Temperature",)
+PAYLOAD = ("geometry_msgs/msg/InertiaStamped",)
+
+# a topic named like this is what the robot was told or what a model computed, not a measurement
+NOT_MEASUREMENTS = ("target", "command", "goal", "desired", "setpoint", "kinematics")
+
+
+def choose_topics(available: Available, topics: Topics, notes: list[str]) -> dict[str, TopicInfo]:
+    """The topic of each channel ("joints", "pose", "temperature", "payload") that has one."""
+    chosen = {"joints": _require(available, "joint_states", topics.joint_states, JOINTS, notes)}
+    pose = _named(available, topics.measured_pose, POSES)
+    point = _named(available, topics.measured_position, POINTS + POSES)
+    if pose and point:
+        notes.append(f"{point.name} is ignored, poses are taken from {pose.name}")
+    if topics.measured_position != Topics.measured_position:
+        wanted = topics.measured_position
+    else:
+        wanted = topics.measured_pose
+    chosen["pose"] = pose or point or _require(
+        available, "measured_pose", wanted, POSES + POINTS, notes
+    )  # fmt: skip
+    for channel, types in (("temperature", TEMPERATURE), ("payload", PAYLOAD)):
+        found = _optional(available, channel, getattr(topics, channel), types, notes)
+        if found:
+            chosen[channel] = found
+    return chosen
+
+
+def _named(available: Available, name: str, types: Types) -> TopicInfo | None:
+    """The topic of that name, None if absent or empty; BagError if its type is another."""
+    found = [t for t in available if name and t.name.strip("/") == name.strip("/")]
+    fitting = [t for t in found if t.type in types]
+    if found and not fitting:
+        raise BagError(
+            f"topic {found[0].name} holds {found[0].type}; expected {' or '.join(types)}. "
+            f"Name another topic. {_listing(available)}"
+        )
+    return max(fitting, key=lambda t: t.count, default=None)
+
+
+def _only(available: Available, types: Types) -> list[TopicInfo]:
+    """Topics that may serve by their type alone."""
+    return [
+        topic
+        for topic in available
+        if topic.type in types
+        and topic.count
+        and not any(word in topic.name.lower() for word in NOT_MEASUREMENTS)
+    ]
+
+
+def _optional(
+    available: Available, channel: str, name: str, types: Types, notes: list[str]
+) -> TopicInfo | None:
+    """The named topic, or for a default name the only one of that type."""
+    found = _named(available, name, types)
+    if found and found.count:
+        return found
+    if name != getattr(Topics, channel):
+        if not name:
+            return None
+        raise BagError(f"no messages on topic '{name}' ({channel}). {_listing(available)}")
+    others = _only(available, types)
+    if len(others) == 1:
+        notes.append(f"no topic '{name}'; {others[0].name} is used, the only one of its type")
+        return others[0]
+    if others:
+        notes.append(
+            f"no topic '{name}' and several of its type ({', '.join(t.name for t in others)}); "
+            f"none is used, name one as {channel}"
+        )
+    return None
+
+
+def _require(
+    available: Available, channel: str, name: str, types: Types, notes: list[str]
+) -> TopicInfo:
+    """As _optional, but a channel without topic is a BagError."""
+    found = _optional(available, channel, name, types, notes)
+    if found is None:
+        raise BagError(
+            f"no messages on topic '{name}' and not exactly one other topic of type "
+            f"{' or '.join(types)}. Name the topic as {channel}. {_listing(available)}"
+        )
+    return found
+
+
+def _listing(available: Available) -> str:
+    return "In the bag: " + "; ".join(f"{t.name} [{t.type}] {t.count}" for t in available)

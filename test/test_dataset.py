@@ -1,0 +1,530 @@
+"""From channels to samples: dwells, directions, replicates, conditions, units, folds, the file."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from bag_writing import (
+    POINT,
+    POSE,
+    Session,
+    joint_state,
+    joint_states,
+    payload,
+    pose,
+    poses,
+    temperature,
+    write_bag,
+)
+
+from parallel_cal.bag import read_bag
+from parallel_cal.dataset import Dataset, dataset_from_recording, load_dataset, make_options
+from parallel_cal.dwells import approach, still_intervals, still_tolerance
+from parallel_cal.errors import DatasetError
+from parallel_cal.look import look, print_look
+from parallel_cal.recording import COORDINATES
+
+BAGS = Path(__file__).parent.parent / "bags"
+STOPS = [[0.1, 0.2, 0.3], [0.4, 0.0, 0.5], [0.2, 0.3, 0.1], [0.4, 0.0, 0.5], [0.0, 0.1, 0.2]]
+ROBOT = Session(STOPS)
+
+
+def dataset_of(tmp_path, messages, **options):
+    return load_dataset(write_bag(tmp_path / "bag", messages), **options)
+
+
+def reasons(dataset):
+    return {d.reason for d in dataset.dropped}
+
+
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory):
+    """The samples of a robot that stands at five poses, two of them the same."""
+    return dataset_of(tmp_path_factory.mktemp("robot"), joint_states(ROBOT) + poses(ROBOT))
+
+
+# ---- dwells
+
+
+def test_every_standstill_is_one_sample_with_the_mean_of_its_readings(robot):
+    assert len(robot) == 5
+    assert robot.mode == "dwell"
+    np.testing.assert_allclose(robot.q, STOPS, atol=2e-5)
+    np.testing.assert_allclose(robot.r, STOPS, atol=3e-6)
+    np.testing.assert_allclose(robot.duration, 0.85, atol=0.08)
+    np.testing.assert_allclose(robot.time, [0.5, 2.1, 3.7, 5.3, 6.9], atol=0.06)
+    assert robot.dropped == ()
+    assert robot.warnings == ()
+
+
+def test_the_mean_rotation_is_the_rotation_that_was_published(robot):
+    # x y z w = 0 0 0.6 0.8 turns about z: cos = 0.8^2 - 0.6^2, sin = 2 0.6 0.8
+    expected = [[0.28, -0.96, 0.0], [0.96, 0.28, 0.0], [0.0, 0.0, 1.0]]
+    np.testing.assert_allclose(robot.R, np.broadcast_to(expected, (5, 3, 3)), atol=1e-12)
+
+
+def test_the_scatter_within_a_dwell_is_that_of_single_readings(robot):
+    np.testing.assert_allclose(robot.scatter_q, 2e-5, rtol=0.35)
+    np.testing.assert_allclose(robot.scatter_pose[:, :3], 2e-6, rtol=0.7)
+    np.testing.assert_allclose(robot.scatter_pose[:, 3:], 0.0, atol=1e-9)
+    assert robot.count_q.min() > 70
+    assert robot.count_pose.min() > 13
+
+
+def test_no_reading_taken_while_moving_enters_a_sample(tmp_path):
+    # with 30 times less noise a moving reading would show as a shift of the mean
+    quiet = Session(STOPS, jitter=6e-7)
+    dataset = dataset_of(tmp_path, joint_states(quiet) + poses(quiet, jitter=0.0))
+    np.testing.assert_allclose(dataset.q, STOPS, atol=6e-7)
+    np.testing.assert_allclose(dataset.r, STOPS, atol=1e-6)
+
+
+@pytest.mark.parametrize("jitter", [0.0, 1e-6, 1e-4])
+@pytest.mark.parametrize("rate", [10.0, 50.0, 500.0])
+def test_dwells_are_found_at_any_rate_and_noise(jitter, rate):
+    session = Session(STOPS, jitter=jitter, rate=rate)
+    tolerance = still_tolerance(session.time, session.q, 0.3)
+    assert len(still_intervals(session.time, session.q, tolerance, 0.3, 0.5)) == 5
+
+
+def test_a_coarse_encoder_stands_still_although_it_toggles():
+    session = Session(STOPS, jitter=2e-4)
+    q = np.round(session.q / 1e-3) * 1e-3
+    tolerance = still_tolerance(session.time, q, 0.3)
+    assert (tolerance >= 1e-3).all()
+
+
+def test_dwells_are_found_when_one_joint_never_moves():
+    session = Session([[0.1, 0.2], [0.4, 0.2], [0.0, 0.2]])
+    tolerance = still_tolerance(session.time, session.q, 0.3)
+    assert len(still_intervals(session.time, session.q, tolerance, 0.3, 0.5)) == 3
+
+
+def test_a_silence_ends_a_dwell():
+    session = Session([[0.1, 0.2], [0.4, 0.0]], dwell=3.0)
+    time = np.where(session.time > 1.5, session.time + 5.0, session.time)
+    tolerance = still_tolerance(time, session.q, 0.3)
+    assert len(still_intervals(time, session.q, tolerance, 0.3, 0.5)) == 3
+
+
+def test_a_short_stop_is_dropped_with_its_reason(tmp_path):
+    hasty = Session(STOPS, dwell=0.2)
+    slow = Session(STOPS, start=20.0)
+    messages = joint_states(hasty) + poses(hasty) + joint_states(slow) + poses(slow)
+    dataset = dataset_of(tmp_path, messages)
+    assert len(dataset) == 5
+    assert "too short" in reasons(dataset)
+    assert dataset.time.min() > 20.0
+
+
+def test_a_dwell_that_nobody_measured_is_dropped_with_its_reason(tmp_path):
+    seen = [m for m in poses(ROBOT) if not 1.5e9 < m[2] - ROBOT_START < 2.7e9]
+    dataset = dataset_of(tmp_path, joint_states(ROBOT) + seen)
+    assert len(dataset) == 4
+    assert [d.reason for d in dataset.dropped] == ["no pose messages"]
+    assert dataset.dropped[0].time == pytest.approx(2.1, abs=0.1)
+
+
+ROBOT_START = joint_states(ROBOT)[0][2]
+
+
+def test_a_platform_that_moves_while_the_joints_stand_is_dropped(tmp_path):
+    messages = [m for m in poses(ROBOT) if not 1.5e9 < m[2] - ROBOT_START < 2.7e9]
+    swinging = [pose(t, [0.4 + 0.01 * t, 0, 0.5]) for t in np.arange(1.5, 2.7, 0.05)]
+    dataset = dataset_of(tmp_path, joint_states(ROBOT) + messages + swinging)
+    assert len(dataset) == 4
+    assert [d.reason for d in dataset.dropped] == ["moving while measured"]
+    assert "while the joints stand still" in dataset.dropped[0].detail
+
+
+def test_a_joint_that_creeps_is_not_standing_still(tmp_path):
+    session = Session([*STOPS, *STOPS])
+    creep = (session.time > 1.6) & (session.time < 2.6)
+    session.q[:, 1] += np.where(creep, 2e-3 * (session.time - 1.6), 0.0)
+    dataset = dataset_of(tmp_path, joint_states(session) + poses(session))
+    assert len(dataset) == 9
+    assert "moving while measured" in reasons(dataset)
+
+
+def test_one_wild_pose_reading_is_removed_and_the_dwell_kept(tmp_path):
+    wild = pose(2.1234, [0.4, 0.03, 0.5])
+    dataset = dataset_of(tmp_path, [*joint_states(ROBOT), *poses(ROBOT), wild])
+    np.testing.assert_allclose(dataset.r, STOPS, atol=3e-6)
+    assert [(d.reason, d.count) for d in dataset.dropped] == [("pose reading is an outlier", 1)]
+
+
+def test_a_device_triggered_once_per_pose_is_enough_and_reported(tmp_path):
+    single = [pose(0.5 + 1.6 * k, stop) for k, stop in enumerate(STOPS)]
+    dataset = dataset_of(tmp_path, [*joint_states(ROBOT), *single, pose(1.3, [0, 0, 0])])
+    assert len(dataset) == 5
+    assert np.isnan(dataset.scatter_pose).all()
+    assert "fewer than 3" in dataset.warnings[0]
+    assert reasons(dataset) == {"moving while measured"}
+
+
+def test_a_recording_without_dwells_says_what_to_do(tmp_path):
+    moving = Session(STOPS, dwell=0.0)
+    with pytest.raises(DatasetError, match="mode='continuous'"):
+        dataset_of(tmp_path, joint_states(moving) + poses(moving))
+
+
+def test_a_moving_robot_is_sampled_at_every_pose_message(tmp_path):
+    moving = Session(STOPS, dwell=0.0, jitter=0.0)
+    dataset = dataset_of(
+        tmp_path, joint_states(moving) + poses(moving, jitter=0.0), mode="continuous"
+    )
+    assert len(dataset) == len(poses(moving))
+    np.testing.assert_allclose(dataset.q, moving.path(STOPS, dataset.time), atol=1e-4)
+    speed = np.gradient(dataset.q[:, 0], dataset.time)
+    velocity = dataset.conditions["velocity.joint1"]
+    np.testing.assert_allclose(velocity[1:-1], speed[1:-1], atol=0.05)
+    fast = np.abs(speed) > 0.1
+    np.testing.assert_array_equal(
+        dataset.conditions["direction.joint1"][fast], np.sign(speed[fast])
+    )
+
+
+def test_poses_in_a_silence_of_the_joints_are_not_interpolated(tmp_path):
+    moving = Session(STOPS, dwell=0.0)
+    gap = [m for m in joint_states(moving) if not 0.5e9 < m[2] - ROBOT_START < 1.5e9]
+    dataset = dataset_of(tmp_path, gap + poses(moving), mode="continuous")
+    assert reasons(dataset) == {"no joint readings around the pose"}
+    assert not ((dataset.time > 0.51) & (dataset.time < 1.49)).any()
+
+
+def test_an_unknown_option_or_mode_names_those_that_exist(tmp_path):
+    bag = write_bag(tmp_path / "bag", joint_states(ROBOT) + poses(ROBOT))
+    with pytest.raises(DatasetError, match=r"min_dwel; known: .*min_dwell"):
+        load_dataset(bag, min_dwel=1.0)
+    with pytest.raises(DatasetError, match="expected 'auto'"):
+        load_dataset(bag, mode="fast")
+
+
+# ---- what is measured
+
+
+def test_positions_alone_make_samples_without_orientation(tmp_path):
+    points = poses(ROBOT, type=POINT, topic="measured_position")
+    dataset = dataset_of(tmp_path, joint_states(ROBOT) + points)
+    assert dataset.measured.tolist() == [[True] * 3 + [False] * 3] * 5
+    np.testing.assert_array_equal(dataset.R, np.broadcast_to(np.eye(3), (5, 3, 3)))
+    assert np.isnan(dataset.scatter_pose[:, 3:]).all()
+
+
+def test_the_stated_accuracy_is_kept_and_not_divided_by_the_number_of_readings(tmp_path):
+    variances = [1e-10, 2e-10, 3e-10, 1e-8, 2e-8, 1e6]
+    dataset = dataset_of(tmp_path, joint_states(ROBOT) + poses(ROBOT, variances=variances))
+    np.testing.assert_allclose(np.diagonal(dataset.pose_cov[0])[:5], variances[:5])
+    assert np.isnan(dataset.pose_cov[0, 5]).all()
+    assert dataset.measured[0].tolist() == [True] * 5 + [False]
+
+
+def test_poses_without_accuracy_say_so_with_nan(tmp_path):
+    dataset = dataset_of(tmp_path, joint_states(ROBOT) + poses(ROBOT, type=POSE))
+    assert np.isnan(dataset.pose_cov).all()
+    assert dataset.joint_sigma is None
+
+
+def test_a_dwell_whose_orientation_was_lost_keeps_its_position(tmp_path):
+    lost = [1e-10] * 3 + [1e9] * 3
+    messages = [
+        pose(
+            (m[2] - ROBOT_START) * 1e-9,
+            STOPS[1] if 1.5e9 < m[2] - ROBOT_START < 2.7e9 else ROBOT.position(at)[0],
+            variances=lost if 1.5e9 < m[2] - ROBOT_START < 2.7e9 else None,
+        )
+        for m in poses(ROBOT)
+        for at in [np.array([(m[2] - ROBOT_START) * 1e-9])]
+    ]
+    dataset = dataset_of(tmp_path, joint_states(ROBOT) + messages)
+    assert dataset.measured.sum(axis=1).tolist() == [6, 3, 6, 6, 6]
+
+
+def test_the_users_joint_accuracy_is_kept_and_checked(tmp_path):
+    bag = write_bag(tmp_path / "bag", joint_states(ROBOT) + poses(ROBOT))
+    assert load_dataset(bag, joint_sigma=1e-4).joint_sigma.tolist() == [1e-4] * 3
+    with pytest.raises(DatasetError, match=r"joint_sigma=.*expected one positive number"):
+        load_dataset(bag, joint_sigma=[1e-4, 1e-4])
+
+
+# ---- conditions
+
+
+def test_each_joints_approach_direction_is_that_of_its_last_motion(robot):
+    expected = [[0, 0, 0], [1, -1, 1], [-1, 1, -1], [1, -1, 1], [-1, 1, -1]]
+    found = np.stack([robot.conditions[f"direction.joint{j}"] for j in (1, 2, 3)], axis=1)
+    np.testing.assert_array_equal(found, expected)
+
+
+def test_a_joint_that_rests_keeps_the_direction_of_its_motion_before():
+    session = Session([[0.0, 0.0], [0.3, 0.1], [0.3, 0.5], [0.3, 0.2]])
+    level, ends = np.array(session.stops), [10, 160, 320, 480]
+    found = approach(session.q, ends, level, np.array([3e-4, 3e-4]))
+    assert found.tolist() == [[0, 0], [1, 1], [1, 1], [1, -1]]
+
+
+def test_overshoot_counts_as_the_last_motion():
+    q = np.concatenate([np.linspace(0, 0.52, 50), np.linspace(0.52, 0.5, 20), np.full(50, 0.5)])
+    found = approach(q[:, None], [len(q)], np.array([[0.5]]), np.array([1e-3]))
+    assert found.tolist() == [[-1]]
+
+
+def test_velocity_is_zero_at_standstill(robot):
+    for j in (1, 2, 3):
+        np.testing.assert_allclose(robot.conditions[f"velocity.joint{j}"], 0.0, atol=5e-5)
+
+
+def test_temperature_is_interpolated_and_payload_is_the_latest(tmp_path):
+    extra = [temperature(0.0, 20.0), temperature(8.0, 28.0), payload(1.3, 0.5), payload(4.5, 1.5)]
+    dataset = dataset_of(tmp_path, joint_states(ROBOT) + poses(ROBOT) + extra)
+    np.testing.assert_allclose(dataset.conditions["temperature"], 20 + dataset.time, atol=1e-9)
+    assert dataset.conditions["payload"].tolist() == [0.5, 0.5, 0.5, 1.5, 1.5]
+    assert any("payload: 1 samples lie before" in w for w in dataset.warnings)
+
+
+def test_conditions_that_were_not_recorded_are_absent(robot):
+    assert "temperature" not in robot.conditions
+    assert "payload" not in robot.conditions
+    np.testing.assert_array_equal(robot.conditions["time"], robot.time)
+
+
+# ---- units
+
+
+def test_positions_in_millimetres_are_refused_unless_insisted_on(tmp_path):
+    far = Session(STOPS, r=1e3 * np.array(STOPS))
+    bag = write_bag(tmp_path / "bag", joint_states(far) + poses(far, jitter=2e-3))
+    with pytest.raises(DatasetError, match=r"looks like millimetres: median \|r\| = .*metres"):
+        load_dataset(bag)
+    assert len(load_dataset(bag, assume_units=True)) == 5
+    assert any("millimetres" in warning for warning in look(bag)["warnings"])
+
+
+def test_one_pose_in_millimetres_among_good_ones_is_dropped(tmp_path):
+    r = np.array(STOPS)
+    r[2] *= 1e3
+    odd = Session(STOPS, r=r)
+    dataset = dataset_of(tmp_path, joint_states(odd) + poses(odd))
+    assert len(dataset) == 4
+    assert [d.reason for d in dataset.dropped] == ["position looks like millimetres"]
+
+
+def test_joints_in_degrees_are_suspicious(tmp_path):
+    turned = Session(60.0 * np.array(STOPS), r=STOPS, jitter=1e-3)
+    dataset = dataset_of(tmp_path, joint_states(turned) + poses(turned))
+    assert "joint1 looks like degrees" in dataset.warnings[0]
+
+
+# ---- replicates and folds
+
+
+def test_a_pose_visited_twice_is_found_and_gives_the_noise(robot):
+    assert robot.pose_id.tolist() == [0, 1, 2, 1, 3]
+    noise = robot.replicate_noise()
+    assert (noise.groups, noise.dof, noise.index.tolist()) == (1, 1, [1, 3])
+    pair = robot.q[1] - robot.q[3]
+    np.testing.assert_allclose(noise.joint, np.abs(pair) / np.sqrt(2.0))
+    np.testing.assert_allclose(noise.pose_deviation[0, :3], (robot.r[1] - robot.r[3]) / 2)
+
+
+def test_replicate_noise_is_pooled_over_groups_with_their_degrees_of_freedom():
+    # two groups of 2 and 3 about their means: squares 2*0.01 + (0.04 + 0 + 0.04), 1 + 2 dof
+    q = np.array([[1.1], [0.9], [5.2], [5.0], [4.8]])
+    ids = [0, 0, 1, 1, 1]
+    noise = Dataset.from_arrays(["a"], q, np.zeros((5, 3)), pose_id=ids).replicate_noise()
+    assert noise.joint[0] == pytest.approx(np.sqrt(0.10 / 3))
+    assert noise.dof == 3
+    assert np.isnan(noise.pose[3:]).all()
+
+
+def test_without_replicates_the_noise_is_unknown():
+    data = Dataset.from_arrays(["a", "b"], np.eye(2), np.eye(3)[:2])
+    noise = data.replicate_noise()
+    assert noise.dof == 0
+    assert np.isnan(noise.joint).all()
+    assert noise.pose.shape == (6,)
+
+
+@pytest.mark.parametrize("play", [0.0, 3e-4, 1.5e-3])
+def test_visits_that_differ_by_encoder_error_and_play_are_still_replicates(play):
+    rng = np.random.default_rng(1)
+    q = rng.uniform(-0.4, 1.2, (40, 3))
+    again = q + rng.normal(0.0, 1.2e-4, q.shape) + play
+    r = np.concatenate([q, again + 0.1 * play])
+    data = Dataset.from_arrays(["a", "b", "c"], np.concatenate([q, again]), r)
+    np.testing.assert_array_equal(data.pose_id, np.tile(np.arange(40), 2))
+
+
+def test_a_fine_sweep_is_not_taken_for_replicates():
+    q = np.linspace(0.0, 6.28, 1500)[:, None]
+    data = Dataset.from_arrays(["crank"], q, np.hstack([np.cos(q), 0 * q, 0 * q]))
+    assert len(set(data.pose_id)) == 1500
+
+
+def test_two_assembly_modes_of_the_same_joints_are_two_poses():
+    q = np.array([[0.1, 0.2], [0.5, 0.9], [0.1, 0.2]])
+    data = Dataset.from_arrays(["a", "b"], q, [[0, 0, 1.0], [0, 0.4, 0.5], [0, 0, -1.0]])
+    assert data.pose_id.tolist() == [0, 1, 2]
+
+
+def test_equal_poses_are_one_pose_visited_often(tmp_path):
+    still = Session([[0.3, 0.3, 0.3]] * 4)
+    nods = [[0.3, 0.3, 0.3], [0.301, 0.3, 0.3]] * 4
+    dataset = dataset_of(tmp_path, joint_states(still) + poses(still))
+    assert len(set(dataset.pose_id)) == 1
+    data = Dataset.from_arrays(["a", "b", "c"], nods[::2], np.zeros((4, 3)))
+    assert set(data.pose_id) == {0}
+    with pytest.raises(DatasetError, match="one pose"):
+        data.folds()
+
+
+def many(n=30, poses=12):
+    rng = np.random.default_rng(0)
+    ids = rng.integers(0, poses, n)
+    q = rng.uniform(0, 1, (poses, 3))[ids]
+    return Dataset.from_arrays(["a", "b", "c"], q, q, pose_id=ids)
+
+
+def test_folds_test_every_sample_once_and_never_split_a_pose():
+    data = many()
+    folds = data.folds(0.25, seed=3)
+    assert len(folds) == 4
+    assert sorted(np.concatenate([test for _, test in folds]).tolist()) == list(range(30))
+    for train, test in folds:
+        assert sorted([*train, *test]) == list(range(30))
+        assert not set(data.pose_id[train]) & set(data.pose_id[test])
+    assert max(len(test) for _, test in folds) - min(len(test) for _, test in folds) <= 4
+
+
+def test_folds_depend_on_the_seed_alone():
+    first, again, other = (many().folds(0.25, seed=s) for s in (1, 1, 2))
+    assert all(np.array_equal(a[1], b[1]) for a, b in zip(first, again, strict=True))
+    assert not all(np.array_equal(a[1], b[1]) for a, b in zip(first, other, strict=True))
+
+
+@pytest.mark.parametrize("fraction", [0.0, -1.0, 0.7, 1.0])
+def test_an_impossible_fraction_is_refused(fraction):
+    with pytest.raises(DatasetError, match="hold-out fraction"):
+        many().folds(fraction)
+
+
+def test_folds_of_a_continuous_motion_hold_out_stretches_of_time():
+    data = dataclasses.replace(
+        Dataset.from_arrays(["a"], np.arange(200.0)[:, None], np.zeros((200, 3))), mode="continuous"
+    )
+    for _, test in data.folds(0.25):
+        assert (np.diff(test) == 1).mean() > 0.8
+
+
+def test_selecting_by_mask_and_by_index_agree(robot):
+    mask = np.array([False, True, True, False, True])
+    by_mask, by_index = robot.select(mask), robot.select([1, 2, 4])
+    np.testing.assert_array_equal(by_mask.q, by_index.q)
+    np.testing.assert_array_equal(by_mask.conditions["time"], robot.time[mask])
+    assert by_mask.pose_id.tolist() == [1, 2, 3]
+    assert len(robot.select([])) == 0
+    with pytest.raises(DatasetError, match="mask of shape"):
+        robot.select([True, False])
+
+
+# ---- the sample file
+
+
+def test_samples_survive_the_file_bit_for_bit(robot, tmp_path):
+    robot.to_json(tmp_path / "samples.json")
+    back = load_dataset(tmp_path / "samples.json")
+    for item in dataclasses.fields(Dataset):
+        old, new = getattr(robot, item.name), getattr(back, item.name)
+        if item.name == "conditions":
+            assert old.keys() == new.keys()
+            assert all(np.array_equal(old[k], new[k]) for k in old)
+        elif isinstance(old, np.ndarray):
+            assert old.dtype == new.dtype
+            np.testing.assert_array_equal(old, new)
+        else:
+            assert old == new
+    assert list(tmp_path.iterdir()) == [tmp_path / "samples.json"]
+
+
+def test_a_sample_file_is_read_in_the_wanted_joint_order(robot, tmp_path):
+    robot.to_json(tmp_path / "s.json")
+    back = load_dataset(tmp_path / "s.json", joints=("joint3", "joint1", "joint2"))
+    np.testing.assert_array_equal(back.q, robot.q[:, [2, 0, 1]])
+    with pytest.raises(DatasetError, match="not found: elbow"):
+        load_dataset(tmp_path / "s.json", joints=("elbow",))
+
+
+def test_a_damaged_sample_file_is_refused_naming_file_and_key(robot, tmp_path):
+    path = tmp_path / "s.json"
+    robot.to_json(path)
+    document = json.loads(path.read_text())
+    del document["R"]
+    path.write_text(json.dumps(document))
+    with pytest.raises(DatasetError, match=r"s\.json.*'R'"):
+        Dataset.from_json(path)
+    path.write_text("{}")
+    with pytest.raises(DatasetError, match=r"parallel_cal_samples is None; expected 1"):
+        Dataset.from_json(path)
+    path.write_text("{")
+    with pytest.raises(DatasetError, match="cannot read samples"):
+        Dataset.from_json(path)
+
+
+# ---- look
+
+
+def test_look_tells_everything_as_json(tmp_path):
+    wild = joint_state(0.5051, ROBOT.names, [np.nan, 0.0, 0.0])
+    bag = write_bag(tmp_path / "bag", [*joint_states(ROBOT), *poses(ROBOT), wild])
+    document = json.loads(json.dumps(look(bag), allow_nan=False))
+    assert document["samples"] == 5
+    assert document["poses"] == 4
+    assert document["replicates"] == {"poses": 1, "samples": 2}
+    assert document["dropped"] == {"joint reading is not finite": 1}
+    assert document["channels"]["joints"] == "joint_states"
+    assert document["measured"] == list(COORDINATES)
+    assert document["topics"][0]["rate"] == pytest.approx(100.0, rel=0.02)
+    assert document["joints"]["joint1"]["max"] == pytest.approx(0.4, abs=1e-3)
+
+
+def test_look_shows_a_recording_that_gives_no_sample(tmp_path):
+    moving = Session(STOPS, dwell=0.0)
+    document = look(write_bag(tmp_path / "bag", joint_states(moving) + poses(moving)))
+    assert document["samples"] == 0
+    assert "mode='continuous'" in document["warnings"][-1]
+
+
+def test_look_prints_units(tmp_path):
+    from rich.console import Console
+
+    console = Console(record=True, width=120, quiet=True)
+    console.quiet = False
+    with console.capture() as shown:
+        print_look(look(write_bag(tmp_path / "b", joint_states(ROBOT) + poses(ROBOT))), console)
+    for word in ("100.", "Hz", "5 samples (dwell) of 4 poses", " um", "arcmin", "deg"):
+        assert word in shown.get()
+
+
+# ---- the recordings that ship with the package
+
+
+@pytest.mark.parametrize("name", ["delta_clean", "delta_eccentricity", "delta_backlash"])
+def test_shipped_recordings_give_their_94_dwells_directions_and_replicates(name):
+    if not (BAGS / name).exists():
+        pytest.skip(f"bags/{name} not generated")
+    truth = yaml.safe_load((BAGS / "truth" / f"{name}.yaml").read_text())
+    dwells = truth["dwells_arrive_leave_pose_direction"]
+    dataset = dataset_from_recording(read_bag(BAGS / name), make_options())
+    assert len(dataset) == len(dwells) == 94
+    assert dataset.dropped == dataset.warnings == ()
+    found = np.stack([dataset.conditions[f"direction.joint{j}"] for j in (1, 2, 3)], axis=1)
+    np.testing.assert_array_equal(found, [d[3] for d in dwells])
+    visited = np.array([d[2] for d in dwells])
+    together = dataset.pose_id[:, None] == dataset.pose_id
+    np.testing.assert_array_equal(together, visited[:, None] == visited)
+    assert dataset.replicate_noise().groups == 20
