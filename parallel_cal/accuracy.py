@@ -1,0 +1,118 @@
+"""How wrong a model is on measured samples: position, orientation and joint errors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from parallel_cal.evidence import Evidence
+from parallel_cal.kinematics import Kinematics, Solutions, Status
+from parallel_cal.model import Model
+from parallel_cal.rotation import rotation_vector
+
+ERRORS = ("position", "orientation", "joint")
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Measured minus predicted (table 5.9): position (N, 3) m, orientation (N, 3) rad about
+    base axes from the direct problem, joint (N, nq) from the inverse; NaN where not known."""
+
+    position: np.ndarray
+    orientation: np.ndarray
+    joint: np.ndarray
+
+    def norms(self, kind: str) -> np.ndarray:
+        return np.asarray(np.linalg.norm(getattr(self, kind), axis=1))
+
+    def select(self, index: np.ndarray) -> Errors:
+        return Errors(self.position[index], self.orientation[index], self.joint[index])
+
+    def document(self) -> dict[str, float | None]:
+        """Mean and rms of the norms of each kind (table 5.15); None where not measured."""
+        entries: dict[str, float | None] = {}
+        for kind in ERRORS:
+            norms = self.norms(kind)
+            norms = norms[np.isfinite(norms)]
+            entries[f"{kind}_mean"] = float(norms.mean()) if len(norms) else None
+            entries[f"{kind}_rms"] = float(np.sqrt((norms**2).mean())) if len(norms) else None
+        return entries
+
+
+def errors(model: Model, evidence: Evidence) -> Errors:
+    """Both kinds of prediction at every sample: pose from joints, joints from pose."""
+    kinematics = Kinematics(model)
+    n, m = len(model.joints), model.mechanism
+    at = condition_columns(model, evidence)
+    x, measured = evidence.x, evidence.measured
+    rotation = x[:, n + 3 :].reshape(-1, 3, 3)
+    pose = kinematics.direct(x[:, :n], at)
+    joints = kinematics.inverse(x[:, n : n + 3], rotation, at)
+    known = measured[:, [n + i for i in m.controlled]].all(axis=1)
+    turn = rotation_vector(
+        rotation @ np.where(np.isfinite(pose.rotation), pose.rotation, np.eye(3)).transpose(0, 2, 1)
+    )
+    return Errors(
+        _where(measured[:, n : n + 3].all(axis=1) & _solved(pose), x[:, n : n + 3] - pose.position),
+        _where(measured[:, n + 3 :].all(axis=1) & _solved(pose), turn),
+        _where(known & _solved(joints), x[:, :n] - joints.joints),
+    )
+
+
+def condition_columns(model: Model, evidence: Evidence) -> dict[str, Any]:
+    return {name: evidence.a[:, k] for k, name in enumerate(model.conditions)}
+
+
+def _solved(solutions: Solutions) -> np.ndarray:
+    return np.isin(solutions.status, (Status.CONVERGED, Status.OUTSIDE_LIMITS, Status.SINGULAR))
+
+
+def _where(known: np.ndarray, difference: np.ndarray) -> np.ndarray:
+    return np.where(known[:, None], difference, np.nan)
+
+
+def improvement(
+    before: Mapping[str, float | None], after: Mapping[str, float | None]
+) -> dict[str, float | None]:
+    """Factors of improvement: sum of error norms before over after (table 5.9, eq. 5.20)."""
+    factors: dict[str, float | None] = {}
+    for kind in ERRORS:
+        a, b = before[f"{kind}_mean"], after[f"{kind}_mean"]
+        factors[kind] = a / b if a is not None and b else None
+    return factors
+
+
+def noise_floor(model: Model, evidence: Evidence, seed: int = 0) -> dict[str, float | None]:
+    """The errors a perfect model of this robot would show: measurement noise alone.
+
+    Joint noise reaches the pose through the direct problem, pose noise the joints through
+    the inverse; means of norms by 64 draws a sample with a fixed seed.
+    """
+    n, m = len(model.joints), model.mechanism
+    _, C, _ = _blocks(model, evidence)
+    moved = [n + i for i in m.moved]
+    solved_for = [*range(n), *[n + i for i in m.passive]]
+    given = [n + i for i in m.controlled]
+    draws = np.random.default_rng(seed).standard_normal((64, *evidence.S.shape[:2]))
+    noise = np.einsum("nij,dnj->dni", np.linalg.cholesky(evidence.S + 1e-30 * np.eye(n + 6)), draws)
+    to_pose = -np.linalg.pinv(C[:, :, moved]) @ C[:, :, :n]
+    to_joint = -(np.linalg.pinv(C[:, :, solved_for]) @ C[:, :, given])[:, :n]
+    pose = noise[:, :, n:].copy()
+    pose[:, :, m.moved] -= np.einsum("nij,dnj->dni", to_pose, noise[:, :, :n])
+    joint = noise[:, :, :n] - np.einsum("nij,dnj->dni", to_joint, noise[:, :, given])
+    measured = np.broadcast_to(evidence.measured, (len(draws), *evidence.measured.shape))
+    flat = [a.reshape(-1, a.shape[-1]) for a in (pose[:, :, :3], pose[:, :, 3:], joint)]
+    rows = measured.reshape(-1, n + 6)
+    known = [rows[:, n : n + 3], rows[:, n + 3 :], rows[:, given]]
+    parts = [_where(np.all(k, axis=1), a) for k, a in zip(known, flat, strict=True)]
+    return Errors(*parts).document()
+
+
+def _blocks(model: Model, evidence: Evidence) -> tuple[np.ndarray, ...]:
+    from parallel_cal.methods.implicit import Linearisation
+
+    linearise = Linearisation(model, evidence, np.zeros(len(model.values), dtype=bool), True)
+    return linearise.blocks(model.values, evidence.x)

@@ -1,0 +1,150 @@
+"""A dataset as the methods see it: measured configurations with their covariance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from parallel_cal.dataset import Dataset
+from parallel_cal.errors import FitError
+from parallel_cal.model import Model
+from parallel_cal.rotation import quaternion_to_matrix
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """N measured samples of one mechanism.
+
+    x (N, nq+12) configurations (q, r, R9); S (N, nq+6, nq+6) covariance of (q, r, w);
+    measured (N, nq+6) mask; a (N, n_conditions); group (N,) equal for replicates.
+    """
+
+    x: np.ndarray
+    S: np.ndarray
+    measured: np.ndarray
+    a: np.ndarray
+    group: np.ndarray
+    noise_from: dict[str, str]
+
+    def __len__(self) -> int:
+        return len(self.x)
+
+    def select(self, index: np.ndarray) -> Evidence:
+        parts = (self.x, self.S, self.measured, self.a, self.group)
+        x, S, measured, a, group = (part[index] for part in parts)
+        return replace(self, x=x, S=S, measured=measured, a=a, group=group)
+
+
+def gather(model: Model, dataset: Dataset, joint_sigma: float | None = None) -> Evidence:
+    """Evidence for a model: joints in its order, noise from options, recording or model file."""
+    order = _joint_order(model, dataset)
+    x = np.concatenate([dataset.q[:, order], dataset.r, dataset.R.reshape(-1, 9)], axis=1)
+    measured = np.ones((len(x), len(order) + 6), dtype=bool)
+    measured[:, len(order) :] = dataset.measured
+    home = model.mechanism.home
+    home_x = np.array(
+        [*home.joints, *home.position, *quaternion_to_matrix(home.quaternion).ravel()]
+    )
+    _fill_unmeasured(x, measured, home_x, len(order))
+    joint, joint_from = _joint_sigma(model, dataset, joint_sigma, order)
+    pose, pose_from = _pose_covariance(model, dataset)
+    S = np.zeros((len(x), measured.shape[1], measured.shape[1]))
+    n = len(order)
+    S[:, range(n), range(n)] = joint**2
+    S[:, n:, n:] = pose
+    a = _conditions(model, dataset)
+    noise_from = {"joint": joint_from, "pose": pose_from}
+    return Evidence(x, S, measured, a, np.asarray(dataset.pose_id), noise_from)
+
+
+def _joint_order(model: Model, dataset: Dataset) -> list[int]:
+    missing = [j for j in model.joints if j not in dataset.joint_names]
+    if missing:
+        raise FitError(
+            f"{dataset.source}: no joint {', '.join(missing)}; it has "
+            f"{', '.join(dataset.joint_names)}. Rename the joints in the model file"
+        )
+    return [dataset.joint_names.index(j) for j in model.joints]
+
+
+def _fill_unmeasured(x: np.ndarray, measured: np.ndarray, home: np.ndarray, n: int) -> None:
+    """Unmeasured coordinates start at home (they are projected out, but must be finite)."""
+    for k in range(3):
+        gaps = ~measured[:, n + k]
+        x[gaps, n + k] = home[n + k]
+    turned = ~measured[:, n + 3 :].all(axis=1)
+    x[turned, n + 3 :] = home[n + 3 :]
+
+
+def _joint_sigma(
+    model: Model, dataset: Dataset, given: float | None, order: list[int]
+) -> tuple[np.ndarray, str]:
+    """Joint noise (nq,), and where it comes from: option, dataset, model file, scatter."""
+    if given is not None:
+        if not given > 0:
+            raise FitError(f"joint sigma {given} rad: expected a positive number")
+        return np.full(len(order), given), "option"
+    if dataset.joint_sigma is not None:
+        return np.asarray(dataset.joint_sigma, dtype=float)[order], "dataset"
+    if model.noise.joint is not None:
+        return np.full(len(order), model.noise.joint), "model file"
+    scatter = _pooled(dataset.scatter_q[:, order])
+    if not (scatter > 0).all():
+        raise FitError(
+            f"{dataset.source}: no figure for the joints' noise; give --joint-sigma (rad) or "
+            "noise.joint in the model file"
+        )
+    return scatter, "scatter within dwells"
+
+
+def _pooled(scatter: np.ndarray) -> np.ndarray:
+    """Root mean square of each column where it is known, else NaN."""
+    known = np.isfinite(scatter)
+    total = np.sum(np.where(known, scatter, 0.0) ** 2, axis=0)
+    return np.sqrt(np.where(known.any(axis=0), total / np.maximum(known.sum(axis=0), 1), np.nan))
+
+
+def _pose_covariance(model: Model, dataset: Dataset) -> tuple[np.ndarray, str]:
+    """(N, 6, 6): the device's own, else the model file's, else the scatter within dwells."""
+    covariance = np.array(dataset.pose_cov, dtype=float)
+    missing = ~np.isfinite(covariance).all(axis=(1, 2)) | ~(
+        np.diagonal(covariance, axis1=1, axis2=2) > 0
+    ).all(axis=1)
+    covariance = np.where(np.isfinite(covariance), covariance, 0.0)
+    if not missing.any():
+        return covariance, "dataset"
+    sigma = _fallback_pose_sigma(model, dataset)
+    for i in np.flatnonzero(missing):
+        bad = ~(np.diag(covariance[i]) > 0)
+        covariance[i][bad, :], covariance[i][:, bad] = 0.0, 0.0
+        covariance[i][bad, bad] = sigma[bad] ** 2
+    given = model.noise.position is not None
+    return covariance, "model file" if given else "scatter within dwells"
+
+
+def _fallback_pose_sigma(model: Model, dataset: Dataset) -> np.ndarray:
+    scatter = _pooled(dataset.scatter_pose)
+    position, orientation = model.noise.position, model.noise.orientation
+    sigma = np.array([position or np.nan] * 3 + [orientation or np.nan] * 3)
+    sigma = np.where(np.isfinite(sigma), sigma, scatter)
+    needed = np.asarray(dataset.measured).any(axis=0)
+    if not (sigma[needed] > 0).all():
+        raise FitError(
+            f"{dataset.source}: no figure for the device's noise; record a covariance or give "
+            "noise.position (m) and noise.orientation (rad) in the model file"
+        )
+    return np.where(sigma > 0, sigma, 1.0)
+
+
+def _conditions(model: Model, dataset: Dataset) -> np.ndarray:
+    missing = [c for c in model.conditions if c not in dataset.conditions]
+    if missing:
+        names = ", ".join(effect.name for effect in model.effects if effect.needs)
+        raise FitError(
+            f"{dataset.source}: {', '.join(missing)} was not recorded, but the model's effects "
+            f"({names}) need it"
+        )
+    columns: Any = [np.asarray(dataset.conditions[c], dtype=float) for c in model.conditions]
+    return np.stack(columns, axis=1) if columns else np.zeros((len(dataset.q), 0))

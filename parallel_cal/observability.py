@@ -1,0 +1,72 @@
+"""What the data can see: rank, unidentifiable combinations by name, covariance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from parallel_cal.parameters import ParameterTable
+
+RELATIVE_RANK = 1e-6  # of the largest singular value, columns in units of tolerance
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """Singular values of the whitened Jacobian with columns in tolerances: a value s means
+    that moving one tolerance along that direction moves the residuals by s sigmas."""
+
+    singular_values: np.ndarray
+    rank: int
+    covariance: np.ndarray
+    lost: np.ndarray
+    unidentifiable: tuple[dict[str, float], ...]
+    weak: tuple[dict[str, float], ...]
+
+
+def spectrum(J: np.ndarray, table: ParameterTable, free: np.ndarray, prior: bool) -> Spectrum:
+    """Rank and covariance of the free parameters from a whitened Jacobian (n, n_free).
+
+    `lost` marks parameters that take part in an unidentifiable direction: their sigma is
+    infinite, the covariance holds only what the data sees (enough to predict poses like the
+    measured ones). Weak directions are seen, but worse than the tolerance knows.
+    """
+    tolerance = table.tolerance[free]
+    names = [name for name, is_free in zip(table.names, free, strict=True) if is_free]
+    scaled = J * tolerance
+    _, sizes, directions = np.linalg.svd(_triangle(scaled))
+    rank = int(np.sum(sizes > RELATIVE_RANK * max(sizes[0], 1e-300))) if len(sizes) else 0
+    seen, unseen = directions[:rank], directions[rank:]
+    information = sizes[:rank] ** 2 + (1.0 if prior else 0.0)
+    covariance = (seen.T / information) @ seen
+    lost = np.sum(unseen**2, axis=0) > 1e-6
+    if prior:
+        covariance, lost = covariance + unseen.T @ unseen, np.zeros_like(lost)
+    weak = [d for d, s in zip(seen, sizes[:rank], strict=True) if s < 1]
+    return Spectrum(
+        sizes,
+        rank,
+        covariance * np.outer(tolerance, tolerance),
+        lost,
+        tuple(combination(d, names) for d in unseen),
+        tuple(combination(d, names) for d in weak),
+    )
+
+
+def combination(direction: np.ndarray, names: list[str]) -> dict[str, float]:
+    """The parameters that make up a direction, largest first, in tolerances."""
+    size = np.abs(direction) / max(np.abs(direction).max(), 1e-300)
+    order = np.argsort(-size, kind="stable")
+    sign = np.sign(direction[order[0]]) if len(order) else 1.0
+    return {names[i]: float(sign * direction[i]) for i in order if size[i] > 0.1}
+
+
+def in_words(parts: dict[str, float]) -> str:
+    """`chain1.b_x + 0.71 chain1.D_x`, in units of tolerances."""
+    terms = [f"{weight:+.2f} {name}" for name, weight in parts.items()]
+    return " ".join(terms)
+
+
+def _triangle(J: np.ndarray) -> np.ndarray:
+    """R of J = QR: the same singular values from a small matrix."""
+    return np.asarray(np.linalg.qr(J, mode="r")) if len(J) > J.shape[1] else J

@@ -1,0 +1,51 @@
+"""Datasets for tests: measured by the virtual robot, no file in between."""
+
+import numpy as np
+import virtual_robot as vr
+
+from parallel_cal.dataset import Dataset
+
+JOINTS = ("joint1", "joint2", "joint3")
+JOINT_SIGMA = vr.THESIS_NOISE.joint
+
+
+def measured(seed=0, *, robot=vr.MOCK_UP, noise=vr.THESIS_NOISE, effects=(), **session):
+    """What the device of the thesis measures on a virtual Delta, as a Dataset."""
+    return as_dataset(
+        vr.dwell_samples(robot, seed=seed, noise=noise, effects=effects, **session), noise
+    )
+
+
+def as_dataset(samples, noise=vr.THESIS_NOISE, measured=None):
+    n = len(samples["q"])
+    cov = np.zeros((n, 6, 6))
+    cov[:, range(6), range(6)] = [noise.position**2] * 3 + [noise.orientation**2] * 3
+    conditions = {f"direction.{j}": samples["direction"][:, i] for i, j in enumerate(JOINTS)}
+    return Dataset.from_arrays(
+        JOINTS,
+        samples["q"],
+        samples["r"],
+        samples["R"],
+        measured=np.ones((n, 6), dtype=bool) if measured is None else measured,
+        pose_cov=cov,
+        joint_sigma=[noise.joint] * 3,
+        conditions={"time": samples["time"], **conditions},
+        pose_id=samples["pose_index"],
+        source="virtual robot",
+    )
+
+
+def redrawn(samples, seed, noise=vr.THESIS_NOISE):
+    """The same session measured again: only the noise is new."""
+    q, r, w = noise.draw(np.random.default_rng(seed), len(samples["q"]))
+    return samples | {
+        "q": samples["reading"] + q,
+        "r": samples["true_r"] + r,
+        "R": vr.turn(w) @ samples["true_R"],
+    }
+
+
+def quiet(factor=1e-6):
+    """Next to no noise, in the thesis' proportions."""
+    n = vr.THESIS_NOISE
+    return vr.Noise(n.joint * factor, n.position * factor, n.orientation * factor)

@@ -1,0 +1,272 @@
+"""Identification judged by unseen poses, by chi2 and by the spread of repeated runs."""
+
+import numpy as np
+import pytest
+import virtual_robot as vr
+from datasets import JOINTS, as_dataset, measured, quiet, redrawn
+
+from parallel_cal.dataset import Dataset
+from parallel_cal.errors import FitError
+from parallel_cal.evidence import gather
+from parallel_cal.identification import chi2_band, compare, fit, single_threaded
+from parallel_cal.kinematics import Kinematics
+from parallel_cal.methods.implicit import Linearisation, estimate
+from parallel_cal.model import new_model
+
+
+@pytest.fixture(scope="module")
+def clean():
+    return fit(new_model("delta54"), measured(1))
+
+
+def test_errors_before_are_those_of_the_thesis_mock_up(clean):
+    before = clean.document()["before"]
+    assert 0.55e-3 < before["position_mean"] < 0.62e-3
+
+
+def test_held_out_errors_reach_what_the_noise_allows(clean):
+    document = clean.document()
+    after, floor = document["held_out"]["after"], document["noise_floor"]
+    for kind in ("position_mean", "orientation_mean", "joint_mean"):
+        assert after[kind] < 1.2 * floor[kind]
+    assert document["improvement_held_out"]["position"] > 10
+    assert document["improvement_held_out"]["orientation"] > 4
+
+
+def test_chi2_of_a_complete_model_is_one(clean):
+    low, high = chi2_band(clean.estimate.dof)
+    assert low < clean.estimate.chi2_per_dof < high
+    assert clean.estimate.dof == 94 * 6 - 42
+
+
+def test_noise_floor_is_what_the_true_model_shows():
+    data = measured(2)
+    truth = compare(new_model("delta54", vr.TABLE_5_18), data)
+    floor, shown = truth.noise, truth.errors.document()
+    for key in ("position_mean", "position_rms", "orientation_rms", "joint_rms"):
+        assert shown[key] == pytest.approx(floor[key], rel=0.15)
+
+
+def test_platform_size_stays_fixed_and_the_other_42_are_free(clean):
+    assert clean.estimate.spectrum.rank == clean.free.sum() == 42
+    fixed = {n for n, free in zip(clean.model.table.names, clean.free, strict=True) if not free}
+    assert fixed == {f"chain{i}.{n}" for i in (1, 2, 3) for n in ("d_z", "b_x", "b_y", "b_z")}
+    assert clean.document()["parameters"]["chain1.b_x"]["sigma"] == 0
+
+
+def test_a_robot_without_noise_is_found_exactly():
+    result = fit(new_model("delta54"), measured(3, noise=quiet()), hold_out=0)
+    truth = result.model.table.vector(vr.TABLE_5_18)
+    assert np.abs(result.model.values - truth).max() < 1e-8
+    assert result.after.norms("position").max() < 1e-9
+
+
+def test_model_24_is_found_from_position_alone():
+    samples = vr.dwell_samples(vr.MOCK_UP, seed=4)
+    only_position = np.tile([True, True, True, False, False, False], (len(samples["q"]), 1))
+    result = fit(new_model("delta24"), as_dataset(samples, measured=only_position))
+    document = result.document()
+    assert document["rank"] == 24
+    assert document["after"]["orientation_mean"] is None
+    assert (
+        document["held_out"]["after"]["position_mean"]
+        < 1.2 * document["noise_floor"]["position_mean"]
+    )
+
+
+def test_model_54_from_position_alone_names_nothing_it_cannot_know():
+    """Orientation unmeasured is projected out: position still improves at unseen poses."""
+    samples = vr.dwell_samples(vr.MOCK_UP, seed=4)
+    only_position = np.tile([True, True, True, False, False, False], (len(samples["q"]), 1))
+    result = fit(new_model("delta54"), as_dataset(samples, measured=only_position), prior=True)
+    document = result.document()
+    assert document["improvement_held_out"]["position"] > 10
+    assert result.estimate.dof == 94 * 3 - result.estimate.spectrum.rank
+
+
+def test_projecting_out_equals_a_measurement_without_weight():
+    """Orientation left out, and orientation measured with a sigma of 3 rad: one estimate."""
+    samples = vr.dwell_samples(vr.MOCK_UP, seed=5)
+    model = new_model("delta54")
+    mask = np.tile([True, True, True, False, False, False], (len(samples["q"]), 1))
+    left_out = fit(model, as_dataset(samples, measured=mask), hold_out=0, prior=True)
+    vague = as_dataset(samples)
+    cov = np.array(vague.pose_cov)
+    cov[:, range(3, 6), range(3, 6)] = 3.0**2
+    vague = Dataset.from_arrays(
+        JOINTS, vague.q, vague.r, vague.R, measured=vague.measured, pose_cov=cov,
+        joint_sigma=vague.joint_sigma, pose_id=vague.pose_id,
+    )  # fmt: skip
+    weightless = fit(model, vague, hold_out=0, prior=True)
+    apart = (left_out.model.values - weightless.model.values) / model.table.tolerance
+    assert np.abs(apart).max() < 1e-3
+
+
+def test_predicted_sigma_is_the_spread_over_200_noise_seeds():
+    samples = vr.dwell_samples(vr.MOCK_UP, seed=0)
+    model = new_model("delta54", vr.TABLE_5_12)
+    free = ~model.fixed
+    found = []
+    with single_threaded():
+        for seed in range(200):
+            evidence = gather(model, as_dataset(redrawn(samples, seed)))
+            found.append(estimate(model, evidence, free))
+    spread = np.std([e.values[free] for e in found], axis=0, ddof=1)
+    predicted = np.sqrt(np.mean([e.sigma[free] ** 2 for e in found], axis=0))
+    ratio = spread / predicted
+    assert abs(np.median(ratio) - 1) < 0.05
+    assert np.abs(ratio - 1).max() < 0.25
+    # ... and the estimates do not lean to one side.
+    truth = model.table.vector(vr.TABLE_5_18)[free]
+    bias = (np.mean([e.values[free] for e in found], axis=0) - truth) / (predicted / np.sqrt(200))
+    assert np.sqrt(np.mean(bias**2)) < 1.5
+    chi2 = np.mean([e.chi2_per_dof for e in found])
+    assert chi2 == pytest.approx(1, abs=4 / np.sqrt(200 * found[0].dof / 2))
+
+
+def test_unweighted_chains_are_found_one_by_one():
+    """Without weights a chain's parameters touch its own rows alone (5.2.1)."""
+    model, data = new_model("delta54"), measured(6)
+    evidence, free = gather(model, data), ~model.fixed
+    together = estimate(model, evidence, free, weighted=False)
+    for chain in ("chain1.*", "chain2.*", "chain3.*"):
+        alone = free & model.table.matching([chain])
+        found = estimate(model, evidence, alone, weighted=False)
+        apart = (found.values - together.values)[alone] / model.table.tolerance[alone]
+        assert np.abs(apart).max() < 1e-5
+
+
+def test_weights_bring_smaller_errors_than_the_unweighted_merit_of_the_thesis():
+    model, truth = new_model("delta54"), new_model("delta54").table.vector(vr.TABLE_5_18)
+    error = {True: 0.0, False: 0.0}
+    targets = model.mechanism.sample(100, np.random.default_rng(0))
+    right = Kinematics(model.with_values(truth)).inverse(targets)
+    for seed in range(10):
+        evidence = gather(model, measured(seed))
+        for weighted in error:
+            found = estimate(model, evidence, ~model.fixed, weighted=weighted)
+            pose = Kinematics(model.with_values(found.values)).direct(right.joints)
+            error[weighted] += np.linalg.norm(pose.position - targets, axis=1).mean()
+    assert error[True] < error[False]
+
+
+@pytest.mark.parametrize(
+    ("effect", "hidden"),
+    [
+        ("backlash", vr.Backlash((3e-4, 2e-4, 2.5e-4))),
+        ("encoder_eccentricity", vr.EncoderEccentricity((4e-3, -3e-3, 2e-3), (1e-3, 4e-3, -3e-3))),
+    ],
+)
+def test_adding_the_right_effect_brings_held_out_errors_down_to_noise(effect, hidden):
+    data = measured(7, effects=[hidden])
+    without = fit(new_model("delta54"), data)
+    within = fit(new_model("delta54").with_effect(effect), data)
+    assert without.estimate.chi2_per_dof > chi2_band(without.estimate.dof)[1]
+    assert within.estimate.chi2_per_dof < chi2_band(within.estimate.dof)[1]
+    a, b = without.document()["held_out"]["after"], within.document()["held_out"]["after"]
+    assert b["position_rms"] < a["position_rms"]
+    assert b["position_rms"] < 1.15 * within.document()["noise_floor"]["position_rms"]
+
+
+def test_backlash_comes_out_with_its_size_and_sign():
+    result = fit(
+        new_model("delta54").with_effect("backlash"),
+        measured(8, effects=[vr.Backlash((3e-4, 2e-4, 0.0))]),
+    )
+    sigma = dict(zip(result.model.table.names, result.estimate.sigma, strict=True))
+    for joint, width in (("joint1", 3e-4), ("joint2", 2e-4), ("joint3", 0.0)):
+        name = f"backlash.{joint}.width"
+        assert abs(result.model.value(name) - width) < 4 * sigma[name]
+
+
+def test_duplicate_directions_are_found_and_named():
+    """The platform's size b_x and its neighbours cannot be seen with a parallel platform."""
+    straight = vr.Delta({**vr.TABLE_5_12})
+    data = measured(9, robot=straight, noise=quiet(1e-3))
+    result = fit(new_model("delta54"), data, free=["*"], hold_out=0)
+    words = " ".join(entry["text"] for entry in result.document()["unidentifiable"])
+    assert result.estimate.spectrum.rank < 54
+    assert "b_" in words or "d_z" in words
+    assert any("cannot tell" in w for w in result.warnings)
+    lost = result.estimate.lost
+    assert lost.any()
+    assert np.isinf(result.estimate.sigma[lost]).all()
+    first = result.model.table.names[np.flatnonzero(lost)[0]]
+    assert result.document()["parameters"][first]["sigma"] is None
+
+
+def test_prior_keeps_what_the_data_cannot_see_at_its_nominal_value():
+    data = measured(10, robot=vr.Delta({**vr.TABLE_5_12}))
+    result = fit(new_model("delta54"), data, free=["*"], prior=True, hold_out=0)
+    moved = (result.model.values - result.model.table.nominal) / result.model.table.tolerance
+    assert np.abs(moved).max() < 3
+    assert np.isfinite(result.estimate.sigma).all()
+
+
+def test_too_few_poses_say_how_many_are_needed():
+    data = measured(0).select(np.arange(6))
+    with pytest.raises(
+        FitError, match=r"5 different poses give 30 equations, but 42 parameters.*at least 7"
+    ):
+        fit(new_model("delta54"), data)
+
+
+def test_one_pose_repeated_is_one_pose():
+    data = measured(0)
+    same = data.select(np.zeros(50, dtype=int))
+    with pytest.raises(FitError, match="1 different poses give 6 equations"):
+        fit(new_model("delta54"), same)
+
+
+def test_masks_free_and_fix_by_pattern():
+    result = fit(
+        new_model("delta54"), measured(0), free=["chain1.*"], fix=["*.b_*", "*.d_z"], hold_out=0
+    )
+    assert result.free.sum() == 14
+    with pytest.raises(Exception, match="no parameter matches 'leg1"):
+        fit(new_model("delta54"), measured(0), free=["leg1.*"])
+    with pytest.raises(FitError, match="no parameter is left free"):
+        fit(new_model("delta54"), measured(0), free=["chain1.*"], fix=["chain1.*"])
+
+
+def test_missing_joints_conditions_methods_and_noise_are_clear_errors():
+    model, data = new_model("delta54"), measured(0)
+    with pytest.raises(FitError, match="no method 'magic'; there are implicit"):
+        fit(model, data, method="magic")
+    renamed = Dataset.from_arrays(("a", "b", "c"), data.q, data.r, data.R, pose_cov=data.pose_cov)
+    with pytest.raises(FitError, match="no joint joint1, joint2, joint3; it has a, b, c"):
+        fit(model, renamed)
+    bare = Dataset.from_arrays(JOINTS, data.q, data.r, data.R, pose_cov=data.pose_cov)
+    with pytest.raises(FitError, match="no figure for the joints' noise; give --joint-sigma"):
+        fit(model, bare)
+    with pytest.raises(FitError, match=r"direction.joint1.*was not recorded, but.*backlash"):
+        fit(model.with_effect("backlash"), bare, joint_sigma=1e-4)
+    with pytest.raises(FitError, match="joint sigma -1"):
+        fit(model, bare, joint_sigma=-1)
+
+
+def test_an_absurd_parameter_is_a_failed_fit():
+    wild = {f"chain{i}.Lb": 1e-4 for i in (1, 2, 3)}
+    with pytest.raises(
+        FitError, match=r"chain1.Lb went to .* m, -\d+.* tolerances from its nominal 0.24"
+    ):
+        fit(new_model("delta54", wild), measured(0), hold_out=0)
+
+
+def test_worst_sample_comes_first_in_a_comparison():
+    rows = compare(new_model("delta54"), measured(0)).document()["rows"]
+    norms = [row["position_norm"] for row in rows]
+    assert norms == sorted(norms, reverse=True)
+    assert len(rows) == 94
+
+
+def test_identification_jacobian_is_the_finite_difference_of_the_residuals():
+    model, data = new_model("delta54").with_effect("backlash"), measured(0)
+    evidence, free = gather(model, data), np.ones(len(model.values), dtype=bool)
+    linearise = Linearisation(model, evidence, free, weighted=True)
+    phi, _, J = linearise.blocks(model.values, evidence.x)
+    for k in range(len(model.values)):
+        step = 1e-6
+        moved = model.values + step * np.eye(len(model.values))[k]
+        difference = (linearise.blocks(moved, evidence.x)[0] - phi) / step
+        assert np.abs(difference - J[:, :, k]).max() < 1e-4
