@@ -1,0 +1,45 @@
+"""How the benchmarks time and print: medians, and ratios to the first row."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from statistics import median
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+
+@dataclass(frozen=True)
+class Row:
+    name: str
+    seconds: float
+
+
+def seconds_each(call: Callable[[], Any], least: int = 2000, repeats: int = 5) -> float:
+    """Median over repeats of the mean time of a call, after one call to warm up."""
+    call()
+    times = []
+    for _ in range(repeats):
+        begin = time.perf_counter()
+        for _ in range(least):
+            call()
+        times.append((time.perf_counter() - begin) / least)
+    return median(times)
+
+
+def show(title: str, rows: list[Row]) -> None:
+    """One table; ratios are to the first row, measured in the same run."""
+    table = Table("what", "time", "ratio", title=title)
+    for row in rows:
+        table.add_row(row.name, _readable(row.seconds), f"{row.seconds / rows[0].seconds:.2f}")
+    Console().print(table)
+
+
+def _readable(seconds: float) -> str:
+    for unit, size in (("s", 1.0), ("ms", 1e-3), ("us", 1e-6)):
+        if seconds >= size:
+            return f"{seconds / size:.2f} {unit}"
+    return f"{seconds * 1e9:.0f} ns"
