@@ -18,19 +18,31 @@ export ROS_DOMAIN_ID ?= $(shell echo $$(($$$$ % 100 + 1)))
 
 venv: $(STAMP)
 
-PACKAGES := -e '.[ros,dev]' ./msg_defs
+LIBRARIES := -e '.[ros,dev]'
 
-$(STAMP): $(BIN)/python setup.cfg pyproject.toml $(wildcard msg_defs/*.* msg_defs/*/*.*)
-	@echo "installing ROS 2, libraries and messages into $(VENV) (1 to 2 minutes)"
-	@{ $(BIN)/python -m pip install -qq uv \
-	   && $(BIN)/uv pip install -q -p $(BIN)/python $(PACKAGES); } 2>/dev/null \
-	 || $(BIN)/python -m pip install -qq $(PACKAGES)
+# $(call install,WHAT): by uv, or, where it cannot reach the index, by pip.
+define install
+$(BIN)/uv pip install -q -p $(BIN)/python $(1) 2>/dev/null \
+	 || $(BIN)/python -m pip install -qq $(1)
+endef
+
+# Two stamps: a changed list of libraries must not rebuild the messages, which takes longest.
+$(STAMP): $(VENV)/.messages setup.cfg pyproject.toml
+	@echo "installing the libraries"
+	@$(call install,$(LIBRARIES))
 	@touch $@
 
-$(BIN)/python:
+$(VENV)/.messages: $(VENV)/.created $(wildcard msg_defs/*.* msg_defs/*/*.*)
+	@echo "installing ROS 2 and building the messages (about a minute)"
+	@$(call install,./msg_defs)
+	@touch $@
+
+$(VENV)/.created:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' || \
 	  { echo "Python 3.10 or newer is needed, e.g. make PYTHON=python3.12"; exit 1; }
 	@$(PYTHON) -m venv $(VENV)
+	@$(BIN)/python -m pip install -qq uv 2>/dev/null || true
+	@touch $@
 
 demo: $(STAMP)
 	@$(BIN)/parallel-cal demo
