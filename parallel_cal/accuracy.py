@@ -10,6 +10,7 @@ import numpy as np
 
 from parallel_cal.evidence import Evidence
 from parallel_cal.kinematics import Kinematics, Solutions, Status
+from parallel_cal.mechanism import Mechanism
 from parallel_cal.model import Model
 from parallel_cal.rotation import rotation_vector
 
@@ -51,15 +52,24 @@ def errors(model: Model, evidence: Evidence) -> Errors:
     rotation = x[:, n + 3 :].reshape(-1, 3, 3)
     pose = kinematics.direct(x[:, :n], at)
     joints = kinematics.inverse(x[:, n : n + 3], rotation, at)
-    known = measured[:, [n + i for i in m.controlled]].all(axis=1)
+    given = measured[:, [n + i for i in m.controlled]].all(axis=1)
     turn = rotation_vector(
         rotation @ np.where(np.isfinite(pose.rotation), pose.rotation, np.eye(3)).transpose(0, 2, 1)
     )
+    position, orientation = (judged(m, measured[:, n:], part) for part in (range(3), range(3, 6)))
+    apart = np.where(measured[:, n : n + 3], x[:, n : n + 3] - pose.position, 0.0)
     return Errors(
-        _where(measured[:, n : n + 3].all(axis=1) & _solved(pose), x[:, n : n + 3] - pose.position),
-        _where(measured[:, n + 3 :].all(axis=1) & _solved(pose), turn),
-        _where(known & _solved(joints), x[:, :n] - joints.joints),
+        _where(position & _solved(pose), apart),
+        _where(orientation & _solved(pose), np.where(measured[:, n + 3 :], turn, 0.0)),
+        _where(given & _solved(joints), x[:, :n] - joints.joints),
     )
+
+
+def judged(mechanism: Mechanism, measured: np.ndarray, part: range) -> np.ndarray:
+    """Samples (N,) whose position (or orientation) can be judged: every coordinate of it that
+    the mechanism moves was measured; where it moves none, all three were."""
+    moved = [i for i in part if i in mechanism.moved]
+    return np.asarray(measured[:, moved or list(part)].all(axis=1))
 
 
 def condition_columns(model: Model, evidence: Evidence) -> dict[str, Any]:
@@ -106,8 +116,10 @@ def noise_floor(model: Model, evidence: Evidence, seed: int = 0) -> dict[str, fl
     measured = np.broadcast_to(evidence.measured, (len(draws), *evidence.measured.shape))
     flat = [a.reshape(-1, a.shape[-1]) for a in (pose[:, :, :3], pose[:, :, 3:], joint)]
     rows = measured.reshape(-1, n + 6)
-    known = [rows[:, n : n + 3], rows[:, n + 3 :], rows[:, given]]
-    parts = [_where(np.all(k, axis=1), a) for k, a in zip(known, flat, strict=True)]
+    known = [judged(m, rows[:, n:], part) for part in (range(3), range(3, 6))]
+    known.append(np.all(rows[:, given], axis=1))
+    kept = [rows[:, n : n + 3], rows[:, n + 3 :], np.ones_like(flat[2], dtype=bool)]
+    parts = [_where(k, np.where(c, a, 0.0)) for k, c, a in zip(known, kept, flat, strict=True)]
     return Errors(*parts).document()
 
 

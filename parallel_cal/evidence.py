@@ -10,7 +10,7 @@ import numpy as np
 from parallel_cal.dataset import Dataset
 from parallel_cal.errors import FitError
 from parallel_cal.model import Model
-from parallel_cal.rotation import quaternion_to_matrix
+from parallel_cal.rotation import quaternion_to_matrix, rotation_matrix, rotation_vector
 
 
 @dataclass(frozen=True)
@@ -74,8 +74,11 @@ def _fill_unmeasured(x: np.ndarray, measured: np.ndarray, home: np.ndarray, n: i
     for k in range(3):
         gaps = ~measured[:, n + k]
         x[gaps, n + k] = home[n + k]
+    R0 = home[n + 3 :].reshape(3, 3)
+    w = rotation_vector(x[:, n + 3 :].reshape(-1, 3, 3) @ R0.T)
+    R = rotation_matrix(np.where(measured[:, n + 3 :], w, 0.0)) @ R0
     turned = ~measured[:, n + 3 :].all(axis=1)
-    x[turned, n + 3 :] = home[n + 3 :]
+    x[turned, n + 3 :] = R.reshape(-1, 9)[turned]
 
 
 def _joint_sigma(

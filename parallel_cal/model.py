@@ -206,11 +206,14 @@ class Model:
 
     def widened(self) -> Model:
         """The same robot in the next larger model (delta24 -> delta54): equal poses."""
-        name, values = self.mechanism.widen(
-            self.mechanism.parameters.mapping(self.values[: len(self.mechanism.parameters)])
-        )
-        larger = load_mechanism(name)
-        larger.home, larger.joint_limits = self.mechanism.home, self.mechanism.joint_limits
+        m = self.mechanism
+        own = m.parameters
+        name, values = m.widen(own.mapping(self.values[: len(own)]))
+        larger = load_mechanism(name, **m.options)
+        _, nominal = m.widen(own.mapping(own.nominal))
+        larger.parameters = larger.parameters.with_nominal(nominal)
+        larger.joints, larger.joint_limits = m.joints, m.joint_limits
+        larger.home, larger.workspace = m.home, m.workspace
         return replace(new_model(larger, values), noise=self.noise, frames=self.frames)
 
     def condition_rows(self, at: Mapping[str, Any] | None, n: int) -> np.ndarray:

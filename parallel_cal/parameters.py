@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from functools import cached_property
 from typing import Any
@@ -93,6 +93,10 @@ class ParameterTable(Sequence[Parameter]):
         for name, value in values.items():
             vector[self.index_of(name)] = value
         return vector
+
+    def with_nominal(self, nominal: Mapping[str, float]) -> ParameterTable:
+        """The same parameters around other nominal values, where given."""
+        return ParameterTable(replace(p, nominal=nominal.get(p.name, p.nominal)) for p in self)
 
     def mapping(self, vector: Sequence[float] | np.ndarray) -> dict[str, float]:
         return dict(zip(self.names, (float(v) for v in vector), strict=True))

@@ -20,6 +20,7 @@ from parallel_cal.observability import Spectrum, spectrum
 from parallel_cal.rotation import rotation_matrix, rotation_vector
 
 STEP = 1e-8  # in tolerances: smaller steps change nothing a person can measure
+GAIN = 1e-10  # of chi2: steps that promise less have arrived, however long (weak directions)
 
 
 @dataclass(frozen=True)
@@ -79,7 +80,7 @@ def estimate(
     system = linearise(values, x)
     damping = 1e-6
     for k in range(iterations):
-        step = _step(system, tolerance, damping, _prior(model, values, free, prior))
+        step, promised = _step(system, tolerance, damping, _prior(model, values, free, prior))
         trial = values.copy()
         trial[free] += step
         # The adjusted quantities follow from the step by the linearised closure.
@@ -88,7 +89,9 @@ def estimate(
         better = tried.chi2 + _prior_cost(model, trial, free, prior) <= (
             system.chi2 + _prior_cost(model, values, free, prior)
         ) * (1 + 1e-9)
-        small = np.max(np.abs(step / tolerance), initial=0.0) < STEP
+        small = (
+            np.max(np.abs(step / tolerance), initial=0.0) < STEP or promised < GAIN * tried.chi2
+        )
         if better or small:
             values, x, system, damping = trial, x_trial, tried, max(damping / 10, 1e-12)
         else:
@@ -211,8 +214,9 @@ def _projection(
 
 def _step(
     system: _System, tolerance: np.ndarray, damping: float, prior: tuple[np.ndarray, np.ndarray]
-) -> np.ndarray:
-    """One damped Gauss-Newton step from the normal equations, in units of tolerances."""
+) -> tuple[np.ndarray, float]:
+    """One damped Gauss-Newton step from the normal equations, in units of tolerances, and
+    the fall of chi2 that it promises."""
     J = system.jacobian.reshape(-1, len(tolerance)) * tolerance
     pull, weight = prior
     normal = J.T @ J + np.diag(weight)
@@ -221,7 +225,8 @@ def _step(
     floor = max(1e-13 * size[-1], 1e-300)
     # Directions the data cannot see keep their values: no walk along them.
     inverse = np.where(size > floor, 1 / (np.maximum(size, floor) * (1 + damping)), 0.0)
-    return -tolerance * (directions @ (inverse * (directions.T @ gradient)))
+    along = directions.T @ gradient
+    return -tolerance * (directions @ (inverse * along)), float(np.sum(inverse * along**2))
 
 
 def _prior(
