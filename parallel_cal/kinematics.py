@@ -160,7 +160,7 @@ class Kinematics:
         rows = self.model.condition_rows(at, 1)
         x, step, residual, pivot = problem.one(given, rows[0], problem.k)
         n = self._n
-        usual = step[0] < SETTLED and residual[0] < CLOSED and pivot[0] > SUSPECT_PIVOT
+        usual = step[0] < SETTLED and problem.closed(residual)[0] and pivot[0] > SUSPECT_PIVOT
         if usual and self._inside_limits(x[:n]):
             status = np.array(Status.CONVERGED, dtype=np.int8)
             return Solutions(x[:n], x[n : n + 3], x[n + 3 :].reshape(3, 3), residual[0], status)
@@ -186,7 +186,7 @@ class Kinematics:
         finite = np.isfinite(given).all(axis=1) & np.isfinite(rows).all(axis=1)
         status[~finite] = Status.INVALID_INPUT
         x[~finite], residual[~finite] = np.nan, np.nan
-        settled = (step < SETTLED) & (residual < CLOSED)
+        settled = (step < SETTLED) & problem.closed(residual)
         for i in np.flatnonzero(finite & ~settled):
             x[i], residual[i], status[i] = problem.careful(x[i], rows[i], given[i])
         suspect = finite & ~(settled & (pivot > SUSPECT_PIVOT))
@@ -317,6 +317,13 @@ class _Problem:
         self._many = Batch(ready(functions.solve))
         self._refine_function, self._ready = functions.refine, ready
         self.columns = functions.columns
+        # More rows than unknowns (lines of a cable robot): the answer is the least-squares one,
+        # and what it leaves is in the residual, not in the status.
+        self._redundant = model.structure.phi.shape[0] > len(functions.columns)
+
+    def closed(self, residual: np.ndarray) -> np.ndarray:
+        """Whether settled samples are answers."""
+        return np.isfinite(residual) if self._redundant else residual < CLOSED
 
     def many(
         self, given: np.ndarray, rows: np.ndarray, begin: np.ndarray | None
@@ -394,9 +401,9 @@ class _Problem:
                 damping = max(damping * 10, 1e-12)
                 if damping > 1e12:
                     break
-        if size < CLOSED:
-            return x, size, Status.CONVERGED
         flat = float(np.linalg.norm(J.T @ phi)) < 1e-6 * size
+        if size < CLOSED or (flat and self._redundant):
+            return x, size, Status.CONVERGED
         return x, size, Status.UNREACHABLE if flat or size > 1e-6 else Status.NOT_CONVERGED
 
     def _moved(self, x: np.ndarray, step: np.ndarray) -> np.ndarray:
@@ -423,7 +430,7 @@ def _apart(a: Solutions, b: Solutions) -> float:
 
 def _turned_towards(q: np.ndarray, unknown: bool, model: Model) -> np.ndarray:
     """Solved angles moved by whole turns to within half a turn of home."""
-    if not unknown or model.mechanism.joint_unit != "rad":
+    if not unknown or model.mechanism.joint_unit != "rad" or not model.mechanism.periodic:
         return q
     home = np.array(model.mechanism.home.joints)
     return q - 2 * np.pi * np.round((q - home) / (2 * np.pi))

@@ -1,0 +1,121 @@
+"""Argos with perfect pantographs, complete calibration model with 27 parameters (section 3.5.3)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from parallel_cal.mechanism import POSE, Home, Mechanism, Workspace
+from parallel_cal.mechanisms.delta54 import DEGREE, MM
+from parallel_cal.parameters import Named, Parameter, ParameterTable
+from parallel_cal.rotation import rot_x, rot_z
+from parallel_cal.solvers.closed_form import joint_angles
+
+RADIUS = 110 * MM  # of the mock-up: {p} lies this far from all three ball centres
+
+# Table 5.21, chain by chain. A parameter that a chain lacks is zero by the choice of frames:
+# {b} has its x-axis on motor axis 1 and its z-axis on the common normal to motor axis 2;
+# {p} has B1 on its x-axis and B2 in its xy-plane.
+ANGLES: tuple[dict[str, float], ...] = (
+    {"alpha0": -45.0},
+    {"alpha0": 45.0, "Phi": 90.0, "phi": 90.0},
+    {"alpha0": -45.0, "Omega": 90.0, "Phi": 90.0, "omega": 90.0, "phi": -90.0},
+)
+MOTOR_SHIFTS: tuple[tuple[str, ...], ...] = ((), ("dC",), ("dA", "dC"))
+CHAIN = ("alpha0", "Omega", "Phi", "omega", "phi", "dA", "dC", "da", "dc", "gamma", "dR", "R")
+
+# Home turns the platform by 109.5 degrees about (-1, 1, 0): ball 1 points to (1, -2, -2) / 3,
+# between the motor axes 2 and 3, and the others likewise. As a rotation vector:
+HOME_TURN = float(np.arccos(-1 / 3) / np.sqrt(2))
+HOME = Home(joints=(0.0, 0.0, 0.0), quaternion=(-(3**-0.5), 3**-0.5, 0.0, 3**-0.5))
+JOINT_LIMITS = ((-80 * DEGREE, 80 * DEGREE),) * 3  # the pantographs move over 60 degrees
+REACH = 30 * DEGREE
+
+
+def angle_parameters(chain: int) -> list[Parameter]:
+    """The angles of one chain; they are all there is in model 9 (table 3.16)."""
+    return [
+        Parameter(
+            f"chain{chain + 1}.{name}",
+            "rad",
+            value * DEGREE,
+            (2 if name == "alpha0" else 1) * DEGREE,
+            "spherical",
+        )
+        for name, value in ANGLES[chain].items()
+    ]
+
+
+def shift_parameters(chain: int, radius: float) -> list[Parameter]:
+    """What lets one chain leave the common sphere."""
+    lengths = {**dict.fromkeys((*MOTOR_SHIFTS[chain], "da", "dc", "dR"), 0.0), "R": radius}
+    name = f"chain{chain + 1}."
+    return [
+        *[Parameter(name + k, "m", v, 2 * MM, "spatial") for k, v in lengths.items()],
+        Parameter(name + "gamma", "rad", 90 * DEGREE, 1 * DEGREE, "spatial"),
+    ]
+
+
+def chain_of(p: Named, chain: int) -> Named:
+    """All entries of `CHAIN` for one chain (0..2), zero where the frames make them so."""
+    own = p[f"chain{chain + 1}"]
+    has = {*ANGLES[chain], *MOTOR_SHIFTS[chain], "da", "dc", "gamma", "dR", "R"}
+    return Named(CHAIN, [own[name] if name in has else 0.0 for name in CHAIN])
+
+
+class Argos27(Mechanism):
+    """Three motors, three perfect pantographs, one platform; its centre moves a little.
+
+    `radius` (m) places {p}; the thesis divides every length by it.
+    """
+
+    joints = ("joint1", "joint2", "joint3")
+    moves = POSE
+    controls = ("rx", "ry", "rz")
+    home = HOME
+    workspace = Workspace(
+        low=(-HOME_TURN - REACH, HOME_TURN - REACH, -REACH),
+        high=(-HOME_TURN + REACH, HOME_TURN + REACH, REACH),
+    )
+    joint_limits = JOINT_LIMITS
+
+    def __init__(self, radius: float = RADIUS):
+        self.length = float(radius)
+        self.parameters = ParameterTable(
+            p for i in range(3) for p in (*angle_parameters(i), *shift_parameters(i, self.length))
+        )
+
+    def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
+        """G1 and G2 of eq. 3.22: how far each ball is out of its pantograph's plane and off its
+        circle (divided by 2 R), three rows each, in metres."""
+        chains = [self.chain(q[i], r, R, chain_of(p, i)) for i in range(3)]
+        return ca.vertcat(*[g1 for g1, _ in chains], *[g2 for _, g2 in chains])
+
+    def chain(self, angle: Any, r: Any, R: Any, c: Named) -> tuple[Any, Any]:
+        """Both closure rows of one chain (eqs 3.17-3.21, transformations of table 3.15)."""
+        W, Q, G = rot_x(c.Omega), rot_x(angle + c.alpha0), rot_z(c.gamma)
+        S = W @ rot_z(c.Phi)
+        u = S @ Q @ G[:, 0]
+        C = W @ ca.vertcat(c.dA, 0, c.dC) + S @ Q @ (ca.vertcat(c.da, 0, c.dc) + G[:, 0] * c.dR)
+        v = rot_x(c.omega) @ rot_z(c.phi)[:, 0]
+        CB = r + R @ v * self.length - C
+        return ca.dot(u, CB), (ca.dot(CB, CB) - c.R**2) / (2 * c.R)
+
+    def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
+        """The nominal model's four orientations about a centre at rest (section 6.7.2)."""
+        from parallel_cal.mechanisms.argos_nominal import ArgosNominal
+
+        return ArgosNominal().candidates(q, p)
+
+    def joint_candidates(self, r: Any, R: Any, p: Named) -> list[tuple[Any, ...]]:
+        """Both angles of every motor from G1, with the centre at rest (section 6.7.3)."""
+        return joint_angles(self, ca.DM(self.home.position), R, p)
+
+
+def widened(values: Mapping[str, float], radius: float) -> dict[str, float]:
+    """Model 27 of a spherical Argos (eqs 3.24, 3.25): nominal shifts, the angles as given."""
+    shifts = [p for i in range(3) for p in shift_parameters(i, radius)]
+    return {**values, **{p.name: p.nominal for p in shifts}}

@@ -1,0 +1,113 @@
+"""Linear Delta 3[P(2S/2S)], complete calibration model with 48 parameters (table 3.1)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from parallel_cal.mechanism import POSE, Home, Mechanism, Workspace
+from parallel_cal.parameters import Named, Parameter, ParameterTable
+from parallel_cal.rotation import rot_x, rot_y, rot_z
+from parallel_cal.solvers.closed_form import positions
+
+MM, DEGREE = 1e-3, np.pi / 180
+OFFSET, ROD, LOW = 100 * MM, 250 * MM, 100 * MM  # rail to rod plane, rod, platform at home
+
+# In the chain's frame: x outwards, y along the rod pair's bar, z up. The pairs are written as
+# mean and half difference, as in model 54. name: unit, nominal, tolerance, group.
+CHAIN = {
+    "D_x": ("m", OFFSET, 1 * MM, "position"),  # carriage at reading zero, less the platform's b
+    "D_y": ("m", 0.0, 1 * MM, "position"),
+    "D_z": ("m", 0.0, 1 * MM, "position"),
+    "alpha": ("rad", 0.0, 0.5 * DEGREE, "position"),  # tilt of the rail about x, then y
+    "beta": ("rad", 0.0, 0.5 * DEGREE, "position"),
+    "Lb": ("m", ROD, 0.5 * MM, "position"),
+    "dC_x": ("m", 0.0, 0.2 * MM, "P1"),  # carriage's half bar less the platform's
+    "dC_y": ("m", 0.0, 0.2 * MM, "P1"),
+    "dC_z": ("m", 0.0, 0.2 * MM, "P1"),
+    "dLb": ("m", 0.0, 0.1 * MM, "P1"),
+    "d_x": ("m", 0.0, 0.2 * MM, "P2"),  # the platform's half bar and where it sits
+    "d_y": ("m", 25 * MM, 0.2 * MM, "P2"),
+    "d_z": ("m", 0.0, 0.2 * MM, "P2"),
+    "b_x": ("m", 30 * MM, 0.2 * MM, "P2"),
+    "b_y": ("m", 0.0, 0.2 * MM, "P2"),
+    "b_z": ("m", 0.0, 0.2 * MM, "P2"),
+}
+HANGING = float(np.sqrt(ROD**2 - OFFSET**2))  # carriage above platform
+
+
+class LinearDelta(Mechanism):
+    """Three carriages on rails, six rods of free length; all six coordinates move.
+
+    `inclination` (rad): how far the rails lean outwards, 0 for vertical ones.
+    """
+
+    joints = ("joint1", "joint2", "joint3")
+    joint_unit = "m"
+    moves = POSE
+    controls = ("x", "y", "z")
+    parameters = ParameterTable(
+        Parameter(f"chain{i + 1}.{name}", *numbers)
+        for i in range(3)
+        for name, numbers in CHAIN.items()
+    )
+    fixed = tuple(f"*.{name}" for name, numbers in CHAIN.items() if numbers[3] == "P2")
+    workspace = Workspace(low=(-0.06, -0.06, 0.02), high=(0.06, 0.06, 0.18))
+    joint_limits = ((0.0, 0.6),) * 3
+    length = 25 * MM
+
+    def __init__(self, inclination: float = 0.0):
+        self.inclination = float(inclination)
+        self.home = Home(joints=(self._home_reading(),) * 3, position=(0.0, 0.0, LOW))
+
+    def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
+        """G1 and G2 as in eq. 3.12, divided by 2 Lb and Lb: mean and half difference of a rod
+        pair's length error, three rows each, in metres."""
+        pairs = [self.rod_pair(i, q[i], r, R, p[f"chain{i + 1}"]) for i in range(3)]
+        return ca.vertcat(*[g1 for g1, _ in pairs], *[g2 for _, g2 in pairs])
+
+    def rod_pair(self, i: int, reading: Any, r: Any, R: Any, c: Named) -> tuple[Any, Any]:
+        """Both closure rows of one chain."""
+        T = rot_z(i * 120 * DEGREE)
+        b, D = c.vector("b_x", "b_y", "b_z"), c.vector("D_x", "D_y", "D_z")
+        d, dC = c.vector("d_x", "d_y", "d_z"), c.vector("dC_x", "dC_y", "dC_z")
+        CB = r + R @ T @ b - T @ (b + D + self.rail(c) * reading)
+        dd = R @ T @ d - T @ (d + dC)
+        mean = (ca.dot(CB, CB) + ca.dot(dd, dd) - c.Lb**2 - c.dLb**2) / (2 * c.Lb)
+        difference = (ca.dot(CB, dd) - c.Lb * c.dLb) / c.Lb
+        return mean, difference
+
+    def rail(self, c: Named) -> Any:
+        """Direction of a rail in the chain's frame."""
+        return (rot_y(self.inclination) @ rot_x(c.alpha) @ rot_y(c.beta))[:, 2]
+
+    def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
+        """Both solutions of the general position problem (eq. 6.6) for a parallel platform."""
+        return [(r, ca.DM.eye(3)) for r in positions(self, q, p)]
+
+    def joint_candidates(self, r: Any, R: Any, p: Named) -> list[tuple[Any, ...]]:
+        """Both readings of every carriage for a parallel platform, higher one first."""
+        n = len(self.joints)
+
+        def row(i: int) -> Callable[[float], Any]:
+            return lambda reading: self.closure(ca.DM.ones(n) * reading, r, ca.DM.eye(3), p)[i]
+
+        return [_parabola_roots(row(i)) for i in range(n)]
+
+    def _home_reading(self) -> float:
+        """Where a carriage at reading q, pushed out by q sin(lean), has the rod's length."""
+        lean = np.array([np.sin(self.inclination), np.cos(self.inclination)])
+        away = np.array([OFFSET, -LOW])
+        along = float(away @ lean)
+        return float(-along + np.sqrt(along**2 - away @ away + ROD**2))
+
+
+def _parabola_roots(row: Callable[[float], Any]) -> tuple[Any, Any]:
+    """Both zeros of a quadratic expression, its factors from three values."""
+    zero, plus, minus = row(0.0), row(1.0), row(-1.0)
+    a, half_b = (plus + minus) / 2 - zero, (plus - minus) / 4
+    root = ca.sqrt(half_b**2 - a * zero)
+    return (root - half_b) / a, -(root + half_b) / a

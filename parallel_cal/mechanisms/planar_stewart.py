@@ -1,0 +1,84 @@
+"""Planar Stewart platform, 18 parameters (figure 3.2, eq. 3.4)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from parallel_cal.mechanism import Home, Mechanism, Workspace
+from parallel_cal.parameters import Named, Parameter, ParameterTable
+
+DEGREE = np.pi / 180
+BASE_RADIUS, PLATFORM_RADIUS, RETRACTED = 0.3, 0.08, 0.15  # m
+BASE_ANGLES, PLATFORM_ANGLES = (0, 120, 240), (30, 150, 270)  # turned: no leg points at the centre
+
+
+def _triangle(radius: float, degrees: tuple[float, ...]) -> np.ndarray:
+    angles = np.radians(degrees)
+    return radius * np.column_stack([np.cos(angles), np.sin(angles)])
+
+
+PLATFORM, BASE = _triangle(PLATFORM_RADIUS, PLATFORM_ANGLES), _triangle(BASE_RADIUS, BASE_ANGLES)
+LENGTH = float(np.linalg.norm(PLATFORM[0] - BASE[0]))  # of all legs, at home
+
+
+def _leg(i: int) -> list[Parameter]:
+    points = {"B": PLATFORM[i], "C": BASE[i]}
+    return [
+        *[
+            Parameter(f"leg{i + 1}.{name}_{axis}", "m", float(value), 1e-3, f"{name} balls")
+            for name, point in points.items()
+            for axis, value in zip("xy", point, strict=True)
+        ],
+        Parameter(f"leg{i + 1}.L0", "m", RETRACTED, 1e-3, "offset"),
+        Parameter(f"leg{i + 1}.delta", "rad", 0.0, 0.5 * DEGREE, "misalignment"),
+    ]
+
+
+class PlanarStewart(Mechanism):
+    """Three legs in a plane; joint readings are the extensions of the legs.
+
+    L0 is a leg's length at reading zero and delta the angle between it and the sliding axis.
+    delta acts by its square: at zero no measurement can see it, so it is fixed by default.
+    """
+
+    joints = ("leg1", "leg2", "leg3")
+    joint_unit = "m"
+    moves = ("x", "y", "rz")
+    controls = ("x", "y", "rz")
+    parameters = ParameterTable(parameter for i in range(3) for parameter in _leg(i))
+    fixed = ("*.delta",)
+    home = Home(joints=(LENGTH - RETRACTED,) * 3)
+    workspace = Workspace(low=(-0.05, -0.05, -20 * DEGREE), high=(0.05, 0.05, 20 * DEGREE))
+    joint_limits = ((0.0, 0.2),) * 3
+    length = PLATFORM_RADIUS
+
+    def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
+        """Distance of the joint centres minus the leg's length by its reading, in metres."""
+        legs = [p[f"leg{i + 1}"] for i in range(3)]
+        return ca.vertcat(
+            *[self.span(r, R, c) - self.extended(q[i], c) for i, c in enumerate(legs)]
+        )
+
+    @staticmethod
+    def span(r: Any, R: Any, c: Named) -> Any:
+        """Distance between the joint centres of one leg (the plane's part of eq. 3.8)."""
+        B, C = ca.vertcat(c.B_x, c.B_y, 0), ca.vertcat(c.C_x, c.C_y, 0)
+        return ca.norm_2((r + R @ B - C)[:2])
+
+    @staticmethod
+    def extended(q: Any, c: Named) -> Any:
+        """|L0 + q exp(i delta)|: the slide does not quite run along the leg."""
+        return ca.sqrt(c.L0**2 + q**2 + 2 * c.L0 * q * ca.cos(c.delta))
+
+    def joint_candidates(self, r: Any, R: Any, p: Named) -> list[tuple[Any, ...]]:
+        """The longer of the two extensions that give a leg its length."""
+        legs = [p[f"leg{i + 1}"] for i in range(3)]
+        return [(self._reading(self.span(r, R, c), c),) for c in legs]
+
+    @staticmethod
+    def _reading(span: Any, c: Named) -> Any:
+        aside = c.L0 * ca.sin(c.delta)
+        return ca.sqrt(span**2 - aside**2) - c.L0 * ca.cos(c.delta)

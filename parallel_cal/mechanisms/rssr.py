@@ -1,0 +1,88 @@
+"""RSSR loop of the short-cut set-up, 9 parameters (sections 4.2.7 and 5.4.5).
+
+Two arms of a Delta, joined by one of its rods, make a loop with one freedom. Encoder 1 is the
+joint; encoder 2 is the measured pose: the loop's platform is the second arm, and {P} is {B}
+turned about z by that encoder's reading. So a short-cut recording needs no other device.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from parallel_cal.mechanism import Home, Mechanism, Workspace
+from parallel_cal.parameters import Named, Parameter, ParameterTable
+from parallel_cal.rotation import rot_x, rot_z
+from parallel_cal.solvers.closed_form import joint_angles
+
+MM, DEGREE = 1e-3, np.pi / 180
+
+# Chains 1 and 2 of table 5.12: axes tangent to a circle of 76 + 24 mm, 120 degrees apart; they
+# meet 173.2 mm from the arms, whose inner balls are 20 mm nearer. Encoder zero: arm horizontal.
+CENTRE, BAR, ARM, ROD = 100 * MM, 20 * MM, 120 * MM, 240 * MM
+ALONG = CENTRE * np.tan(60 * DEGREE) - BAR
+_reach = (ROD / 2 + BAR * np.cos(60 * DEGREE)) / np.sin(60 * DEGREE)  # of both balls, at home
+ANGLE = float(np.arccos((_reach - CENTRE) / ARM))
+
+
+class Rssr(Mechanism):
+    """{B}: z on the output axis, x along the common normal towards the input axis.
+
+    `a` and `alpha` place the input axis; each crank has an arm r, a shift s of its ball along
+    its axis and an encoder offset q0; L is the rod. Angles alone do not see the scale, so one
+    length must be known, and a second one where the axes meet (a = 0) as in a Delta.
+    """
+
+    joints = ("input",)
+    moves = ("rz",)
+    controls = ("rz",)
+    parameters = ParameterTable(
+        [
+            Parameter("a", "m", 0.0, 1 * MM, "axes"),
+            Parameter("alpha", "rad", -120 * DEGREE, 0.5 * DEGREE, "axes"),
+            Parameter("input.r", "m", ARM, 0.5 * MM, "arms"),
+            Parameter("input.s", "m", ALONG, 1 * MM, "arms"),
+            Parameter("input.q0", "rad", -90 * DEGREE, 1 * DEGREE, "arms"),
+            Parameter("output.r", "m", ARM, 0.5 * MM, "arms"),
+            Parameter("output.s", "m", -ALONG, 1 * MM, "arms"),
+            Parameter("output.q0", "rad", -90 * DEGREE, 1 * DEGREE, "arms"),
+            Parameter("L", "m", ROD, 0.5 * MM, "rod"),
+        ]
+    )
+    fixed = ("L", "input.r")
+    home = Home(joints=(ANGLE,), quaternion=(0.0, 0.0, np.sin(ANGLE / 2), np.cos(ANGLE / 2)))
+    workspace = Workspace(low=(ANGLE - 55 * DEGREE,), high=(ANGLE + 55 * DEGREE,))
+    joint_limits = ((-30 * DEGREE, 135 * DEGREE),)
+    length = ARM
+
+    def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
+        """(|BC|^2 - L^2) / 2 L: length error of the rod, in metres."""
+        C = ca.vertcat(p.a, 0, 0) + rot_x(p.alpha) @ rot_z(q[0]) @ self.ball(p.input)
+        CB = R @ self.ball(p.output) - C
+        return (ca.dot(CB, CB) - p.L**2) / (2 * p.L)
+
+    @staticmethod
+    def ball(crank: Named) -> Any:
+        """A crank's ball at reading zero, its axis being z."""
+        return rot_z(crank.q0)[:, 0] * crank.r + ca.vertcat(0, 0, crank.s)
+
+    def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
+        """Both output angles: the rod's ball meets the output circle twice (cf. eq. 6.24)."""
+        turned = _OutputAsJoint(q)
+        return [(ca.DM.zeros(3), rot_z(w)) for w in joint_angles(turned, None, None, p)[0]]
+
+    def joint_candidates(self, r: Any, R: Any, p: Named) -> list[tuple[Any, ...]]:
+        """Both input angles (eq. 6.24)."""
+        return joint_angles(self, r, R, p)
+
+
+class _OutputAsJoint(Rssr):
+    """The same loop with the output angle for a joint: the direct problem as an inverse one."""
+
+    def __init__(self, q: Any):
+        self._q = q
+
+    def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
+        return Rssr.closure(self, self._q, ca.DM.zeros(3), rot_z(q[0]), p)

@@ -1,0 +1,85 @@
+"""Stewart platform with perfect ball joints, 42 parameters (section 3.3.2, eq. 3.8)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from parallel_cal.mechanism import Home, Mechanism, Workspace
+from parallel_cal.parameters import Named, Parameter, ParameterTable
+
+DEGREE = np.pi / 180
+BASE_RADIUS, PLATFORM_RADIUS, HEIGHT, RETRACTED = 0.25, 0.15, 0.3, 0.25  # m
+# Joints come in pairs 20 degrees apart; each leg leads to the nearer pair of the platform.
+BASE_ANGLES = (-10, 10, 110, 130, 230, 250)
+PLATFORM_ANGLES = (-50, 50, 70, 170, 190, 290)
+
+
+def hexagon(radius: float, degrees: tuple[float, ...]) -> np.ndarray:
+    """Six points (6, 3) on a circle in the plane z = 0."""
+    angles = np.radians(degrees)
+    return radius * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(len(angles))])
+
+
+def leg_parameters(platform: np.ndarray, base: np.ndarray, retracted: float) -> ParameterTable:
+    """Ball centres B in {P} and C in {B}, each (6, 3) m, and the length at reading zero."""
+    points = {"B": platform, "C": base}
+    return ParameterTable(
+        parameter
+        for i in range(6)
+        for parameter in (
+            *[
+                Parameter(f"leg{i + 1}.{name}_{axis}", "m", float(value), 1e-3, f"{name} balls")
+                for name, rows in points.items()
+                for axis, value in zip("xyz", rows[i], strict=True)
+            ],
+            Parameter(f"leg{i + 1}.L0", "m", retracted, 1e-3, "offset"),
+        )
+    )
+
+
+PLATFORM, BASE = hexagon(PLATFORM_RADIUS, PLATFORM_ANGLES), hexagon(BASE_RADIUS, BASE_ANGLES)
+LENGTH = float(np.linalg.norm(PLATFORM[0] + [0, 0, HEIGHT] - BASE[0]))  # of all legs, at home
+
+
+class Stewart42(Mechanism):
+    """Six legs of measured length between points B of the platform and C of the base (6-SPS).
+
+    The nominal one has both hexagons flat; any other takes its nominal values from its file.
+    """
+
+    joints = tuple(f"leg{i + 1}" for i in range(6))
+    joint_unit = "m"
+    parameters = leg_parameters(PLATFORM, BASE, RETRACTED)
+    home = Home(joints=(LENGTH - RETRACTED,) * 6, position=(0.0, 0.0, HEIGHT))
+    workspace = Workspace(
+        low=(-0.04, -0.04, HEIGHT - 0.03, *(-10 * DEGREE,) * 3),
+        high=(0.04, 0.04, HEIGHT + 0.03, *(10 * DEGREE,) * 3),
+    )
+    joint_limits = ((0.0, 0.2),) * 6
+    length = PLATFORM_RADIUS
+
+    def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
+        """Eq. 3.8 without the squares: length error of each leg, in metres, q + L0 long."""
+        legs = [p[f"leg{i + 1}"] for i in range(6)]
+        return ca.vertcat(*[self.span(r, R, c) - (q[i] + c.L0) for i, c in enumerate(legs)])
+
+    @staticmethod
+    def span(r: Any, R: Any, c: Named) -> Any:
+        """Distance between the ball centres of one leg."""
+        B, C = c.vector("B_x", "B_y", "B_z"), c.vector("C_x", "C_y", "C_z")
+        return ca.norm_2(r + R @ B - C)
+
+    def rods(self, q: Any, p: Named) -> tuple[list[Any], list[Any], list[Any]]:
+        """The six legs' ends C in {B} and B in {P}, (3, 1) each, and their lengths."""
+        legs = [p[f"leg{i + 1}"] for i in range(6)]
+        C = [c.vector("C_x", "C_y", "C_z") for c in legs]
+        B = [c.vector("B_x", "B_y", "B_z") for c in legs]
+        return C, B, [q[i] + c.L0 for i, c in enumerate(legs)]
+
+    def joint_candidates(self, r: Any, R: Any, p: Named) -> list[tuple[Any, ...]]:
+        """The only solution: a leg's length is positive."""
+        legs = [p[f"leg{i + 1}"] for i in range(6)]
+        return [(self.span(r, R, c) - c.L0,) for c in legs]

@@ -1,0 +1,153 @@
+"""The Argos from lines, pantograph bars and points in space (section 3.5, figures 3.14a and b).
+
+Each chain is built as it would be on a bench: a motor's line, a pantograph hinged to the part that
+the motor turns, and a ball at the long end of the pantograph's distal bar. The pantograph's swing
+is an unknown here: no closure without passive joints is written down.
+SI units: the unit sphere of the thesis has the mock-up's radius, 110 mm.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+from virtual_robot import Array, Parameters, apply, solve, stack, turn
+from virtual_stewart import Assembly
+
+SPHERE = 0.11
+RIGHT = np.pi / 2
+# Table 5.21: nominal angles (degrees) and lengths (mm) of the mock-up; eq. 3.27.
+ANGLES = {
+    **{"chain1.alpha0": -45, "chain2.alpha0": 45, "chain3.alpha0": -45},
+    **{"chain2.Phi": 90, "chain2.phi": 90},
+    **{"chain3.Omega": 90, "chain3.Phi": 90, "chain3.omega": 90, "chain3.phi": -90},
+}
+TABLE_5_21 = {name: float(np.radians(value)) for name, value in ANGLES.items()}
+for _i in (1, 2, 3):
+    TABLE_5_21 |= {f"chain{_i}.{name}": 0.0 for name in ("da", "dc", "dR")}
+    TABLE_5_21 |= {f"chain{_i}.gamma": RIGHT, f"chain{_i}.R": SPHERE}
+TABLE_5_21 |= {"chain2.dC": 0.0, "chain3.dA": 0.0, "chain3.dC": 0.0}
+# Table 5.22: the nine angles as identified.
+ANGLES_5_22 = {
+    **{"chain1.alpha0": -44.02, "chain2.alpha0": 47.89, "chain3.alpha0": -42.17},
+    **{"chain2.Phi": 91.27, "chain2.phi": 89.82},
+    **{"chain3.Omega": 90.45, "chain3.Phi": 91.85, "chain3.omega": 91.18, "chain3.phi": -87.56},
+}
+TABLE_5_22 = TABLE_5_21 | {name: float(np.radians(v)) for name, v in ANGLES_5_22.items()}
+
+
+class Line(NamedTuple):
+    """A line in space with a mark on it: a point, the line's direction and a direction across."""
+
+    point: Array
+    along: Array
+    across: Array
+
+    def next(self, turned: Array, slide: Array, step: Array, twist: Array) -> Line:
+        """The line reached along the common normal (table 3.15, DH with x on the joint's axis).
+
+        Turn `across` about this line, slide along the line, step along `across`, twist about it.
+        """
+        across = apply(turn(self.along * turned[..., None]), self.across)
+        point = self.point + self.along * slide[..., None] + across * step[..., None]
+        return Line(point, apply(turn(across * twist[..., None]), self.along), across)
+
+
+X_AXIS = Line(np.zeros(3), np.array([1.0, 0, 0]), np.array([0, 0, 1.0]))
+
+
+class Pantograph(NamedTuple):
+    """Joints of three pantographs, each (..., 3 chains, 3): two on the motor's part, two on the
+    distal bar, and the ball at that bar's long end."""
+
+    near: Array
+    far: Array
+    near_end: Array
+    far_end: Array
+    ball: Array
+    hinge: Array
+
+
+class Argos(Assembly):
+    """Three pantographs on motor lines that carry a platform by three balls (model 27)."""
+
+    controls = "rx ry rz"
+    home_turn = np.array([[1, -2, 2], [-2, 1, 2], [-2, -2, -1]]) / 3
+    home_joints = (0.0, 0.0, 0.0)
+
+    def __init__(self, parameters: Parameters) -> None:
+        super().__init__(parameters)
+        base = (self.values(name) for name in ("Omega", "dA", "dC", "Phi"))
+        self.motors = X_AXIS.next(*base)
+        zero = np.zeros(3)
+        self.balls = (
+            SPHERE * X_AXIS.next(self.values("omega"), zero, zero, self.values("phi")).along
+        )
+        self.offset, self.radius = self.values("alpha0"), self.values("R")
+
+    def values(self, name: str) -> Array:
+        """A number of each chain, zero where the frames {b} and {p} are placed to make it so."""
+        return stack(self.parameters.get(f"chain{i}.{name}", 0.0) for i in (1, 2, 3))
+
+    def hinges(self, q: Array) -> tuple[Array, Line]:
+        """Centres of the balls' circles, and the axes of the pantographs' hinges."""
+        arm = (self.values(name) for name in ("da", "dc", "gamma"))
+        axis = self.motors.next(q + self.offset, *arm)
+        return axis.point + axis.along * self.values("dR")[..., None], axis
+
+    def pantographs(self, q: Array, swing: Array, size: float = 0.05) -> Pantograph:
+        """Both bars turned on their hinges by `swing` from the arm's `across`.
+
+        The distal bar is parallel to the line of the hinges on the motor's part, and its long end
+        reaches as far beyond the near bar as that hinge lies outside: there is the ball.
+        """
+        centre, axis = self.hinges(q)
+        base = np.cross(axis.along, axis.across)
+        bar = apply(turn(axis.along * swing[..., None]), axis.across) * self.radius[..., None]
+        near, far = centre - 2 * size * base, centre - 3 * size * base
+        side = (near - far) / size
+        return Pantograph(
+            near, far, near + bar, far + bar, near + bar + 2 * size * side, axis.along
+        )
+
+    def hidden(self, q: Array, r: Array, R: Array) -> Array:
+        """The swings that bring the pantographs' balls nearest to the platform's."""
+        centre, axis = self.hinges(q)
+        reach = self.sockets(r, R) - centre
+        height = np.sum(reach * axis.across, -1)
+        return np.arctan2(np.sum(np.cross(axis.across, reach) * axis.along, -1), height)
+
+    def sockets(self, r: Array, R: Array) -> Array:
+        """Where the platform at pose (r, R) wants the balls, shape (..., 3 chains, 3)."""
+        return r[..., None, :] + apply(R[..., None, :, :], self.balls)
+
+    def gaps(self, q: Array, r: Array, R: Array, hidden: Array) -> Array:
+        """From the platform's sockets to the pantographs' balls, nine coordinates."""
+        apart = self.sockets(r, R) - self.pantographs(q, hidden).ball
+        return apart.reshape(*apart.shape[:-2], 9)
+
+    def turned(self, q: ArrayLike, start: ArrayLike) -> Array:
+        """The orientation with the centre held at the origin, for models 9 and nominal (3.23).
+
+        The balls cannot leave the sphere, so two gaps a chain remain; three swings and three
+        angles close them.
+        """
+        q, R0 = np.asarray(q, dtype=float), np.asarray(start, dtype=float)
+        r = np.zeros(3)
+
+        def gaps(u: Array) -> Array:
+            R = turn(u[:3]) @ R0
+            apart = self.gaps(q, r, R, u[3:]).reshape(3, 3)
+            sockets = self.sockets(r, R)
+            east = np.cross(sockets, sockets[[1, 2, 0]])
+            north = np.cross(sockets, east)
+            return np.concatenate([np.sum(apart * d, -1) / SPHERE**2 for d in (east, north)])
+
+        u = solve(gaps, np.concatenate([np.zeros(3), self.hidden(q, r, R0)]))
+        return turn(u[:3]) @ R0
+
+
+def spherical(parameters: Parameters) -> Parameters:
+    """Model 9's or the nominal model's parameters with all that they leave out at table 5.21."""
+    return {**TABLE_5_21, **parameters}

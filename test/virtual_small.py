@@ -1,0 +1,149 @@
+"""Small mechanisms from points and rods: slider-crank, RSSR loop, cable robot, linear Delta."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+from virtual_robot import Array, Parameters, about, apply, solve, stack
+from virtual_stewart import Assembly, Pose, _batch, _moved, column, numbered, vectors
+
+
+class SliderCrank(Assembly):
+    """A crank a, a rod b and a slider on the x-axis through the crank's axis (figure 5.3)."""
+
+    moves = controls = "x"
+    home = (0.1, 0.0, 0.0)
+    home_joints = (0.52,)
+
+    def pin(self, q: Array) -> Array:
+        """Where crank and rod meet."""
+        angle = q[..., 0] + self.parameters["q0"]
+        return self.parameters["a"] * stack([np.cos(angle), np.sin(angle), 0.0])
+
+    def gaps(self, q: Array, r: Array, R: Array, hidden: Array) -> Array:
+        """How far the rod is too short to reach from the crank's pin to the slider."""
+        return np.linalg.norm(r - self.pin(q), axis=-1, keepdims=True) - self.parameters["b"]
+
+
+class Rssr(Assembly):
+    """Two cranks joined by a rod with two balls: the short-cut set-up (figure 4.7, 9 parameters).
+
+    z is the output's axis, x the common normal to the input's axis, `a` away and twisted by `alpha`
+    about that normal. A crank's ball is r from its axis and s along it from the common normal; at
+    angle zero it stands on the normal's side. {P} is the output crank.
+    """
+
+    moves = controls = "rz"
+    home_turn = about("z", 1.14)
+    home_joints = (1.14,)
+
+    def ball(self, crank: str, angle: Array) -> Array:
+        """A crank's ball as seen from the foot of the common normal on its axis."""
+        r, s, q0 = (self.parameters[f"{crank}.{name}"] for name in ("r", "s", "q0"))
+        return stack([r * np.cos(angle + q0), r * np.sin(angle + q0), s])
+
+    def balls(self, q: Array, R: Array) -> tuple[Array, Array]:
+        """The rod's ends: on the input crank at q, on the output crank where R has turned it."""
+        lean = about("x", self.parameters["alpha"])
+        foot = stack([self.parameters["a"], 0.0, 0.0])
+        return foot + apply(lean, self.ball("input", q[..., 0])), apply(R, self.ball("output", 0.0))
+
+    def gaps(self, q: Array, r: Array, R: Array, hidden: Array) -> Array:
+        """How far the rod is too short to reach from ball to ball."""
+        one, other = self.balls(q, R)
+        return np.linalg.norm(one - other, axis=-1, keepdims=True) - self.parameters["L"]
+
+
+class Cable(Assembly):
+    """A point held by lines that are wound on spools (the Hangprinter's README).
+
+    A line's way from the origin is all that its spool gives: the motor turns the spool through a
+    gear, and tackle divides what the spool winds off.
+    """
+
+    moves = controls = "x y z"
+
+    def __init__(self, parameters: Parameters, spools: tuple[int, ...] = (1, 1, 1, 2)) -> None:
+        super().__init__(parameters)
+        lines = numbered("line", len(spools))
+        self.anchors = vectors(parameters, ["A_x", "A_y", "A_z"], lines)
+        self.offset = column(parameters, "offset", lines)
+        turns = 1 / column(parameters, "gear", lines)
+        radius = stack(parameters[f"spool{spool}.R"] for spool in spools)
+        self.way = radius * turns / column(parameters, "advantage", lines)
+        self.home_joints = np.zeros(len(spools))
+
+    def gaps(self, q: Array, r: Array, R: Array, hidden: Array) -> Array:
+        """How far each line is too short to reach from its anchor to the point."""
+        reach = np.linalg.norm(r[..., None, :] - self.anchors, axis=-1)
+        return reach - np.linalg.norm(self.anchors, axis=-1) - q * self.way - self.offset
+
+    def forward(self, q: ArrayLike, start: tuple[ArrayLike, ArrayLike] | None = None) -> Pose:
+        """The point that three lines hold; the others must agree, or ValueError."""
+        q = np.asarray(q, dtype=float)
+        r0, R0 = _batch(q.shape[:-1], *(start or (self.home, self.home_turn)))
+        pose = _moved(r0, R0, ["x", "y", "z"])
+        r, R = pose(solve(lambda u: self.gaps(q, *pose(u), u)[..., :3], np.zeros(r0.shape)))
+        if np.max(self.open_by(q, r, R), initial=0) > 1e-9:
+            raise ValueError("a line is slack or overstretched there")
+        return r, R
+
+    def inverse(
+        self,
+        r: ArrayLike | None = None,
+        R: ArrayLike | None = None,
+        start: ArrayLike | None = None,
+    ) -> tuple[Array, Array, Array]:
+        """Motor angles that wind every line taut at `r`; gears of many turns need no search."""
+        r = np.asarray(self.home if r is None else r, dtype=float)
+        R = np.broadcast_to(np.eye(3), (*r.shape[:-1], 3, 3))
+        still = np.zeros((*r.shape[:-1], len(self.way)))
+        return self.gaps(still, r, R, r[..., :0]) / self.way, r, R
+
+
+class LinearDelta(Assembly):
+    """Three carriages on rails, six rods to the platform: 3[P(2S/2S)] of table 3.1, 48 parameters.
+
+    As for the Delta (table 3.10), D leads from the balls' middle on the platform, thought to be
+    attached to the base, to the carriage at reading zero. A rail is vertical (or leans outwards by
+    `inclination`) but for small turns alpha about x, then beta about y; chains stand 120 degrees
+    apart. Platform balls are at b +- d, carriage balls at +- (d + dC), rods Lb +- dLb long.
+    """
+
+    controls = "x y z"
+    home = (0.0, 0.0, 0.1)
+    home_joints = (0.33, 0.33, 0.33)
+
+    def __init__(self, parameters: Parameters, inclination: float = 0.0) -> None:
+        super().__init__(parameters)
+        chains = numbered("chain", 3)
+
+        def vector(name: str) -> Array:
+            return vectors(parameters, [f"{name}_x", f"{name}_y", f"{name}_z"], chains)
+
+        frame = about("z", np.arange(3) * 2 * np.pi / 3)
+        lean = about("y", np.full(3, inclination))
+        small = [
+            about(axis, column(parameters, n, chains))
+            for axis, n in (("x", "alpha"), ("y", "beta"))
+        ]
+        self.rail = (frame @ lean @ small[0] @ small[1])[..., 2]
+        middle, half, error = vector("b") + vector("D"), vector("d"), vector("dC")
+        lengths = [
+            column(parameters, "Lb", chains) + s * column(parameters, "dLb", chains)
+            for s in (1, -1)
+        ]
+        self.carriages = [apply(frame, middle + s * (half + error)) for s in (1, -1)]
+        self.balls = [apply(frame, vector("b") + s * half) for s in (1, -1)]
+        self.rods = np.concatenate(lengths, -1)
+
+    def ends(self, q: Array, r: Array, R: Array) -> tuple[Array, Array]:
+        """The rods' ends on carriages and platform, shape (..., 6 rods, 3) each."""
+        slid = self.rail * q[..., None]
+        platform = [r[..., None, :] + apply(R[..., None, :, :], ball) for ball in self.balls]
+        return np.concatenate([c + slid for c in self.carriages], -2), np.concatenate(platform, -2)
+
+    def gaps(self, q: Array, r: Array, R: Array, hidden: Array) -> Array:
+        """How far each rod is too short to reach from ball to ball."""
+        carriage, platform = self.ends(q, r, R)
+        return np.linalg.norm(platform - carriage, axis=-1) - self.rods

@@ -1,0 +1,159 @@
+"""Stewart platforms from balls and legs, and how any robot of rigid parts is put together.
+
+Nothing here comes from the package: a robot is a list of gaps between parts that must touch, and
+a pose is found by moving the parts until the gaps are gone (`virtual_robot.solve`).
+SI units; every function takes batches, arrays of shape (..., 3).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+from virtual_robot import Array, Parameters, apply, solve, stack, turn
+
+Pose = tuple[Array, Array]
+POSE = ["x", "y", "z", "rx", "ry", "rz"]
+
+
+def column(parameters: Parameters, name: str, members: Sequence[str]) -> Array:
+    """One number of each of a robot's legs, chains or lines: shape (..., members)."""
+    return stack(parameters[f"{member}.{name}"] for member in members)
+
+
+def vectors(parameters: Parameters, names: Sequence[str], members: Sequence[str]) -> Array:
+    """A point of each of a robot's legs, chains or lines: shape (..., members, 3).
+
+    `names` are its three coordinates; an empty name is a coordinate that is zero.
+    """
+    zero = np.zeros(len(members))
+    return stack(column(parameters, name, members) if name else zero for name in names)
+
+
+def numbered(what: str, count: int) -> list[str]:
+    """leg1, leg2, ..."""
+    return [f"{what}{i}" for i in range(1, count + 1)]
+
+
+class Assembly:
+    """Rigid parts that must touch; a sibling says what moves, what is driven, and what gaps.
+
+    `moves` are the pose coordinates the structure leaves free, `controls` those that are chosen
+    in the inverse problem. `hidden` passive joints may be unknowns as well.
+    """
+
+    moves = "x y z rx ry rz"
+    controls = "x y z rx ry rz"
+    home: ArrayLike = (0.0, 0.0, 0.0)
+    home_turn: ArrayLike = np.eye(3)
+    home_joints: ArrayLike
+
+    def __init__(self, parameters: Parameters) -> None:
+        self.parameters = parameters
+
+    def gaps(self, q: Array, r: Array, R: Array, hidden: Array) -> Array:
+        """Distances between parts that ought to touch, metres, shape (..., gaps)."""
+        raise NotImplementedError
+
+    def hidden(self, q: Array, r: Array, R: Array) -> Array:
+        """Passive joints that bring the parts about together; none, unless a sibling has some."""
+        return np.zeros((*np.shape(r)[:-1], 0))
+
+    def open_by(self, q: ArrayLike, r: ArrayLike, R: ArrayLike) -> Array:
+        """The largest gap with the passive joints where they fit best, shape (...)."""
+        q, r, R = (np.asarray(part, dtype=float) for part in (q, r, R))
+        return np.abs(self.gaps(q, r, R, self.hidden(q, r, R))).max(axis=-1)
+
+    def forward(self, q: ArrayLike, start: tuple[ArrayLike, ArrayLike] | None = None) -> Pose:
+        """The pose (r, R) that the joints `q` hold, nearest to `start`."""
+        q = np.asarray(q, dtype=float)
+        r0, R0 = _batch(q.shape[:-1], *(start or (self.home, self.home_turn)))
+        pose, n = _moved(r0, R0, self.moves.split()), len(self.moves.split())
+        u = np.concatenate([np.zeros((*q.shape[:-1], n)), self.hidden(q, r0, R0)], -1)
+        u = solve(lambda u: self.gaps(q, *pose(u[..., :n]), u[..., n:]), u)
+        return pose(u[..., :n])
+
+    def inverse(
+        self,
+        r: ArrayLike | None = None,
+        R: ArrayLike | None = None,
+        start: ArrayLike | None = None,
+    ) -> tuple[Array, Array, Array]:
+        """Joints q that reach the controlled coordinates of (r, R), and the pose that follows."""
+        given = self.home if r is None else r, self.home_turn if R is None else R
+        shape = np.broadcast_shapes(np.shape(given[0])[:-1], np.shape(given[1])[:-2])
+        r0, R0 = _batch(shape, *given)
+        q0 = np.asarray(self.home_joints if start is None else start, dtype=float)
+        q0 = np.broadcast_to(q0, (*shape, q0.shape[-1]))
+        follows = [c for c in self.moves.split() if c not in self.controls.split()]
+        pose, n, m = _moved(r0, R0, follows), q0.shape[-1], q0.shape[-1] + len(follows)
+        u = np.concatenate([q0, np.zeros((*shape, m - n)), self.hidden(q0, r0, R0)], -1)
+        u = solve(lambda u: self.gaps(u[..., :n], *pose(u[..., n:m]), u[..., m:]), u)
+        return u[..., :n], *pose(u[..., n:m])
+
+
+def _batch(shape: tuple[int, ...], r: ArrayLike, R: ArrayLike) -> Pose:
+    r, R = np.asarray(r, dtype=float), np.asarray(R, dtype=float)
+    return np.broadcast_to(r, (*shape, 3)), np.broadcast_to(R, (*shape, 3, 3))
+
+
+def _moved(r0: Array, R0: Array, coordinates: Sequence[str]) -> Callable[[Array], Pose]:
+    """Poses near (r0, R0): shifts along, and turns about, some of the base's axes."""
+    places = [POSE.index(c) for c in coordinates]
+
+    def pose(u: Array) -> Pose:
+        move = np.zeros((*r0.shape[:-1], 6))
+        move[..., places] = u
+        return r0 + move[..., :3], turn(move[..., 3:]) @ R0
+
+    return pose
+
+
+class Stewart(Assembly):
+    """Six legs between balls B on the platform and balls C on the base (figure 3.8, eq. 3.8).
+
+    A leg is as long as its transducer reads plus its offset L0.
+    """
+
+    home = (0.0, 0.0, 0.3)
+    legs = numbered("leg", 6)
+
+    def __init__(self, parameters: Parameters) -> None:
+        super().__init__(parameters)
+        self.platform = vectors(parameters, ["B_x", "B_y", "B_z"], self.legs)
+        self.base = vectors(parameters, ["C_x", "C_y", "C_z"], self.legs)
+        self.offset = column(parameters, "L0", self.legs)
+        self.home_joints = self.needed(np.asarray(self.home), np.eye(3)) - self.offset
+
+    def needed(self, r: Array, R: Array) -> Array:
+        """Ball to ball distances at pose (r, R), shape (..., legs)."""
+        balls = r[..., None, :] + apply(R[..., None, :, :], self.platform)
+        return np.linalg.norm(balls - self.base, axis=-1)
+
+    def gaps(self, q: Array, r: Array, R: Array, hidden: Array) -> Array:
+        """How far each leg is too short to reach from ball to ball."""
+        return self.needed(r, R) - q - self.offset
+
+
+class PlanarStewart(Stewart):
+    """Three legs in a plane (figure 3.2, eq. 3.4: 18 parameters).
+
+    With the transducer at zero the balls of a leg are L0 apart; then one ball slides along an axis
+    that is turned by delta against the line between the balls.
+    """
+
+    moves = controls = "x y rz"
+    home = (0.0, 0.0, 0.0)
+    legs = numbered("leg", 3)
+
+    def __init__(self, parameters: Parameters) -> None:
+        zero = {f"{leg}.{name}_z": 0.0 for leg in self.legs for name in "BC"}
+        super().__init__({**parameters, **zero})
+        lean = column(parameters, "delta", self.legs)
+        self.slide = stack([np.cos(lean), np.sin(lean)])
+
+    def gaps(self, q: Array, r: Array, R: Array, hidden: Array) -> Array:
+        """How far each leg's ball, slid by q, is from where the platform's ball is."""
+        ball = stack([self.offset, np.zeros(len(self.legs))]) + q[..., None] * self.slide
+        return self.needed(r, R) - np.linalg.norm(ball, axis=-1)
