@@ -1,0 +1,175 @@
+"""From the data of a model file to a model, each step trusting what the steps before checked."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from parallel_cal import modelchecks as checks
+from parallel_cal.effect import Effect, load_effect
+from parallel_cal.errors import ModelError, ModelFileError
+from parallel_cal.mechanism import Home, Mechanism, Workspace, load_mechanism, shelf_names
+from parallel_cal.model import Model, Noise
+from parallel_cal.modelschema import FilePart, suggestion, validated
+from parallel_cal.parameters import Parameter, ParameterTable
+from parallel_cal.yamltext import Document, Path
+
+VERSION = 1
+
+
+class Reader:
+    """One document on its way to a model; any step may raise ModelFileError."""
+
+    def __init__(self, document: Document):
+        self._document = document
+        self._error = document.error
+
+    def model(self) -> Model:
+        self._check_version()
+        mechanism, effects = self._mechanism(), self._effects()
+        hint = checks.Hint(self._document, _full_table(mechanism, effects))
+        file = validated(self._document, hint)
+        self._configure(mechanism, file)
+        entries = self._entries(file, mechanism, effects)
+        for path, parameter, entry in entries:
+            checks.number(self._document, path, parameter, entry.value)
+        table = _full_table(mechanism, effects)
+        sigmas = [entry.sigma for _, _, entry in entries]
+        return Model(
+            mechanism,
+            tuple(effects),
+            np.array([entry.value for _, _, entry in entries]),
+            covariance=checks.covariance(self._document, file.covariance, table, sigmas),
+            fixed=np.array([entry.fixed for _, _, entry in entries], dtype=bool),
+            noise=Noise(**dict(file.noise)),
+            history=tuple(file.history),
+            frames=dict(file.frames),
+        )
+
+    # ------------------------------------------------------------------ what the file is about
+
+    def _check_version(self) -> None:
+        data = self._document.data
+        if not isinstance(data, dict) or "parallel_cal" not in data:
+            raise self._error((), "not a model file: the key 'parallel_cal: 1' is missing")
+        version = data["parallel_cal"]
+        if version != VERSION or isinstance(version, bool):
+            raise self._error(
+                ("parallel_cal",),
+                f"version {version!r} found, expected {VERSION}: written by another release; "
+                "update parallel_cal or make the file anew",
+            )
+
+    def _mechanism(self) -> Mechanism:
+        entry = self._document.data.get("mechanism")
+        options = entry.get("options", {}) if isinstance(entry, dict) else {}
+        name = entry.get("name") if isinstance(entry, dict) else entry
+        known = shelf_names("mechanisms")
+        if not isinstance(name, str) or not isinstance(options, dict):
+            raise self._error(("mechanism",), f"{name!r} found, expected one of {', '.join(known)}")
+        try:
+            return load_mechanism(name, **options)
+        except ModelError as error:
+            raise self._unknown(("mechanism",), name, known, error) from None
+        except TypeError as error:
+            raise self._error(
+                ("mechanism", "options"), f"{[*options]} not taken: {error}"
+            ) from None
+
+    def _effects(self) -> list[Effect]:
+        entries = self._document.data.get("effects")
+        loaded: list[Effect] = []
+        for i, entry in enumerate(entries if isinstance(entries, list) else []):
+            name = entry.get("name") if isinstance(entry, dict) else None
+            if isinstance(name, str):  # anything else is the schema's business
+                loaded.append(self._effect(("effects", i, "name"), name, loaded))
+        return loaded
+
+    def _effect(self, path: Path, name: str, earlier: list[Effect]) -> Effect:
+        if any(effect.name == name for effect in earlier):
+            raise self._error(path, f"the effect '{name}' occurs twice")
+        try:
+            return load_effect(name)
+        except ModelError as error:
+            raise self._unknown(path, name, shelf_names("effects"), error) from None
+
+    def _unknown(
+        self, path: Path, name: str, known: list[str], error: ModelError
+    ) -> ModelFileError:
+        near = suggestion(name, known)
+        return self._error(path, f"{error}{near if 'did you mean' in near else ''}")
+
+    # ------------------------------------------------------------------ this robot's mechanism
+
+    def _configure(self, mechanism: Mechanism, file: FilePart) -> None:
+        """Give the mechanism this robot's joints, home, workspace, nominal values, tolerances."""
+        self._set_joints(mechanism, file)
+        n, controls = len(mechanism.joints), mechanism.controls
+        if file.home is not None:
+            self._check_length(("home", "joints"), file.home.joints, n, "one for each joint")
+            if not any(file.home.quaternion):
+                raise self._error(("home", "quaternion"), "all zeros, expected a rotation x y z w")
+            mechanism.home = Home(*(tuple(v) for _, v in file.home))
+        if file.workspace is not None:
+            for key, values in file.workspace:
+                what = f"one for each of {', '.join(controls)}"
+                self._check_length(("workspace", key), values, len(controls), what)
+            mechanism.workspace = Workspace(*(tuple(v) for _, v in file.workspace))
+        mechanism.parameters = self._own_table(mechanism, file)
+
+    def _set_joints(self, mechanism: Mechanism, file: FilePart) -> None:
+        """Names in messages and limits; the order is the mechanism's."""
+        names, own = tuple(file.joints), mechanism.joints
+        expected = f"{mechanism.name} has {len(own)}: {', '.join(own)}"
+        found = f"found {', '.join(names) or 'none'}; {expected}"
+        if len(names) != len(own):
+            raise self._error(("joints",), f"{len(names)} joints, {found}")
+        if names != own and set(names) == set(own):
+            raise self._error(("joints",), f"joints in another order, {found}")
+        for name, joint in file.joints.items():
+            checks.joint(self._document, name, mechanism.joint_unit, joint)
+        mechanism.joints = names
+        mechanism.joint_limits = tuple(_limits(joint) for joint in file.joints.values())
+
+    def _own_table(self, mechanism: Mechanism, file: FilePart) -> ParameterTable:
+        names = mechanism.parameters.names
+        checks.names(self._document, ("parameters",), file.parameters, names)
+        own = []
+        for parameter in mechanism.parameters:
+            entry = file.parameters[parameter.name]
+            checks.unit(self._document, ("parameters", parameter.name), parameter, entry.unit)
+            own.append(replace(parameter, nominal=entry.nominal, tolerance=entry.tolerance))
+        return ParameterTable(own)
+
+    def _entries(
+        self, file: FilePart, mechanism: Mechanism, effects: Sequence[Effect]
+    ) -> list[tuple[Path, Parameter, Any]]:
+        """(key, parameter, entry) in the order of the parameter vector."""
+        found: list[tuple[Path, Parameter, Any]] = [
+            (("parameters", p.name), p, file.parameters[p.name]) for p in mechanism.parameters
+        ]
+        for i, (effect, part) in enumerate(zip(effects, file.effects, strict=True)):
+            path: Path = ("effects", i, "parameters")
+            short = {p.name.removeprefix(f"{effect.name}."): p for p in effect.table(mechanism)}
+            checks.names(self._document, path, part.parameters, short)
+            for name, parameter in short.items():
+                checks.unit(self._document, (*path, name), parameter, part.parameters[name].unit)
+                found.append(((*path, name), parameter, part.parameters[name]))
+        return found
+
+    def _check_length(self, path: Path, values: Sequence[Any], n: int, what: str) -> None:
+        checks.length(self._document, path, values, n, what)
+
+
+def _full_table(mechanism: Mechanism, effects: Sequence[Effect]) -> ParameterTable:
+    tables = [effect.table(mechanism) for effect in effects]
+    return ParameterTable([*mechanism.parameters, *(p for table in tables for p in table)])
+
+
+def _limits(joint: Any) -> tuple[float, float]:
+    low = -math.inf if joint.low is None else joint.low
+    return low, math.inf if joint.high is None else joint.high
