@@ -1,0 +1,404 @@
+"""The command line `parallel-cal`: declarations only, work is imported where it is done."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from parallel_cal import __version__, console
+from parallel_cal.errors import ParallelCalError
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,  # rich would double the start-up time
+    pretty_exceptions_enable=False,
+    help="Kinematic calibration of parallel robots: compare the model with measurements, see "
+    "where it fails, add the missing effect, watch the error fall. All values are SI.",
+)
+
+ModelFile = Annotated[Path, typer.Argument(metavar="MODEL.yaml", help="model file")]
+Bag = Annotated[Path, typer.Argument(help="rosbag2 folder or file, or saved samples (.json)")]
+Out = Annotated[Path, typer.Option("-o", "--output", help="file to write")]
+OptionalOut = Annotated[
+    Path | None, typer.Option("-o", "--output", help="model file to write; none: only show")
+]
+Json = Annotated[bool, typer.Option("--json", help="one JSON document on stdout")]
+At = Annotated[
+    list[str] | None, typer.Option("--at", help="conditions, NAME=VALUE (temperature=25)")
+]
+Every = Annotated[bool, typer.Option("--all", help="all solutions, not only the home branch")]
+Solver = Annotated[str, typer.Option(help="newton, closed_form, or a file of solvers/")]
+Input = Annotated[Path | None, typer.Option("--input", help="CSV table of many problems")]
+Output = Annotated[Path | None, typer.Option("--output", help="CSV table of the answers")]
+Data = Annotated[
+    list[str] | None,
+    typer.Option("--data", help="how to read the recording, KEY=VALUE (measured_pose=/tracker)"),
+]
+Method = Annotated[str, typer.Option(help="identification method")]
+HoldOut = Annotated[float, typer.Option(min=0.0, max=0.5, help="share of poses left out in turn")]
+JointSigma = Annotated[
+    float | None, typer.Option(min=0.0, help="noise of joint readings, 1 sigma (rad or m)")
+]
+Free = Annotated[list[str] | None, typer.Option(help="free only parameters like PATTERN")]
+Fix = Annotated[list[str] | None, typer.Option(help="keep parameters like PATTERN fixed")]
+Prior = Annotated[bool, typer.Option("--prior", help="use tolerances as prior knowledge")]
+Force = Annotated[bool, typer.Option("--force", help="write in spite of the held-out errors")]
+EffectName = Annotated[str, typer.Argument(metavar="EFFECT", help="see 'parallel-cal effects'")]
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        console.say(f"parallel-cal {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="show the version")
+    ] = False,
+) -> None: ...
+
+
+# ------------------------------------------------------------------------------- models
+
+
+@app.command()
+def new(
+    mechanism: Annotated[str, typer.Argument(help="see 'parallel-cal mechanisms'")],
+    output: Out,
+    option: Annotated[
+        list[str] | None, typer.Option(metavar="KEY=VALUE", help="option of the mechanism")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Write a model file with a mechanism's nominal values."""
+    from parallel_cal.commands import models
+
+    models.new(mechanism, output, option or [], as_json)
+
+
+@app.command()
+def mechanisms(as_json: Json = False) -> None:
+    """List the mechanisms: joints, coordinates, parameters."""
+    from parallel_cal.commands import models
+
+    models.mechanisms(as_json)
+
+
+@app.command()
+def effects(as_json: Json = False) -> None:
+    """List the physical effects: what they are, what they need, what they resemble."""
+    from parallel_cal.commands import models
+
+    models.effects(as_json)
+
+
+# ------------------------------------------------------------------------------- kinematics
+
+
+@app.command()
+def direct(
+    model: ModelFile,
+    joints: Annotated[str | None, typer.Option(metavar="A B C", help="joints (rad or m)")] = None,
+    at: At = None,
+    every: Every = False,
+    solver: Solver = "newton",
+    table: Input = None,
+    output: Output = None,
+    as_json: Json = False,
+) -> None:
+    """Pose for given joints (forward kinematics)."""
+    from parallel_cal.commands import kinematics
+
+    values = _numbers(joints, "--joints")
+    _one_of(values, table, "--joints", every)
+    kinematics.direct(model, values, at or [], every, solver, table, output, as_json)
+
+
+@app.command()
+def inverse(
+    model: ModelFile,
+    position: Annotated[str | None, typer.Option(metavar="X Y Z", help="position (m)")] = None,
+    orientation: Annotated[
+        str | None, typer.Option(metavar="QX QY QZ QW", help="orientation (quaternion)")
+    ] = None,
+    at: At = None,
+    every: Every = False,
+    solver: Solver = "newton",
+    table: Input = None,
+    output: Output = None,
+    as_json: Json = False,
+) -> None:
+    """Joints for a given pose (inverse kinematics)."""
+    from parallel_cal.commands import kinematics
+
+    values = _numbers(position, "--position", 3)
+    quaternion = _numbers(orientation, "--orientation", 4)
+    _one_of(values or quaternion, table, "--position", every)
+    kinematics.inverse(model, values, quaternion, at or [], every, solver, table, output, as_json)
+
+
+# ------------------------------------------------------------------------------- recordings
+
+
+@app.command()
+def look(bag: Bag, data: Data = None, as_json: Json = False) -> None:
+    """Show what a recording holds: topics, samples, what was dropped and why, noise."""
+    from parallel_cal.commands import recordings
+
+    recordings.look(bag, data or [], as_json)
+
+
+@app.command()
+def simulate(
+    model: ModelFile,
+    output: Out,
+    effect: Annotated[
+        list[str] | None, typer.Option(metavar="NAME[:PARAM=VALUE,...]", help="hidden effect")
+    ] = None,
+    poses: Annotated[int, typer.Option(min=1, help="different poses")] = 74,
+    seed: Annotated[int, typer.Option(min=0, help="of poses and noise")] = 0,
+    replicates: Annotated[int, typer.Option(min=0, help="poses that are visited again")] = 0,
+    noise_off: Annotated[bool, typer.Option("--noise-off", help="perfect instruments")] = False,
+    storage: Annotated[str, typer.Option(help="mcap or sqlite3")] = "mcap",
+    as_json: Json = False,
+) -> None:
+    """Record a robot that does not exist: the model, some hidden effects, noise."""
+    from parallel_cal.commands import recordings
+
+    if replicates > poses:
+        raise typer.BadParameter(f"{replicates} replicates of {poses} poses")
+    recordings.simulate(
+        model, output, effect or [], poses, seed, replicates, noise_off, storage, as_json
+    )
+
+
+@app.command()
+def replay(
+    bag: Annotated[Path, typer.Argument(help="rosbag2 folder or file")],
+    rate: Annotated[float, typer.Option(min=0.001, help="times real time")] = 1.0,
+) -> None:
+    """Publish a recording on its topics, as the robot and the device did (needs ROS 2)."""
+    from parallel_cal.commands import recordings
+
+    recordings.replay(bag, rate)
+
+
+# ------------------------------------------------------------------------------- calibration
+
+
+@app.command()
+def fit(
+    model: ModelFile,
+    bag: Bag,
+    output: OptionalOut = None,
+    method: Method = "implicit",
+    hold_out: HoldOut = 0.25,
+    joint_sigma: JointSigma = None,
+    free: Free = None,
+    fix: Fix = None,
+    prior: Prior = False,
+    data: Data = None,
+    as_json: Json = False,
+) -> None:
+    """Identify the model's free parameters; show errors before, after and at poses left out."""
+    from parallel_cal.commands import calibration
+
+    options = _fit_options(method, hold_out, joint_sigma, free, fix, prior)
+    calibration.fit(model, bag, output, data or [], as_json, **options)
+
+
+@app.command()
+def compare(
+    model: ModelFile,
+    bag: Bag,
+    joint_sigma: JointSigma = None,
+    data: Data = None,
+    as_json: Json = False,
+) -> None:
+    """Errors of a model at every sample of a recording, worst first; fits nothing."""
+    from parallel_cal.commands import calibration
+
+    calibration.compare(model, bag, joint_sigma, data or [], as_json)
+
+
+@app.command()
+def add(
+    model: ModelFile,
+    effect: EffectName,
+    bag: Bag,
+    output: OptionalOut = None,
+    force: Force = False,
+    method: Method = "implicit",
+    hold_out: HoldOut = 0.25,
+    joint_sigma: JointSigma = None,
+    free: Free = None,
+    fix: Fix = None,
+    prior: Prior = False,
+    data: Data = None,
+    as_json: Json = False,
+) -> None:
+    """Add an effect and identify anew; refused when the error at poses left out does not fall."""
+    from parallel_cal.commands import calibration
+
+    options = _fit_options(method, hold_out, joint_sigma, free, fix, prior)
+    calibration.add(model, effect, bag, output, force, data or [], as_json, **options)
+
+
+@app.command()
+def remove(
+    model: ModelFile,
+    effect: EffectName,
+    bag: Bag,
+    output: OptionalOut = None,
+    force: Force = False,
+    method: Method = "implicit",
+    hold_out: HoldOut = 0.25,
+    joint_sigma: JointSigma = None,
+    free: Free = None,
+    fix: Fix = None,
+    prior: Prior = False,
+    data: Data = None,
+    as_json: Json = False,
+) -> None:
+    """Remove an effect and identify anew; refused when the error at poses left out rises."""
+    from parallel_cal.commands import calibration
+
+    options = _fit_options(method, hold_out, joint_sigma, free, fix, prior)
+    calibration.remove(model, effect, bag, output, force, data or [], as_json, **options)
+
+
+# ------------------------------------------------------------------------------- to see it work
+
+
+@app.command()
+def demo(
+    bag: Annotated[Path | None, typer.Option(help="another recording")] = None,
+    rate: Annotated[float, typer.Option(min=0.001, help="times real time")] = 20.0,
+    keep: Annotated[bool, typer.Option("--keep", help="leave the files it makes")] = False,
+    as_json: Json = False,
+) -> None:
+    """Calibrate a virtual robot from beginning to end (needs ROS 2)."""
+    from parallel_cal.commands import showing
+
+    showing.demo(bag, rate, keep, as_json)
+
+
+@app.command()
+def bench(
+    names: Annotated[list[str] | None, typer.Argument(help="which ones; none: all")] = None,
+) -> None:
+    """Run the measurements of speed and accuracy in bench/ (needs the repository)."""
+    from parallel_cal.commands import showing
+
+    showing.bench(names or [])
+
+
+# ------------------------------------------------------------------------------- arguments
+
+
+def _numbers(text: str | None, option: str, n: int | None = None) -> list[float] | None:
+    """`0.1 -0.2` or `0.1,-0.2` as numbers; wrong usage where it is not that."""
+    if text is None:
+        return None
+    try:
+        values = [float(word) for word in text.replace(",", " ").split()]
+    except ValueError:
+        raise typer.BadParameter(f"{option}: expected numbers, found '{text}'") from None
+    if n is not None and len(values) != n:
+        raise typer.BadParameter(f"{option}: expected {n} numbers, found {len(values)}")
+    return values
+
+
+def _one_of(values: list[float] | None, table: Path | None, option: str, every: bool) -> None:
+    if (values is None) == (table is None):
+        raise typer.BadParameter(f"give either {option} or --input")
+    if table is not None and every:
+        raise typer.BadParameter("--all is for one problem, not for --input")
+
+
+def _fit_options(
+    method: str,
+    hold_out: float,
+    joint_sigma: float | None,
+    free: list[str] | None,
+    fix: list[str] | None,
+    prior: bool,
+) -> dict[str, Any]:
+    return {
+        "method": method,
+        "hold_out": hold_out,
+        "joint_sigma": joint_sigma,
+        "free": _patterns(free),
+        "fix": _patterns(fix),
+        "prior": prior,
+    }
+
+
+def _patterns(given: list[str] | None) -> tuple[str, ...]:
+    return tuple(word for text in given or [] for word in text.replace(",", " ").split())
+
+
+def gathered(arguments: Sequence[str]) -> list[str]:
+    """`--joints 0.1 -0.2` as `--joints=0.1 -0.2`: an option cannot take any number of values."""
+    out: list[str] = []
+    taking = None
+    for argument in arguments:
+        if taking is not None and taking(argument):
+            out[-1] += ("" if out[-1].endswith("=") else " ") + argument
+            continue
+        taking = _TAKES.get(argument)
+        out.append(argument + "=" if taking else argument)
+    return [word[:-1] if word[:-1] in _TAKES else word for word in _split_at(out)]
+
+
+def _split_at(words: list[str]) -> list[str]:
+    """`--at=a=1 b=2` as two options."""
+    out: list[str] = []
+    for word in words:
+        if word.startswith("--at=") and " " in word:
+            out += [f"--at={item}" for item in word.removeprefix("--at=").split()]
+        else:
+            out.append(word)
+    return out
+
+
+def _is_number(word: str) -> bool:
+    try:
+        return bool([float(part) for part in word.split(",")])
+    except ValueError:
+        return False
+
+
+_TAKES = {
+    "--joints": _is_number,
+    "--position": _is_number,
+    "--orientation": _is_number,
+    "--at": lambda word: "=" in word and not word.startswith("-"),
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Entry point: exit 0 ok, 1 one clear line, 2 wrong usage."""
+    given = gathered(sys.argv[1:] if arguments is None else arguments)
+    try:
+        app(args=given, prog_name="parallel-cal")
+    except ParallelCalError as error:
+        console.error(str(error))
+        sys.exit(1)
+    except OSError as error:
+        console.error(f"{error.filename or 'file'}: {error.strerror or error}")
+        sys.exit(1)
+    except KeyboardInterrupt:
+        console.note("stopped")
+        sys.exit(130)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""What the commands of `parallel-cal` do, and how people and programs see their answers."""

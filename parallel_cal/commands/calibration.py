@@ -1,0 +1,129 @@
+"""Comparing, identifying, adding and removing effects."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from parallel_cal import console
+from parallel_cal.commands.recordings import bag_progress, data_options
+from parallel_cal.dataset import Dataset, load_dataset
+from parallel_cal.identification import compare as compared
+from parallel_cal.model import Model
+from parallel_cal.modelfile import model_hash, read_model, write_model
+from parallel_cal.steps import Step, added, fitted, removed
+
+ARCMIN = 60 * 180 / np.pi
+
+
+def fit(
+    model_file: Path, bag: Path, output: Path | None, data: list[str], as_json: bool, **options: Any
+) -> None:
+    model, dataset = _model_and_data(model_file, bag, data)
+    _finish(fitted(model, dataset, progress=console.progress, **options), output, as_json)
+
+
+def add(
+    model_file: Path,
+    effect: str,
+    bag: Path,
+    output: Path | None,
+    force: bool,
+    data: list[str],
+    as_json: bool,
+    **options: Any,
+) -> None:
+    model, dataset = _model_and_data(model_file, bag, data)
+    step = added(model, effect, dataset, force, progress=console.progress, **options)
+    _finish(step, output, as_json)
+
+
+def remove(
+    model_file: Path,
+    effect: str,
+    bag: Path,
+    output: Path | None,
+    force: bool,
+    data: list[str],
+    as_json: bool,
+    **options: Any,
+) -> None:
+    model, dataset = _model_and_data(model_file, bag, data)
+    step = removed(model, effect, dataset, force, progress=console.progress, **options)
+    _finish(step, output, as_json)
+
+
+def _model_and_data(model_file: Path, bag: Path, data: list[str]) -> tuple[Model, Dataset]:
+    model, options = read_model(model_file), data_options(data)
+    return model, load_dataset(bag, joints=model.joints, progress=bag_progress, **options)
+
+
+def _finish(step: Step, output: Path | None, as_json: bool) -> None:
+    """Write the model, then say what came out: a file that cannot be written is no success."""
+    document = step.document
+    if output is not None:
+        write_model(step.model, output)
+        document = document | {"output": str(output), "hash": model_hash(step.model)}
+    console.progress("", 1.0)
+    console.warn(step.warnings)
+    if as_json:
+        return console.emit(document)
+    _show_fit(document, step.model)
+
+
+def _show_fit(document: dict[str, Any], model: Model) -> None:
+    held = document["held_out"]
+    columns = {"before": document["before"], "after": document["after"]}
+    columns["left out, before"], columns["left out, after"] = held["before"], held["after"]
+    if document.get("noise_floor"):
+        columns["noise alone"] = document["noise_floor"]
+    console.say(
+        f"{document['samples']} samples, {document['rank']} of {document['free']} free parameters "
+        f"identified, chi2/dof {console.number(document['chi2_per_dof'])}"
+    )
+    console.errors_table(columns, model.mechanism.joint_unit)
+    rows = []
+    for name, p in document["parameters"].items():
+        if not p["fixed"]:
+            value, unit = console.readable(p["value"], p["unit"], 4)
+            change = console.readable(p["value"] - p["nominal"], p["unit"], 4)[0]
+            sigma = console.readable(p["sigma"], p["unit"], 4)[0]
+            rows.append((name, value, change, sigma, unit))
+    console.table(("parameter", "value", "from nominal", "sigma", "unit"), rows)
+    if "output" in document:
+        console.say(f"written: {document['output']} (sha256 {document['hash'][:12]})")
+
+
+def compare(
+    model_file: Path, bag: Path, joint_sigma: float | None, data: list[str], as_json: bool
+) -> None:
+    model, dataset = _model_and_data(model_file, bag, data)
+    document = compared(model, dataset, joint_sigma).document()
+    console.progress("", 1.0)
+    console.warn(dataset.warnings)
+    if as_json:
+        return console.emit(document)
+    columns = {"error": document}
+    if document.get("noise_floor"):
+        columns["noise alone"] = document["noise_floor"]
+    console.say(f"{document['samples']} samples")
+    console.errors_table(columns, model.mechanism.joint_unit)
+    console.say("worst samples:")
+    _show_rows(document["rows"][:10])
+
+
+def _show_rows(rows: list[dict[str, Any]]) -> None:
+    header = ("sample", "time [s]", "at [mm]", "error [um]", "|error| [um]", "turned [arcmin]")
+    console.table(
+        header,
+        [
+            (str(r["sample"]), console.number(r["time"], 1, 1),
+             console.vector(r["position"], 1e3, 1),
+             " ".join(console.number(v, 1e6, 0) for v in r["position_error"]),
+             console.number(r["position_norm"], 1e6, 0),
+             console.number(r["orientation_norm"], ARCMIN, 2))
+            for r in rows
+        ],
+    )  # fmt: skip

@@ -1,0 +1,98 @@
+"""The direct and inverse problem, one at a time or a table of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from parallel_cal import answers, console, solving
+from parallel_cal.errors import ParallelCalError
+from parallel_cal.files import write_atomically
+from parallel_cal.kinematics import Solutions
+from parallel_cal.model import Model
+from parallel_cal.modelfile import read_model
+from parallel_cal.tables import counts, direct_table, inverse_table
+
+
+def direct(
+    model_file: Path,
+    joints: list[float] | None,
+    at: list[str],
+    every: bool,
+    solver: str,
+    table: Path | None,
+    output: Path | None,
+    as_json: bool,
+) -> None:
+    model, conditions = _model_and_conditions(model_file, at)
+    if table is not None:
+        return _many(*direct_table(model, table, conditions, solver), output, as_json)
+    q = np.array(joints)
+    if len(q) != len(model.joints):
+        raise ParallelCalError(
+            f"--joints: {len(q)} values given, {model.mechanism.name} has {len(model.joints)} "
+            f"joints: {', '.join(model.joints)}"
+        )
+    _one(solving.direct(model, q, conditions, every, solver), model, as_json)
+
+
+def inverse(
+    model_file: Path,
+    position: list[float] | None,
+    quaternion: list[float] | None,
+    at: list[str],
+    every: bool,
+    solver: str,
+    table: Path | None,
+    output: Path | None,
+    as_json: bool,
+) -> None:
+    model, conditions = _model_and_conditions(model_file, at)
+    if table is not None:
+        return _many(*inverse_table(model, table, conditions, solver), output, as_json)
+    r = np.array(model.mechanism.home.position if position is None else position)
+    R = None if quaternion is None else answers.rotation_of(quaternion)
+    _one(solving.inverse(model, r, R, conditions, every, solver), model, as_json)
+
+
+def _model_and_conditions(model_file: Path, at: list[str]) -> tuple[Model, dict[str, float]]:
+    model = read_model(model_file)
+    conditions = answers.parse_conditions(model, at)
+    unused = [name for name in conditions if name not in model.conditions]
+    if unused:
+        console.warn([f"no effect of the model depends on {', '.join(unused)}"])
+    return model, conditions
+
+
+def _one(solutions: Solutions, model: Model, as_json: bool) -> None:
+    rows = answers.rows_of(solutions)
+    if as_json:
+        return console.emit({"solutions": rows})
+    unit = model.mechanism.joint_unit
+    name, factor = console.READABLE.get(unit, (unit, 1.0))
+    console.table(
+        ("status", "position [mm]", "quaternion x y z w", f"joints [{name}]", "residual [m]"),
+        [
+            (r["status"], console.vector(r["position"], 1e3, 4),
+             console.vector(r["quaternion"], 1, 7), console.vector(r["joints"], factor, 5),
+             f"{r['residual']:.1e}" if np.isfinite(r["residual"]) else "-")
+            for r in rows
+        ],
+    )  # fmt: skip
+
+
+def _many(text: str, found: Solutions, output: Path | None, as_json: bool) -> None:
+    if output is not None:
+        write_atomically(output, text)
+    statuses = counts(found)
+    summary = ", ".join(f"{n} {status}" for status, n in statuses.items()) or "no rows"
+    if as_json and output is None:
+        console.emit({"solutions": answers.rows_of(found)})
+    elif as_json:
+        console.emit({"output": str(output), "rows": len(found), "statuses": statuses})
+    elif output is None:
+        console.say(text.rstrip("\n"))
+        console.note(summary)
+    else:
+        console.say(f"{output}: {len(found)} rows, {summary}")

@@ -1,0 +1,115 @@
+"""Making a model file, and listing what there is to make one of."""
+
+from __future__ import annotations
+
+import sys
+from inspect import signature
+from pathlib import Path
+from typing import Any
+
+from parallel_cal import console
+from parallel_cal.effect import load_effect
+from parallel_cal.errors import ParallelCalError
+from parallel_cal.mechanism import Mechanism, load_class, load_mechanism, shelf_names
+from parallel_cal.model import new_model
+
+
+def new(mechanism: str, output: Path, options: list[str], as_json: bool) -> None:
+    """A nominal model file; an existing one is not overwritten."""
+    from parallel_cal.modelfile import model_hash, write_model
+
+    if output.exists():
+        raise ParallelCalError(f"{output}: exists already; remove it or give another name")
+    model = new_model(_mechanism(mechanism, options))
+    write_model(model, output)
+    document = {"file": str(output), "mechanism": mechanism, "hash": model_hash(model)}
+    if as_json:
+        return console.emit(document | {"parameters": len(model.table)})
+    console.say(f"{output}: {mechanism}, {len(model.table)} parameters at their nominal values")
+
+
+def _mechanism(name: str, options: list[str]) -> Mechanism:
+    """A mechanism with options KEY=VALUE, the value as in a model file (YAML)."""
+    from parallel_cal.yamltext import parse_yaml
+
+    given: dict[str, Any] = {}
+    for item in options:
+        key, equals, text = item.partition("=")
+        if not equals:
+            raise ParallelCalError(f"--option {item}: expected KEY=VALUE")
+        given[key] = parse_yaml(text, f"--option {key}").data
+    try:
+        return load_mechanism(name, **given)
+    except TypeError as error:
+        takes = ", ".join(_options_of(name)) or "none"
+        raise ParallelCalError(f"mechanism {name} ({error}); its options: {takes}") from None
+
+
+def _options_of(name: str) -> list[str]:
+    """The options of a mechanism, `links` or with its default `radius=0.1`."""
+    made = vars(load_class("mechanisms", name, Mechanism)).get("__init__")
+    if made is None:
+        return []
+    parameters = list(signature(made).parameters.values())[1:]
+    return [str(p.replace(annotation=p.empty)) for p in parameters]
+
+
+def mechanisms(as_json: bool) -> None:
+    rows = [_mechanism_row(name) for name in shelf_names("mechanisms")]
+    if as_json:
+        return console.emit({"mechanisms": rows})
+    header = ("mechanism", "joints", "parameters", "moves", "controls", "what")
+    console.table(
+        header,
+        [
+            (r["name"], str(len(r["joints"]) or "-"), str(r["parameters"] or "-"),
+             " ".join(r["moves"]), " ".join(r["controls"]), r["description"])
+            for r in rows
+        ],
+    )  # fmt: skip
+
+
+def _mechanism_row(name: str) -> dict[str, Any]:
+    cls: Any = load_class("mechanisms", name, Mechanism)
+    options = _options_of(name)
+    # One that cannot be built without options says so instead.
+    m = None if any("=" not in option for option in options) else cls()
+    return {
+        "name": name,
+        "joints": list(m.joints) if m else [],
+        "joint_unit": cls.joint_unit,
+        "parameters": len(m.parameters) if m else None,
+        "moves": list(m.moves if m else cls.moves),
+        "controls": list(m.controls if m else cls.controls),
+        "options": options,
+        "description": _sentence(sys.modules[cls.__module__].__doc__),
+    }
+
+
+def _sentence(doc: str | None) -> str:
+    return (doc or "").strip().split("\n\n")[0].replace("\n", " ")
+
+
+def effects(as_json: bool) -> None:
+    rows = [_effect_row(name) for name in shelf_names("effects")]
+    if as_json:
+        return console.emit({"effects": rows})
+    console.table(
+        ("effect", "needs", "what", "resembles"),
+        [
+            (r["name"], " ".join(r["needs"]) or "-", r["physics"], ", ".join(r["lookalikes"]))
+            for r in rows
+        ],
+    )
+
+
+def _effect_row(name: str) -> dict[str, Any]:
+    e = load_effect(name)
+    return {
+        "name": name,
+        "needs": list(e.needs),
+        "physics": e.physics,
+        "source": e.source,
+        "lookalikes": list(e.lookalikes),
+        "separated_by": e.separated_by,
+    }

@@ -1,0 +1,115 @@
+"""Steps of a calibration with their gate and their entry in the model file's history."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from parallel_cal.dataset import Dataset
+from parallel_cal.errors import FitError
+from parallel_cal.identification import Result, fit
+from parallel_cal.model import Model
+
+NEGLIGIBLE = 1.01  # a removal may raise the held-out error by a hundredth
+
+
+@dataclass(frozen=True)
+class Step:
+    """What a step leaves: the model to be written, the document to be shown, words of warning."""
+
+    model: Model
+    document: dict[str, Any]
+    warnings: tuple[str, ...]
+
+
+def fitted(model: Model, dataset: Dataset, **options: Any) -> Step:
+    """Identify the model's free parameters; options as in identification.fit (FitError)."""
+    result = fit(model, dataset, **options)
+    document = result.document()
+    ratio = held_out_ratio(document["held_out"]["before"], document["held_out"]["after"])
+    words = result.warnings
+    if ratio is not None and ratio >= 1:
+        words += (f"the error at poses left out did not fall (factor {ratio:.3f})",)
+    return _step("fit", result, document, words)
+
+
+def added(model: Model, effect: str, dataset: Dataset, force: bool = False, **options: Any) -> Step:
+    """Identify anew with one more effect; FitError when that does not help at poses left out.
+
+    What it must beat is the model without the effect, identified on the same data: otherwise
+    the re-identification of the geometry would pass for the effect's merit.
+    """
+    without = fit(model, dataset, **options).document()
+    result = fit(model.with_effect(effect), dataset, **options)
+    document = result.document()
+    document["held_out_without_effect"] = without["held_out"]["after"]
+    ratio = held_out_ratio(without["held_out"]["after"], document["held_out"]["after"])
+    words = _gate(
+        ratio, 1.0, force,
+        f"'{effect}' does not lower the error at poses left out", "add it",
+    )  # fmt: skip
+    return _step("add", result, document, (*result.warnings, *words), effect)
+
+
+def removed(
+    model: Model, effect: str, dataset: Dataset, force: bool = False, **options: Any
+) -> Step:
+    """Identify anew without one of the effects; FitError when that costs accuracy."""
+    smaller = model.without_effect(effect)
+    with_it = fit(model, dataset, **options).document()
+    result = fit(smaller, dataset, **options)
+    document = result.document()
+    document["held_out_with_effect"] = with_it["held_out"]["after"]
+    ratio = held_out_ratio(with_it["held_out"]["after"], document["held_out"]["after"])
+    words = _gate(
+        ratio, NEGLIGIBLE, force,
+        f"without '{effect}' the error at poses left out rises", "remove it",
+    )  # fmt: skip
+    return _step("remove", result, document, (*result.warnings, *words), effect)
+
+
+def _gate(ratio: float | None, limit: float, force: bool, what: str, do: str) -> tuple[str, ...]:
+    """A refusal, or with `force` a warning; nothing where the step is good."""
+    if ratio is not None and ratio < limit:
+        return ()
+    text = f"{what} ({'too few poses to tell' if ratio is None else f'factor {ratio:.3f}'})"
+    if force:
+        return (text,)
+    raise FitError(f"{text}; nothing was written. --force to {do} all the same")
+
+
+def held_out_ratio(
+    before: Mapping[str, float | None], after: Mapping[str, float | None]
+) -> float | None:
+    """Error after over before, the geometric mean of what was measured of the pose."""
+    ratios = [_ratio(before, after, f"{kind}_rms") for kind in ("position", "orientation")]
+    known = [r for r in ratios if r is not None]
+    if not known:
+        known = [r for r in [_ratio(before, after, "joint_rms")] if r is not None]
+    return math.exp(sum(math.log(r) for r in known) / len(known)) if known else None
+
+
+def _ratio(
+    before: Mapping[str, float | None], after: Mapping[str, float | None], key: str
+) -> float | None:
+    a, b = before.get(key), after.get(key)
+    return b / a if a and b else None
+
+
+def _step(
+    name: str,
+    result: Result,
+    document: dict[str, Any],
+    warnings: tuple[str, ...],
+    effect: str | None = None,
+) -> Step:
+    """The step's model with one more entry in its history: no date, so that it is repeatable."""
+    entry: dict[str, Any] = {"step": name}
+    if effect is not None:
+        entry["effect"] = effect
+    entry |= {key: document[key] for key in ("method", "samples", "dataset")}
+    entry |= {key: document[key] for key in ("before", "after", "held_out", "chi2_per_dof")}
+    model = replace(result.model, history=(*result.model.history, entry))
+    return Step(model, document, warnings)

@@ -1,0 +1,519 @@
+"""The command line: its documents, its exit codes, and that nothing else reaches stdout."""
+
+import csv
+import json
+import os
+import re
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from parallel_cal import __version__, cli
+from parallel_cal.dataset import load_dataset
+from parallel_cal.kinematics import Kinematics
+from parallel_cal.model import new_model
+from parallel_cal.modelfile import model_hash, read_model, write_model
+
+ROOT = Path(__file__).parents[1]
+IDENTIFIED = str(ROOT / "config" / "delta_mockup_identified.yaml")
+NOMINAL = str(ROOT / "config" / "delta_mockup_nominal.yaml")
+DELTA24 = str(ROOT / "config" / "delta24_mockup_identified.yaml")
+BAG = str(ROOT / "bags" / "delta_clean")
+E = {f"{k}_{m}" for k in ("position", "orientation", "joint") for m in ("mean", "rms")}
+
+
+@pytest.fixture(scope="module")
+def samples(tmp_path_factory):
+    """Both recordings as saved samples, which load sooner than bags."""
+    folder = tmp_path_factory.mktemp("samples")
+    for name in ("delta_clean", "delta_backlash"):
+        load_dataset(ROOT / "bags" / name).to_json(folder / f"{name}.json")
+    return folder
+
+
+@pytest.fixture
+def clean(samples):
+    return str(samples / "delta_clean.json")
+
+
+@pytest.fixture
+def backlash(samples):
+    return str(samples / "delta_backlash.json")
+
+
+@pytest.fixture
+def run(capsys):
+    """run(*arguments) -> (exit code, stdout, stderr)."""
+
+    def call(*arguments):
+        with pytest.raises(SystemExit) as ended:
+            cli.main([str(a) for a in arguments])
+        out, err = capsys.readouterr()
+        return ended.value.code, out, err
+
+    return call
+
+
+@pytest.fixture
+def document(run):
+    """document(*arguments): the one JSON document of a command that succeeds."""
+
+    def call(*arguments):
+        code, out, err = run(*arguments, "--json")
+        assert code == 0, err
+        assert out.count("\n") == 1
+        assert "NaN" not in out
+        return json.loads(out)
+
+    return call
+
+
+def fails(result, *words, code=1):
+    """A failure says one line on stderr, nothing on stdout."""
+    assert result[0] == code, result
+    assert result[1] == ""
+    if code == 1:
+        assert result[2].count("\n") == 1
+        assert result[2].startswith("error: ")
+    for word in words:
+        assert word in result[2]
+
+
+def child(*arguments):
+    return subprocess.run(
+        [sys.executable, "-m", "parallel_cal.cli", *arguments],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+# ------------------------------------------------------------------- starting up
+
+
+@pytest.mark.parametrize("command", ["--help", "mechanisms"])
+def test_it_starts_fast(command):
+    """0.3 s on an idle machine; CPU time, with room for a slower one."""
+    before = os.times()
+    assert child(command).returncode == 0
+    after = os.times()
+    used = after.children_user + after.children_system
+    assert used - before.children_user - before.children_system < 1.0
+
+
+def test_help_names_the_commands_that_exist_and_no_other():
+    listed = re.findall(r"^  (\w+) ", child("--help").stdout.split("Commands:")[1], flags=re.M)
+    assert listed == [
+        "new", "mechanisms", "effects", "direct", "inverse", "look", "simulate", "replay",
+        "fit", "compare", "add", "remove", "demo", "bench",
+    ]  # fmt: skip
+
+
+def test_help_imports_nothing_heavy():
+    code = (
+        "import sys; from parallel_cal import cli\n"
+        "print([m for m in ('numpy', 'casadi', 'pydantic', 'rosbags', 'rich.table') "
+        "if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_version_is_that_of_the_package(run):
+    assert run("--version")[1] == f"parallel-cal {__version__}\n"
+    assert f"version = {__version__}\n" in (ROOT / "setup.cfg").read_text()
+
+
+def test_wrong_usage_exits_with_2(run):
+    for arguments in (["nonsense"], ["direct"], ["fit", NOMINAL, BAG, "--hold-out", "2"]):
+        fails(run(*arguments), "Usage", code=2)
+
+
+def test_a_child_process_prints_the_error_in_one_line_and_exits_with_1():
+    done = child("direct", "no.yaml", "--joints", "1", "2", "3")
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr == "error: no.yaml: cannot be read: No such file or directory\n"
+
+
+# ------------------------------------------------------------------- models
+
+
+def test_new_writes_a_nominal_model_file(document, run, tmp_path):
+    path = tmp_path / "m.yaml"
+    made = document("new", "delta24", "-o", path)
+    model = read_model(path)
+    assert (model.values == new_model("delta24").values).all()
+    assert made["hash"] == model_hash(model)
+    fails(run("new", "delta24", "-o", path), "exists already")
+    fails(run("new", "delta99", "-o", tmp_path / "x.yaml"), "no mechanism 'delta99'")
+    fails(run("new", "serial", "-o", tmp_path / "x.yaml"), "serial", "links")
+
+
+def test_new_takes_options_of_a_mechanism(document, tmp_path):
+    links = "[{joint: R, axes: parallel, a: 0.3}, {joint: R, a: 0.2}, {axes: frame}]"
+    document("new", "serial", "--option", f"links={links}", "-o", tmp_path / "m.yaml")
+    assert len(read_model(tmp_path / "m.yaml").joints) == 2
+
+
+def test_mechanisms_and_effects_are_listed_with_what_they_need(document, run):
+    listed = {m["name"]: m for m in document("mechanisms")["mechanisms"]}
+    assert listed["delta54"]["parameters"] == 54
+    assert listed["delta24"]["moves"] == ["x", "y", "z"]
+    named = {e["name"]: e for e in document("effects")["effects"]}
+    assert named["backlash"]["needs"] == ["direction"]
+    assert "delta54" in run("mechanisms")[1]
+    assert "backlash" in run("effects")[1]
+
+
+# ------------------------------------------------------------------- direct and inverse
+
+
+def test_direct_prints_the_promised_document(document):
+    found = document("direct", IDENTIFIED, "--joints", "0.5", "0.5", "0.6")
+    (solution,) = found["solutions"]
+    assert set(found) == {"solutions"}
+    assert set(solution) == {"position", "quaternion", "joints", "residual", "status"}
+    expected = Kinematics(read_model(IDENTIFIED)).direct(np.array([0.5, 0.5, 0.6]))
+    assert solution["position"] == pytest.approx(expected.position, abs=1e-12)
+    assert solution["quaternion"] == pytest.approx(expected.quaternion, abs=1e-12)
+    assert solution["joints"] == [0.5, 0.5, 0.6]
+    assert solution["residual"] < 1e-12
+    assert solution["status"] == "converged"
+
+
+def test_inverse_undoes_direct(document):
+    pose = document("direct", IDENTIFIED, "--joints", "-0.1", "0.5", "6e-1")["solutions"][0]
+    position, quaternion = pose["position"], pose["quaternion"]
+    back = document("inverse", IDENTIFIED, "--position", *position)["solutions"][0]
+    assert back["joints"] == pytest.approx([-0.1, 0.5, 0.6], abs=1e-9)
+    turned = document("inverse", IDENTIFIED, "--position", *position, "--orientation", *quaternion)[
+        "solutions"
+    ][0]
+    assert turned["joints"] == pytest.approx(back["joints"], abs=1e-9)
+
+
+def test_numbers_may_be_negative_in_exponents_and_with_commas_and_options_may_come_first(document):
+    expected = document("direct", DELTA24, "--joints", "-0.1", "-1e-1", "0.2")
+    assert document("direct", "--joints", "-0.1", "-1e-1", "0.2", DELTA24) == expected
+    assert document("direct", DELTA24, "--joints=-0.1,-0.1,0.2") == expected
+    assert document("direct", DELTA24, "--joints", "-0.1,-1e-1,0.2") == expected
+
+
+def test_all_solutions_begin_with_the_home_branch(document):
+    one = document("direct", DELTA24, "--joints", "0.5", "0.5", "0.6")["solutions"]
+    every = document("direct", DELTA24, "--joints", "0.5", "0.5", "0.6", "--all")["solutions"]
+    assert len(every) == 2
+    assert every[0]["position"] == pytest.approx(one[0]["position"])
+    assert len(document("inverse", DELTA24, "--position", 0, 0, 0.2, "--all")["solutions"]) == 8
+
+
+def test_the_closed_form_agrees_with_newton_and_refuses_where_it_is_not_exact(document, run):
+    for command in (
+        ["direct", DELTA24, "--joints", "0.5", "0.5", "0.6"],
+        ["inverse", DELTA24, "--position", "0.01", "0", "0.2"],
+    ):
+        newton, closed = (document(*command, *more) for more in ([], ["--solver", "closed_form"]))
+        assert closed["solutions"][0]["status"] == "converged"
+        for key in ("position", "joints"):
+            assert closed["solutions"][0][key] == pytest.approx(newton["solutions"][0][key])
+    every = document(
+        "inverse", DELTA24, "--position", 0, 0, 0.2, "--all", "--solver", "closed_form"
+    )
+    assert len(every["solutions"]) == 8
+    refused = run("inverse", IDENTIFIED, "--position", 0, 0, 0.2, "--solver", "closed_form")
+    fails(refused, "closed_form is not exact", "newton")
+
+
+def test_an_unknown_solver_lists_those_that_exist(run):
+    result = run("direct", DELTA24, "--joints", 1, 1, 1, "--solver", "magic")
+    fails(result, "no solver 'magic'; there are newton, closed_form")
+
+
+def test_a_problem_without_solution_has_a_status_and_exit_code_0(document, run):
+    far = document("inverse", DELTA24, "--position", 0, 0, 2)["solutions"][0]
+    assert far["status"] == "unreachable"
+    nothing = document("direct", DELTA24, "--joints", "nan", 1, 1)["solutions"][0]
+    assert nothing["status"] == "invalid_input"
+    assert nothing["position"] == [None, None, None]
+    code, out, _ = run("inverse", DELTA24, "--position", 0, 0, 2)
+    assert code == 0
+    assert "unreachable" in out
+
+
+def test_joints_beyond_their_limits_are_said_to_be(document):
+    found = document("direct", DELTA24, "--joints", 2.5, 2.5, 2.5)["solutions"][0]
+    assert found["status"] in ("outside_limits", "unreachable")
+
+
+def test_the_wrong_number_of_joints_is_a_clear_error(run):
+    fails(run("direct", DELTA24, "--joints", 1, 2), "2 values given", "joint1, joint2, joint3")
+    fails(run("inverse", DELTA24, "--position", 1, 2), "expected 3 numbers", code=2)
+    fails(run("direct", DELTA24), "give either --joints or --input", code=2)
+    fails(
+        run("inverse", DELTA24, "--position", 0, 0, 0.2, "--orientation", 0, 0, 0, 0), "quaternion"
+    )
+
+
+def test_conditions_reach_the_effects_of_the_model(document, run, tmp_path):
+    model = new_model("delta24", {"backlash.joint1.width": 0.001}, ["backlash"])
+    write_model(model, tmp_path / "m.yaml")
+    command = ["direct", tmp_path / "m.yaml", "--joints", 0.5, 0.5, 0.5]
+    rest, up, down = (
+        np.array(document(*command, *more)["solutions"][0]["position"])
+        for more in ([], ["--at", "direction=1"], ["--at", "direction.joint1=-1", "temperature=30"])
+    )
+    assert np.linalg.norm(up - rest) > 1e-5
+    assert up - rest == pytest.approx(rest - down, rel=0.01)
+    assert "temperature" in run(*command, "--at", "temperature=30")[2]
+    fails(run(*command, "--at", "weather=1"), "no condition 'weather'")
+    fails(run(*command, "--at", "temperature=warm"), "expected NAME=NUMBER")
+
+
+def test_people_read_millimetres_and_degrees_with_their_unit(run):
+    _, out, _ = run("inverse", NOMINAL, "--position", 0, 0, 0.2)
+    assert "[mm]" in out
+    assert "[deg]" in out
+    assert "200.0000" in out
+    assert "30.65497" in out
+
+
+# ------------------------------------------------------------------- tables
+
+
+def rows(path):
+    with path.open() as stream:
+        return list(csv.DictReader(stream))
+
+
+def test_a_table_of_joints_gives_a_table_of_poses_and_bad_rows_a_status(document, tmp_path):
+    (tmp_path / "q.csv").write_text(
+        "joint1, joint2,joint3\n0.5,0.5,0.6\nx,1,1\n1,1\n,,\n0.5,0.5,inf\n-0.1,0.2,0.3\n"
+    )
+    summary = document(
+        "direct", IDENTIFIED, "--input", tmp_path / "q.csv", "--output", tmp_path / "p.csv"
+    )
+    assert summary["rows"] == 6
+    assert summary["statuses"] == {"invalid_input": 4, "converged": 2}
+    answers = rows(tmp_path / "p.csv")
+    assert [r["status"] for r in answers] == ["converged"] + ["invalid_input"] * 4 + ["converged"]
+    assert answers[1]["joint1"] == "x"
+    assert answers[1]["x"] == ""
+    expected = Kinematics(read_model(IDENTIFIED)).direct(np.array([0.5, 0.5, 0.6]))
+    assert float(answers[0]["z"]) == pytest.approx(expected.position[2], abs=1e-12)
+    assert float(answers[0]["residual"]) < 1e-12
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["p.csv", "q.csv"]
+
+
+def test_a_table_of_poses_gives_a_table_of_joints_with_every_solver(document, tmp_path):
+    (tmp_path / "p.csv").write_text(
+        "z,y,x,qx,qy,qz,qw\n0.2,0,0,0,0,0,1\n2,0,0,0,0,0,1\n.2,0,0,0,0,0,0\n"
+    )
+    for solver in ("newton", "closed_form"):
+        found = document("inverse", DELTA24, "--input", tmp_path / "p.csv", "--solver", solver)
+        statuses = [s["status"] for s in found["solutions"]]
+        assert statuses == ["converged", "unreachable", "invalid_input"]
+        assert found["solutions"][0]["position"] == [0, 0, 0.2]
+
+
+def test_a_table_may_carry_conditions(document, tmp_path):
+    write_model(
+        new_model("delta24", {"backlash.joint1.width": 0.001}, ["backlash"]), tmp_path / "m.yaml"
+    )
+    (tmp_path / "q.csv").write_text(
+        "joint1,joint2,joint3,direction.joint1\n.5,.5,.5,1\n.5,.5,.5,-1\n"
+    )
+    up, down = document("direct", tmp_path / "m.yaml", "--input", tmp_path / "q.csv")["solutions"]
+    assert up["position"] != down["position"]
+
+
+def test_without_output_the_table_goes_to_stdout(run, tmp_path):
+    (tmp_path / "q.csv").write_text("joint1,joint2,joint3\n.5,.5,.5\n")
+    code, out, err = run("direct", DELTA24, "--input", tmp_path / "q.csv")
+    assert code == 0
+    assert [line["status"] for line in csv.DictReader(out.splitlines())] == ["converged"]
+    assert "1 converged" in err
+
+
+def test_a_malformed_table_is_a_clear_error_and_writes_nothing(run, tmp_path):
+    for text, word in (
+        ("", "empty; expected a header"),
+        ("a,b,c\n1,2,3\n", "header 'a,b,c'; expected the columns joint1,joint2,joint3"),
+        ("joint1,joint2,joint2\n1,2,3\n", "expected the columns"),
+    ):
+        (tmp_path / "q.csv").write_text(text)
+        result = run(
+            "direct", DELTA24, "--input", tmp_path / "q.csv", "--output", tmp_path / "p.csv"
+        )
+        fails(result, "q.csv:1", word)
+    (tmp_path / "q.csv").write_bytes(b"\xff\xfe\x00")
+    fails(run("direct", DELTA24, "--input", tmp_path / "q.csv"), "not a CSV table")
+    fails(run("direct", DELTA24, "--input", tmp_path / "no.csv"), "cannot be read")
+    assert not (tmp_path / "p.csv").exists()
+
+
+def test_an_output_that_cannot_be_written_is_a_clear_error(run, tmp_path):
+    (tmp_path / "q.csv").write_text("joint1,joint2,joint3\n.5,.5,.5\n")
+    result = run(
+        "direct", DELTA24, "--input", tmp_path / "q.csv", "--output", tmp_path / "no" / "p.csv"
+    )
+    fails(result, "No such file or directory")
+
+
+# ------------------------------------------------------------------- calibration
+
+
+def test_fit_prints_the_promised_document_and_writes_the_model_with_its_history(document, tmp_path):
+    out = tmp_path / "out.yaml"
+    found = document("fit", NOMINAL, BAG, "-o", out)
+    assert set(found) >= {
+        "samples", "parameters", "before", "after", "held_out", "improvement", "chi2_per_dof",
+        "rank", "unidentifiable",
+    }  # fmt: skip
+    assert set(found["before"]) == set(found["after"]) == E
+    assert set(found["held_out"]) == {"before", "after"}
+    assert set(found["improvement"]) == {"position", "orientation", "joint"}
+    assert found["samples"] == 94
+    assert found["before"]["position_mean"] == pytest.approx(590e-6, rel=0.05)
+    assert found["held_out"]["after"]["position_mean"] < 50e-6
+    model = read_model(out)
+    parameter = found["parameters"]["chain1.D_x"]
+    assert set(parameter) >= {"value", "sigma", "nominal", "unit"}
+    assert model.value("chain1.D_x") == parameter["value"]
+    assert np.sqrt(model.covariance[0, 0]) == pytest.approx(parameter["sigma"])
+    assert found["hash"] == model_hash(model)
+    assert [step["step"] for step in model.history] == ["published", "fit"]
+    step = model.history[-1]
+    assert step["dataset"]["sha256"] == found["dataset"]["sha256"]
+    assert step["held_out"]["after"] == found["held_out"]["after"]
+
+
+def test_the_same_fit_gives_the_same_file(document, tmp_path, clean):
+    hashes = {document("fit", NOMINAL, clean, "-o", tmp_path / f"{k}.yaml")["hash"] for k in "ab"}
+    assert len(hashes) == 1
+
+
+def test_a_fit_can_free_and_fix_parameters_by_pattern(document, clean):
+    only = document("fit", NOMINAL, clean, "--free", "chain1.*", "--fix", "*.d_z,*.b_?")
+    free = [name for name, p in only["parameters"].items() if not p["fixed"]]
+    assert free
+    assert all(name.startswith("chain1.") for name in free)
+    assert "chain1.b_x" not in free
+
+
+def test_a_failed_fit_writes_nothing(run, tmp_path, clean):
+    few = tmp_path / "few"
+    assert run("simulate", NOMINAL, "--poses", 3, "-o", few)[0] == 0
+    fails(run("fit", NOMINAL, few, "-o", tmp_path / "out.yaml"), "different poses")
+    fails(run("fit", NOMINAL, clean, "-o", tmp_path / "out.yaml", "--method", "magic"), "no method")
+    fails(run("fit", NOMINAL, tmp_path / "no", "-o", tmp_path / "out.yaml"), "no such file")
+    fails(run("fit", NOMINAL, clean, "--free", "chain9.*"), "no parameter matches 'chain9.*'")
+    assert not (tmp_path / "out.yaml").exists()
+
+
+def test_add_lowers_the_error_and_remove_is_refused_where_it_would_raise_it(
+    document, run, tmp_path, backlash
+):
+    fitted, better, out = (tmp_path / f"{name}.yaml" for name in ("fitted", "better", "out"))
+    first = document("fit", NOMINAL, backlash, "-o", fitted)
+    found = document("add", fitted, "backlash", backlash, "-o", better)
+    assert found["before"] == pytest.approx(first["after"])
+    assert found["held_out"]["after"]["position_rms"] < first["held_out"]["after"]["position_rms"]
+    model = read_model(better)
+    assert [effect.name for effect in model.effects] == ["backlash"]
+    assert model.history[-1]["effect"] == "backlash"
+    assert model.value("backlash.joint1.width") == pytest.approx(3e-4, abs=1e-4)
+    fails(run("remove", better, "backlash", backlash, "-o", out), "rises", "--force")
+    assert not out.exists()
+    document("remove", better, "backlash", backlash, "-o", out, "--force")
+    assert read_model(out).effects == ()
+    fails(run("add", better, "backlash", backlash), "already has the effect")
+    fails(run("remove", fitted, "backlash", backlash), "has no effect 'backlash'")
+
+
+def test_add_is_refused_where_the_error_at_poses_left_out_does_not_fall(
+    document, run, tmp_path, clean
+):
+    out = tmp_path / "out.yaml"
+    fails(run("add", NOMINAL, "backlash", clean, "-o", out), "does not lower", "--force")
+    assert not out.exists()
+
+
+def test_compare_prints_errors_and_rows_worst_first(document, run, clean):
+    found = document("compare", IDENTIFIED, clean)
+    assert set(found) >= E
+    norms = [row["position_norm"] for row in found["rows"]]
+    assert len(norms) == found["samples"] == 94
+    assert norms == sorted(norms, reverse=True)
+    assert "um" in run("compare", IDENTIFIED, clean)[1]
+
+
+def test_people_see_the_fit_as_a_table_with_units(run, tmp_path, clean):
+    code, out, _ = run("fit", NOMINAL, clean, "-o", tmp_path / "out.yaml")
+    assert code == 0
+    for word in ("position error, mean", "um", "arcmin", "mm", "deg", "left out", "written:"):
+        assert word in out
+
+
+# ------------------------------------------------------------------- recordings and the rest
+
+
+def test_look_prints_what_a_recording_holds(document, run):
+    assert document("look", BAG)["samples"] == 94
+    assert document("look", BAG, "--data", "mode=continuous")["mode"] == "continuous"
+    assert "94 samples" in run("look", BAG)[1].replace("\n", " ")
+    fails(run("look", BAG, "--data", "mood=good"), "expected KEY=VALUE", "measured_pose")
+    fails(run("look", ROOT / "setup.cfg"), "not a rosbag2 recording")
+
+
+def test_topics_can_be_named(run, document):
+    assert document("look", BAG, "--data", "measured_pose=measured_pose")["samples"] == 94
+    fails(run("look", BAG, "--data", "measured_pose=/tracker"), "/tracker", "In the bag")
+
+
+def test_replay_without_ros_and_an_unknown_benchmark_are_clear_errors(run, monkeypatch):
+    monkeypatch.setattr("parallel_cal.commands.recordings.find_spec", lambda name: None)
+    fails(run("replay", BAG), "needs ROS 2")
+    fails(run("bench", "nonsense"), "no benchmark nonsense; there are")
+
+
+def test_ctrl_c_ends_without_a_traceback(run, monkeypatch):
+    from parallel_cal import dataset
+
+    def pressed(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(dataset, "load_dataset", pressed)
+    monkeypatch.setattr("parallel_cal.commands.calibration.load_dataset", pressed)
+    code, out, err = run("fit", NOMINAL, BAG)
+    assert code != 0
+    assert out == ""
+    assert "Traceback" not in err
+
+
+def test_a_broken_model_file_is_named_with_its_line(run, tmp_path):
+    text = Path(DELTA24).read_text().replace("0.075949", "75.949")
+    (tmp_path / "m.yaml").write_text(text)
+    result = run("direct", tmp_path / "m.yaml", "--joints", 1, 1, 1)
+    fails(result, "m.yaml:", "chain1.D_x.value", "is it in mm?")
+
+
+def test_renamed_joints_are_used_everywhere(document, tmp_path):
+    model = read_model(DELTA24)
+    model.mechanism.joints = ("a", "b", "c")
+    write_model(replace(model), tmp_path / "m.yaml")
+    (tmp_path / "q.csv").write_text("c,b,a\n0.6,0.5,0.5\n")
+    table = document("direct", tmp_path / "m.yaml", "--input", tmp_path / "q.csv")
+    one = document("direct", DELTA24, "--joints", 0.5, 0.5, 0.6)
+    assert table["solutions"][0]["position"] == pytest.approx(one["solutions"][0]["position"])
+
+
+def test_a_direct_problem_is_answered_soon():
+    begin = time.perf_counter()
+    assert child("direct", DELTA24, "--joints", "0.5", "0.5", "0.5", "--json").returncode == 0
+    assert time.perf_counter() - begin < 5
