@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from parallel_cal.effect import CONDITIONS
 from parallel_cal.errors import ModelError, SolveError
-from parallel_cal.kinematics import Solutions, Status
+from parallel_cal.kinematics import Kinematics, Solutions, Status
 from parallel_cal.model import Model
 from parallel_cal.rotation import quaternion_to_matrix
 
@@ -44,6 +44,24 @@ def rotation_of(quaternion: Sequence[float]) -> np.ndarray:
     if not np.isfinite(q).all() or np.linalg.norm(q) < 1e-9:
         raise SolveError(f"orientation {q.tolist()}: expected a quaternion x y z w, not all zero")
     return quaternion_to_matrix(q)
+
+
+def direct_covariances(model: Model, found: Solutions, at: Mapping[str, Any]) -> list[np.ndarray]:
+    """Covariance (6, 6) of each answered pose; ModelError where the model file has none."""
+    kinematics = _with_covariance(model)
+    return [kinematics.direct_covariance(s, at) for s in found]
+
+
+def inverse_covariances(model: Model, found: Solutions, at: Mapping[str, Any]) -> list[np.ndarray]:
+    """Covariance (nq, nq) of each answered joint set; ModelError likewise."""
+    kinematics = _with_covariance(model)
+    return [kinematics.inverse_covariance(s, at) for s in found]
+
+
+def _with_covariance(model: Model) -> Kinematics:
+    if model.covariance is None:
+        raise ModelError("the model file has no covariance: only an identified model knows it")
+    return Kinematics(model)
 
 
 def rows_of(solutions: Solutions) -> list[dict[str, Any]]:

@@ -32,6 +32,9 @@ At = Annotated[
     list[str] | None, typer.Option("--at", help="conditions, NAME=VALUE (temperature=25)")
 ]
 Every = Annotated[bool, typer.Option("--all", help="all solutions, not only the home branch")]
+Covariance = Annotated[
+    bool, typer.Option("--covariance", help="with the uncertainty carried from the fit")
+]
 Solver = Annotated[str, typer.Option(help="newton, closed_form, or a file of solvers/")]
 Input = Annotated[Path | None, typer.Option("--input", help="CSV table of many problems")]
 Output = Annotated[Path | None, typer.Option("--output", help="CSV table of the answers")]
@@ -44,7 +47,10 @@ HoldOut = Annotated[float, typer.Option(min=0.0, max=0.5, help="share of poses l
 JointSigma = Annotated[
     float | None, typer.Option(min=0.0, help="noise of joint readings, 1 sigma (rad or m)")
 ]
-Free = Annotated[list[str] | None, typer.Option(help="free only parameters like PATTERN")]
+Free = Annotated[
+    list[str] | None,
+    typer.Option(help="free parameters like PATTERN, too (narrower than --fix wins)"),
+]
 Fix = Annotated[list[str] | None, typer.Option(help="keep parameters like PATTERN fixed")]
 Prior = Annotated[bool, typer.Option("--prior", help="use tolerances as prior knowledge")]
 Force = Annotated[bool, typer.Option("--force", help="write in spite of the held-out errors")]
@@ -109,6 +115,7 @@ def direct(
     at: At = None,
     every: Every = False,
     solver: Solver = "newton",
+    covariance: Covariance = False,
     table: Input = None,
     output: Output = None,
     as_json: Json = False,
@@ -118,7 +125,7 @@ def direct(
 
     values = _numbers(joints, "--joints")
     _one_of(values, table, "--joints", every)
-    kinematics.direct(model, values, at or [], every, solver, table, output, as_json)
+    kinematics.direct(model, values, at or [], every, solver, covariance, table, output, as_json)
 
 
 @app.command()
@@ -131,6 +138,7 @@ def inverse(
     at: At = None,
     every: Every = False,
     solver: Solver = "newton",
+    covariance: Covariance = False,
     table: Input = None,
     output: Output = None,
     as_json: Json = False,
@@ -141,7 +149,9 @@ def inverse(
     values = _numbers(position, "--position", 3)
     quaternion = _numbers(orientation, "--orientation", 4)
     _one_of(values or quaternion, table, "--position", every)
-    kinematics.inverse(model, values, quaternion, at or [], every, solver, table, output, as_json)
+    kinematics.inverse(
+        model, values, quaternion, at or [], every, solver, covariance, table, output, as_json
+    )
 
 
 # ------------------------------------------------------------------------------- recordings

@@ -119,8 +119,9 @@ def fit(
 ) -> Result:
     """Identify a model's free parameters; errors at poses that the fit did not see.
 
-    `free`/`fix` are name patterns (`chain1.*`) on top of the model's own fixed ones; a bare
-    `free` frees nothing else. FitError where the data cannot carry it.
+    `free` and `fix` are name patterns (`chain1.*`) that change what the model file says; where
+    one set lies inside the other the narrower wins (`fix=["*"], free=["chain1.Lb"]`). FitError
+    where the data cannot carry it.
     """
     report = progress or (lambda stage, fraction: None)
     mask = _free_mask(model, free, fix)
@@ -169,11 +170,14 @@ def single_threaded() -> Any:
 
 
 def _free_mask(model: Model, free: Iterable[str], fix: Iterable[str]) -> np.ndarray:
-    free, fix = tuple(free), tuple(fix)
-    mask = model.table.matching(free) if free else ~np.asarray(model.fixed)
-    if fix:
-        fixed = model.table.matching(fix)
-        mask = mask & ~fixed
+    freed, fixed = model.table.matching(free), model.table.matching(fix)
+    own = ~np.asarray(model.fixed)
+    both, only_freed, only_fixed = freed & fixed, freed & ~fixed, fixed & ~freed
+    if both.any() and only_freed.any() == only_fixed.any():
+        names = [n for n, b in zip(model.table.names, both, strict=True) if b]
+        raise FitError(f"{', '.join(names)}: both freed and fixed; say which")
+    free_is_narrower = both.any() and not only_freed.any()
+    mask = (own & ~fixed) | freed if free_is_narrower else (own | freed) & ~fixed
     if not mask.any():
         raise FitError("no parameter is left free; give --free a pattern or fix fewer")
     return np.asarray(mask)

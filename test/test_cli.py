@@ -399,11 +399,19 @@ def test_the_same_fit_gives_the_same_file(document, tmp_path, clean):
 
 
 def test_a_fit_can_free_and_fix_parameters_by_pattern(document, clean):
-    only = document("fit", NOMINAL, clean, "--free", "chain1.*", "--fix", "*.d_z,*.b_?")
+    only = document("fit", NOMINAL, clean, "--fix", "*", "--free", "chain1.L*,chain2.Lb")
     free = [name for name, p in only["parameters"].items() if not p["fixed"]]
-    assert free
-    assert all(name.startswith("chain1.") for name in free)
-    assert "chain1.b_x" not in free
+    assert free == ["chain1.La_x", "chain1.La_y", "chain1.Lb", "chain2.Lb"]
+
+
+def test_answers_carry_the_uncertainty_of_the_fit_on_request(document, run, tmp_path, clean):
+    fitted = tmp_path / "fitted.yaml"
+    document("fit", NOMINAL, clean, "-o", fitted)
+    pose = document("direct", fitted, "--joints", "0.5 0.5 0.5", "--covariance")["solutions"][0]
+    assert 1e-6 < np.sqrt(pose["covariance"][0][0]) < 2e-5
+    joints = document("inverse", fitted, "--position", "0 0 0.2", "--covariance")["solutions"][0]
+    assert np.shape(joints["covariance"]) == (3, 3)
+    fails(run("direct", NOMINAL, "--joints", "0.5 0.5 0.5", "--covariance"), "has no covariance")
 
 
 def test_a_failed_fit_writes_nothing(run, tmp_path, clean):

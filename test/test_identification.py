@@ -218,15 +218,26 @@ def test_one_pose_repeated_is_one_pose():
         fit(new_model("delta54"), same)
 
 
-def test_masks_free_and_fix_by_pattern():
-    result = fit(
-        new_model("delta54"), measured(0), free=["chain1.*"], fix=["*.b_*", "*.d_z"], hold_out=0
-    )
-    assert result.free.sum() == 14
-    with pytest.raises(Exception, match="no parameter matches 'leg1"):
-        fit(new_model("delta54"), measured(0), free=["leg1.*"])
+def free_after(**masks):
+    return fit(new_model("delta54"), measured(0), hold_out=0, prior=True, **masks).free.sum()
+
+
+def test_masks_free_and_fix_by_pattern_and_the_narrower_one_wins():
+    assert free_after(free=["*.d_z"]) == 45
+    assert free_after(fix=["chain1.*"]) == 28
+    assert free_after(fix=["*"], free=["chain1.Lb", "chain2.Lb"]) == 2
+    assert free_after(free=["*"], fix=["*.b_?"]) == 45
+
+
+def test_masks_that_contradict_each_other_or_leave_nothing_are_errors():
+    with pytest.raises(FitError, match=r"chain1.Lb: both freed and fixed; say which"):
+        free_after(free=["chain1.Lb"], fix=["chain1.Lb"])
+    with pytest.raises(FitError, match=r"chain1.Lb: both freed and fixed"):
+        free_after(free=["*.Lb"], fix=["chain1.L?", "chain1.D_x"])
     with pytest.raises(FitError, match="no parameter is left free"):
-        fit(new_model("delta54"), measured(0), free=["chain1.*"], fix=["chain1.*"])
+        free_after(fix=["*"])
+    with pytest.raises(Exception, match="no parameter matches 'leg1"):
+        free_after(free=["leg1.*"])
 
 
 def test_missing_joints_conditions_methods_and_noise_are_clear_errors():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +23,7 @@ def direct(
     at: list[str],
     every: bool,
     solver: str,
+    covariance: bool,
     table: Path | None,
     output: Path | None,
     as_json: bool,
@@ -34,7 +37,9 @@ def direct(
             f"--joints: {len(q)} values given, {model.mechanism.name} has {len(model.joints)} "
             f"joints: {', '.join(model.joints)}"
         )
-    _one(solving.direct(model, q, conditions, every, solver), model, as_json)
+    found = solving.direct(model, q, conditions, every, solver)
+    known = answers.direct_covariances(model, found, conditions) if covariance else None
+    _one(found, model, known, _pose_sigma, as_json)
 
 
 def inverse(
@@ -44,6 +49,7 @@ def inverse(
     at: list[str],
     every: bool,
     solver: str,
+    covariance: bool,
     table: Path | None,
     output: Path | None,
     as_json: bool,
@@ -53,7 +59,9 @@ def inverse(
         return _many(*inverse_table(model, table, conditions, solver), output, as_json)
     r = np.array(model.mechanism.home.position if position is None else position)
     R = None if quaternion is None else answers.rotation_of(quaternion)
-    _one(solving.inverse(model, r, R, conditions, every, solver), model, as_json)
+    found = solving.inverse(model, r, R, conditions, every, solver)
+    known = answers.inverse_covariances(model, found, conditions) if covariance else None
+    _one(found, model, known, partial(_joint_sigma, model), as_json)
 
 
 def _model_and_conditions(model_file: Path, at: list[str]) -> tuple[Model, dict[str, float]]:
@@ -65,12 +73,20 @@ def _model_and_conditions(model_file: Path, at: list[str]) -> tuple[Model, dict[
     return model, conditions
 
 
-def _one(solutions: Solutions, model: Model, as_json: bool) -> None:
+def _one(
+    solutions: Solutions,
+    model: Model,
+    covariances: list[np.ndarray] | None,
+    words: Callable[[np.ndarray], str],
+    as_json: bool,
+) -> None:
     rows = answers.rows_of(solutions)
+    if covariances is not None:
+        for row, covariance in zip(rows, covariances, strict=True):
+            row["covariance"] = covariance
     if as_json:
         return console.emit({"solutions": rows})
-    unit = model.mechanism.joint_unit
-    name, factor = console.READABLE.get(unit, (unit, 1.0))
+    name, factor = _joint_unit(model)
     console.table(
         ("status", "position [mm]", "quaternion x y z w", f"joints [{name}]", "residual [m]"),
         [
@@ -80,6 +96,24 @@ def _one(solutions: Solutions, model: Model, as_json: bool) -> None:
             for r in rows
         ],
     )  # fmt: skip
+    for covariance in covariances or []:
+        sigma = np.sqrt(np.diag(covariance))
+        console.say(f"1 sigma from the fit: {words(sigma)}")
+
+
+def _pose_sigma(sigma: np.ndarray) -> str:
+    turned = console.vector(sigma[3:], 60 * 180 / np.pi, 3)
+    return f"position {console.vector(sigma[:3], 1e6, 1)} um, orientation {turned} arcmin"
+
+
+def _joint_sigma(model: Model, sigma: np.ndarray) -> str:
+    name, factor = _joint_unit(model)
+    return f"joints {console.vector(sigma, factor, 5)} {name}"
+
+
+def _joint_unit(model: Model) -> tuple[str, float]:
+    unit = model.mechanism.joint_unit
+    return console.READABLE.get(unit, (unit, 1.0))
 
 
 def _many(text: str, found: Solutions, output: Path | None, as_json: bool) -> None:
