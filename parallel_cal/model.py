@@ -15,7 +15,6 @@ from parallel_cal.effect import CONDITIONS, Effect, Seen, load_effect
 from parallel_cal.errors import ModelError
 from parallel_cal.mechanism import Mechanism, load_mechanism
 from parallel_cal.parameters import Named, ParameterTable
-from parallel_cal.rotation import left_generators
 
 
 class Structure:
@@ -72,8 +71,11 @@ class Structure:
     @cached_property
     def jacobian_pose(self) -> Any:
         """d phi / d (r, w) with R <- exp(w) R, shape (rows, 6)."""
-        turned = ca.jacobian(self.phi, self.R9) @ left_generators(self.R)
-        return ca.horzcat(ca.jacobian(self.phi, self.r), turned)
+        # Through a small left turn, not through R's nine entries: a third fewer operations.
+        w = ca.SX.sym("w", 3)
+        turned = ca.substitute(self.phi, self.R9, ca.vec((self.R + ca.skew(w) @ self.R).T))
+        by_turn = ca.substitute(ca.jacobian(turned, w), w, ca.DM.zeros(3))
+        return ca.horzcat(ca.jacobian(self.phi, self.r), by_turn)
 
     @cached_property
     def jacobian_configuration(self) -> Any:

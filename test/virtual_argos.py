@@ -35,6 +35,25 @@ ANGLES_5_22 = {
     **{"chain3.Omega": 90.45, "chain3.Phi": 91.85, "chain3.omega": 91.18, "chain3.phi": -87.56},
 }
 TABLE_5_22 = TABLE_5_21 | {name: float(np.radians(v)) for name, v in ANGLES_5_22.items()}
+# Table 5.25: model 27 as identified (degrees, mm); the nine angles' third row is lost in the scan
+# and stays nominal.
+_ROWS_5_25 = {
+    "chain1": {"alpha0": -39.33, "da": 2.39, "dc": -3.20, "gamma": 94.85, "dR": -4.95, "R": 105.86},
+    "chain2": {
+        **{"alpha0": 44.17, "Phi": 89.57, "phi": 90.43, "dC": 1.00},
+        **{"da": 4.65, "dc": -10.14, "gamma": 92.47, "dR": 13.56, "R": 98.31},
+    },
+    "chain3": {
+        **{"dA": 0.32, "dC": -0.05, "da": 2.19, "dc": 1.79},
+        **{"gamma": 91.89, "dR": -0.86, "R": 107.85},
+    },
+}
+_ANGULAR = ("alpha0", "Phi", "phi", "gamma")
+TABLE_5_25 = TABLE_5_21 | {
+    f"{chain}.{name}": float(np.radians(value)) if name in _ANGULAR else value * 1e-3
+    for chain, row in _ROWS_5_25.items()
+    for name, value in row.items()
+}
 
 
 class Line(NamedTuple):

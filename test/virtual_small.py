@@ -37,10 +37,11 @@ class Rssr(Assembly):
     home_turn = about("z", 1.14)
     home_joints = (1.14,)
 
-    def ball(self, crank: str, angle: Array) -> Array:
+    def ball(self, crank: str, angle: ArrayLike) -> Array:
         """A crank's ball as seen from the foot of the common normal on its axis."""
         r, s, q0 = (self.parameters[f"{crank}.{name}"] for name in ("r", "s", "q0"))
-        return stack([r * np.cos(angle + q0), r * np.sin(angle + q0), s])
+        angle = np.asarray(angle) + q0
+        return stack([r * np.cos(angle), r * np.sin(angle), s])
 
     def balls(self, q: Array, R: Array) -> tuple[Array, Array]:
         """The rod's ends: on the input crank at q, on the output crank where R has turned it."""

@@ -7,7 +7,8 @@ SI units; every function takes batches, arrays of shape (..., 3).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -50,7 +51,7 @@ class Assembly:
     home_joints: ArrayLike
 
     def __init__(self, parameters: Parameters) -> None:
-        self.parameters = parameters
+        self.parameters: Mapping[str, Any] = parameters
 
     def gaps(self, q: Array, r: Array, R: Array, hidden: Array) -> Array:
         """Distances between parts that ought to touch, metres, shape (..., gaps)."""

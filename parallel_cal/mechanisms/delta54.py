@@ -74,23 +74,33 @@ class Delta54(Mechanism):
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
         """G1 and G2 of eq. 3.12, divided by 2 Lb and Lb: mean and half difference of a rod
         pair's length error, three rows each, in metres."""
-        pairs = [self.rod_pair(q[i], r, R, p[f"chain{i + 1}"]) for i in range(3)]
-        return ca.vertcat(*[g1 for g1, _ in pairs], *[g2 for _, g2 in pairs])
+        ends = zip(*self.rods(q, p), strict=True)
+        # |CB + dd|^2 and |CB - dd|^2: their half sum is G1, a quarter of their difference G2
+        errors = [ca.sumsqr(r + R @ B - C) - L**2 for C, B, L in ends]
+        first, second = ca.vertcat(*errors[::2]), ca.vertcat(*errors[1::2])
+        Lb = ca.vertcat(*[p[f"chain{i + 1}"].Lb for i in range(3)])
+        return ca.vertcat((first + second) / (4 * Lb), (first - second) / (4 * Lb))
+
+    def rods(self, q: Any, p: Named) -> tuple[list[Any], list[Any], list[Any]]:
+        """Eq. 3.9: the six rods' ends C in {B} and B in {P}, (3, 1) each, and their lengths."""
+        chains = [self.rod_pair(q[i], p[f"chain{i + 1}"]) for i in range(3)]
+        C, B, L = zip(*[rod for pair in chains for rod in pair], strict=True)
+        return list(C), list(B), list(L)
 
     @staticmethod
-    def rod_pair(angle: Any, r: Any, R: Any, c: Named) -> tuple[Any, Any]:
-        """Both closure rows of one chain."""
+    def rod_pair(angle: Any, c: Named) -> list[tuple[Any, Any, Any]]:
+        """Both rods of one chain: C on the arm, B on the platform, length (table 3.10)."""
         T = rot_z(c.theta) @ rot_x(c.alpha)
         dT = rot_x(c.dalpha) @ rot_y(c.dbeta)
-        Q = rot_z(angle)
         b, D = c.vector("b_x", "b_y", "b_z"), c.vector("D_x", "D_y", "D_z")
         La, dC = ca.vertcat(c.La_x, c.La_y, 0), c.vector("dC_x", "dC_y", "dC_z")
-        d = ca.vertcat(0, 0, c.d_z)
-        CB = r + R @ (T @ b) - T @ (b + D + dT @ (Q @ La))
-        dd = R @ (T @ d) - T @ (dT @ (d + Q @ dC))
-        mean = (ca.dot(CB, CB) + ca.dot(dd, dd) - c.Lb**2 - c.dLb**2) / (2 * c.Lb)
-        difference = (ca.dot(CB, dd) - c.Lb * c.dLb) / c.Lb
-        return mean, difference
+        d, Q = ca.vertcat(0, 0, c.d_z), rot_z(angle)
+
+        def rod(side: int) -> tuple[Any, Any, Any]:
+            C = T @ (b + D + dT @ (side * d + Q @ (La + side * dC)))
+            return C, T @ (b + side * d), c.Lb + side * c.dLb
+
+        return [rod(1), rod(-1)]
 
     def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
         """Model 24's two positions, platform parallel to the base (section 6.4.1)."""
