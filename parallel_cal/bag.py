@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -61,6 +62,23 @@ def list_topics(path: str | Path) -> tuple[tuple[TopicInfo, ...], float]:
     """The topics of a bag and the time it spans by its log, in s."""
     with _Bag(Path(path), []) as bag:
         return bag.topics, bag.reader.duration * 1e-9
+
+
+@dataclass(frozen=True)
+class RawMessage:
+    """A message as it lies in the bag: topic, type, log time (ns) and its serialized bytes."""
+
+    topic: str
+    type: str
+    time: int
+    data: bytes
+
+
+def raw_messages(path: str | Path) -> Iterator[RawMessage]:
+    """Every message of a bag in the order of its log; BagError where it cannot be read."""
+    with _Bag(Path(path), []) as bag:
+        for connection, time, data in bag.messages(list(bag.reader.connections)):
+            yield RawMessage(connection.topic, connection.msgtype, time, data)
 
 
 def data_hash(path: str | Path) -> str:

@@ -1,0 +1,107 @@
+"""Samples, residuals and results as ROS messages."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Point, PoseWithCovariance
+from parallel_cal_msgs.msg import Condition, Sample
+from std_msgs.msg import ColorRGBA, Header, String
+from visualization_msgs.msg import Marker, MarkerArray
+
+from parallel_cal.accuracy import Errors
+from parallel_cal.console import plain
+from parallel_cal.evidence import Evidence
+from parallel_cal.nodes.collector import Collection
+from parallel_cal.nodes.conversions import pose_message
+from parallel_cal.recording import Dropped
+from parallel_cal.rotation import matrix_to_quaternion
+
+NOT_MEASURED = 1e4  # a variance above 1e3 says so
+THICKNESS = 0.004  # of an arrow, in parts of the workspace's extent
+
+
+def sample_messages(collection: Collection) -> list[Sample]:
+    """One message a sample; conditions that are not finite are left out."""
+    leaders: dict[int, int] = {}
+    messages = []
+    for i, number in enumerate(collection.ids.tolist()):
+        first = leaders.setdefault(int(collection.dataset.pose_id[i]), number)
+        messages.append(_sample(collection, i, number, -1 if first == number else first))
+    return messages
+
+
+def _sample(collection: Collection, i: int, number: int, first: int) -> Sample:
+    dataset = collection.dataset
+    conditions = {name: float(column[i]) for name, column in dataset.conditions.items()}
+    return Sample(
+        id=number,
+        stamp=time_message(int(collection.stamps[i])),
+        joints=dataset.q[i].tolist(),
+        pose=_pose(dataset.r[i], dataset.R[i], dataset.measured[i], dataset.pose_cov[i]),
+        conditions=[Condition(name=n, value=v) for n, v in conditions.items() if np.isfinite(v)],
+        replicate_of=first,
+        note=f"{dataset.count_q[i]} joint readings, {dataset.count_pose[i]} poses averaged",
+    )
+
+
+def _pose(r: Any, R: Any, measured: Any, covariance: Any) -> PoseWithCovariance:
+    spread = np.where(np.isfinite(covariance), covariance, 0.0)
+    spread[np.diag_indices(6)] = np.where(measured, np.diag(spread), NOT_MEASURED)
+    pose = pose_message(r, matrix_to_quaternion(R))
+    return PoseWithCovariance(pose=pose, covariance=spread.ravel())
+
+
+def time_message(ns: int) -> Time:
+    return Time(sec=int(ns // 1_000_000_000), nanosec=int(ns % 1_000_000_000))
+
+
+def json_message(document: Any) -> String:
+    """A document as one JSON text."""
+    return String(data=json_text(document))
+
+
+def json_text(document: Any) -> str:
+    return json.dumps(plain(document), allow_nan=False)
+
+
+def dropped_message(dropped: Iterable[Dropped]) -> String:
+    """What was received and is not used: [{time, reason, detail, count}], s since the start."""
+    return json_message([vars(item) for item in dropped])
+
+
+def residual_markers(
+    evidence: Evidence, errors: Errors, ids: Any, frame: str, scale: float
+) -> MarkerArray:
+    """Arrows from each measured position along measured minus predicted, `scale` times as long."""
+    n = evidence.x.shape[1] - 12
+    position, extent = (
+        evidence.x[:, n : n + 3],
+        float(np.ptp(evidence.x[:, n : n + 3], axis=0).max()),
+    )
+    markers = [Marker(action=Marker.DELETEALL, header=Header(frame_id=frame), ns="residuals")]
+    for i in np.flatnonzero(np.isfinite(errors.position).all(axis=1)):
+        arrow = _arrow(position[i], errors.position[i], scale, THICKNESS * extent)
+        arrow.header, arrow.ns, arrow.id = Header(frame_id=frame), "residuals", int(ids[i])
+        markers.append(arrow)
+    return MarkerArray(markers=markers)
+
+
+def _arrow(start: Any, error: Any, scale: float, thickness: float) -> Marker:
+    """Red, green, blue say how much of the direction is along x, y, z; dark is negative."""
+    direction = error / max(float(np.linalg.norm(error)), 1e-300)
+    red, green, blue = (float(c) for c in 0.5 + 0.5 * direction)
+    arrow = Marker(type=Marker.ARROW, action=Marker.ADD)
+    arrow.pose.orientation.w = 1.0
+    arrow.points = [_point(start), _point(start + scale * error)]
+    arrow.color = ColorRGBA(r=red, g=green, b=blue, a=1.0)
+    arrow.scale.x, arrow.scale.y = thickness, 2 * thickness
+    return arrow
+
+
+def _point(r: Any) -> Point:
+    return Point(x=float(r[0]), y=float(r[1]), z=float(r[2]))

@@ -1,0 +1,133 @@
+"""Nodes as processes, and a small client that calls their services and actions."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from rclpy.action import ActionClient
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.task import Future
+
+from parallel_cal.errors import ParallelCalError
+from parallel_cal.nodes.parameters import LATCHED
+
+PATIENCE = 30.0  # s for anything that takes less than one on a quiet machine
+
+
+class NodeError(ParallelCalError):
+    """A node did not start, died, or did not answer in time."""
+
+
+class Process:
+    """A node of this package in a process of its own; its output goes to a file."""
+
+    def __init__(self, node: str, folder: Path, namespace: str, **parameters: Any):
+        self.node, self.log = node, folder / f"{node}.log"
+        code = f"import sys; from parallel_cal.nodes.{node} import main; sys.exit(main())"
+        arguments = ["-r", f"__ns:={namespace}"]
+        for name, value in parameters.items():
+            # JSON is YAML: a path that looks like a number stays a string
+            arguments += ["-p", f"{name}:={json.dumps(value)}"]
+        with self.log.open("w") as output:
+            self._process = subprocess.Popen(
+                [sys.executable, "-c", code, "--ros-args", *arguments],
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+            )
+
+    def check(self) -> None:
+        """NodeError with its last line when it failed."""
+        status = self._process.poll()
+        if status:
+            lines = self.log.read_text(errors="replace").split("\n")
+            said = next((line for line in reversed(lines) if line.strip()), "no output")
+            raise NodeError(f"{self.node} ended with status {status}: {said.strip()}")
+
+    def end(self) -> int:
+        """Ask it to end as Ctrl-C does, insist after a while; its exit status."""
+        if self._process.poll() is None:
+            self._process.send_signal(signal.SIGINT)
+        try:
+            return self._process.wait(timeout=10)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            return self._process.wait()
+
+
+class Client:
+    """Calls and listens; every wait is for a condition and ends when a process died."""
+
+    def __init__(self, name: str, namespace: str, processes: list[Process]):
+        self._context = rclpy.Context()
+        rclpy.init(context=self._context)
+        self._node = rclpy.create_node(name, namespace=namespace, context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        self._processes, self._clients = processes, dict[str, Any]()
+
+    def close(self) -> None:
+        self._executor.shutdown()
+        self._node.destroy_node()
+        rclpy.try_shutdown(context=self._context)
+
+    def wait(self, ready: Callable[[], bool], what: str, patience: float = PATIENCE) -> None:
+        """Serve callbacks until `ready`; NodeError names `what` was waited for."""
+        end = time.monotonic() + patience
+        while not ready():
+            for process in self._processes:
+                process.check()
+            if time.monotonic() > end:
+                raise NodeError(f"waited {patience:.0f} s in vain for {what}")
+            self._executor.spin_once(timeout_sec=0.02)
+
+    def answer(self, future: Future, what: str, patience: float = PATIENCE) -> Any:
+        """What a future comes to."""
+        self.wait(future.done, what, patience)
+        return future.result()
+
+    def call(self, type: Any, name: str, **fields: Any) -> Any:
+        """A service's response."""
+        if name not in self._clients:
+            self._clients[name] = self._node.create_client(type, name)
+        client = self._clients[name]
+        self.wait(client.service_is_ready, f"service {name}")
+        return self.answer(client.call_async(type.Request(**fields)), f"the answer of {name}")
+
+    def latest(self, type: Any, topic: str) -> list[Any]:
+        """A list that holds the newest message of a latched topic as soon as there is one."""
+        newest: list[Any] = []
+
+        def keep(message: Any) -> None:
+            newest[:] = [message]
+
+        self._node.create_subscription(type, topic, keep, LATCHED)
+        return newest
+
+    def send_goal(self, type: Any, name: str, hear: Callable[[Any], None], **fields: Any) -> Any:
+        """A goal's handle; `hear` gets the feedback."""
+        if name not in self._clients:
+            self._clients[name] = ActionClient(self._node, type, name)
+        client = self._clients[name]
+        self.wait(client.server_is_ready, f"action {name}")
+        sent = client.send_goal_async(type.Goal(**fields), lambda m: hear(m.feedback))
+        return self.answer(sent, f"the acceptance of {name}")
+
+
+def own_domain() -> str:
+    """A domain and a namespace for this process alone, seen by this machine only; the namespace.
+
+    Set before the first context: children inherit both.
+    """
+    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)
+    return f"/of_{os.getpid()}"

@@ -1,0 +1,209 @@
+"""Live collection of samples: what arrives, what it comes to, what a person keeps of it.
+
+ROS-free. A replayed recording gives the samples that `load_dataset` makes of its bag, because the
+messages take the same way: cleaning, dwells, conditions, replicates.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from parallel_cal.dataset import Dataset, load_dataset
+from parallel_cal.errors import DatasetError
+from parallel_cal.nodes.joining import joined
+from parallel_cal.nodes.session import CHANNELS, SCALARS, Session
+from parallel_cal.recording import Dropped
+from parallel_cal.samples import Options
+
+# A quarter of an hour at 100 Hz; then samples stay and messages go: memory has a bound.
+LONGEST_SESSION = 100_000
+
+
+@dataclass(frozen=True)
+class Collection:
+    """The samples in use with their numbers and stamps (ns; since 0 for those of a file)."""
+
+    dataset: Dataset
+    ids: NDArray[np.int64]
+    stamps: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+
+class Collector:
+    """Buffers messages by channel and makes samples of them when asked."""
+
+    def __init__(
+        self,
+        joints: Sequence[str] | None = None,
+        options: Options | None = None,
+        topics: Mapping[str, str] | None = None,
+        auto: bool = True,
+    ):
+        self.joints, self.options, self.auto = joints, options or Options(), auto
+        self.received: Counter[str] = Counter()
+        self._topics, self._numbers = dict(topics or {}), count(1)
+        self._past_paired = self._past_dropped = 0
+        self._restart()
+
+    def configure(self, joints: Sequence[str] | None, options: Options, auto: bool) -> None:
+        """Change joints or options; samples still made of messages are made anew."""
+        self.auto = auto
+        if (joints, options) != (self.joints, self.options):
+            self.joints, self.options = joints, options
+            for session in self._sessions:
+                session.forget()
+
+    def _restart(self) -> None:
+        self._sessions = [Session(self._topics, self._numbers)]
+        self._at = dict.fromkeys(CHANNELS, self._sessions[0])
+
+    # ------------------------------------------------------------------ messages in
+
+    def receive(self, channel: str, message: Any, log_ns: int) -> None:
+        """Buffer one message of a channel; `log_ns` serves where its header has no stamp."""
+        self.received[channel] += 1
+        stamp = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
+        if self._at[channel].jumps_back(channel, stamp):
+            self._at[channel] = self._session_after(self._at[channel])
+        self._at[channel].add(channel, stamp, log_ns, message)
+
+    def _session_after(self, session: Session) -> Session:
+        """Every stream changes to a new clock at its own time, but all to the same session."""
+        if session is self._sessions[-1]:
+            self._sessions.append(Session(self._topics, self._numbers))
+        return self._sessions[self._sessions.index(session) + 1]
+
+    def refresh(self) -> bool:
+        """Make samples of what came in; True if anything did."""
+        changed = [s.refresh(self.joints, self.options) for s in self._sessions]
+        live = self._at["joint_states"]
+        if len(live.raws["joint_states"].stamp) > LONGEST_SESSION:
+            self._begin_another(live)
+        in_use = [self._at["joint_states"], self._at[self._pose_channel()]]
+        first = min(self._sessions.index(s) for s in in_use)
+        for session in self._sessions[:first]:
+            session.close()
+        return any(changed)
+
+    def _begin_another(self, live: Session) -> None:
+        """A new session in the middle of a motion, so that no dwell is cut; with the last
+        temperature and payload, which may not be said again."""
+        resting = live.dataset is not None and _is_current(live, self.options)
+        if resting and len(live.raws["joint_states"].stamp) < 2 * LONGEST_SESSION:
+            return
+        new = Session(self._topics, self._numbers)
+        for channel in SCALARS:
+            for part in ("log", "stamp", "rows"):
+                setattr(new.raws[channel], part, getattr(live.raws[channel], part)[-1:])
+        self._sessions.append(new)
+        self._at = dict.fromkeys(CHANNELS, new)
+
+    def _pose_channel(self) -> str:
+        position_only = not self.received["measured_pose"] and self.received["measured_position"]
+        return "measured_position" if position_only else "measured_pose"
+
+    # ------------------------------------------------------------------ samples out
+
+    def collection(self) -> Collection:
+        """The samples in use; DatasetError says why there is none."""
+        parts, ids, stamps = [], [], []
+        for session in self._sessions:
+            mask = session.kept(self.auto)
+            if session.dataset is not None and mask.any():
+                part = session.dataset if mask.all() else session.dataset.select(mask)
+                parts.append((part, session.start_ns))
+                ids.append(session.ids[mask])
+                stamps.append((part.time * 1e9).astype(np.int64) + session.start_ns)
+        if not parts:
+            raise DatasetError(self._why_empty())
+        dataset = joined(parts, self.options.replicate_tolerance)
+        dataset = dataclasses.replace(dataset, dropped=tuple(self.dropped()))
+        return Collection(dataset, np.concatenate(ids), np.concatenate(stamps))
+
+    def _why_empty(self) -> str:
+        if self.trouble and self.received:
+            return self.trouble
+        heard = ", ".join(f"{n} on {c}" for c, n in self.received.items()) or "none"
+        choice = "" if self.auto else "; auto_collect is off, take them with take_sample"
+        return f"no samples yet; messages received: {heard}{choice}"
+
+    def __len__(self) -> int:
+        return sum(int(session.kept(self.auto).sum()) for session in self._sessions)
+
+    @property
+    def trouble(self) -> str:
+        """Why the messages received last came to no samples, else empty."""
+        return self._at["joint_states"].trouble
+
+    @property
+    def paired(self) -> int:
+        return self._past_paired + sum(s.paired for s in self._sessions)
+
+    @property
+    def dropped_poses(self) -> int:
+        return self._past_dropped + sum(s.dropped for s in self._sessions)
+
+    def dropped(self) -> list[Dropped]:
+        """Everything that was received and is not used, with the reason."""
+        return [d for session in self._sessions for d in session.reasons()]
+
+    # ------------------------------------------------------------------ what a person wants
+
+    def take(self) -> int:
+        """Take the dwell going on; its number. DatasetError says why there is none."""
+        self.refresh()
+        session = self._at["joint_states"]
+        number = session.current(self.options)
+        session.removed = [i for i in session.removed if i != number]
+        if number not in session.taken:
+            session.taken.append(number)
+        return number
+
+    def remove(self, number: int) -> None:
+        """Leave a sample out; DatasetError for a number that is not in the collection."""
+        for session in self._sessions:
+            if number in session.ids[session.kept(self.auto)]:
+                session.removed.append(number)
+                return
+        raise DatasetError(f"no sample {number} in the collection; list_samples shows them")
+
+    def clear(self) -> int:
+        """Forget all samples and messages; how many samples there were."""
+        samples, paired, dropped = len(self), self.paired, self.dropped_poses
+        self._past_paired, self._past_dropped = paired, dropped
+        self._restart()
+        return samples
+
+    def save(self, path: str | Path) -> int:
+        """Write the samples to a file, all or nothing; how many."""
+        collection = self.collection()
+        try:
+            collection.dataset.to_json(path)
+        except OSError as error:
+            raise DatasetError(f"{path}: cannot be written: {error.strerror}") from None
+        return len(collection)
+
+    def load(self, path: str | Path) -> int:
+        """Replace the collection by the samples of a file or a bag; on failure keep it."""
+        dataset = load_dataset(path, joints=self.joints)
+        self.clear()
+        self._sessions.insert(0, Session.loaded(dataset, self._numbers))
+        return len(dataset)
+
+
+def _is_current(session: Session, options: Options) -> bool:
+    try:
+        return bool(session.current(options))
+    except DatasetError:
+        return False

@@ -1,0 +1,118 @@
+"""Messages <-> numbers: joints by name, poses, conditions, solutions."""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import Point, Pose, Quaternion
+from parallel_cal_msgs.msg import Condition, Solution
+
+from parallel_cal.answers import parse_conditions
+from parallel_cal.errors import SolveError
+from parallel_cal.kinematics import Solutions, Status
+from parallel_cal.model import Model
+from parallel_cal.rotation import quaternion_to_matrix
+
+UNIT_LENGTH = 1e-3  # a quaternion this far from unit length is somebody's mistake
+
+ADVICE: dict[int, str] = {
+    Status.CONVERGED: "",
+    Status.UNREACHABLE: "no real solution exists: out of reach",
+    Status.SINGULAR: "the mechanism is singular here: it cannot be controlled",
+    Status.OUTSIDE_LIMITS: "solved, but a joint is outside its limits",
+    Status.NOT_CONVERGED: "the solver gave up; a solution may exist",
+    Status.INVALID_INPUT: "the input holds a value that is not finite",
+}
+
+
+def joint_order(names: Sequence[str], joints: Sequence[str]) -> list[int]:
+    """Where each of the model's joints stands among `names`; SolveError for one not there.
+
+    Further names are allowed: a joint state may tell of more joints than the robot's.
+    """
+    missing = [joint for joint in joints if joint not in names]
+    if missing:
+        have = ", ".join(names) or "none"
+        raise SolveError(f"joint {', '.join(missing)} not given; the message names {have}")
+    return [list(names).index(joint) for joint in joints]
+
+
+def matched_joints(message: Any, joints: Sequence[str]) -> tuple[np.ndarray, np.ndarray | None]:
+    """Positions (nq,) and velocities of a JointState in the model's order; None where empty."""
+    order = joint_order(message.name, joints)
+    if len(message.position) != len(message.name):
+        raise SolveError(f"{len(message.position)} positions for {len(message.name)} joint names")
+    q = np.asarray(message.position)[order]
+    if not np.isfinite(q).all():
+        raise SolveError("a joint position is not finite")
+    if len(message.velocity) != len(message.name):
+        return q, None
+    return q, np.asarray(message.velocity)[order]
+
+
+def pose_numbers(pose: Pose) -> tuple[np.ndarray, np.ndarray]:
+    """Position (3,) and rotation (3, 3); SolveError where not finite or no unit quaternion."""
+    p, o = pose.position, pose.orientation
+    r, quaternion = np.array([p.x, p.y, p.z]), np.array([o.x, o.y, o.z, o.w])
+    if not (np.isfinite(r).all() and np.isfinite(quaternion).all()):
+        raise SolveError("the pose holds a value that is not finite")
+    length = float(np.linalg.norm(quaternion))
+    if abs(length - 1) > UNIT_LENGTH:
+        raise SolveError(f"the quaternion has length {length:.6g}, expected 1")
+    return r, quaternion_to_matrix(quaternion)
+
+
+def controlled_pose(
+    model: Model, r: np.ndarray, R: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """The pose with what the robot does not control taken from home; None: all of the rotation."""
+    controlled = model.mechanism.controlled
+    ignored = [i for i in range(3) if i not in controlled]
+    if ignored:
+        r = np.array(r)
+        r[..., ignored] = np.array(model.mechanism.home.position)[ignored]
+    return r, (R if any(i >= 3 for i in controlled) else None)
+
+
+def conditions_of(model: Model, conditions: Iterable[Condition]) -> dict[str, float] | None:
+    """Named conditions of a request; `direction` is for all joints (ModelError when unknown)."""
+    items = [f"{c.name}={c.value!r}" for c in conditions]
+    return parse_conditions(model, items) if items else None
+
+
+def pose_message(r: np.ndarray, quaternion: np.ndarray) -> Pose:
+    """A pose from position (3,) and quaternion x y z w (4,)."""
+    x, y, z = r.tolist()
+    a, b, c, d = quaternion.tolist()
+    return Pose(position=Point(x=x, y=y, z=z), orientation=Quaternion(x=a, y=b, z=c, w=d))
+
+
+def solution_messages(found: Solutions) -> list[Solution]:
+    """One message a solution, of which there may be one or several."""
+    rows = (found.joints, found.position, found.quaternion, found.residual, found.status)
+    if found.joints.ndim == 1:
+        return [_solution(*rows)]
+    return [_solution(*row) for row in zip(*rows, strict=True)]
+
+
+def _solution(
+    q: np.ndarray, r: np.ndarray, quaternion: np.ndarray, residual: Any, status: Any
+) -> Solution:
+    code = int(status)
+    return Solution(
+        status=code,
+        message=ADVICE[code],
+        pose=pose_message(r, quaternion),
+        joints=array("d", q.tobytes()),
+        residual=float(residual),
+    )
+
+
+def invalid_solution(reason: str) -> Solution:
+    """The answer to one configuration or target that is none."""
+    nan = float("nan")
+    pose = pose_message(np.full(3, nan), np.full(4, nan))
+    return Solution(status=Solution.INVALID_INPUT, message=reason, pose=pose, residual=nan)

@@ -1,0 +1,175 @@
+"""The model in use: read, tested and exchanged as one reference; knows nothing of ROS."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from threading import Lock, Thread
+
+import numpy as np
+
+from parallel_cal.errors import ModelFileError, ParallelCalError
+from parallel_cal.kinematics import Kinematics, Solutions, Status
+from parallel_cal.mechanism import Mechanism
+from parallel_cal.model import Model
+from parallel_cal.modelfile import model_hash, parse_model
+from parallel_cal.rotation import quaternion_to_matrix, rotation_matrix, rotation_vector
+
+log = logging.getLogger(__name__)
+
+TEST_POSES = 8
+AGREEMENT = 1e-9  # m, rad: what a round trip of the self-test may lose
+
+
+@dataclass(frozen=True)
+class Served:
+    """A model in use; never changed, so that a request keeps the one it began with."""
+
+    model: Model
+    kinematics: Kinematics
+    hash: str
+    path: str
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """What came of loading a file: `reason` says what changed or why it failed."""
+
+    ok: bool
+    source: str
+    path: str
+    reason: str
+
+
+class ModelServer:
+    """Holds the model in use and exchanges it; whatever fails, the one before stays."""
+
+    def __init__(self, report: Callable[[Attempt], None] = lambda attempt: None):
+        self.current: Served | None = None
+        self.last = Attempt(False, "startup", "", "no model was loaded yet")
+        self._report = report
+        self._loading, self._exchange = Lock(), Lock()
+        self._compilation: Thread | None = None
+
+    def load(self, path: str | Path, source: str) -> Attempt:
+        """Read, validate, self-test and exchange; one load at a time, requests go on meanwhile."""
+        with self._loading:
+            try:
+                reason = self._load(path)
+                self.last = Attempt(True, source, str(path), reason)
+            except Exception as error:  # a user's own mechanism may raise anything
+                self.last = Attempt(False, source, str(path), _in_words(error))
+            self._report(self.last)
+            return self.last
+
+    def _load(self, path: str | Path) -> str:
+        if not str(path):
+            raise ModelFileError("no model file: set the parameter model_file or call load_model")
+        text = _text(Path(path))
+        served, before = Served(*_tested(text, path), model_hash(text), str(path)), self.current
+        if before is not None and before.hash == served.hash:
+            self._exchange_for(replace(before, path=served.path))
+            return f"{path}: the same content as before ({served.hash[:12]})"
+        self._exchange_for(served)
+        self._compile_in_background(served)
+        was = f", was {before.hash[:12]}" if before is not None else ""
+        return f"{path}: {served.hash[:12]} in use{was}"
+
+    def _exchange_for(self, served: Served) -> None:
+        with self._exchange:
+            self.current = served
+
+    def _compile_in_background(self, served: Served) -> None:
+        """The C compiler takes a second: CasADi's virtual machine answers until it is done."""
+        self._compilation = Thread(target=self._compile, args=(served,), daemon=True)
+        self._compilation.start()
+
+    def _compile(self, served: Served) -> None:
+        try:
+            kinematics = Kinematics(served.model, compile=True)
+            self_test(kinematics)
+        except Exception as error:  # the virtual machine passed the test and goes on serving
+            log.warning("compiled code is not used: %s", _in_words(error))
+            return
+        with self._exchange:
+            if self.current is not None and self.current.hash == served.hash:
+                self.current = replace(self.current, kinematics=kinematics)
+
+    def wait_until_compiled(self, timeout: float) -> None:
+        """For tests and measurements; requests never wait."""
+        if self._compilation is not None:
+            self._compilation.join(timeout)
+
+
+def self_test(kinematics: Kinematics) -> None:
+    """ModelFileError unless inverse and direct problem lead back to poses in the workspace."""
+    r, R = workspace_poses(kinematics.model.mechanism, TEST_POSES)
+    there = kinematics.inverse(r, R)
+    _require_solved(there, "inverse", r)
+    back = kinematics.direct(there.joints, start=there)
+    _require_solved(back, "direct", r)
+    apart = [np.abs(getattr(back, k) - getattr(there, k)).max() for k in ("position", "rotation")]
+    if max(apart) > AGREEMENT:
+        raise ModelFileError(
+            f"self-test: the direct problem misses the inverse problem's poses by {max(apart):.1e} "
+            f"(m or rad; allowed {AGREEMENT:.0e})"
+        )
+    # A request for one configuration takes a shorter way: make it ready, and see that it agrees.
+    alone = kinematics.direct(there.joints[0])
+    if alone.status != Status.CONVERGED or not np.isfinite(alone.position).all():
+        raise ModelFileError(f"self-test: direct problem {_status(alone.status)} alone")
+    kinematics.inverse(r[0], R[0])
+
+
+def workspace_poses(mechanism: Mechanism, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """n poses in the inner half of the workspace: positions (n, 3), rotations (n, 3, 3).
+
+    The corners of a workspace box may well be out of a good robot's reach.
+    """
+    home = quaternion_to_matrix(np.array(mechanism.home.quaternion))
+    rows = np.tile([*mechanism.home.position, *rotation_vector(home)], (n, 1))
+    low, high = np.array(mechanism.workspace.low), np.array(mechanism.workspace.high)
+    drawn = mechanism.sample(n, np.random.default_rng(0))
+    rows[:, mechanism.controlled] = (drawn + (low + high) / 2) / 2
+    return rows[:, :3], rotation_matrix(rows[:, 3:])
+
+
+def _tested(text: str, path: str | Path) -> tuple[Model, Kinematics]:
+    model = parse_model(text, str(path))
+    kinematics = Kinematics(model)
+    try:
+        self_test(kinematics)
+    except ModelFileError as error:
+        raise ModelFileError(f"{path}: {error}") from None
+    return model, kinematics
+
+
+def _require_solved(found: Solutions, problem: str, r: np.ndarray) -> None:
+    solved = np.isin(found.status, (Status.CONVERGED, Status.OUTSIDE_LIMITS))
+    if not solved.all():
+        i = int(np.argmin(solved))
+        raise ModelFileError(
+            f"self-test: {problem} problem {_status(found.status[i])} at "
+            f"{np.round(r[i], 4).tolist()} m, inside the workspace of the file"
+        )
+
+
+def _status(status: int | np.ndarray) -> str:
+    return Status(int(status)).text.replace("_", " ")
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise ModelFileError(f"{path}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise ModelFileError(f"{path}:1: not YAML: the file is not text (UTF-8)") from None
+
+
+def _in_words(error: Exception) -> str:
+    if isinstance(error, ParallelCalError):
+        return str(error)
+    return f"{type(error).__name__}: {error}"

@@ -1,0 +1,194 @@
+"""Messages received on one clock, buffered raw and read exactly as a bag would be."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from parallel_cal.bag import _ROWS as ROWS
+from parallel_cal.cleaning import assemble
+from parallel_cal.dataset import Dataset, dataset_from_recording
+from parallel_cal.errors import DatasetError, ParallelCalError
+from parallel_cal.pairing import _bracketed as bracketed
+from parallel_cal.recording import Bools, Dropped, Raw, Recording, TopicInfo
+from parallel_cal.samples import Options, max_gap
+from parallel_cal.topics import JOINTS, PAYLOAD, POINTS, POSES, TEMPERATURE
+
+CHANNELS = {
+    "joint_states": JOINTS[0],
+    "measured_pose": POSES[0],
+    "measured_position": POINTS[0],
+    "temperature": TEMPERATURE[0],
+    "payload": PAYLOAD[0],
+}
+SCALARS = ("temperature", "payload")
+CLOCK_JUMP = 1_000_000_000  # ns; a stamp further back than this starts another session
+NEAR = 1e-6  # s; middles of one and the same sample never move more when its span is zero
+
+
+class Session:
+    """Raw messages of one clock and the samples they come to, each with a number that stays.
+
+    More messages may refine a sample (the robot still rests), but its number is found again by
+    its time; `removed` and `taken` are what a person decided, kept by time for the same reason.
+    """
+
+    def __init__(self, topics: Mapping[str, str], numbers: Iterator[int]):
+        self.raws = {c: Raw(topics.get(c, c), type) for c, type in CHANNELS.items()}
+        self.dataset: Dataset | None = None
+        self.ids: NDArray[np.int64] = np.zeros(0, np.int64)
+        self.removed: list[int] = []
+        self.taken: list[int] = []
+        self.start_ns = 0
+        self.paired = self.dropped = 0
+        self.trouble = ""
+        self.closed = False
+        self._numbers, self._seen = numbers, 0
+
+    @classmethod
+    def loaded(cls, dataset: Dataset, numbers: Iterator[int]) -> Session:
+        """A finished session with the samples of a file."""
+        session = cls({}, numbers)
+        session._adopt(dataset, 0)
+        session.taken = session.ids.tolist()
+        session.closed = True
+        return session
+
+    def jumps_back(self, channel: str, stamp: int) -> bool:
+        """True for a stamp of another clock: a bag played again, a simulation reset."""
+        last = self.raws[channel].stamp[-1:]
+        return bool(last) and stamp > 0 and stamp < last[0] - CLOCK_JUMP
+
+    def add(self, channel: str, stamp: int, log: int, message: Any) -> None:
+        """Append one message; times in ns."""
+        raw = self.raws[channel]
+        if channel in SCALARS and raw.stamp[-1:] == [stamp]:
+            return  # a latched message is heard twice, see calibration_node
+        row = ROWS[_type(raw, message)](message)
+        if channel == "joint_states":  # rclpy gives array.array, which takes no list as index
+            row = (row[0], np.asarray(row[1], float), np.asarray(row[2], float))
+        raw.log.append(log)
+        raw.stamp.append(stamp)
+        raw.rows.append(row)
+
+    @property
+    def poses(self) -> Raw:
+        """The device's messages: full poses where there are any, else positions."""
+        pose, position = self.raws["measured_pose"], self.raws["measured_position"]
+        return pose if pose.stamp or not position.stamp else position
+
+    def forget(self) -> None:
+        """Look at all messages again at the next refresh."""
+        self._seen = 0
+
+    def refresh(self, joints: Sequence[str] | None, options: Options) -> bool:
+        """Make the samples anew if anything came in; True if so."""
+        count = sum(len(raw.stamp) for raw in self.raws.values())
+        if self.closed or count == self._seen:
+            return False
+        self._seen = count
+        silent = [raw.topic for raw in (self.raws["joint_states"], self.poses) if not raw.stamp]
+        self.trouble = f"nothing received on {' and '.join(silent)} yet" if silent else ""
+        if not silent:
+            self._make_samples(joints, options)
+        return True
+
+    def _make_samples(self, joints: Sequence[str] | None, options: Options) -> None:
+        try:
+            recording = self._recording(joints)
+            self._count(recording, options)
+            self._adopt(dataset_from_recording(recording, options), recording.start_ns)
+        except ParallelCalError as error:
+            self.trouble = str(error)
+        except Exception as error:  # a fault of ours must not end the collecting
+            self.trouble = f"internal error: {error!r}"
+
+    def _recording(self, joints: Sequence[str] | None) -> Recording:
+        found = [TopicInfo(r.topic, r.type, len(r.stamp)) for r in self.raws.values() if r.stamp]
+        return assemble(
+            self.raws["joint_states"], self.poses,
+            temperature=self.raws["temperature"], payload=self.raws["payload"],
+            joint_names=joints, source="live", topics=tuple(found),
+        )  # fmt: skip
+
+    def _count(self, recording: Recording, options: Options) -> None:
+        """Measurements that found their joint state, and those that never will."""
+        joints, time = recording.joints, recording.pose.time
+        found = bracketed(joints, time, max_gap(joints, options))
+        waiting = time > joints.time[-1]
+        self.paired = int(found.sum())
+        self.dropped = len(self.poses.stamp) - self.paired - int((waiting & ~found).sum())
+
+    def _adopt(self, dataset: Dataset, start_ns: int) -> None:
+        old, self.start_ns = self._middles(), start_ns
+        self.dataset, known = dataset, self.ids
+        new = self._middles()
+        reach = np.maximum(dataset.duration / 2, NEAR)
+        nearest = _nearest(old, new)
+        ids: list[int] = []
+        for i, k in enumerate(nearest):
+            same = k >= 0 and abs(old[k] - new[i]) <= reach[i] and known[k] not in ids[-1:]
+            ids.append(int(known[k]) if same else next(self._numbers))
+        self.ids = np.array(ids, np.int64)
+
+    def _middles(self) -> NDArray[np.float64]:
+        """The middle of each sample in s, absolute."""
+        if self.dataset is None:
+            return np.zeros(0)
+        return np.asarray(self.dataset.time + self.start_ns * 1e-9)
+
+    def kept(self, auto: bool) -> Bools:
+        """Mask of the samples in the collection."""
+        wanted = np.ones(len(self.ids), bool) if auto else np.isin(self.ids, self.taken)
+        return (wanted | np.isin(self.ids, self.taken)) & ~np.isin(self.ids, self.removed)
+
+    def current(self, options: Options) -> int:
+        """Number of the dwell going on, or just over; DatasetError says why there is none."""
+        joints = self.raws["joint_states"].stamp
+        if self.dataset is None or not joints or not len(self.ids):
+            raise DatasetError(self.trouble or "nothing received yet")
+        now = (joints[-1] - self.start_ns) * 1e-9
+        end = self.dataset.time[-1] + self.dataset.duration[-1] / 2
+        if now - end <= options.min_dwell + options.trim_end:
+            return int(self.ids[-1])
+        recent = [d for d in self.dataset.dropped if now - d.time < 2 * options.min_dwell]
+        why = f": {recent[-1].reason} ({recent[-1].detail})" if recent else ""
+        raise DatasetError(
+            f"no dwell to take, the last one ended {now - end:.1f} s ago{why}. Let the robot rest "
+            f"for {options.min_dwell} s or more"
+        )
+
+    def reasons(self) -> list[Dropped]:
+        """What was received and is not used, in the order of time."""
+        if self.dataset is None:
+            return []
+        times = dict(zip(self.ids.tolist(), self.dataset.time.tolist(), strict=True))
+        hand = [
+            Dropped(times[i], "removed by hand", f"sample {i}") for i in self.removed if i in times
+        ]
+        return sorted((*self.dataset.dropped, *hand), key=lambda d: d.time)
+
+    def close(self) -> None:
+        """Keep the samples, let the messages go."""
+        self.closed = True
+        for raw in self.raws.values():
+            raw.log, raw.stamp, raw.rows = [], [], []
+
+
+def _type(raw: Raw, message: Any) -> str:
+    """The channel's type; of poses there are two, told apart by what they hold."""
+    bare = raw.type == POSES[0] and not hasattr(message.pose, "covariance")
+    return POSES[1] if bare else raw.type
+
+
+def _nearest(known: NDArray[np.float64], time: NDArray[np.float64]) -> list[int]:
+    """Index of the known time next to each time; -1 when none is known."""
+    if not len(known):
+        return [-1] * len(time)
+    after = np.searchsorted(known, time).clip(0, len(known) - 1)
+    before = (after - 1).clip(0)
+    closer = np.abs(known[before] - time) <= np.abs(known[after] - time)
+    return np.where(closer, before, after).tolist()

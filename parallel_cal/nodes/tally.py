@@ -1,0 +1,63 @@
+"""Counts of what was received, answered, refused and dropped, and the diagnostics made of them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+
+from parallel_cal.nodes.model_server import Attempt, Served
+
+
+class Tally:
+    """What became of everything that came in, and the last reason for each refusal."""
+
+    def __init__(self) -> None:
+        self.counts: Counter[str] = Counter()
+        self.reasons: dict[str, str] = {}
+
+    def add(self, channel: str, outcome: str, reason: str = "") -> None:
+        """Count `channel` received, answered, refused or dropped."""
+        self.counts[f"{channel} {outcome}"] += 1
+        if reason:
+            self.reasons[f"{channel} {outcome}: last reason"] = reason
+
+    def items(self) -> dict[str, str]:
+        """Counts and reasons as text, sorted."""
+        texts = {name: str(n) for name, n in self.counts.items()} | self.reasons
+        return dict(sorted(texts.items()))
+
+
+def model_diagnostics(name: str, served: Served | None, last: Attempt, failure: str) -> Any:
+    """ERROR without a model, WARN when the last load failed."""
+    about, Level = f"{name}: model", DiagnosticStatus
+    items = {"last attempt": f"{last.source}: {last.reason}", "last failure": failure}
+    if served is not None:
+        items |= {
+            "model file": served.path,
+            "hash": served.hash,
+            "mechanism": served.model.mechanism.name,
+            "effects": ", ".join(e.name for e in served.model.effects),
+        }
+    if served is None:
+        return diagnostics(about, Level.ERROR, f"no model: {last.reason}", items)
+    if not last.ok:
+        text = f"the model before is still in use: {last.reason}"
+        return diagnostics(about, Level.WARN, text, items)
+    return diagnostics(about, Level.OK, "model in use", items)
+
+
+def traffic_diagnostics(name: str, tally: Tally, unheard: list[str]) -> Any:
+    """WARN when the model needs conditions that nothing is known of."""
+    items = tally.items()
+    if unheard:
+        text = f"not known, neutral values are used: {', '.join(unheard)}"
+        return diagnostics(f"{name}: traffic", DiagnosticStatus.WARN, text, items)
+    return diagnostics(f"{name}: traffic", DiagnosticStatus.OK, "", items)
+
+
+def diagnostics(name: str, level: bytes, message: str, items: dict[str, str]) -> Any:
+    """One DiagnosticStatus."""
+    values = [KeyValue(key=key, value=value) for key, value in items.items()]
+    return DiagnosticStatus(level=level, name=name, message=message, values=values)
