@@ -1,0 +1,370 @@
+"""The calibration node as others see it: a process, topics, services and an action."""
+
+# ruff: noqa: E402 - what needs ROS is imported after the check that it is there
+
+import dataclasses
+import json
+import os
+import shutil
+import time
+from pathlib import Path
+from unittest import mock
+
+import numpy as np
+import pytest
+
+pytestmark = pytest.mark.ros
+pytest.importorskip("rclpy")
+pytest.importorskip("parallel_cal_msgs")
+
+from parallel_cal_msgs.action import Identify
+from parallel_cal_msgs.msg import CollectionStatus, ModelStatus
+from parallel_cal_msgs.srv import (
+    AddEffect,
+    Compare,
+    ListSamples,
+    LoadSamples,
+    RemoveSample,
+    SaveSamples,
+)
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+from visualization_msgs.msg import MarkerArray
+
+from parallel_cal.bag import list_topics
+from parallel_cal.dataset import load_dataset
+from parallel_cal.modelfile import model_hash, read_model
+from parallel_cal.nodes.client import Client, Process, own_domain
+
+REPOSITORY = Path(__file__).parents[1]
+PRESET = REPOSITORY / "config" / "delta_mockup_nominal.yaml"
+CLEAN, ECCENTRIC = (REPOSITORY / "bags" / b for b in ("delta_clean", "delta_eccentricity"))
+CANCELED, SUCCEEDED, ABORTED = 5, 4, 6
+
+
+def counts(bag):
+    """How many joint readings and poses a bag holds."""
+    found = {topic.name.strip("/"): topic.count for topic in list_topics(bag)[0]}
+    return found["joint_states"], found["measured_pose"]
+
+
+def received(status):
+    return status.joint_states_received + status.poses_received
+
+
+class Robot:
+    """Both nodes on a copy of the preset, and a client of theirs."""
+
+    def __init__(self, folder):
+        self.folder, self.namespace = folder, own_domain()
+        self.model_file = folder / "robot.yaml"
+        self.processes = []
+        shutil.copy(PRESET, self.model_file)
+        for node in ("kinematics_node", "calibration_node"):
+            self.start(node, model_file=str(self.model_file))
+        self.client = Client("tester", self.namespace, self.processes)
+        self.latched = {
+            "status": self.client.latest(CollectionStatus, "calibration_node/collection_status"),
+            "dropped": self.client.latest(String, "calibration_node/dropped"),
+            "result": self.client.latest(String, "calibration_node/result"),
+            "residuals": self.client.latest(MarkerArray, "calibration_node/residuals"),
+            "model": self.client.latest(ModelStatus, "kinematics_node/model_status"),
+        }
+
+    def start(self, node, **parameters):
+        self.processes.append(Process(node, self.folder, self.namespace, **parameters))
+        return self.processes[-1]
+
+    def call(self, type, name, **fields):
+        return self.client.call(type, f"calibration_node/{name}", **fields)
+
+    @property
+    def status(self):
+        self.client.wait(lambda: bool(self.latched["status"]), "a status")
+        return self.latched["status"][0]
+
+    def result(self):
+        return json.loads(self.latched["result"][0].data)
+
+    def play(self, bag, rate=20.0):
+        """Replay a bag and wait until all of it has been looked at."""
+        already, expected = received(self.status), sum(counts(bag))
+        player = self.start("replay_node", bag=str(bag), rate=rate)
+        self.client.wait(lambda: received(self.status) >= already + expected, "the bag", 120)
+        assert player.end() == 0
+        self.processes.remove(player)
+
+    def identify(self, hear=lambda feedback: None, **goal):
+        handle = self.client.send_goal(Identify, "calibration_node/identify", hear, **goal)
+        assert handle.accepted
+        return handle
+
+    def outcome(self, handle):
+        return self.client.answer(handle.get_result_async(), "the result")
+
+    def identified(self, **goal):
+        answer = self.outcome(self.identify(**goal))
+        assert answer.status == (SUCCEEDED if answer.result.success else ABORTED)
+        return answer.result
+
+    def fresh_model(self, name):
+        return str(shutil.copy(PRESET, self.folder / name))
+
+
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory):
+    with mock.patch.dict(os.environ):
+        robot = Robot(tmp_path_factory.mktemp("robot"))
+        yield robot
+        robot.client.close()
+        assert [process.end() for process in robot.processes] == [0, 0]
+
+
+@pytest.fixture(scope="module")
+def collected(robot):
+    """The robot after a replay of the clean recording; its samples are in samples.json."""
+    robot.play(CLEAN)
+    assert robot.call(SaveSamples, "save_samples", path=str(robot.folder / "s.json")).success
+    return robot
+
+
+@pytest.fixture
+def full(collected):
+    """All 94 samples, whatever a test before did to them."""
+    answer = collected.call(LoadSamples, "load_samples", path=str(collected.folder / "s.json"))
+    assert answer.samples == 94
+    return collected
+
+
+def test_before_anything_arrives_every_service_answers_with_a_reason(robot):
+    assert robot.status.samples == 0
+    for answer in (
+        robot.call(Trigger, "take_sample"),
+        robot.call(SaveSamples, "save_samples", path="/tmp/never.json"),
+        robot.call(LoadSamples, "load_samples", path="/no/such/file.json"),
+        robot.call(RemoveSample, "remove_sample", id=1),
+        robot.call(Compare, "compare"),
+        robot.call(AddEffect, "add_effect", effect="backlash"),
+        robot.call(AddEffect, "add_effect"),
+        robot.identified(),
+    ):
+        assert not answer.success
+        assert answer.message
+        assert "internal error" not in answer.message
+    assert robot.call(ListSamples, "list_samples").samples == []
+
+
+def test_at_twenty_times_real_time_nothing_is_lost(collected):
+    status = collected.status
+    assert status.joint_states_received == 15277
+    assert status.poses_received == 3056
+    assert status.paired + status.dropped == 3056
+    assert status.dropped <= 1
+    assert status.samples == 94
+    assert json.loads(collected.latched["dropped"][0].data) == []
+
+
+def test_samples_carry_what_was_measured_and_how(collected):
+    answer = collected.call(ListSamples, "list_samples")
+    assert len(answer.samples) == 94
+    assert answer.joint_names == ["joint1", "joint2", "joint3"]
+    assert answer.status.samples == 94
+    sample = answer.samples[0]
+    assert len(sample.joints) == 3
+    assert sample.pose.covariance[0] == pytest.approx(1e-10, rel=0.1)
+    conditions = {c.name: c.value for c in sample.conditions}
+    assert conditions["payload"] == 0.2
+    assert "direction.joint1" in conditions
+    assert sample.stamp.sec >= 1767225600
+    assert sum(s.replicate_of >= 0 for s in answer.samples) == 20
+
+
+def test_samples_are_removed_saved_loaded_and_cleared(full):
+    first = full.call(ListSamples, "list_samples").samples[0].id
+    assert full.call(RemoveSample, "remove_sample", id=first).success
+    assert full.status.samples == 93
+    assert not full.call(RemoveSample, "remove_sample", id=first).success
+    path = str(full.folder / "93.json")
+    assert full.call(SaveSamples, "save_samples", path=path).samples == 93
+    assert full.call(Trigger, "clear_samples").success
+    assert full.call(ListSamples, "list_samples").samples == []
+    assert full.call(LoadSamples, "load_samples", path=path).samples == 93
+    bad = full.call(LoadSamples, "load_samples", path=str(full.model_file))
+    assert not bad.success
+    assert full.status.samples == 93
+
+
+def test_comparing_shows_every_sample_and_the_residuals_as_arrows(full):
+    answer = full.call(Compare, "compare")
+    document = json.loads(answer.json)
+    assert answer.success
+    assert document["position_mean"] == pytest.approx(605e-6, rel=0.02)
+    assert len(document["rows"]) == 94
+    listed = {s.id for s in full.call(ListSamples, "list_samples").samples}
+    assert {row["id"] for row in document["rows"]} == listed
+    full.client.wait(lambda: bool(full.latched["residuals"]), "arrows")
+    arrows = full.latched["residuals"][0].markers
+    assert len(arrows) == 1 + 94
+    assert arrows[1].header.frame_id == "base"
+
+
+def test_too_few_samples_are_refused_and_nothing_is_written(full):
+    model = full.fresh_model("few.yaml")
+    before = Path(model).read_bytes()
+    for sample in full.call(ListSamples, "list_samples").samples[4:]:
+        full.call(RemoveSample, "remove_sample", id=sample.id)
+    result = full.identified(model_file=model, hold_out=0.25)
+    assert not result.success
+    assert "different poses" in result.message
+    assert Path(model).read_bytes() == before
+
+
+def test_a_bad_model_file_is_a_message(full):
+    path = full.folder / "bad.yaml"
+    path.write_text("parallel_cal: 1\nmechanism: delta54\nodd: 1\n")
+    result = full.identified(model_file=str(path), hold_out=0.25)
+    assert not result.success
+    assert "bad.yaml" in result.message
+    missing = full.identified(model_file="/no/such.yaml")
+    assert "/no/such.yaml" in missing.message
+    assert not full.call(Compare, "compare", model_file=str(path)).success
+
+
+def test_odd_goals_are_messages(full):
+    model = full.fresh_model("odd.yaml")
+    goals = [
+        {"method": "magic"},
+        {"fix": ["nothing.*"]},
+        {"hold_out": 7.0},
+        {"hold_out": -1.0},
+        {"joint_sigma": -1.0},
+        {"joint_sigma": float("nan")},
+        {"output_file": "/no/such/folder/robot.yaml"},
+    ]
+    for goal in goals:
+        result = full.identified(model_file=model, **goal)
+        assert not result.success, goal
+        assert "internal error" not in result.message
+
+
+def test_an_identified_model_is_written_and_served_under_the_same_hash(full):
+    heard = []
+    answer = full.outcome(full.identify(heard.append, hold_out=0.25))
+    result = answer.result
+    assert answer.status == SUCCEEDED
+    assert result.success, result.message
+    assert result.position_before == pytest.approx(605e-6, rel=0.02)
+    assert result.held_out_after < 35e-6
+    assert result.hash == model_hash(full.model_file.read_bytes())
+    assert read_model(full.model_file).history[-1]["step"] == "fit"
+    assert [f.fraction for f in heard] == sorted(f.fraction for f in heard)
+    assert heard[-1].stage
+    assert heard[-1].position_error < 35e-6
+    full.client.wait(
+        lambda: bool(full.latched["model"]) and full.latched["model"][0].hash == result.hash,
+        "kinematics_node to take the file over",
+    )
+    full.client.wait(lambda: full.result()["hash"] == result.hash, "the latched result")
+    assert full.result()["document"] == json.loads(result.json)
+
+
+def test_a_model_that_is_as_good_already_is_refused_unless_forced(full):
+    model = full.fresh_model("twice.yaml")
+    assert full.identified(model_file=model, hold_out=0.25).success
+    before = Path(model).read_bytes()
+    again = full.identified(model_file=model, hold_out=0.25)
+    assert not again.success
+    assert "does not fall" in again.message
+    assert json.loads(again.json)["samples"] == 94
+    assert Path(model).read_bytes() == before
+    forced = full.identified(model_file=model, hold_out=0.25, force=True)
+    assert forced.success
+    assert len(read_model(model).history) == 3
+
+
+def test_parameters_can_be_freed_and_fixed(full):
+    model = full.fresh_model("masks.yaml")
+    more = json.loads(full.identified(model_file=model, free=["chain1.b_z"]).json)
+    assert more["free"] == 43
+    fewer = json.loads(full.identified(model_file=model, fix=["chain1.*"], force=True).json)
+    assert fewer["free"] < 42
+
+
+@pytest.fixture(scope="module")
+def many(collected):
+    """A file with so many samples and poses that leaving each out takes a minute or more."""
+    dataset = load_dataset(collected.folder / "s.json").select(np.tile(np.arange(94), 20))
+    dataset = dataclasses.replace(dataset, pose_id=np.arange(len(dataset)))
+    dataset.to_json(collected.folder / "many.json")
+    return str(collected.folder / "many.json")
+
+
+def test_a_cancelled_goal_ends_at_once_and_writes_nothing(full, many):
+    model, heard = full.fresh_model("cancelled.yaml"), []
+    before = Path(model).read_bytes()
+    assert full.call(LoadSamples, "load_samples", path=many).success
+    handle = full.identify(heard.append, model_file=model, hold_out=0.001)
+    full.client.wait(lambda: len(heard) > 3, "feedback")
+    other = full.client.send_goal(Identify, "calibration_node/identify", heard.append)
+    assert not other.accepted
+    full.client.wait(lambda: "goal rejected" in full.status.last_event, "the reason")
+    assert "running" in full.call(AddEffect, "add_effect", effect="backlash").message
+    begin = time.monotonic()
+    full.client.answer(handle.cancel_goal_async(), "the cancel")
+    answer = full.outcome(handle)
+    assert answer.status == CANCELED
+    assert not answer.result.success
+    assert "cancelled" in answer.result.message
+    assert time.monotonic() - begin < 10
+    assert Path(model).read_bytes() == before
+
+
+def test_after_a_cancelled_goal_the_next_one_is_served(full):
+    assert full.identified(model_file=full.fresh_model("next.yaml"), hold_out=0.25).success
+
+
+@mock.patch.dict(os.environ)
+def test_a_node_stopped_in_the_middle_of_an_identification_ends_cleanly(full, many, tmp_path):
+    namespace, model, heard = own_domain() + "_stopped", full.fresh_model("stopped.yaml"), []
+    before = Path(model).read_bytes()
+    node = Process("calibration_node", tmp_path, namespace, model_file=model)
+    client = Client("tester", namespace, [node])
+    assert client.call(LoadSamples, "calibration_node/load_samples", path=many).success
+    client.send_goal(Identify, "calibration_node/identify", heard.append, hold_out=0.001)
+    client.wait(lambda: len(heard) > 3, "feedback")
+    client.close()
+    assert node.end() == 0
+    assert "Traceback" not in node.log.read_text()
+    assert Path(model).read_bytes() == before
+
+
+def test_an_effect_is_added_where_it_helps_and_refused_where_not(full):
+    output = str(full.folder / "effect.yaml")
+    refused = full.call(AddEffect, "add_effect", effect="backlash", output_file=output)
+    assert not refused.success
+    assert "does not fall" in refused.message
+    assert not Path(output).exists()
+    assert not full.call(AddEffect, "add_effect", effect="wishful_thinking").success
+    full.call(Trigger, "clear_samples")
+    full.play(ECCENTRIC, rate=50.0)
+    added = full.call(AddEffect, "add_effect", effect="encoder_eccentricity", output_file=output)
+    assert added.success, added.message
+    assert added.hash == model_hash(Path(output).read_bytes())
+    assert [e.name for e in read_model(output).effects] == ["encoder_eccentricity"]
+
+
+@mock.patch.dict(os.environ)
+def test_without_auto_collect_samples_are_taken_by_hand(tmp_path):
+    namespace, processes = own_domain() + "_manual", []
+    processes.append(Process("calibration_node", tmp_path, namespace, auto_collect=False))
+    client = Client("tester", namespace, processes)
+    status = client.latest(CollectionStatus, "calibration_node/collection_status")
+    client.wait(lambda: bool(status), "a status")
+    processes.append(Process("replay_node", tmp_path, namespace, bag=str(CLEAN), rate=50.0))
+    client.wait(lambda: received(status[0]) >= sum(counts(CLEAN)), "the bag", 60)
+    taken = client.call(Trigger, "calibration_node/take_sample")
+    listed = client.call(ListSamples, "calibration_node/list_samples")
+    client.close()
+    assert [process.end() for process in processes] == [0, 0]
+    assert taken.success, taken.message
+    assert len(listed.samples) == 1

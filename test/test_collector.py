@@ -1,0 +1,205 @@
+"""Live collection gives the samples that the bag reader gives; a person can correct them."""
+
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
+
+from parallel_cal.dataset import load_dataset
+from parallel_cal.errors import DatasetError
+from parallel_cal.nodes import collector as collector_module
+from parallel_cal.nodes.collector import Collector
+from parallel_cal.samplefile import PER_SAMPLE
+
+BAG = Path(__file__).parent.parent / "bags" / "delta_clean"
+
+
+@pytest.fixture(scope="module")
+def messages():
+    """All messages of a recording in the order of their times: (channel, log time, message)."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    with AnyReader([BAG], default_typestore=store) as reader:
+        return [
+            (connection.topic, log, reader.deserialize(data, connection.msgtype))
+            for connection, log, data in reader.messages()
+        ]
+
+
+@pytest.fixture(scope="module")
+def offline():
+    return load_dataset(BAG)
+
+
+def feed(collector, messages):
+    for channel, log, message in messages:
+        collector.receive(channel.strip("/"), message, log)
+    collector.refresh()
+    return collector
+
+
+def until(messages, seconds):
+    first = messages[0][1]
+    return list(islice(messages, sum(log - first < seconds * 1e9 for _, log, _ in messages)))
+
+
+def same(a, b):
+    for name in PER_SAMPLE:
+        np.testing.assert_array_equal(getattr(a, name), getattr(b, name), err_msg=name)
+    assert a.conditions.keys() == b.conditions.keys()
+    for name, column in a.conditions.items():
+        np.testing.assert_array_equal(column, b.conditions[name], err_msg=name)
+
+
+def test_a_replayed_recording_gives_exactly_the_samples_of_its_bag(messages, offline):
+    collection = feed(Collector(), messages).collection()
+    assert len(collection) == 94
+    same(collection.dataset, offline)
+    assert len(collection.dataset.sha256) == 64
+
+
+def test_looking_in_between_changes_nothing_and_numbers_stay(messages, offline):
+    collector, seen = Collector(), {}
+    for k in range(0, len(messages), 1500):
+        feed(collector, messages[k : k + 1500])
+        if len(collector):
+            collection = collector.collection()
+            stamps = dict(zip(collection.ids.tolist(), collection.stamps.tolist(), strict=True))
+            for number in seen.keys() & stamps.keys():
+                assert abs(seen[number] - stamps[number]) < 1e9
+            seen.update(stamps)
+    same(collector.collection().dataset, offline)
+
+
+def test_every_measurement_is_counted_as_paired_or_dropped(messages):
+    collector = feed(Collector(), messages)
+    poses = collector.received["measured_pose"]
+    assert poses == 3056
+    assert collector.paired + collector.dropped_poses <= poses
+    assert collector.paired >= poses - 1
+
+
+def test_a_measurement_without_joint_readings_around_it_is_dropped(messages):
+    start = messages[0][1]
+    gap = [
+        m
+        for m in messages
+        if not (m[0].strip("/") == "joint_states" and 20e9 < m[1] - start < 30e9)
+    ]
+    collector = feed(Collector(), gap)
+    assert 190 <= collector.dropped_poses <= 210
+    assert 80 < len(collector) < 94
+
+
+def test_a_removed_sample_stays_out_and_is_listed_with_the_reason(messages):
+    collector = feed(Collector(), until(messages, 60))
+    before = collector.collection()
+    collector.remove(int(before.ids[3]))
+    feed(collector, messages[len(until(messages, 60)) :])
+    after = collector.collection()
+    assert len(after) == 93
+    assert before.ids[3] not in after.ids
+    assert "removed by hand" in [d.reason for d in collector.dropped()]
+    with pytest.raises(DatasetError, match="no sample 4711"):
+        collector.remove(4711)
+
+
+def test_without_auto_collect_only_what_is_taken_counts(messages):
+    collector = Collector(auto=False)
+    feed(collector, until(messages, 1.0))
+    number = collector.take()
+    assert collector.collection().ids.tolist() == [number]
+    feed(collector, messages[len(until(messages, 1.0)) : len(until(messages, 20))])
+    assert len(collector) == 1
+    assert collector.collection().ids.tolist() == [number]
+
+
+def test_taking_while_the_robot_moves_says_why_not(messages):
+    moving = [m for m in until(messages, 3.0) if m[0].strip("/") != "joint_states"]
+    with pytest.raises(DatasetError, match="nothing received on joint_states yet"):
+        feed(Collector(), moving).take()
+    collector = feed(Collector(), until(messages, 1.0))
+    feed(collector, [m for m in messages if 40e9 < m[1] - messages[0][1] < 40.1e9])
+    with pytest.raises(DatasetError, match=r"no dwell to take.*rest"):
+        collector.take()
+
+
+def test_an_empty_collection_says_what_was_received():
+    with pytest.raises(DatasetError, match="messages received: none"):
+        Collector().collection()
+
+
+def test_a_recording_played_twice_is_two_sessions(messages, offline):
+    collector = feed(feed(Collector(), messages), messages)
+    both = collector.collection()
+    assert len(both) == 2 * 94
+    assert len(set(both.ids.tolist())) == 2 * 94
+    np.testing.assert_array_equal(both.dataset.q[94:], offline.q)
+    assert len(np.unique(both.dataset.pose_id)) == 74
+
+
+def test_a_long_session_lets_messages_go_and_keeps_samples(messages, offline, monkeypatch):
+    monkeypatch.setattr(collector_module, "LONGEST_SESSION", 4000)
+    collector = Collector()
+    for k in range(0, len(messages), 200):
+        feed(collector, messages[k : k + 200])
+    held = sum(len(s.raws["joint_states"].rows) for s in collector._sessions)
+    assert held < 9000
+    dataset = collector.collection().dataset
+    assert len(dataset) == 94
+    np.testing.assert_allclose(dataset.q, offline.q, atol=2e-6)
+    np.testing.assert_allclose(dataset.conditions["payload"], 0.2)
+    assert len(np.unique(dataset.pose_id)) == 74
+
+
+def test_saved_samples_come_back_equal_and_collecting_goes_on(messages, offline, tmp_path):
+    collector = feed(Collector(), messages)
+    assert collector.save(tmp_path / "samples.json") == 94
+    other = feed(Collector(), until(messages, 10))
+    assert other.load(tmp_path / "samples.json") == 94
+    same(other.collection().dataset, offline)
+    feed(other, until(messages, 10))
+    assert len(other.collection()) == 94 + len(load_part(messages))
+    assert other.collection().dataset.time[-1] > offline.time[-1]
+
+
+def load_part(messages):
+    return feed(Collector(), until(messages, 10)).collection()
+
+
+def test_a_bad_sample_file_leaves_the_collection_as_it_is(messages, tmp_path):
+    collector = feed(Collector(), until(messages, 10))
+    count = len(collector)
+    (tmp_path / "bad.json").write_text("{}")
+    for name in ("bad.json", "none.json"):
+        with pytest.raises(DatasetError):
+            collector.load(tmp_path / name)
+    assert len(collector) == count
+    with pytest.raises(DatasetError, match="cannot be written"):
+        collector.save(tmp_path / "no folder" / "samples.json")
+
+
+def test_positions_alone_and_poses_without_covariance_are_taken_too(messages, offline):
+    types = get_typestore(Stores.ROS2_JAZZY).types
+    point, pose = (types[f"geometry_msgs/msg/{t}Stamped"] for t in ("Point", "Pose"))
+    for channel, make, coordinates in (
+        ("measured_position", lambda m: point(m.header, m.pose.pose.position), 3),
+        ("measured_pose", lambda m: pose(m.header, m.pose.pose), 6),
+    ):
+        part = [
+            (channel, log, make(m)) if name.strip("/") == "measured_pose" else (name, log, m)
+            for name, log, m in messages
+        ]
+        dataset = feed(Collector(), part).collection().dataset
+        assert len(dataset) == 94
+        assert dataset.measured.sum(axis=1).tolist() == [coordinates] * 94
+        np.testing.assert_array_equal(dataset.r, offline.r)
+
+
+def test_a_latched_payload_heard_twice_is_one(messages):
+    doubled = [m for m in messages for _ in range(2 if m[0].strip("/") == "payload" else 1)]
+    collector = feed(Collector(), doubled)
+    assert not collector.dropped()
+    assert len(collector) == 94
