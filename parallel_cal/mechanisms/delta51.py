@@ -1,0 +1,184 @@
+"""Delta robot by its joint points, 51 parameters (Savoure et al. 2006, eqs 2-22).
+
+What it says that model 54 says too: where both balls of an arm and of the platform sit, how
+long the six rods are, how the motor axes point. One rotation a chain (the arm about its own
+axis) is in a_ij and in beta_i, so 48 of the 51 are independent. What it cannot say: where the
+motor axis passes through the base; eq. 13 counts that among the platform points, which is exact
+only while the platform does not tilt. Those nine coordinates p_i are here too, fixed by default;
+with them free this model and model 54 describe the same robots (`widen`, `from_delta54`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from parallel_cal.mechanism import POSE, Mechanism, Workspace
+from parallel_cal.mechanisms.delta54 import DEGREE, HOME, MM, Delta54
+from parallel_cal.parameters import Named, Parameter, ParameterTable
+from parallel_cal.rotation import cayley, rot_x, rot_y, rot_z
+from parallel_cal.solvers.closed_form import joint_angles, positions
+
+# Eq. 10: direction of each motor axis u_i; here those of the thesis' mock-up.
+THETA = (-90 * DEGREE, 30 * DEGREE, 150 * DEGREE)
+RODS = ("11", "12", "21", "22", "31", "32")
+XYZ = ("x", "y", "z")
+# The thesis' axes of an arm (x outwards, z along the motor axis) written in the paper's
+# (u along the motor axis, v outwards, z).
+AXES = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+
+
+def from_delta54(values: Mapping[str, float]) -> dict[str, float]:
+    """Joint points, axes and lengths of the robot that model 54's parameters describe: exact.
+
+    One rotation a chain is free; it is chosen so that q means the same in both models.
+    """
+    result: dict[str, float] = {}
+    for i in (1, 2, 3):
+        c = {k.split(".")[1]: v for k, v in values.items() if k.startswith(f"chain{i}.")}
+        T = _full(rot_z(c["theta"]) @ rot_x(c["alpha"]))
+        axis = T @ _full(rot_x(c["dalpha"]) @ rot_y(c["dbeta"]))
+        b, D, dC = (np.array([c[f"{n}_{k}"] for k in XYZ]) for n in ("b", "D", "dC"))
+        _put(result, f"chain{i}.p", T @ (b + D))
+        _put(result, f"chain{i}.beta", _cayley_vector(axis @ AXES.T @ _frame(i).T))
+        for j, sign in ((1, 1), (2, -1)):
+            half = np.array([0, 0, c["d_z"]])
+            arm = np.array([c["La_x"], c["La_y"], 0]) + sign * (half + dC)
+            _put(result, f"rod{i}{j}.b", T @ (b + sign * half))
+            _put(result, f"rod{i}{j}.a", AXES @ arm)
+            result[f"rod{i}{j}.l"] = c["Lb"] + sign * c["dLb"]
+    return result
+
+
+def to_delta54(values: Mapping[str, float]) -> dict[str, float]:
+    """Model 54's parameters of the same robot: exact."""
+    result: dict[str, float] = {}
+    for i in (1, 2, 3):
+        B1, B2 = _get(values, f"rod{i}1.b"), _get(values, f"rod{i}2.b")
+        theta, alpha, d_z = _direction((B1 - B2) / 2, THETA[i - 1] + np.pi / 2)
+        T = _full(rot_z(theta) @ rot_x(alpha))
+        u = _full(cayley(ca.SX(_get(values, f"chain{i}.beta"))) @ _frame(i))
+        local = T.T @ u @ AXES  # dT Rz(gamma): gamma is an encoder offset, put into the arm
+        dalpha, dbeta, gamma = _xyz_angles(local)
+        arms = [_full(rot_z(gamma)) @ AXES.T @ _get(values, f"rod{i}{j}.a") for j in (1, 2)]
+        slide, dT = sum(arms)[2] / 2, _full(rot_x(dalpha) @ rot_y(dbeta))
+        hub = T.T @ _get(values, f"chain{i}.p") + dT @ np.array([0, 0, slide])
+        b, La = T.T @ (B1 + B2) / 2, sum(arms) / 2
+        _put(result, f"chain{i}.D", hub - b)
+        _put(result, f"chain{i}.b", b)
+        _put(result, f"chain{i}.dC", (arms[0] - arms[1]) / 2 - [0, 0, d_z])
+        l1, l2 = values[f"rod{i}1.l"], values[f"rod{i}2.l"]
+        names = "theta alpha La_x La_y Lb dalpha dbeta dLb d_z".split()
+        numbers = [theta, alpha, La[0], La[1], (l1 + l2) / 2, dalpha, dbeta, (l1 - l2) / 2, d_z]
+        result |= {f"chain{i}.{n}": float(v) for n, v in zip(names, numbers, strict=True)}
+    return result
+
+
+def _frame(i: int) -> np.ndarray:
+    """P_i, the nominal frame (u, v, z) of chain i (eq. 10)."""
+    return _full(rot_z(THETA[i - 1]))
+
+
+def _full(matrix: Any) -> np.ndarray:
+    return np.array(ca.DM(matrix))
+
+
+def _put(result: dict[str, float], name: str, vector: np.ndarray) -> None:
+    result |= {f"{name}_{k}": float(v) for k, v in zip(XYZ, vector, strict=True)}
+
+
+def _get(values: Mapping[str, float], name: str) -> np.ndarray:
+    return np.array([values[f"{name}_{k}"] for k in XYZ])
+
+
+def _cayley_vector(R: np.ndarray) -> np.ndarray:
+    """The vector whose Cayley rotation is R."""
+    skew = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    return 2 * skew / (1 + np.trace(R))
+
+
+def _direction(half: np.ndarray, theta_near: float) -> tuple[float, float, float]:
+    """theta and alpha that turn z along a vector, and the vector's length."""
+    theta = np.arctan2(half[0], -half[1])
+    theta += 2 * np.pi * np.round((theta_near - theta) / (2 * np.pi))
+    return theta, np.arctan2(np.hypot(half[0], half[1]), half[2]), float(np.linalg.norm(half))
+
+
+def _xyz_angles(M: np.ndarray) -> tuple[float, float, float]:
+    """a, b, c of M = Rx(a) Ry(b) Rz(c)."""
+    first, last = np.arctan2(-M[1, 2], M[2, 2]), np.arctan2(-M[0, 1], M[0, 0])
+    return first, np.arcsin(M[0, 2]), last
+
+
+NOMINAL = from_delta54(Delta54.parameters.mapping(Delta54.parameters.nominal))
+
+
+def _table() -> ParameterTable:
+    """The order of eq. 20: a rod's platform point, arm point and length; then the axes."""
+    rods = [f"rod{rod}.{n}" for rod in RODS for n in "b_x b_y b_z a_x a_y a_z l".split()]
+    axes = [f"chain{i}.beta_{k}" for i in (1, 2, 3) for k in XYZ]
+    base = [f"chain{i}.p_{k}" for i in (1, 2, 3) for k in XYZ]
+    return ParameterTable(
+        [
+            *[Parameter(name, "m", NOMINAL[name], 0.5 * MM, "rods") for name in rods],
+            *[Parameter(name, "rad", NOMINAL[name], 0.5 * DEGREE, "axes") for name in axes],
+            *[Parameter(name, "m", NOMINAL[name], 1 * MM, "base") for name in base],
+        ]
+    )
+
+
+class Delta51(Mechanism):
+    """Six rods between points on three arms and on the platform; all six coordinates move."""
+
+    joints = ("joint1", "joint2", "joint3")
+    moves = POSE
+    controls = ("x", "y", "z")
+    parameters = _table()
+    # What an almost level platform hides: the hubs, each arm's turn about its axis, and shifts
+    # of a rod along it. 42 parameters stay free, as in model 54.
+    fixed = ("chain*.p_*", "rod*.a_x", "chain1.beta_y", "chain2.beta_x", "chain3.beta_x")
+    home = HOME
+    workspace = Workspace(Delta54.workspace.low, Delta54.workspace.high)
+    joint_limits = Delta54.joint_limits
+    length = Delta54.length
+
+    def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
+        """(|A B|^2 - l^2) / 2l of each rod (eq. 2), in metres."""
+        return ca.vertcat(*[self._rod(rod, q, r, R, p) for rod in RODS])
+
+    @staticmethod
+    def _rod(rod: str, q: Any, r: Any, R: Any, p: Named) -> Any:
+        """A_ij = p_i + exp(beta_i) P_i Q_i a_ij and B_ij = r + R b_ij (eqs 6-11)."""
+        i, c, k = int(rod[0]), p[f"chain{rod[0]}"], p[f"rod{rod}"]
+        turn = cayley(c.vector("beta_x", "beta_y", "beta_z")) @ rot_z(THETA[i - 1])
+        a, b = k.vector("a_x", "a_y", "a_z"), k.vector("b_x", "b_y", "b_z")
+        A = c.vector("p_x", "p_y", "p_z") + turn @ (rot_x(q[i - 1]) @ a)
+        AB = r + R @ b - A
+        return (ca.dot(AB, AB) - k.l**2) / (2 * k.l)
+
+    def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
+        """Both positions at which the rods close on average, platform parallel to the base."""
+        return [(r, ca.DM.eye(3)) for r in positions(_Middle(), q, p)]
+
+    def joint_candidates(self, r: Any, R: Any, p: Named) -> list[tuple[Any, ...]]:
+        """Both angles of each joint at which its two rods close on average."""
+        return joint_angles(_Middle(), r, R, p)
+
+    def widen(self, values: Mapping[str, float]) -> tuple[str, dict[str, float]]:
+        """Model 54 describes every robot that this model describes."""
+        return "delta54", to_delta54(values)
+
+
+class _Middle(Delta51):
+    """The mean of each pair's two rows: three spheres while the platform does not tilt."""
+
+    def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
+        return ca.vertcat(
+            *[
+                (self._rod(f"{i}1", q, r, R, p) + self._rod(f"{i}2", q, r, R, p)) / 2
+                for i in (1, 2, 3)
+            ]
+        )

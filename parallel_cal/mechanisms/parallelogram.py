@@ -1,0 +1,92 @@
+"""Plane parallelogram with every dimension free (Savoure et al. 2006, section III, eqs 39-69)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from parallel_cal.mechanism import Home, Mechanism, Workspace
+from parallel_cal.parameters import Named, Parameter, ParameterTable
+from parallel_cal.rotation import rot_z
+
+MM, DEGREE = 1e-3, np.pi / 180
+NOMINAL = {  # the paper's table 2: unit, nominal value, tolerance
+    "q0": ("rad", 0.0, 0.5 * DEGREE),
+    "a1_x": ("m", 125 * MM, 1 * MM),
+    "a2_x": ("m", 125 * MM, 1 * MM),
+    "a2_y": ("m", 0.0, 1 * MM),
+    "b1_x": ("m", 125 * MM, 1 * MM),
+    "b2_x": ("m", 125 * MM, 1 * MM),
+    "b2_y": ("m", 0.0, 1 * MM),
+    "l1": ("m", 950 * MM, 1 * MM),
+    "l2": ("m", 950 * MM, 1 * MM),
+    "h": ("m", 100 * MM, 1 * MM),
+}
+
+
+class Parallelogram(Mechanism):
+    """Crank A1 B1 driven by q, rod A2 B2, platform B1 B2 with the tool C below it.
+
+    {B} has x along O A1 and y up; {P} has its origin in C. q + q0 is the crank's angle from
+    the vertical, the platform hangs below. h belongs to the tool and is not identified.
+    """
+
+    joints = ("joint1",)
+    moves = ("x", "y", "rz")
+    controls = ("x",)
+    parameters = ParameterTable(Parameter(name, *entry) for name, entry in NOMINAL.items())
+    fixed = ("h", "a1_x", "b2_x", "b2_y")  # eqs 70-73: six of nine errors can be told apart
+    home = Home(joints=(0.0,), position=(0.0, -1050 * MM, 0.0))
+    workspace = Workspace(low=(-0.65,), high=(0.65,))
+    joint_limits = ((-60 * DEGREE, 60 * DEGREE),)
+    length = 125 * MM
+
+    def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
+        """A1 B1 = l1 u, drive and first length in one (eqs 55, 61), and |A2 B2| = l2, in m."""
+        A1, A2, B1, B2 = self._points(r[:2], R[:2, :2], p)
+        angle = q + p.q0
+        u = ca.vertcat(ca.sin(angle), -ca.cos(angle))
+        rod = B2 - A2
+        return ca.vertcat(B1 - A1 - p.l1 * u, (ca.dot(rod, rod) - p.l2**2) / (2 * p.l2))
+
+    @staticmethod
+    def _points(C: Any, R: Any, p: Named) -> tuple[Any, Any, Any, Any]:
+        """A1 A2 on the base, B1 B2 on the platform, from the tool point C."""
+        A1, A2 = ca.vertcat(-p.a1_x, 0), ca.vertcat(p.a2_x, p.a2_y)
+        B1, B2 = ca.vertcat(-p.b1_x, p.h), ca.vertcat(p.b2_x, p.h + p.b2_y)
+        return A1, A2, C + R @ B1, C + R @ B2
+
+    def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
+        """Both assemblies in closed form: parallelogram and antiparallelogram (eqs 42-52)."""
+        return [self._assembled(q, p, sign) for sign in (1, -1)]
+
+    def start(self, q: Any, p: Named) -> tuple[Any, Any]:
+        """The parallelogram: B2 on the right of the line from B1 to A2, where sin > 0."""
+        return self._assembled(q, p, 1)
+
+    def _assembled(self, q: Any, p: Named, sign: int) -> tuple[Any, Any]:
+        """Tool point and tilt where B2 closes the loop on one side.
+
+        w + R c is A2 B2, so 2 w . R c = l2^2 - w.w - c.c, a cosine of the tilt (eq. 50).
+        (The printed G of eq. 48 has an h too many, C is common to both sides of the loop;
+        eq. 52 must end in gamma_p.)
+        """
+        angle = q + p.q0
+        B1 = ca.vertcat(p.l1 * ca.sin(angle) - p.a1_x, -p.l1 * ca.cos(angle))
+        w, c = B1 - ca.vertcat(p.a2_x, p.a2_y), ca.vertcat(p.b1_x + p.b2_x, p.b2_y)
+        along = (p.l2**2 - ca.dot(w, w) - ca.dot(c, c)) / 2
+        across = ca.sqrt(ca.dot(w, w) * ca.dot(c, c) - along**2)
+        tilt = ca.atan2(w[1], w[0]) - ca.atan2(c[1], c[0]) + ca.atan2(sign * across, along)
+        R = rot_z(tilt)
+        C = B1 - R[:2, :2] @ ca.vertcat(-p.b1_x, p.h)
+        return ca.vertcat(C, 0), R
+
+    def joint_candidates(self, r: Any, R: Any, p: Named) -> list[tuple[Any, ...]]:
+        """The simple mechanism's two angles (eq. 35)."""
+        angle = ca.asin(ca.fmin(ca.fmax(r[0] / p.l1, -1), 1))
+        return [(angle - p.q0, ca.pi - angle - p.q0)]
+
+    def start_inverse(self, r: Any, R: Any, p: Named) -> Any:
+        return self.joint_candidates(r, R, p)[0][0]

@@ -1,0 +1,50 @@
+"""Plane parallelogram as its controller sees it: a bar (Savoure et al. 2006, eqs 34-38)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import casadi as ca
+
+from parallel_cal.mechanism import Mechanism
+from parallel_cal.mechanisms.parallelogram import NOMINAL, Parallelogram
+from parallel_cal.parameters import Named, Parameter, ParameterTable
+
+
+class ParallelogramSimple(Mechanism):
+    """A bar of length l carries the tool at h below its end; the platform does not tilt."""
+
+    joints = Parallelogram.joints
+    moves = ("x", "y")
+    controls = ("x",)
+    parameters = ParameterTable(
+        Parameter(name, *NOMINAL[key]) for name, key in (("q0", "q0"), ("l", "l1"), ("h", "h"))
+    )
+    fixed = ("h",)
+    home = Parallelogram.home
+    workspace = Parallelogram.workspace
+    joint_limits = Parallelogram.joint_limits
+    length = Parallelogram.length
+
+    def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
+        """x = l sin(q + q0) (eq. 34), and the height that goes with it, in metres."""
+        return r[:2] - self._tool(q, p)
+
+    @staticmethod
+    def _tool(q: Any, p: Named) -> Any:
+        angle = q + p.q0
+        return ca.vertcat(p.l * ca.sin(angle), -p.l * ca.cos(angle) - p.h)
+
+    def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
+        return [(ca.vertcat(self._tool(q, p), 0), ca.DM.eye(3))]
+
+    def joint_candidates(self, r: Any, R: Any, p: Named) -> list[tuple[Any, ...]]:
+        """Eq. 35, and the bar on the other side of the pivot."""
+        angle = ca.asin(ca.fmin(ca.fmax(r[0] / p.l, -1), 1))
+        return [(angle - p.q0, ca.pi - angle - p.q0)]
+
+    def widen(self, values: Mapping[str, float]) -> tuple[str, dict[str, float]]:
+        """The complete mechanism with two equal rods."""
+        equal = {"l1": values["l"], "l2": values["l"]}
+        return "parallelogram", {"q0": values["q0"], "h": values["h"], **equal}

@@ -1,0 +1,218 @@
+"""Serial arm of any length, a chain of DH and Hayati links (section 3.2.2, table 3.5)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from parallel_cal.errors import ModelError
+from parallel_cal.mechanism import POSE, Home, Mechanism, Workspace
+from parallel_cal.parameters import Named, Parameter, ParameterTable
+from parallel_cal.rotation import matrix_to_quaternion, rot_x, rot_y, rot_z
+
+DEGREE = np.pi / 180
+UNITS = {"theta": "rad", "d": "m", "a": "m", "b": "m", "alpha": "rad", "beta": "rad"}
+# Table 3.5: how the next axis lies to this frame's z, and its kind -> what describes the link.
+# Two rows are ours: {B} on the first axis (Hayati's theta is undefined there), and {P} itself.
+TOPOLOGY = {
+    ("perpendicular", "R"): ("theta", "d", "a", "alpha"),  # DH
+    ("parallel", "R"): ("theta", "a", "alpha", "beta"),  # H
+    ("perpendicular", "P"): ("theta", "alpha"),
+    ("parallel", "P"): ("alpha", "beta"),
+    ("coincident", "R"): ("a", "b", "alpha", "beta"),
+    ("frame", None): ("theta", "d", "a", "b", "alpha", "beta"),
+}
+KEYS = {*UNITS, "joint", "axes", "free", "low", "high", "name"}
+DEFAULT_LIMITS = {"R": (-170 * DEGREE, 170 * DEGREE), "P": (-0.5, 0.5)}
+
+
+@dataclass(frozen=True)
+class Link:
+    """One transformation of the chain; its joint turns about (R) or slides along (P) its z."""
+
+    name: str
+    joint: str | None
+    free: tuple[str, ...]
+    nominal: Mapping[str, float]
+    limits: tuple[float, float]
+
+    def transform(self, q: Any, p: Named) -> tuple[Any, Any]:
+        """Rotation and translation of eq. 3.6: Rz(theta) Tz(d) Tx(a) Rx(alpha) Ry(beta).
+
+        b is a shift along y', zero in the thesis.
+        """
+        t = {
+            key: p[f"{self.name}.{key}"] if key in self.free else self.nominal[key] for key in UNITS
+        }
+        turn = rot_z(t["theta"] + q if self.joint == "R" else t["theta"])
+        rise = t["d"] + q if self.joint == "P" else t["d"]
+        return turn @ rot_x(t["alpha"]) @ rot_y(t["beta"]), turn @ ca.vertcat(t["a"], t["b"], rise)
+
+
+class Serial(Mechanism):
+    """Links given in the model file; all six coordinates move.
+
+    Each link: `joint` R, P or null, `axes` parallel, perpendicular or coincident (the next
+    axis against this one; not for the last link), numbers theta d a b alpha beta (m, rad),
+    joint limits `low` `high`; `free` names the parameters where table 3.5 is not wanted.
+    """
+
+    moves = POSE
+
+    def __init__(
+        self,
+        links: Sequence[Mapping[str, Any]],
+        home: Sequence[float] | None = None,
+        controls: Sequence[str] | None = None,
+        length_tolerance: float = 0.5e-3,
+        angle_tolerance: float = 0.5 * DEGREE,
+    ):
+        self.links = read_links(links)
+        self.driven = [link for link in self.links if link.joint]
+        self.joints = tuple(f"joint{i + 1}" for i in range(len(self.driven)))
+        self.joint_limits = tuple(link.limits for link in self.driven)
+        self.joint_unit = "m" if all(link.joint == "P" for link in self.driven) else "rad"
+        self.parameters = _table(self.links, length_tolerance, angle_tolerance)
+        self.controls = tuple(controls) if controls else _controls(len(self.driven))
+        self.length = 0.3 * self._reach()
+        self.home = self._home(home)
+        self.workspace = self._workspace()
+
+    def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
+        """Eq. 3.7 as a closure: position difference (m) and rotation difference (rad)."""
+        position, rotation = self.pose(q, p)
+        return ca.vertcat(r - position, rotation_difference(rotation, R))
+
+    def pose(self, q: Any, p: Named) -> tuple[Any, Any]:
+        """Position and rotation of {P} in {B}: the product of the links (eq. 3.7)."""
+        position, rotation, used = ca.DM.zeros(3), ca.DM.eye(3), 0
+        for link in self.links:
+            turn, shift = link.transform(q[used] if link.joint else 0, p)
+            position, rotation = position + rotation @ shift, rotation @ turn
+            used += 1 if link.joint else 0
+        return position, rotation
+
+    def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
+        """The direct problem of a serial arm is solved by evaluating it."""
+        return [self.pose(q, p)]
+
+    def joint_candidates(self, r: Any, R: Any, p: Named) -> list[tuple[Any, ...]]:
+        """Home first, then joints turned away from it: places from where Newton may begin."""
+        n = 4 if len(self.joints) <= 3 else 2
+        turns = [i * 2 * np.pi / n for i in range(n)]
+        choices = zip(self.driven, self.home.joints, strict=True)
+        return [tuple(h + t for t in turns) if k.joint == "R" else (h,) for k, h in choices]
+
+    def start_inverse(self, r: Any, R: Any, p: Named) -> Any:
+        """Home: a general arm's inverse problem has no closed form."""
+        return ca.DM(self.home.joints)
+
+    def _home(self, joints: Sequence[float] | None) -> Home:
+        joints = tuple(np.zeros(len(self.joints)) if joints is None else joints)
+        if len(joints) != len(self.joints):
+            raise ModelError(f"home has {len(joints)} joints, the arm has {len(self.joints)}")
+        p = Named(self.parameters.names, ca.DM(self.parameters.nominal))
+        position, rotation = self.pose(ca.DM(joints), p)
+        x, y, z = np.array(position).ravel().tolist()
+        a, b, c, w = matrix_to_quaternion(np.array(rotation)).tolist()
+        return Home(tuple(float(q) for q in joints), (x, y, z), (a, b, c, w))
+
+    def _workspace(self) -> Workspace:
+        """A tenth of the reach around home's position, 0.2 rad around its orientation."""
+        centre = np.array([*self.home.position, 0.0, 0.0, 0.0])[self.controlled]
+        half = np.array([0.1 * self._reach()] * 3 + [0.2] * 3)[self.controlled]
+        return Workspace(tuple((centre - half).tolist()), tuple((centre + half).tolist()))
+
+    def _reach(self) -> float:
+        lengths = [
+            np.hypot(k.nominal["a"], np.hypot(k.nominal["b"], k.nominal["d"])) for k in self.links
+        ]
+        return max(float(sum(lengths)), 0.1)
+
+
+def rotation_difference(model: Any, R: Any) -> Any:
+    """The rotation that is left, E = model^T R, as 2 tan(angle / 2) times its axis (rad).
+
+    The skew part of E alone is sin(angle) and would also vanish half a turn away.
+    """
+    E = model.T @ R
+    return (
+        2 / (1 + ca.trace(E)) * ca.vertcat(E[2, 1] - E[1, 2], E[0, 2] - E[2, 0], E[1, 0] - E[0, 1])
+    )
+
+
+def read_links(given: Sequence[Mapping[str, Any]]) -> tuple[Link, ...]:
+    """Links from the model file, each checked and given table 3.5's parameters."""
+    last = max((i for i, link in enumerate(given) if link.get("joint")), default=-1)
+    if last < 0:
+        raise ModelError("a serial arm needs at least one link with joint: R or P")
+    names = _names(given, last)
+    following = [*(link.get("joint") for link in given[1:]), None]
+    rows = zip(names, given, following, strict=True)
+    return tuple(_link(name, link, next_joint) for name, link, next_joint in rows)
+
+
+def _names(given: Sequence[Mapping[str, Any]], last: int) -> list[str]:
+    """`base` before the first joint, `platform` after the last, `link1`.. between."""
+    names, driven = [], 0
+    for i, link in enumerate(given):
+        driven += 1 if link.get("joint") else 0
+        default = f"link{driven}" if link.get("joint") else ("platform" if i > last else "base")
+        names.append(str(link.get("name", default)))
+    return names
+
+
+def _link(name: str, given: Mapping[str, Any], next_joint: str | None) -> Link:
+    if unknown := set(given) - KEYS:
+        raise ModelError(f"{name}: unknown key {sorted(unknown)}; a link has {sorted(KEYS)}")
+    joint = given.get("joint")
+    if joint not in ("R", "P", None):
+        raise ModelError(f"{name}: joint '{joint}', expected R, P or null")
+    nominal = {key: float(given.get(key, 0.0)) for key in UNITS}
+    free = tuple(given["free"]) if "free" in given else _topology(name, given, next_joint)
+    if wrong := set(free) - set(UNITS):
+        raise ModelError(f"{name}: free has {sorted(wrong)}, expected some of {list(UNITS)}")
+    _check_regular(name, free, nominal)
+    low, high = DEFAULT_LIMITS.get(joint or "", (0.0, 0.0))
+    return Link(name, joint, free, nominal, (given.get("low", low), given.get("high", high)))
+
+
+def _topology(name: str, given: Mapping[str, Any], next_joint: str | None) -> tuple[str, ...]:
+    key = (given.get("axes", "frame" if next_joint is None else None), next_joint)
+    if key not in TOPOLOGY:
+        known = ", ".join(axes for axes, joint in TOPOLOGY if joint == next_joint)
+        raise ModelError(f"{name}: axes '{key[0]}' to a joint {next_joint}, expected {known}")
+    return TOPOLOGY[key]
+
+
+def _check_regular(name: str, free: Sequence[str], nominal: Mapping[str, float]) -> None:
+    """Parameters must follow small changes of the geometry: proportionality (3.2.2)."""
+    polar = {"theta", "a", "beta"} <= set(free) and "b" not in free
+    if polar and abs(nominal["a"]) < 1e-6:
+        raise ModelError(
+            f"{name}: Hayati's theta is undefined where both axes coincide (a = 0); "
+            "use axes: coincident or other free parameters"
+        )
+    if {"d", "a"} <= set(free) and "b" not in free and abs(np.sin(nominal["alpha"])) < 0.1:
+        raise ModelError(f"{name}: DH's d is undefined for parallel axes; use axes: parallel")
+    if {"theta", "alpha", "beta"} <= set(free) and abs(np.cos(nominal["alpha"])) < 0.1:
+        raise ModelError(f"{name}: theta and beta are one rotation at alpha = 90 degrees")
+
+
+def _table(links: Sequence[Link], length: float, angle: float) -> ParameterTable:
+    tolerance = {"m": length, "rad": angle}
+    return ParameterTable(
+        Parameter(f"{link.name}.{key}", UNITS[key], link.nominal[key], tolerance[UNITS[key]])
+        for link in links
+        for key in UNITS
+        if key in link.free
+    )
+
+
+def _controls(n: int) -> tuple[str, ...]:
+    """As many coordinates as joints: the position, then the orientation."""
+    return POSE[: min(n, 6)]
