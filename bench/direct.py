@@ -39,7 +39,10 @@ class NumpyNewton:
             b, d = np.array([c["b_x"], c["b_y"], c["b_z"]]), np.array([0, 0, c["d_z"]])
             D = np.array([c["D_x"], c["D_y"], c["D_z"]])
             Q = _turns_z(q[:, i])
-            La, dC = np.array([c["La_x"], c["La_y"], 0]), np.array([c["dC_x"], c["dC_y"], c["dC_z"]])
+            La, dC = (
+                np.array([c["La_x"], c["La_y"], 0]),
+                np.array([c["dC_x"], c["dC_y"], c["dC_z"]]),
+            )
             Tb, Td = R @ (T @ b), R @ (T @ d)
             CB = r + Tb - T @ (b + D) - (Q @ La) @ (T @ dT).T
             dd = Td - (d + Q @ dC) @ (T @ dT).T
@@ -83,7 +86,10 @@ def buffer_rows(model: Model, problem: str, name: str, given: np.ndarray) -> lis
     functions = newton_functions(model.structure, problem)
     k = Single(functions.tables)(model.values)[0]
     rows = []
-    for label, f in (("virtual machine", functions.solve), ("compiled C", compiled(functions.solve))):
+    for label, f in (
+        ("virtual machine", functions.solve),
+        ("compiled C", compiled(functions.solve)),
+    ):
         single, batch = Single(f), Batch(f)
         arguments = (given[0], np.zeros(0), k)
         single(*arguments)
@@ -123,8 +129,14 @@ def main() -> None:
             assert np.abs(peer()[:3] - r[0]).max() < 1e-8
             rows += [
                 Row("delta54 direct, scipy fsolve", seconds_each(peer, least=50)),
-                Row("delta54 direct, NumPy Newton single", seconds_each(lambda: newton.solve(q[:1], start[:1]))),
-                Row(f"delta54 direct, NumPy Newton batch of {N}", seconds_each(lambda: newton.solve(q, start), least=2) / N),
+                Row(
+                    "delta54 direct, NumPy Newton single",
+                    seconds_each(lambda: newton.solve(q[:1], start[:1])),
+                ),
+                Row(
+                    f"delta54 direct, NumPy Newton batch of {N}",
+                    seconds_each(lambda: newton.solve(q, start), least=2) / N,
+                ),
             ]
     show("Direct and inverse problem", rows)
 

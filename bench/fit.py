@@ -52,7 +52,9 @@ def main() -> None:
             ),
             Row(
                 "the same, 74 poses",
-                seconds_each(lambda: estimate(model, evidence.select(np.arange(74)), free), least=10),
+                seconds_each(
+                    lambda: estimate(model, evidence.select(np.arange(74)), free), least=10
+                ),
             ),
             Row(
                 "unweighted fit (eq. 5.6)",

@@ -1,6 +1,6 @@
 """Draws docs/falling_error.svg: the error of a virtual Delta at poses that no fit has seen.
 
-    .venv/bin/pip install matplotlib && .venv/bin/python docs/falling_error.py
+.venv/bin/pip install matplotlib && .venv/bin/python docs/falling_error.py
 """
 
 from __future__ import annotations

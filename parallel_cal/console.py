@@ -94,9 +94,12 @@ def progress(stage: str, fraction: float) -> None:
         sys.stderr.flush()
 
 
-def errors_table(columns: Mapping[str, Mapping[str, Any]], joint_unit: str) -> None:
+def errors_table(columns: Mapping[str, Mapping[str, Any]], joint_units: Sequence[str]) -> None:
     """Mean and rms errors, one column for each of before, after, ... (as table 5.15)."""
-    joint = ("arcmin", 60 * 180 / math.pi) if joint_unit == "rad" else ("um", 1e6)
+    names = set(joint_units)
+    joint = ("um", 1e6) if names == {"m"} else ("arcmin", 60 * 180 / math.pi)
+    if len(names) > 1:  # turns and slides in one norm have no people's unit
+        joint = ("rad|m", 1.0)
     units = {**ERROR_UNITS, "joint": joint}
     rows = []
     for kind, (unit, factor) in units.items():

@@ -386,7 +386,10 @@ class _Problem:
         damping, size = 1e-3, float(np.linalg.norm(phi))
         for _ in range(100):
             gradient, normal = J.T @ phi, J.T @ J
-            step = -np.linalg.solve(normal + damping * np.eye(len(normal)), gradient)
+            try:
+                step = -np.linalg.solve(normal + damping * np.eye(len(normal)), gradient)
+            except np.linalg.LinAlgError:  # a start that blew up
+                return x, size, Status.NOT_CONVERGED
             if np.linalg.norm(step) < 1e-15:
                 break
             candidate = self._moved(x, step)
@@ -430,7 +433,8 @@ def _apart(a: Solutions, b: Solutions) -> float:
 
 def _turned_towards(q: np.ndarray, unknown: bool, model: Model) -> np.ndarray:
     """Solved angles moved by whole turns to within half a turn of home."""
-    if not unknown or model.mechanism.joint_unit != "rad" or not model.mechanism.periodic:
+    if not unknown or not model.mechanism.periodic:
         return q
+    turns = np.array([unit == "rad" for unit in model.mechanism.joint_units])
     home = np.array(model.mechanism.home.joints)
-    return q - 2 * np.pi * np.round((q - home) / (2 * np.pi))
+    return q - 2 * np.pi * np.round((q - home) / (2 * np.pi)) * turns

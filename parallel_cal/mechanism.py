@@ -89,11 +89,15 @@ class Mechanism(ABC):
 
     def start_inverse(self, r: Any, R: Any, p: Named) -> Any:
         """For each joint the candidate nearest to home, angles compared on the circle."""
-        choices = zip(self.joint_candidates(r, R, p), self.home.joints, strict=True)
-        return ca.vertcat(*[_nearest(c, partial(self._joint_distance, h)) for c, h in choices])
+        candidates = self.joint_candidates(r, R, p)
+        choices = zip(candidates, self.joint_units, self.home.joints, strict=True)
+        return ca.vertcat(
+            *[_nearest(c, partial(self._joint_distance, unit, h)) for c, unit, h in choices]
+        )
 
-    def _joint_distance(self, home: float, q: Any) -> Any:
-        return 1 - ca.cos(q - home) if self.joint_unit == "rad" else ca.fabs(q - home)
+    @staticmethod
+    def _joint_distance(unit: str, home: float, q: Any) -> Any:
+        return 1 - ca.cos(q - home) if unit == "rad" else ca.fabs(q - home)
 
     def widen(self, values: Mapping[str, float]) -> tuple[str, dict[str, float]]:
         """The larger model this one is a special case of, and its parameter values."""
@@ -104,6 +108,11 @@ class Mechanism(ABC):
         """The name in model files: the file's name, or the Python path of a user's file."""
         module = type(self).__module__
         return module.removeprefix("parallel_cal.mechanisms.")
+
+    @property
+    def joint_units(self) -> tuple[str, ...]:
+        """Each joint's unit, rad or m; a mechanism that has both overrides this."""
+        return (self.joint_unit,) * len(self.joints)
 
     @property
     def moved(self) -> list[int]:

@@ -122,8 +122,8 @@ class Structure:
     def scale(self) -> np.ndarray:
         """Metres a unit of each of (q, r, w) moves things: the mechanism's length for angles."""
         m = self.mechanism
-        joint = m.length if m.joint_unit == "rad" else 1.0
-        return np.array([joint] * len(m.joints) + [1.0] * 3 + [m.length] * 3)
+        joints = [m.length if unit == "rad" else 1.0 for unit in m.joint_units]
+        return np.array(joints + [1.0] * 3 + [m.length] * 3)
 
 
 @dataclass(frozen=True)

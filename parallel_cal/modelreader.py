@@ -130,8 +130,8 @@ class Reader:
             raise self._error(("joints",), f"{len(names)} joints, {found}")
         if names != own and set(names) == set(own):
             raise self._error(("joints",), f"joints in another order, {found}")
-        for name, joint in file.joints.items():
-            checks.joint(self._document, name, mechanism.joint_unit, joint)
+        for (name, joint), unit in zip(file.joints.items(), mechanism.joint_units, strict=True):
+            checks.joint(self._document, name, unit, joint)
         mechanism.joints = names
         mechanism.joint_limits = tuple(_limits(joint) for joint in file.joints.values())
 

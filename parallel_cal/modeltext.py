@@ -29,10 +29,10 @@ def _setup(model: Model) -> Iterator[str]:
     m = model.mechanism
     yield from _mechanism(model)
     yield "joints:"
-    for joint, (low, high) in zip(m.joints, m.joint_limits, strict=True):
+    for joint, unit, (low, high) in zip(m.joints, m.joint_units, m.joint_limits, strict=True):
         limits = {"low": low, "high": high}
         finite = {key: float(v) for key, v in limits.items() if math.isfinite(v)}
-        yield f"  {flow(joint)}: {flow({'unit': m.joint_unit, **finite})}"
+        yield f"  {flow(joint)}: {flow({'unit': unit, **finite})}"
     yield "home:"
     for key in ("joints", "position", "quaternion"):
         yield f"  {key}: {flow([float(v) for v in getattr(m.home, key)])}"

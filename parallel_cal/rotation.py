@@ -33,6 +33,15 @@ def cayley(w: Any) -> Any:
     return ca.SX.eye(3) + 2 / (1 + ca.dot(w, w) / 4) * (h + h @ h)
 
 
+def exponential(w: Any) -> Any:
+    """exp(w), by Rodrigues' formula (eq. B.1); smooth at w = 0."""
+    square = ca.dot(w, w) + 1e-30  # far below rounding, and its root has a derivative
+    angle = ca.sqrt(square)
+    half = ca.sin(angle / 2)
+    S = ca.skew(w)
+    return ca.SX.eye(3) + ca.sin(angle) / angle * S + 2 * half**2 / square * (S @ S)
+
+
 def left_generators(R: Any) -> Any:
     """d vec(exp(w) R) / dw at w = 0, row-major vec; shape (9, 3)."""
     columns = [ca.vec((ca.skew(ca.DM(axis)) @ R).T) for axis in np.eye(3)]

@@ -66,12 +66,7 @@ CASES = [
     Case("linear_delta", lambda p: vm.LinearDelta(p, 0.3), (("inclination", 0.3),)),
     Case("parallelogram", vp.Parallelogram),
     Case("parallelogram_simple", vp.SimpleParallelogram),
-    pytest.param(
-        Case("delta51", vp.Delta51),
-        marks=pytest.mark.xfail(
-            reason="beta turns by 2 atan(beta / 2), not by beta rad", strict=False
-        ),
-    ),
+    Case("delta51", vp.Delta51),
 ]
 ELSEWHERE = {"delta54", "delta24", "delta_nominal", "serial"}  # test_delta.py; below
 each_case = pytest.mark.parametrize("case", CASES, ids=str)

@@ -236,7 +236,7 @@ RODS_IN_WHOLE = {"b_x": 1, "b_y": 2, "b_z": 3, "a_x": 1, "a_y": 2, "a_z": 3, "l"
 CHAIN_IN_WHOLE = {"beta_x": 0, "beta_y": 0, "beta_z": 0, "p_x": 1, "p_y": 2, "p_z": 3}
 CYCLE = [[0, 0, 1], [1, 0, 0], [0, 1, 0]]  # takes (x, y, z) to (z, x, y)
 # Chain 1's frame takes (x, y, z) to (y, -x, z). A = (1, 2, 3) + (2, -1, 3), B = (10, 0, 8) +
-# (3, 1, 2), so AB = (10, 0, 4) and the row is (116 - 100) / 20. A beta of 2 is a quarter turn.
+# (3, 1, 2), so AB = (10, 0, 4) and the row is (116 - 100) / 20.
 ROD_BY_HAND = {
     "": (0, 0.8),
     "q": (QUARTER, 7.5),
@@ -250,9 +250,9 @@ ROD_BY_HAND = {
     "p_x": (2, -0.15),
     "p_y": (3, 0.85),
     "p_z": (4, 0.45),
-    "beta_x": (2, 3.4),
-    "beta_y": (2, 3.1),
-    "beta_z": (2, 2.3),
+    "beta_x": (QUARTER, 3.4),
+    "beta_y": (QUARTER, 3.1),
+    "beta_z": (QUARTER, 2.3),
 }
 
 
@@ -285,9 +285,7 @@ class PointDelta(vr.RodRobot):
         p = self.parameters
         beta = np.array([[p[f"chain{i}.beta_{k}"] for k in "xyz"] for i in (1, 2, 3)])
         hub = np.array([[p[f"chain{i}.p_{k}"] for k in "xyz"] for i in (1, 2, 3)])
-        size = np.linalg.norm(beta, axis=1, keepdims=True)
-        tilt = vr.turn(beta / size * 2 * np.arctan(size / 2))
-        frame = tilt @ vr.about("z", np.radians([-90, 30, 150]))
+        frame = vr.turn(beta) @ vr.about("z", np.radians([-90, 30, 150]))
         frame = frame @ vr.about("x", np.asarray(q))
         A = self.points("a")
         return np.concatenate([hub + vr.apply(frame, A[:3]), hub + vr.apply(frame, A[3:])], -2)

@@ -153,7 +153,7 @@ def test_a_slide_gets_only_its_direction():
         "theta", "d", "a", "b", "alpha", "beta",
     ]  # fmt: skip
     assert len(names) == 2 * 3 + 6
-    assert arm.joint_unit == "m"
+    assert set(arm.joint_units) == {"m"}
 
 
 @pytest.mark.parametrize("seed", range(3))

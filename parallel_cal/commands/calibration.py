@@ -83,7 +83,7 @@ def _show_fit(document: dict[str, Any], model: Model) -> None:
         f"{document['samples']} samples, {document['rank']} of {document['free']} free parameters "
         f"identified, chi2/dof {console.number(document['chi2_per_dof'])}"
     )
-    console.errors_table(columns, model.mechanism.joint_unit)
+    console.errors_table(columns, model.mechanism.joint_units)
     rows = []
     for name, p in document["parameters"].items():
         if not p["fixed"]:
@@ -109,7 +109,7 @@ def compare(
     if document.get("noise_floor"):
         columns["noise alone"] = document["noise_floor"]
     console.say(f"{document['samples']} samples")
-    console.errors_table(columns, model.mechanism.joint_unit)
+    console.errors_table(columns, model.mechanism.joint_units)
     console.say("worst samples:")
     _show_rows(document["rows"][:10])
 

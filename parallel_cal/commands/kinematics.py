@@ -112,8 +112,8 @@ def _joint_sigma(model: Model, sigma: np.ndarray) -> str:
 
 
 def _joint_unit(model: Model) -> tuple[str, float]:
-    unit = model.mechanism.joint_unit
-    return console.READABLE.get(unit, (unit, 1.0))
+    units = set(model.mechanism.joint_units)
+    return console.READABLE[units.pop()] if len(units) == 1 else ("rad|m", 1.0)
 
 
 def _many(text: str, found: Solutions, output: Path | None, as_json: bool) -> None:

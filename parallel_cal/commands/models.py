@@ -77,7 +77,7 @@ def _mechanism_row(name: str) -> dict[str, Any]:
     return {
         "name": name,
         "joints": list(m.joints) if m else [],
-        "joint_unit": cls.joint_unit,
+        "joint_units": list(m.joint_units) if m else [],
         "parameters": len(m.parameters) if m else None,
         "moves": list(m.moves if m else cls.moves),
         "controls": list(m.controls if m else cls.controls),

@@ -19,8 +19,8 @@ class Backlash(Effect):
     separated_by = "the same poses approached from both directions, at rest"
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
-        unit = mechanism.joint_unit
-        return [Parameter(f"{j}.width", unit, 0.0, 0.3e-3, low=0.0) for j in mechanism.joints]
+        joints = zip(mechanism.joints, mechanism.joint_units, strict=True)
+        return [Parameter(f"{j}.width", unit, 0.0, 0.3e-3, low=0.0) for j, unit in joints]
 
     def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
         rows = [

@@ -19,8 +19,8 @@ class EncoderEccentricity(Effect):
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
         return [
-            Parameter(f"{joint}.{part}", mechanism.joint_unit, 0.0, 1e-3)
-            for joint in mechanism.joints
+            Parameter(f"{joint}.{part}", unit, 0.0, 1e-3)
+            for joint, unit in zip(mechanism.joints, mechanism.joint_units, strict=True)
             for part in ("sin", "cos")
         ]
 

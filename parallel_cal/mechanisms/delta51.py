@@ -19,7 +19,7 @@ import numpy as np
 from parallel_cal.mechanism import POSE, Mechanism, Workspace
 from parallel_cal.mechanisms.delta54 import DEGREE, HOME, MM, Delta54
 from parallel_cal.parameters import Named, Parameter, ParameterTable
-from parallel_cal.rotation import cayley, rot_x, rot_y, rot_z
+from parallel_cal.rotation import exponential, rot_x, rot_y, rot_z, rotation_matrix, rotation_vector
 from parallel_cal.solvers.closed_form import joint_angles, positions
 
 # Eq. 10: direction of each motor axis u_i; here those of the thesis' mock-up.
@@ -43,7 +43,7 @@ def from_delta54(values: Mapping[str, float]) -> dict[str, float]:
         axis = T @ _full(rot_x(c["dalpha"]) @ rot_y(c["dbeta"]))
         b, D, dC = (np.array([c[f"{n}_{k}"] for k in XYZ]) for n in ("b", "D", "dC"))
         _put(result, f"chain{i}.p", T @ (b + D))
-        _put(result, f"chain{i}.beta", _cayley_vector(axis @ AXES.T @ _frame(i).T))
+        _put(result, f"chain{i}.beta", rotation_vector(axis @ AXES.T @ _frame(i).T))
         for j, sign in ((1, 1), (2, -1)):
             half = np.array([0, 0, c["d_z"]])
             arm = np.array([c["La_x"], c["La_y"], 0]) + sign * (half + dC)
@@ -60,7 +60,7 @@ def to_delta54(values: Mapping[str, float]) -> dict[str, float]:
         B1, B2 = _get(values, f"rod{i}1.b"), _get(values, f"rod{i}2.b")
         theta, alpha, d_z = _direction((B1 - B2) / 2, THETA[i - 1] + np.pi / 2)
         T = _full(rot_z(theta) @ rot_x(alpha))
-        u = _full(cayley(ca.SX(_get(values, f"chain{i}.beta"))) @ _frame(i))
+        u = rotation_matrix(_get(values, f"chain{i}.beta")) @ _frame(i)
         local = T.T @ u @ AXES  # dT Rz(gamma): gamma is an encoder offset, put into the arm
         dalpha, dbeta, gamma = _xyz_angles(local)
         arms = [_full(rot_z(gamma)) @ AXES.T @ _get(values, f"rod{i}{j}.a") for j in (1, 2)]
@@ -92,12 +92,6 @@ def _put(result: dict[str, float], name: str, vector: np.ndarray) -> None:
 
 def _get(values: Mapping[str, float], name: str) -> np.ndarray:
     return np.array([values[f"{name}_{k}"] for k in XYZ])
-
-
-def _cayley_vector(R: np.ndarray) -> np.ndarray:
-    """The vector whose Cayley rotation is R."""
-    skew = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-    return 2 * skew / (1 + np.trace(R))
 
 
 def _direction(half: np.ndarray, theta_near: float) -> tuple[float, float, float]:
@@ -153,7 +147,7 @@ class Delta51(Mechanism):
     def _rod(rod: str, q: Any, r: Any, R: Any, p: Named) -> Any:
         """A_ij = p_i + exp(beta_i) P_i Q_i a_ij and B_ij = r + R b_ij (eqs 6-11)."""
         i, c, k = int(rod[0]), p[f"chain{rod[0]}"], p[f"rod{rod}"]
-        turn = cayley(c.vector("beta_x", "beta_y", "beta_z")) @ rot_z(THETA[i - 1])
+        turn = exponential(c.vector("beta_x", "beta_y", "beta_z")) @ rot_z(THETA[i - 1])
         a, b = k.vector("a_x", "a_y", "a_z"), k.vector("b_x", "b_y", "b_z")
         A = c.vector("p_x", "p_y", "p_z") + turn @ (rot_x(q[i - 1]) @ a)
         AB = r + R @ b - A

@@ -75,12 +75,15 @@ class Serial(Mechanism):
         self.driven = [link for link in self.links if link.joint]
         self.joints = tuple(f"joint{i + 1}" for i in range(len(self.driven)))
         self.joint_limits = tuple(link.limits for link in self.driven)
-        self.joint_unit = "m" if all(link.joint == "P" for link in self.driven) else "rad"
         self.parameters = _table(self.links, length_tolerance, angle_tolerance)
         self.controls = tuple(controls) if controls else _controls(len(self.driven))
         self.length = 0.3 * self._reach()
         self.home = self._home(home)
         self.workspace = self._workspace()
+
+    @property
+    def joint_units(self) -> tuple[str, ...]:
+        return tuple("m" if link.joint == "P" else "rad" for link in self.driven)
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
         """Eq. 3.7 as a closure: position difference (m) and rotation difference (rad)."""

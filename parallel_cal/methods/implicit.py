@@ -89,9 +89,7 @@ def estimate(
         better = tried.chi2 + _prior_cost(model, trial, free, prior) <= (
             system.chi2 + _prior_cost(model, values, free, prior)
         ) * (1 + 1e-9)
-        small = (
-            np.max(np.abs(step / tolerance), initial=0.0) < STEP or promised < GAIN * tried.chi2
-        )
+        small = np.max(np.abs(step / tolerance), initial=0.0) < STEP or promised < GAIN * tried.chi2
         if better or small:
             values, x, system, damping = trial, x_trial, tried, max(damping / 10, 1e-12)
         else:

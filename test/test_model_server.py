@@ -1,0 +1,247 @@
+"""The model in use, exchanged whole or not at all; the file watch; what the streams remember."""
+
+import os
+import shutil
+import threading
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from parallel_cal.errors import ModelFileError, SolveError
+from parallel_cal.kinematics import Kinematics, Status
+from parallel_cal.mechanism import shelf_names
+from parallel_cal.model import new_model
+from parallel_cal.modelfile import model_hash, read_model, write_model
+from parallel_cal.nodes.file_watch import DEBOUNCE, FileWatch
+from parallel_cal.nodes.following import DirectionTracker, Memory, joints_for
+from parallel_cal.nodes.model_server import ModelServer, Served, self_test
+
+CONFIG = Path(__file__).parents[1] / "config"
+NOMINAL, IDENTIFIED = CONFIG / "delta_mockup_nominal.yaml", CONFIG / "delta_mockup_identified.yaml"
+JOINTS = np.array([0.5, 0.55, 0.6])
+
+
+@pytest.fixture
+def server():
+    reports = []
+    server = ModelServer(reports.append)
+    server.reports = reports
+    assert server.load(NOMINAL, "startup").ok
+    yield server
+    server.wait_until_compiled(60)
+
+
+def spoilt(path, old, new):
+    text = IDENTIFIED.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+    return path
+
+
+def test_a_good_file_is_in_use_with_the_hash_of_its_text(server):
+    server.load(IDENTIFIED, "service")
+    assert server.current.hash == model_hash(IDENTIFIED.read_text())
+    expected = Kinematics(read_model(IDENTIFIED)).direct(JOINTS)
+    assert (server.current.kinematics.direct(JOINTS).position == expected.position).all()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "word"),
+    [
+        ("mechanism: delta54", "mechanism: delta55", "delta55"),
+        ("value: 0.075902", "value: .nan", "D_x"),
+        ("value: 0.075902", "value: 75.902", "D_x"),
+        ("noise:", "nose:", "nose"),
+        ("0.14], high: [0.06, 0.06, 0.26]", "0.54], high: [0.06, 0.06, 0.56]", "self-test"),
+    ],
+)
+def test_a_bad_file_changes_nothing_and_the_reason_is_told(server, tmp_path, old, new, word):
+    before = server.current
+    attempt = server.load(spoilt(tmp_path / "bad.yaml", old, new), "watch")
+    assert not attempt.ok
+    assert word in attempt.reason
+    assert "bad.yaml" in attempt.reason
+    assert server.reports[-1] == server.last == attempt
+    assert server.current.hash == before.hash
+    assert server.current.model is before.model
+
+
+def test_missing_binary_and_unnamed_files_are_reasons_not_exceptions(server, tmp_path):
+    (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\x00")
+    for path in (tmp_path / "none.yaml", tmp_path / "binary.yaml", tmp_path, ""):
+        assert not server.load(path, "service").ok
+    assert server.current.path == str(NOMINAL)
+
+
+def test_the_same_content_again_keeps_the_model_and_is_reported(server):
+    model = server.current.model
+    attempt = server.load(NOMINAL, "service")
+    assert attempt.ok
+    assert "same content" in attempt.reason
+    assert server.current.model is model
+    assert len(server.reports) == 2
+
+
+def test_compiled_code_takes_over_and_gives_the_very_same_numbers(server):
+    slow = Kinematics(read_model(NOMINAL))
+    server.wait_until_compiled(60)
+    fast = server.current.kinematics
+    assert server.current.hash == model_hash(NOMINAL.read_text())
+    for q in np.random.default_rng(1).uniform(0.2, 0.9, (50, 3)):
+        assert (fast.direct(q).position == slow.direct(q).position).all()
+
+
+def test_a_late_compilation_does_not_bring_an_old_model_back(server):
+    old = server.current
+    server.load(IDENTIFIED, "service")
+    server._compile(old)
+    assert server.current.hash == model_hash(IDENTIFIED.read_text())
+
+
+@pytest.mark.parametrize("name", [n for n in shelf_names("mechanisms") if n != "serial"])
+def test_every_mechanism_passes_its_self_test(name):
+    self_test(Kinematics(new_model(name)))
+
+
+def test_the_self_test_sees_a_direct_problem_that_does_not_lead_back(monkeypatch):
+    kinematics = Kinematics(new_model("delta24"))
+    inverse = kinematics.inverse
+    monkeypatch.setattr(
+        kinematics,
+        "inverse",
+        lambda *a, **k: (s := inverse(*a, **k)) and replace(s, joints=s.joints + 1e-6),
+    )
+    with pytest.raises(ModelFileError, match="misses"):
+        self_test(kinematics)
+
+
+# ------------------------------------------------------------------ the file watch
+
+
+@pytest.fixture
+def watched(tmp_path):
+    file, changed = tmp_path / "robot.yaml", threading.Semaphore(0)
+    shutil.copy(NOMINAL, file)
+    watch = FileWatch(changed.release)
+    assert watch.watch(file)
+    yield file, changed, watch
+    watch.stop()
+
+
+def seen(changed):
+    return changed.acquire(timeout=10)
+
+
+def test_a_file_replaced_atomically_is_seen_once(watched):
+    file, changed, _ = watched
+    write_model(read_model(IDENTIFIED), file)
+    assert seen(changed)
+    assert not changed.acquire(timeout=3 * DEBOUNCE)
+
+
+def test_a_file_written_in_place_or_removed_and_made_again_is_seen(watched):
+    file, changed, _ = watched
+    file.write_text(IDENTIFIED.read_text())
+    assert seen(changed)
+    file.unlink()
+    shutil.copy(NOMINAL, file)
+    assert seen(changed)
+
+
+def test_reading_it_and_writing_its_neighbours_is_not_a_change(watched):
+    file, changed, _ = watched
+    file.read_text()
+    (file.parent / "other.yaml").write_text("x")
+    assert not changed.acquire(timeout=3 * DEBOUNCE)
+
+
+def test_a_link_pointed_elsewhere_is_a_change(tmp_path, watched):
+    _, changed, watch = watched
+    link = tmp_path / "link.yaml"
+    link.symlink_to(NOMINAL)
+    watch.watch(link)
+    (tmp_path / "new").symlink_to(IDENTIFIED)
+    os.replace(tmp_path / "new", link)
+    assert seen(changed)
+
+
+def test_a_folder_that_is_not_there_cannot_be_watched_yet(tmp_path):
+    watch = FileWatch(lambda: None)
+    assert not watch.watch(tmp_path / "none" / "robot.yaml")
+    assert watch.idle
+
+
+# ------------------------------------------------------------------ what the streams remember
+
+
+def test_the_direction_is_that_of_the_last_motion_beyond_the_threshold():
+    tracker, found = DirectionTracker(1.0), []
+    for value in (0.0, 0.5, 2.0, 1.5, 1.2, 0.9, 1.5, 3.0):
+        tracker.follow({"a": value})
+        found.append(tracker.direction.get("a", 0.0))
+    assert found == [0, 0, 1, 1, 1, -1, -1, 1]
+
+
+def test_noise_on_a_slow_motion_does_not_turn_it_round():
+    tracker, rng = DirectionTracker(5e-4), np.random.default_rng(0)
+    for value in np.linspace(0, 0.1, 1000) + rng.normal(0, 1e-4, 1000):
+        tracker.follow({"a": value})
+    assert tracker.direction == {"a": 1.0}
+
+
+def served(model):
+    return Served(model, Kinematics(model), "", "")
+
+
+def test_a_target_is_reached_on_the_branch_the_robot_is_on():
+    model = new_model("delta24")
+    kinematics, memory = Kinematics(model), Memory(1e-4)
+    model.mechanism.joint_limits = ((-np.pi, np.pi),) * 3
+    position = np.array([0.01, 0.02, 0.2])
+    home = kinematics.inverse(position)
+    other = next(s for s in Kinematics(model).inverse_all(position) if s.joints[0] > 1.5)
+    memory.moved(model, other.joints, 0.0, None)
+    found = joints_for(served(model), memory, position + 0.001, None)
+    assert np.abs(found.joints - other.joints).max() < 0.1
+    memory.moved(model, home.joints, 0.0, None)
+    found = joints_for(served(model), memory, position + 0.001, None)
+    assert np.abs(found.joints - home.joints).max() < 0.1
+
+
+def test_a_target_beyond_reach_or_limits_is_refused():
+    model, memory = new_model("delta24"), Memory(1e-4)
+    with pytest.raises(SolveError, match="unreachable"):
+        joints_for(served(model), memory, np.array([0.0, 0.0, 0.9]), None)
+    model.mechanism.joint_limits = ((0.0, 0.1),) * 3
+    with pytest.raises(SolveError, match="outside"):
+        joints_for(served(model), memory, np.array([0.0, 0.0, 0.2]), None)
+
+
+def test_a_target_is_approached_from_where_the_robot_is():
+    model = new_model("delta24", effects=["backlash"])
+    model = model.with_values(
+        np.where(["width" in n for n in model.table.names], 1e-2, model.values)
+    )
+    kinematics, memory = Kinematics(model), Memory(1e-4)
+    for q in (0.3, 0.5):  # it comes from below and must go down again
+        memory.moved(model, np.full(3, q), 0.0, None)
+    target = kinematics.direct(np.full(3, 0.4)).position
+    found = joints_for(served(model), memory, target, None)
+    downwards = {f"direction.{j}": -1.0 for j in model.joints}
+    expected = kinematics.inverse(target, at=downwards)
+    assert expected.status == Status.CONVERGED
+    assert (found.joints == expected.joints).all()
+    assert found.joints[0] < 0.4
+
+
+def test_what_the_model_needs_and_nobody_says_is_listed():
+    model = new_model("delta24", effects=["backlash"])
+    memory = Memory(1e-4)
+    assert memory.unheard(model) == [f"direction.{j}" for j in model.joints]
+    memory.moved(model, np.zeros(3), 0.0, None)
+    memory.moved(model, np.ones(3), 1.0, None)
+    assert memory.unheard(model) == []
+    assert memory.conditions(model) == {f"direction.{j}": 1.0 for j in model.joints}
+    assert memory.heard["velocity.joint1"] == 1.0
