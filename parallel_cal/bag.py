@@ -185,7 +185,7 @@ def _decode(raw: Raw, log: int, data: bytes, store: Any) -> None:
     """Append one message's time and content to its topic."""
     try:
         message = store.deserialize_cdr(data, raw.type)
-        row = _ROWS[raw.type](message)
+        row = MESSAGE_ROWS[raw.type](message)
     except Exception:  # bytes that are no message fail in any way; they are counted
         raw.undecodable += 1
         return
@@ -217,7 +217,7 @@ def _point_row(message: Any) -> tuple:
     return message.header.frame_id, (p.x, p.y, p.z), None, None
 
 
-_ROWS: dict[str, Callable[[Any], tuple]] = {
+MESSAGE_ROWS: dict[str, Callable[[Any], tuple]] = {
     JOINTS[0]: _joint_row,
     POSES[0]: _covariant_row,
     POSES[1]: _pose_row,

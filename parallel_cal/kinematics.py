@@ -2,71 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from enum import IntEnum
+from collections.abc import Mapping
 from functools import cached_property
 from itertools import product
 from typing import Any
 
 import numpy as np
 
-from parallel_cal.compiled import Batch, Single, compiled
+from parallel_cal.compiled import Single
 from parallel_cal.errors import SolveError
 from parallel_cal.model import Model
-from parallel_cal.rotation import matrix_to_quaternion, quaternion_to_matrix, rotation_matrix
-from parallel_cal.solvers.newton import newton_functions
+from parallel_cal.rotation import quaternion_to_matrix
+from parallel_cal.solutions import (
+    CLOSED,
+    SETTLED,
+    SINGULAR,
+    SUSPECT_PIVOT,
+    Solutions,
+    Status,
+    stacked,
+)
+from parallel_cal.solvers.problem import Problem
 
-CLOSED = 1e-10  # m: a closure residual below this is a solution
-SETTLED = 1e-10  # m: a last step below this leaves an error below rounding (third order)
-SINGULAR = 1e-4  # smallest scaled singular value: errors are amplified more than 10^4 times
-SUSPECT_PIVOT = 1e-2  # the cheap sign that a sample may be near a singularity
-
-
-class Status(IntEnum):
-    """What a solution is worth; the numbers are those of parallel_cal_msgs/Solution."""
-
-    CONVERGED = 0
-    UNREACHABLE = 1
-    SINGULAR = 2
-    OUTSIDE_LIMITS = 3
-    NOT_CONVERGED = 4
-    INVALID_INPUT = 5
-
-    @property
-    def text(self) -> str:
-        return self.name.lower()
-
-
-@dataclass(frozen=True)
-class Solutions:
-    """N solved configurations: joints (N, nq), position (N, 3) m, rotation (N, 3, 3),
-    residual (N,) m and status (N,). Indexing gives one, or a smaller set."""
-
-    joints: np.ndarray
-    position: np.ndarray
-    rotation: np.ndarray
-    residual: np.ndarray
-    status: np.ndarray
-
-    def __len__(self) -> int:
-        return len(self.joints)
-
-    def __getitem__(self, key: Any) -> Solutions:
-        parts = (self.joints, self.position, self.rotation, self.residual, self.status)
-        return Solutions(*(part[key] for part in parts))
-
-    def __iter__(self) -> Iterator[Solutions]:
-        return (self[i] for i in range(len(self)))
-
-    @property
-    def quaternion(self) -> np.ndarray:
-        """x y z w with w >= 0."""
-        return matrix_to_quaternion(self.rotation)
-
-    @property
-    def ok(self) -> np.ndarray:
-        return self.status == Status.CONVERGED
+__all__ = ["CLOSED", "Kinematics", "Solutions", "Status"]
 
 
 class Kinematics:
@@ -96,10 +54,16 @@ class Kinematics:
         return self._solve(self._inverse, given, position, at, start)
 
     def direct_all(self, q: np.ndarray, at: Mapping[str, Any] | None = None) -> Solutions:
-        """Every distinct pose found for joints (nq,), from all candidates; home branch first."""
+        """Every pose for joints (nq,), home branch first: all that exist where the platform hangs
+        on six rods (6.2.4), else the distinct ones reached from all candidates."""
+        if hasattr(self.model.mechanism, "rods"):
+            from parallel_cal.solvers.homotopy import direct_all  # it uses this class, too
+
+            found = direct_all(self.model, q, at)
+            if len(found):
+                return found
         starts = self._candidates(q)
-        found = self._distinct([self.direct(q, at)], starts, lambda s: self.direct(q, at, s))
-        return found
+        return self._distinct([self.direct(q, at)], starts, lambda s: self.direct(q, at, s))
 
     def inverse_all(
         self,
@@ -130,16 +94,16 @@ class Kinematics:
     # ------------------------------------------------------------------ the two problems
 
     @cached_property
-    def _direct(self) -> _Problem:
-        return _Problem(self.model, "direct", self._compile)
+    def _direct(self) -> Problem:
+        return Problem(self.model, "direct", self._compile)
 
     @cached_property
-    def _inverse(self) -> _Problem:
-        return _Problem(self.model, "inverse", self._compile)
+    def _inverse(self) -> Problem:
+        return Problem(self.model, "inverse", self._compile)
 
     def _solve(
         self,
-        problem: _Problem,
+        problem: Problem,
         given: np.ndarray,
         shape_like: np.ndarray,
         at: Mapping[str, Any] | None,
@@ -154,7 +118,7 @@ class Kinematics:
         return solutions[0] if np.ndim(shape_like) == 1 else solutions
 
     def _solve_one(
-        self, problem: _Problem, given: np.ndarray, at: Mapping[str, Any] | None
+        self, problem: Problem, given: np.ndarray, at: Mapping[str, Any] | None
     ) -> Solutions:
         """The same for one sample without array overhead; anything unusual goes the long way."""
         rows = self.model.condition_rows(at, 1)
@@ -172,7 +136,7 @@ class Kinematics:
 
     def _classified(
         self,
-        problem: _Problem,
+        problem: Problem,
         x: np.ndarray,
         step: np.ndarray,
         residual: np.ndarray,
@@ -200,7 +164,7 @@ class Kinematics:
         return Solutions(q, x[:, n : n + 3], x[:, n + 3 :].reshape(-1, 3, 3), residual, status)
 
     @staticmethod
-    def _refined(problem: _Problem, x: np.ndarray, *parts: np.ndarray) -> list[np.ndarray]:
+    def _refined(problem: Problem, x: np.ndarray, *parts: np.ndarray) -> list[np.ndarray]:
         """Further iterations where the last step is still large; flat copies of all parts."""
         *measures, rows = parts
         step, residual, pivot = (part.reshape(-1).copy() for part in measures)
@@ -266,7 +230,7 @@ class Kinematics:
                 continue
             if all(_apart(new, old) > 1e-7 for old in found):
                 found.append(new)
-        return _stacked(found or first)
+        return stacked(found or first)
 
     def _covariance(
         self,
@@ -303,126 +267,8 @@ class Kinematics:
         return Single(self.model.structure.closure)
 
 
-class _Problem:
-    """One split into given and unknown coordinates, with this model's numbers."""
-
-    def __init__(self, model: Model, name: str, compile: bool):
-        functions = newton_functions(model.structure, name)
-        ready = compiled if compile else (lambda f: f)
-        self._model, self._name = model, name
-        self._n = len(model.joints)
-        self.unknown_joints = name == "inverse"
-        self.k = Single(functions.tables)(model.values)[0]
-        self.one = Single(ready(functions.solve))
-        self._many = Batch(ready(functions.solve))
-        self._refine_function, self._ready = functions.refine, ready
-        self.columns = functions.columns
-        # More rows than unknowns (lines of a cable robot): the answer is the least-squares one,
-        # and what it leaves is in the residual, not in the status.
-        self._redundant = model.structure.phi.shape[0] > len(functions.columns)
-
-    def closed(self, residual: np.ndarray) -> np.ndarray:
-        """Whether settled samples are answers."""
-        return np.isfinite(residual) if self._redundant else residual < CLOSED
-
-    def many(
-        self, given: np.ndarray, rows: np.ndarray, begin: np.ndarray | None
-    ) -> list[np.ndarray]:
-        if begin is None:
-            return self._many(given, rows, self.k)
-        return self.refine(begin, rows)
-
-    def refine(self, begin: np.ndarray, rows: np.ndarray) -> list[np.ndarray]:
-        """Newton iterations from given configurations."""
-        return self._refine(begin, rows, self.k)
-
-    @cached_property
-    def _refine(self) -> Batch:
-        return Batch(self._ready(self._refine_function))
-
-    def begin(self, given: np.ndarray, start: Solutions) -> np.ndarray:
-        """`given`, with the unknown coordinates taken from `start`."""
-        begin, n = given.copy(), self._n
-        if self.unknown_joints:
-            begin[:, :n] = start.joints
-        from_start = self._model.mechanism.passive if self.unknown_joints else range(6)
-        for i in from_start:
-            if i < 3:
-                begin[:, n + i] = np.asarray(start.position)[..., i]
-        if any(i >= 3 for i in from_start):
-            begin[:, n + 3 :] = np.asarray(start.rotation).reshape(-1, 9)
-        return begin
-
-    # ------------------------------------------------------------------ the careful way
-
-    @cached_property
-    def _evaluate(self) -> Single:
-        return Single(self._model.structure.closure_configuration)
-
-    def _phi_and_jacobian(self, x: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        phi, J = self._evaluate(x, a, self._model.values)
-        J = J.reshape(-1, len(phi)).T[:, self.columns]
-        return phi, J / self._model.structure.scale[self.columns]
-
-    def smallest_singular_value(self, x: np.ndarray, a: np.ndarray) -> float:
-        """Of the closure's Jacobian in the unknowns, scaled to metres: 0 = singular."""
-        return float(np.linalg.svd(self._phi_and_jacobian(x, a)[1], compute_uv=False)[-1])
-
-    def careful(
-        self, x: np.ndarray, a: np.ndarray, given: np.ndarray
-    ) -> tuple[np.ndarray, float, Status]:
-        """Levenberg-Marquardt from where the fast way ended, then from home (C.4)."""
-        ends = []
-        for start in (x, given):
-            if not np.isfinite(start).all():
-                continue
-            ends.append(self._descend(start, a))
-            if ends[-1][2] == Status.CONVERGED:
-                return ends[-1]
-        return min(ends, key=lambda end: end[1])
-
-    def _descend(self, x: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, float, Status]:
-        phi, J = self._phi_and_jacobian(x, a)
-        damping, size = 1e-3, float(np.linalg.norm(phi))
-        for _ in range(100):
-            gradient, normal = J.T @ phi, J.T @ J
-            try:
-                step = -np.linalg.solve(normal + damping * np.eye(len(normal)), gradient)
-            except np.linalg.LinAlgError:  # a start that blew up
-                return x, size, Status.NOT_CONVERGED
-            if np.linalg.norm(step) < 1e-15:
-                break
-            candidate = self._moved(x, step)
-            new_phi, new_J = self._phi_and_jacobian(candidate, a)
-            new_size = float(np.linalg.norm(new_phi))
-            if new_size < size:
-                improved = size - new_size > 1e-14
-                x, phi, J, size, damping = candidate, new_phi, new_J, new_size, damping / 10
-                if not improved:
-                    break
-            else:
-                damping = max(damping * 10, 1e-12)
-                if damping > 1e12:
-                    break
-        flat = float(np.linalg.norm(J.T @ phi)) < 1e-6 * size
-        if size < CLOSED or (flat and self._redundant):
-            return x, size, Status.CONVERGED
-        return x, size, Status.UNREACHABLE if flat or size > 1e-6 else Status.NOT_CONVERGED
-
-    def _moved(self, x: np.ndarray, step: np.ndarray) -> np.ndarray:
-        n, change = self._n, np.zeros(self._n + 6)
-        change[self.columns] = step / self._model.structure.scale[self.columns]
-        R = rotation_matrix(change[n + 3 :]) @ x[n + 3 :].reshape(3, 3)
-        return np.concatenate([x[: n + 3] + change[: n + 3], R.ravel()])
-
-
 def _start(q: np.ndarray, r: np.ndarray, R: np.ndarray) -> Solutions:
     return Solutions(q, r, R, np.array(np.nan), np.array(Status.NOT_CONVERGED))
-
-
-def _stacked(found: list[Solutions]) -> Solutions:
-    parts = ("joints", "position", "rotation", "residual", "status")
-    return Solutions(*(np.stack([getattr(s, part) for s in found]) for part in parts))
 
 
 def _apart(a: Solutions, b: Solutions) -> float:

@@ -45,12 +45,18 @@ class Structure:
         return ca.vertcat(self.q, self.r, self.R9)
 
     @cached_property
-    def phi(self) -> Any:
-        """The closure of the ideal mechanism at what the effects let it see."""
+    def seen(self) -> Seen:
+        """Joints, pose and geometry after the effects."""
         seen = Seen(self.q, self.r, self.R, self.geometry)
         numbers, at = Named(self.table.names, self.v), Named(self.conditions, self.a)
         for effect in self.effects:
             seen = effect.ideal(seen, numbers[effect.name], at, self.mechanism)
+        return seen
+
+    @cached_property
+    def phi(self) -> Any:
+        """The closure of the ideal mechanism at what the effects let it see."""
+        seen = self.seen
         phi = ca.vertcat(self.mechanism.closure(seen.q, seen.r, seen.R, seen.p))
         return self._checked(phi)
 

@@ -14,7 +14,7 @@ def paired_samples(recording: Recording, options: Options, tolerance: Array) -> 
     """One sample per pose message, with the joints interpolated to its time."""
     joints, pose = recording.joints, recording.pose
     found = Samples("continuous", [], tolerance, [])
-    usable = _bracketed(joints, pose.time, max_gap(joints, options))
+    usable = bracketed(joints, pose.time, max_gap(joints, options))
     if (~usable).any():
         first, count = float(pose.time[np.argmin(usable)]), int((~usable).sum())
         detail = f"{count} of {len(usable)} messages on {pose.topic}"
@@ -49,7 +49,7 @@ def paired_samples(recording: Recording, options: Options, tolerance: Array) -> 
     return found
 
 
-def _bracketed(joints: JointStream, time: Array, gap: float) -> Bools:
+def bracketed(joints: JointStream, time: Array, gap: float) -> Bools:
     """True (m,) where two joint readings close in time enclose the pose, or one coincides."""
     after = np.searchsorted(joints.time, time).clip(0, len(joints.time) - 1)
     before = (after - 1).clip(0)

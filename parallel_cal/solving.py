@@ -63,10 +63,7 @@ def _is_solver(name: str) -> bool:
 def _shelf_direct(module: Any, model: Model, q: np.ndarray, at: Conditions, every: bool) -> Any:
     if not every:
         return module.direct(model, np.atleast_2d(q), at)
-    if "nearest" in signature(module.direct).parameters:
-        found = module.direct(model, q, at, nearest=False)
-    else:
-        found = _all_of(module, "direct_all")(model, q, at)
+    found = _all_of(module, "direct_all")(model, q, at)
     return found if len(found) else _unsolved(model, q, None)
 
 
@@ -181,7 +178,8 @@ def _at(at: Conditions, i: int) -> dict[str, float]:
 
 def _stacked(found: list[Solutions]) -> Solutions:
     parts = ("joints", "position", "rotation", "residual", "status")
-    return Solutions(*(np.concatenate([getattr(s, part) for s in found]) for part in parts))
+    q, r, R, residual, status = (np.concatenate([getattr(s, p) for s in found]) for p in parts)
+    return Solutions(q, r, R, residual, status)
 
 
 SOLVERS: dict[str, Solver] = {

@@ -198,7 +198,7 @@ def served(model):
 def test_a_target_is_reached_on_the_branch_the_robot_is_on():
     model = new_model("delta24")
     kinematics, memory = Kinematics(model), Memory(1e-4)
-    model.mechanism.joint_limits = ((-np.pi, np.pi),) * 3
+    model.mechanism.joint_limits = ((-2 * np.pi, 2 * np.pi),) * 3
     position = np.array([0.01, 0.02, 0.2])
     home = kinematics.inverse(position)
     other = next(s for s in Kinematics(model).inverse_all(position) if s.joints[0] > 1.5)

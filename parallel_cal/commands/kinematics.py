@@ -85,7 +85,10 @@ def _one(
         for row, covariance in zip(rows, covariances, strict=True):
             row["covariance"] = covariance
     if as_json:
-        return console.emit({"solutions": rows})
+        counted = {"count_complex": solutions.count_complex}
+        return console.emit(
+            {"solutions": rows, **(counted if solutions.count_complex is not None else {})}
+        )
     name, factor = _joint_unit(model)
     console.table(
         ("status", "position [mm]", "quaternion x y z w", f"joints [{name}]", "residual [m]"),

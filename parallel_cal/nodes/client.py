@@ -47,11 +47,15 @@ class Process:
 
     def check(self) -> None:
         """NodeError with its last line when it failed."""
-        status = self._process.poll()
-        if status:
+        if self.status:
             lines = self.log.read_text(errors="replace").split("\n")
             said = next((line for line in reversed(lines) if line.strip()), "no output")
-            raise NodeError(f"{self.node} ended with status {status}: {said.strip()}")
+            raise NodeError(f"{self.node} ended with status {self.status}: {said.strip()}")
+
+    @property
+    def status(self) -> int | None:
+        """Its exit status; None while it runs."""
+        return self._process.poll()
 
     def end(self) -> int:
         """Ask it to end as Ctrl-C does, insist after a while; its exit status."""

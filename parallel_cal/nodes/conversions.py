@@ -11,11 +11,13 @@ from geometry_msgs.msg import Point, Pose, Quaternion
 from parallel_cal_msgs.msg import Condition, Solution
 
 from parallel_cal.answers import parse_conditions
-from parallel_cal.errors import SolveError
+from parallel_cal.errors import ParallelCalError, SolveError
 from parallel_cal.kinematics import Solutions, Status
 from parallel_cal.model import Model
 from parallel_cal.rotation import quaternion_to_matrix
 
+# What one message may cause: it is answered with the reason, and the node goes on.
+FAILURES = (ParallelCalError, ArithmeticError, ValueError)
 UNIT_LENGTH = 1e-3  # a quaternion this far from unit length is somebody's mistake
 
 ADVICE: dict[int, str] = {

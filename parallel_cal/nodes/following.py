@@ -9,7 +9,7 @@ import numpy as np
 from parallel_cal.errors import SolveError
 from parallel_cal.kinematics import Kinematics, Solutions, Status
 from parallel_cal.model import Model
-from parallel_cal.nodes.model_server import Served
+from parallel_cal.nodes.model_server import Served, in_words
 
 SAME_BRANCH = 1e-3  # rad or m: joints that solve the same pose on the same branch agree better
 
@@ -90,7 +90,7 @@ def joints_for(served: Served, memory: Memory, r: np.ndarray, R: np.ndarray | No
     if at is not None and not coming.items() <= at.items():
         found = _on_branch(kinematics, last, r, R, at | coming)
     if found.status != Status.CONVERGED:
-        raise SolveError(Status(int(found.status)).text)
+        raise SolveError(in_words(found.status))
     return found
 
 

@@ -7,41 +7,22 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from builtin_interfaces.msg import Duration
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import (
-    InertiaStamped,
-    PoseStamped,
-    PoseWithCovariance,
-    PoseWithCovarianceStamped,
-)
 from parallel_cal_msgs.msg import ModelStatus
 from parallel_cal_msgs.srv import ComputeFK, ComputeIK, LoadModel
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
-from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.qos import QoSProfile
-from sensor_msgs.msg import JointState, Temperature
-from std_msgs.msg import Header
 from std_srvs.srv import Trigger
-from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from parallel_cal.errors import SolveError
-from parallel_cal.kinematics import Status
-from parallel_cal.nodes.conversions import (
-    controlled_pose,
-    matched_joints,
-    pose_message,
-    pose_numbers,
-)
 from parallel_cal.nodes.file_watch import FileWatch
-from parallel_cal.nodes.following import Memory, joints_for
-from parallel_cal.nodes.model_server import Attempt, ModelServer, Served
-from parallel_cal.nodes.parameters import LATCHED, RELIABLE, SENSOR, declare, overridable
+from parallel_cal.nodes.following import Memory
+from parallel_cal.nodes.model_server import Attempt, ModelServer
+from parallel_cal.nodes.parameters import LATCHED, declare
 from parallel_cal.nodes.requests import answer
 from parallel_cal.nodes.run import run
+from parallel_cal.nodes.streams import Streams
 from parallel_cal.nodes.tally import Tally, model_diagnostics, traffic_diagnostics
 
 PARAMETERS: dict[str, tuple[Any, str]] = {
@@ -50,8 +31,6 @@ PARAMETERS: dict[str, tuple[Any, str]] = {
     "time_from_start": (0.1, "s in which a joint command is to be reached"),
     "direction_threshold": (5e-4, "rad or m; smaller motions have no direction of approach"),
 }
-NO_MODEL = "no model in use"
-QUIET = 5.0  # s between two lines of the log about the same thing
 
 
 class KinematicsNode(Node):
@@ -67,13 +46,13 @@ class KinematicsNode(Node):
         self._changed = self.create_guard_condition(self._reload_changed)
         self._watch = FileWatch(self._changed.trigger)
         self._watch_file()  # before the first load: a change in between is not missed
-        self._server.load(self._parameter("model_file"), "startup")
+        self._server.load(_absolute(self._parameter("model_file")), "startup")
         self.add_on_set_parameters_callback(self._on_parameters)
         # What is in this group answers at once; the default group may take its time.
         self._front = MutuallyExclusiveCallbackGroup()
         self._offer_services()
-        self._publish_streams()
-        self._listen()
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._streams = Streams(self, self._server, self._memory, self._tally, self._front)
         self.create_timer(1.0, self._tick)
 
     def _parameter(self, name: str) -> Any:
@@ -162,90 +141,6 @@ class KinematicsNode(Node):
         self._tally.add(name, "refused" if response.message else "answered", response.message)
         return response
 
-    # ------------------------------------------------------------------ streams
-
-    def _publish_streams(self) -> None:
-        self._pose = self._publisher(PoseStamped, "~/pose")
-        self._sure_pose = self._publisher(PoseWithCovarianceStamped, "~/pose_with_covariance")
-        self._command = self._publisher(JointTrajectory, "joint_command")
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-
-    def _publisher(self, type: Any, topic: str) -> Any:
-        options = overridable()
-        return self.create_publisher(type, topic, RELIABLE, qos_overriding_options=options)
-
-    def _listen(self) -> None:
-        self._subscribe(JointState, "joint_states", SENSOR, self._on_joints)
-        self._subscribe(PoseStamped, "target_pose", RELIABLE, self._on_target)
-        self._subscribe(Temperature, "temperature", SENSOR, self._on_temperature)
-        self._subscribe(InertiaStamped, "payload", SENSOR, self._on_payload)
-        # A payload is often said once, latched: the subscription above would miss it.
-        quiet = SubscriptionEventCallbacks(use_default_callbacks=False)
-        self.create_subscription(
-            InertiaStamped, "payload", self._on_payload, LATCHED,
-            callback_group=self._front, event_callbacks=quiet,
-        )  # fmt: skip
-
-    def _subscribe(self, type: Any, topic: str, qos: QoSProfile, take: Any) -> None:
-        self.create_subscription(
-            type, topic, partial(self._receive, topic, take), qos,
-            callback_group=self._front, qos_overriding_options=overridable(),
-        )  # fmt: skip
-
-    def _receive(self, channel: str, take: Any, message: Any) -> None:
-        """Count a message, and say why where it leads to nothing."""
-        self._tally.add(channel, "received")
-        try:
-            take(message)
-        except SolveError as error:
-            self._tally.add(channel, "refused", str(error))
-            self.get_logger().warning(f"{channel} refused: {error}", throttle_duration_sec=QUIET)
-
-    def _served(self) -> Served:
-        served = self._server.current
-        if served is None:
-            raise SolveError(NO_MODEL)
-        return served
-
-    def _on_temperature(self, message: Temperature) -> None:
-        self._memory.heard["temperature"] = message.temperature
-
-    def _on_payload(self, message: InertiaStamped) -> None:
-        self._memory.heard["payload"] = message.inertia.m
-
-    def _on_joints(self, message: JointState) -> None:
-        """Joint readings -> ~/pose, at the time of the readings."""
-        served = self._served()
-        model = served.model
-        q, velocity = matched_joints(message, model.joints)
-        self._memory.moved(model, q, _seconds(message.header.stamp), velocity)
-        at = self._memory.conditions(model)
-        found = served.kinematics.direct(q, at)
-        if found.status not in (Status.CONVERGED, Status.OUTSIDE_LIMITS):
-            raise SolveError(Status(int(found.status)).text)
-        header = Header(stamp=message.header.stamp, frame_id=model.frames["base"])
-        pose = pose_message(found.position, found.quaternion)
-        self._pose.publish(PoseStamped(header=header, pose=pose))
-        if model.covariance is not None and self._sure_pose.get_subscription_count():
-            spread = served.kinematics.direct_covariance(found, at, model.noise.joint or 0.0)
-            sure = PoseWithCovariance(pose=pose, covariance=spread.ravel())
-            self._sure_pose.publish(PoseWithCovarianceStamped(header=header, pose=sure))
-        self._tally.add("joint_states", "answered")
-
-    def _on_target(self, message: PoseStamped) -> None:
-        """A target -> joint command; nothing is published for one that is not safely reached."""
-        served = self._served()
-        model, frame = served.model, message.header.frame_id
-        if frame and frame != model.frames["base"]:
-            raise SolveError(f"frame_id '{frame}', expected '{model.frames['base']}' or none")
-        r, R = controlled_pose(model, *pose_numbers(message.pose))
-        found = joints_for(served, self._memory, r, R)
-        point = JointTrajectoryPoint(positions=found.joints.tolist())
-        seconds = self._parameter("time_from_start")
-        point.time_from_start = Duration(sec=int(seconds), nanosec=int(seconds % 1 * 1e9))
-        self._command.publish(JointTrajectory(joint_names=list(model.joints), points=[point]))
-        self._tally.add("target_pose", "answered")
-
     # ------------------------------------------------------------------ once a second
 
     def _tick(self) -> None:
@@ -276,10 +171,6 @@ class KinematicsNode(Node):
 
 def _absolute(path: str) -> str:
     return str(Path(path).expanduser().absolute()) if path else ""
-
-
-def _seconds(stamp: Any) -> float:
-    return stamp.sec + stamp.nanosec * 1e-9
 
 
 def main(args: list[str] | None = None) -> None:

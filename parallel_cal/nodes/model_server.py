@@ -60,7 +60,7 @@ class ModelServer:
                 reason = self._load(path)
                 self.last = Attempt(True, source, str(path), reason)
             except Exception as error:  # a user's own mechanism may raise anything
-                self.last = Attempt(False, source, str(path), _in_words(error))
+                self.last = Attempt(False, source, str(path), _reason(error))
             self._report(self.last)
             return self.last
 
@@ -91,7 +91,7 @@ class ModelServer:
             kinematics = Kinematics(served.model, compile=True)
             self_test(kinematics)
         except Exception as error:  # the virtual machine passed the test and goes on serving
-            log.warning("compiled code is not used: %s", _in_words(error))
+            log.warning("compiled code is not used: %s", _reason(error))
             return
         with self._exchange:
             if self.current is not None and self.current.hash == served.hash:
@@ -119,7 +119,7 @@ def self_test(kinematics: Kinematics) -> None:
     # A request for one configuration takes a shorter way: make it ready, and see that it agrees.
     alone = kinematics.direct(there.joints[0])
     if alone.status != Status.CONVERGED or not np.isfinite(alone.position).all():
-        raise ModelFileError(f"self-test: direct problem {_status(alone.status)} alone")
+        raise ModelFileError(f"self-test: direct problem {in_words(alone.status)} alone")
     kinematics.inverse(r[0], R[0])
 
 
@@ -151,12 +151,13 @@ def _require_solved(found: Solutions, problem: str, r: np.ndarray) -> None:
     if not solved.all():
         i = int(np.argmin(solved))
         raise ModelFileError(
-            f"self-test: {problem} problem {_status(found.status[i])} at "
+            f"self-test: {problem} problem {in_words(found.status[i])} at "
             f"{np.round(r[i], 4).tolist()} m, inside the workspace of the file"
         )
 
 
-def _status(status: int | np.ndarray) -> str:
+def in_words(status: int | np.ndarray) -> str:
+    """`outside limits`, ..."""
     return Status(int(status)).text.replace("_", " ")
 
 
@@ -169,7 +170,7 @@ def _text(path: Path) -> str:
         raise ModelFileError(f"{path}:1: not YAML: the file is not text (UTF-8)") from None
 
 
-def _in_words(error: Exception) -> str:
+def _reason(error: Exception) -> str:
     if isinstance(error, ParallelCalError):
         return str(error)
     return f"{type(error).__name__}: {error}"

@@ -2,147 +2,248 @@
 
 from __future__ import annotations
 
+import argparse
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from importlib import import_module
-from itertools import chain
+from pathlib import Path
+from threading import Event, Thread
 from typing import Any
 
-import rclpy
 from rclpy.duration import Duration
-from rclpy.executors import ExternalShutdownException
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.utilities import remove_ros_args
+from std_srvs.srv import SetBool
 
 from parallel_cal.bag import RawMessage, list_topics, raw_messages
 from parallel_cal.errors import BagError, ParallelCalError
 from parallel_cal.nodes.parameters import declare
+from parallel_cal.nodes.run import ros
+from parallel_cal.recording import TopicInfo
 
 PARAMETERS: dict[str, tuple[Any, str]] = {
     "bag": ("", "recording to publish: a bag directory, .mcap or .db3"),
     "rate": (1.0, "how many times faster than it was recorded"),
-    "patience": (15.0, "s to wait for a first subscription before publishing all the same"),
+    "topics": ("", "topics to publish, separated by commas; empty = all"),
+    "loop": (False, "begin again at the end"),
+    "start_paused": (False, "wait for the service ~/pause with data: false"),
+    "wait_for_subscribers": (-1, "subscriptions to wait for; -1 = one, but go on without any"),
+    "patience": (15.0, "s to wait for them"),
+    "ack_patience": (60.0, "s to wait at the end until subscribers have received everything"),
 }
-STEADY = 1.0  # s without a new subscription: all that will listen have been found
 SAID_ONCE = 10  # messages: a topic with fewer is kept for late subscribers, as if latched
-NANO = 1e9
+DEPTH = 20_000  # messages a topic that may be on their way; then the slowest reader is waited for
+STEADY = 1.0  # s without a new subscription: all that will listen have been found
+NAP = 0.05  # s between two looks whether to go on
 
 
 class ReplayNode(Node):
-    """Reads ahead by nothing and drops nothing: a slow subscriber slows the replay down."""
+    """Drops nothing: what is late is sent at once, and a slow subscriber is waited for."""
 
-    def __init__(self) -> None:
-        super().__init__("replay_node")
+    def __init__(self, go_on: Callable[[], bool], **overrides: Any):
+        given = [Parameter(name, value=value) for name, value in overrides.items()]
+        super().__init__("replay_node", parameter_overrides=given)
         declare(self, PARAMETERS)
         self.bag, self.rate = self._value("bag"), float(self._value("rate"))
-        if not self.rate > 0:
-            raise ParallelCalError(f"rate {self.rate}: expected a positive number")
         if not self.bag:
             raise ParallelCalError("no bag given: set the parameter bag")
+        if not self.rate > 0:
+            raise ParallelCalError(f"rate {self.rate}: expected a positive number")
         topics, self.duration = list_topics(self.bag)
-        self.count = sum(topic.count for topic in topics)
-        self._senders = {t.name: self._sender(t.name, t.type, t.count) for t in topics}
+        chosen = _chosen(self.bag, topics, self._value("topics"))
+        self.count, self.sent = sum(topic.count for topic in chosen), 0
+        self._senders = {topic.name: self._sender(topic) for topic in chosen}
+        self._on_their_way = dict.fromkeys(self._senders, 0)
+        self._go_on, self._running = go_on, Event()
+        (self._running.clear if self._value("start_paused") else self._running.set)()
+        self.create_service(SetBool, "~/pause", self._pause)
 
     def _value(self, name: str) -> Any:
         return self.get_parameter(name).value
 
-    def _sender(self, topic: str, type: str, count: int) -> Any:
+    def _sender(self, topic: TopicInfo) -> Any:
         """Names are relative, so that a namespace and remapping work as with any node."""
-        package, _, name = type.split("/")
+        package, _, name = topic.type.split("/")
         try:
             message = getattr(import_module(f"{package}.msg"), name)
         except (ImportError, AttributeError):
             raise BagError(
-                f"{self.bag}: {topic} has the type {type}, which is not installed here"
+                f"{self.bag}: {topic.name} has the type {topic.type}, which is not installed here; "
+                "name the topics to publish"
             ) from None
-        return self.create_publisher(message, topic.lstrip("/"), _keep_all(count <= SAID_ONCE))
+        latched = topic.count <= SAID_ONCE
+        durability = DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
+        qos = QoSProfile(depth=SAID_ONCE if latched else DEPTH, durability=durability)
+        return self.create_publisher(message, topic.name.lstrip("/"), qos)
 
-    def wait_for_subscribers(self, wait: Callable[[float], None]) -> bool:
-        """Until somebody listens and nobody new has come for a second; False if nobody came."""
+    def _pause(self, request: Any, response: Any) -> Any:
+        (self._running.clear if request.data else self._running.set)()
+        response.success, response.message = True, "paused" if request.data else "running"
+        return response
+
+    # ------------------------------------------------------------------ playing
+
+    def play(self) -> int:
+        """Wait for listeners, publish, wait until they have it all; the exit status."""
+        self._wait_for_subscribers()
+        self._play_once()
+        while self._value("loop") and self._go_on():
+            self._play_once()
+        if not self._go_on():
+            _say(f"ended after {self.sent} messages; the bag holds {self.count}")
+            return 0
+        return 0 if self._all_received() else 1
+
+    def _play_once(self) -> None:
+        """Publish every message at its time divided by the rate; stamps stay as recorded."""
+        begin, first, said = time.monotonic(), None, time.monotonic()
+        for message in raw_messages(self.bag):
+            if message.topic not in self._senders:
+                continue
+            first = message.time if first is None else first
+            begin += self._held()
+            since = (message.time - first) * 1e-9
+            if not self._sleep_until(begin + since / self.rate):
+                return
+            self._send(message)
+            if time.monotonic() - said > 1.0:
+                said = time.monotonic()
+                self._tell(since, said - begin - since / self.rate)
+
+    def _held(self) -> float:
+        """Stay while paused; for how many seconds."""
+        begin = time.monotonic()
+        while not self._running.is_set() and self._go_on():
+            self._running.wait(NAP)
+        return time.monotonic() - begin
+
+    def _sleep_until(self, due: float) -> bool:
+        """Whether to go on at that time; at once when it has passed."""
+        while (left := due - time.monotonic()) > 0:
+            time.sleep(min(left, NAP))
+            if not self._go_on():
+                return False
+        return self._go_on()
+
+    def _send(self, message: RawMessage) -> None:
+        sender = self._senders[message.topic]
+        if self._on_their_way[message.topic] >= DEPTH - 1:
+            sender.wait_for_all_acked(self._patience())
+            self._on_their_way[message.topic] = 0
+        sender.publish(message.data)
+        self._on_their_way[message.topic] += 1
+        self.sent += 1
+
+    def _tell(self, since: float, late: float) -> None:
+        behind = f", {late:.1f} s behind" if late > 0.5 else ""
+        _say(f"{since:.1f} of {self.duration:.1f} s, {self.sent} messages{behind}")
+
+    def _patience(self) -> Duration:
+        return Duration(seconds=self._value("ack_patience"))
+
+    def _all_received(self) -> bool:
+        limit = self._patience()
+        missing = [n for n, s in self._senders.items() if not s.wait_for_all_acked(limit)]
+        if missing:
+            _say(f"a subscriber has not acknowledged every message on {', '.join(missing)}")
+            return False
+        _say(f"{self.sent} messages published and received, {self.rate:g} times the speed")
+        return True
+
+    # ------------------------------------------------------------------ waiting
+
+    def _wait_for_subscribers(self) -> None:
+        """Until enough listen and nobody new comes: what is sent earlier is lost to them."""
+        wanted = self._value("wait_for_subscribers")
+        if wanted == 0:
+            return
         begin = steady = time.monotonic()
         before = 0
-        while time.monotonic() - begin < self._value("patience"):
+        while self._go_on() and time.monotonic() - begin < self._value("patience"):
             matched = sum(s.get_subscription_count() for s in self._senders.values())
             if matched != before:
                 before, steady = matched, time.monotonic()
-            if before and time.monotonic() - steady > STEADY:
-                return True
-            wait(0.05)
-        return before > 0
-
-    def play(self, wait: Callable[[float], None], show: Callable[[int], None]) -> int:
-        """Publish every message at its time divided by the rate; how many were published."""
-        messages = raw_messages(self.bag)
-        first = next(messages)
-        begin, sent = time.monotonic(), 0
-        for message in chain([first], messages):
-            due = begin + (message.time - first.time) / NANO / self.rate
-            ahead = due - time.monotonic()
-            if ahead > 1e-3:  # shorter waits cost more than they last
-                show(sent)
-                wait(ahead)
-            self._send(message)
-            sent += 1
-        show(sent)
-        return sent
-
-    def _send(self, message: RawMessage) -> None:
-        self._senders[message.topic].publish(message.data)
-
-    def wait_until_received(self, seconds: float = 60.0) -> bool:
-        """True when every subscriber has acknowledged every message."""
-        limit = Duration(seconds=seconds)
-        return all(sender.wait_for_all_acked(limit) for sender in self._senders.values())
+            if before >= max(wanted, 1) and time.monotonic() - steady > STEADY:
+                return
+            time.sleep(NAP)
+        if before < wanted and self._go_on():
+            names = ", ".join(self._senders)
+            raise ParallelCalError(f"{before} subscriptions to {names}; waited for {wanted}")
+        if not before:
+            _say("nobody listens; publishing all the same")
 
 
-def _keep_all(latched: bool) -> QoSProfile:
-    durability = DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
-    return QoSProfile(
-        history=HistoryPolicy.KEEP_ALL,
-        reliability=ReliabilityPolicy.RELIABLE,
-        durability=durability,
-    )
+def _chosen(bag: str, topics: Sequence[TopicInfo], names: str) -> list[TopicInfo]:
+    """The topics named, with or without slash; all of them for an empty text."""
+    wanted = {name.strip().strip("/") for name in names.split(",") if name.strip()}
+    unknown = wanted - {topic.name.strip("/") for topic in topics}
+    if unknown:
+        have = ", ".join(topic.name for topic in topics)
+        raise BagError(f"{bag}: no topic {', '.join(sorted(unknown))}; there are {have}")
+    return [topic for topic in topics if not wanted or topic.name.strip("/") in wanted]
 
 
-def _wait(seconds: float) -> None:
-    """Sleep, but wake for a shutdown."""
-    end = time.monotonic() + seconds
-    while (left := end - time.monotonic()) > 0:
-        if not rclpy.ok():
-            raise ExternalShutdownException
-        time.sleep(min(left, 0.1))
+def _say(text: str) -> None:
+    sys.stderr.write(f"replay: {text}\n")
+    sys.stderr.flush()
 
 
-def _played(node: ReplayNode) -> int:
-    """Wait, publish, wait again; the exit status."""
-    from parallel_cal import console
+@contextmanager
+def _spinning(node: Node) -> Iterator[None]:
+    """Services are answered in a second thread while this one publishes."""
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
 
-    log = node.get_logger()
-    if not node.wait_for_subscribers(_wait):
-        log.warning("nobody listens; publishing all the same")
-    sent = node.play(_wait, lambda n: console.progress("replay", n / node.count))
-    if not node.wait_until_received():
-        log.error("a subscriber has not acknowledged every message")
-        return 1
-    log.info(f"{sent} messages of {node.duration:.0f} s published at {node.rate:g} times the speed")
-    return 0
+    def spin() -> None:
+        with suppress(ExternalShutdownException):
+            executor.spin()
+
+    thread = Thread(target=spin, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        executor.shutdown()
+        thread.join(5.0)
+
+
+def replay(bag: str | Path = "", args: list[str] | None = None, **options: Any) -> int:
+    """Publish a recording with options as in PARAMETERS; 0 when all of it was received."""
+    overrides = options | ({"bag": str(bag)} if str(bag) else {})
+    with ros(args) as go_on:
+        try:
+            node = ReplayNode(go_on, **overrides)
+            with _spinning(node):
+                return node.play()
+        except ParallelCalError as error:
+            sys.stderr.write(f"error: {error}\n")
+            return 1
 
 
 def main(args: list[str] | None = None) -> None:
-    """`replay_node --ros-args -p bag:=DIR -p rate:=20.0`; exit status 0 when all was received."""
-    rclpy.init(args=args)
-    node = None
-    try:
-        node = ReplayNode()
-        status = _played(node)
-    except ParallelCalError as error:
-        sys.stderr.write(f"error: {error}\n")
-        status = 1
-    except (ExternalShutdownException, KeyboardInterrupt):
-        status = 0  # ended from outside
-    finally:
-        if node is not None:
-            node.destroy_node()
-        rclpy.try_shutdown()
-    sys.exit(status)
+    """`replay_node BAG --rate 20` or `--ros-args -p bag:=BAG`; status 0 when all was received."""
+    args = sys.argv if args is None else args
+    given = vars(_parser().parse_args(remove_ros_args(args)[1:]))
+    sys.exit(replay(args=args, **{k: v for k, v in given.items() if v is not None}))
+
+
+def _parser() -> argparse.ArgumentParser:
+    """Every parameter as an option; what is not given stays with the parameter."""
+    parser = argparse.ArgumentParser(prog="replay_node", description=__doc__)
+    for name, (default, what) in PARAMETERS.items():
+        if name == "bag":
+            parser.add_argument(name, nargs="?", help=what)
+        elif isinstance(default, bool):
+            parser.add_argument(_flag(name), action="store_const", const=True, help=what)
+        else:
+            parser.add_argument(_flag(name), type=type(default), help=f"{what} (now {default})")
+    return parser
+
+
+def _flag(name: str) -> str:
+    return f"--{name.replace('_', '-')}"

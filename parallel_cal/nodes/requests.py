@@ -10,9 +10,10 @@ import numpy as np
 from parallel_cal_msgs.msg import SolutionSet
 
 from parallel_cal import solving
-from parallel_cal.errors import ParallelCalError, SolveError
+from parallel_cal.errors import SolveError
 from parallel_cal.kinematics import Solutions, Status
 from parallel_cal.nodes.conversions import (
+    FAILURES,
     conditions_of,
     controlled_pose,
     invalid_solution,
@@ -40,7 +41,7 @@ def answer(served: Served | None, why_none: str, request: Any, response: Any) ->
             response.results = _inverse(served, request)
         else:
             response.results = _direct(served, request)
-    except ParallelCalError as error:
+    except FAILURES as error:
         response.results, response.message = [], str(error)
     return response
 
@@ -127,13 +128,19 @@ def _sets(
     if request.with_covariance and served.model.covariance is not None:
         _add_covariances(found, messages, covariance)
     answered = iter(messages)
+    # Only a search for all solutions counts them, and then each row has a search of its own.
+    counted = iter(found if request.all_solutions else [])
     return [
         SolutionSet(
             solutions=[invalid_solution(row)] if isinstance(row, str) else next(answered),
-            count_complex=-1,
+            count_complex=-1 if isinstance(row, str) else _count(next(counted, None)),
         )
         for row in given
     ]
+
+
+def _count(found: Solutions | None) -> int:
+    return -1 if found is None or found.count_complex is None else found.count_complex
 
 
 def _add_covariances(

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from parallel_cal.bag import _ROWS as ROWS
+from parallel_cal.bag import MESSAGE_ROWS as ROWS
 from parallel_cal.cleaning import assemble
 from parallel_cal.dataset import Dataset, dataset_from_recording
 from parallel_cal.errors import DatasetError, ParallelCalError
-from parallel_cal.pairing import _bracketed as bracketed
+from parallel_cal.pairing import bracketed
 from parallel_cal.recording import Bools, Dropped, Raw, Recording, TopicInfo
 from parallel_cal.samples import Options, max_gap
 from parallel_cal.topics import JOINTS, PAYLOAD, POINTS, POSES, TEMPERATURE

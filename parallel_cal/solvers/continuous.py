@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from parallel_cal.kinematics import Kinematics, Solutions, Status
+from parallel_cal.kinematics import Kinematics
 from parallel_cal.singularity import distances
+from parallel_cal.solutions import Solutions, Status, stacked
 
 NEAR = 0.02  # scaled singular value below which the mode is called in danger
 AHEAD = 5  # points: danger is announced when the branch will end within so many
@@ -73,7 +74,7 @@ def _follow(
             lost = k
             break
         found.append(after)
-    solutions = _stacked(found)
+    solutions = stacked(found)
     distance = getattr(distances(kinematics.model, solutions, at), kind)
     return Track(solutions, distance, _first_danger(distance), lost)
 
@@ -118,7 +119,7 @@ def _same_branch(
     """Solved, no determinant's sign changed, and the step no longer than what it led to."""
     if there.status not in (Status.CONVERGED, Status.OUTSIDE_LIMITS):
         return False
-    both = distances(kinematics.model, _stacked([here, there]), at)
+    both = distances(kinematics.model, stacked([here, there]), at)
     signs = getattr(both, f"{kind}_sign")
     if signs[0] != signs[1]:
         return False
@@ -128,8 +129,3 @@ def _same_branch(
     swung = np.abs(there.joints - here.joints).max()
     # A jump to another branch is a finite one; a fair step is much shorter than that.
     return bool(max(moved / 4, turned, swung / 2) < 0.25)
-
-
-def _stacked(found: list[Solutions]) -> Solutions:
-    names = ("joints", "position", "rotation", "residual", "status")
-    return Solutions(*(np.stack([getattr(s, name) for s in found]) for name in names))

@@ -37,9 +37,9 @@ def newton_functions(structure: Structure, problem: str) -> NewtonFunctions:
     is computed once and not in every iteration: CasADi finds these parts of the expression.
     """
     s = structure
-    columns, given, start = _split(s, problem)
+    columns, given, start = split(s, problem)
     J = s.jacobian_configuration[:, columns] / ca.repmat(ca.DM(s.scale[columns]).T, s.phi.shape[0])
-    order = _row_order(s, J)
+    order = row_order(s, J)
     (phi, J), constants, symbols = _extracted([s.phi, J], ca.vertcat(given, s.v, s.a))
     before = ca.vertcat(constants, start)
     (before,), tables, table_symbols = _extracted([before], s.v)
@@ -53,7 +53,7 @@ def newton_functions(structure: Structure, problem: str) -> NewtonFunctions:
     return NewtonFunctions(tables_function, solve, refine, columns)
 
 
-def _split(s: Structure, problem: str) -> tuple[list[int], Any, Any]:
+def split(s: Structure, problem: str) -> tuple[list[int], Any, Any]:
     """Unknown columns of (q, r, w); the given symbols; the start as a configuration."""
     m, n = s.mechanism, len(s.mechanism.joints)
     if problem == "direct":
@@ -97,14 +97,14 @@ def _step_function(
     def stepped(x: Any) -> tuple[Any, Any]:
         phi = residual(x, symbols)
         scaled = solver(-(J.T @ phi if J.shape[0] > J.shape[1] else phi))
-        return _moved(s, x, columns, scaled), scaled
+        return moved(s, x, columns, scaled), scaled
 
     once, _ = stepped(s.configuration)
     twice, scaled = stepped(once)
     return dense("step", [s.configuration, symbols], [twice, ca.norm_2(scaled), solver.pivot])
 
 
-def _moved(s: Structure, x: Any, columns: list[int], scaled: Any) -> Any:
+def moved(s: Structure, x: Any, columns: list[int], scaled: Any) -> Any:
     """The configuration after a change of its unknown coordinates, given in metres."""
     change = ca.SX.zeros(len(s.scale))
     change[columns] = scaled / ca.DM(s.scale[columns])
@@ -115,7 +115,7 @@ def _moved(s: Structure, x: Any, columns: list[int], scaled: Any) -> Any:
     return ca.vertcat(x[: n + 3] + change[: n + 3], R9)
 
 
-def _row_order(s: Structure, J: Any) -> list[int]:
+def row_order(s: Structure, J: Any) -> list[int]:
     """A fixed order of rows that eliminates well at home, for a robot off its nominal."""
     off = s.table.nominal + s.table.tolerance * np.random.default_rng(0).standard_normal(
         len(s.table)

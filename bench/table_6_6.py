@@ -1,0 +1,138 @@
+"""Table 6.6 again: what each solution of model 54 costs and how far it is off, beside the thesis.
+
+Errors are means over poses near the centre, as norms; times are for one solve in a batch on
+CasADi's virtual machine, given as ratios to model 24's closed form, as the thesis' machine was
+a 68040. The thesis does not say which poses it took, and used another set of parameters.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+from timing import seconds_each
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "test"))
+import virtual_robot as vr
+
+from parallel_cal.compiled import Batch
+from parallel_cal.kinematics import Kinematics, Solutions
+from parallel_cal.model import Model, new_model
+from parallel_cal.rotation import rotation_vector
+from parallel_cal.solvers.cascaded import direct_function, inverse_function
+from parallel_cal.solvers.fixed_newton import newton_steps
+from parallel_cal.solvers.homotopy import direct_all
+
+N = 1000
+CUBE = 0.04  # m: near the centre, where a Jacobian of the centre serves
+PRINTED = (0.65, 0.53)  # s: model 24's direct and inverse problem in the thesis
+ARCSECONDS = 180 / np.pi * 3600
+
+
+@dataclass(frozen=True)
+class Row:
+    """A line of table 6.6: thesis' seconds (direct, inverse) and errors (um, arcseconds)."""
+
+    name: str
+    seconds: tuple[float | None, float | None]
+    errors: str
+    direct: ca.Function
+    inverse: ca.Function | None = None
+
+
+def rows(model: Model) -> list[Row]:
+    """Ours for each line of the table, the ratio's denominator first."""
+    s, s24 = model.structure, as_model_24(model).structure
+
+    def newton(problem: str, steps: int, update: bool, start: str = "mechanism") -> ca.Function:
+        return newton_steps(s, problem, steps, update, start)
+
+    return [
+        Row(
+            "Delta 24, closed form",
+            PRINTED,
+            "483, 1070",
+            newton_steps(s24, "direct", 0),
+            newton_steps(s24, "inverse", 0),
+        ),
+        Row("rough cascade (6.33)", (1.1, 1.1), "483, 2.9", *cascade(s, 0)),
+        Row("cascade, 1.5 steps", (2.0, 1.9), "0.1, 1.3", *cascade(s, 3)),
+        Row("cascade, 2.5 steps", (None, None), "-", *cascade(s, 5)),
+        Row("fixed Jacobian, 2 steps", (None, None), "-", newton("direct", 2, False)),
+        Row("  5 steps, from centre", (2.7, None), "0.02, 0.3", newton("direct", 5, False, "home")),
+        Row("  all steps, from model 24", (3.4, None), "0, 0", newton("direct", 6, False)),
+        Row(
+            "Newton, 3 Jacobians", (None, 7.6), "0, 0", newton("direct", 3, True),
+            newton("inverse", 3, True),
+        ),
+    ]  # fmt: skip
+
+
+def cascade(structure: object, half_steps: int) -> tuple[ca.Function, ca.Function]:
+    return direct_function(structure, half_steps), inverse_function(structure, half_steps)
+
+
+def as_model_24(model: Model) -> Model:
+    """The same robot with its parallelograms taken for perfect."""
+    names = new_model("delta24").table.names
+    return new_model("delta24", {name: model.value(name) for name in names})
+
+
+def error(model: Model, x: np.ndarray, truth: Solutions) -> str:
+    """Mean error of configurations as um and arcseconds."""
+    n = len(model.joints)
+    R = x[:, n + 3 :].reshape(-1, 3, 3)
+    apart = np.linalg.norm(x[:, n : n + 3] - truth.position, axis=1)
+    turned = np.linalg.norm(rotation_vector(R @ np.swapaxes(truth.rotation, 1, 2)), axis=1)
+    return f"{short(apart.mean() * 1e6)}, {short(turned.mean() * ARCSECONDS)}"
+
+
+def short(value: float) -> str:
+    """Two figures, and rounding errors as zero, as the thesis prints them."""
+    return "0" if value < 1e-6 else f"{value:.0f}" if value >= 10 else f"{value:.2g}"
+
+
+def seconds(model: Model, function: ca.Function, given: np.ndarray) -> float:
+    values = model.values[: function.numel_in(2)]
+    batch, conditions = Batch(function), np.empty((len(given), 0))
+    return seconds_each(lambda: batch(given, conditions, values), least=5) / len(given)
+
+
+def main() -> None:
+    model = new_model("delta54", vr.TABLE_5_18)
+    kinematics = Kinematics(model)
+    truth = kinematics.direct(kinematics.inverse(vr.targets(N, 1, CUBE)).joints)
+    home = np.array([*model.mechanism.home.position, *np.eye(3).ravel()])
+    joints = np.hstack([truth.joints, np.tile(home, (N, 1))])
+    poses = np.hstack([truth.joints, truth.position, np.tile(np.eye(3).ravel(), (N, 1))])
+    table = Table("model 54, table 5.18", "us", "ratio", "thesis", "um, arcsec", "thesis",
+                  "inverse us", "ratio", "thesis")  # fmt: skip
+    base: list[float] = []
+    for row in rows(model):
+        owner = as_model_24(model) if "24, closed" in row.name else model
+        (x,) = Batch(row.direct)(joints, np.empty((N, 0)), owner.values)
+        each = [seconds(owner, row.direct, joints)]
+        each += [seconds(owner, row.inverse, poses)] if row.inverse else []
+        base = base or each
+        cells = [timed(*times) for times in zip(each, base, row.seconds, PRINTED, strict=False)]
+        cells += [["-"] * 3] * (2 - len(cells))
+        table.add_row(row.name, *cells[0], error(model, x, truth), row.errors, *cells[1])
+    every = seconds_each(lambda: direct_all(model, truth.joints[0]), least=5)
+    ratio, printed = f"{every / base[0]:.0f}", f"{14000 / PRINTED[0]:.0f}"
+    table.add_row("all 40 poses", f"{every * 1e6:.0f}", ratio, printed, "0, 0", "0, 0", *["-"] * 3)
+    Console(width=120).print(table)
+
+
+def timed(t: float, base: float, printed: float | None, printed_base: float) -> list[str]:
+    """Microseconds, ratio to model 24, and the thesis' ratio."""
+    thesis = f"{printed / printed_base:.1f}" if printed else "-"
+    return [f"{t * 1e6:.1f}", f"{t / base:.1f}", thesis]
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,142 @@
+"""Joint states become poses, targets become joint commands; the rest is counted and told."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+from builtin_interfaces.msg import Duration
+from geometry_msgs.msg import (
+    InertiaStamped,
+    PoseStamped,
+    PoseWithCovariance,
+    PoseWithCovarianceStamped,
+)
+from rclpy.callback_groups import CallbackGroup
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import JointState, Temperature
+from std_msgs.msg import Header
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from parallel_cal.errors import SolveError
+from parallel_cal.kinematics import Solutions, Status
+from parallel_cal.nodes.conversions import (
+    FAILURES,
+    controlled_pose,
+    matched_joints,
+    pose_message,
+    pose_numbers,
+)
+from parallel_cal.nodes.following import Memory, joints_for
+from parallel_cal.nodes.model_server import ModelServer, Served, in_words
+from parallel_cal.nodes.parameters import LATCHED, RELIABLE, SENSOR, overridable
+from parallel_cal.nodes.tally import Tally
+
+QUIET = 5.0  # s between two lines of the log about refused messages
+
+
+class Streams:
+    """The topics of a node that answer each message with one of another topic."""
+
+    def __init__(
+        self, node: Node, server: ModelServer, memory: Memory, tally: Tally, group: CallbackGroup
+    ):
+        self._node, self._server, self._group = node, server, group
+        self._memory, self._tally = memory, tally
+        self._pose = self._publisher(PoseStamped, "~/pose")
+        self._sure_pose = self._publisher(PoseWithCovarianceStamped, "~/pose_with_covariance")
+        self._command = self._publisher(JointTrajectory, "joint_command")
+        self._subscribe(JointState, "joint_states", SENSOR, self._on_joints)
+        self._subscribe(PoseStamped, "target_pose", RELIABLE, self._on_target)
+        self._subscribe(Temperature, "temperature", SENSOR, self._on_temperature)
+        self._subscribe(InertiaStamped, "payload", SENSOR, self._on_payload)
+        self._subscribe_latched(InertiaStamped, "payload", self._on_payload)
+
+    def _publisher(self, type: Any, topic: str) -> Any:
+        options = overridable()
+        return self._node.create_publisher(type, topic, RELIABLE, qos_overriding_options=options)
+
+    def _subscribe(self, type: Any, topic: str, qos: QoSProfile, take: Any) -> None:
+        self._node.create_subscription(
+            type,
+            topic,
+            partial(self._receive, topic, take),
+            qos,
+            callback_group=self._group,
+            qos_overriding_options=overridable(),
+        )
+
+    def _subscribe_latched(self, type: Any, topic: str, take: Any) -> None:
+        """What is said once and latched comes too late for a volatile subscription.
+
+        One that is latched alone would not match a publisher that does not latch.
+        """
+        quiet = SubscriptionEventCallbacks(use_default_callbacks=False)
+        self._node.create_subscription(
+            type, topic, take, LATCHED, callback_group=self._group, event_callbacks=quiet
+        )
+
+    def _receive(self, channel: str, take: Any, message: Any) -> None:
+        """Count a message, and say why where it leads to nothing."""
+        self._tally.add(channel, "received")
+        try:
+            take(message)
+        except FAILURES as error:
+            self._tally.add(channel, "refused", str(error))
+            log = self._node.get_logger()
+            log.warning(f"{channel} refused: {error}", throttle_duration_sec=QUIET)
+
+    def _served(self) -> Served:
+        served = self._server.current  # one reference for the whole message
+        if served is None:
+            raise SolveError("no model in use")
+        return served
+
+    # ------------------------------------------------------------------ conditions
+
+    def _on_temperature(self, message: Temperature) -> None:
+        self._memory.heard["temperature"] = message.temperature
+
+    def _on_payload(self, message: InertiaStamped) -> None:
+        self._memory.heard["payload"] = message.inertia.m
+
+    # ------------------------------------------------------------------ poses
+
+    def _on_joints(self, message: JointState) -> None:
+        """Joint readings -> ~/pose, at the time of the readings."""
+        served = self._served()
+        model, stamp = served.model, message.header.stamp
+        q, velocity = matched_joints(message, model.joints)
+        self._memory.moved(model, q, stamp.sec + stamp.nanosec * 1e-9, velocity)
+        found = served.kinematics.direct(q, self._memory.conditions(model))
+        if found.status not in (Status.CONVERGED, Status.OUTSIDE_LIMITS):
+            raise SolveError(in_words(found.status))
+        header = Header(stamp=stamp, frame_id=model.frames["base"])
+        pose = pose_message(found.position, found.quaternion)
+        self._pose.publish(PoseStamped(header=header, pose=pose))
+        if model.covariance is not None and self._sure_pose.get_subscription_count():
+            sure = PoseWithCovariance(pose=pose, covariance=self._covariance(served, found))
+            self._sure_pose.publish(PoseWithCovarianceStamped(header=header, pose=sure))
+        self._tally.add("joint_states", "answered")
+
+    def _covariance(self, served: Served, found: Solutions) -> Any:
+        model, at = served.model, self._memory.conditions(served.model)
+        return served.kinematics.direct_covariance(found, at, model.noise.joint or 0.0).ravel()
+
+    # ------------------------------------------------------------------ commands
+
+    def _on_target(self, message: PoseStamped) -> None:
+        """A target -> joint command; nothing is published for one that is not safely reached."""
+        served = self._served()
+        model, frame = served.model, message.header.frame_id
+        if frame and frame != model.frames["base"]:
+            raise SolveError(f"frame_id '{frame}', expected '{model.frames['base']}' or none")
+        r, R = controlled_pose(model, *pose_numbers(message.pose))
+        found = joints_for(served, self._memory, r, R)
+        seconds = self._node.get_parameter("time_from_start").value
+        point = JointTrajectoryPoint(positions=found.joints.tolist())
+        point.time_from_start = Duration(sec=int(seconds), nanosec=round(seconds % 1 * 1e9))
+        self._command.publish(JointTrajectory(joint_names=list(model.joints), points=[point]))
+        self._tally.add("target_pose", "answered")

@@ -1,0 +1,125 @@
+"""What the solver modules share: what the mechanism sees, branches, and solutions with status."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from parallel_cal.compiled import Batch
+from parallel_cal.errors import SolveError
+from parallel_cal.model import Model
+from parallel_cal.rotation import quaternion_to_matrix, rotation_vector
+from parallel_cal.solutions import Solutions, Status, stacked
+
+
+def nearest(candidates: Sequence[Any], distance: Callable[[Any], Any]) -> Any:
+    """The candidate column of least distance; one that is NaN is never nearer."""
+    best = candidates[0]
+    for other in candidates[1:]:
+        best = ca.if_else(distance(other) < distance(best), other, best)
+    return best
+
+
+def joint_rows(model: Model, q: np.ndarray) -> np.ndarray:
+    """(N, nq + 12) configurations with joints (nq,) or (N, nq) and the platform at home."""
+    q = np.atleast_2d(np.asarray(q, dtype=float))
+    n = len(model.joints)
+    if q.shape[1] != n:
+        name, joints = model.mechanism.name, ", ".join(model.joints)
+        raise SolveError(f"{q.shape[1]} joint values given, but {name} has {n}: {joints}")
+    rows = np.tile(_home(model), (len(q), 1))
+    rows[:, :n] = q
+    return rows
+
+
+def pose_rows(model: Model, position: np.ndarray, rotation: np.ndarray | None) -> np.ndarray:
+    """(N, nq + 12) configurations with the given poses and the joints at home."""
+    r = np.atleast_2d(np.asarray(position, dtype=float))
+    if r.shape[1] != 3:
+        raise SolveError(f"a position has 3 coordinates (m), {r.shape[1]} given")
+    rows, n = np.tile(_home(model), (len(r), 1)), len(model.joints)
+    rows[:, n : n + 3] = r
+    if rotation is not None:
+        rows[:, n + 3 :] = np.asarray(rotation, dtype=float).reshape(-1, 9)
+    return rows
+
+
+def configurations(q: np.ndarray, r: np.ndarray, R: np.ndarray) -> np.ndarray:
+    """(k, nq + 12): one set of joints with k poses."""
+    return np.hstack([np.tile(q, (len(r), 1)), r, R.reshape(-1, 9)])
+
+
+def answers(
+    model: Model,
+    solve: ca.Function,
+    given: np.ndarray,
+    at: Mapping[str, Any] | None,
+    tolerance: float,
+) -> Solutions:
+    """(configuration, a, v) -> configuration on all samples, judged by the closure.
+
+    Converged means a residual below `tolerance` (m): a fixed number of steps is as good as it is.
+    """
+    (x,) = Batch(solve)(given, model.condition_rows(at, len(given)), model.values)
+    solutions = judged(model, x, at, tolerance)
+    solutions.status[~np.isfinite(given).all(axis=1)] = Status.INVALID_INPUT
+    return solutions
+
+
+def judged(
+    model: Model, x: np.ndarray, at: Mapping[str, Any] | None, tolerance: float
+) -> Solutions:
+    """Configurations (N, nq + 12) as solutions, with the closure's residual and a status."""
+    conditions, n = model.condition_rows(at, len(x)), len(model.joints)
+    phi = model.structure.closure_batch(x, conditions, model.values)[0]
+    residual = np.linalg.norm(phi, axis=1)
+    limits = np.array(model.mechanism.joint_limits, dtype=float).reshape(-1, 2)
+    inside = ((x[:, :n] >= limits[:, 0]) & (x[:, :n] <= limits[:, 1])).all(axis=1)
+    status = np.where(inside, Status.CONVERGED, Status.OUTSIDE_LIMITS).astype(np.int8)
+    status[residual >= tolerance] = Status.NOT_CONVERGED
+    status[~np.isfinite(residual)] = Status.UNREACHABLE
+    R = x[:, n + 3 :].reshape(-1, 3, 3)
+    return Solutions(x[:, :n], x[:, n : n + 3], R, residual, status)
+
+
+def nearest_home(
+    q: np.ndarray,
+    at: Mapping[str, Any] | None,
+    every: Callable[[np.ndarray, Mapping[str, Any] | None], Solutions],
+) -> Solutions:
+    """The first of `every` solution for joints (nq,) or (N, nq); unreachable where none is."""
+    q = np.asarray(q, dtype=float)
+    if q.ndim == 1:
+        found = every(q, at) if np.isfinite(q).all() else None
+        return found[0] if found else _unreachable(q)
+    rows = [nearest_home(row, _sample(at, i), every) for i, row in enumerate(q)]
+    return stacked(rows)
+
+
+def from_home(model: Model, poses: Solutions) -> np.ndarray:
+    """Distance of each pose from home, in metres; rotations over the mechanism's length."""
+    home = model.mechanism.home
+    turned = rotation_vector(poses.rotation @ quaternion_to_matrix(home.quaternion).T)
+    apart = np.concatenate([poses.position - home.position, model.mechanism.length * turned], 1)
+    return np.linalg.norm(apart, axis=1)
+
+
+def _sample(at: Mapping[str, Any] | None, i: int) -> dict[str, Any] | None:
+    """The conditions of sample i, where some are columns."""
+    if at is None:
+        return None
+    return {name: np.ravel(v)[i] if np.size(v) > 1 else v for name, v in at.items()}
+
+
+def _unreachable(q: np.ndarray) -> Solutions:
+    nowhere, finite = np.full((3, 3), np.nan), np.isfinite(q).all()
+    status = np.array(Status.UNREACHABLE if finite else Status.INVALID_INPUT, dtype=np.int8)
+    return Solutions(q, nowhere[0], nowhere, np.array(np.nan), status)
+
+
+def _home(model: Model) -> np.ndarray:
+    home = model.mechanism.home
+    return np.array([*home.joints, *home.position, *quaternion_to_matrix(home.quaternion).ravel()])

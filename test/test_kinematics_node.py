@@ -1,0 +1,449 @@
+"""The kinematics node as others see it: a process with services, streams and parameters."""
+
+# ruff: noqa: E402 - what needs ROS is imported after the check that it is there
+
+import os
+import shutil
+import signal
+from dataclasses import replace
+from pathlib import Path
+from unittest import mock
+
+import numpy as np
+import pytest
+
+pytestmark = pytest.mark.ros
+pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+pytest.importorskip("parallel_cal_msgs", reason="the messages (msg_defs) are not installed")
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import (
+    Point,
+    Pose,
+    PoseStamped,
+    PoseWithCovarianceStamped,
+    Quaternion,
+)
+from parallel_cal_msgs.msg import Condition, JointConfiguration, ModelStatus, Solution
+from parallel_cal_msgs.srv import ComputeFK, ComputeIK, LoadModel
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import GetParameters, SetParameters
+from rclpy.qos import ReliabilityPolicy
+from ros_helpers import Hammer, NodeProcess
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectory
+
+from parallel_cal.kinematics import Kinematics, Status
+from parallel_cal.modelfile import model_hash, read_model, write_model
+from parallel_cal.nodes.client import Client, own_domain
+
+CONFIG = Path(__file__).parents[1] / "config"
+NOMINAL, IDENTIFIED = CONFIG / "delta_mockup_nominal.yaml", CONFIG / "delta_mockup_identified.yaml"
+NODE, NAMES = "kinematics_node", ["joint1", "joint2", "joint3"]
+RANDOM = np.random.default_rng(5)
+
+
+def configurations(q):
+    return [JointConfiguration(positions=row.tolist()) for row in np.atleast_2d(q)]
+
+
+def pose(position, quaternion=(0.0, 0.0, 0.0, 1.0)):
+    x, y, z, w = map(float, quaternion)
+    point = Point(**dict(zip("xyz", map(float, position), strict=True)))
+    return Pose(position=point, orientation=Quaternion(x=x, y=y, z=z, w=w))
+
+
+def numbers(pose):
+    p, o = pose.position, pose.orientation
+    return [p.x, p.y, p.z, o.x, o.y, o.z, o.w]
+
+
+class Robot:
+    """The node on a file of its own, and a client of it."""
+
+    def __init__(self, folder):
+        self.folder, self.namespace = folder, own_domain()
+        self.file = folder / "robot.yaml"
+        self.known = {}
+        shutil.copy(NOMINAL, self.file)
+        self.learn(NOMINAL), self.learn(IDENTIFIED)
+        self.process = NodeProcess(NODE, folder, self.namespace, model_file=str(self.file))
+        self.client = Client("tester", self.namespace, [self.process])
+        self.status = self.client.latest(ModelStatus, f"{NODE}/model_status")
+        self.diagnostics = {}
+        self.client._node.create_subscription(DiagnosticArray, "/diagnostics", self._diagnosed, 10)
+        self.client.wait(lambda: bool(self.status), "a model status")
+
+    def _diagnosed(self, message):
+        self.diagnostics |= {s.name.split(": ")[1]: s for s in message.status}
+
+    def learn(self, file):
+        self.known[model_hash(Path(file).read_text())] = Kinematics(read_model(file))
+
+    def call(self, type, name, **fields):
+        return self.client.call(type, f"{NODE}/{name}", **fields)
+
+    def fk(self, q, **fields):
+        return self.call(ComputeFK, "compute_fk", configurations=configurations(q), **fields)
+
+    def ik(self, poses, **fields):
+        return self.call(ComputeIK, "compute_ik", targets=poses, **fields)
+
+    @property
+    def kinematics(self):
+        return self.known[self.status[0].hash]
+
+    def set(self, **parameters):
+        values = [
+            Parameter(
+                name=name,
+                value=ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=str(value)),
+            )
+            for name, value in parameters.items()
+        ]
+        return self.call(SetParameters, "set_parameters", parameters=values).results[0]
+
+    def model_file(self):
+        answer = self.call(GetParameters, "get_parameters", names=["model_file"])
+        return answer.values[0].string_value
+
+    def wait_for_status(self, source, ok, hash=None):
+        def there():
+            now = self.status[0]
+            return (now.source, now.ok) == (source, ok) and hash in (None, now.hash)
+
+        self.client.wait(there, f"status {source} ok={ok}")
+        return self.status[0]
+
+    def wait_for_diagnosis(self, name, ready):
+        self.client.wait(
+            lambda: name in self.diagnostics and ready(self.diagnostics[name]), f"diagnosis {name}"
+        )
+        return {item.key: item.value for item in self.diagnostics[name].values}
+
+    def back_to(self, file):
+        shutil.copy(file, self.file)
+        assert self.call(LoadModel, "load_model", path=str(self.file)).success
+
+
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory):
+    with mock.patch.dict(os.environ):
+        robot = Robot(tmp_path_factory.mktemp("robot"))
+        yield robot
+        robot.client.close()
+        assert robot.process.end(signal.SIGINT) == 0
+
+
+# ------------------------------------------------------------------ requests
+
+
+def test_many_configurations_are_answered_in_order_by_the_model_named(robot):
+    q = RANDOM.uniform(0.2, 0.9, (40, 3))
+    answer = robot.fk(q)
+    assert answer.message == ""
+    expected = robot.known[answer.model_hash].direct(q)
+    for row, solution in zip(answer.results, expected, strict=True):
+        (one,) = row.solutions
+        assert one.status == Solution.CONVERGED
+        assert numbers(one.pose) == [*solution.position, *solution.quaternion]
+        assert one.residual == solution.residual
+        assert row.count_complex == -1
+
+
+def test_what_is_wrong_with_one_configuration_leaves_the_others_answered(robot):
+    rows = configurations([[0.5] * 3, [np.nan] * 3, [9.0] * 3])
+    rows.insert(1, JointConfiguration(positions=[0.5]))
+    answer = robot.call(ComputeFK, "compute_fk", configurations=rows)
+    one = [row.solutions[0] for row in answer.results]
+    assert [s.status for s in one[:3]] == [0, Solution.INVALID_INPUT, Solution.INVALID_INPUT]
+    assert one[3].status != Solution.CONVERGED
+    assert all(s.message for s in one[1:])
+
+
+def test_joints_are_matched_by_name(robot):
+    q = np.array([0.5, 0.6, 0.7])
+    answer = robot.fk(q[::-1], joint_names=NAMES[::-1])
+    assert list(answer.results[0].solutions[0].joints) == q.tolist()
+    for names in (["joint1", "joint2", "elbow"], ["joint1", "joint2"], [*NAMES, "joint4"]):
+        refused = robot.fk(q, joint_names=names)
+        assert refused.results == []
+        assert "joint" in refused.message
+
+
+def test_targets_give_joints_that_lead_back(robot):
+    q = RANDOM.uniform(0.3, 0.8, (20, 3))
+    there = robot.kinematics.direct(q)
+    poses = [pose(r, o) for r, o in zip(there.position, there.quaternion, strict=True)]
+    answer = robot.ik(poses)
+    assert answer.joint_names == NAMES
+    found = np.array([row.solutions[0].joints for row in answer.results])
+    assert np.abs(found - q).max() < 1e-9
+
+
+def test_what_the_robot_does_not_control_is_ignored_in_a_target(robot):
+    upside_down = robot.ik([pose((0, 0, 0.2)), pose((0, 0, 0.2), (1, 0, 0, 0))])
+    first, second = (row.solutions[0] for row in upside_down.results)
+    assert first.joints == second.joints
+
+
+def test_bad_targets_are_statuses(robot):
+    bad = [
+        pose((0, 0, np.inf)),
+        pose((0, 0, 0.2), (0, 0, 0, 0)),
+        pose((0, 0, 0.2), (0, 0, 0, 2)),
+        pose((0, 0, 0.9)),
+    ]
+    found = [row.solutions[0] for row in robot.ik(bad).results]
+    assert [s.status for s in found] == [5, 5, 5, Solution.UNREACHABLE]
+    assert "length 2" in found[2].message
+    assert robot.ik([]).results == []
+
+
+def test_all_solutions_are_given_when_asked_for(robot):
+    q = np.array([0.5, 0.6, 0.7])
+    poses = robot.fk(q, all_solutions=True).results[0].solutions
+    assert len(poses) == len(robot.kinematics.direct_all(q)) > 1
+    there = [poses[0].pose]
+    joints = robot.ik(there, all_solutions=True).results[0].solutions
+    assert len(joints) > 1
+
+
+def test_a_solver_by_name_answers_and_an_unknown_one_is_a_message(robot):
+    q = [0.5, 0.6, 0.7]
+    named, usual = robot.fk(q, solver="newton"), robot.fk(q)
+    assert named.results[0].solutions[0].pose == usual.results[0].solutions[0].pose
+    assert "no solver 'magic'" in robot.fk(q, solver="magic").message
+
+
+def test_covariance_is_empty_while_unknown_and_the_model_s_where_known(robot):
+    q, target = [0.5, 0.6, 0.7], [pose((0.01, 0, 0.2))]
+    assert len(robot.fk(q, with_covariance=True).results[0].solutions[0].covariance) == 0
+    model = read_model(IDENTIFIED)
+    sure = replace(model, covariance=np.diag((model.table.tolerance / 10) ** 2))
+    write_model(sure, robot.folder / "sure.yaml")
+    robot.learn(robot.folder / "sure.yaml")
+    assert robot.call(LoadModel, "load_model", path=str(robot.folder / "sure.yaml")).success
+    answer = robot.fk([q, q], with_covariance=True)
+    k = robot.known[answer.model_hash]
+    expected = k.direct_covariance(k.direct(np.array(q)), None, k.model.noise.joint)
+    for row in answer.results:
+        assert np.array_equal(np.reshape(row.solutions[0].covariance, (6, 6)), expected)
+    joints = robot.ik(target, with_covariance=True).results[0].solutions[0]
+    assert len(joints.covariance) == 9
+    assert_pose_with_covariance(robot, expected)
+    robot.back_to(NOMINAL)
+
+
+def assert_pose_with_covariance(robot, expected):
+    publisher = robot.client._node.create_publisher(JointState, "joint_states", 10)
+    heard = heard_on(robot, PoseWithCovarianceStamped, f"{NODE}/pose_with_covariance")
+    publish_until(robot, publisher, JointState(name=NAMES, position=[0.5, 0.6, 0.7]), heard)
+    assert np.array_equal(np.reshape(heard[-1].pose.covariance, (6, 6)), expected)
+
+
+def test_conditions_are_taken_by_name_and_unknown_ones_are_a_message(robot):
+    model = read_model(IDENTIFIED).with_effect("backlash")
+    values = np.where(["width" in name for name in model.table.names], 1e-3, model.values)
+    write_model(model.with_values(values), robot.folder / "play.yaml")
+    robot.learn(robot.folder / "play.yaml")
+    assert robot.call(LoadModel, "load_model", path=str(robot.folder / "play.yaml")).success
+    assert robot.fk([0.5] * 3).model_hash in robot.known
+    up = robot.fk([0.5] * 3, conditions=[Condition(name="direction", value=1.0)])
+    at = {f"direction.{joint}": 1.0 for joint in NAMES}
+    expected = robot.known[up.model_hash].direct(np.full(3, 0.5), at)
+    assert numbers(up.results[0].solutions[0].pose)[:3] == expected.position.tolist()
+    assert "no condition 'mood'" in robot.fk([0.5] * 3, conditions=[Condition(name="mood")]).message
+    robot.back_to(NOMINAL)
+
+
+# ------------------------------------------------------------------ exchanging the model
+
+
+def test_under_load_every_answer_is_exactly_that_of_the_model_it_names(robot):
+    """Good and bad files by parameter, service and watch, while requests come in."""
+    q = RANDOM.uniform(0.3, 0.8, (5, 3))
+    requests = [{"configurations": configurations(row)} for row in q] + [
+        {"configurations": configurations(q)}
+    ]
+    bad = robot.folder / "bad.yaml"
+    bad.write_text(IDENTIFIED.read_text().replace("value: 0.075902", "value: .nan"))
+    nominal, identified = (model_hash(f.read_text()) for f in (NOMINAL, IDENTIFIED))
+    with Hammer(robot.namespace, ComputeFK, f"{NODE}/compute_fk", requests) as hammer:
+        robot.client.wait(lambda: len(hammer.answers) > 5, "first answers")
+        for _ in range(2):
+            assert robot.set(model_file=IDENTIFIED).successful
+            robot.wait_for_status("parameter", True, identified)
+            rejected = robot.set(model_file=bad)
+            assert not rejected.successful
+            assert "D_x" in rejected.reason
+            robot.wait_for_status("parameter", False, identified)
+            assert robot.model_file() == str(IDENTIFIED)
+
+            loaded = robot.call(LoadModel, "load_model", path=str(robot.file))
+            assert (loaded.success, loaded.hash) == (True, nominal)
+            assert robot.model_file() == str(robot.file)
+            refused = robot.call(LoadModel, "load_model", path=str(bad))
+            assert (refused.success, refused.hash) == (False, nominal)
+            assert "D_x" in refused.message
+
+            write_model(read_model(IDENTIFIED), robot.file)
+            robot.wait_for_status("watch", True, identified)
+            robot.file.write_text(bad.read_text())
+            robot.wait_for_status("watch", False, identified)
+            assert not robot.call(Trigger, "reload").success
+            shutil.copy(NOMINAL, robot.file)
+            robot.wait_for_status("watch", True, nominal)
+            assert robot.call(Trigger, "reload").success
+    assert len(hammer.answers) > 50
+    for request, answer in hammer.answers:
+        assert answer.message == ""
+        kinematics = robot.known[answer.model_hash]
+        for c, row in zip(request["configurations"], answer.results, strict=True):
+            expected = kinematics.direct(np.array(c.positions))
+            found = numbers(row.solutions[0].pose)
+            assert found == [*expected.position, *expected.quaternion]
+    used = {answer.model_hash for _, answer in hammer.answers}
+    assert used == {nominal, identified}
+
+
+def test_a_bad_file_is_reported_in_status_and_diagnostics_and_the_model_stays(robot):
+    before = robot.fk([0.5] * 3)
+    robot.file.write_text("parallel_cal: 1\nmechanism: delta54\n")
+    status = robot.wait_for_status("watch", False)
+    assert "joints" in status.reason
+    assert (status.hash, status.model_file) == (before.model_hash, str(robot.file))
+    told = robot.wait_for_diagnosis("model", lambda s: "joints" in s.message)
+    assert robot.diagnostics["model"].level == DiagnosticStatus.WARN
+    assert told["last failure"] == status.reason
+    assert told["hash"] == before.model_hash
+    assert robot.fk([0.5] * 3) == before
+    shutil.copy(NOMINAL, robot.file)
+    robot.wait_for_status("watch", True)
+    robot.wait_for_diagnosis("model", lambda s: s.level == DiagnosticStatus.OK)
+
+
+def test_the_same_file_again_is_said_to_be_the_same(robot):
+    assert "same content" in robot.call(Trigger, "reload").message
+
+
+# ------------------------------------------------------------------ streams
+
+
+def heard_on(robot, type, topic):
+    heard = []
+    robot.client._node.create_subscription(type, topic, heard.append, 10)
+    return heard
+
+
+def publish_until(robot, publisher, message, heard):
+    """Publish again and again until something came of it: the first ones may find no reader."""
+    begin = len(heard)
+
+    def there():
+        publisher.publish(message)
+        return len(heard) > begin
+
+    robot.client.wait(there, "an answer on a topic")
+
+
+def test_joint_states_become_poses_at_their_time_whatever_their_order(robot):
+    publisher = robot.client._node.create_publisher(JointState, "joint_states", 10)
+    heard = heard_on(robot, PoseStamped, f"{NODE}/pose")
+    state = JointState(name=["other", *NAMES[::-1]], position=[7.0, 0.7, 0.6, 0.5])
+    state.header.stamp.sec = 42
+    publish_until(robot, publisher, state, heard)
+    expected = robot.kinematics.direct(np.array([0.5, 0.6, 0.7]))
+    assert numbers(heard[0].pose) == [*expected.position, *expected.quaternion]
+    assert (heard[0].header.stamp.sec, heard[0].header.frame_id) == (42, "base")
+
+
+def test_a_joint_state_without_a_joint_is_counted_and_told(robot):
+    publisher = robot.client._node.create_publisher(JointState, "joint_states", 10)
+    robot.client.wait(lambda: publisher.get_subscription_count() > 0, "the node")
+    message = JointState(name=NAMES[:2], position=[0.5, 0.5])
+
+    def told(status):
+        publisher.publish(message)
+        reasons = {v.key: v.value for v in status.values}
+        return "joint3" in reasons.get("joint_states refused: last reason", "")
+
+    counts = robot.wait_for_diagnosis("traffic", told)
+    assert int(counts["joint_states refused"]) >= 1
+    assert int(counts["joint_states received"]) > int(counts["joint_states refused"])
+    assert int(counts["compute_fk answered"]) > 50
+
+
+def test_a_target_becomes_the_command_of_the_calibrated_inverse_and_others_nothing(robot):
+    targets = robot.client._node.create_publisher(PoseStamped, "target_pose", 10)
+    heard = heard_on(robot, JointTrajectory, "joint_command")
+    good = PoseStamped(pose=pose((0.01, 0.02, 0.2)))
+    good.header.frame_id = "base"
+    publish_until(robot, targets, good, heard)
+    expected = robot.kinematics.inverse(np.array([0.01, 0.02, 0.2]))
+    (point,) = heard[0].points
+    assert heard[0].joint_names == NAMES
+    assert list(point.positions) == expected.joints.tolist()
+    assert point.time_from_start.nanosec == 100_000_000
+    bad = {
+        "unreachable": PoseStamped(pose=pose((0, 0, 0.9))),
+        "not finite": PoseStamped(pose=pose((0, 0, np.nan))),
+        "length 0": PoseStamped(pose=pose((0, 0, 0.2), (0, 0, 0, 0))),
+        "frame_id 'tool'": PoseStamped(pose=pose((0, 0, 0.2))),
+        "outside limits": PoseStamped(pose=pose(outside_limits(robot))),
+    }
+    bad["frame_id 'tool'"].header.frame_id = "tool"
+    robot.client.wait(lambda: all_answered(robot, "target_pose"), "the counts")
+    for reason, message in bad.items():
+        before, commands = refused(robot), len(heard)
+        targets.publish(message)
+        told = robot.wait_for_diagnosis("traffic", lambda s, n=before: refused(robot) == n + 1)
+        assert reason in told["target_pose refused: last reason"]
+        assert len(heard) == commands
+
+
+def all_answered(robot, channel):
+    counts = {v.key: v.value for v in robot.diagnostics["traffic"].values}
+    return counts.get(f"{channel} received") == counts.get(f"{channel} answered") is not None
+
+
+def refused(robot):
+    counts = {v.key: v.value for v in robot.diagnostics["traffic"].values}
+    return int(counts.get("target_pose refused", 0))
+
+
+def outside_limits(robot):
+    """A position the robot would reach if its arms could turn a little further."""
+    low = robot.kinematics.model.mechanism.joint_limits[0][0]
+    there = robot.kinematics.direct(np.full(3, low - 0.05))
+    assert there.status == Status.OUTSIDE_LIMITS
+    return there.position
+
+
+# ------------------------------------------------------------------ beginning and end
+
+
+@mock.patch.dict(os.environ)
+def test_without_a_file_it_says_so_and_recovers_when_one_comes_under_other_topic_names(tmp_path):
+    namespace, file = own_domain() + "_empty", tmp_path / "later" / "robot.yaml"
+    ros = ["-r", "joint_states:=arm/angles"]
+    ros += ["-p", f"qos_overrides.{namespace}/arm/angles.subscription.reliability:=reliable"]
+    process = NodeProcess(NODE, tmp_path, namespace, ros=ros, model_file=str(file))
+    client = Client("tester", namespace, [process])
+    status = client.latest(ModelStatus, f"{NODE}/model_status")
+    client.wait(lambda: bool(status), "a status")
+    assert (status[0].ok, status[0].source, status[0].hash) == (False, "startup", "")
+    request = {"configurations": configurations([0.5] * 3)}
+    empty = client.call(ComputeFK, f"{NODE}/compute_fk", **request)
+    assert empty.results == []
+    assert str(file) in empty.message
+    file.parent.mkdir()
+    write_model(read_model(IDENTIFIED), file)
+    client.wait(lambda: status[0].ok, "the model")
+    assert client.call(ComputeFK, f"{NODE}/compute_fk", **request).model_hash == status[0].hash
+    listeners = client._node.get_subscriptions_info_by_topic(f"{namespace}/arm/angles")
+    qos = [info.qos_profile for info in listeners]
+    assert [q.reliability for q in qos] == [ReliabilityPolicy.RELIABLE]
+    client.close()
+    assert process.end(signal.SIGTERM) == 0

@@ -1,0 +1,106 @@
+"""The replay node: every message, in order, at its time over the rate, with its own stamp."""
+
+# ruff: noqa: E402 - what needs ROS is imported after the check that it is there
+
+import os
+import signal
+import time
+from pathlib import Path
+from unittest import mock
+
+import pytest
+
+pytestmark = pytest.mark.ros
+pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+
+from geometry_msgs.msg import InertiaStamped, PoseWithCovarianceStamped
+from rclpy.qos import QoSProfile
+from ros_helpers import NodeProcess
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool
+
+from parallel_cal.bag import list_topics, raw_messages
+from parallel_cal.nodes.client import LATCHED, Client, own_domain
+
+BAG = Path(__file__).parents[1] / "bags" / "delta_clean"
+COUNTS = {topic.name: topic.count for topic in list_topics(BAG)[0]}
+NODE = "replay_node"
+
+
+@pytest.fixture
+def client():
+    with mock.patch.dict(os.environ):
+        namespace = own_domain()
+        client = Client("listener", namespace, [])
+        client.namespace = namespace
+        yield client
+        client.close()
+
+
+def listen(client, type, topic, qos=None):
+    heard = []
+    qos = QoSProfile(depth=50_000) if qos is None else qos
+    client._node.create_subscription(
+        type, topic, lambda m: heard.append((time.monotonic(), m)), qos
+    )
+    return heard
+
+
+def test_every_message_arrives_in_order_at_thirty_times_the_speed(client, tmp_path):
+    joints = listen(client, JointState, "joint_states")
+    poses = listen(client, PoseWithCovarianceStamped, "measured_pose")
+    payload = listen(client, InertiaStamped, "payload", LATCHED)
+    process = NodeProcess(NODE, tmp_path, client.namespace, str(BAG), "--rate", "30")
+    client.wait(lambda: len(joints) == COUNTS["joint_states"], "all joint states", 60)
+    client.wait(lambda: len(poses) == COUNTS["measured_pose"], "all poses")
+    assert process.ended() == 0
+    assert len(payload) == 1
+    stamps = [(m.header.stamp.sec, m.header.stamp.nanosec) for _, m in joints]
+    assert stamps == sorted(stamps)
+    recorded = [m.time for m in raw_messages(BAG) if m.topic == "joint_states"]
+    assert [sec * 10**9 + ns for sec, ns in stamps] == recorded
+    spent = joints[-1][0] - joints[0][0]
+    assert 0.95 < spent / ((recorded[-1] - recorded[0]) * 1e-9 / 30) < 1.5
+    assert f"{sum(COUNTS.values())} messages" in process.said
+
+
+def test_it_waits_paused_and_plays_only_the_topics_named(client, tmp_path):
+    poses = listen(client, PoseWithCovarianceStamped, "measured_pose")
+    joints = listen(client, JointState, "joint_states")
+    options = ("--topics", "measured_pose", "--rate", "200", "--start-paused")
+    process = NodeProcess(NODE, tmp_path, client.namespace, str(BAG), *options)
+    assert client.call(SetBool, f"{NODE}/pause", data=True).success
+    assert poses == []
+    assert client.call(SetBool, f"{NODE}/pause", data=False).message == "running"
+    client.wait(lambda: len(poses) == COUNTS["measured_pose"], "all poses", 60)
+    assert process.ended() == 0
+    assert joints == []
+
+
+@pytest.mark.parametrize("by", [signal.SIGINT, signal.SIGTERM])
+def test_it_ends_cleanly_when_asked_to(client, tmp_path, by):
+    poses = listen(client, PoseWithCovarianceStamped, "measured_pose")
+    process = NodeProcess(NODE, tmp_path, client.namespace, str(BAG), "--loop")
+    client.wait(lambda: len(poses) > 2, "the first poses")
+    assert process.end(by) == 0
+    assert "ended after" in process.said
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "word"),
+    [
+        (["/nowhere"], 1, "/nowhere"),
+        ([], 1, "no bag"),
+        ([str(BAG), "--rate", "0"], 1, "rate"),
+        ([str(BAG), "--topics", "mood"], 1, "mood"),
+        ([str(BAG), "--wait-for-subscribers", "1", "--patience", "0.2"], 1, "waited for 1"),
+        ([str(BAG), "--speed", "3"], 2, "--speed"),
+    ],
+)
+def test_what_cannot_be_replayed_is_one_line_and_a_status(
+    client, tmp_path, arguments, status, word
+):
+    process = NodeProcess(NODE, tmp_path, client.namespace, *arguments)
+    assert process.ended() == status
+    assert word in process.said.splitlines()[-1]
+    assert "Traceback" not in process.said
