@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -63,6 +64,8 @@ def quaternion_to_matrix(quaternion: np.ndarray | Sequence[float]) -> np.ndarray
 def matrix_to_quaternion(R: np.ndarray) -> np.ndarray:
     """(..., 3, 3) rotation matrices to (..., 4) quaternions x y z w with w >= 0."""
     R = np.asarray(R, dtype=float)
+    if R.ndim == 2:
+        return _single_quaternion(R)
     trace = np.trace(R, axis1=-2, axis2=-1)
     diagonal = np.stack([R[..., 0, 0], R[..., 1, 1], R[..., 2, 2], trace], axis=-1)
     # Four formulas, each good where its own component is the largest (Shepperd).
@@ -71,6 +74,22 @@ def matrix_to_quaternion(R: np.ndarray) -> np.ndarray:
     q = np.take_along_axis(candidates, best[..., None, None], axis=-2)[..., 0, :]
     q = q / np.linalg.norm(q, axis=-1, keepdims=True)
     return np.where(q[..., 3:] < 0, -q, q)
+
+
+def _single_quaternion(R: np.ndarray) -> np.ndarray:
+    """The same for one matrix, without the arrays' overhead: nodes answer one at a time."""
+    (a, b, c), (d, e, f), (g, h, i) = R.tolist()
+    trace, largest = a + e + i, max(a, e, i)
+    if trace >= largest:
+        q = [h - f, c - g, d - b, 1 + trace]
+    elif a == largest:
+        q = [1 + a - e - i, b + d, c + g, h - f]
+    elif e == largest:
+        q = [b + d, 1 + e - a - i, f + h, c - g]
+    else:
+        q = [c + g, f + h, 1 + i - a - e, d - b]
+    size = math.sqrt(sum(part * part for part in q))
+    return np.array(q) / (size if q[3] >= 0 else -size)
 
 
 def _quaternion_from_largest(R: np.ndarray, trace: np.ndarray, k: int) -> np.ndarray:

@@ -1,0 +1,38 @@
+"""Rotations and quaternions at the border."""
+
+import numpy as np
+import pytest
+import virtual_robot as vr
+
+from parallel_cal.rotation import (
+    matrix_to_quaternion,
+    quaternion_to_matrix,
+    rotation_matrix,
+    rotation_vector,
+)
+
+HALF_TURNS = [[np.pi, 0, 0], [0, np.pi, 0], [0, 0, np.pi], [3, 0, 0], [0, -3, 0], [0, 0.1, 3.1]]
+
+
+def some_rotations():
+    rng = np.random.default_rng(0)
+    return vr.turn(np.concatenate([rng.normal(size=(200, 3)) * 2, np.zeros((1, 3)), HALF_TURNS]))
+
+
+def test_one_matrix_and_many_give_the_same_quaternions_with_w_not_negative():
+    R = some_rotations()
+    many = matrix_to_quaternion(R)
+    assert np.abs([matrix_to_quaternion(one) for one in R] - many).max() < 1e-15
+    assert many[:, 3].min() >= 0
+    assert np.abs(np.linalg.norm(many, axis=1) - 1).max() < 1e-15
+
+
+def test_quaternions_and_vectors_lead_back_to_the_matrix():
+    R = some_rotations()
+    assert np.abs(quaternion_to_matrix(matrix_to_quaternion(R)) - R).max() < 1e-14
+    assert np.abs(rotation_matrix(rotation_vector(R)) - R).max() < 1e-14
+
+
+def test_a_quarter_turn_about_z_by_hand():
+    q = matrix_to_quaternion(np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]))
+    assert q == pytest.approx([0, 0, np.sqrt(0.5), np.sqrt(0.5)])
