@@ -141,7 +141,8 @@ def picture(rows: list[dict[str, Any]]) -> Any:
         surface = Surface(x=row["x_mm"], y=row["y_mm"], z=z, cmin=0, cmax=top, showscale=k == 0)
         figure.add_trace(surface, row=k // 2 + 1, col=k % 2 + 1)
     axes = {"xaxis_title": "x (mm)", "yaxis_title": "y (mm)", "zaxis_title": "error (mm)"}
-    figure.update_scenes(zaxis_range=[0, 1.05 * top], **axes)
+    camera = {"eye": {"x": 1.7, "y": 1.7, "z": 1.1}}
+    figure.update_scenes(zaxis_range=[0, 1.05 * top], camera=camera, **axes)
     figure.update_layout(
         title="Error of the rod's tip over a plane (thesis, figure 3.22)", height=900
     )

@@ -58,7 +58,13 @@ def draw(rows: np.ndarray, file: Path) -> None:
     figure = make_subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.06)
     for column, name in ((1, "direct"), (2, "inverse")):
         figure.add_trace(go.Scatter(x=rows[:, 0], y=rows[:, column], name=f"{name} distance"), 1, 1)
-    figure.add_trace(go.Scatter(x=rows[:, 0], y=rows[:, 4], name="tilt of the nearest other"), 2, 1)
+    figure.add_trace(
+        go.Scatter(
+            x=rows[:, 0], y=rows[:, 4], name="tilt of the nearest other", mode="lines+markers"
+        ),
+        2,
+        1,
+    )
     figure.update_yaxes(title_text="smallest scaled singular value", row=1, col=1)
     figure.update_yaxes(title_text="tilt [deg]", row=2, col=1)
     figure.update_xaxes(title_text="way from the centre [mm]", row=2, col=1)
