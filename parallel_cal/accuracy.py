@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -50,19 +50,41 @@ def errors(model: Model, evidence: Evidence) -> Errors:
     at = condition_columns(model, evidence)
     x, measured = evidence.x, evidence.measured
     rotation = x[:, n + 3 :].reshape(-1, 3, 3)
-    pose = kinematics.direct(x[:, :n], at)
-    joints = kinematics.inverse(x[:, n : n + 3], rotation, at)
+    # The robot is solved in {B}; the device shows its poses in frames of its own.
+    pose = shown(model, kinematics.direct(x[:, :n], at))
+    position, turned = model.structure.located(x[:, n:], model.values)
+    joints = kinematics.inverse(position, turned.reshape(-1, 3, 3), at)
     given = measured[:, [n + i for i in m.controlled]].all(axis=1)
     turn = rotation_vector(
         rotation @ np.where(np.isfinite(pose.rotation), pose.rotation, np.eye(3)).transpose(0, 2, 1)
     )
-    position, orientation = (judged(m, measured[:, n:], part) for part in (range(3), range(3, 6)))
+    placed, orientation = (judged(m, measured[:, n:], part) for part in (range(3), range(3, 6)))
     apart = np.where(measured[:, n : n + 3], x[:, n : n + 3] - pose.position, 0.0)
     return Errors(
-        _where(position & _solved(pose), apart),
+        _where(placed & _solved(pose), apart),
         _where(orientation & _solved(pose), np.where(measured[:, n + 3 :], turn, 0.0)),
         _where(given & _solved(joints), x[:, :n] - joints.joints),
     )
+
+
+def shown(model: Model, solutions: Solutions) -> Solutions:
+    """Poses of {P} in {B} as the model's pose device shows them."""
+    pose = np.concatenate([solutions.position, solutions.rotation.reshape(-1, 9)], axis=1)
+    r, R9 = model.structure.shown(pose, model.values)
+    return replace(solutions, position=r, rotation=R9.reshape(-1, 3, 3))
+
+
+def reading_errors(model: Model, evidence: Evidence) -> np.ndarray:
+    """Read minus predicted (N, n_channels), m: what every sensor shows at the pose that the
+    model's direct problem puts the platform in; NaN where not read or not solved."""
+    n = len(model.joints)
+    pose = shown(
+        model, Kinematics(model).direct(evidence.x[:, :n], condition_columns(model, evidence))
+    )
+    x = np.concatenate([evidence.x[:, :n], pose.position, pose.rotation.reshape(-1, 9)], axis=1)
+    rows = model.structure.rows_batch(x, evidence.a, model.values)[0]
+    predicted = rows[:, model.structure.phi.shape[0] :]
+    return np.where(_solved(pose)[:, None], evidence.reading - predicted, np.nan)
 
 
 def judged(mechanism: Mechanism, measured: np.ndarray, part: range) -> np.ndarray:
@@ -127,4 +149,6 @@ def _blocks(model: Model, evidence: Evidence) -> tuple[np.ndarray, ...]:
     from parallel_cal.methods.implicit import Linearisation
 
     linearise = Linearisation(model, evidence, np.zeros(len(model.values), dtype=bool), True)
-    return linearise.blocks(model.values, evidence.x)
+    phi, C, J = linearise.blocks(model.values, evidence.x)
+    rows = model.structure.phi.shape[0]
+    return phi[:, :rows], C[:, :rows], J[:, :rows]

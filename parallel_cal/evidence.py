@@ -12,13 +12,16 @@ from parallel_cal.errors import FitError
 from parallel_cal.model import Model
 from parallel_cal.rotation import quaternion_to_matrix, rotation_matrix, rotation_vector
 
+READING = "reading."  # a dataset's columns of what sensors beside the pose device show, in m
+
 
 @dataclass(frozen=True)
 class Evidence:
     """N measured samples of one mechanism.
 
     x (N, nq+12) configurations (q, r, R9); S (N, nq+6, nq+6) covariance of (q, r, w);
-    measured (N, nq+6) mask; a (N, n_conditions); group (N,) equal for replicates.
+    measured (N, nq+6) mask; a (N, n_conditions); group (N,) equal for replicates;
+    reading (N, n_channels) of the model's sensors (m), NaN where not read.
     """
 
     x: np.ndarray
@@ -26,15 +29,15 @@ class Evidence:
     measured: np.ndarray
     a: np.ndarray
     group: np.ndarray
+    reading: np.ndarray
     noise_from: dict[str, str]
 
     def __len__(self) -> int:
         return len(self.x)
 
     def select(self, index: np.ndarray) -> Evidence:
-        parts = (self.x, self.S, self.measured, self.a, self.group)
-        x, S, measured, a, group = (part[index] for part in parts)
-        return replace(self, x=x, S=S, measured=measured, a=a, group=group)
+        names = ("x", "S", "measured", "a", "group", "reading")
+        return replace(self, **{name: getattr(self, name)[index] for name in names})
 
 
 def gather(model: Model, dataset: Dataset, joint_sigma: float | None = None) -> Evidence:
@@ -56,7 +59,8 @@ def gather(model: Model, dataset: Dataset, joint_sigma: float | None = None) -> 
     S[:, n:, n:] = pose
     a = _conditions(model, dataset)
     noise_from = {"joint": joint_from, "pose": pose_from}
-    return Evidence(x, S, measured, a, np.asarray(dataset.pose_id), noise_from)
+    reading = _readings(model, dataset)
+    return Evidence(x, S, measured, a, np.asarray(dataset.pose_id), reading, noise_from)
 
 
 def _joint_order(model: Model, dataset: Dataset) -> list[int]:
@@ -151,3 +155,27 @@ def _conditions(model: Model, dataset: Dataset) -> np.ndarray:
         )
     columns: Any = [np.asarray(dataset.conditions[c], dtype=float) for c in model.conditions]
     return np.stack(columns, axis=1) if columns else np.zeros((len(dataset.q), 0))
+
+
+def _readings(model: Model, dataset: Dataset) -> np.ndarray:
+    """(N, n_channels): the dataset's columns `reading.CHANNEL`, NaN where not read."""
+    channels, read = model.structure.channels, _read(dataset)
+    if missing := [c for c in channels if c not in read]:
+        raise FitError(
+            f"{dataset.source}: nothing was measured with {', '.join(missing)}, which the model's "
+            f"sensors expect (recorded: {', '.join(read) or 'no reading'}); measure it, or take "
+            "it out of the model"
+        )
+    if strange := [c for c in read if c not in channels]:
+        raise FitError(
+            f"{dataset.source}: readings of {', '.join(strange)}, but the model's sensors have "
+            f"{', '.join(channels) or 'no channel'}: describe the set-up in the model file"
+        )
+    columns = [dataset.conditions[READING + c] for c in channels]
+    return np.stack(columns, axis=1) if columns else np.zeros((len(dataset.q), 0))
+
+
+def _read(dataset: Dataset) -> list[str]:
+    """Channels with at least one reading."""
+    names = [k for k in dataset.conditions if k.startswith(READING)]
+    return [k.removeprefix(READING) for k in names if np.isfinite(dataset.conditions[k]).any()]

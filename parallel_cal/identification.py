@@ -185,16 +185,16 @@ def _free_mask(model: Model, free: Iterable[str], fix: Iterable[str]) -> np.ndar
 
 def _check_enough(model: Model, evidence: Evidence, free: np.ndarray) -> None:
     """A clear word before the numbers fail: too few poses, or all of them the same."""
-    poses = len(np.unique(evidence.group))
-    rows = model.structure.phi.shape[0]
+    poses, first = np.unique(evidence.group, return_index=True)
     n = len(model.joints)
-    unmeasured = [n + i for i in model.mechanism.moved]
-    lost = int((~evidence.measured[:, unmeasured]).sum(axis=1).min()) if len(evidence) else 0
-    carried = poses * max(rows - lost, 0)
+    moved = [n + i for i in model.mechanism.moved]
+    given = evidence.measured[:, moved].sum(axis=1) + np.isfinite(evidence.reading).sum(axis=1)
+    equations = np.maximum(model.structure.phi.shape[0] - len(moved) + given, 0)[first]
+    carried, most = int(equations.sum()), max(int(equations.max(initial=0)), 1)
     if carried < free.sum():
         raise FitError(
-            f"{poses} different poses give {carried} equations, but {int(free.sum())} parameters "
-            f"are free: measure at least {-(-int(free.sum()) // max(rows - lost, 1))} different "
+            f"{len(poses)} different poses give {carried} equations, but {int(free.sum())} "
+            f"parameters are free: measure at least {-(-int(free.sum()) // most)} different "
             "poses (better twice as many), or fix parameters"
         )
 

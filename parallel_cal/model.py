@@ -15,6 +15,7 @@ from parallel_cal.effect import CONDITIONS, Effect, Seen, load_effect
 from parallel_cal.errors import ModelError
 from parallel_cal.mechanism import Mechanism, load_mechanism
 from parallel_cal.parameters import Named, ParameterTable
+from parallel_cal.sensor import Sensor
 
 
 class Structure:
@@ -23,11 +24,15 @@ class Structure:
     Symbols: q joints, r position, R9 rotation (row-major), v parameter vector, a conditions.
     """
 
-    def __init__(self, mechanism: Mechanism, effects: Sequence[Effect]):
+    def __init__(
+        self, mechanism: Mechanism, effects: Sequence[Effect], sensors: Sequence[Sensor] = ()
+    ):
         self.mechanism, self.effects = mechanism, tuple(effects)
+        self.sensors = tuple(sensors)
         self.table = ParameterTable(mechanism.parameters)
-        for effect in effects:
-            self.table = self.table + effect.table(mechanism)
+        tables = [part.table(mechanism) for part in effects]
+        for table in (*tables, *(sensor.table(mechanism) for sensor in sensors)):
+            self.table = self.table + table
         needed = [c for effect in effects for c in effect.conditions(mechanism)]
         self.conditions = tuple(dict.fromkeys(needed))
         self.q = ca.SX.sym("q", len(mechanism.joints))
@@ -77,11 +82,14 @@ class Structure:
     @cached_property
     def jacobian_pose(self) -> Any:
         """d phi / d (r, w) with R <- exp(w) R, shape (rows, 6)."""
+        return self._by_pose(self.phi)
+
+    def _by_pose(self, rows: Any) -> Any:
         # Through a small left turn, not through R's nine entries: a third fewer operations.
         w = ca.SX.sym("w", 3)
-        turned = ca.substitute(self.phi, self.R9, ca.vec((self.R + ca.skew(w) @ self.R).T))
+        turned = ca.substitute(rows, self.R9, ca.vec((self.R + ca.skew(w) @ self.R).T))
         by_turn = ca.substitute(ca.jacobian(turned, w), w, ca.DM.zeros(3))
-        return ca.horzcat(ca.jacobian(self.phi, self.r), by_turn)
+        return ca.horzcat(ca.jacobian(rows, self.r), by_turn)
 
     @cached_property
     def jacobian_configuration(self) -> Any:
@@ -99,6 +107,64 @@ class Structure:
     def closure_batch(self) -> Batch:
         """`closure` on arrays of samples."""
         return Batch(self.closure)
+
+    @cached_property
+    def placed(self) -> tuple[Any, Any]:
+        """The pose of {P} in {B} where the pose device shows (r, R)."""
+        r, R, numbers = self.r, self.R, Named(self.table.names, self.v)
+        for sensor in self._with_numbers:
+            r, R = sensor.pose(r, R, numbers[sensor.name])
+        return r, R
+
+    @cached_property
+    def shown(self) -> Batch:
+        """(r and R9 of {P} in {B}, v) -> r, R9 as the pose device shows them."""
+        r, R, numbers = self.r, self.R, Named(self.table.names, self.v)
+        for sensor in reversed(self._with_numbers):
+            r, R = sensor.shown(r, R, numbers[sensor.name])
+        return Batch(self._pose_function("shown", r, R))
+
+    @cached_property
+    def located(self) -> Batch:
+        """The inverse of `shown`: what the device shows, as a pose of {P} in {B}."""
+        return Batch(self._pose_function("located", *self.placed))
+
+    def _pose_function(self, name: str, r: Any, R: Any) -> ca.Function:
+        return dense(name, (ca.vertcat(self.r, self.R9), self.v), (r, ca.vec(ca.SX(R).T)))
+
+    @property
+    def _with_numbers(self) -> list[Sensor]:
+        return [s for s in self.sensors if len(s.table(self.mechanism))]
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """What the sensors read beside the pose, one row each."""
+        return tuple(c for sensor in self.sensors for c in sensor.channels)
+
+    @property
+    def accuracy(self) -> np.ndarray:
+        """Standard deviation of each channel (m)."""
+        return np.array([s.accuracy for s in self.sensors for _ in s.channels], dtype=float)
+
+    @cached_property
+    def rows(self) -> Any:
+        """What measurements are held against: the closure where the device puts the platform,
+        then what every channel shows there."""
+        r, R = self.placed
+        numbers = Named(self.table.names, self.v)
+        readings = [s.readings(r, R, numbers[s.name]) for s in self._with_numbers]
+        phi = ca.substitute([self.phi], [self.r, self.R9], [r, ca.vec(ca.SX(R).T)])[0]
+        return ca.vertcat(phi, *readings)
+
+    @cached_property
+    def rows_batch(self) -> Batch:
+        """(configuration, a, v) -> rows, d rows/d(q, r, w), d rows/dv, on arrays."""
+        if not self.sensors:
+            return self.closure_batch
+        inputs = (self.configuration, self.a, self.v)
+        by_x = ca.horzcat(ca.jacobian(self.rows, self.q), self._by_pose(self.rows))
+        outputs = (self.rows, by_x, ca.jacobian(self.rows, self.v))
+        return Batch(dense("rows", inputs, outputs))
 
     @cached_property
     def closure_configuration(self) -> ca.Function:
@@ -155,13 +221,14 @@ class Model:
     frames: Mapping[str, str] = field(
         default_factory=lambda: {"base": "base", "platform": "platform"}
     )
+    sensors: tuple[Sensor, ...] = ()
 
     def __post_init__(self) -> None:
         values = np.array(self.values, dtype=float)
         values.setflags(write=False)
         object.__setattr__(self, "values", values)
         if self.fixed is None:
-            pattern = self.mechanism.fixed
+            pattern = [*self.mechanism.fixed, *(p for s in self.sensors for p in s.known())]
             mask = (
                 self.table.matching(pattern) if pattern else np.zeros(len(self.table), dtype=bool)
             )
@@ -171,7 +238,7 @@ class Model:
 
     @cached_property
     def structure(self) -> Structure:
-        return _structure(self.mechanism, self.effects)
+        return _structure(self.mechanism, self.effects, self.sensors)
 
     @property
     def table(self) -> ParameterTable:
@@ -206,7 +273,7 @@ class Model:
         return self._with_effects(kept)
 
     def _with_effects(self, effects: tuple[Effect, ...]) -> Model:
-        table = _structure(self.mechanism, effects).table
+        table = _structure(self.mechanism, effects, self.sensors).table
         known = dict(zip(self.table.names, zip(self.values, self.fixed, strict=True), strict=True))
         values = np.array([known[p.name][0] if p.name in known else p.nominal for p in table])
         fixed = np.array([p.name in known and known[p.name][1] for p in table], dtype=bool)
@@ -222,7 +289,9 @@ class Model:
         larger.parameters = larger.parameters.with_nominal(nominal)
         larger.joints, larger.joint_limits = m.joints, m.joint_limits
         larger.home, larger.workspace = m.home, m.workspace
-        return replace(new_model(larger, values), noise=self.noise, frames=self.frames)
+        values |= {p.name: self.value(p.name) for s in self.sensors for p in s.table(m)}
+        wide = new_model(larger, values, sensors=self.sensors)
+        return replace(wide, noise=self.noise, frames=self.frames)
 
     def condition_rows(self, at: Mapping[str, Any] | None, n: int) -> np.ndarray:
         """(n, n_conditions) from named scalars or (n,) columns; neutral where not given.
@@ -237,22 +306,27 @@ class Model:
 
 
 @lru_cache(maxsize=64)
-def _cached_structure(mechanism: Mechanism, effects: tuple[str, ...]) -> Structure:
-    return Structure(mechanism, [load_effect(name) for name in effects])
+def _cached_structure(
+    mechanism: Mechanism, effects: tuple[str, ...], sensors: tuple[Sensor, ...]
+) -> Structure:
+    return Structure(mechanism, [load_effect(name) for name in effects], sensors)
 
 
-def _structure(mechanism: Mechanism, effects: tuple[Effect, ...]) -> Structure:
-    return _cached_structure(mechanism, tuple(effect.name for effect in effects))
+def _structure(
+    mechanism: Mechanism, effects: tuple[Effect, ...], sensors: tuple[Sensor, ...] = ()
+) -> Structure:
+    return _cached_structure(mechanism, tuple(effect.name for effect in effects), sensors)
 
 
 def new_model(
     mechanism: Mechanism | str,
     values: Mapping[str, float] | None = None,
     effects: Sequence[str] = (),
+    sensors: Sequence[Sensor] = (),
 ) -> Model:
     """A model with nominal values, overwritten by the given ones."""
     if isinstance(mechanism, str):
         mechanism = load_mechanism(mechanism)
     loaded = tuple(load_effect(name) for name in effects)
-    table = _structure(mechanism, loaded).table
-    return Model(mechanism, loaded, table.vector(values or {}))
+    table = _structure(mechanism, loaded, tuple(sensors)).table
+    return Model(mechanism, loaded, table.vector(values or {}), sensors=tuple(sensors))

@@ -121,6 +121,10 @@ class Named:
             raise AttributeError(key)
         return self[key]
 
+    def get(self, key: str, default: Any) -> Any:
+        """The entry, or `default` where there is none."""
+        return self[key] if self._prefix + key in self._names else default
+
     def vector(self, *keys: str) -> Any:
         """Several entries stacked as a column: `chain.vector("D_x", "D_y", "D_z")`."""
         import casadi as ca

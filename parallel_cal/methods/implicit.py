@@ -13,8 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from parallel_cal.accuracy import shown
 from parallel_cal.errors import FitError
 from parallel_cal.evidence import Evidence
+from parallel_cal.kinematics import Kinematics
 from parallel_cal.model import Model
 from parallel_cal.observability import Spectrum, spectrum
 from parallel_cal.rotation import rotation_matrix, rotation_vector
@@ -66,7 +68,7 @@ def estimate(
     free: np.ndarray,
     prior: bool = False,
     weighted: bool = True,
-    iterations: int = 50,
+    iterations: int = 200,
 ) -> Estimate:
     """Parameters by Levenberg-Marquardt (C.4) on whitened closure residuals.
 
@@ -91,9 +93,9 @@ def estimate(
         ) * (1 + 1e-9)
         small = np.max(np.abs(step / tolerance), initial=0.0) < STEP or promised < GAIN * tried.chi2
         if better or small:
-            values, x, system, damping = trial, x_trial, tried, max(damping / 10, 1e-12)
+            values, x, system, damping = trial, x_trial, tried, max(damping / 5, 1e-12)
         else:
-            damping = max(damping * 10, 1e-6)
+            damping = max(damping * 3, 1e-6)
         if small:
             return _finished(model, values, system, free, prior, k + 1)
         if damping > 1e12:
@@ -124,31 +126,47 @@ class Linearisation:
     def __init__(self, model: Model, evidence: Evidence, free: np.ndarray, weighted: bool):
         self._structure, self._evidence = model.structure, evidence
         self._free, self._weighted = np.flatnonzero(free), weighted
-        self._batch = model.structure.closure_batch
-        self._rows = model.structure.phi.shape[0]
+        self._model, self._batch = model, model.structure.rows_batch
+        self._rows = model.structure.rows.shape[0]
+        closure = model.structure.phi.shape[0]
+        # A channel that was not read is an unknown of its own row, projected out as one.
+        self._unread = np.zeros((len(evidence), self._rows), dtype=bool)
+        self._unread[:, closure:] = np.isnan(evidence.reading)
+        self._read = np.zeros((len(evidence), self._rows))
+        self._read[:, closure:] = np.nan_to_num(evidence.reading)
+        self._variance = np.zeros(self._rows)
+        self._variance[closure:] = model.structure.accuracy**2
         self._n = len(model.joints)
         moved = np.zeros(self._n + 6, dtype=bool)
         moved[: self._n] = True
         moved[[self._n + i for i in model.mechanism.moved]] = True
         self._unknown = moved & ~evidence.measured
-        self._any_unknown = bool(self._unknown.any())
+        self._any_unknown = bool(self._unknown.any() or self._unread.any())
         self._S = np.where(
             evidence.measured[:, :, None] & evidence.measured[:, None, :], evidence.S, 0.0
         )
 
     def start(self) -> np.ndarray:
-        """The measured configurations."""
-        return self._evidence.x.copy()
+        """The measured configurations; where nothing of a pose was measured, the model's own."""
+        x, n = self._evidence.x.copy(), self._n
+        blind = self._unknown[:, [n + i for i in self._model.mechanism.moved]].all(axis=1)
+        if blind.any():
+            at = dict(zip(self._model.conditions, self._evidence.a[blind].T, strict=True))
+            pose = shown(self._model, Kinematics(self._model).direct(x[blind, :n], at))
+            columns = np.concatenate([pose.position, pose.rotation.reshape(-1, 9)], axis=1)
+            solved = np.isfinite(columns).all(axis=1)
+            x[np.flatnonzero(blind)[solved], n:] = columns[solved]
+        return x
 
     def __call__(self, values: np.ndarray, x: np.ndarray) -> _System:
         phi, C, J = self.blocks(values, x)
         away = self._from_adjusted(x)
         at_measured = phi + np.einsum("nij,nj->ni", C, away)
         SC = self._S @ C.transpose(0, 2, 1)
-        L = self._whitening(C @ SC)
+        L = self._whitening(C @ SC + np.diag(self._variance))
         white_rows = np.linalg.solve(L, np.concatenate([at_measured[:, :, None], J], axis=2))
         r, A = white_rows[:, :, 0], white_rows[:, :, 1:]
-        U = np.linalg.solve(L, C * self._unknown[:, None, :]) if self._any_unknown else None
+        U = self._unknown_columns(C, L) if self._any_unknown else None
         keep, solve_unknown = _projection(U, len(x), self._rows, self._n + 6)
         # The correction of all measured quantities, given a step of the parameters.
 
@@ -159,6 +177,7 @@ class Linearisation:
                 white = white + np.einsum("nij,nj->ni", U, unknown)
             force = np.linalg.solve(L.transpose(0, 2, 1), white[:, :, None])
             correction = away - (SC @ force)[:, :, 0] if self._weighted else away
+            unknown = unknown[:, : self._n + 6]
             return self._moved(x, np.where(self._unknown, unknown, correction))
 
         if keep is None:
@@ -168,9 +187,18 @@ class Linearisation:
     def blocks(self, values: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, ...]:
         phi, C, J = self._batch(x, self._evidence.a, values)
         rows = self._rows
+        phi = phi - self._read
         C = C.reshape(len(x), -1, rows).transpose(0, 2, 1)
         J = J.reshape(len(x), -1, rows)[:, self._free].transpose(0, 2, 1)
         return phi, C, J
+
+    def _unknown_columns(self, C: np.ndarray, L: np.ndarray) -> np.ndarray:
+        """How unmeasured coordinates, and then channels not read, move the whitened rows."""
+        columns = C * self._unknown[:, None, :]
+        if self._unread.any():
+            own = np.eye(self._rows) * self._unread[:, None, :]
+            columns = np.concatenate([columns, own], axis=2)
+        return np.linalg.solve(L, columns)
 
     def _whitening(self, W: np.ndarray) -> np.ndarray:
         """Cholesky factors of the noise that the rows inherit."""
@@ -222,7 +250,8 @@ def _step(
     size, directions = np.linalg.eigh(normal)
     floor = max(1e-13 * size[-1], 1e-300)
     # Directions the data cannot see keep their values: no walk along them.
-    inverse = np.where(size > floor, 1 / (np.maximum(size, floor) * (1 + damping)), 0.0)
+    damped = size + damping * np.maximum(size, 1e-6 * size[-1])  # weak directions wait
+    inverse = np.where(size > floor, 1 / np.maximum(damped, floor), 0.0)
     along = directions.T @ gradient
     return -tolerance * (directions @ (inverse * along)), float(np.sum(inverse * along**2))
 

@@ -1,0 +1,88 @@
+"""A pose device whose base frame and target are not aligned with the robot's (5.5.1)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+
+from parallel_cal.mechanism import POSE, Mechanism
+from parallel_cal.parameters import Named, Parameter
+from parallel_cal.rotation import cayley, quaternion_to_matrix, rot_x, rot_y, rot_z
+from parallel_cal.sensor import Sensor
+
+NO_TURN = (0.0, 0.0, 0.0, 1.0)
+TOLERANCE = {"m": 2e-3, "rad": 0.035}
+
+
+@dataclass(frozen=True)
+class DeviceFrame(Sensor):
+    """{B} -> {device} and {P} -> {target}, six numbers each around nominal frames, and the
+    zeros of a gimbal x-y-z that measures the orientation: the nine of 5.5.1 for the Argos.
+
+    Only coordinates that the mechanism moves are asked for, and {P} -> {target} only where
+    the platform turns: else its shift is the frame's shift. `gimbal` adds the three zeros.
+    """
+
+    position: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    quaternion: tuple[float, float, float, float] = NO_TURN
+    target_position: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    target_quaternion: tuple[float, float, float, float] = NO_TURN
+    gimbal: bool = False
+    fixed: tuple[str, ...] = ()
+
+    physics = "measuring devices cannot be referenced perfectly to the robot's frames"
+    source = "thesis 5.5.1 (nine additional parameters)"
+
+    def parameters(self, mechanism: Mechanism) -> list[Parameter]:
+        moves = [c for c in POSE if c in mechanism.moves]
+        turns = any(c.startswith("r") for c in moves)
+        # A frame turns even where the platform does not; a platform at rest needs no shift.
+        frame = POSE if "x" in moves else POSE[3:]
+        target = moves if turns else []
+        names = [*(f"frame.{c}" for c in frame), *(f"target.{c}" for c in target)]
+        names += [f"zero.{c}" for c in POSE[3:]] if self.gimbal else []
+        return [_parameter(name) for name in names]
+
+    def pose(self, r: Any, R: Any, s: Named) -> tuple[Any, Any]:
+        """{B}<-{P} = {B}<-{device} ({device}<-{target}) {target}<-{P}."""
+        (f, F), (t, T) = self._frames(s)
+        turned = F @ self._gimbal(R, s, +1) @ T.T
+        return f + F @ r - turned @ t, turned
+
+    def shown(self, r: Any, R: Any, s: Named) -> tuple[Any, Any]:
+        (f, F), (t, T) = self._frames(s)
+        return F.T @ (r + R @ t - f), self._gimbal(F.T @ R @ T, s, -1)
+
+    def _frames(self, s: Named) -> tuple[tuple[Any, Any], tuple[Any, Any]]:
+        frame = _frame(s, "frame", self.position, self.quaternion)
+        return frame, _frame(s, "target", self.target_position, self.target_quaternion)
+
+    def _gimbal(self, R: Any, s: Named, sign: int) -> Any:
+        """The rotation with the three encoders' zeros added to its x-y-z angles."""
+        if not self.gimbal:
+            return R
+        angles = (
+            ca.atan2(-R[1, 2], R[2, 2]),
+            ca.atan2(R[0, 2], ca.sqrt(R[0, 0] ** 2 + R[0, 1] ** 2)),
+            ca.atan2(-R[0, 1], R[0, 0]),
+        )
+        zeros = s.vector("zero.rx", "zero.ry", "zero.rz")
+        a, b, c = (angle + sign * zeros[i] for i, angle in enumerate(angles))
+        return rot_x(a) @ rot_y(b) @ rot_z(c)
+
+
+def _parameter(name: str) -> Parameter:
+    unit = "rad" if name[-2] == "r" else "m"
+    return Parameter(name, unit, 0.0, TOLERANCE[unit])
+
+
+def _frame(s: Named, name: str, position: Any, quaternion: Any) -> tuple[Any, Any]:
+    """Nominal frame, shifted and turned by what parameters there are; the rest is zero."""
+
+    def part(coordinates: tuple[str, ...]) -> Any:
+        return ca.vertcat(*[s.get(f"{name}.{c}", 0) for c in coordinates])
+
+    turn = cayley(part(POSE[3:])) @ ca.DM(quaternion_to_matrix(quaternion))
+    return ca.DM(position) + part(POSE[:3]), turn

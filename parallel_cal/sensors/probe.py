@@ -1,0 +1,46 @@
+"""A touch probe on the platform: its height above a flat plate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+
+from parallel_cal.mechanism import Mechanism
+from parallel_cal.parameters import Named, Parameter
+from parallel_cal.rotation import cayley
+from parallel_cal.sensor import Sensor, point_on_platform, point_parameters
+
+
+@dataclass(frozen=True)
+class Probe(Sensor):
+    """Height (m) of `tip` in {P} above the plate z = `height` of {B}, tilt and height unknown."""
+
+    height: float
+    tip: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    sigma: float = 2e-6
+    fixed: tuple[str, ...] = ("tip.*",)
+
+    physics = "a length gauge along the plate's normal"
+    source = "thesis 4.3.2 (TESA GT130); Hornick 91"
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        return ("probe",)
+
+    @property
+    def accuracy(self) -> float:
+        return self.sigma
+
+    def parameters(self, mechanism: Mechanism) -> list[Parameter]:
+        return [
+            Parameter("plate.z", "m", self.height, 1e-3),
+            *[Parameter(f"plate.{a}", "rad", 0.0, 0.01) for a in ("rx", "ry")],
+            *point_parameters("tip", self.tip, 1e-3),
+        ]
+
+    def readings(self, r: Any, R: Any, s: Named) -> Any:
+        turn = cayley(ca.vertcat(s["plate.rx"], s["plate.ry"], 0))
+        away = point_on_platform(r, R, s) - ca.vertcat(0, 0, s["plate.z"])
+        return ca.dot(turn[:, 2], away)
