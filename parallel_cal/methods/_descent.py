@@ -1,0 +1,136 @@
+"""Pieces that the methods share: damped descent on whitened residuals, and a common verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from parallel_cal.errors import FitError
+from parallel_cal.evidence import Evidence
+from parallel_cal.methods.implicit import (
+    GAIN,
+    STEP,
+    Estimate,
+    Linearisation,
+    _finished,
+    _prior,
+    _prior_cost,
+    _step,
+    _System,
+)
+from parallel_cal.model import Model
+
+Linearise = Callable[[np.ndarray], "System | None"]
+
+
+@dataclass
+class System(_System):
+    """Whitened residuals (N, m) and Jacobian (N, m, n_free) of a method without adjustment,
+    with the raw residuals and the Cholesky factors that whiten them."""
+
+    adjusted: Callable[[np.ndarray], np.ndarray] = field(init=False, repr=False)
+    raw: np.ndarray = field(kw_only=True)
+    whitener: np.ndarray = field(kw_only=True)
+
+    def chi2_of(self, other: System) -> float:
+        """Another point's chi2 in this one's weights: what a step from here can lower."""
+        return float(np.sum(np.linalg.solve(self.whitener, other.raw[:, :, None]) ** 2))
+
+
+def minimise(
+    model: Model,
+    free: np.ndarray,
+    prior: bool,
+    linearise: Linearise,
+    iterations: int = 50,
+) -> Estimate:
+    """Levenberg-Marquardt (C.4); `linearise` answers None where the model has no solution."""
+    tolerance = model.table.tolerance[free]
+    values, damping = np.array(model.values), 1e-6
+    system = linearise(values)
+    if system is None:
+        raise FitError("the starting model has no solution at some samples: start nearer")
+    for k in range(iterations):
+        step, promised = _step(system, tolerance, damping, _prior(model, values, free, prior))
+        trial = values.copy()
+        trial[free] += step
+        tried = linearise(trial)
+        small = bool(np.max(np.abs(step / tolerance), initial=0.0) < STEP)
+        if tried is not None and _better(model, trial, tried, values, system, free, prior):
+            small = small or promised < GAIN * tried.chi2
+            values, system, damping = trial, tried, max(damping / 10, 1e-12)
+        else:
+            damping = max(damping * 10, 1e-6)
+        if small:
+            return _finished(model, values, system, free, prior, k + 1)
+        if damping > 1e12:
+            break
+    raise FitError(
+        f"identification did not converge in {iterations} iterations (chi2 {system.chi2:.3g}): "
+        "leave out samples near singularities, or use the implicit method"
+    )
+
+
+def _better(
+    model: Model,
+    trial: np.ndarray,
+    tried: System,
+    values: np.ndarray,
+    system: System,
+    free: np.ndarray,
+    prior: bool,
+) -> bool:
+    new = system.chi2_of(tried) + _prior_cost(model, trial, free, prior)
+    old = system.chi2 + _prior_cost(model, values, free, prior)
+    return new <= old * (1 + 1e-9)
+
+
+def judged(
+    model: Model,
+    values: np.ndarray,
+    evidence: Evidence,
+    free: np.ndarray,
+    iterations: int,
+    influence: np.ndarray | None = None,
+) -> Estimate:
+    """A verdict on values found by other means: chi2 of the closure in inherited noise.
+
+    `influence` (n_free, N * rows) says how closure errors move the estimates; it replaces the
+    covariance of the weighted optimum by that of the method: influence W influence^T.
+    """
+    linearise = Linearisation(model, evidence, free, True)
+    system = linearise(values, linearise.start())
+    found = _finished(model, values, system, free, False, iterations)
+    if influence is None:
+        return found
+    covariance = np.zeros_like(found.covariance)
+    covariance[np.ix_(free, free)] = spread(influence, row_noise(model, values, evidence))
+    return replace(found, covariance=covariance)
+
+
+def row_noise(model: Model, values: np.ndarray, evidence: Evidence) -> np.ndarray:
+    """W = C S C^T (N, rows, rows): the noise that the closure's rows inherit."""
+    none = np.zeros(len(values), dtype=bool)
+    _, C, _ = Linearisation(model, evidence, none, True).blocks(values, evidence.x)
+    return C @ evidence.S @ C.transpose(0, 2, 1)
+
+
+def spread(influence: np.ndarray, W: np.ndarray) -> np.ndarray:
+    """Covariance of estimates that depend linearly on rows with noise W (N, rows, rows)."""
+    parts = influence.reshape(len(influence), *W.shape[:2])
+    return np.asarray(np.einsum("anr,nrs,bns->ab", parts, W, parts))
+
+
+def need_measured(evidence: Evidence, columns: np.ndarray, names: list[str], method: str) -> None:
+    """FitError where a coordinate that the method starts from was not measured, or where more
+    than poses was (channels of other sensors)."""
+    if evidence.reading.shape[1]:
+        raise FitError(f"{method} calibration knows poses only; use the implicit method")
+    missing = [n for n, c in zip(names, columns, strict=True) if not evidence.measured[:, c].all()]
+    if missing:
+        raise FitError(
+            f"{method} calibration needs {', '.join(missing)} at every sample; where they were "
+            "not measured, use the implicit method"
+        )
