@@ -284,6 +284,38 @@ def remove(
     calibration.remove(model, effect, bag, output, force, data or [], as_json, **options)
 
 
+@app.command()
+def plan(
+    model: ModelFile,
+    poses: Annotated[int, typer.Option(min=1, help="how many to measure")],
+    criterion: Annotated[
+        str, typer.Option(help="prediction, D, A, condition or noise_amplification")
+    ] = "prediction",
+    method: Annotated[
+        str | None, typer.Option(help="exchange or annealing; none: what suits the criterion")
+    ] = None,
+    pool: Annotated[int, typer.Option(min=1, help="candidates drawn in the workspace")] = 1000,
+    symmetric: Annotated[
+        bool, typer.Option("--symmetric", help="sets of three, a third of a turn about z apart")
+    ] = False,
+    free: Free = None,
+    fix: Fix = None,
+    prior: Prior = False,
+    seed: Annotated[int, typer.Option(min=0, help="of the candidates")] = 0,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="poses as .csv, or the whole as .yaml")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Choose the poses to measure: what they will tell, beside random ones."""
+    from parallel_cal.commands import planning
+
+    planning.plan(
+        model, poses, output, as_json, criterion=criterion, method=method, pool=pool,
+        symmetric=symmetric, free=_patterns(free), fix=_patterns(fix), prior=prior, seed=seed,
+    )  # fmt: skip
+
+
 # ------------------------------------------------------------------------------- to see it work
 
 

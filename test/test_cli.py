@@ -110,7 +110,7 @@ def test_help_names_the_commands_that_exist_and_no_other():
     listed = re.findall(r"^  (\w+) ", child("--help").stdout.split("Commands:")[1], flags=re.M)
     assert listed == [
         "new", "mechanisms", "effects", "direct", "inverse", "look", "simulate", "replay",
-        "fit", "compare", "add", "remove", "demo", "bench",
+        "fit", "compare", "add", "remove", "plan", "demo", "bench",
     ]  # fmt: skip
 
 

@@ -1,0 +1,138 @@
+"""Choosing n of K groups of measurements: greedy exchange and simulated annealing (5.3.9).
+
+Groups are blocks A_k (K, rows, p) of the whitened Jacobian, columns in tolerances; a choice
+has the information M = M0 + sum A_k^T A_k, M0 what is known beforehand. Criteria are minimised:
+D: -log det M; A: trace M^-1; prediction: trace M^-1 W; condition and noise_amplification of M.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+LINEAR = ("D", "A", "prediction")  # those that a small update of the inverse tells
+SPECTRAL = ("condition", "noise_amplification")
+CRITERIA = (*LINEAR, *SPECTRAL)
+SWEEPS = 20
+GAIN = 1e-6  # of an exchange, relative: smaller ones only swap equals
+
+Report = Callable[[float], None]
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Blocks (K, rows, p), information known beforehand (p, p), weight W (p, p), criterion;
+    `rank`: the directions that count in a spectral criterion."""
+
+    blocks: np.ndarray
+    before: np.ndarray
+    weight: np.ndarray
+    criterion: str
+    rank: int
+
+    def information(self, chosen: np.ndarray) -> np.ndarray:
+        A = self.blocks[chosen].reshape(-1, self.blocks.shape[2])
+        return np.asarray(self.before + A.T @ A)
+
+    def cost(self, M: np.ndarray) -> float:
+        """The criterion of an information matrix, as a logarithm: smaller is better."""
+        if self.criterion == "D":
+            return -float(np.linalg.slogdet(M)[1]) / len(M)
+        if self.criterion in LINEAR:
+            return float(np.log(np.trace(np.linalg.solve(M, self.weight))))
+        s = np.maximum(np.linalg.eigvalsh(M)[::-1][: self.rank], 1e-300)
+        power = 1.0 if self.criterion == "condition" else 2.0
+        return float(np.log(s[0]) - power * np.log(s[-1])) / 2
+
+
+def exchange(problem: Problem, n: int, report: Report) -> np.ndarray:
+    """Groups (n,) by adding the best one n times, then replacing one by a better one until
+    none is (Fedorov): every step costs one pass over the candidates."""
+    chosen: list[int] = []
+    M = problem.before.copy()
+    for k in range(n):
+        chosen.append(int(np.argmax(_gains(problem, np.linalg.inv(M), chosen))))
+        M += _square(problem, chosen[-1])
+        report(0.3 * (k + 1) / n)
+    for sweep in range(SWEEPS):
+        if not _sweep(problem, chosen):
+            break
+        report(0.3 + 0.7 * (sweep + 1) / SWEEPS)
+    return np.sort(np.array(chosen))
+
+
+def _sweep(problem: Problem, chosen: list[int]) -> bool:
+    """Each chosen group in turn gives way to the best other one; whether anything changed."""
+    changed = False
+    for i, old in enumerate(list(chosen)):
+        others = chosen[:i] + chosen[i + 1 :]
+        # From all the rest anew: an inverse updated a thousand times drifts.
+        V = np.linalg.inv(problem.information(np.array(others, dtype=int)))
+        gains = _gains(problem, V, others)
+        best = int(np.argmax(gains))
+        if gains[best] > gains[old] + GAIN * abs(gains[old]):
+            chosen[i], changed = best, True
+    return changed
+
+
+def _square(problem: Problem, k: int) -> np.ndarray:
+    return np.asarray(problem.blocks[k].T @ problem.blocks[k])
+
+
+def _gains(problem: Problem, V: np.ndarray, taken: list[int]) -> np.ndarray:
+    """How much each candidate (K,) improves the criterion, V the inverse of M without it.
+
+    det(M + A^T A) = det M det(I + A V A^T); V falls by V A^T (I + A V A^T)^-1 A V.
+    """
+    A = problem.blocks
+    AV = (A.reshape(-1, A.shape[2]) @ V).reshape(A.shape)
+    B = AV @ A.transpose(0, 2, 1) + np.eye(A.shape[1])
+    if problem.criterion == "D":
+        gains = np.linalg.slogdet(B)[1]
+    else:
+        AVW = (AV.reshape(-1, A.shape[2]) @ problem.weight).reshape(A.shape)
+        gains = np.trace(np.linalg.solve(B, AVW @ AV.transpose(0, 2, 1)), axis1=1, axis2=2)
+    gains = np.array(gains)
+    gains[taken] = -np.inf
+    return gains
+
+
+def anneal(
+    problem: Problem, n: int, rng: np.random.Generator, report: Report, steps: int = 20000
+) -> np.ndarray:
+    """Groups (n,) by simulated annealing (Zhuang 94): random exchanges from a random set,
+    worse ones accepted with probability exp(-rise / T), T falling to nothing."""
+    order = rng.permutation(len(problem.blocks))
+    M = problem.information(order[:n])
+    cost = problem.cost(M)
+    best, best_cost = order[:n].copy(), cost
+    T0 = _first_temperature(problem, order, n, rng)
+    for step in range(steps if len(order) > n else 0):
+        i, j = rng.integers(n), rng.integers(n, len(order))
+        trial = M - _square(problem, order[i]) + _square(problem, order[j])
+        new = problem.cost(trial)
+        temperature = T0 * 1e-5 ** (step / steps)
+        if new <= cost or rng.random() < np.exp((cost - new) / temperature):
+            order[[i, j]] = order[[j, i]]
+            M, cost = trial, new
+            if cost < best_cost:
+                best, best_cost = order[:n].copy(), cost
+        if step % 1000 == 0:
+            M = problem.information(order[:n])  # subtractions leave rounding errors behind
+            report(step / steps)
+    return np.sort(best)
+
+
+def _first_temperature(
+    problem: Problem, order: np.ndarray, n: int, rng: np.random.Generator
+) -> float:
+    """The typical rise of a random exchange: at first nearly everything is accepted."""
+    costs: list[Any] = []
+    M = problem.information(order[:n])
+    for _ in range(30):
+        i, j = rng.integers(n), rng.integers(min(n, len(order) - 1), len(order))
+        costs.append(problem.cost(M - _square(problem, order[i]) + _square(problem, order[j])))
+    return float(np.std(costs)) + 1e-9
