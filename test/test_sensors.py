@@ -439,9 +439,9 @@ def test_what_a_device_shows_and_where_the_platform_is_are_inverse():
 
 
 def test_a_plate_described_wrongly_is_a_clear_error():
-    with pytest.raises(ModelError, match="2 holes and 1 bars"):
+    with pytest.raises(ModelError, match=r"2 holes and 1 bars"):
         load_sensor("plane_spheres", height=0.2, holes=PLATE.holes, bars=(0.07,))
-    with pytest.raises(ModelError, match="all lengths positive"):
+    with pytest.raises(ModelError, match=r"all lengths positive"):
         load_sensor("plane_spheres", height=0.2, sigma=0.0)
     with pytest.raises(ModelError, match=r"sensor probe: .*missing.*height"):
         load_sensor("probe")
