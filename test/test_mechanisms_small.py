@@ -591,13 +591,3 @@ def test_preset_is_read_and_solved_over_its_workspace(name):
     assert there.ok.all()
     assert back.ok.all()
     assert np.abs(back.position - there.position).max() < 1e-12
-
-
-@pytest.mark.parametrize("name", PRESETS)
-def test_preset_files_are_what_their_generator_writes(name, monkeypatch):
-    from parallel_cal.modelfile import dump_model
-
-    monkeypatch.syspath_prepend(str(CONFIG))
-    from presets_argos_stewart import models
-
-    assert (CONFIG / f"{name}.yaml").read_text() == dump_model(models()[name])
