@@ -41,8 +41,8 @@ def leg_parameters(platform: np.ndarray, base: np.ndarray, retracted: float) -> 
 
 
 PLATFORM, BASE = hexagon(PLATFORM_RADIUS, PLATFORM_ANGLES), hexagon(BASE_RADIUS, BASE_ANGLES)
-# Of all legs at home; rounded, as it is only where solvers start.
-LENGTH = round(float(np.linalg.norm(PLATFORM[0] + [0, 0, HEIGHT] - BASE[0])), 6)
+# Of all legs at home; rounded below what a machine's norm may differ by in its last bit.
+LENGTH = round(float(np.linalg.norm(PLATFORM[0] + [0, 0, HEIGHT] - BASE[0])), 13)
 
 
 class Stewart42(Mechanism):
