@@ -88,7 +88,8 @@ class Robot:
     def play(self, bag, rate=20.0):
         """Replay a bag and wait until all of it has been looked at."""
         already, expected = received(self.status), sum(counts(bag))
-        player = self.start("replay_node", bag=str(bag), rate=rate)
+        listeners = self.client.listeners(topic.name for topic in list_topics(bag)[0])
+        player = self.start("replay_node", bag=str(bag), rate=rate, wait_for_subscribers=listeners)
         self.client.wait(lambda: received(self.status) >= already + expected, "the bag", 120)
         self.client.wait(lambda: player.status is not None, "the end of the replay")
         self.processes.remove(player)

@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -106,6 +106,11 @@ class Client:
         client = self._clients[name]
         self.wait(client.service_is_ready, f"service {name}")
         return self.answer(client.call_async(type.Request(**fields)), f"the answer of {name}")
+
+    def listeners(self, topics: Iterable[str]) -> int:
+        """How many subscriptions there are, so that a replay can wait for all of them."""
+        names = (self._node.resolve_topic_name(topic.lstrip("/")) for topic in topics)
+        return sum(self._node.count_subscribers(name) for name in names)
 
     def latest(self, type: Any, topic: str) -> list[Any]:
         """A list that holds the newest message of a latched topic as soon as there is one."""

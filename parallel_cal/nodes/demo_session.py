@@ -13,6 +13,7 @@ from parallel_cal_msgs.action import Identify
 from parallel_cal_msgs.msg import CollectionStatus, JointConfiguration, ModelStatus, Sample
 from parallel_cal_msgs.srv import ComputeFK, ListSamples, RemoveSample
 
+from parallel_cal.bag import list_topics
 from parallel_cal.nodes.client import Client, NodeError, Process, own_domain
 from parallel_cal.nodes.conversions import pose_numbers
 from parallel_cal.rotation import rotation_vector
@@ -57,7 +58,9 @@ class DemoSession:
     def collect(self, bag: Path, messages: int, rate: float, hear: Feedback) -> CollectionStatus:
         """Replay a recording; the status once all its readings and poses have been looked at."""
         self._client.wait(lambda: bool(self._status), "calibration_node/collection_status")
-        self._start("replay_node", bag=str(bag), rate=rate)
+        topics = [topic.name for topic in list_topics(bag)[0]]
+        listeners = self._client.listeners(topics)
+        self._start("replay_node", bag=str(bag), rate=rate, wait_for_subscribers=listeners)
 
         def all_in() -> bool:
             status = self._status[0]
