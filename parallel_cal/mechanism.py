@@ -34,7 +34,8 @@ class Home:
 
 @dataclass(frozen=True)
 class Workspace:
-    """A box of controlled coordinates around `Home` (m and rad), for sampling and planning."""
+    """A box of controlled coordinates for sampling and planning: positions (m) and components of
+    the rotation vector (rad) in {B}, absolute."""
 
     low: tuple[float, ...]
     high: tuple[float, ...]

@@ -447,3 +447,15 @@ def test_without_a_file_it_says_so_and_recovers_when_one_comes_under_other_topic
     assert [q.reliability for q in qos] == [ReliabilityPolicy.RELIABLE]
     client.close()
     assert process.end(signal.SIGTERM) == 0
+
+
+def test_a_parameter_of_the_wrong_kind_is_one_clear_line_and_a_whole_number_will_do(tmp_path):
+    process = NodeProcess(NODE, tmp_path, own_domain() + "_kinds", time_from_start="soon")
+    assert process.ended() == 1
+    assert process.said.startswith("error: parameter time_from_start: expected a number")
+    assert process.said.count("\n") == 1
+
+
+def test_a_parameter_of_the_wrong_kind_is_refused_while_running(robot):
+    assert not robot.set(time_from_start="soon").successful
+    assert robot.call(ComputeFK, "compute_fk", configurations=configurations([0.5] * 3)).results

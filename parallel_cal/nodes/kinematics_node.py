@@ -83,7 +83,8 @@ class KinematicsNode(Node):
         """Load a new model file, or say why the parameter cannot have this value."""
         values = {p.name: p.value for p in parameters}
         for name in ("time_from_start", "direction_threshold"):
-            if not 0 <= values.get(name, 0) < float("inf"):
+            value = values.get(name, 0)
+            if not isinstance(value, (int, float)) or not 0 <= value < float("inf"):
                 return SetParametersResult(successful=False, reason=f"{name} must be >= 0")
         if "model_file" in values and not self._adopting:
             attempt = self._server.load(_absolute(values["model_file"]), "parameter")

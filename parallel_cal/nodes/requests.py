@@ -13,7 +13,6 @@ from parallel_cal import solving
 from parallel_cal.errors import SolveError
 from parallel_cal.kinematics import Solutions, Status
 from parallel_cal.nodes.conversions import (
-    FAILURES,
     conditions_of,
     controlled_pose,
     invalid_solution,
@@ -41,8 +40,8 @@ def answer(served: Served | None, why_none: str, request: Any, response: Any) ->
             response.results = _inverse(served, request)
         else:
             response.results = _direct(served, request)
-    except FAILURES as error:
-        response.results, response.message = [], str(error)
+    except Exception as error:  # a user's own mechanism may raise anything; the node stays up
+        response.results, response.message = [], str(error) or type(error).__name__
     return response
 
 

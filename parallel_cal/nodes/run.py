@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -18,6 +19,8 @@ from rclpy.executors import (
 )
 from rclpy.node import Node
 from rclpy.task import Task
+
+from parallel_cal.errors import ParallelCalError
 
 
 class FrontExecutor(SingleThreadedExecutor):
@@ -90,6 +93,9 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
                 executor.spin_once()
         except ExternalShutdownException:
             pass
+        except ParallelCalError as error:
+            sys.stderr.write(f"error: {error}\n")
+            return 1
         except Exception:
             if rclpy.ok():  # else it is what a callback meets while the ground is taken away
                 raise
