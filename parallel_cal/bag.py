@@ -8,10 +8,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from .cleaning import assemble
-from .errors import BagError, ParallelCalError
-from .recording import Progress, Raw, Recording, TopicInfo, Topics
-from .topics import JOINTS, PAYLOAD, POINTS, POSES, TEMPERATURE, choose_topics
+from parallel_cal.errors import BagError, ParallelCalError
+from parallel_cal.recordings.cleaning import assemble
+from parallel_cal.recordings.recording import Progress, Raw, Recording, TopicInfo, Topics
+from parallel_cal.recordings.topics import (
+    JOINTS,
+    PAYLOAD,
+    POINTS,
+    POSES,
+    TEMPERATURE,
+    choose_topics,
+)
 
 DATA_FILES = (".mcap", ".db3", ".zstd")
 

@@ -9,7 +9,8 @@ from typing import Annotated, Any
 
 import typer
 
-from parallel_cal import __version__, console
+from parallel_cal import __version__
+from parallel_cal.commands import console
 from parallel_cal.errors import ParallelCalError
 
 app = typer.Typer(

@@ -11,10 +11,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .errors import DatasetError
-from .recording import Array, Bools, Dropped, Progress, Recording, Topics
-from .replicates import ReplicateNoise, make_folds, replicate_ids, replicate_noise
-from .samplefile import (
+from parallel_cal.errors import DatasetError
+from parallel_cal.recordings.recording import Array, Bools, Dropped, Progress, Recording, Topics
+from parallel_cal.recordings.replicates import (
+    ReplicateNoise,
+    make_folds,
+    replicate_ids,
+    replicate_noise,
+)
+from parallel_cal.recordings.samplefile import (
     FILE_VERSION,
     PER_SAMPLE,
     plain,
@@ -22,8 +27,8 @@ from .samplefile import (
     restored,
     write_atomically,
 )
-from .samples import Options, Samples, mean_rotation, per_joint
-from .sampling import conditions_of, samples_of
+from parallel_cal.recordings.samples import Options, Samples, mean_rotation, per_joint
+from parallel_cal.recordings.sampling import conditions_of, samples_of
 
 METRES = 10.0  # positions typically further than this from the origin are taken for millimetres
 TURNS = 4.0 * np.pi  # joints that travel further are taken for degrees, or turn endlessly
@@ -168,7 +173,7 @@ def load_dataset(
     """
     if Path(path).suffix == ".json":
         return _in_order(Dataset.from_json(path), joints)
-    from .bag import read_bag
+    from parallel_cal.bag import read_bag
 
     recording = read_bag(
         path, topics, joints=joints, measures=measures, stamps=stamps, progress=progress

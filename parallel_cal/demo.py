@@ -14,7 +14,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from parallel_cal import console
+from parallel_cal.commands import console
 from parallel_cal.errors import ParallelCalError
 
 if TYPE_CHECKING:

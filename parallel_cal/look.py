@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .bag import list_topics, read_bag
-from .dataset import Dataset, dataset_from_recording, make_options
-from .errors import DatasetError
-from .recording import COORDINATES, Dropped, Progress, Recording, Topics
+from parallel_cal.bag import list_topics, read_bag
+from parallel_cal.dataset import Dataset, dataset_from_recording, make_options
+from parallel_cal.errors import DatasetError
+from parallel_cal.recordings.recording import COORDINATES, Dropped, Progress, Recording, Topics
 
 if TYPE_CHECKING:
     from rich.console import Console

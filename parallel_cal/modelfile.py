@@ -8,8 +8,8 @@ from pathlib import Path
 from parallel_cal.errors import ModelFileError
 from parallel_cal.files import write_atomically
 from parallel_cal.model import Model
-from parallel_cal.modeltext import dump_model
-from parallel_cal.yamltext import parse_yaml
+from parallel_cal.modelfiles.modeltext import dump_model
+from parallel_cal.modelfiles.yamltext import parse_yaml
 
 __all__ = ["dump_model", "model_hash", "parse_model", "read_model", "write_model"]
 
@@ -27,7 +27,7 @@ def read_model(path: str | Path) -> Model:
 
 def parse_model(text: str, name: str = "model") -> Model:
     """The model in a text; `name` stands for the file in errors (ModelFileError)."""
-    from parallel_cal.modelreader import Reader  # pydantic costs 50 ms
+    from parallel_cal.modelfiles.modelreader import Reader  # pydantic costs 50 ms
 
     return Reader(parse_yaml(text, name)).model()
 

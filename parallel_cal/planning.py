@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.errors import FitError
-from parallel_cal.expectation import Expectation, View
 from parallel_cal.identification import _free_mask, single_threaded
 from parallel_cal.kinematics import Solutions
 from parallel_cal.model import Model
-from parallel_cal.posepool import Pool, given_pool, make_pool
-from parallel_cal.selection import CRITERIA, LINEAR, Problem, anneal, exchange
+from parallel_cal.planners.expectation import Expectation, View
+from parallel_cal.planners.posepool import Pool, given_pool, make_pool
+from parallel_cal.planners.selection import CRITERIA, LINEAR, Problem, anneal, exchange
 
 POOL, UNSEEN, RANDOM_SETS = 1000, 200, 21
 METHODS = ("exchange", "annealing")

@@ -27,7 +27,7 @@ from bag_writing import (
 
 from parallel_cal.bag import read_bag
 from parallel_cal.errors import BagError
-from parallel_cal.recording import Topics
+from parallel_cal.recordings.recording import Topics
 
 MOVES = Session([[0.1, 0.2, 0.3], [0.4, 0.0, 0.5]])
 

@@ -12,7 +12,7 @@ from parallel_cal.dataset import load_dataset
 from parallel_cal.errors import DatasetError
 from parallel_cal.nodes import collector as collector_module
 from parallel_cal.nodes.collector import Collector
-from parallel_cal.samplefile import PER_SAMPLE
+from parallel_cal.recordings.samplefile import PER_SAMPLE
 
 BAG = Path(__file__).parent.parent / "bags" / "delta_clean"
 

@@ -24,10 +24,10 @@ from bag_writing import (
 
 from parallel_cal.bag import read_bag
 from parallel_cal.dataset import Dataset, dataset_from_recording, load_dataset, make_options
-from parallel_cal.dwells import approach, still_intervals, still_tolerance
 from parallel_cal.errors import DatasetError
 from parallel_cal.look import look, print_look
-from parallel_cal.recording import COORDINATES
+from parallel_cal.recordings.dwells import approach, still_intervals, still_tolerance
+from parallel_cal.recordings.recording import COORDINATES
 
 BAGS = Path(__file__).parent.parent / "bags"
 STOPS = [[0.1, 0.2, 0.3], [0.4, 0.0, 0.5], [0.2, 0.3, 0.1], [0.4, 0.0, 0.5], [0.0, 0.1, 0.2]]

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from parallel_cal import console
+from parallel_cal.commands import console
 from parallel_cal.commands.recordings import bag_progress, data_options
 from parallel_cal.dataset import Dataset, load_dataset
 from parallel_cal.identification import compare as compared

@@ -8,13 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from parallel_cal import answers, console, solving
+from parallel_cal import solving
+from parallel_cal.commands import answers, console
+from parallel_cal.commands.tables import counts, direct_table, inverse_table
 from parallel_cal.errors import ParallelCalError
 from parallel_cal.files import write_atomically
 from parallel_cal.kinematics import Solutions
 from parallel_cal.model import Model
 from parallel_cal.modelfile import read_model
-from parallel_cal.tables import counts, direct_table, inverse_table
 
 
 def direct(

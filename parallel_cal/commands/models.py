@@ -7,7 +7,7 @@ from inspect import signature
 from pathlib import Path
 from typing import Any
 
-from parallel_cal import console
+from parallel_cal.commands import console
 from parallel_cal.effect import load_effect
 from parallel_cal.errors import ParallelCalError
 from parallel_cal.mechanism import Mechanism, load_class, load_mechanism, shelf_names
@@ -30,7 +30,7 @@ def new(mechanism: str, output: Path, options: list[str], as_json: bool) -> None
 
 def _mechanism(name: str, options: list[str]) -> Mechanism:
     """A mechanism with options KEY=VALUE, the value as in a model file (YAML)."""
-    from parallel_cal.yamltext import parse_yaml
+    from parallel_cal.modelfiles.yamltext import parse_yaml
 
     given: dict[str, Any] = {}
     for item in options:

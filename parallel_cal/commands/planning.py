@@ -10,15 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from parallel_cal import console
+from parallel_cal.commands import console
+from parallel_cal.commands.tables import POSITION, QUATERNION
 from parallel_cal.files import write_atomically
-from parallel_cal.indices import NAMES
 from parallel_cal.model import Model, Noise
 from parallel_cal.modelfile import read_model
+from parallel_cal.planners.indices import NAMES
+from parallel_cal.planners.words import describe
 from parallel_cal.planning import Plan
 from parallel_cal.planning import plan as planned
-from parallel_cal.tables import POSITION, QUATERNION
-from parallel_cal.words import describe
 
 ARCMIN = 60 * 180 / np.pi
 

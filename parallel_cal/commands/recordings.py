@@ -10,11 +10,11 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from parallel_cal import console
+from parallel_cal.commands import console
 from parallel_cal.errors import ParallelCalError
 from parallel_cal.modelfile import read_model
-from parallel_cal.recording import Topics
-from parallel_cal.samples import Options
+from parallel_cal.recordings.recording import Topics
+from parallel_cal.recordings.samples import Options
 
 
 def look(bag: Path, data: list[str], as_json: bool) -> None:

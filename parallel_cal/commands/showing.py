@@ -7,7 +7,7 @@ import sys
 from importlib import import_module
 from pathlib import Path
 
-from parallel_cal import console
+from parallel_cal.commands import console
 from parallel_cal.errors import ParallelCalError
 
 

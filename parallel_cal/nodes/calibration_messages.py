@@ -14,11 +14,11 @@ from std_msgs.msg import ColorRGBA, Header, String
 from visualization_msgs.msg import Marker, MarkerArray
 
 from parallel_cal.accuracy import Errors
-from parallel_cal.console import plain
+from parallel_cal.commands.console import plain
 from parallel_cal.evidence import Evidence
 from parallel_cal.nodes.collector import Collection
 from parallel_cal.nodes.conversions import pose_message
-from parallel_cal.recording import Dropped
+from parallel_cal.recordings.recording import Dropped
 from parallel_cal.rotation import matrix_to_quaternion
 
 NOT_MEASURED = 1e4  # a variance above 1e3 says so

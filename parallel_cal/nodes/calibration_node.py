@@ -36,8 +36,8 @@ from parallel_cal.nodes.parameters import LATCHED, declare, overridable
 from parallel_cal.nodes.recalibration import Outcome, Request, recalibrate
 from parallel_cal.nodes.run import run
 from parallel_cal.nodes.sample_services import SERVICES
-from parallel_cal.recording import Dropped
-from parallel_cal.samples import Options
+from parallel_cal.recordings.recording import Dropped
+from parallel_cal.recordings.samples import Options
 
 POSE_TYPES = {t.__name__: t for t in (PoseWithCovarianceStamped, PoseStamped)}
 # Reliable, and deep enough for minutes of a 1 kHz stream while this process is busy.
@@ -48,7 +48,7 @@ PARAMETERS: dict[str, tuple[Any, str]] = {
     "model_file": ("", "model file to identify (YAML)"),
     "output_file": ("", "where the result goes; empty = model_file"),
     "auto_collect": (True, "take every standstill; else only those taken by take_sample"),
-    "mode": ("auto", "auto | dwell | continuous, see parallel_cal.samples.Options"),
+    "mode": ("auto", "auto | dwell | continuous, see parallel_cal.recordings.samples.Options"),
     "min_dwell": (0.3, "s the robot rests at least"),
     "trim_start": (0.1, "s left out at the start of a dwell, while the robot settles"),
     "trim_end": (0.05, "s left out at its end"),

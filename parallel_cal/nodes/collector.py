@@ -21,8 +21,8 @@ from parallel_cal.dataset import Dataset, load_dataset
 from parallel_cal.errors import DatasetError
 from parallel_cal.nodes.joining import joined
 from parallel_cal.nodes.session import CHANNELS, SCALARS, Session
-from parallel_cal.recording import Dropped
-from parallel_cal.samples import Options
+from parallel_cal.recordings.recording import Dropped
+from parallel_cal.recordings.samples import Options
 
 # A quarter of an hour at 100 Hz; then samples stay and messages go: memory has a bound.
 LONGEST_SESSION = 100_000

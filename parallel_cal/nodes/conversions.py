@@ -10,7 +10,7 @@ import numpy as np
 from geometry_msgs.msg import Point, Pose, Quaternion
 from parallel_cal_msgs.msg import Condition, Solution
 
-from parallel_cal.answers import parse_conditions
+from parallel_cal.commands.answers import parse_conditions
 from parallel_cal.errors import ParallelCalError, SolveError
 from parallel_cal.kinematics import Solutions, Status
 from parallel_cal.model import Model

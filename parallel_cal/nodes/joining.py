@@ -11,8 +11,8 @@ import numpy as np
 
 from parallel_cal.dataset import Dataset
 from parallel_cal.errors import DatasetError
-from parallel_cal.replicates import replicate_ids
-from parallel_cal.samplefile import PER_SAMPLE
+from parallel_cal.recordings.replicates import replicate_ids
+from parallel_cal.recordings.samplefile import PER_SAMPLE
 
 
 def joined(parts: Sequence[tuple[Dataset, int]], tolerance: float | None = None) -> Dataset:

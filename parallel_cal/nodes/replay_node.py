@@ -24,7 +24,7 @@ from parallel_cal.bag import RawMessage, list_topics, raw_messages
 from parallel_cal.errors import BagError, ParallelCalError
 from parallel_cal.nodes.parameters import declare
 from parallel_cal.nodes.run import ros
-from parallel_cal.recording import TopicInfo
+from parallel_cal.recordings.recording import TopicInfo
 
 PARAMETERS: dict[str, tuple[Any, str]] = {
     "bag": ("", "recording to publish: a bag directory, .mcap or .db3"),

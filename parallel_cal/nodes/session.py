@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from parallel_cal.bag import MESSAGE_ROWS as ROWS
-from parallel_cal.cleaning import assemble
 from parallel_cal.dataset import Dataset, dataset_from_recording
 from parallel_cal.errors import DatasetError, ParallelCalError
-from parallel_cal.pairing import bracketed
-from parallel_cal.recording import Bools, Dropped, Raw, Recording, TopicInfo
-from parallel_cal.samples import Options, max_gap
-from parallel_cal.topics import JOINTS, PAYLOAD, POINTS, POSES, TEMPERATURE
+from parallel_cal.recordings.cleaning import assemble
+from parallel_cal.recordings.pairing import bracketed
+from parallel_cal.recordings.recording import Bools, Dropped, Raw, Recording, TopicInfo
+from parallel_cal.recordings.samples import Options, max_gap
+from parallel_cal.recordings.topics import JOINTS, PAYLOAD, POINTS, POSES, TEMPERATURE
 
 CHANNELS = {
     "joint_states": JOINTS[0],

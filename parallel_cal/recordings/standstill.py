@@ -6,10 +6,25 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .dwells import Indices, Interval, drift, still_intervals
-from .recording import Array, Bools, Dropped, JointStream, PoseStream, Recording
-from .rotation import quaternion_to_matrix, rotation_vector
-from .samples import Options, Sample, Samples, max_gap, mean_rotation, sample_sd, slope
+from parallel_cal.recordings.dwells import Indices, Interval, drift, still_intervals
+from parallel_cal.recordings.recording import (
+    Array,
+    Bools,
+    Dropped,
+    JointStream,
+    PoseStream,
+    Recording,
+)
+from parallel_cal.recordings.samples import (
+    Options,
+    Sample,
+    Samples,
+    max_gap,
+    mean_rotation,
+    sample_sd,
+    slope,
+)
+from parallel_cal.rotation import quaternion_to_matrix, rotation_vector
 
 
 @dataclass

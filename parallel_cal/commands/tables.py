@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from parallel_cal.answers import status_text
+from parallel_cal.commands.answers import status_text
 from parallel_cal.errors import SolveError
 from parallel_cal.kinematics import Solutions, Status
 from parallel_cal.model import Model

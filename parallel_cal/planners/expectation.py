@@ -7,14 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from parallel_cal.evidence import Evidence
-from parallel_cal.indices import Indices, indices, prediction_rms
 from parallel_cal.kinematics import Solutions
 from parallel_cal.methods.implicit import Linearisation
 from parallel_cal.model import Model
 from parallel_cal.observability import Spectrum, spectrum
-from parallel_cal.posepool import Pool
-from parallel_cal.selection import Problem
-from parallel_cal.words import direction_in_words
+from parallel_cal.planners.indices import Indices, indices, prediction_rms
+from parallel_cal.planners.posepool import Pool
+from parallel_cal.planners.selection import Problem
+from parallel_cal.planners.words import direction_in_words
 
 # What is known beforehand where tolerances are no prior: next to nothing, every parameter to
 # 100 tolerances. It keeps the information invertible before there are poses enough.

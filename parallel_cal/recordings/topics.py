@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from .errors import BagError
-from .recording import TopicInfo, Topics
+from parallel_cal.errors import BagError
+from parallel_cal.recordings.recording import TopicInfo, Topics
 
 Available = Sequence[TopicInfo]
 Types = tuple[str, ...]

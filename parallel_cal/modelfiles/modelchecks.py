@@ -7,9 +7,9 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from parallel_cal.modelschema import CovariancePart, JointPart, suggestion
+from parallel_cal.modelfiles.modelschema import CovariancePart, JointPart, suggestion
+from parallel_cal.modelfiles.yamltext import Document, Path
 from parallel_cal.parameters import Parameter, ParameterTable
-from parallel_cal.yamltext import Document, Path
 
 # A value off by one of these factors was probably pasted in another unit.
 FOREIGN = {

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from .errors import DatasetError
-from .recording import Array, Bools, Dropped, JointStream
+from parallel_cal.errors import DatasetError
+from parallel_cal.recordings.recording import Array, Bools, Dropped, JointStream
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .errors import BagError
-from .recording import (
+from parallel_cal.errors import BagError
+from parallel_cal.recordings.recording import (
     COORDINATES,
     Array,
     Bools,

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.model import Model
+from parallel_cal.modelfiles.yamltext import flow
 from parallel_cal.parameters import Parameter
-from parallel_cal.yamltext import flow
 
 HEAD = """\
 # Model file of parallel_cal. SI units: m, rad, kg, s, N, degC. sigma and tolerance are 1 sigma;

@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from parallel_cal import modelchecks as checks
 from parallel_cal.effect import Effect, load_effect
 from parallel_cal.errors import ModelError, ModelFileError
 from parallel_cal.mechanism import Home, Mechanism, Workspace, load_mechanism, shelf_names
 from parallel_cal.model import Model, Noise
-from parallel_cal.modelschema import FilePart, suggestion, validated
+from parallel_cal.modelfiles import modelchecks as checks
+from parallel_cal.modelfiles.modelschema import FilePart, suggestion, validated
+from parallel_cal.modelfiles.yamltext import Document, Path
 from parallel_cal.parameters import Parameter, ParameterTable
-from parallel_cal.yamltext import Document, Path
 
 VERSION = 1
 

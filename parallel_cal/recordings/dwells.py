@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .recording import Array
+from parallel_cal.recordings.recording import Array
 
 Indices = NDArray[np.intp]
 

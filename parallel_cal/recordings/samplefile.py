@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from .errors import DatasetError
-from .recording import Dropped
+from parallel_cal.errors import DatasetError
+from parallel_cal.recordings.recording import Dropped
 
 FILE_VERSION = 1
 PER_SAMPLE = (

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .dwells import approach, still_tolerance
-from .errors import DatasetError
-from .pairing import paired_samples
-from .recording import Array, JointStream, Recording, ScalarStream
-from .samples import Options, Samples, per_joint
-from .standstill import standstill_samples
+from parallel_cal.errors import DatasetError
+from parallel_cal.recordings.dwells import approach, still_tolerance
+from parallel_cal.recordings.pairing import paired_samples
+from parallel_cal.recordings.recording import Array, JointStream, Recording, ScalarStream
+from parallel_cal.recordings.samples import Options, Samples, per_joint
+from parallel_cal.recordings.standstill import standstill_samples
 
 
 def samples_of(recording: Recording, options: Options) -> Samples:

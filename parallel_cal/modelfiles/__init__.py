@@ -1,0 +1,1 @@
+"""The YAML model file: text with lines, schema, checks, reading and writing."""

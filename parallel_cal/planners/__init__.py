@@ -1,0 +1,1 @@
+"""What planned poses are chosen from, and what they are judged by."""

@@ -1,0 +1,1 @@
+"""From messages to samples: streams, cleaning, standstill, pairing, replicates."""
