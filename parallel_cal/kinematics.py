@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cached_property
+from importlib import import_module
 from itertools import product
 from typing import Any
 
@@ -55,13 +56,15 @@ class Kinematics:
 
     def direct_all(self, q: np.ndarray, at: Mapping[str, Any] | None = None) -> Solutions:
         """Every pose for joints (nq,), home branch first: all that exist where the platform hangs
-        on six rods (6.2.4), else the distinct ones reached from all candidates."""
-        if hasattr(self.model.mechanism, "rods"):
-            from parallel_cal.solvers.homotopy import direct_all  # it uses this class, too
-
-            found = direct_all(self.model, q, at)
-            if len(found):
-                return found
+        on six rods (6.2.4) or has three balls on circles (6.7.2), else the distinct ones reached
+        from all candidates."""
+        for feature, solver in (("rods", "homotopy"), ("circles", "three_circles")):
+            if hasattr(self.model.mechanism, feature):
+                # These solvers use this class, too.
+                complete = import_module(f"parallel_cal.solvers.{solver}")
+                found = complete.direct_all(self.model, q, at)
+                if len(found):
+                    return found  # type: ignore[no-any-return]
         starts = self._candidates(q)
         return self._distinct([self.direct(q, at)], starts, lambda s: self.direct(q, at, s))
 

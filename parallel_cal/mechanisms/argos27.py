@@ -91,18 +91,26 @@ class Argos27(Mechanism):
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
         """G1 and G2 of eq. 3.22: how far each ball is out of its pantograph's plane and off its
         circle (divided by 2 R), three rows each, in metres."""
-        chains = [self.chain(q[i], r, R, chain_of(p, i)) for i in range(3)]
-        return ca.vertcat(*[g1 for g1, _ in chains], *[g2 for _, g2 in chains])
+        plane, circle = [], []
+        for C, u, radius, B in self.circles(q, p):
+            CB = r + R @ B - C
+            plane.append(ca.dot(u, CB))
+            circle.append((ca.dot(CB, CB) - radius**2) / (2 * radius))
+        return ca.vertcat(*plane, *circle)
 
-    def chain(self, angle: Any, r: Any, R: Any, c: Named) -> tuple[Any, Any]:
-        """Both closure rows of one chain (eqs 3.17-3.21, transformations of table 3.15)."""
+    def circles(self, q: Any, p: Named) -> list[tuple[Any, Any, Any, Any]]:
+        """For each chain the circle that carries a ball (centre C, unit normal u, radius, in
+        {b}) and that ball's place B in {p}."""
+        return [self.circle(q[i], chain_of(p, i)) for i in range(3)]
+
+    def circle(self, angle: Any, c: Named) -> tuple[Any, Any, Any, Any]:
+        """One chain's circle and ball (eqs 3.17-3.21, transformations of table 3.15)."""
         W, Q, G = rot_x(c.Omega), rot_x(angle + c.alpha0), rot_z(c.gamma)
         S = W @ rot_z(c.Phi)
         u = S @ Q @ G[:, 0]
         C = W @ ca.vertcat(c.dA, 0, c.dC) + S @ Q @ (ca.vertcat(c.da, 0, c.dc) + G[:, 0] * c.dR)
         v = rot_x(c.omega) @ rot_z(c.phi)[:, 0]
-        CB = r + R @ v * self.length - C
-        return ca.dot(u, CB), (ca.dot(CB, CB) - c.R**2) / (2 * c.R)
+        return C, u, c.R, v * self.length
 
     def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
         """The nominal model's four orientations about a centre at rest (section 6.7.2)."""
