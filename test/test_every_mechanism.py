@@ -1,0 +1,108 @@
+"""Each mechanism goes the whole way, and so does one from a user's own file."""
+
+import numpy as np
+import pytest
+
+from parallel_cal.bag_writer import write_bag
+from parallel_cal.dataset import load_dataset
+from parallel_cal.effect import load_effect
+from parallel_cal.errors import ModelError
+from parallel_cal.identification import chi2_band, fit
+from parallel_cal.kinematics import Kinematics, Status
+from parallel_cal.mechanism import load_mechanism, shelf_names
+from parallel_cal.model import new_model
+from parallel_cal.modelfile import dump_model, parse_model
+from parallel_cal.simulate import simulate, stated_noise
+
+NEEDS_OPTIONS = {"serial"}  # a chain is described in its file: test_serial.py
+NEEDS_PRIOR = {"rssr"}  # one angle against another tells little: the tolerances must help
+
+
+@pytest.mark.parametrize("name", sorted(set(shelf_names("mechanisms")) - NEEDS_OPTIONS))
+def test_file_bag_samples_and_fit_work_with(name, tmp_path):
+    model = parse_model(dump_model(new_model(name)), name)
+    write_bag(simulate(model, 60, 3, replicates=8), tmp_path / "bag", "mcap")
+    data = load_dataset(tmp_path / "bag")
+    prior = name in NEEDS_PRIOR
+    result = fit(model, data, joint_sigma=stated_noise(model).joint, prior=prior)
+    document = result.document()
+    assert document["samples"] == 68
+    low, high = chi2_band(result.estimate.dof)
+    assert 0.9 * low < result.estimate.chi2_per_dof < 1.1 * high
+    held, floor = document["held_out"]["after"], document["noise_floor"]
+    for kind in ("position_rms", "orientation_rms"):
+        assert held[kind] < 1.5 * floor[kind]
+
+
+USERS = """
+import casadi as ca
+from parallel_cal.effect import Effect
+from parallel_cal.mechanism import Home, Mechanism, Workspace
+from parallel_cal.parameters import Parameter, ParameterTable
+
+
+class Crank(Mechanism):
+    joints, moves, controls = ("crank",), ("x",), ("x",)
+    parameters = ParameterTable([Parameter("a", "m", 0.1, 1e-3)])
+    home = Home((1.0,), (0.1 * 0.5403023058681398, 0, 0))
+    workspace, joint_limits = Workspace((0.02,), (0.08,)), ((0.1, 3.0),)
+
+    def closure(self, q, r, R, p):
+        return {closure}
+"""
+
+
+def test_a_users_mechanism_is_named_by_its_python_path(tmp_path, monkeypatch):
+    package = tmp_path / "my_pkg"
+    package.mkdir()
+    (package / "__init__.py").write_text("")
+    (package / "crank.py").write_text(USERS.replace("{closure}", "r[0] - p.a * ca.cos(q[0])"))
+    (package / "bent.py").write_text(
+        "from parallel_cal.effect import Effect\n"
+        "from parallel_cal.parameters import Parameter\n\n\n"
+        "class Bent(Effect):\n"
+        "    def parameters(self, mechanism):\n"
+        "        return [Parameter('by', 'm', 0.0, 1e-3)]\n\n"
+        "    def ideal(self, seen, e, at, mechanism):\n"
+        "        return type(seen)(seen.q, seen.r - e.by, seen.R, seen.p)\n"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    model = new_model("my_pkg.crank", effects=["my_pkg.bent"])
+    assert model.table.names == ("a", "my_pkg.bent.by")
+    answer = Kinematics(model).direct(np.array([1.2]))
+    assert answer.position[0] == pytest.approx(0.1 * np.cos(1.2), abs=1e-15)
+    assert parse_model(dump_model(model), "file").mechanism.name == "my_pkg.crank"
+    assert load_effect("my_pkg.bent").name == "my_pkg.bent"
+
+
+@pytest.mark.parametrize(
+    ("closure", "words"),
+    [
+        ("ca.SX(0, 1)", "closure has shape .0, 1., expected one column with at least 1 rows"),
+        ("ca.horzcat(r[0], q[0])", "closure has shape .1, 2., expected one column"),
+        ("r[0] - ca.SX.sym('mystery')", "free symbols .'mystery'."),
+    ],
+)
+def test_a_users_closure_of_the_wrong_kind_is_a_clear_error(closure, words, tmp_path, monkeypatch):
+    package = tmp_path / f"odd{abs(hash(closure)) % 10**8}"
+    package.mkdir()
+    (package / "__init__.py").write_text("")
+    (package / "crank.py").write_text(USERS.replace("{closure}", closure))
+    monkeypatch.syspath_prepend(str(tmp_path))
+    model = new_model(f"{package.name}.crank")
+    with pytest.raises(ModelError, match=words):
+        Kinematics(model).direct(np.array([1.0]))
+
+
+def test_a_module_without_a_mechanism_or_an_unknown_path_is_a_clear_error():
+    with pytest.raises(ModelError, match="defines 0 subclasses of Mechanism, expected 1"):
+        load_mechanism("parallel_cal.errors")
+    with pytest.raises(ModelError, match=r"no mechanism 'nobody\.has_this'"):
+        load_mechanism("nobody.has_this")
+
+
+def test_a_singular_start_ends_in_a_status_and_not_in_an_error():
+    """Arms and rods of the nominal Delta all in one plane: the direct problem has a double root."""
+    model = new_model("delta_nominal", {"R": 0.05, "La": 0.1, "Lb": 0.05})
+    answer = Kinematics(model).direct(np.full(3, np.pi / 2))
+    assert Status(int(answer.status)) in (Status.SINGULAR, Status.UNREACHABLE, Status.NOT_CONVERGED)
