@@ -5,6 +5,7 @@ All solve the same robot (table 5.18) at the same poses, and must agree before t
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 from pathlib import Path
@@ -19,66 +20,62 @@ import virtual_robot as vr
 from parallel_cal.compiled import Batch, Single, compiled
 from parallel_cal.kinematics import Kinematics
 from parallel_cal.model import Model, new_model
+from parallel_cal.rotation import rotation_matrix
 from parallel_cal.solvers.newton import newton_functions
 
 N = 100_000
 
 
 class NumpyNewton:
-    """The hand-written peer: closure and its derivative for arrays of poses (eq. 3.12)."""
+    """The hand-written peer: six rods between points, residual and derivative as arrays."""
 
-    def __init__(self, model: Model):
-        self._p = model.table.mapping(model.values)
+    def __init__(self, parameters: dict[str, float]):
+        self._robot = vr.Delta(parameters)
+        self._B = self._robot.platform_points(np.zeros(3), np.eye(3))
+        self._L = self._robot.lengths(np.zeros(3))
 
-    def residual(self, q: np.ndarray, r: np.ndarray, R: np.ndarray) -> tuple[np.ndarray, ...]:
-        rows, J = np.empty((len(q), 6)), np.empty((len(q), 6, 6))
-        for i in range(3):
-            c = {k.split(".")[1]: v for k, v in self._p.items() if k.startswith(f"chain{i + 1}.")}
-            T = _turn(2, c["theta"]) @ _turn(0, c["alpha"])
-            dT = _turn(0, c["dalpha"]) @ _turn(1, c["dbeta"])
-            b, d = np.array([c["b_x"], c["b_y"], c["b_z"]]), np.array([0, 0, c["d_z"]])
-            D = np.array([c["D_x"], c["D_y"], c["D_z"]])
-            Q = _turns_z(q[:, i])
-            La, dC = (
-                np.array([c["La_x"], c["La_y"], 0]),
-                np.array([c["dC_x"], c["dC_y"], c["dC_z"]]),
-            )
-            Tb, Td = R @ (T @ b), R @ (T @ d)
-            CB = r + Tb - T @ (b + D) - (Q @ La) @ (T @ dT).T
-            dd = Td - (d + Q @ dC) @ (T @ dT).T
-            L, dL = c["Lb"], c["dLb"]
-            rows[:, i] = (np.sum(CB**2 + dd**2, axis=1) - L**2 - dL**2) / (2 * L)
-            rows[:, 3 + i] = (np.sum(CB * dd, axis=1) - L * dL) / L
-            J[:, i, :3], J[:, 3 + i, :3] = CB / L, dd / L
-            J[:, i, 3:] = (np.cross(Tb, CB) + np.cross(Td, dd)) / L
-            J[:, 3 + i, 3:] = (np.cross(Tb, dd) + np.cross(Td, CB)) / L
-        return rows, J
+    def arms(self, q: np.ndarray) -> np.ndarray:
+        """Ball centres on the arms, (N, 6, 3): the same in every iteration."""
+        return self._robot.joint_points(q)
+
+    def residual(self, C: np.ndarray, r: np.ndarray, R: np.ndarray) -> tuple[np.ndarray, ...]:
+        RB = self._B @ R.swapaxes(-1, -2)
+        d = r[..., None, :] + RB - C
+        phi = ((d * d).sum(axis=-1) - self._L**2) / (2 * self._L)
+        return phi, d, RB
 
     def solve(self, q: np.ndarray, r: np.ndarray, iterations: int = 3) -> np.ndarray:
-        R = np.broadcast_to(np.eye(3), (len(q), 3, 3))
+        R, C = np.broadcast_to(np.eye(3), (len(q), 3, 3)), self.arms(q)
         for _ in range(iterations):
-            rows, J = self.residual(q, r, R)
-            step = -np.linalg.solve(J, rows[:, :, None])[:, :, 0]
-            r, R = r + step[:, :3], vr.turn(step[:, 3:]) @ R
+            phi, d, RB = self.residual(C, r, R)
+            x, y, z = np.moveaxis(RB, -1, 0)
+            u, v, w = np.moveaxis(d, -1, 0)
+            turned = np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=-1)
+            J = np.concatenate([d, turned], axis=-1) / self._L[:, None]
+            step = -np.linalg.solve(J, phi[:, :, None])[:, :, 0]
+            r, R = r + step[:, :3], rotation_matrix(step[:, 3:]) @ R
         return r
-
-
-def _turn(axis: int, angle: float) -> np.ndarray:
-    return vr.turn(angle * np.eye(3)[axis][None])[0]
-
-
-def _turns_z(angle: np.ndarray) -> np.ndarray:
-    return vr.turn(angle[:, None] * np.array([0.0, 0, 1]))
 
 
 def fsolve_peer(newton: NumpyNewton, q: np.ndarray, start: np.ndarray) -> Any:
     """scipy's fsolve with finite differences, as most people would write it."""
     from scipy.optimize import fsolve
 
-    def residual(u: np.ndarray) -> np.ndarray:
-        return newton.residual(q[None], u[None, :3], vr.turn(u[None, 3:]))[0][0]
+    def turn(w: np.ndarray) -> np.ndarray:
+        angle = math.sqrt(w @ w) + 1e-300
+        x, y, z = w / angle
+        K = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+        return np.eye(3) + math.sin(angle) * K + (1 - math.cos(angle)) * (K @ K)
 
-    return lambda: fsolve(residual, np.concatenate([start, np.zeros(3)]), xtol=1e-12)
+    def solve() -> np.ndarray:
+        C = newton.arms(q)
+        return fsolve(
+            lambda u: newton.residual(C, u[:3], turn(u[3:]))[0],
+            np.concatenate([start, np.zeros(3)]),
+            xtol=1e-12,
+        )
+
+    return solve
 
 
 def buffer_rows(model: Model, problem: str, name: str, given: np.ndarray) -> list[Row]:
@@ -122,7 +119,7 @@ def main() -> None:
             rows += buffer_rows(model, problem, f"{name} {problem}", flat)
         rows += public_rows(kinematics, q[0], r[0], name)
         if name == "delta54":
-            newton = NumpyNewton(model)
+            newton = NumpyNewton(vr.TABLE_5_18)
             start = r + [1e-3, -1e-3, 1e-3]
             assert np.abs(newton.solve(q, start, 4) - r).max() < 1e-9
             peer = fsolve_peer(newton, q[0], start[0])
