@@ -10,7 +10,7 @@ import numpy as np
 from parallel_cal.dataset import Dataset
 from parallel_cal.errors import FitError
 from parallel_cal.model import Model
-from parallel_cal.rotation import quaternion_to_matrix, rotation_matrix, rotation_vector
+from parallel_cal.rotation import rotation_matrix, rotation_vector
 
 READING = "reading."  # a dataset's columns of what sensors beside the pose device show, in m
 
@@ -46,11 +46,7 @@ def gather(model: Model, dataset: Dataset, joint_sigma: float | None = None) -> 
     x = np.concatenate([dataset.q[:, order], dataset.r, dataset.R.reshape(-1, 9)], axis=1)
     measured = np.ones((len(x), len(order) + 6), dtype=bool)
     measured[:, len(order) :] = dataset.measured
-    home = model.mechanism.home
-    home_x = np.array(
-        [*home.joints, *home.position, *quaternion_to_matrix(home.quaternion).ravel()]
-    )
-    _fill_unmeasured(x, measured, home_x, len(order))
+    _fill_unmeasured(x, measured, model.mechanism.home.configuration, len(order))
     joint, joint_from = _joint_sigma(model, dataset, joint_sigma, order)
     pose, pose_from = _pose_covariance(model, dataset)
     S = np.zeros((len(x), measured.shape[1], measured.shape[1]))

@@ -11,9 +11,7 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.compiled import Single
-from parallel_cal.errors import SolveError
 from parallel_cal.model import Model
-from parallel_cal.rotation import quaternion_to_matrix
 from parallel_cal.solutions import (
     CLOSED,
     SETTLED,
@@ -23,6 +21,7 @@ from parallel_cal.solutions import (
     Status,
     stacked,
 )
+from parallel_cal.solvers._common import joint_rows, pose_rows
 from parallel_cal.solvers.problem import Problem
 
 __all__ = ["CLOSED", "Kinematics", "Solutions", "Status"]
@@ -41,7 +40,7 @@ class Kinematics:
         self, q: np.ndarray, at: Mapping[str, Any] | None = None, start: Solutions | None = None
     ) -> Solutions:
         """Poses for joints q (nq,) or (N, nq), on the home branch or from `start`."""
-        return self._solve(self._direct, self._joints_given(q), q, at, start)
+        return self._solve(self._direct, joint_rows(self.model, q), q, at, start)
 
     def inverse(
         self,
@@ -51,7 +50,7 @@ class Kinematics:
         start: Solutions | None = None,
     ) -> Solutions:
         """Joints for positions (3,) or (N, 3) and rotations; passive coordinates follow."""
-        given = self._pose_given(position, rotation)
+        given = pose_rows(self.model, position, rotation)
         return self._solve(self._inverse, given, position, at, start)
 
     def direct_all(self, q: np.ndarray, at: Mapping[str, Any] | None = None) -> Solutions:
@@ -75,7 +74,7 @@ class Kinematics:
         at: Mapping[str, Any] | None = None,
     ) -> Solutions:
         """Every distinct joint set found for a pose, from all candidates; home branch first."""
-        given = self._pose_given(position, rotation)[0]
+        given = pose_rows(self.model, position, rotation)[0]
         starts = self._joint_candidates(given)
         first = self.inverse(position, rotation, at)
         return self._distinct([first], starts, lambda s: self.inverse(position, rotation, at, s))
@@ -177,38 +176,6 @@ class Kinematics:
             for array, new in zip(results, problem.refine(x[open_], rows[open_]), strict=True):
                 array[open_] = new.reshape(array[open_].shape)
         return results
-
-    # ------------------------------------------------------------------ input
-
-    def _joints_given(self, q: np.ndarray) -> np.ndarray:
-        q = np.atleast_2d(np.asarray(q, dtype=float))
-        if q.shape[1] != self._n:
-            raise SolveError(
-                f"{q.shape[1]} joint values given, but {self.model.mechanism.name} has "
-                f"{self._n} joints: {', '.join(self.model.joints)}"
-            )
-        home = self._home
-        given = np.empty((len(q), self._n + 12))
-        given[:] = home
-        given[:, : self._n] = q
-        return given
-
-    def _pose_given(self, position: np.ndarray, rotation: np.ndarray | None) -> np.ndarray:
-        r = np.atleast_2d(np.asarray(position, dtype=float))
-        if r.shape[1] != 3:
-            raise SolveError(f"a position has 3 coordinates (m), {r.shape[1]} given")
-        given = np.empty((len(r), self._n + 12))
-        given[:] = self._home
-        given[:, self._n : self._n + 3] = r
-        if rotation is not None:
-            given[:, self._n + 3 :] = np.asarray(rotation, dtype=float).reshape(-1, 9)
-        return given
-
-    @cached_property
-    def _home(self) -> np.ndarray:
-        home = self.model.mechanism.home
-        R = quaternion_to_matrix(np.array(home.quaternion))
-        return np.array([*home.joints, *home.position, *R.ravel()])
 
     # ------------------------------------------------------------------ all solutions
 

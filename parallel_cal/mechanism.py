@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from importlib import import_module
 from typing import Any
 
@@ -30,6 +30,14 @@ class Home:
     joints: tuple[float, ...]
     position: tuple[float, float, float] = (0.0, 0.0, 0.0)
     quaternion: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
+
+    @cached_property
+    def configuration(self) -> np.ndarray:
+        """(q, r, R row-major) as one read-only vector."""
+        R = quaternion_to_matrix(self.quaternion)
+        row = np.array([*self.joints, *self.position, *R.ravel()])
+        row.setflags(write=False)
+        return row
 
 
 @dataclass(frozen=True)

@@ -28,9 +28,12 @@ def joint_rows(model: Model, q: np.ndarray) -> np.ndarray:
     q = np.atleast_2d(np.asarray(q, dtype=float))
     n = len(model.joints)
     if q.shape[1] != n:
-        name, joints = model.mechanism.name, ", ".join(model.joints)
-        raise SolveError(f"{q.shape[1]} joint values given, but {name} has {n}: {joints}")
-    rows = np.tile(_home(model), (len(q), 1))
+        raise SolveError(
+            f"{q.shape[1]} joint values given, but {model.mechanism.name} has "
+            f"{n} joints: {', '.join(model.joints)}"
+        )
+    rows = np.empty((len(q), n + 12))
+    rows[:] = model.mechanism.home.configuration
     rows[:, :n] = q
     return rows
 
@@ -40,7 +43,9 @@ def pose_rows(model: Model, position: np.ndarray, rotation: np.ndarray | None) -
     r = np.atleast_2d(np.asarray(position, dtype=float))
     if r.shape[1] != 3:
         raise SolveError(f"a position has 3 coordinates (m), {r.shape[1]} given")
-    rows, n = np.tile(_home(model), (len(r), 1)), len(model.joints)
+    n = len(model.joints)
+    rows = np.empty((len(r), n + 12))
+    rows[:] = model.mechanism.home.configuration
     rows[:, n : n + 3] = r
     if rotation is not None:
         rows[:, n + 3 :] = np.asarray(rotation, dtype=float).reshape(-1, 9)
@@ -118,8 +123,3 @@ def _unreachable(q: np.ndarray) -> Solutions:
     nowhere, finite = np.full((3, 3), np.nan), np.isfinite(q).all()
     status = np.array(Status.UNREACHABLE if finite else Status.INVALID_INPUT, dtype=np.int8)
     return Solutions(q, nowhere[0], nowhere, np.array(np.nan), status)
-
-
-def _home(model: Model) -> np.ndarray:
-    home = model.mechanism.home
-    return np.array([*home.joints, *home.position, *quaternion_to_matrix(home.quaternion).ravel()])

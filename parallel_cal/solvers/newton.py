@@ -11,7 +11,7 @@ import numpy as np
 
 from parallel_cal.compiled import dense
 from parallel_cal.model import Structure
-from parallel_cal.rotation import cayley, quaternion_to_matrix
+from parallel_cal.rotation import cayley
 
 ITERATIONS = 2  # of third order, from model 24's solution; more follow only where needed
 INLINE_BELOW = 2000  # instructions of one step that are worth repeating in the function
@@ -121,8 +121,8 @@ def row_order(s: Structure, J: Any) -> list[int]:
         len(s.table)
     )
     m = s.mechanism
-    home = [*m.home.joints, *m.home.position, *quaternion_to_matrix(m.home.quaternion).ravel()]
-    A = np.array(ca.Function("J", [s.configuration, s.v, s.a], [J])(home, off, 0))
+    example = ca.Function("J", [s.configuration, s.v, s.a], [J])
+    A = np.array(example(m.home.configuration, off, 0))
     if A.shape[0] > A.shape[1]:
         A = A.T @ A
     order = list(range(len(A)))
