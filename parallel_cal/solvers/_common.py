@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
@@ -13,6 +14,9 @@ from parallel_cal.errors import SolveError
 from parallel_cal.model import Model
 from parallel_cal.rotation import quaternion_to_matrix, rotation_vector
 from parallel_cal.solutions import Solutions, Status, stacked
+
+if TYPE_CHECKING:
+    from parallel_cal.kinematics import Kinematics
 
 
 def nearest(candidates: Sequence[Any], distance: Callable[[Any], Any]) -> Any:
@@ -50,6 +54,14 @@ def pose_rows(model: Model, position: np.ndarray, rotation: np.ndarray | None) -
     if rotation is not None:
         rows[:, n + 3 :] = np.asarray(rotation, dtype=float).reshape(-1, 9)
     return rows
+
+
+@lru_cache(maxsize=8)
+def kinematics_of(model: Model) -> Kinematics:
+    """The model's own direct problem, for refining what a solver found; made once a model."""
+    from parallel_cal.kinematics import Kinematics  # it takes its rows from here
+
+    return Kinematics(model)
 
 
 def configurations(q: np.ndarray, r: np.ndarray, R: np.ndarray) -> np.ndarray:

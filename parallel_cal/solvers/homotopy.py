@@ -16,9 +16,9 @@ import numpy as np
 
 from parallel_cal.compiled import Single, dense
 from parallel_cal.errors import SolveError
-from parallel_cal.kinematics import Kinematics, Solutions
+from parallel_cal.kinematics import Solutions
 from parallel_cal.model import Model, Structure
-from parallel_cal.solvers._common import from_home, joint_rows, nearest_home
+from parallel_cal.solvers._common import from_home, joint_rows, kinematics_of, nearest_home
 from parallel_cal.solvers._platform import PoseSet, all_poses
 
 __all__ = ["PoseSet", "all_poses", "direct", "direct_all", "inverse", "pose_set"]
@@ -37,7 +37,7 @@ def pose_set(model: Model, q: np.ndarray, at: Mapping[str, Any] | None = None) -
     if m == 0:
         return replace(found, real=replace(found.real, joints=np.empty((0, len(q)))))
     start = replace(found.real, joints=np.tile(q, (m, 1)))
-    real = _kinematics(model).direct(start.joints, at, start)
+    real = kinematics_of(model).direct(start.joints, at, start)
     return replace(found, real=real[np.argsort(from_home(model, real))])
 
 
@@ -87,8 +87,3 @@ def _rods(s: Structure) -> Single:
     C, B, L = mechanism.rods(ideal.q, ideal.p)
     outputs = [ca.horzcat(*C), ca.horzcat(*B), ca.vertcat(*L)]
     return Single(dense("rods", [s.configuration, s.a, s.v], [ca.SX(o) for o in outputs]))
-
-
-@lru_cache(maxsize=8)
-def _kinematics(model: Model) -> Kinematics:
-    return Kinematics(model)

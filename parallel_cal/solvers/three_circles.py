@@ -19,10 +19,9 @@ import numpy as np
 
 from parallel_cal.compiled import Single, dense
 from parallel_cal.errors import SolveError
-from parallel_cal.kinematics import Kinematics
 from parallel_cal.model import Model, Structure
 from parallel_cal.solutions import Solutions, Status, stacked
-from parallel_cal.solvers._common import from_home, joint_rows, nearest_home
+from parallel_cal.solvers._common import from_home, joint_rows, kinematics_of, nearest_home
 
 DEGREE = 16
 SIDES = ((0, 1), (0, 2), (1, 2))
@@ -37,7 +36,7 @@ def direct_all(model: Model, q: np.ndarray, at: Mapping[str, Any] | None = None)
     C, u, radius, B = circles(model, q, at)
     z, starts = balls(C, u, radius, B)
     found: list[Solutions] = []
-    kinematics = _kinematics(model)
+    kinematics = kinematics_of(model)
     for points in starts:
         r, R = placed(B, points)
         pose = kinematics.direct(q, at, Solutions(q, r, R, np.array(np.nan), np.array(0)))
@@ -87,11 +86,6 @@ def _circles(s: Structure) -> Single:
     C, u, radius, B = zip(*mechanism.circles(ideal.q, ideal.p), strict=True)
     outputs = [ca.horzcat(*C), ca.horzcat(*u), ca.vertcat(*radius), ca.horzcat(*B)]
     return Single(dense("circles", [s.configuration, s.a, s.v], [ca.SX(o) for o in outputs]))
-
-
-@lru_cache(maxsize=8)
-def _kinematics(model: Model) -> Kinematics:
-    return Kinematics(model)
 
 
 def balls(
