@@ -96,14 +96,31 @@ def child(*arguments):
 # ------------------------------------------------------------------- starting up
 
 
-@pytest.mark.parametrize("command", ["--help", "mechanisms"])
-def test_it_starts_fast(command):
-    """0.3 s on an idle machine; CPU time, with room for a slower one."""
-    before = os.times()
-    assert child(command).returncode == 0
-    after = os.times()
-    used = after.children_user + after.children_system
-    assert used - before.children_user - before.children_system < 1.0
+# What costs a tenth of a second or more to import; `parallel-cal bench startup` times it.
+HEAVY = {"scipy", "rclpy", "rosbags", "plotly", "ruamel", "watchdog"}
+
+
+@pytest.mark.parametrize(
+    ("command", "heavy"),
+    [("--help", HEAVY | {"numpy", "casadi", "pydantic", "rich"}), ("mechanisms", HEAVY)],
+)
+def test_it_imports_heavy_things_only_where_they_are_used(command, heavy):
+    """What start-up time is made of, without a clock."""
+    code = (
+        "import atexit, sys; from parallel_cal.cli import main;"
+        "atexit.register(lambda: print(*{m.split('.')[0] for m in sys.modules}, file=sys.stderr));"
+        f"sys.argv[1:] = [{command!r}]; main()"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    loaded = set(done.stderr.split())
+    assert "parallel_cal" in loaded
+    assert not heavy & loaded
 
 
 def test_help_names_the_commands_that_exist_and_no_other():
