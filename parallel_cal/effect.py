@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from parallel_cal.mechanism import Mechanism, load_class
 from parallel_cal.parameters import Named, Parameter, ParameterTable
+
+if TYPE_CHECKING:
+    from parallel_cal.model import Model
 
 # Conditions of a sample: unit, the value that means "nothing special", one a joint or not.
 CONDITIONS: dict[str, tuple[str, float, bool]] = {
@@ -16,6 +20,8 @@ CONDITIONS: dict[str, tuple[str, float, bool]] = {
     "payload": ("kg", 0.0, False),
     "direction": ("1", 0.0, True),
     "velocity": ("rad/s", 0.0, True),
+    "travel": ("rad", 0.0, True),
+    "session": ("1", 0.0, False),
 }
 
 
@@ -31,11 +37,19 @@ class Seen:
     def with_q(self, q: Any) -> Seen:
         return replace(self, q=q)
 
+    def with_pose(self, r: Any, R: Any) -> Seen:
+        return replace(self, r=r, R=R)
+
+    def with_p(self, changes: Mapping[str, Any]) -> Seen:
+        """The same, some of the geometric parameters changed."""
+        return replace(self, p=self.p.replaced(changes))
+
 
 class Effect(ABC):
     """One physical effect; subclass it in a file of its own, whose name is its name."""
 
     needs: ClassVar[tuple[str, ...]] = ()
+    fixed: ClassVar[tuple[str, ...]] = ()  # patterns of its numbers that are given, not identified
     physics: ClassVar[str]
     source: ClassVar[str]
     lookalikes: ClassVar[tuple[str, ...]] = ()
@@ -49,9 +63,25 @@ class Effect(ABC):
     def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
         """What the ideal mechanism sees; `e` its numbers, `at` the sample's conditions."""
 
+    def applies(self, mechanism: Mechanism) -> str:
+        """Empty where it makes sense, else why it does not (`no joint turns`)."""
+        return ""
+
+    def scan(self, mechanism: Mechanism) -> Iterable[Mapping[str, float]]:
+        """Settings of its fixed numbers that a search tries where nobody knows them."""
+        return ({},)
+
+    def added_to(self, model: Model) -> Model:
+        """The model with this effect, all its numbers at "no effect", behind those it has."""
+        return model.with_effects((*model.effects, self))
+
     @property
     def name(self) -> str:
         return type(self).__module__.removeprefix("parallel_cal.effects.")
+
+    def known(self) -> list[str]:
+        """Patterns of its fixed numbers under their full names."""
+        return [f"{self.name}.{pattern}" for pattern in self.fixed]
 
     def table(self, mechanism: Mechanism) -> ParameterTable:
         """Its parameters under their full names (`encoder_eccentricity.joint2.sin`)."""

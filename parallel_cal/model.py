@@ -228,7 +228,8 @@ class Model:
         values.setflags(write=False)
         object.__setattr__(self, "values", values)
         if self.fixed is None:
-            pattern = [*self.mechanism.fixed, *(p for s in self.sensors for p in s.known())]
+            parts = (*self.effects, *self.sensors)
+            pattern = [*self.mechanism.fixed, *(p for part in parts for p in part.known())]
             mask = (
                 self.table.matching(pattern) if pattern else np.zeros(len(self.table), dtype=bool)
             )
@@ -258,11 +259,19 @@ class Model:
     def value(self, name: str) -> float:
         return float(self.values[self.table.index_of(name)])
 
-    def with_effect(self, name: str) -> Model:
-        """The model with one more effect, at zero, after those it has."""
+    def with_effect(self, name: str, settings: Mapping[str, float] | None = None) -> Model:
+        """The model with one more effect, at zero, behind those it has; `settings` are its fixed
+        numbers by short name, where they are known (`{"ratio": 80.0}`)."""
         if any(effect.name == name for effect in self.effects):
             raise ModelError(f"the model already has the effect '{name}'")
-        return self._with_effects((*self.effects, load_effect(name)))
+        effect = load_effect(name)
+        if reason := effect.applies(self.mechanism):
+            raise ModelError(f"'{name}' makes no sense for {self.mechanism.name}: {reason}")
+        model = effect.added_to(self)
+        values = model.values.copy()
+        for key, value in (settings or {}).items():
+            values[model.table.index_of(f"{name}.{key}")] = value
+        return replace(model, values=values)
 
     def without_effect(self, name: str) -> Model:
         """The model without one of its effects."""
@@ -270,14 +279,19 @@ class Model:
         if len(kept) == len(self.effects):
             has = ", ".join(effect.name for effect in self.effects) or "none"
             raise ModelError(f"the model has no effect '{name}'; it has {has}")
-        return self._with_effects(kept)
+        return self.with_effects(kept)
 
-    def _with_effects(self, effects: tuple[Effect, ...]) -> Model:
+    def with_effects(self, effects: tuple[Effect, ...]) -> Model:
+        """The model with these effects; numbers that it has already keep value and mask."""
         table = _structure(self.mechanism, effects, self.sensors).table
         known = dict(zip(self.table.names, zip(self.values, self.fixed, strict=True), strict=True))
-        values = np.array([known[p.name][0] if p.name in known else p.nominal for p in table])
-        fixed = np.array([p.name in known and known[p.name][1] for p in table], dtype=bool)
-        return replace(self, effects=effects, values=values, fixed=fixed, covariance=None)
+        given = table.matching(pattern for effect in effects for pattern in effect.known())
+        fresh = zip(table.nominal, given, strict=True)
+        kept = [known.get(p.name, new) for p, new in zip(table, fresh, strict=True)]
+        values, fixed = (np.array(column) for column in zip(*kept, strict=True))
+        return replace(
+            self, effects=effects, values=values, fixed=fixed.astype(bool), covariance=None
+        )
 
     def widened(self) -> Model:
         """The same robot in the next larger model (delta24 -> delta54): equal poses."""
