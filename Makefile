@@ -65,6 +65,7 @@ types: $(STAMP)
 	@$(BIN)/mypy
 
 bags: $(STAMP)
+	@$(BIN)/python test/make_baselines.py
 	@$(BIN)/python test/make_bags.py
 
 bench: $(STAMP)

@@ -12,13 +12,14 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
+from bag_catalogue import RECORDINGS, Bag, Machine
 from rosbags.interfaces import (
     Qos,
     QosDurability,
@@ -30,15 +31,7 @@ from rosbags.interfaces import (
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
-from virtual_robot import (
-    TABLE_5_12,
-    TABLE_5_18,
-    THESIS_NOISE,
-    Backlash,
-    Effect,
-    EncoderEccentricity,
-    record,
-)
+from virtual_robot import stream
 
 BAGS = Path(__file__).resolve().parent.parent / "bags"
 START = 1_767_225_600_000_000_000  # 2026-01-01 00:00:00 UTC, in ns
@@ -54,34 +47,6 @@ TYPES = {
     "measured_pose": "geometry_msgs/msg/PoseWithCovarianceStamped",
 }
 
-
-@dataclass(frozen=True)
-class Bag:
-    """One recording: its seed, what is hidden in it, and how it is stored."""
-
-    about: str
-    seed: int
-    effects: tuple[Effect, ...] = ()
-    sqlite: bool = False
-
-
-RECORDINGS = {
-    "delta_clean": Bag("geometry errors only", 1),
-    "delta_clean_sqlite": Bag("the messages of `delta_clean`, stored as sqlite3", 1, sqlite=True),
-    "delta_eccentricity": Bag(
-        "encoder discs off-centre by 2 mrad (40 um on a disc of 20 mm radius)",
-        2,
-        (EncoderEccentricity(sin=(1.8e-3, -1.05e-3, 0.6e-3), cos=(-0.85e-3, 1.7e-3, 1.9e-3)),),
-    ),
-    "delta_eccentricity_faint": Bag(
-        "the same at 0.4 mrad, which geometry can imitate to within the noise",
-        2,
-        (EncoderEccentricity(sin=(0.36e-3, -0.21e-3, 0.12e-3), cos=(-0.17e-3, 0.34e-3, 0.38e-3)),),
-    ),
-    "delta_backlash": Bag(
-        "play of 0.2 to 0.3 mrad in the gears", 3, (Backlash(width=(0.30e-3, 0.20e-3, 0.25e-3)),)
-    ),
-}
 
 # ---------------------------------------------------------------------------------------------
 # Arrays to messages
@@ -108,15 +73,20 @@ def stored(values: np.ndarray) -> np.ndarray:
     return np.round(np.asarray(values) / RESOLUTION) * RESOLUTION
 
 
-def joint_state(stamp: int, q: np.ndarray) -> Any:
+def joint_state(stamp: int, names: list[str], q: np.ndarray) -> Any:
     """Encoder readings; an encoder knows neither velocity nor effort."""
-    names, nothing = ["joint1", "joint2", "joint3"], np.zeros(0)
+    nothing = np.zeros(0)
     return kind("sensor_msgs/JointState")(header(stamp), names, q, nothing, nothing)
 
 
-def measured_pose(stamp: int, r: np.ndarray, quaternion: np.ndarray) -> Any:
-    """The device's pose in the base frame, with the accuracy its data sheet claims."""
-    sigmas = [THESIS_NOISE.position] * 3 + [THESIS_NOISE.orientation] * 3
+def accuracy(machine: Machine) -> list[float]:
+    """The six sigmas of a pose that the device's data sheet claims; 1 km: not measured."""
+    position = machine.noise.position if machine.sees_position else 1e3
+    return [position] * 3 + [machine.noise.orientation] * 3
+
+
+def measured_pose(stamp: int, sigmas: list[float], r: np.ndarray, quaternion: np.ndarray) -> Any:
+    """The device's pose in the base frame, with its accuracy."""
     pose = kind("geometry_msgs/Pose")(
         kind("geometry_msgs/Point")(*r.tolist()),
         kind("geometry_msgs/Quaternion")(*quaternion.tolist()),
@@ -138,17 +108,24 @@ def air(stamp: int, degrees: float) -> Any:
     return kind("sensor_msgs/Temperature")(header(stamp), degrees, 0.01)
 
 
-def messages(data: dict[str, np.ndarray]) -> list[tuple[int, str, Any]]:
-    """A session's streams as (stamp, topic, message) in the order of time."""
+def messages(bag: Bag) -> list[tuple[int, str, Any]]:
+    """A recording's streams as (stamp, topic, message) in the order of time."""
+    data, names, sigmas = session(bag), list(bag.machine.joints), accuracy(bag.machine)
     joints = zip(nanoseconds(data["joint_time"]), stored(data["q"]), strict=True)
     turns = stored(Rotation.from_matrix(data["R"]).as_quat(canonical=True))
-    poses = zip(nanoseconds(data["pose_time"]), stored(data["r"]), turns, strict=True)
+    poses = zip(
+        nanoseconds(data["pose_time"]),
+        stored(data["r"] * bag.machine.sees_position),
+        turns,
+        strict=True,
+    )
     warmth = stored(data["temperature"]).tolist()
     slow = zip(nanoseconds(data["temperature_time"]), warmth, strict=True)
-    streams = [(START, "payload", payload(START, float(data["payload"][0])))]
+    loads = zip(nanoseconds(data["payload_time"]), data["payload"].tolist(), strict=True)
+    streams = [(t, "payload", payload(t, mass)) for t, mass in loads]
     streams += [(t, "temperature", air(t, warm)) for t, warm in slow]
-    streams += [(t, "joint_states", joint_state(t, q)) for t, q in joints]
-    streams += [(t, "measured_pose", measured_pose(t, *pose)) for t, *pose in poses]
+    streams += [(t, "joint_states", joint_state(t, names, q)) for t, q in joints]
+    streams += [(t, "measured_pose", measured_pose(t, sigmas, *pose)) for t, *pose in poses]
     return sorted(streams, key=lambda message: message[0])
 
 
@@ -175,7 +152,8 @@ def quality(latched: bool) -> Qos:
 @cache
 def session(bag: Bag) -> dict[str, np.ndarray]:
     """The recording's arrays."""
-    return record(seed=bag.seed, pose_seed=bag.seed, effects=bag.effects)
+    machine, day = bag.machine, bag.day(bag.seed)
+    return stream(machine.robot, day, bag.effects, machine.noise, bag.seed, bag.clocks)
 
 
 def write(name: str, folder: Path) -> Path:
@@ -194,22 +172,26 @@ def write(name: str, folder: Path) -> Path:
             )
             for topic, t in TYPES.items()
         }
-        for stamp, topic, message in messages(session(bag)):
+        for stamp, topic, message in messages(bag):
             writer.write(topics[topic], stamp, ROS.serialize_cdr(message, TYPES[topic]))
     return next(file for file in path.iterdir() if file.name != "metadata.yaml")
 
 
 def truth_of(bag: Bag) -> dict[str, Any]:
     """All that is hidden in a recording, and when each dwell was."""
-    data = session(bag)
-    columns = ("arrive", "leave", "pose_index", "direction")
-    dwells = zip(*(data[name].tolist() for name in columns), strict=True)
+    day = bag.day(bag.seed)
+    columns = (day.arrive, day.leave, day.pose_index, np.sign(day.ways))
+    dwells = zip(*(column.tolist() for column in columns), strict=True)
     return {
         "seed": bag.seed,
-        "effects": [{"name": type(e).__name__} | _lists(asdict(e)) for e in bag.effects],
-        "noise": asdict(THESIS_NOISE),
-        "true_parameters": TABLE_5_18,
-        "controller_parameters": TABLE_5_12,
+        "baseline": bag.baseline,
+        "mode": bag.mode,
+        "verdict": bag.verdict,
+        "found": [name.split("|") for name in bag.found],
+        "effects": [{"name": type(e).__name__} | _plain(asdict(e)) for e in bag.effects],
+        "noise": asdict(bag.machine.noise),
+        "true_parameters": dict(bag.machine.robot.parameters),
+        "controller_parameters": dict(bag.machine.controller),
         "dwells_arrive_leave_pose_direction": [
             [round(arrive, 3), round(leave, 3), pose, [int(d) for d in direction]]
             for arrive, leave, pose, direction in dwells
@@ -217,8 +199,9 @@ def truth_of(bag: Bag) -> dict[str, Any]:
     }
 
 
-def _lists(numbers: dict[str, Any]) -> dict[str, list[float]]:
-    return {name: list(values) for name, values in numbers.items()}
+def _plain(numbers: dict[str, Any]) -> dict[str, Any]:
+    """Tuples as the lists that YAML has."""
+    return {k: list(v) if isinstance(v, tuple) else v for k, v in numbers.items()}
 
 
 def write_truth(name: str, folder: Path) -> None:
@@ -276,37 +259,47 @@ def check(name: str, folder: Path = BAGS) -> bool:
 
 # ---------------------------------------------------------------------------------------------
 
-README = """# Recordings of a virtual Delta robot
-All are synthetic: `test/virtual_robot.py` builds the robot from points and rods, independently of
-the package, and `test/make_bags.py` records it. One command writes them all (and this page):
+README = """# Recordings of virtual robots
+All are synthetic: `test/virtual_robot.py` and its neighbours build the robots from points and rods,
+independently of the package, `test/bag_catalogue.py` lists the recordings, and one command writes
+them all (and this page):
 
     python test/make_bags.py            # --only NAME for one, --check to compare instead
+    python test/make_baselines.py       # models/, from which a user starts
 
-**The robot** has the geometry that Vischer's thesis identified on the Delta mock-up (EPFL 1996,
-table 5.18); its controller believes in the nominal one (table 5.12, D_x = 76 mm). So it misses its
-targets by 0.6 mm on average, as the mock-up did.
+**The Delta robot** has the geometry that Vischer's thesis identified on the Delta mock-up (EPFL
+1996, table 5.18); its controller believes in the nominal one (table 5.12, D_x = 76 mm). So it
+misses its targets by 0.6 mm on average, as the mock-up did. The Argos has the geometry of table
+5.22. The hexapod is designed as `stewart42` is; its balls and legs are off by 0.5 mm (1 sigma).
 
-**The session**: 74 poses spread over a cube of 0.12 m side at (0, 0, 0.2) m, and 20 of them once
-more later, reached from another side. The robot rests 1 s at each and moves for 0.5 to 0.8 s in
-between, joints in straight lines. The device goes on publishing during the moves.
+**The session**: 74 or 90 poses spread over the workspace (Delta: a cube of 0.12 m side at (0, 0,
+0.2) m), and 20 or 30 of them once more later, reached from another side. The robot rests 1 s at
+each, 10 s where something creeps, and moves for 0.5 to 0.8 s in between, joints in straight lines.
+The device goes on publishing during the moves. `delta_latency` never stops: it is read pose by
+pose (`mode="continuous"`).
 
-| topic | type | rate |
+| topic | type | what |
 |---|---|---|
-| `joint_states` | `sensor_msgs/JointState`, position only | 100 Hz |
-| `measured_pose` | `geometry_msgs/PoseWithCovarianceStamped`, frame `base` | 20 Hz |
-| `temperature` | `sensor_msgs/Temperature`, degC | 1 Hz |
-| `payload` | `geometry_msgs/InertiaStamped`, 0.2 kg | once, latched |
+| `joint_states` | `sensor_msgs/JointState` | position only |
+| `measured_pose` | `geometry_msgs/PoseWithCovarianceStamped` | frame `base`; Argos: variances of \
+1e6 m^2, position is not measured |
+| `temperature` | `sensor_msgs/Temperature` | degC |
+| `payload` | `geometry_msgs/InertiaStamped` | 0.2 kg, latched; in `delta_compliance` at every \
+change |
 
 **Noise** (1 sigma; the thesis' instruments, sections 2.3.2 and 4.2): joints 25 arcsec, position
-10 um and orientation 15 arcsec per axis. Each is one error per dwell, constant while the robot
-rests, plus a fifth of it anew in every message: averaging within a dwell hardly helps, as in life.
-The covariance in the messages is that accuracy. Time starts at 2026-01-01 00:00 UTC; header stamp
-= log time. All are compressed with zstd: mcap inside the file, sqlite3 as a whole (`.db3.zstd`).
+10 um and orientation 15 arcsec per axis. Recordings that start from `delta54_fine.yaml` have a
+fifth of that; Argos' orientation has 47 arcsec, the hexapod's legs 3 um. Each is one error per
+dwell, constant while the robot rests, plus a fifth of it anew in every message: averaging within a
+dwell hardly helps, as in life. In `delta_latency` the whole error is new in every message. The
+covariance in the messages is that accuracy. Time starts at 2026-01-01 00:00 UTC; header stamp = log
+time. All are compressed with zstd: mcap inside the file, sqlite3 as a whole (`.db3.zstd`).
 
-**What is hidden** in each is in `truth/NAME.yaml`, for tests only.
+**What is hidden** in each is in `truth/NAME.yaml`, for tests only: the effects, the true geometry,
+the noise, when each dwell was, and which verdict is right.
 
-| recording | holds | data file | bytes | sha256 |
-|---|---|---|---|---|
+| recording | holds | start from | joints, poses | data file | bytes | sha256 |
+|---|---|---|---|---|---|---|
 """
 
 
@@ -316,8 +309,10 @@ def readme(folder: Path) -> str:
     for name, bag in RECORDINGS.items():
         file = next(f for f in sorted((folder / name).iterdir()) if f.name != "metadata.yaml")
         digest = hashlib.sha256(file.read_bytes()).hexdigest()
+        rates = f"{1 / bag.clocks.joint:g} Hz, {1 / bag.clocks.pose:g} Hz"
         rows.append(
-            f"| `{name}` | {bag.about} | `{file.name}` | {file.stat().st_size} | {digest} |"
+            f"| `{name}` | {bag.about} | `{bag.baseline}` | {rates} | `{file.name}` "
+            f"| {file.stat().st_size} | {digest} |"
         )
     return README + "\n".join(rows) + "\n"
 

@@ -221,6 +221,10 @@ class Effect:
         """The pose that the measuring device shows for the true pose."""
         return r, R
 
+    def taken(self, stamp: Array) -> Array:
+        """When the poses were taken that the measuring device stamps `stamp`."""
+        return stamp
+
 
 @dataclass(frozen=True)
 class EncoderEccentricity(Effect):
@@ -237,14 +241,14 @@ class EncoderEccentricity(Effect):
 class Backlash(Effect):
     """Play in the gear: the encoder, on the motor's side, leads the arm by half the width."""
 
-    width: tuple[float, float, float]
+    width: tuple[float, ...]
 
     def arm(self, reading: Array, robot: RodRobot, at: At) -> Array:
         return reading - np.array(self.width) / 2 * at.direction
 
 
 def truth(
-    robot: RodRobot, effects: Sequence[Effect], reading: Array, at: At
+    robot: Any, effects: Sequence[Effect], reading: Array, at: At
 ) -> tuple[Array, Array, Array]:
     """From encoder readings to (arm angles, position, rotation) as an errorless device shows."""
     parameters, angle = robot.parameters, reading
@@ -272,9 +276,9 @@ class Noise:
     orientation: float = 15 * ARCSEC
     jitter: float = 0.2
 
-    def draw(self, rng: np.random.Generator, n: int) -> tuple[Array, Array, Array]:
+    def draw(self, rng: np.random.Generator, n: int, joints: int = 3) -> tuple[Array, Array, Array]:
         """Errors of n readings: joints, position, rotation vector about the base's axes."""
-        q, r, w = rng.normal(size=(3, n, 3))
+        q, r, w = (rng.normal(size=(n, size)) for size in (joints, 3, 3))
         return q * self.joint, r * self.position, w * self.orientation
 
 
@@ -295,15 +299,53 @@ def targets(n: int, seed: int, side: float = 0.12) -> Array:
     return np.asarray([0, 0, 0.2] + side * ((shift + steps) % 1 - 0.5))
 
 
+class Day:
+    """What a robot does before the measuring device; a sibling says how it goes about.
+
+    `arrive`, `leave`, `pose_index` and `ways` (visits, joints) tell of its visits, if it stops.
+    """
+
+    arrive: Array
+    leave: Array
+    pose_index: NDArray[np.int64]
+    ways: Array
+    end: float
+    air: Callable[[Array], Array]
+
+    def joints(self, time: Array) -> Array:
+        """What errorless encoders read, shape (times, joints)."""
+        raise NotImplementedError
+
+    def direction(self, time: Array) -> Array:
+        """The sign of each joint's last motion."""
+        raise NotImplementedError
+
+    def load(self, time: Array) -> Array:
+        """What the platform carries, kg."""
+        raise NotImplementedError
+
+    def held(self, time: Array, errors: Array) -> Array:
+        """Errors (visits, n) that stay while the robot rests, at these times."""
+        raise NotImplementedError
+
+    def at(self, time: Array) -> At:
+        """The circumstances at these times."""
+        return At(time, self.air(time), self.load(time), self.direction(time))
+
+
 @dataclass(frozen=True)
-class Session:
-    """Which pose is visited when, and the encoder reading the controller holds there."""
+class Session(Day):
+    """Which pose is visited when, and the encoder reading the controller holds there.
+
+    `payload` is one mass or one a visit; it changes as the robot sets out.
+    """
 
     pose_index: NDArray[np.int64]
     reading: Array
     home: Array
     dwell: float = 1.0
-    payload: float = 0.2
+    payload: ArrayLike = 0.2
+    air: Callable[[Array], Array] = temperature
     arrive: Array = field(init=False)
 
     def __post_init__(self) -> None:
@@ -321,6 +363,10 @@ class Session:
     def leave(self) -> Array:
         return self.arrive + self.dwell
 
+    @property
+    def end(self) -> float:
+        return self.leave[-1]
+
     def locate(self, time: Array) -> tuple[NDArray[np.int64], Array]:
         """At each time, the visit under way or held, and the fraction of the way behind."""
         k = np.minimum(np.searchsorted(self.leave, time, "right"), len(self.leave) - 1)
@@ -334,25 +380,43 @@ class Session:
         before = np.concatenate([first[None], values])[visit]
         return before + s[:, None] * (values[visit] - before)
 
-    def at(self, time: Array) -> At:
-        """The circumstances at these times."""
-        payload = np.full(len(time), self.payload)
-        return At(time, temperature(time), payload, np.sign(self.ways)[self.locate(time)[0]])
+    def joints(self, time: Array) -> Array:
+        return self.follow(time, self.reading, self.home)
+
+    def direction(self, time: Array) -> Array:
+        return np.sign(self.ways)[self.locate(time)[0]]
+
+    def load(self, time: Array) -> Array:
+        return np.broadcast_to(self.payload, len(self.arrive))[self.locate(time)[0]]
+
+    def held(self, time: Array, errors: Array) -> Array:
+        return self.follow(time, errors, np.zeros(errors.shape[1]))
 
 
 def plan(
-    n_poses: int = 74, n_replicates: int = 20, seed: int = 0, controller: RodRobot = NOMINAL
+    n_poses: int = 74,
+    n_replicates: int = 20,
+    seed: int = 0,
+    controller: RodRobot = NOMINAL,
+    **circumstances: Any,
+) -> Session:
+    """A session of the Delta robot in its cube; `circumstances` are further fields of Session."""
+    reading, _ = controller.inverse(targets(n_poses, seed))
+    home, _ = controller.inverse(controller.home)
+    return visit(reading, home, n_replicates, seed, **circumstances)
+
+
+def visit(
+    reading: Array, home: Array, n_replicates: int, seed: int, **circumstances: Any
 ) -> Session:
     """A session in which some poses are visited twice, the second time from the other side."""
-    rng = np.random.default_rng([seed, 1])
-    reading, _ = controller.inverse(targets(n_poses, seed))
+    rng, n_poses = np.random.default_rng([seed, 1]), len(reading)
     order = [int(i) for i in rng.permutation(n_poses)]
     early = order[: max(1, 2 * n_poses // 3)]
     again = [int(i) for i in rng.choice(early, n_replicates, replace=n_replicates > len(early))]
-    home, _ = controller.inverse(controller.home)
     for pose in again:
         order.insert(_other_side(order, pose, reading, home, again), pose)
-    return Session(np.array(order), reading[order], home)
+    return Session(np.array(order), reading[order], home, **circumstances)
 
 
 def _other_side(order: list[int], pose: int, reading: Array, home: Array, spare: list[int]) -> int:
@@ -396,23 +460,51 @@ def record(
     pose_seed: int = 0,
 ) -> dict[str, NDArray[Any]]:
     """The same session as streams: joints at 100 Hz, poses at 20 Hz (also while moving)."""
-    session, rng = plan(n_poses, n_replicates, pose_seed), np.random.default_rng(seed)
-    held = noise.draw(rng, len(session.arrive))
+    return stream(robot, plan(n_poses, n_replicates, pose_seed), effects, noise, seed)
+
+
+@dataclass(frozen=True)
+class Clocks:
+    """Seconds from message to message, and from the first joint reading to the first pose."""
+
+    joint: float = 0.01
+    pose: float = 0.05
+    slow: float = 1.0
+    # The devices' clocks tick side by side, not together.
+    offset: float = 0.004
+
+
+def stream(
+    robot: Any,
+    day: Day,
+    effects: Sequence[Effect] = (),
+    noise: Noise = THESIS_NOISE,
+    seed: int = 0,
+    clocks: Clocks = Clocks(),
+) -> dict[str, NDArray[Any]]:
+    """A day as streams of messages, and when each dwell was; `seed` draws the noise."""
+    rng, joints = np.random.default_rng(seed), day.ways.shape[1]
+    held = noise.draw(rng, len(day.arrive), joints)
 
     def errors(time: Array) -> list[Array]:
-        jitter = noise.draw(rng, len(time))
-        fading = [session.follow(time, error, np.zeros(3)) for error in held]
-        return [e + noise.jitter * j for e, j in zip(fading, jitter, strict=True)]
+        jitter = noise.draw(rng, len(time), joints)
+        return [day.held(time, e) + noise.jitter * j for e, j in zip(held, jitter, strict=True)]
 
-    end = session.leave[-1]
-    # The devices' clocks tick side by side, not together.
-    t_joint, t_pose, t_slow = np.arange(0, end, 0.01), np.arange(0.004, end, 0.05), np.arange(end)
-    q = session.follow(t_joint, session.reading, session.home) + errors(t_joint)[0]
-    reading = session.follow(t_pose, session.reading, session.home)
-    _, r, R = truth(robot, effects, reading, session.at(t_pose))
+    t_joint, t_slow = np.arange(0, day.end, clocks.joint), np.arange(0, day.end, clocks.slow)
+    t_pose = taken = np.arange(clocks.offset, day.end, clocks.pose)
+    q = day.joints(t_joint) + errors(t_joint)[0]
+    for effect in effects:
+        taken = effect.taken(taken)
+    _, r, R = truth(robot, effects, day.joints(taken), day.at(taken))
     _, r_error, w_error = errors(t_pose)
     streams = {"joint_time": t_joint, "q": q, "pose_time": t_pose, "r": r + r_error}
-    slow = {"temperature_time": t_slow, "temperature": temperature(t_slow)}
-    dwells = {name: getattr(session, name) for name in ("arrive", "leave", "pose_index")}
-    dwells |= {"direction": np.sign(session.ways), "payload": np.array([session.payload])}
+    slow = {"temperature_time": t_slow, "temperature": day.air(t_slow)}
+    dwells = {name: getattr(day, name) for name in ("arrive", "leave", "pose_index")}
+    dwells |= {"direction": np.sign(day.ways)} | _changes(t_joint, day.load(t_joint))
     return streams | {"R": turn(w_error) @ R} | slow | dwells
+
+
+def _changes(time: Array, mass: Array) -> dict[str, Array]:
+    """The first mass and every new one, each from when on."""
+    new = np.flatnonzero(np.diff(mass, prepend=np.nan) != 0)
+    return {"payload_time": time[new], "payload": mass[new]}
