@@ -51,7 +51,7 @@ class Rssr(Mechanism):
             Parameter("L", "m", ROD, 0.5 * MM, "rod"),
         ]
     )
-    fixed = ("L", "input.r")
+    fixed: tuple[str, ...] = ("L", "input.r")
     home = Home(joints=(ANGLE,), quaternion=(0.0, 0.0, np.sin(ANGLE / 2), np.cos(ANGLE / 2)))
     workspace = Workspace(low=(ANGLE - 55 * DEGREE,), high=(ANGLE + 55 * DEGREE,))
     joint_limits = ((-30 * DEGREE, 135 * DEGREE),)
@@ -76,6 +76,36 @@ class Rssr(Mechanism):
     def joint_candidates(self, r: Any, R: Any, p: Named) -> list[tuple[Any, ...]]:
         """Both input angles (eq. 6.24)."""
         return joint_angles(self, r, R, p)
+
+
+def numbers_of(input: Circle, output: Circle, rod: Any) -> Any:
+    """The nine parameters, in the table's order, of a rod between balls on two circles (9, 1).
+
+    The common normal runs so that alpha lies between -pi and 0; axes must not be parallel.
+    """
+    normal = ca.cross(input.axis, output.axis)
+    x = normal / ca.norm_2(normal)
+    alpha = ca.atan2(-ca.norm_2(normal), ca.dot(input.axis, output.axis))
+    between = input.centre - output.centre
+    # Each centre's place along its axis, counted from the common normal's foot.
+    c, s2 = ca.cos(alpha), ca.sin(alpha) ** 2
+    along_in, along_out = ca.dot(between, input.axis), ca.dot(between, output.axis)
+    s_in, s_out = (along_in - c * along_out) / s2, (c * along_in - along_out) / s2
+    cranks = [ca.vertcat(k.radius, s, k.angle_from(x)) for k, s in ((input, s_in), (output, s_out))]
+    return ca.vertcat(ca.dot(between, x), alpha, *cranks, rod)
+
+
+class Circle:
+    """The circle of a ball on a crank, from the ball's place at 0, 90 and 180 degrees (3, 1)."""
+
+    def __init__(self, start: Any, quarter: Any, half: Any):
+        self.centre, self.arm = (start + half) / 2, (start - half) / 2
+        self.radius = ca.norm_2(self.arm)
+        self.axis = ca.cross(self.arm, quarter - self.centre) / self.radius**2
+
+    def angle_from(self, x: Any) -> Any:
+        """Angle (rad) about the axis from direction x, square to it, to the ball at zero."""
+        return ca.atan2(ca.dot(self.arm, ca.cross(self.axis, x)), ca.dot(self.arm, x))
 
 
 class _OutputAsJoint(Rssr):
