@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
-from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -12,14 +11,17 @@ import numpy as np
 from parallel_cal.accuracy import Errors, errors, improvement, noise_floor
 from parallel_cal.dataset import Dataset
 from parallel_cal.errors import FitError
+from parallel_cal.estimators import Estimator, estimator, need_settling
 from parallel_cal.evidence import Evidence, gather
-from parallel_cal.mechanism import shelf_names
 from parallel_cal.methods.implicit import Estimate
 from parallel_cal.model import Model
 from parallel_cal.observability import in_words
+from parallel_cal.prior import Prior
+from parallel_cal.refit import considered
 
 Progress = Callable[[str, float], None]
 FAR = 5.0  # tolerances: a parameter that moved further deserves a word
+DOUBTED = 0.5  # a sample that a robust loss gives less weight than this is named
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,7 @@ class Result:
     evidence: Evidence
     dataset: Dataset
     method: str
+    loss: str = "linear"
     warnings: tuple[str, ...] = field(default=())
 
     @property
@@ -59,7 +62,7 @@ class Result:
             "held_out": held,
             "improvement": improvement(before, after),
             "improvement_held_out": improvement(held["before"], held["after"]),
-            "chi2_per_dof": _number(self.estimate.chi2_per_dof),
+            "chi2_per_dof": finite_or_none(self.estimate.chi2_per_dof),
             "chi2_band": list(chi2_band(self.estimate.dof)),
             "dof": self.estimate.dof,
             "rank": self.estimate.spectrum.rank,
@@ -72,15 +75,16 @@ class Result:
             "noise_floor": self.noise,
             "noise_from": self.evidence.noise_from,
             "method": self.method,
+            "loss": self.loss,
+            "down_weighted": doubted(self.estimate, self.dataset),
             "iterations": self.estimate.iterations,
             "warnings": list(self.warnings),
             "dataset": {"source": self.dataset.source, "sha256": self.dataset.sha256},
         }
 
     def _held_out_before(self) -> dict[str, float | None]:
-        judged = np.isfinite(self.held_out.norms("position")) | np.isfinite(
-            self.held_out.norms("orientation")
-        )
+        kinds = ("position", "orientation", "reading")
+        judged = np.any([np.isfinite(self.held_out.norms(kind)) for kind in kinds], axis=0)
         return self.before.select(judged).document()
 
     def _parameters(self) -> dict[str, dict[str, Any]]:
@@ -88,7 +92,7 @@ class Result:
         return {
             p.name: {
                 "value": float(self.model.values[i]),
-                "sigma": _number(sigma[i]) if self.free[i] else 0.0,
+                "sigma": finite_or_none(sigma[i]),
                 "nominal": p.nominal,
                 "unit": p.unit,
                 "fixed": not bool(self.free[i]),
@@ -111,36 +115,44 @@ def fit(
     method: str = "implicit",
     free: Iterable[str] = (),
     fix: Iterable[str] = (),
+    refit: Iterable[str] = (),
     hold_out: float = 0.25,
     joint_sigma: float | None = None,
-    prior: bool = False,
+    prior: bool | Prior = False,
+    loss: str = "linear",
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Result:
     """Identify a model's free parameters; errors at poses that the fit did not see.
 
     `free` and `fix` are name patterns (`chain1.*`) that change what the model file says; where
-    one set lies inside the other the narrower wins (`fix=["*"], free=["chain1.Lb"]`). FitError
-    where the data cannot carry it.
+    one set lies inside the other the narrower wins (`fix=["*"], free=["chain1.Lb"]`). `refit`
+    identifies these alone and keeps the others with the model's covariance (re-homing, warming
+    up: a few poses are enough). `prior` is True (tolerances) or a Prior; `loss` one of scipy's
+    (`huber`): samples that it mistrusts are named. FitError where the data cannot carry it.
     """
     report = progress or (lambda stage, fraction: None)
-    mask = _free_mask(model, free, fix)
+    mask, partial = _chosen(model, free, fix, refit)
+    estimate_with = estimator(method, prior, loss)
+    if partial:
+        need_settling(method, "a partial re-calibration")
     evidence = gather(model, dataset, joint_sigma)
-    _check_enough(model, evidence, mask)
+    _check_enough(model, evidence, mask, prior)
     report("errors before", 0.0)
     before = errors(model, evidence)
-    estimator = method_named(method)
     report("identifying", 0.1)
     with single_threaded():
-        estimate = estimator(model, evidence, mask, prior=prior)
+        estimate = estimate_with(model, evidence, mask)
+        if partial:
+            estimate = considered(model, evidence, mask, estimate)
         fitted = model.with_values(estimate.values, estimate.covariance)
         _check_plausible(fitted, estimate, mask)
         after = errors(fitted, evidence)
         held_out = _held_out(
-            model, dataset, evidence, mask, hold_out, seed, prior, estimator, report
+            model, dataset, evidence, mask, hold_out, seed, prior, estimate_with, report
         )
     return Result(
-        model=replace(fitted, fixed=~mask),
+        model=replace(fitted, fixed=model.fixed if partial else ~mask),
         start=model,
         estimate=estimate,
         free=mask,
@@ -151,15 +163,13 @@ def fit(
         evidence=evidence,
         dataset=dataset,
         method=method,
-        warnings=(*dataset.warnings, *_warnings(fitted, estimate, mask)),
+        loss=loss,
+        warnings=(
+            *dataset.warnings,
+            *_warnings(fitted, estimate, mask),
+            *_doubts(estimate, dataset, loss),
+        ),
     )
-
-
-def method_named(name: str) -> Callable[..., Estimate]:
-    """The `estimate` function of parallel_cal/methods/<name>.py."""
-    if name not in shelf_names("methods"):
-        raise FitError(f"no method '{name}'; there are {', '.join(shelf_names('methods'))}")
-    return import_module(f"parallel_cal.methods.{name}").estimate  # type: ignore[no-any-return]
 
 
 def single_threaded() -> Any:
@@ -167,6 +177,16 @@ def single_threaded() -> Any:
     from threadpoolctl import threadpool_limits
 
     return threadpool_limits(limits=1)
+
+
+def _chosen(
+    model: Model, free: Iterable[str], fix: Iterable[str], refit: Iterable[str]
+) -> tuple[np.ndarray, bool]:
+    """Which parameters are identified, and whether the others keep their covariance."""
+    refit, free, fix = tuple(refit), tuple(free), tuple(fix)
+    if refit and (free or fix):
+        raise FitError("refit names all that is identified: give it no free or fix patterns")
+    return (model.table.matching(refit), True) if refit else (_free_mask(model, free, fix), False)
 
 
 def _free_mask(model: Model, free: Iterable[str], fix: Iterable[str]) -> np.ndarray:
@@ -183,15 +203,16 @@ def _free_mask(model: Model, free: Iterable[str], fix: Iterable[str]) -> np.ndar
     return np.asarray(mask)
 
 
-def _check_enough(model: Model, evidence: Evidence, free: np.ndarray) -> None:
-    """A clear word before the numbers fail: too few poses, or all of them the same."""
+def _check_enough(model: Model, evidence: Evidence, free: np.ndarray, prior: bool | Prior) -> None:
+    """A clear word before the numbers fail: too few poses, or all of them the same; with a
+    prior one equation is enough."""
     poses, first = np.unique(evidence.group, return_index=True)
     n = len(model.joints)
     moved = [n + i for i in model.mechanism.moved]
     given = evidence.measured[:, moved].sum(axis=1) + np.isfinite(evidence.reading).sum(axis=1)
     equations = np.maximum(model.structure.phi.shape[0] - len(moved) + given, 0)[first]
     carried, most = int(equations.sum()), max(int(equations.max(initial=0)), 1)
-    if carried < free.sum():
+    if carried < (1 if prior else free.sum()):
         raise FitError(
             f"{len(poses)} different poses give {carried} equations, but {int(free.sum())} "
             f"parameters are free: measure at least {-(-int(free.sum()) // most)} different "
@@ -220,21 +241,22 @@ def _held_out(
     free: np.ndarray,
     fraction: float,
     seed: int,
-    prior: bool,
-    estimator: Callable[..., Estimate],
+    prior: bool | Prior,
+    estimate_with: Estimator,
     report: Progress,
 ) -> Errors:
     """Errors at every pose of fits that left it out; NaN where leaving out is not possible."""
     joined = {"position": 3, "orientation": 3, "joint": len(model.joints)}
+    joined["reading"] = len(model.structure.channels)
     parts = {kind: np.full((len(evidence), size), np.nan) for kind, size in joined.items()}
     folds = dataset.folds(fraction, seed) if fraction > 0 else []
     for k, (train, test) in enumerate(folds):
         report("leaving poses out", 0.2 + 0.8 * k / len(folds))
         try:
-            _check_enough(model, evidence.select(train), free)
+            _check_enough(model, evidence.select(train), free, prior)
         except FitError:
             continue
-        found = estimator(model, evidence.select(train), free, prior=prior)
+        found = estimate_with(model, evidence.select(train), free)
         judged = errors(model.with_values(found.values), evidence.select(test))
         for kind, array in parts.items():
             array[test] = getattr(judged, kind)
@@ -260,6 +282,30 @@ def _warnings(model: Model, estimate: Estimate, free: np.ndarray) -> list[str]:
     return words
 
 
+def doubted(estimate: Estimate, dataset: Dataset) -> list[dict[str, Any]]:
+    """Samples that a robust loss gave less than half their weight, least trusted first."""
+    if estimate.weight is None:
+        return []
+    order = np.argsort(estimate.weight, kind="stable")
+    return [
+        {
+            "sample": int(dataset.numbers[i]),
+            "time": float(dataset.time[i]),
+            "weight": float(estimate.weight[i]),
+        }
+        for i in order
+        if estimate.weight[i] < DOUBTED
+    ]
+
+
+def _doubts(estimate: Estimate, dataset: Dataset, loss: str) -> list[str]:
+    words = [
+        f"{d['sample']} ({d['time']:.1f} s, weight {d['weight']:.2g})"
+        for d in doubted(estimate, dataset)
+    ]
+    return [f"samples down-weighted by loss {loss}: {', '.join(words)}"] if words else []
+
+
 def chi2_band(dof: int) -> tuple[float, float]:
     """Where chi2/dof lies in 99 % of fits with a complete model (Wilson-Hilferty)."""
     if dof <= 0:
@@ -268,54 +314,6 @@ def chi2_band(dof: int) -> tuple[float, float]:
     return tuple((1 - a + z * a**0.5) ** 3 for z in (-2.5758, 2.5758))  # type: ignore[return-value]
 
 
-def _number(value: float) -> float | None:
+def finite_or_none(value: float) -> float | None:
+    """A number as documents hold it: None where it is not known."""
     return float(value) if np.isfinite(value) else None
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """A model beside measurements: errors a sample, and what noise alone would show."""
-
-    model: Model
-    dataset: Dataset
-    evidence: Evidence
-    errors: Errors
-    noise: dict[str, float | None]
-
-    def document(self) -> dict[str, Any]:
-        """E and one row a sample, worst first."""
-        return {
-            **self.errors.document(),
-            "noise_floor": self.noise,
-            "samples": len(self.evidence),
-            "rows": [self._row(i) for i in self._worst_first()],
-        }
-
-    def _worst_first(self) -> np.ndarray:
-        norms = self.errors.norms("position")
-        if not np.isfinite(norms).any():
-            norms = self.errors.norms("orientation")
-        return np.argsort(-np.nan_to_num(norms, nan=-1.0), kind="stable")
-
-    def _row(self, i: int) -> dict[str, Any]:
-        n = len(self.model.joints)
-        parts = {
-            kind: getattr(self.errors, kind)[i] for kind in ("position", "orientation", "joint")
-        }
-        return {
-            "sample": int(i),
-            "time": float(self.dataset.time[i]),
-            "joints": self.evidence.x[i, :n].tolist(),
-            "position": self.evidence.x[i, n : n + 3].tolist(),
-            **{f"{k}_error": [_number(v) for v in part] for k, part in parts.items()},
-            **{f"{k}_norm": _number(float(np.linalg.norm(part))) for k, part in parts.items()},
-        }
-
-
-def compare(model: Model, dataset: Dataset, joint_sigma: float | None = None) -> Comparison:
-    """Predictions of a model beside what was measured, fitting nothing."""
-    evidence = gather(model, dataset, joint_sigma)
-    with single_threaded():
-        return Comparison(
-            model, dataset, evidence, errors(model, evidence), noise_floor(model, evidence)
-        )

@@ -7,8 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from parallel_cal.parameters import ParameterTable
+from parallel_cal.prior import Knowledge, Prior
 
 RELATIVE_RANK = 1e-6  # of the largest singular value, columns in units of tolerance
+BLOCK = 2048
 
 
 @dataclass(frozen=True)
@@ -24,7 +26,9 @@ class Spectrum:
     weak: tuple[dict[str, float], ...]
 
 
-def spectrum(J: np.ndarray, table: ParameterTable, free: np.ndarray, prior: bool) -> Spectrum:
+def spectrum(
+    J: np.ndarray, table: ParameterTable, free: np.ndarray, prior: bool | Prior
+) -> Spectrum:
     """Rank and covariance of the free parameters from a whitened Jacobian (n, n_free).
 
     `lost` marks parameters that take part in an unidentifiable direction: their sigma is
@@ -33,15 +37,15 @@ def spectrum(J: np.ndarray, table: ParameterTable, free: np.ndarray, prior: bool
     """
     tolerance = table.tolerance[free]
     names = [name for name, is_free in zip(table.names, free, strict=True) if is_free]
-    scaled = J * tolerance
-    _, sizes, directions = np.linalg.svd(_triangle(scaled))
+    _, sizes, directions = np.linalg.svd(_triangle(J, tolerance))
     rank = int(np.sum(sizes > RELATIVE_RANK * max(sizes[0], 1e-300))) if len(sizes) else 0
     seen, unseen = directions[:rank], directions[rank:]
-    information = sizes[:rank] ** 2 + (1.0 if prior else 0.0)
-    covariance = (seen.T / information) @ seen
+    covariance = (seen.T / sizes[:rank] ** 2) @ seen
     lost = np.sum(unseen**2, axis=0) > 1e-6
     if prior:
-        covariance, lost = covariance + unseen.T @ unseen, np.zeros_like(lost)
+        information = (seen.T * sizes[:rank] ** 2) @ seen
+        covariance = np.linalg.inv(information + Knowledge(prior, table, free).information)
+        lost = np.zeros_like(lost)
     weak = [d for d, s in zip(seen, sizes[:rank], strict=True) if s < 1]
     return Spectrum(
         sizes,
@@ -67,6 +71,10 @@ def in_words(parts: dict[str, float]) -> str:
     return " ".join(terms)
 
 
-def _triangle(J: np.ndarray) -> np.ndarray:
-    """R of J = QR: the same singular values from a small matrix."""
-    return np.asarray(np.linalg.qr(J, mode="r")) if len(J) > J.shape[1] else J
+def _triangle(J: np.ndarray, tolerance: np.ndarray) -> np.ndarray:
+    """R of J tolerance = QR: the same singular values from a small matrix."""
+    R: np.ndarray = np.zeros((0, len(tolerance)))
+    for begin in range(0, len(J), BLOCK):  # a few rows at a time: no second copy of J
+        rows = np.concatenate([R, J[begin : begin + BLOCK] * tolerance])
+        R = np.asarray(np.linalg.qr(rows, mode="r")) if len(rows) > len(tolerance) else rows
+    return R

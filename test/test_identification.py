@@ -5,10 +5,11 @@ import pytest
 import virtual_robot as vr
 from datasets import JOINTS, as_dataset, measured, quiet, redrawn
 
+from parallel_cal.comparison import compare
 from parallel_cal.dataset import Dataset
 from parallel_cal.errors import FitError
 from parallel_cal.evidence import gather
-from parallel_cal.identification import chi2_band, compare, fit, single_threaded
+from parallel_cal.identification import chi2_band, fit, single_threaded
 from parallel_cal.kinematics import Kinematics
 from parallel_cal.methods.implicit import Linearisation, estimate
 from parallel_cal.model import new_model

@@ -11,8 +11,9 @@ from virtual_small import SliderCrank
 from virtual_stewart import Assembly
 
 from parallel_cal.errors import FitError
+from parallel_cal.estimators import method_named
 from parallel_cal.evidence import Evidence, gather
-from parallel_cal.identification import method_named, single_threaded
+from parallel_cal.identification import single_threaded
 from parallel_cal.kinematics import Kinematics
 from parallel_cal.mechanisms.delta24 import Delta24
 from parallel_cal.methods import _optimisers as optimisers
@@ -174,14 +175,55 @@ def test_noisy_data_predict_unseen_poses(method, robot):
     ("robot", "factors"), [("slider_crank", 3), ("delta24", 36), ("stewart42", 102)]
 )
 def test_semiparametric_models_have_as_many_factors_as_are_independent(robot, factors):
-    """Section 5.3.8 counts 3, 36 and, for the Stewart platform, 174: see the next test."""
+    """Section 5.3.8 counts 3, 36 and, for the Stewart platform, 174: see below."""
     assert sum(len(row) for row in separated(new_model(robot))) == factors
 
 
 def test_a_stewart_leg_expands_into_45_monomials_of_which_17_combinations_matter():
     """r.RB 9, (RB)^2 18, C.RB 9, r.C 3, r^2 3, q, q^2, 1: R^T R = 1 and common coefficients
-    leave 3 + 9 + 3 + q + 1 beside the leading one. The thesis' 29 is not explained."""
+    leave 3 + 9 + 3 + q + 1 beside the leading one."""
     assert [len(row) for row in Separation(new_model("stewart42").structure).rows] == [45] * 6
+
+
+def test_the_thesis_174_factors_are_products_of_euler_angles_without_offset_and_constant():
+    """With R in three Euler angles and nothing merged, 13 products stand in C.RB, 13 in r.RB and
+    3 in r.C: 29 a leg, 174 in all. The reading (2 L0 q) and the constant make it 31."""
+    leg = new_model("stewart42").structure
+    x, angles = stewart_configurations(400)
+    columns = np.column_stack([*euler_products(x, angles).T, x[:, 0], np.ones(len(x))])
+    assert columns.shape[1] - 2 == 174 / 6
+    rod = leg.closure_batch(x, np.zeros((400, 0)), stewart_truth())[0][:, 0]  # its length - q - L0
+    length = x[:, 0] + stewart_truth()[6]
+    squares = (x[:, 6:9] ** 2).sum(axis=1) - x[:, 0] ** 2  # they hold no parameter
+    target = (rod + length) ** 2 - length**2 - squares  # the rest of eq. 3.8
+    for used, exact in ((columns, True), (columns[:, :-1], False), (columns[:, :-2], False)):
+        left = target - used @ np.linalg.lstsq(used, target, rcond=None)[0]
+        assert (np.abs(left).max() < 1e-12) == exact
+    assert np.linalg.matrix_rank(columns) == 31
+
+
+def stewart_configurations(n):
+    """Any configurations (q, r, R) with the Euler angles x y x that make R."""
+    rng = np.random.default_rng(0)
+    q, r, angles = rng.uniform(0, 1, (n, 6)), rng.uniform(-1, 1, (n, 3)), rng.uniform(-3, 3, (n, 3))
+    x, y = np.eye(3)[:2]
+    R = rotation_matrix(angles[:, :1] * x) @ rotation_matrix(angles[:, 1:2] * y)
+    R = R @ rotation_matrix(angles[:, 2:] * x)
+    return np.hstack([q, r, R.reshape(-1, 9)]), angles
+
+
+def euler_products(x, angles):
+    """The 29 products of world coordinates: R's entries, r_i times those of row i, and r."""
+    (c1, c2, c3), (s1, s2, s3) = np.cos(angles.T), np.sin(angles.T)
+    rows = [
+        [c2, s2 * s3, s2 * c3],
+        [s1 * s2, c1 * c3, s1 * c2 * s3, c1 * s3, s1 * c2 * c3],
+        [c1 * s2, s1 * c3, c1 * c2 * s3, s1 * s3, c1 * c2 * c3],
+    ]
+    r = x[:, 6:9].T
+    alone = [product for row in rows for product in row]
+    moved = [r_i * product for r_i, row in zip(r, rows, strict=True) for product in row]
+    return np.column_stack([*alone, *moved, *r])
 
 
 def test_an_expanded_closure_is_the_closure():

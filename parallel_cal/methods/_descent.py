@@ -9,24 +9,16 @@ import numpy as np
 
 from parallel_cal.errors import FitError
 from parallel_cal.evidence import Evidence
-from parallel_cal.methods.implicit import (
-    GAIN,
-    STEP,
-    Estimate,
-    Linearisation,
-    _finished,
-    _prior,
-    _prior_cost,
-    _step,
-    _System,
-)
+from parallel_cal.linearisation import Linearisation, System
+from parallel_cal.methods._estimate import GAIN, STEP, Estimate, concluded, damped_step
 from parallel_cal.model import Model
+from parallel_cal.prior import Knowledge, Prior
 
-Linearise = Callable[[np.ndarray], "System | None"]
+Linearise = Callable[[np.ndarray], "Predicted | None"]
 
 
 @dataclass
-class System(_System):
+class Predicted(System):
     """Whitened residuals (N, m) and Jacobian (N, m, n_free) of a method without adjustment,
     with the raw residuals and the Cholesky factors that whiten them."""
 
@@ -34,7 +26,7 @@ class System(_System):
     raw: np.ndarray = field(kw_only=True)
     whitener: np.ndarray = field(kw_only=True)
 
-    def chi2_of(self, other: System) -> float:
+    def chi2_of(self, other: Predicted) -> float:
         """Another point's chi2 in this one's weights: what a step from here can lower."""
         return float(np.sum(np.linalg.solve(self.whitener, other.raw[:, :, None]) ** 2))
 
@@ -42,29 +34,29 @@ class System(_System):
 def minimise(
     model: Model,
     free: np.ndarray,
-    prior: bool,
+    prior: bool | Prior,
     linearise: Linearise,
     iterations: int = 50,
 ) -> Estimate:
     """Levenberg-Marquardt (C.4); `linearise` answers None where the model has no solution."""
-    tolerance = model.table.tolerance[free]
+    tolerance, known = model.table.tolerance[free], Knowledge(prior, model.table, free)
     values, damping = np.array(model.values), 1e-6
     system = linearise(values)
     if system is None:
         raise FitError("the starting model has no solution at some samples: start nearer")
     for k in range(iterations):
-        step, promised = _step(system, tolerance, damping, _prior(model, values, free, prior))
+        step, promised = damped_step(system, values, tolerance, known, damping)
         trial = values.copy()
         trial[free] += step
         tried = linearise(trial)
         small = bool(np.max(np.abs(step / tolerance), initial=0.0) < STEP)
-        if tried is not None and _better(model, trial, tried, values, system, free, prior):
+        if tried is not None and _better(known, trial, tried, values, system):
             small = small or promised < GAIN * tried.chi2
             values, system, damping = trial, tried, max(damping / 10, 1e-12)
         else:
             damping = max(damping * 10, 1e-6)
         if small:
-            return _finished(model, values, system, free, prior, k + 1)
+            return concluded(model, values, system, free, prior, k + 1)
         if damping > 1e12:
             break
     raise FitError(
@@ -74,16 +66,9 @@ def minimise(
 
 
 def _better(
-    model: Model,
-    trial: np.ndarray,
-    tried: System,
-    values: np.ndarray,
-    system: System,
-    free: np.ndarray,
-    prior: bool,
+    known: Knowledge, trial: np.ndarray, tried: Predicted, values: np.ndarray, system: Predicted
 ) -> bool:
-    new = system.chi2_of(tried) + _prior_cost(model, trial, free, prior)
-    old = system.chi2 + _prior_cost(model, values, free, prior)
+    new, old = system.chi2_of(tried) + known.cost(trial), system.chi2 + known.cost(values)
     return new <= old * (1 + 1e-9)
 
 
@@ -93,34 +78,32 @@ def judged(
     evidence: Evidence,
     free: np.ndarray,
     iterations: int,
-    influence: np.ndarray | None = None,
+    covariance: np.ndarray | None = None,
 ) -> Estimate:
     """A verdict on values found by other means: chi2 of the closure in inherited noise.
 
-    `influence` (n_free, N * rows) says how closure errors move the estimates; it replaces the
-    covariance of the weighted optimum by that of the method: influence W influence^T.
+    `covariance` (n_free, n_free), that of the method, replaces that of the weighted optimum.
     """
     linearise = Linearisation(model, evidence, free, True)
     system = linearise(values, linearise.start())
-    found = _finished(model, values, system, free, False, iterations)
-    if influence is None:
+    found = concluded(model, values, system, free, False, iterations)
+    if covariance is None:
         return found
-    covariance = np.zeros_like(found.covariance)
-    covariance[np.ix_(free, free)] = spread(influence, row_noise(model, values, evidence))
-    return replace(found, covariance=covariance)
+    whole = np.zeros_like(found.covariance)
+    whole[np.ix_(free, free)] = covariance
+    return replace(found, covariance=whole)
 
 
-def row_noise(model: Model, values: np.ndarray, evidence: Evidence) -> np.ndarray:
-    """W = C S C^T (N, rows, rows): the noise that the closure's rows inherit."""
+def spread(
+    influence: np.ndarray, model: Model, values: np.ndarray, evidence: Evidence
+) -> np.ndarray:
+    """Covariance of estimates that the errors of a closure's rows move by influence
+    (n_free, N * rows): influence W influence^T with W = C S C^T, the noise of these rows."""
     none = np.zeros(len(values), dtype=bool)
     _, C, _ = Linearisation(model, evidence, none, True).blocks(values, evidence.x)
-    return C @ evidence.S @ C.transpose(0, 2, 1)
-
-
-def spread(influence: np.ndarray, W: np.ndarray) -> np.ndarray:
-    """Covariance of estimates that depend linearly on rows with noise W (N, rows, rows)."""
+    W = C @ evidence.S @ C.transpose(0, 2, 1)
     parts = influence.reshape(len(influence), *W.shape[:2])
-    return np.asarray(np.einsum("anr,nrs,bns->ab", parts, W, parts))
+    return np.asarray(np.einsum("anr,nrs,bns->ab", parts, W, parts, optimize=True))
 
 
 def need_measured(evidence: Evidence, columns: np.ndarray, names: list[str], method: str) -> None:

@@ -6,9 +6,9 @@ import numpy as np
 
 from parallel_cal.errors import FitError
 from parallel_cal.evidence import Evidence
+from parallel_cal.linearisation import Linearisation, moved
 from parallel_cal.mechanism import POSE
-from parallel_cal.methods._descent import System, need_measured
-from parallel_cal.methods.implicit import Linearisation
+from parallel_cal.methods._descent import Predicted, need_measured
 from parallel_cal.model import Model
 
 SETTLED = 1e-12  # m: a Newton step below this changes nothing
@@ -22,15 +22,15 @@ class Prediction:
 
     With the closure's blocks C (d/d configuration) and J (d/d parameters) at the solution,
     du = -C_u^-1 (C_g dg + J dv): noise S of (g, u) reaches the residual as T S T^T with
-    T = (C_u^-1 C_g, I). Starting Newton's method at the measured u keeps the robot's branch.
+    T = C_u^-1 C. Starting Newton's method at the measured u keeps the robot's branch.
     Samples without a solution, or at a singularity, of the starting model are left out.
     """
 
     def __init__(self, model: Model, evidence: Evidence, free: np.ndarray, direct: bool):
         m, n = model.mechanism, len(model.joints)
-        moved, joints = [n + i for i in m.moved], list(range(n))
+        moving, joints = [n + i for i in m.moved], list(range(n))
         passive = [n + i for i in m.passive]
-        self.unknown = np.array(moved if direct else joints + passive)
+        self.unknown = np.array(moving if direct else joints + passive)
         self.given = np.array(joints if direct else [n + i for i in m.controlled])
         names = [*model.joints, *POSE]
         self._near = NEAR_DIRECT if direct else NEAR_INVERSE
@@ -73,22 +73,21 @@ class Prediction:
                 break
             change = np.zeros((len(x), C.shape[2]))
             change[:, self.unknown] = np.clip(step, -0.2 / self._scale, 0.2 / self._scale)
-            x = self._closure._moved(x, change)
+            x = moved(x, change, C.shape[2] - 6)
         return x, C, J, size < 1e-9
 
-    def __call__(self, values: np.ndarray) -> System | None:
+    def __call__(self, values: np.ndarray) -> Predicted | None:
         x, C, J, ok = self.solved(values)
         if not ok.all():
             return None
         self._last = x
-        residual = self._closure._from_adjusted(x)[:, self.unknown]
+        residual = self._closure.away(x)[:, self.unknown]
         inverse = np.linalg.pinv(C[:, :, self.unknown])
-        T = np.zeros((len(x), len(self.unknown), C.shape[2]))
-        T[:, range(len(self.unknown)), self.unknown] = 1.0
-        T[:, :, self.given] = inverse @ C[:, :, self.given]
+        # All that was measured takes part: its noise enters where a coordinate does not move, too.
+        T = inverse @ C * self._evidence.measured[:, None, :]
         return self._white(residual, inverse @ J, T)
 
-    def _white(self, residual: np.ndarray, jacobian: np.ndarray, T: np.ndarray) -> System:
+    def _white(self, residual: np.ndarray, jacobian: np.ndarray, T: np.ndarray) -> Predicted:
         """Rows of unmeasured coordinates are zero; the others in units of their noise."""
         seen = self._evidence.measured[:, self.unknown]
         W = T @ self._evidence.S @ T.transpose(0, 2, 1)
@@ -97,4 +96,4 @@ class Prediction:
         rows = np.concatenate([residual[:, :, None], jacobian], axis=2) * seen[:, :, None]
         L = np.linalg.cholesky(W)
         white = np.linalg.solve(L, rows)
-        return System(white[:, :, 0], white[:, :, 1:], raw=rows[:, :, 0], whitener=L)
+        return Predicted(white[:, :, 0], white[:, :, 1:], raw=rows[:, :, 0], whitener=L)

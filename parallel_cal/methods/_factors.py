@@ -59,8 +59,9 @@ def _row(model: Model, separation: Separation, k: int, x: np.ndarray, p: np.ndar
     # Coefficients: the same, so that one function of the parameters has one factor.
     basis, others = _merged(_evaluate(c, s.v, p))
     M, c = M[basis] + ca.DM(others).T @ M, c[basis]
-    values = _evaluate(c, s.v, p)
-    first = int(np.argmin(values.std(axis=0) / np.abs(values).mean(axis=0)))
+    # The lead is divided by: it must be far from zero here, and best the same everywhere.
+    here = np.abs(_evaluate(c, s.v, model.values[None])[0])
+    first = int(np.argmin(_evaluate(c, s.v, p).std(axis=0) / np.maximum(here, 1e-300)))
     rest = [j for j in range(c.numel()) if j != first]
     f = c[rest] / c[first]
     constant = [i for i, j in enumerate(rest) if ca.SX(M[j]).is_constant()]

@@ -38,7 +38,7 @@ class Separation:
 
     def _coordinates(self, s: Structure) -> list[Polynomial]:
         if s.a.numel():
-            raise FitError("a closure with effects that need conditions cannot be separated")
+            raise _inseparable("an effect needs conditions")
         n = s.q.numel()
         names = [f"q{i}" for i in range(n)] + list("xyz") + [f"R{i}" for i in range(9)]
         self.value = dict(zip(names, ca.vertsplit(s.configuration), strict=True))
@@ -91,15 +91,15 @@ class Separation:
             return self._turned(op, a)
         if op in PLAIN and set(a) <= {()}:
             return {(): PLAIN[op](a.get((), 0))}
-        raise FitError(f"the closure cannot be separated: CasADi operation {op} on {list(a)}")
+        raise _inseparable(f"CasADi's operation {op} mixes parameters and coordinates for good")
 
     def _turned(self, op: int, a: Polynomial) -> Polynomial:
         """sin or cos of +-q_i + (parameters), by the addition theorem."""
         (m, k), *more = [(m, k) for m, k in a.items() if m]
         if more or len(m) != 1 or not m[0].startswith("q") or not k.is_constant():
-            raise FitError(f"the closure cannot be separated: an angle is made of {list(a)}")
+            raise _inseparable(f"an angle is made of {', '.join(' '.join(m) or '1' for m in a)}")
         if abs(float(k)) != 1:
-            raise FitError(f"the closure cannot be separated: sine of {float(k)} {m[0]}")
+            raise _inseparable(f"the sine of {float(k)} {m[0]}")
         c, s, phase = f"cos {m[0]}", f"sin {m[0]}", a.get((), ca.SX(0))
         if op == ca.OP_SIN:
             return _tidy({(s,): k * ca.cos(phase), (c,): ca.sin(phase)})
@@ -136,6 +136,10 @@ class Separation:
             squared = self._product(self._product(with_root, with_root), inside)
             row = _sum(squared, _times(self._product(rest, rest), -1))
         return row
+
+
+def _inseparable(why: str) -> FitError:
+    return FitError(f"the closure cannot be separated: {why}; use the implicit method")
 
 
 def _times(a: Polynomial, k: Any) -> Polynomial:

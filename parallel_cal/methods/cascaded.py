@@ -11,21 +11,22 @@ import numpy as np
 
 from parallel_cal.errors import FitError
 from parallel_cal.evidence import Evidence
-from parallel_cal.methods.implicit import Estimate
+from parallel_cal.methods._estimate import Estimate
 from parallel_cal.methods.semiparametric import (
-    _Semiparametric,
+    FactorMechanism,
     closure_rows,
     extracted,
     semiparametric,
 )
 from parallel_cal.model import Model
+from parallel_cal.prior import Prior
 
 
 def estimate(
     model: Model,
     evidence: Evidence,
     free: np.ndarray,
-    prior: bool = False,
+    prior: bool | Prior = False,
     iterations: int = 20,
 ) -> Estimate:
     """Parameters by two linear steps and eq. 5.35, without weights, as in the thesis.
@@ -41,23 +42,23 @@ def estimate(
     constant = _constants(factors)
     inverse = _two_steps(M, constant, len(evidence))
     target = factors.values - inverse @ phi
-    weight = np.linalg.qr(_differences(M, len(evidence)), mode="r")
-    sizes = np.linalg.norm(M[:, constant], axis=0)
-    both = np.vstack([np.where(constant, 0.0, weight), np.diag(np.where(constant, 0.0, 0.0))])
-    both[len(weight) + np.flatnonzero(constant), np.flatnonzero(constant)] = sizes
+    # What both steps saw: differences, then each row's mean, in which the constants stand.
+    first = np.linalg.qr(_differences(M, len(evidence)), mode="r")
+    mean = M[:, constant] / np.linalg.norm(M[:, constant], axis=0)
+    weight = np.vstack([first, mean.T @ M])
     return extracted(
-        model, evidence, free, factors, target, both, np.linalg.pinv(inverse), iterations
+        model, evidence, free, factors, target, weight, np.linalg.pinv(inverse), iterations
     )
 
 
 def _constants(factors: Model) -> np.ndarray:
     """Mask of the factors that stand alone in their row."""
     mechanism = factors.mechanism
-    assert isinstance(mechanism, _Semiparametric)
+    assert isinstance(mechanism, FactorMechanism)
     mask = []
     for row in mechanism.rows:
         if row.constant < 0:
-            raise FitError(f"{mechanism._model.mechanism.name}: no constant factor to eliminate")
+            raise FitError(f"{mechanism.origin.mechanism.name}: no constant factor to eliminate")
         mask += [j == row.constant for j in range(len(row))]
     return np.array(mask)
 
@@ -72,7 +73,8 @@ def _two_steps(M: np.ndarray, constant: np.ndarray, n: int) -> np.ndarray:
     """The linear map (n_factors, N * rows) from closure errors to changes of factors, minus."""
     inverse = np.zeros((M.shape[1], len(M)))
     D = _differences(M[:, ~constant], n)
-    scale = np.linalg.norm(D, axis=0)
+    size = np.linalg.norm(D, axis=0)
+    scale = np.where(size > 0, size, 1.0)  # (a factor that the poses do not show)
     first = np.linalg.pinv(D / scale, rcond=1e-12) / scale[:, None]
     inverse[~constant] = first @ _differences(np.eye(len(M)), n)
     left = np.eye(len(M)) - M[:, ~constant] @ inverse[~constant]

@@ -6,16 +6,17 @@ import numpy as np
 
 from parallel_cal.evidence import Evidence
 from parallel_cal.methods._descent import minimise
+from parallel_cal.methods._estimate import Estimate
 from parallel_cal.methods._explicit import Prediction
-from parallel_cal.methods.implicit import Estimate
 from parallel_cal.model import Model
+from parallel_cal.prior import Prior
 
 
 def estimate(
     model: Model,
     evidence: Evidence,
     free: np.ndarray,
-    prior: bool = False,
+    prior: bool | Prior = False,
     iterations: int = 50,
 ) -> Estimate:
     """Parameters that minimise the joint errors of eq. 5.25, in units of their noise.

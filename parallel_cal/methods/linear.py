@@ -5,16 +5,18 @@ from __future__ import annotations
 import numpy as np
 
 from parallel_cal.evidence import Evidence
-from parallel_cal.methods._descent import judged
-from parallel_cal.methods.implicit import Estimate, Linearisation, _finished, _prior, _step
+from parallel_cal.linearisation import Linearisation
+from parallel_cal.methods._descent import judged, spread
+from parallel_cal.methods._estimate import Estimate, concluded, damped_step
 from parallel_cal.model import Model
+from parallel_cal.prior import Knowledge, Prior
 
 
 def estimate(
     model: Model,
     evidence: Evidence,
     free: np.ndarray,
-    prior: bool = False,
+    prior: bool | Prior = False,
     weighted: bool = True,
 ) -> Estimate:
     """One Gauss-Newton step of implicit calibration: J dp = -f (eq. 5.29), by SVD.
@@ -23,14 +25,15 @@ def estimate(
     `weighted=False` is the thesis' equation. chi2 is that of the closure at the values found,
     so it shows what the linearisation left out.
     """
-    tolerance = model.table.tolerance[free]
+    tolerance, known = model.table.tolerance[free], Knowledge(prior, model.table, free)
     linearise = Linearisation(model, evidence, free, weighted)
     system = linearise(np.array(model.values), linearise.start())
-    step, _ = _step(system, tolerance, 0.0, _prior(model, model.values, free, prior))
+    step, _ = damped_step(system, model.values, tolerance, known, 0.0)
     values = np.array(model.values)
     values[free] += step
     if weighted:
         found = linearise(values, system.adjusted(step))
-        return _finished(model, values, found, free, prior, 1)
-    J = system.jacobian.reshape(-1, len(tolerance)) * tolerance
-    return judged(model, values, evidence, free, 1, -np.linalg.pinv(J) * tolerance[:, None])
+        return concluded(model, values, found, free, prior, 1)
+    J = system.columns * tolerance
+    influence = -np.linalg.pinv(J) * tolerance[:, None]
+    return judged(model, values, evidence, free, 1, spread(influence, model, values, evidence))

@@ -17,21 +17,25 @@ import numpy as np
 
 from parallel_cal.errors import FitError
 from parallel_cal.evidence import Evidence
+from parallel_cal.linearisation import Linearisation
 from parallel_cal.mechanism import Mechanism
 from parallel_cal.methods import implicit
-from parallel_cal.methods._descent import judged, need_measured
+from parallel_cal.methods._descent import judged, need_measured, spread
+from parallel_cal.methods._estimate import Estimate
 from parallel_cal.methods._factors import Row, separated
-from parallel_cal.methods.implicit import Estimate
 from parallel_cal.model import Model, new_model
 from parallel_cal.parameters import Named, Parameter, ParameterTable
+from parallel_cal.prior import Prior
+
+SETTLED = 1e-9  # tolerances: a step below this changes nothing
 
 
-class _Semiparametric(Mechanism):
+class FactorMechanism(Mechanism):
     """Another mechanism's closure with free factors; it starts and lives where that one does."""
 
     def __init__(self, model: Model, rows: Sequence[Row]):
         m = model.mechanism
-        self.rows, self._model = tuple(rows), model
+        self.rows, self.origin = tuple(rows), model
         self.joints, self.joint_unit, self.periodic = m.joints, m.joint_unit, m.periodic
         self.moves, self.controls = m.moves, m.controls
         self.home, self.workspace, self.length = m.home, m.workspace, m.length
@@ -40,7 +44,7 @@ class _Semiparametric(Mechanism):
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
         """Eq. 5.40 for every row, in metres."""
-        s = self._model.structure
+        s = self.origin.structure
         at = ca.vertcat(q, r, ca.vec(ca.SX(R).T))
         rows = []
         for i, row in enumerate(self.rows):
@@ -51,15 +55,15 @@ class _Semiparametric(Mechanism):
         return ca.vertcat(*rows)
 
     def _as_named(self) -> Named:
-        m = self._model.mechanism.parameters
-        return Named(m.names, ca.SX(ca.DM(self._model.values[: len(m)])))
+        m = self.origin.mechanism.parameters
+        return Named(m.names, ca.SX(ca.DM(self.origin.values[: len(m)])))
 
     def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
         """Where the parametric model would be."""
-        return self._model.mechanism.candidates(q, self._as_named())
+        return self.origin.mechanism.candidates(q, self._as_named())
 
     def joint_candidates(self, r: Any, R: Any, p: Named) -> list[tuple[Any, ...]]:
-        return self._model.mechanism.joint_candidates(r, R, self._as_named())
+        return self.origin.mechanism.joint_candidates(r, R, self._as_named())
 
 
 def _factor_table(model: Model, rows: Sequence[Row]) -> list[Parameter]:
@@ -77,7 +81,7 @@ def _factor_table(model: Model, rows: Sequence[Row]) -> list[Parameter]:
 @lru_cache(maxsize=16)
 def semiparametric(model: Model) -> Model:
     """The model with its linear factors as parameters; FitError where it cannot be separated."""
-    factors = new_model(_Semiparametric(model, separated(model)))
+    factors = new_model(FactorMechanism(model, separated(model)))
     return replace(factors, noise=model.noise, frames=model.frames)
 
 
@@ -112,9 +116,7 @@ def closure_rows(model: Model, evidence: Evidence) -> tuple[np.ndarray, np.ndarr
         evidence, np.array([n + i for i in m.moved]), list(m.moves), "semiparametric or cascaded"
     )
     free = np.ones(len(model.values), dtype=bool)
-    phi, _, J = implicit.Linearisation(model, evidence, free, False).blocks(
-        model.values, evidence.x
-    )
+    phi, _, J = Linearisation(model, evidence, free, False).blocks(model.values, evidence.x)
     return phi.ravel(), J.reshape(-1, J.shape[2])
 
 
@@ -122,7 +124,7 @@ def estimate(
     model: Model,
     evidence: Evidence,
     free: np.ndarray,
-    prior: bool = False,
+    prior: bool | Prior = False,
     iterations: int = 20,
 ) -> Estimate:
     """Parameters whose factors come nearest to the best linear factors.
@@ -156,7 +158,7 @@ def extracted(
     solution target = -pinv(to_weight) errors.
     """
     mechanism = factors.mechanism
-    assert isinstance(mechanism, _Semiparametric)
+    assert isinstance(mechanism, FactorMechanism)
     values, tolerance = np.array(model.values), model.table.tolerance[free]
     for _ in range(iterations):
         f = np.concatenate([row.factors(values) for row in mechanism.rows])
@@ -164,7 +166,17 @@ def extracted(
         A = weight @ J * tolerance
         step = np.linalg.lstsq(A, weight @ (target - f), rcond=1e-10)[0]
         values[free] += tolerance * step
-        if np.abs(step).max() < 1e-12:
+        if np.abs(step).max() < SETTLED:
             break
-    influence = -tolerance[:, None] * np.linalg.pinv(A) @ weight @ np.linalg.pinv(to_weight)
-    return judged(model, values, evidence, free, 0, influence)
+    else:
+        raise FitError(
+            f"no parameters fit the linear factors in {iterations} iterations; use the implicit "
+            "method"
+        )
+    influence = (
+        -tolerance[:, None] * np.linalg.pinv(A, rcond=1e-10) @ weight @ np.linalg.pinv(to_weight)
+    )
+    # The factors' rows are not the model's: a root may have been squared away.
+    at_end = np.concatenate([row.factors(values) for row in mechanism.rows])
+    covariance = spread(influence, factors, at_end, evidence)
+    return judged(model, values, evidence, free, 0, covariance)

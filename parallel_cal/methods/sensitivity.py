@@ -10,12 +10,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from parallel_cal.errors import FitError
 from parallel_cal.evidence import Evidence
-from parallel_cal.methods._descent import System
+from parallel_cal.methods._estimate import Estimate, concluded
 from parallel_cal.methods._explicit import Prediction
-from parallel_cal.methods.implicit import Estimate, _finished
 from parallel_cal.model import Model
 from parallel_cal.observability import RELATIVE_RANK
+from parallel_cal.prior import Prior
 
 
 @dataclass(frozen=True)
@@ -32,7 +33,7 @@ def base_parameters(model: Model, evidence: Evidence, free: np.ndarray) -> Base:
     """The base of the free parameters in these poses; earlier ones in the table come first."""
     system = Prediction(model, evidence, free, direct=True)(model.values)
     assert system is not None
-    columns, names = _columns(system), np.array(model.table.names)[free]
+    columns, names = system.columns, np.array(model.table.names)[free]
     kept = _independent(columns * model.table.tolerance[free])
     grouping = np.linalg.lstsq(columns[:, kept], columns[:, ~kept], rcond=None)[0]
     return Base(tuple(names[kept]), tuple(names[~kept]), np.where(
@@ -43,7 +44,7 @@ def estimate(
     model: Model,
     evidence: Evidence,
     free: np.ndarray,
-    prior: bool = False,
+    prior: bool | Prior = False,
     iterations: int = 1,
 ) -> Estimate:
     """Base parameters by the linear least squares of eq. 26; the others stay as they are.
@@ -51,29 +52,28 @@ def estimate(
     Weights: pose noise plus joint noise carried through the direct problem (the paper's
     equation has none, its metres and radians being of like size). One iteration is the paper;
     more make it a forward calibration. sigma is infinite where only a combination is known.
+    FitError with a prior.
     """
+    if prior:
+        raise FitError("sensitivity calibration takes no prior; use the implicit method")
     prediction = Prediction(model, evidence, free, direct=True)
     values, where = np.array(model.values), np.flatnonzero(free)
     tolerance = model.table.tolerance[free]
     for _ in range(iterations):
         system = prediction(values)
         assert system is not None
-        columns = _columns(system) * tolerance
+        columns = system.columns * tolerance
         kept = _independent(columns)
         step = np.linalg.lstsq(columns[:, kept], -system.residual.ravel(), rcond=None)[0]
         values[where[kept]] += tolerance[kept] * step
     end = prediction(values)
     assert end is not None
-    found = _finished(model, values, end, free, prior, iterations)
+    found = concluded(model, values, end, free, False, iterations)
     covariance = np.zeros_like(found.covariance)
     inverse = np.linalg.pinv(columns[:, kept].T @ columns[:, kept])
     base = where[kept]
     covariance[np.ix_(base, base)] = inverse * np.outer(tolerance[kept], tolerance[kept])
     return replace(found, covariance=covariance)
-
-
-def _columns(system: System) -> np.ndarray:
-    return system.jacobian.reshape(-1, system.jacobian.shape[-1])
 
 
 def _independent(columns: np.ndarray) -> np.ndarray:
