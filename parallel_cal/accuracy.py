@@ -14,23 +14,29 @@ from parallel_cal.mechanism import Mechanism
 from parallel_cal.model import Model
 from parallel_cal.rotation import rotation_vector
 
-ERRORS = ("position", "orientation", "joint")
+ERRORS = ("position", "orientation", "joint", "reading")
 
 
 @dataclass(frozen=True)
 class Errors:
     """Measured minus predicted (table 5.9): position (N, 3) m, orientation (N, 3) rad about
-    base axes from the direct problem, joint (N, nq) from the inverse; NaN where not known."""
+    base axes from the direct problem, joint (N, nq) from the inverse, reading (N, n_channels) m
+    of the sensors beside the pose device from the direct problem; NaN where not known."""
 
     position: np.ndarray
     orientation: np.ndarray
     joint: np.ndarray
+    reading: np.ndarray
 
     def norms(self, kind: str) -> np.ndarray:
-        return np.asarray(np.linalg.norm(getattr(self, kind), axis=1))
+        """(N,) norms over what is known of a sample, NaN where nothing is."""
+        part = getattr(self, kind)
+        known = np.isfinite(part)
+        norms = np.linalg.norm(np.where(known, part, 0.0), axis=1)
+        return np.where(known.any(axis=1), norms, np.nan)
 
     def select(self, index: np.ndarray) -> Errors:
-        return Errors(self.position[index], self.orientation[index], self.joint[index])
+        return Errors(*(getattr(self, kind)[index] for kind in ERRORS))
 
     def document(self) -> dict[str, float | None]:
         """Mean and rms of the norms of each kind (table 5.15); None where not measured."""
@@ -64,6 +70,7 @@ def errors(model: Model, evidence: Evidence) -> Errors:
         _where(placed & _solved(pose), apart),
         _where(orientation & _solved(pose), np.where(measured[:, n + 3 :], turn, 0.0)),
         _where(given & _solved(joints), x[:, :n] - joints.joints),
+        _readings_apart(model, evidence, pose),
     )
 
 
@@ -78,9 +85,13 @@ def reading_errors(model: Model, evidence: Evidence) -> np.ndarray:
     """Read minus predicted (N, n_channels), m: what every sensor shows at the pose that the
     model's direct problem puts the platform in; NaN where not read or not solved."""
     n = len(model.joints)
-    pose = shown(
-        model, Kinematics(model).direct(evidence.x[:, :n], condition_columns(model, evidence))
-    )
+    pose = Kinematics(model).direct(evidence.x[:, :n], condition_columns(model, evidence))
+    return _readings_apart(model, evidence, shown(model, pose))
+
+
+def _readings_apart(model: Model, evidence: Evidence, pose: Solutions) -> np.ndarray:
+    """Read minus predicted (N, n_channels) where the pose device would show `pose`."""
+    n = len(model.joints)
     x = np.concatenate([evidence.x[:, :n], pose.position, pose.rotation.reshape(-1, 9)], axis=1)
     rows = model.structure.rows_batch(x, evidence.a, model.values)[0]
     predicted = rows[:, model.structure.phi.shape[0] :]
@@ -120,35 +131,42 @@ def improvement(
 def noise_floor(model: Model, evidence: Evidence, seed: int = 0) -> dict[str, float | None]:
     """The errors a perfect model of this robot would show: measurement noise alone.
 
-    Joint noise reaches the pose through the direct problem, pose noise the joints through
-    the inverse; means of norms by 64 draws a sample with a fixed seed.
+    Joint noise reaches the pose and what sensors show there through the direct problem, pose
+    noise the joints through the inverse; means of norms by 64 draws a sample with a fixed seed.
     """
     n, m = len(model.joints), model.mechanism
-    _, C, _ = _blocks(model, evidence)
+    closure = model.structure.phi.shape[0]
+    rows = _row_jacobians(model, evidence)
+    C, shown_by = rows[:, :closure], rows[:, closure:]
     moved = [n + i for i in m.moved]
     solved_for = [*range(n), *[n + i for i in m.passive]]
     given = [n + i for i in m.controlled]
-    draws = np.random.default_rng(seed).standard_normal((64, *evidence.S.shape[:2]))
+    rng = np.random.default_rng(seed)
+    draws = rng.standard_normal((64, *evidence.S.shape[:2]))
     noise = np.einsum("nij,dnj->dni", np.linalg.cholesky(evidence.S + 1e-30 * np.eye(n + 6)), draws)
     to_pose = -np.linalg.pinv(C[:, :, moved]) @ C[:, :, :n]
     to_joint = -(np.linalg.pinv(C[:, :, solved_for]) @ C[:, :, given])[:, :n]
     pose = noise[:, :, n:].copy()
     pose[:, :, m.moved] -= np.einsum("nij,dnj->dni", to_pose, noise[:, :, :n])
     joint = noise[:, :, :n] - np.einsum("nij,dnj->dni", to_joint, noise[:, :, given])
+    by_joint = shown_by[:, :, :n] + shown_by[:, :, moved] @ to_pose
+    read = model.structure.accuracy * rng.standard_normal((*draws.shape[:2], shown_by.shape[1]))
+    read -= np.einsum("nij,dnj->dni", by_joint, noise[:, :, :n])
+    read = np.where(np.isfinite(evidence.reading), read, np.nan)
     measured = np.broadcast_to(evidence.measured, (len(draws), *evidence.measured.shape))
-    flat = [a.reshape(-1, a.shape[-1]) for a in (pose[:, :, :3], pose[:, :, 3:], joint)]
-    rows = measured.reshape(-1, n + 6)
-    known = [judged(m, rows[:, n:], part) for part in (range(3), range(3, 6))]
-    known.append(np.all(rows[:, given], axis=1))
-    kept = [rows[:, n : n + 3], rows[:, n + 3 :], np.ones_like(flat[2], dtype=bool)]
-    parts = [_where(k, np.where(c, a, 0.0)) for k, c, a in zip(known, kept, flat, strict=True)]
-    return Errors(*parts).document()
+    each = (pose[:, :, :3], pose[:, :, 3:], joint, read)
+    flat = [a.reshape(len(draws) * len(evidence), a.shape[-1]) for a in each]
+    mask = measured.reshape(-1, n + 6)
+    known = [judged(m, mask[:, n:], part) for part in (range(3), range(3, 6))]
+    known.append(np.all(mask[:, given], axis=1))
+    kept = [mask[:, n : n + 3], mask[:, n + 3 :], np.ones_like(flat[2], dtype=bool)]
+    parts = [_where(k, np.where(c, a, 0.0)) for k, c, a in zip(known, kept, flat[:3], strict=True)]
+    return Errors(*[*parts, flat[3]]).document()
 
 
-def _blocks(model: Model, evidence: Evidence) -> tuple[np.ndarray, ...]:
+def _row_jacobians(model: Model, evidence: Evidence) -> np.ndarray:
+    """d rows / d (q, r, w) of closure and readings (N, n_rows, nq + 6), where the platform is."""
     from parallel_cal.methods.implicit import Linearisation
 
     linearise = Linearisation(model, evidence, np.zeros(len(model.values), dtype=bool), True)
-    phi, C, J = linearise.blocks(model.values, evidence.x)
-    rows = model.structure.phi.shape[0]
-    return phi[:, :rows], C[:, :rows], J[:, :rows]
+    return np.asarray(linearise.blocks(model.values, linearise.start())[1])

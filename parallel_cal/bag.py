@@ -12,6 +12,8 @@ from parallel_cal.errors import BagError, ParallelCalError
 from parallel_cal.recordings.cleaning import assemble
 from parallel_cal.recordings.recording import Progress, Raw, Recording, TopicInfo, Topics
 from parallel_cal.recordings.topics import (
+    CONSTRAINT,
+    DISTANCE,
     JOINTS,
     PAYLOAD,
     POINTS,
@@ -32,7 +34,7 @@ def read_bag(
     stamps: str = "header",
     progress: Progress | None = None,
 ) -> Recording:
-    """Read joint states, poses, temperature and payload of a bag directory or a data file.
+    """Read joint states, poses, what holds the tip, distances, temperature and payload of a bag.
 
     `joints` gives the joints' names in the model's order (default: as recorded), `measures` the
     coordinates the device really measures (default: what the messages say), `stamps` is "header"
@@ -48,9 +50,11 @@ def read_bag(
             raws = _read_messages(bag, chosen, progress)
         return assemble(
             raws["joints"],
-            raws["pose"],
+            raws.get("pose"),
             temperature=raws.get("temperature"),
             payload=raws.get("payload"),
+            constraint=raws.get("constraint"),
+            distance=raws.get("distance"),
             joint_names=joints,
             measures=measures,
             stamps=stamps,
@@ -196,10 +200,17 @@ def _decode(raw: Raw, log: int, data: bytes, store: Any) -> None:
     except Exception:  # bytes that are no message fail in any way; they are counted
         raw.undecodable += 1
         return
-    stamp = message.header.stamp
     raw.log.append(log)
-    raw.stamp.append(stamp.sec * 1_000_000_000 + stamp.nanosec)
+    raw.stamp.append(stamp_of(message))
     raw.rows.append(row)
+
+
+def stamp_of(message: Any) -> int:
+    """The time in a message's header in ns; 0 where it has no header."""
+    if not hasattr(message, "header"):
+        return 0
+    stamp = message.header.stamp
+    return int(stamp.sec * 1_000_000_000 + stamp.nanosec)
 
 
 def _joint_row(message: Any) -> tuple:
@@ -231,4 +242,6 @@ MESSAGE_ROWS: dict[str, Callable[[Any], tuple]] = {
     POINTS[0]: _point_row,
     TEMPERATURE[0]: lambda message: (message.temperature,),
     PAYLOAD[0]: lambda message: (message.inertia.m,),
+    CONSTRAINT[0]: lambda message: (message.data,),
+    DISTANCE[0]: lambda message: (message.header.frame_id, message.range),
 }

@@ -22,6 +22,7 @@ from parallel_cal.recordings.replicates import (
 from parallel_cal.recordings.samplefile import (
     FILE_VERSION,
     PER_SAMPLE,
+    holds_samples,
     plain,
     read_document,
     restored,
@@ -29,7 +30,9 @@ from parallel_cal.recordings.samplefile import (
 )
 from parallel_cal.recordings.samples import Options, Samples, mean_rotation, per_joint
 from parallel_cal.recordings.sampling import conditions_of, samples_of
+from parallel_cal.recordings.sessions import joined
 
+NUMBER = "number"  # the condition that keeps a sample's number where others were excluded
 METRES = 10.0  # positions typically further than this from the origin are taken for millimetres
 TURNS = 4.0 * np.pi  # joints that travel further are taken for degrees, or turn endlessly
 
@@ -43,7 +46,8 @@ class Dataset:
     (N, 6, 6) is the accuracy of a sample as the device states it, NaN where it does not;
     `joint_sigma` (nq,) likewise or None. `scatter_q` (N, nq) and `scatter_pose` (N, 6) are the
     standard deviations of single readings within a dwell, NaN where there was one. `conditions`
-    hold (N,) arrays: time, temperature, payload, direction.JOINT in -1 0 1, velocity.JOINT.
+    hold (N,) arrays: time, temperature, payload, direction.JOINT in -1 0 1, travel.JOINT (way
+    since the last reversal), velocity.JOINT; of several recordings also session, from 0.
     Samples that revisit a pose share `pose_id`.
     """
 
@@ -119,6 +123,29 @@ class Dataset:
         changed["conditions"] = {k: v[index] for k, v in self.conditions.items()}
         return dataclasses.replace(self, **changed)
 
+    @property
+    def numbers(self) -> NDArray[np.int64]:
+        """Number (N,) by which each sample is named: its place before any was excluded."""
+        own = self.conditions.get(NUMBER)
+        return np.arange(len(self)) if own is None else own.astype(np.int64)
+
+    def excluding(self, numbers: Sequence[int]) -> Dataset:
+        """Without some samples, the others keeping their numbers; DatasetError for a number that
+        there is not."""
+        if unknown := sorted(set(numbers) - set(self.numbers.tolist())):
+            raise DatasetError(
+                f"{self.source}: no sample {unknown[0]} to exclude; there are {len(self)}, "
+                f"numbered {self.numbers.min()} to {self.numbers.max()}"
+            )
+        if not numbers:
+            return self
+        named = dataclasses.replace(
+            self, conditions={**self.conditions, NUMBER: self.numbers.astype(float)}
+        )
+        said = f"excluded on request: sample {', '.join(map(str, sorted(numbers)))}"
+        kept = named.select(~np.isin(self.numbers, list(numbers)))
+        return dataclasses.replace(kept, warnings=(*self.warnings, said))
+
     def replicate_noise(self) -> ReplicateNoise:
         """Scatter of revisited poses: the noise that no model of the pose alone can explain."""
         ids = np.unique(self.pose_id, return_inverse=True)[1]
@@ -171,7 +198,7 @@ def load_dataset(
     `joints` are the model's joint names in its order. BagError or DatasetError when none can be
     had.
     """
-    if Path(path).suffix == ".json":
+    if holds_samples(Path(path)):
         return _in_order(Dataset.from_json(path), joints)
     from parallel_cal.bag import read_bag
 
@@ -179,6 +206,19 @@ def load_dataset(
         path, topics, joints=joints, measures=measures, stamps=stamps, progress=progress
     )
     return dataset_from_recording(recording, make_options(**options))
+
+
+def load_sessions(
+    paths: Sequence[str | Path], *, exclude: Sequence[int] = (), **how: Any
+) -> Dataset:
+    """One Dataset of one or more recordings; of more than one, samples know their `session`.
+
+    `exclude` are numbers of samples to leave out, `how` as in `load_dataset`; DatasetError where
+    the recordings do not go together.
+    """
+    datasets = [load_dataset(path, **how) for path in paths]
+    dataset = joined(datasets) if len(datasets) > 1 else datasets[0]
+    return dataset.excluding(exclude)
 
 
 def make_options(**options: Any) -> Options:
@@ -208,7 +248,8 @@ def dataset_from_recording(recording: Recording, options: Options | None = None)
 def _drop_millimetres(samples: Samples) -> None:
     """Drop the few poses that lie hundreds of times further out than the others."""
     distance = np.array([np.linalg.norm(s.r) for s in samples.kept])
-    usual = float(np.quantile(distance, 0.75))
+    placed = distance[[s.measured[:3].any() for s in samples.kept]]
+    usual = float(np.quantile(placed, 0.75)) if len(placed) else 0.0
     bad = (distance > 100.0 * usual) & (distance > 1.0)
     for i in np.flatnonzero(bad):
         detail = f"|r| = {distance[i]:.4g} m, others {usual:.3g} m"

@@ -10,9 +10,11 @@ import numpy as np
 from parallel_cal.dataset import Dataset
 from parallel_cal.errors import FitError
 from parallel_cal.model import Model
+from parallel_cal.recordings.samples import READING
 from parallel_cal.rotation import rotation_matrix, rotation_vector
 
-READING = "reading."  # a dataset's columns of what sensors beside the pose device show, in m
+ASSUMED = "assumed"  # whose a noise figure is that nobody measured
+GUESS = "(nobody knows? your guess, with noise.assumed: true)"
 
 
 @dataclass(frozen=True)
@@ -21,7 +23,8 @@ class Evidence:
 
     x (N, nq+12) configurations (q, r, R9); S (N, nq+6, nq+6) covariance of (q, r, w);
     measured (N, nq+6) mask; a (N, n_conditions); group (N,) equal for replicates;
-    reading (N, n_channels) of the model's sensors (m), NaN where not read.
+    reading (N, n_channels) of the model's sensors (m), NaN where not read; `noise_from` says
+    for joint and pose whose figure S is.
     """
 
     x: np.ndarray
@@ -35,6 +38,11 @@ class Evidence:
     def __len__(self) -> int:
         return len(self.x)
 
+    @property
+    def noise_assumed(self) -> bool:
+        """Whether nobody measured the noise: S weighs, but chi2 and sigma prove nothing."""
+        return ASSUMED in self.noise_from.values()
+
     def select(self, index: np.ndarray) -> Evidence:
         names = ("x", "S", "measured", "a", "group", "reading")
         return replace(self, **{name: getattr(self, name)[index] for name in names})
@@ -42,7 +50,7 @@ class Evidence:
 
 def gather(model: Model, dataset: Dataset, joint_sigma: float | None = None) -> Evidence:
     """Evidence for a model: joints in its order, noise from options, recording or model file."""
-    order = _joint_order(model, dataset)
+    order, reading = _joint_order(model, dataset), _readings(model, dataset)
     x = np.concatenate([dataset.q[:, order], dataset.r, dataset.R.reshape(-1, 9)], axis=1)
     measured = np.ones((len(x), len(order) + 6), dtype=bool)
     measured[:, len(order) :] = dataset.measured
@@ -55,7 +63,6 @@ def gather(model: Model, dataset: Dataset, joint_sigma: float | None = None) -> 
     S[:, n:, n:] = pose
     a = _conditions(model, dataset)
     noise_from = {"joint": joint_from, "pose": pose_from}
-    reading = _readings(model, dataset)
     return Evidence(x, S, measured, a, np.asarray(dataset.pose_id), reading, noise_from)
 
 
@@ -92,14 +99,18 @@ def _joint_sigma(
     if dataset.joint_sigma is not None:
         return np.asarray(dataset.joint_sigma, dtype=float)[order], "dataset"
     if model.noise.joint is not None:
-        return np.full(len(order), model.noise.joint), "model file"
+        return np.full(len(order), model.noise.joint), _stated(model)
     scatter = _pooled(dataset.scatter_q[:, order])
     if not (scatter > 0).all():
         raise FitError(
-            f"{dataset.source}: no figure for the joints' noise; give --joint-sigma (rad) or "
-            "noise.joint in the model file"
+            f"{dataset.source}: no figure for the joints' noise; give --joint-sigma (rad or m) or "
+            f"noise.joint in the model file {GUESS}"
         )
     return scatter, "scatter within dwells"
+
+
+def _stated(model: Model) -> str:
+    return ASSUMED if model.noise.assumed else "model file"
 
 
 def _pooled(scatter: np.ndarray) -> np.ndarray:
@@ -111,34 +122,31 @@ def _pooled(scatter: np.ndarray) -> np.ndarray:
 
 def _pose_covariance(model: Model, dataset: Dataset) -> tuple[np.ndarray, str]:
     """(N, 6, 6): the device's own, else the model file's, else the scatter within dwells."""
-    covariance = np.array(dataset.pose_cov, dtype=float)
-    missing = ~np.isfinite(covariance).all(axis=(1, 2)) | ~(
-        np.diagonal(covariance, axis1=1, axis2=2) > 0
-    ).all(axis=1)
-    covariance = np.where(np.isfinite(covariance), covariance, 0.0)
-    if not missing.any():
-        return covariance, "dataset"
-    sigma = _fallback_pose_sigma(model, dataset)
-    for i in np.flatnonzero(missing):
-        bad = ~(np.diag(covariance[i]) > 0)
+    covariance = np.nan_to_num(np.array(dataset.pose_cov, dtype=float))
+    lacking = ~(np.diagonal(covariance, axis1=1, axis2=2) > 0)
+    wanted = np.any(lacking & dataset.measured, axis=0)
+    sigma, source = _fallback_pose_sigma(model, dataset, wanted)
+    for i in np.flatnonzero(lacking.any(axis=1)):
+        bad = lacking[i]
         covariance[i][bad, :], covariance[i][:, bad] = 0.0, 0.0
         covariance[i][bad, bad] = sigma[bad] ** 2
-    given = model.noise.position is not None
-    return covariance, "model file" if given else "scatter within dwells"
+    return covariance, source if wanted.any() else "dataset"
 
 
-def _fallback_pose_sigma(model: Model, dataset: Dataset) -> np.ndarray:
-    scatter = _pooled(dataset.scatter_pose)
-    position, orientation = model.noise.position, model.noise.orientation
-    sigma = np.array([position or np.nan] * 3 + [orientation or np.nan] * 3)
-    sigma = np.where(np.isfinite(sigma), sigma, scatter)
-    needed = np.asarray(dataset.measured).any(axis=0)
-    if not (sigma[needed] > 0).all():
+def _fallback_pose_sigma(
+    model: Model, dataset: Dataset, wanted: np.ndarray
+) -> tuple[np.ndarray, str]:
+    """Sigma (6,) where the device states none, and whose it is; 1 where nothing is wanted."""
+    noise = model.noise
+    given = np.repeat([noise.position or np.nan, noise.orientation or np.nan], 3)
+    sigma = np.where(np.isfinite(given), given, _pooled(dataset.scatter_pose))
+    if not (sigma[wanted] > 0).all():
         raise FitError(
             f"{dataset.source}: no figure for the device's noise; record a covariance or give "
-            "noise.position (m) and noise.orientation (rad) in the model file"
+            f"noise.position (m) and noise.orientation (rad) in the model file {GUESS}"
         )
-    return np.where(sigma > 0, sigma, 1.0)
+    source = _stated(model) if np.isfinite(given[wanted]).any() else "scatter within dwells"
+    return np.where(sigma > 0, sigma, 1.0), source
 
 
 def _conditions(model: Model, dataset: Dataset) -> np.ndarray:

@@ -12,6 +12,8 @@ from parallel_cal.bag import list_topics, read_bag
 from parallel_cal.dataset import Dataset, dataset_from_recording, make_options
 from parallel_cal.errors import DatasetError
 from parallel_cal.recordings.recording import COORDINATES, Dropped, Progress, Recording, Topics
+from parallel_cal.recordings.samplefile import holds_samples
+from parallel_cal.recordings.samples import READING
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -34,6 +36,8 @@ def look(
     Doubtful units and a recording without usable samples are warnings here; only a recording
     that cannot be read is a BagError.
     """
+    if holds_samples(Path(path)):
+        return look_at(Dataset.from_json(path))
     recording = read_bag(
         path, topics, joints=joints, measures=measures, stamps=stamps, progress=progress
     )
@@ -47,6 +51,21 @@ def look(
     return document | _dataset_part(dataset)
 
 
+def look_at(dataset: Dataset) -> dict[str, Any]:
+    """The same of samples that are no recording (any more): no topics, no duration."""
+    return {
+        "source": dataset.source,
+        "sha256": dataset.sha256,
+        "duration": None,
+        "frame": dataset.frame,
+        "topics": [],
+        "channels": {},
+        "joints": _joint_ranges(dataset.joint_names, dataset.q),
+        "measured": [COORDINATES[i] for i in np.flatnonzero(dataset.measured.any(axis=0))],
+        **_dataset_part(dataset),
+    }
+
+
 def _recording_part(recording: Recording, duration: float) -> dict[str, Any]:
     """Topics, channels, joints and conditions as recorded."""
     channels: dict[str, Any] = {
@@ -54,6 +73,8 @@ def _recording_part(recording: Recording, duration: float) -> dict[str, Any]:
         "pose": recording.pose,
         "temperature": recording.temperature,
         "payload": recording.payload,
+        "constraint": recording.constraint,
+        **{f"distance {name}": gauge for name, gauge in recording.distances.items()},
     }
     return {
         "source": recording.source,
@@ -69,17 +90,15 @@ def _recording_part(recording: Recording, duration: float) -> dict[str, Any]:
             }
             for t in recording.topics
         ],
-        "channels": {name: c.topic if c else None for name, c in channels.items()},
-        "joints": _joint_ranges(recording),
+        "channels": {name: (c.topic or None) if c else None for name, c in channels.items()},
+        "joints": _joint_ranges(recording.joints.names, recording.joints.position),
         "measured": [COORDINATES[i] for i in np.flatnonzero(recording.pose.measured.any(axis=0))],
     }
 
 
-def _joint_ranges(recording: Recording) -> dict[str, dict[str, float]]:
+def _joint_ranges(names: Sequence[str], q: np.ndarray) -> dict[str, dict[str, float]]:
     """Least and greatest reading of each joint, in rad or m."""
-    q = recording.joints.position
     low, high = q.min(axis=0).tolist(), q.max(axis=0).tolist()
-    names = recording.joints.names
     return {name: {"min": low[j], "max": high[j]} for j, name in enumerate(names)}
 
 
@@ -93,6 +112,7 @@ def _nothing_usable(recording: Recording, why: str) -> dict[str, Any]:
         "dropped_list": _listed(recording.dropped),
         "replicates": {"poses": 0, "samples": 0},
         "conditions": {},
+        "readings": {},
         "noise": {},
         "warnings": [*recording.notes, why],
     }
@@ -112,7 +132,12 @@ def _dataset_part(dataset: Dataset) -> dict[str, Any]:
         "conditions": {
             name: {"min": float(values.min()), "max": float(values.max())}
             for name, values in dataset.conditions.items()
-            if len(values)
+            if len(values) and not name.startswith(READING)
+        },
+        "readings": {
+            name.removeprefix(READING): int(np.isfinite(values).sum())
+            for name, values in dataset.conditions.items()
+            if name.startswith(READING)
         },
         "noise": _noise(dataset),
         "warnings": list(dataset.warnings) + _thin_conditions(dataset),
@@ -154,7 +179,7 @@ def _thin_conditions(dataset: Dataset) -> list[str]:
     if dataset.mode == "dwell" and len(np.unique(dataset.pose_id)) == len(dataset) > 1:
         said.append("no pose was visited twice: noise cannot be told from missing effects")
     for name in dataset.joint_names:
-        ways = set(dataset.conditions[f"direction.{name}"].tolist()) - {0.0}
+        ways = set(dataset.conditions.get(f"direction.{name}", np.zeros(0)).tolist()) - {0.0}
         if len(ways) == 1:
             said.append(f"{name} was always approached from one side: backlash cannot be seen")
     return said
@@ -179,10 +204,11 @@ def _listed(dropped: Sequence[Dropped]) -> list[dict[str, Any]]:
 
 def print_look(document: dict[str, Any], console: Console) -> None:
     """Print the document as short tables, in units for people."""
-    console.print(
-        f"{document['source']}: {document['duration']:.1f} s, sha256 {document['sha256'][:12]}"
-    )
-    console.print(_topic_table(document))
+    duration = document["duration"]
+    kind = "samples" if duration is None else f"{duration:.1f} s"
+    console.print(f"{document['source']}: {kind}, sha256 {document['sha256'][:12]}")
+    if document["topics"]:
+        console.print(_topic_table(document))
     console.print(_joint_table(document))
     console.print(_sample_sentence(document))
     for reason, count in document["dropped"].items():
@@ -226,10 +252,12 @@ def _joint_table(document: dict[str, Any]) -> Any:
 def _sample_sentence(document: dict[str, Any]) -> str:
     again = document["replicates"]
     frame = document["frame"] or "no frame_id"
+    pose = f"{' '.join(document['measured'])} in frame {frame}" if document["measured"] else ""
+    read = ", ".join(f"{name} ({count})" for name, count in document["readings"].items())
     return (
         f"{document['samples']} samples ({document['mode'] or 'none'}) of {document['poses']} "
         f"poses; {again['poses']} poses visited again ({again['samples']} samples); "
-        f"measured: {' '.join(document['measured'])} in frame {frame}"
+        f"measured: {'; '.join(filter(None, (pose, read))) or 'nothing'}"
     )
 
 
@@ -245,15 +273,16 @@ def _print_noise(document: dict[str, Any], console: Console) -> None:
     """Scatter of position in um, of orientation in arcmin, of joints in their own unit."""
     for kind, noise in document["noise"].items():
         pose = noise["pose"]
-        parts = [
-            f"position {_triple(pose[:3], 1e-6, '.1f')} um",
-            f"orientation {_triple(pose[3:], ARCMIN, '.2f')} arcmin",
-        ]
+        parts = []
+        if any(v is not None for v in pose):
+            parts.append(f"position {_triple(pose[:3], 1e-6, '.1f')} um")
+            parts.append(f"orientation {_triple(pose[3:], ARCMIN, '.2f')} arcmin")
         if "joint" in noise:
             parts.append(f"joints {_triple(noise['joint'], 1e-3, '.4f')} mrad|mm")
         about = f" ({noise['dof']} degrees of freedom)" if "dof" in noise else ""
         label = kind.replace("_", " ")
-        console.print(f"noise {label}, 1 sigma{about}: {', '.join(parts)}", highlight=False)
+        if parts:
+            console.print(f"noise {label}, 1 sigma{about}: {', '.join(parts)}", highlight=False)
 
 
 def _triple(values: list[float | None], unit: float, form: str) -> str:

@@ -144,14 +144,20 @@ def plan(
         random,
         len(candidates.poses),
         seed,
-        tuple(view.warnings()),
+        (*view.warnings(), *_not_counted(model)),
     )
 
 
 def _measured(model: Model) -> np.ndarray:
     """Mask (nq + 6,): joints, and what the device has a noise figure for."""
-    noise = model.noise
+    noise, channels = model.noise, model.structure.channels
     given = [noise.position is not None, noise.orientation is not None]
+    if channels and not any(given):
+        raise FitError(
+            f"a plan chooses poses for a pose device; the model's set-up reads "
+            f"{', '.join(channels)} instead: spread the tip along the rim of the plate and of "
+            "each sphere, or take the sensors out of the model file and state noise.position"
+        )
     if noise.joint is None or not any(given):
         missing = "noise.joint" if noise.joint is None else "noise.position or noise.orientation"
         raise FitError(
@@ -159,6 +165,11 @@ def _measured(model: Model) -> np.ndarray:
             "noise (1 sigma, rad or m) in the model file"
         )
     return np.array([True] * len(model.joints) + [given[0]] * 3 + [given[1]] * 3)
+
+
+def _not_counted(model: Model) -> list[str]:
+    channels = ", ".join(model.structure.channels)
+    return [f"planned for the pose device alone, as if {channels} read nothing"] * bool(channels)
 
 
 def _checked_method(criterion: str, method: str | None) -> str:

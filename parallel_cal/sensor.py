@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import Any, ClassVar
+from dataclasses import fields, replace
+from typing import Any, ClassVar, cast
 
 import casadi as ca
 
@@ -55,6 +55,12 @@ class Sensor(ABC):
     @property
     def name(self) -> str:
         return type(self).__module__.removeprefix("parallel_cal.sensors.")
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """The fields that describe this set-up, without those at their defaults."""
+        own = [(f.name, getattr(self, f.name), f.default) for f in fields(cast(Any, self))]
+        return {name: value for name, value, default in own if value != default}
 
     def table(self, mechanism: Mechanism) -> ParameterTable:
         """Its parameters under their full names (`plane_spheres.hole1.x`)."""

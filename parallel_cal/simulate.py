@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from parallel_cal.errors import ModelError, SolveError
+from parallel_cal.errors import SolveError
 from parallel_cal.kinematics import Kinematics, Status
 from parallel_cal.mechanism import Mechanism
 from parallel_cal.model import Model, Noise
@@ -43,21 +43,6 @@ class Session:
     temperature: np.ndarray
     payload_time: np.ndarray
     payload: np.ndarray
-
-
-def parse_effect(text: str) -> tuple[str, dict[str, float]]:
-    """`NAME[:param=value,...]` -> name and its numbers; ModelError where it is not that."""
-    name, _, numbers = text.partition(":")
-    given: dict[str, float] = {}
-    for item in filter(None, numbers.split(",")):
-        key, equals, value = item.partition("=")
-        try:
-            given[key.strip()] = float(value)
-        except ValueError:
-            equals = ""
-        if not (equals and key.strip() and np.isfinite(given[key.strip()])):
-            raise ModelError(f"effect '{text}': expected NAME:param=value,..., found '{item}'")
-    return name.strip(), given
 
 
 def with_effects(model: Model, effects: Iterable[tuple[str, Mapping[str, float]]]) -> Model:
@@ -210,9 +195,11 @@ def _motion(model: Model, targets: np.ndarray) -> _Motion:
     moving = part < 1
     at = {"time": time, "temperature": _temperature(time)}
     at["payload"] = np.array(PAYLOADS)[dwell // SAME_PAYLOAD % len(PAYLOADS)]
-    direction = _directions(steps)[dwell]
+    direction = _directions(steps)
+    travel = _before(steps, direction)[dwell] + part * steps[dwell]
     for j, name in enumerate(model.joints):
-        at[f"direction.{name}"] = direction[:, j]
+        at[f"direction.{name}"] = direction[dwell, j]
+        at[f"travel.{name}"] = travel[:, j]
         at[f"velocity.{name}"] = np.where(moving[:, 0], steps[dwell, j] / MOVE, 0.0)
     return _Motion(time, joints, at, dwell)
 
@@ -223,6 +210,15 @@ def _directions(steps: np.ndarray) -> np.ndarray:
     for k in range(1, len(signs)):
         signs[k] = np.where(signs[k] == 0, signs[k - 1], signs[k])
     return signs
+
+
+def _before(steps: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    """How far each joint has come since its last reversal when a step (N, nq) begins."""
+    ways = np.zeros(steps.shape)
+    for k in range(1, len(steps)):
+        goes_on = direction[k] == direction[k - 1]
+        ways[k] = np.where(goes_on, ways[k - 1] + steps[k - 1], 0.0)
+    return ways
 
 
 def _temperature(time: np.ndarray) -> np.ndarray:

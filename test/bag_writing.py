@@ -149,6 +149,18 @@ def text(t: float, words: str, topic: str) -> Message:
     return topic, "std_msgs/msg/String", ns(t), kind("std_msgs/msg/String")(words)
 
 
+def tie(t: float, name: str) -> Message:
+    """From `t` s on, the plane or sphere of this name holds the tip; empty: nothing does."""
+    return text(t, name, "constraint")
+
+
+def distance(t: float, metres: float, channel: str, topic: str = "distance") -> Message:
+    """One reading of a ball-bar or probe in m (single precision, as the message has it)."""
+    range_ = kind("sensor_msgs/msg/Range")
+    body = range_(header(ns(t), channel), range_.INFRARED, 0.0, 0.0, 1.0, float(metres), 0.0)
+    return topic, "sensor_msgs/msg/Range", ns(t), body
+
+
 def write_bag(path: Path, messages: Iterable[Message], *, sqlite: bool = False) -> Path:
     """Write messages in the order of their log times; returns the bag's directory."""
     plugin = StoragePlugin.SQLITE3 if sqlite else StoragePlugin.MCAP

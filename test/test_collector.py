@@ -3,8 +3,11 @@
 from itertools import islice
 from pathlib import Path
 
+import bag_writing as bw
 import numpy as np
 import pytest
+import tied_session as ts
+import virtual_setups as vs
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
@@ -12,6 +15,7 @@ from parallel_cal.dataset import load_dataset
 from parallel_cal.errors import DatasetError
 from parallel_cal.nodes import collector as collector_module
 from parallel_cal.nodes.collector import Collector
+from parallel_cal.nodes.joining import joined
 from parallel_cal.recordings.samplefile import PER_SAMPLE
 
 BAG = Path(__file__).parent.parent / "bags" / "delta_clean"
@@ -19,9 +23,13 @@ BAG = Path(__file__).parent.parent / "bags" / "delta_clean"
 
 @pytest.fixture(scope="module")
 def messages():
+    return messages_of(BAG)
+
+
+def messages_of(bag):
     """All messages of a recording in the order of their times: (channel, log time, message)."""
     store = get_typestore(Stores.ROS2_JAZZY)
-    with AnyReader([BAG], default_typestore=store) as reader:
+    with AnyReader([bag], default_typestore=store) as reader:
         return [
             (connection.topic, log, reader.deserialize(data, connection.msgtype))
             for connection, log, data in reader.messages()
@@ -31,6 +39,18 @@ def messages():
 @pytest.fixture(scope="module")
 def offline():
     return load_dataset(BAG)
+
+
+@pytest.fixture(scope="module")
+def tied_bag(tmp_path_factory):
+    """A virtual Delta on a plate: 10 poses on it and on each of two spheres, no pose device."""
+    path = tmp_path_factory.mktemp("tied") / "bag"
+    return bw.write_bag(path, ts.messages(vs.random_delta(1), n=10))
+
+
+@pytest.fixture(scope="module")
+def tied(tied_bag):
+    return messages_of(tied_bag)
 
 
 def feed(collector, messages):
@@ -203,3 +223,83 @@ def test_a_latched_payload_heard_twice_is_one(messages):
     collector = feed(Collector(), doubled)
     assert not collector.dropped()
     assert len(collector) == 94
+
+
+# ------------------------------------------------------------------- without a pose device
+
+
+def test_a_constraint_session_gives_exactly_the_samples_of_its_bag(tied, tied_bag):
+    collection = feed(Collector(), tied).collection()
+    assert len(collection) == 30
+    same(collection.dataset, load_dataset(tied_bag))
+    reading = collection.dataset.conditions["reading.sphere1"]
+    assert np.flatnonzero(reading == 0.0).tolist() == list(range(10, 20))
+
+
+def test_looking_in_between_changes_nothing_without_poses_either(tied, tied_bag):
+    collector = Collector()
+    for k in range(0, len(tied), 100):
+        feed(collector, tied[k : k + 100])
+    same(collector.collection().dataset, load_dataset(tied_bag))
+
+
+def test_a_constraint_said_long_before_anything_moves_still_holds(tied):
+    first = next(m for m in tied if m[0] == "constraint")
+    early = [(first[0], first[1] - 3600 * 10**9, first[2])]
+    collection = feed(Collector(), early + [m for m in tied if m is not first]).collection()
+    assert len(collection) == 30
+
+
+def test_words_heard_late_and_twice_change_nothing(tied, tied_bag):
+    """Topics overtake each other, and what is latched is heard by two subscriptions."""
+    words = [m for m in tied if m[0] == "constraint"]
+    others = [m for m in tied if m[0] != "constraint"]
+    shuffled = others[:500] + words[::-1] + words + others[500:]
+    same(feed(Collector(), shuffled).collection().dataset, load_dataset(tied_bag))
+
+
+def test_a_constraint_session_played_twice_is_two_sessions(tied):
+    both = feed(feed(Collector(), tied), tied).collection().dataset
+    assert len(both) == 60
+    for name in ("plane", "sphere1", "sphere2"):
+        assert np.isfinite(both.conditions[f"reading.{name}"]).sum() == 20
+
+
+def test_sessions_on_different_spheres_keep_the_readings_of_both(tied):
+    third = len(tied) // 3
+    one, other = Collector(), Collector()
+    feed(one, tied[:third])
+    feed(other, [m for m in tied if m[0] == "constraint"][:2] + tied[third + 40 : 2 * third])
+    parts = [(c.collection().dataset, k * 10**12) for k, c in enumerate((one, other), start=1)]
+    both = joined(parts)
+    assert {"reading.plane", "reading.sphere1"} <= both.conditions.keys()
+    assert not both.warnings
+    assert both.sha256 != joined(parts[::-1]).sha256
+
+
+def test_neither_poses_nor_a_constraint_is_said(tied):
+    collector = feed(Collector(), [m for m in tied if m[0] == "joint_states"])
+    with pytest.raises(DatasetError, match="nothing received on measured_pose or constraint or"):
+        collector.collection()
+
+
+def test_a_long_constraint_session_keeps_what_holds_the_tip(tied, tied_bag, monkeypatch):
+    monkeypatch.setattr(collector_module, "LONGEST_SESSION", 400)
+    collector = Collector()
+    for k in range(0, len(tied), 50):
+        feed(collector, tied[k : k + 50])
+    dataset = collector.collection().dataset
+    offline = load_dataset(tied_bag)
+    assert len(dataset) == 30
+    for name in ("plane", "sphere1", "sphere2"):
+        column = f"reading.{name}"
+        np.testing.assert_array_equal(dataset.conditions[column], offline.conditions[column])
+
+
+def test_distances_are_collected_as_they_are_recorded(tmp_path):
+    moves = ts.session([[0.1, 0.2, 0.3], [0.4, 0.1, 0.2], [0.2, 0.5, 0.1]])
+    read = [bw.distance(k + 0.1 * i, 0.2 + 0.01 * k, "probe") for k in range(3) for i in range(6)]
+    bag = bw.write_bag(tmp_path / "bag", bw.joint_states(moves) + read)
+    live = feed(Collector(), messages_of(bag)).collection().dataset
+    same(live, load_dataset(bag))
+    np.testing.assert_allclose(live.conditions["reading.probe"], [0.2, 0.21, 0.22], atol=1e-7)

@@ -299,6 +299,15 @@ def test_a_tolerance_of_zero_is_refused(text):
     refused(text.replace(LINK, LINK.replace("0.001", "0.0")), "D_x.tolerance", "above 0", "(in m)")
 
 
+def test_noise_that_nobody_measured_says_so_and_no_other_does(text):
+    assert "assumed" not in text
+    words = text.replace("noise: {", "noise: {assumed: true, ")
+    model = parse_model(words)
+    assert model.noise.assumed
+    assert parse_model(dump_model(model)).noise == model.noise
+    refused(words.replace("true", "perhaps"), "noise.assumed: expected true or false")
+
+
 def test_negative_noise_is_refused(text):
     refused(
         text.replace("joint: 0.0001", "joint: -1"), "noise.joint", "expected 0 or more, found -1"
@@ -444,6 +453,81 @@ def test_an_unknown_effect_is_refused_and_the_nearest_is_suggested(text):
 def test_an_effect_that_occurs_twice_is_refused(text):
     effect = text[text.index("- name: backlash") : text.index("history")]
     refused(text.replace(effect, effect + effect), "effects.1.name", "occurs twice")
+
+
+PLATE = "{height: 0.23, holes: [[-0.03, 0.0], [0.03, 0.0]], bars: [0.07, 0.07], sigma: 2.0e-05}"
+
+
+def with_sensors(*entries):
+    """A file of model 24 with these entries of its list of sensors."""
+    text = dump_model(new_model("delta24"))
+    return text.replace(
+        "history:", "sensors:\n" + "".join(f"- {e}\n" for e in entries) + "history:"
+    )
+
+
+def test_sensors_come_back_in_order_with_their_numbers_and_masks():
+    model = parse_model(
+        with_sensors(f"{{name: plane_spheres, options: {PLATE}}}", "name: device_frame")
+    )
+    plate, frame = model.sensors
+    assert (plate.height, plate.bars, plate.sigma) == (0.23, (0.07, 0.07), 2e-5)
+    assert plate.holes == ((-0.03, 0.0), (0.03, 0.0))
+    assert frame.name == "device_frame"
+    names = model.table.names
+    assert names[24] == "plane_spheres.plane.z"
+    assert model.fixed[24:38].all()
+    assert not model.fixed[38:].any()
+    values, fixed = model.values.copy(), model.fixed.copy()
+    values[names.index("plane_spheres.bar2.length")] = 0.0701
+    fixed[names.index("plane_spheres.bar2.length")] = False
+    model = replace(model, values=values, fixed=fixed)
+    text = dump_model(model)
+    again = parse_model(text)
+    assert f"  options: {PLATE}\n" in text
+    assert again.sensors == model.sensors
+    assert (again.values == values).all()
+    assert (again.fixed == fixed).all()
+    assert dump_model(again) == text
+
+
+def test_a_sensor_without_numbers_has_its_own_and_with_some_lacks_the_others():
+    text = with_sensors("{name: probe, options: {height: 0.3}}")
+    assert parse_model(text).value("probe.plate.z") == 0.3
+    part = "{name: probe, options: {height: 0.3}, parameters: {plate.z: {value: 0.3, unit: m}}}"
+    refused(
+        with_sensors(part), "sensors.0.parameters: parameters missing: plate.rx, plate.ry, tip.x"
+    )
+
+
+@pytest.mark.parametrize(
+    ("entry", "words"),
+    [
+        ("name: plane_sphers", "did you mean 'plane_spheres'?"),
+        ("{name: probe, options: {heigth: 0.3}}", "options.heigth: unknown option; did you mean"),
+        ("{name: probe, options: {height: low}}", "options.height: expected a number, found 'low'"),
+        ("name: probe", "sensors.0.options.height: this key is missing"),
+        ("{name: probe, options: [0.3]}", "sensors.0.options: expected a mapping"),
+        ("{name: probe, options: {height: .nan}}", "sensors.0.options: a number is not finite"),
+        ("{name: plane_spheres, options: {height: 0.2, bars: [0.1]}}", "expected one bar a hole"),
+        ("{name: device_frame, option: {}}", "0.option: unknown key; did you mean 'options'"),
+        ("{name: plane_spheres, options: {height: 0.2, holes: [[0.1]]}}", "holes.0.1: this key is"),
+    ],
+)  # fmt: skip
+def test_a_sensor_described_wrongly_is_refused_with_its_line(entry, words):
+    text = with_sensors(entry)
+    refused(text, f"robot.yaml:{line_of(text, entry)}: ", words)
+
+
+def test_a_sensor_that_occurs_twice_is_refused():
+    bad = with_sensors("name: device_frame", "name: device_frame")
+    refused(bad, "sensors.1.name: the sensor 'device_frame' occurs twice")
+
+
+def test_a_number_of_a_sensor_in_another_unit_is_refused_with_a_guess():
+    text = dump_model(parse_model(with_sensors("{name: probe, options: {height: 0.3}}")))
+    bad = text.replace("plate.z: {value: 0.3,", "plate.z: {value: 300.0,")
+    refused(bad, "sensors.0.parameters.plate.z.value", "is it in mm? That would be 0.3 m")
 
 
 def test_a_wrong_number_of_joints_is_refused(text):

@@ -14,7 +14,8 @@ from parallel_cal.errors import FitError, ModelError
 from parallel_cal.evidence import gather
 from parallel_cal.identification import chi2_band, fit, single_threaded
 from parallel_cal.kinematics import Kinematics
-from parallel_cal.methods.implicit import Linearisation, estimate
+from parallel_cal.linearisation import Linearisation, moved
+from parallel_cal.methods.implicit import estimate
 from parallel_cal.model import new_model
 from parallel_cal.sensor import load_sensor
 
@@ -46,13 +47,12 @@ def check_jacobian(model, evidence):
     x = linearise.start()
     phi, C, J = linearise.blocks(model.values, x)
     for k, column in enumerate(np.eye(len(model.values))):
-        moved = linearise.blocks(model.values + step * column, x)[0]
-        assert np.abs((moved - phi) / step - J[:, :, k]).max() < 1e-4
+        changed = linearise.blocks(model.values + step * column, x)[0]
+        assert np.abs((changed - phi) / step - J[:, :, k]).max() < 1e-4
     for k, column in enumerate(np.eye(C.shape[2])):
-        moved = linearise.blocks(
-            model.values, linearise._moved(x, np.tile(step * column, (len(x), 1)))
-        )
-        assert np.abs((moved[0] - phi) / step - C[:, :, k]).max() < 1e-4
+        near = moved(x, np.tile(step * column, (len(x), 1)), len(model.joints))
+        changed = linearise.blocks(model.values, near)
+        assert np.abs((changed[0] - phi) / step - C[:, :, k]).max() < 1e-4
 
 
 # ------------------------------------------------------------------------ plane and spheres

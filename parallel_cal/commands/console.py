@@ -13,6 +13,7 @@ READABLE = {"m": ("mm", 1e3), "rad": ("deg", 180 / math.pi)}
 ERROR_UNITS = {
     "position": ("um", 1e6),
     "orientation": ("arcmin", 60 * 180 / math.pi),
+    "reading": ("um", 1e6),
 }
 
 
@@ -95,7 +96,8 @@ def progress(stage: str, fraction: float) -> None:
 
 
 def errors_table(columns: Mapping[str, Mapping[str, Any]], joint_units: Sequence[str]) -> None:
-    """Mean and rms errors, one column for each of before, after, ... (as table 5.15)."""
+    """Mean and rms errors of what was measured, one column for each of before, after, ... (as
+    table 5.15)."""
     names = set(joint_units)
     joint = ("um", 1e6) if names == {"m"} else ("arcmin", 60 * 180 / math.pi)
     if len(names) > 1:  # turns and slides in one norm have no people's unit
@@ -103,6 +105,8 @@ def errors_table(columns: Mapping[str, Mapping[str, Any]], joint_units: Sequence
     units = {**ERROR_UNITS, "joint": joint}
     rows = []
     for kind, (unit, factor) in units.items():
+        if all(c.get(f"{kind}_mean") is None for c in columns.values()):
+            continue
         for measure in ("mean", "rms"):
             cells = [number(c.get(f"{kind}_{measure}"), factor, 2) for c in columns.values()]
             rows.append([f"{kind} error, {measure}", *cells, unit])

@@ -12,15 +12,19 @@ from parallel_cal.effect import load_effect
 from parallel_cal.errors import ParallelCalError
 from parallel_cal.mechanism import Mechanism, load_class, load_mechanism, shelf_names
 from parallel_cal.model import new_model
+from parallel_cal.sensor import Sensor
 
 
-def new(mechanism: str, output: Path, options: list[str], as_json: bool) -> None:
+def new(
+    mechanism: str, output: Path, options: list[str], sensors: list[str], as_json: bool
+) -> None:
     """A nominal model file; an existing one is not overwritten."""
     from parallel_cal.modelfile import model_hash, write_model
 
     if output.exists():
         raise ParallelCalError(f"{output}: exists already; remove it or give another name")
-    model = new_model(_mechanism(mechanism, options))
+    set_ups = [_sensor(item) for item in sensors]
+    model = new_model(_mechanism(mechanism, options), sensors=set_ups)
     write_model(model, output)
     document = {"file": str(output), "mechanism": mechanism, "hash": model_hash(model)}
     if as_json:
@@ -41,13 +45,27 @@ def _mechanism(name: str, options: list[str]) -> Mechanism:
     try:
         return load_mechanism(name, **given)
     except TypeError as error:
-        takes = ", ".join(_options_of(name)) or "none"
+        takes = ", ".join(_options_of(load_class("mechanisms", name, Mechanism))) or "none"
         raise ParallelCalError(f"mechanism {name} ({error}); its options: {takes}") from None
 
 
-def _options_of(name: str) -> list[str]:
-    """The options of a mechanism, `links` or with its default `radius=0.1`."""
-    made = vars(load_class("mechanisms", name, Mechanism)).get("__init__")
+def _sensor(item: str) -> Sensor:
+    """`probe: {height: 0.3}`: a sensor and its options as in a model file (YAML)."""
+    from parallel_cal.modelfiles.sensoroptions import read_sensor
+    from parallel_cal.modelfiles.yamltext import parse_yaml
+
+    document = parse_yaml(item, "--sensor")
+    data = {document.data: {}} if isinstance(document.data, str) else document.data
+    if isinstance(data, dict) and len(data) == 1:
+        [(name, options)] = data.items()
+        if isinstance(options, dict):
+            return read_sensor(document, (name,), name, options)
+    raise ParallelCalError(f"--sensor {item}: expected 'NAME' or 'NAME: {{KEY: VALUE, ...}}'")
+
+
+def _options_of(cls: type) -> list[str]:
+    """The options of a mechanism or sensor, `links` or with its default `radius=0.1`."""
+    made = vars(cls).get("__init__")
     if made is None:
         return []
     parameters = list(signature(made).parameters.values())[1:]
@@ -71,7 +89,7 @@ def mechanisms(as_json: bool) -> None:
 
 def _mechanism_row(name: str) -> dict[str, Any]:
     cls: Any = load_class("mechanisms", name, Mechanism)
-    options = _options_of(name)
+    options = _options_of(cls)
     # One that cannot be built without options says so instead.
     m = None if any("=" not in option for option in options) else cls()
     return {
@@ -95,10 +113,16 @@ def effects(as_json: bool) -> None:
     if as_json:
         return console.emit({"effects": rows})
     console.table(
-        ("effect", "needs", "what", "resembles"),
+        ("effect", "needs", "what"),
+        [(r["name"], " ".join(r["needs"]) or "-", r["physics"]) for r in rows],
+    )
+    console.say("")
+    console.table(
+        ("effect", "resembles", "told apart by"),
         [
-            (r["name"], " ".join(r["needs"]) or "-", r["physics"], ", ".join(r["lookalikes"]))
+            (r["name"], ", ".join(r["lookalikes"]), r["separated_by"])
             for r in rows
+            if r["lookalikes"]
         ],
     )
 
@@ -108,8 +132,33 @@ def _effect_row(name: str) -> dict[str, Any]:
     return {
         "name": name,
         "needs": list(e.needs),
+        "given": list(e.fixed),
         "physics": e.physics,
         "source": e.source,
         "lookalikes": list(e.lookalikes),
         "separated_by": e.separated_by,
+    }
+
+
+def sensors(as_json: bool) -> None:
+    rows = [_sensor_row(name) for name in shelf_names("sensors")]
+    if as_json:
+        return console.emit({"sensors": rows})
+    console.table(
+        ("sensor", "options", "what"),
+        [(r["name"], _without_defaults(r["options"]), r["physics"]) for r in rows],
+    )
+
+
+def _without_defaults(options: list[str]) -> str:
+    return ", ".join(option.partition("=")[0] for option in options)
+
+
+def _sensor_row(name: str) -> dict[str, Any]:
+    cls: Any = load_class("sensors", name, Sensor)
+    return {
+        "name": name,
+        "options": _options_of(cls),
+        "physics": cls.physics,
+        "source": cls.source,
     }

@@ -47,6 +47,8 @@ def with_noise(model: Model, source: str) -> Model:
     own, stated = model.noise, stated_noise(model)
     joint = stated.joint if own.joint is None else own.joint
     device = (own.position, own.orientation)
+    if model.structure.channels and device == (None, None):
+        return replace(model, noise=replace(own, joint=joint))  # measured without a pose device
     if own.joint is None or device == (None, None):
         # Of a device that states one of both, the other is taken for not measured.
         console.note(f"{source} states no noise of joints or device: typical instruments are taken")

@@ -58,6 +58,14 @@ def joint(document: Document, name: str, expected: str, part: JointPart) -> None
         raise document.error(path, f"limits {limits} rad: are these degrees?")
 
 
+def gravity(document: Document, found: Sequence[float]) -> None:
+    """A direction in {B} and m/s^2, not a bare direction or mm/s^2; zero is weightless."""
+    size = math.hypot(*found)
+    if size and not 1.5 < size < 25.0:  # m/s^2: from the Moon to Jupiter
+        text = f"{[*found]} is {size:.6g} m/s^2 long, expected about 9.81 (zero: weightless)"
+        raise document.error(("gravity",), text)
+
+
 def number(document: Document, path: Path, parameter: Parameter, value: float) -> None:
     """A value within ten tolerances of nominal and within what is physically possible."""
     low, high = parameter.plausible_range()
@@ -110,8 +118,8 @@ class Hint:
     def _parameter_name(self, path: Path) -> str:
         if len(path) == 3 and path[0] == "parameters":
             return str(path[1])
-        if len(path) == 5 and path[0] == "effects" and path[2] == "parameters":
-            return f"{self._document.data['effects'][path[1]].get('name')}.{path[3]}"
+        if len(path) == 5 and path[0] in ("effects", "sensors") and path[2] == "parameters":
+            return f"{self._document.data[path[0]][path[1]].get('name')}.{path[3]}"
         return ""
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -14,9 +14,11 @@ from parallel_cal.errors import ModelError, ModelFileError
 from parallel_cal.mechanism import Home, Mechanism, Workspace, load_mechanism, shelf_names
 from parallel_cal.model import Model, Noise
 from parallel_cal.modelfiles import modelchecks as checks
-from parallel_cal.modelfiles.modelschema import FilePart, suggestion, validated
+from parallel_cal.modelfiles.modelschema import FilePart, NumberPart, suggestion, validated
+from parallel_cal.modelfiles.sensoroptions import own_numbers, read_sensor
 from parallel_cal.modelfiles.yamltext import Document, Path
 from parallel_cal.parameters import Parameter, ParameterTable
+from parallel_cal.sensor import Sensor
 
 VERSION = 1
 
@@ -30,14 +32,14 @@ class Reader:
 
     def model(self) -> Model:
         self._check_version()
-        mechanism, effects = self._mechanism(), self._effects()
-        hint = checks.Hint(self._document, _full_table(mechanism, effects))
+        mechanism, effects, sensors = self._mechanism(), self._effects(), self._sensors()
+        hint = checks.Hint(self._document, _full_table(mechanism, effects, sensors))
         file = validated(self._document, hint)
         self._configure(mechanism, file)
-        entries = self._entries(file, mechanism, effects)
+        entries = self._entries(file, mechanism, effects, sensors)
         for path, parameter, entry in entries:
             checks.number(self._document, path, parameter, entry.value)
-        table = _full_table(mechanism, effects)
+        table = _full_table(mechanism, effects, sensors)
         sigmas = [entry.sigma for _, _, entry in entries]
         return Model(
             mechanism,
@@ -48,6 +50,7 @@ class Reader:
             noise=Noise(**dict(file.noise)),
             history=tuple(file.history),
             frames=dict(file.frames),
+            sensors=tuple(sensors),
         )
 
     # ------------------------------------------------------------------ what the file is about
@@ -81,21 +84,32 @@ class Reader:
             ) from None
 
     def _effects(self) -> list[Effect]:
-        entries = self._document.data.get("effects")
-        loaded: list[Effect] = []
+        return self._loaded("effects", lambda path, name, entry: load_effect(name))
+
+    def _sensors(self) -> list[Sensor]:
+        return self._loaded("sensors", self._sensor)
+
+    def _sensor(self, path: Path, name: str, entry: dict[str, Any]) -> Sensor:
+        options = entry.get("options", {})
+        if not isinstance(options, dict):
+            raise self._error((*path, "options"), f"expected a mapping, found {options!r}")
+        return read_sensor(self._document, (*path, "options"), name, options)
+
+    def _loaded(self, key: str, load: Callable[[Path, str, dict[str, Any]], Any]) -> list[Any]:
+        """What the entries of a list name, each once, in their order."""
+        entries = self._document.data.get(key)
+        loaded: list[Any] = []
         for i, entry in enumerate(entries if isinstance(entries, list) else []):
             name = entry.get("name") if isinstance(entry, dict) else None
-            if isinstance(name, str):  # anything else is the schema's business
-                loaded.append(self._effect(("effects", i, "name"), name, loaded))
+            if not isinstance(name, str):  # the schema's business
+                continue
+            if any(part.name == name for part in loaded):
+                raise self._error((key, i, "name"), f"the {key[:-1]} '{name}' occurs twice")
+            try:
+                loaded.append(load((key, i), name, entry))
+            except ModelError as error:
+                raise self._unknown((key, i, "name"), name, shelf_names(key), error) from None
         return loaded
-
-    def _effect(self, path: Path, name: str, earlier: list[Effect]) -> Effect:
-        if any(effect.name == name for effect in earlier):
-            raise self._error(path, f"the effect '{name}' occurs twice")
-        try:
-            return load_effect(name)
-        except ModelError as error:
-            raise self._unknown(path, name, shelf_names("effects"), error) from None
 
     def _unknown(
         self, path: Path, name: str, known: list[str], error: ModelError
@@ -119,6 +133,10 @@ class Reader:
                 what = f"one for each of {', '.join(controls)}"
                 self._check_length(("workspace", key), values, len(controls), what)
             mechanism.workspace = Workspace(*(tuple(v) for _, v in file.workspace))
+        if file.gravity is not None:
+            checks.gravity(self._document, file.gravity)
+            x, y, z = file.gravity
+            mechanism.gravity = (x, y, z)
         mechanism.parameters = self._own_table(mechanism, file)
 
     def _set_joints(self, mechanism: Mechanism, file: FilePart) -> None:
@@ -146,27 +164,49 @@ class Reader:
         return ParameterTable(own)
 
     def _entries(
-        self, file: FilePart, mechanism: Mechanism, effects: Sequence[Effect]
+        self,
+        file: FilePart,
+        mechanism: Mechanism,
+        effects: Sequence[Effect],
+        sensors: Sequence[Sensor],
     ) -> list[tuple[Path, Parameter, Any]]:
         """(key, parameter, entry) in the order of the parameter vector."""
         found: list[tuple[Path, Parameter, Any]] = [
             (("parameters", p.name), p, file.parameters[p.name]) for p in mechanism.parameters
         ]
-        for i, (effect, part) in enumerate(zip(effects, file.effects, strict=True)):
+        for i, (effect, entry) in enumerate(zip(effects, file.effects, strict=True)):
             path: Path = ("effects", i, "parameters")
-            short = {p.name.removeprefix(f"{effect.name}."): p for p in effect.table(mechanism)}
-            checks.names(self._document, path, part.parameters, short)
-            for name, parameter in short.items():
-                checks.unit(self._document, (*path, name), parameter, part.parameters[name].unit)
-                found.append(((*path, name), parameter, part.parameters[name]))
+            found += self._part(path, effect, effect.table(mechanism), entry.parameters)
+        for i, (sensor, given) in enumerate(zip(sensors, file.sensors, strict=True)):
+            table = sensor.table(mechanism)
+            numbers = given.parameters
+            numbers = own_numbers(sensor, table) if numbers is None else numbers
+            found += self._part(("sensors", i, "parameters"), sensor, table, numbers)
         return found
+
+    def _part(
+        self,
+        path: Path,
+        part: Effect | Sensor,
+        table: ParameterTable,
+        numbers: Mapping[str, NumberPart],
+    ) -> Iterator[tuple[Path, Parameter, NumberPart]]:
+        """The parameters of an effect or a sensor, which the file has by their short names."""
+        short = {p.name.removeprefix(f"{part.name}."): p for p in table}
+        checks.names(self._document, path, numbers, short)
+        for name, parameter in short.items():
+            checks.unit(self._document, (*path, name), parameter, numbers[name].unit)
+            yield (*path, name), parameter, numbers[name]
 
     def _check_length(self, path: Path, values: Sequence[Any], n: int, what: str) -> None:
         checks.length(self._document, path, values, n, what)
 
 
-def _full_table(mechanism: Mechanism, effects: Sequence[Effect]) -> ParameterTable:
-    tables = [effect.table(mechanism) for effect in effects]
+def _full_table(
+    mechanism: Mechanism, effects: Sequence[Effect], sensors: Sequence[Sensor]
+) -> ParameterTable:
+    parts: list[Effect | Sensor] = [*effects, *sensors]
+    tables = [part.table(mechanism) for part in parts]
     return ParameterTable([*mechanism.parameters, *(p for table in tables for p in table)])
 
 

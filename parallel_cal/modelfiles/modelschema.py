@@ -65,6 +65,12 @@ class NoisePart(Part):
     orientation: NotNegative | None = None
 
 
+class ModelNoisePart(NoisePart):
+    """The noise a model is fitted with, and whether anybody measured it."""
+
+    assumed: bool = False
+
+
 class NumberPart(Part):
     """One parameter of an effect; its nominal value and tolerance belong to the effect."""
 
@@ -88,6 +94,14 @@ class EffectPart(Part):
     parameters: dict[str, NumberPart]
 
 
+class SensorPart(Part):
+    """One measuring set-up beside the pose device: its fields, its parameters (none: nominal)."""
+
+    name: str
+    options: dict[str, Any] = {}
+    parameters: dict[str, NumberPart] | None = None
+
+
 class CovariancePart(Part):
     """Covariance of the estimated parameters: names, and the lower triangle row by row."""
 
@@ -109,9 +123,11 @@ class FilePart(Part):
     home: HomePart | None = None
     workspace: WorkspacePart | None = None
     frames: FramesPart = FramesPart(base="base", platform="platform")
-    noise: NoisePart = NoisePart()
+    gravity: Vector | None = None
+    noise: ModelNoisePart = ModelNoisePart()
     parameters: dict[str, ParameterPart]
     effects: list[EffectPart] = []
+    sensors: list[SensorPart] = []
     covariance: CovariancePart | None = None
     history: list[dict[str, Any]] = []
 
@@ -124,10 +140,12 @@ KNOWN: dict[Path, type[Part]] = {
     ("home",): HomePart,
     ("workspace",): WorkspacePart,
     ("frames",): FramesPart,
-    ("noise",): NoisePart,
+    ("noise",): ModelNoisePart,
     ("parameters", "*"): ParameterPart,
     ("effects", "*"): EffectPart,
     ("effects", "*", "parameters", "*"): NumberPart,
+    ("sensors", "*"): SensorPart,
+    ("sensors", "*", "parameters", "*"): NumberPart,
     ("covariance",): CovariancePart,
 }
 
@@ -157,10 +175,11 @@ def validated(document: Document, hint: Any) -> FilePart:
         first, *others = error.errors(include_url=False)
         path = tuple(first["loc"])
         more = f" (and {len(others)} more)" if others else ""
-        raise document.error(path, _sentence(first, path) + hint(path) + more) from None
+        raise document.error(path, sentence(first, path) + hint(path) + more) from None
 
 
-def _sentence(error: Any, path: Path) -> str:
+def sentence(error: Any, path: Path) -> str:
+    """What is wrong with the value at a path, from pydantic's account of it."""
     kind = error["type"]
     if kind == "extra_forbidden":
         return "unknown key" + suggestion(str(path[-1]), _known_at(path[:-1]))

@@ -8,9 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from parallel_cal.effect import Effect
 from parallel_cal.model import Model
 from parallel_cal.modelfiles.yamltext import flow
 from parallel_cal.parameters import Parameter
+from parallel_cal.sensor import Sensor
 
 HEAD = """\
 # Model file of parallel_cal. SI units: m, rad, kg, s, N, degC. sigma and tolerance are 1 sigma;
@@ -21,7 +23,7 @@ parallel_cal: 1
 
 def dump_model(model: Model) -> str:
     """The file's text; ModelFileError where a number is not finite."""
-    parts = (_setup, _parameters, _effects, _covariance, _history)
+    parts = (_setup, _parameters, _effects, _sensors, _covariance, _history)
     return HEAD + "".join(f"{line}\n" for part in parts for line in part(model))
 
 
@@ -39,7 +41,10 @@ def _setup(model: Model) -> Iterator[str]:
     box = {side: [float(v) for v in getattr(m.workspace, side)] for side in ("low", "high")}
     yield f"workspace: {flow(box)}"
     yield f"frames: {flow(dict(model.frames))}"
-    yield f"noise: {flow(vars(model.noise))}"
+    if tuple(m.gravity) != type(m).gravity:
+        yield f"gravity: {flow([float(v) for v in m.gravity])}"
+    noise = {key: value for key, value in vars(model.noise).items() if value is not False}
+    yield f"noise: {flow(noise)}"
 
 
 def _mechanism(model: Model) -> Iterator[str]:
@@ -65,14 +70,28 @@ def _parameters(model: Model) -> Iterator[str]:
 
 def _effects(model: Model) -> Iterator[str]:
     yield "effects:" if model.effects else "effects: []"
-    i = len(model.mechanism.parameters)
     for effect in model.effects:
         yield f"- name: {flow(effect.name)}"
-        yield "  parameters:"
-        for parameter in effect.table(model.mechanism):
-            name = parameter.name.removeprefix(f"{effect.name}.")
-            yield f"    {flow(name)}: {flow(_entry(model, i, parameter, {}))}"
-            i += 1
+        yield from _numbers(model, effect)
+
+
+def _sensors(model: Model) -> Iterator[str]:
+    """Nothing where there is none: most robots are measured by a pose device in {B}."""
+    if model.sensors:
+        yield "sensors:"
+    for sensor in model.sensors:
+        yield f"- name: {flow(sensor.name)}"
+        yield f"  options: {flow(sensor.options)}"
+        yield from _numbers(model, sensor)
+
+
+def _numbers(model: Model, part: Effect | Sensor) -> Iterator[str]:
+    """The parameters of an effect or a sensor under their short names."""
+    table = part.table(model.mechanism)
+    yield "  parameters:" if len(table) else "  parameters: {}"
+    for parameter in table:
+        name, i = parameter.name.removeprefix(f"{part.name}."), model.table.index_of(parameter.name)
+        yield f"    {flow(name)}: {flow(_entry(model, i, parameter, {}))}"
 
 
 def _entry(model: Model, i: int, parameter: Parameter, own: Mapping[str, float]) -> dict[str, Any]:

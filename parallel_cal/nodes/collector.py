@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from parallel_cal.bag import stamp_of
 from parallel_cal.dataset import Dataset, load_dataset
 from parallel_cal.errors import DatasetError
 from parallel_cal.nodes.joining import joined
@@ -67,15 +68,24 @@ class Collector:
     def _restart(self) -> None:
         self._sessions = [Session(self._topics, self._numbers)]
         self._at = dict.fromkeys(CHANNELS, self._sessions[0])
+        self._words: list[tuple[int, Any]] = []
 
     # ------------------------------------------------------------------ messages in
 
     def receive(self, channel: str, message: Any, log_ns: int) -> None:
-        """Buffer one message of a channel; `log_ns` serves where its header has no stamp."""
+        """Buffer one message of a channel; `log_ns`, when it was received, serves where its header
+        has no stamp. A constraint has no header at all: it goes with the next joint state."""
         self.received[channel] += 1
-        stamp = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
+        if channel == "constraint":
+            self._words.append((log_ns, message))
+            return
+        stamp = stamp_of(message)
         if self._at[channel].jumps_back(channel, stamp):
             self._at[channel] = self._session_after(self._at[channel])
+        if channel == "joint_states":
+            for log, word in self._words:
+                self._at[channel].add("constraint", 0, log, word)
+            self._words.clear()
         self._at[channel].add(channel, stamp, log_ns, message)
 
     def _session_after(self, session: Session) -> Session:
@@ -90,7 +100,8 @@ class Collector:
         live = self._at["joint_states"]
         if len(live.raws["joint_states"].stamp) > LONGEST_SESSION:
             self._begin_another(live)
-        in_use = [self._at["joint_states"], self._at[self._pose_channel()]]
+        heard = [c for c in (self._pose_channel(), "distance") if self.received[c]]
+        in_use = [self._at[channel] for channel in ("joint_states", *heard)]
         first = min(self._sessions.index(s) for s in in_use)
         for session in self._sessions[:first]:
             session.close()
@@ -98,14 +109,12 @@ class Collector:
 
     def _begin_another(self, live: Session) -> None:
         """A new session in the middle of a motion, so that no dwell is cut; with the last
-        temperature and payload, which may not be said again."""
+        temperature, payload and constraint."""
         resting = live.dataset is not None and _is_current(live, self.options)
         if resting and len(live.raws["joint_states"].stamp) < 2 * LONGEST_SESSION:
             return
         new = Session(self._topics, self._numbers)
-        for channel in SCALARS:
-            for part in ("log", "stamp", "rows"):
-                setattr(new.raws[channel], part, getattr(live.raws[channel], part)[-1:])
+        new.inherit(live, [*SCALARS, "constraint"])
         self._sessions.append(new)
         self._at = dict.fromkeys(CHANNELS, new)
 

@@ -11,15 +11,18 @@ import numpy as np
 
 from parallel_cal.dataset import Dataset
 from parallel_cal.errors import DatasetError
+from parallel_cal.recordings.readings import joined_conditions
 from parallel_cal.recordings.replicates import replicate_ids
 from parallel_cal.recordings.samplefile import PER_SAMPLE
+from parallel_cal.recordings.samples import READING
 
 
 def joined(parts: Sequence[tuple[Dataset, int]], tolerance: float | None = None) -> Dataset:
     """One dataset of (dataset, start in ns) parts, times from the first start, replicates anew.
 
     Samples of a file do not know when they were taken (start 0): the next part follows them. A
-    condition that a part lacks is left out with a warning; DatasetError for different joints.
+    condition that a part lacks is left out with a warning, a sensor's reading is NaN there;
+    DatasetError for different joints.
     """
     first, start = parts[0]
     if len(parts) == 1:
@@ -41,11 +44,13 @@ def fingerprint(dataset: Dataset) -> str:
     digest = hashlib.sha256()
     for name in ("q", "r", "R", "measured", "pose_cov", "time"):
         digest.update(np.ascontiguousarray(getattr(dataset, name)).tobytes())
+    for name in sorted(c for c in dataset.conditions if c.startswith(READING)):
+        digest.update(name.encode() + dataset.conditions[name].tobytes())
     return digest.hexdigest()
 
 
 def _later(dataset: Dataset, shift: float) -> Dataset:
-    conditions = {**dataset.conditions, "time": dataset.conditions["time"] + shift}
+    conditions = {k: v + shift if k == "time" else v for k, v in dataset.conditions.items()}
     return dataclasses.replace(dataset, time=dataset.time + shift, conditions=conditions)
 
 
@@ -54,7 +59,7 @@ def _stacked(datasets: list[Dataset], tolerance: float | None) -> Dataset:
     columns: dict[str, Any] = {
         name: np.concatenate([getattr(d, name) for d in datasets]) for name in PER_SAMPLE
     }
-    shared = [c for c in first.conditions if all(c in d.conditions for d in datasets)]
+    shared = joined_conditions(datasets)
     lacking = sorted({c for d in datasets for c in d.conditions} - set(shared))
     warnings = [w for d in datasets for w in d.warnings]
     if lacking:
@@ -64,7 +69,7 @@ def _stacked(datasets: list[Dataset], tolerance: float | None) -> Dataset:
     together = dataclasses.replace(
         first,
         **columns,
-        conditions={c: np.concatenate([d.conditions[c] for d in datasets]) for c in shared},
+        conditions=shared,
         warnings=tuple(dict.fromkeys(warnings)),
         source=" + ".join(dict.fromkeys(d.source for d in datasets)),
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,15 @@ from parallel_cal.recordings.cleaning import assemble
 from parallel_cal.recordings.pairing import bracketed
 from parallel_cal.recordings.recording import Bools, Dropped, Raw, Recording, TopicInfo
 from parallel_cal.recordings.samples import Options, max_gap
-from parallel_cal.recordings.topics import JOINTS, PAYLOAD, POINTS, POSES, TEMPERATURE
+from parallel_cal.recordings.topics import (
+    CONSTRAINT,
+    DISTANCE,
+    JOINTS,
+    PAYLOAD,
+    POINTS,
+    POSES,
+    TEMPERATURE,
+)
 
 CHANNELS = {
     "joint_states": JOINTS[0],
@@ -23,6 +31,8 @@ CHANNELS = {
     "measured_position": POINTS[0],
     "temperature": TEMPERATURE[0],
     "payload": PAYLOAD[0],
+    "constraint": CONSTRAINT[0],
+    "distance": DISTANCE[0],
 }
 SCALARS = ("temperature", "payload")
 CLOCK_JUMP = 1_000_000_000  # ns; a stamp further back than this starts another session
@@ -80,6 +90,20 @@ class Session:
         pose, position = self.raws["measured_pose"], self.raws["measured_position"]
         return pose if pose.stamp or not position.stamp else position
 
+    def inherit(self, other: Session, channels: Iterable[str]) -> None:
+        """Begin with the last message of another session: it may not be said again."""
+        for channel in channels:
+            for part in ("log", "stamp", "rows"):
+                setattr(self.raws[channel], part, getattr(other.raws[channel], part)[-1:])
+
+    def _silent(self) -> list[str]:
+        """Topics without which there are no samples, and that nothing came in on."""
+        measured = (self.poses, self.raws["constraint"], self.raws["distance"])
+        silent = [] if self.raws["joint_states"].stamp else [self.raws["joint_states"].topic]
+        if not any(raw.stamp for raw in measured):
+            silent.append(" or ".join(raw.topic for raw in measured))
+        return silent
+
     def forget(self) -> None:
         """Look at all messages again at the next refresh."""
         self._seen = 0
@@ -90,7 +114,7 @@ class Session:
         if self.closed or count == self._seen:
             return False
         self._seen = count
-        silent = [raw.topic for raw in (self.raws["joint_states"], self.poses) if not raw.stamp]
+        silent = self._silent()
         self.trouble = f"nothing received on {' and '.join(silent)} yet" if silent else ""
         if not silent:
             self._make_samples(joints, options)
@@ -109,8 +133,9 @@ class Session:
     def _recording(self, joints: Sequence[str] | None) -> Recording:
         found = [TopicInfo(r.topic, r.type, len(r.stamp)) for r in self.raws.values() if r.stamp]
         return assemble(
-            self.raws["joint_states"], self.poses,
+            self.raws["joint_states"], self.poses if self.poses.stamp else None,
             temperature=self.raws["temperature"], payload=self.raws["payload"],
+            constraint=self.raws["constraint"], distance=self.raws["distance"],
             joint_names=joints, source="live", topics=tuple(found),
         )  # fmt: skip
 

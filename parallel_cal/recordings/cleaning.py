@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from parallel_cal.errors import BagError
 from parallel_cal.recordings.recording import (
     COORDINATES,
+    NO_POSES,
     Array,
     Bools,
     Dropped,
@@ -23,6 +24,7 @@ from parallel_cal.recordings.recording import (
     Raw,
     Recording,
     ScalarStream,
+    TextStream,
     TopicInfo,
 )
 
@@ -72,10 +74,12 @@ class Sieve:
 
 def assemble(
     joints: Raw,
-    poses: Raw,
+    poses: Raw | None,
     *,
     temperature: Raw | None = None,
     payload: Raw | None = None,
+    constraint: Raw | None = None,
+    distance: Raw | None = None,
     joint_names: Sequence[str] | None = None,
     measures: Sequence[str] | None = None,
     stamps: str = "header",
@@ -86,22 +90,30 @@ def assemble(
 ) -> Recording:
     """Clean raw messages into a Recording; BagError when a whole stream cannot be used.
 
-    `measures` overrides what the pose messages say they measure, e.g. ("x", "y", "z").
+    `poses` is None where a constraint or distances stand in for a pose device. `measures`
+    overrides what the pose messages say they measure, e.g. ("x", "y", "z").
     """
     said, dropped = list(notes), []
-    joint_ns, pose_ns = (resolve_stamps(raw, stamps, said) for raw in (joints, poses))
-    start = int(min(joint_ns.min(), pose_ns.min()))
-    sieves = Sieve(joints, joint_ns, start), Sieve(poses, pose_ns, start)
-    joint_stream = clean_joints(joints, sieves[0], joint_names, said)
-    pose_stream = clean_poses(poses, sieves[1], measures, said)
-    for sieve, raw in zip(sieves, (joints, poses), strict=True):
+    streams = [raw for raw in (joints, poses) if raw is not None]
+    times = [resolve_stamps(raw, stamps, said) for raw in streams]
+    start = int(min(ns.min() for ns in times))
+    sieves = [Sieve(raw, ns, start) for raw, ns in zip(streams, times, strict=True)]
+    joint_stream, pose_stream = clean_joints(joints, sieves[0], joint_names, said), NO_POSES
+    if poses is not None:
+        pose_stream = clean_poses(poses, sieves[1], measures, said)
+        _require_overlap(joint_stream, pose_stream, start)
+    for sieve, raw in zip(sieves, streams, strict=True):
         dropped += _undecodable(raw) + sieve.dropped
-    _require_overlap(joint_stream, pose_stream, start)
-    warmth, load = (
-        _scalar(raw, stamps, start, joint_stream, said, dropped) for raw in (temperature, payload)
+    gauges = _by_gauge(distance)
+    warmth, load, *read = (
+        _scalar(raw, stamps, start, joint_stream, said, dropped)
+        for raw in (temperature, payload, *gauges.values())
     )
+    dropped += _undecodable(constraint) + _undecodable(distance)
     return Recording(
         source, sha256, start, topics, joint_stream, pose_stream, warmth, load,
+        _held(constraint, joints, times[0], start),
+        {channel: stream for channel, stream in zip(gauges, read, strict=True) if stream},
         tuple(dropped), tuple(said),
     )  # fmt: skip
 
@@ -271,9 +283,36 @@ def _scalar(
     return ScalarStream(raw.topic, time, value[sieve.keep])
 
 
-def _undecodable(raw: Raw) -> list[Dropped]:
+def _by_gauge(raw: Raw | None) -> dict[str, Raw]:
+    """The messages of each ball-bar or probe; rows are (frame, m), and the frame is its channel,
+    or where that is empty the topic's own name."""
+    gauges: dict[str, Raw] = {}
+    if raw is None:
+        return gauges
+    for log, stamp, (frame, value) in zip(raw.log, raw.stamp, raw.rows, strict=True):
+        channel = frame or raw.topic.rsplit("/", 1)[-1]
+        gauge = gauges.setdefault(channel, Raw(f"{raw.topic} ({channel})", raw.type))
+        gauge.log.append(log)
+        gauge.stamp.append(stamp)
+        gauge.rows.append((value,))
+    return gauges
+
+
+def _held(
+    raw: Raw | None, joints: Raw, joint_ns: NDArray[np.int64], start: int
+) -> TextStream | None:
+    """Words without a header: said when the joint state was that was logged just before them."""
+    if raw is None or not raw.log:
+        return None
+    order = np.argsort(raw.log, kind="stable")
+    before = np.searchsorted(joints.log, np.array(raw.log)[order], side="right") - 1
+    time = np.asarray((joint_ns[before.clip(0)] - start) * 1e-9, float)
+    return TextStream(raw.topic, time, tuple(raw.rows[i][0] for i in order))
+
+
+def _undecodable(raw: Raw | None) -> list[Dropped]:
     """The report of messages whose bytes are no message of their type."""
-    if not raw.undecodable:
+    if raw is None or not raw.undecodable:
         return []
     detail = f"{raw.topic}: {raw.undecodable} messages"
     return [Dropped(0.0, "message cannot be decoded", detail, raw.undecodable)]

@@ -13,6 +13,11 @@ from parallel_cal.rotation import quaternion_to_matrix
 def paired_samples(recording: Recording, options: Options, tolerance: Array) -> Samples:
     """One sample per pose message, with the joints interpolated to its time."""
     joints, pose = recording.joints, recording.pose
+    if recording.constraint or recording.distances:
+        raise DatasetError(
+            f"{recording.source}: a constraint or a distance belongs to a dwell, but mode is "
+            "'continuous': use mode='dwell', or leave their topics out (constraint= distance=)"
+        )
     found = Samples("continuous", [], tolerance, [])
     usable = bracketed(joints, pose.time, max_gap(joints, options))
     if (~usable).any():

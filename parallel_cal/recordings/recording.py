@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -24,6 +24,8 @@ class Topics:
     measured_position: str = "measured_position"
     temperature: str = "temperature"
     payload: str = "payload"
+    constraint: str = "constraint"
+    distance: str = "distance"
 
 
 @dataclass(frozen=True)
@@ -73,7 +75,7 @@ class PoseStream:
     """Measured poses: time (m,), position (m, 3) in m, unit quaternion (m, 4) x y z w.
 
     `measured` (m, 6) marks x y z rx ry rz; `covariance` (m, 6, 6) in m and rad is NaN where the
-    message gives none.
+    message gives none. Empty (m = 0, no topic) where a set-up does without a pose device.
     """
 
     topic: str
@@ -86,6 +88,12 @@ class PoseStream:
     covariance: Array
 
 
+NO_POSES = PoseStream(
+    "", "", "", np.zeros(0), np.zeros((0, 3)), np.zeros((0, 4)), np.zeros((0, 6), bool),
+    np.zeros((0, 6, 6)),
+)  # fmt: skip
+
+
 @dataclass(frozen=True)
 class ScalarStream:
     """One number over time: time (k,) in s, value (k,)."""
@@ -96,8 +104,21 @@ class ScalarStream:
 
 
 @dataclass(frozen=True)
+class TextStream:
+    """Words that hold until the next: time (k,) in s, value of length k."""
+
+    topic: str
+    time: Array
+    value: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class Recording:
-    """All channels of a recording on one clock: seconds since `start_ns`."""
+    """All channels of a recording on one clock: seconds since `start_ns`.
+
+    `constraint` names the plane or sphere that holds the tip, empty where nothing does;
+    `distances` are the readings (m) of ball-bars and probes by their channel.
+    """
 
     source: str
     sha256: str
@@ -107,5 +128,7 @@ class Recording:
     pose: PoseStream
     temperature: ScalarStream | None = None
     payload: ScalarStream | None = None
+    constraint: TextStream | None = None
+    distances: Mapping[str, ScalarStream] = field(default_factory=dict)
     dropped: tuple[Dropped, ...] = ()
     notes: tuple[str, ...] = ()

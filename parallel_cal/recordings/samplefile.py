@@ -36,6 +36,14 @@ def plain(value: Any) -> Any:
     return value
 
 
+def holds_samples(path: Path) -> bool:
+    """Whether a path is a sample file: by its name or, under another one, by its first byte."""
+    if path.suffix == ".json" or not path.is_file():
+        return path.suffix == ".json"
+    with path.open("rb") as stream:
+        return stream.read(1) == b"{"
+
+
 def read_document(path: Path) -> dict[str, Any]:
     """The JSON document of a sample file; DatasetError when it is none."""
     try:

@@ -35,9 +35,15 @@ class Options:
     replicate_tolerance: float | None = None
 
 
+READING = "reading."  # a dataset's columns of what sensors beside the pose device show, in m
+
+
 @dataclass
 class Sample:
-    """One sample: joints, pose, what was measured, and how the single readings scattered."""
+    """One sample: joints, pose, what was measured, and how the single readings scattered.
+
+    `readings` (m) are those of the sensors beside the pose device, by channel.
+    """
 
     time: float
     duration: float
@@ -53,6 +59,7 @@ class Sample:
     count_q: int
     count_pose: int
     first_reading: int  # of the untrimmed interval: motion before it tells the direction
+    readings: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass

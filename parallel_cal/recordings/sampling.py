@@ -8,9 +8,11 @@ from numpy.typing import NDArray
 from parallel_cal.errors import DatasetError
 from parallel_cal.recordings.dwells import approach, still_tolerance
 from parallel_cal.recordings.pairing import paired_samples
+from parallel_cal.recordings.readings import reading_columns
 from parallel_cal.recordings.recording import Array, JointStream, Recording, ScalarStream
 from parallel_cal.recordings.samples import Options, Samples, per_joint
 from parallel_cal.recordings.standstill import standstill_samples
+from parallel_cal.recordings.travel import travel
 
 
 def samples_of(recording: Recording, options: Options) -> Samples:
@@ -63,13 +65,15 @@ def conditions_of(
     # a motion counts as real when it is more than what passes for standing still
     before = [s.first_reading for s in kept]
     direction = approach(joints.position, before, level, samples.tolerance)
+    way = travel(joints.position, before, level, direction, samples.tolerance)
     effort = np.array([s.effort for s in kept])
     for j, name in enumerate(joints.names):
         conditions[f"direction.{name}"] = direction[:, j].astype(float)
+        conditions[f"travel.{name}"] = way[:, j]
         conditions[f"velocity.{name}"] = np.array([s.velocity[j] for s in kept])
         if np.isfinite(effort[:, j]).all():
             conditions[f"effort.{name}"] = effort[:, j]
-    return conditions
+    return conditions | reading_columns(kept)
 
 
 def _latest(stream: ScalarStream, time: Array, warnings: list[str]) -> Array:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from parallel_cal.recordings.dwells import Indices, Interval, drift, still_intervals
+from parallel_cal.recordings.readings import held_words, readings_between
 from parallel_cal.recordings.recording import (
     Array,
     Bools,
@@ -29,7 +30,8 @@ from parallel_cal.rotation import quaternion_to_matrix, rotation_vector
 
 @dataclass
 class _Dwell:
-    """A standstill under examination: its readings, its pose messages and what they measure."""
+    """A standstill under examination: its readings, its pose messages and what they measure,
+    the words that held the tip meanwhile and what other sensors showed (m)."""
 
     interval: Interval
     start: float
@@ -37,6 +39,8 @@ class _Dwell:
     readings: slice
     poses: Indices
     measured: Bools
+    held: list[str]
+    shown: dict[str, float]
 
 
 def standstill_samples(recording: Recording, options: Options, tolerance: Array) -> Samples:
@@ -46,11 +50,11 @@ def standstill_samples(recording: Recording, options: Options, tolerance: Array)
     intervals = still_intervals(
         joints.time, joints.position, tolerance, options.min_dwell / 3, max_gap(joints, options)
     )
-    windows = [_window(joints, pose, interval, options) for interval in intervals]
+    windows = [_window(recording, interval, options) for interval in intervals]
     minimum = _min_pose_messages(windows, options, found.warnings)
     dwells = []
     for dwell in windows:
-        reason = _unusable(joints, pose, dwell, options, tolerance, minimum)
+        reason = _unusable(recording, dwell, options, tolerance, minimum)
         if reason:
             found.dropped.append(Dropped(0.5 * (dwell.start + dwell.end), *reason))
         else:
@@ -64,8 +68,9 @@ def standstill_samples(recording: Recording, options: Options, tolerance: Array)
     return found
 
 
-def _window(joints: JointStream, pose: PoseStream, interval: Interval, options: Options) -> _Dwell:
+def _window(recording: Recording, interval: Interval, options: Options) -> _Dwell:
     """The trimmed part of an interval: the robot settles at its start and may leave at its end."""
+    joints, pose = recording.joints, recording.pose
     start = joints.time[interval.first] + options.trim_start
     end = joints.time[interval.last] - options.trim_end
     a, b = np.searchsorted(joints.time, [start, end])
@@ -74,7 +79,10 @@ def _window(joints: JointStream, pose: PoseStream, interval: Interval, options: 
     # a coordinate counts as measured when most messages measure it; the others are left out
     measured = pose.measured[poses].mean(axis=0) > 0.5 if len(poses) else np.zeros(6, bool)
     poses = poses[(pose.measured[poses] | ~measured).all(axis=1)]
-    return _Dwell(interval, start, end, slice(int(a), int(max(a, b))), poses, measured)
+    readings = slice(int(a), int(max(a, b)))
+    held = held_words(recording.constraint, start, end)
+    shown = readings_between(recording, start, end)
+    return _Dwell(interval, start, end, readings, poses, measured, held, shown)
 
 
 def _min_pose_messages(windows: list[_Dwell], options: Options, warnings: list[str]) -> int:
@@ -89,14 +97,14 @@ def _min_pose_messages(windows: list[_Dwell], options: Options, warnings: list[s
 
 
 def _unusable(
-    joints: JointStream,
-    pose: PoseStream,
+    recording: Recording,
     dwell: _Dwell,
     options: Options,
     tolerance: Array,
     minimum: int,
 ) -> tuple[str, str] | None:
     """(reason, detail) if the dwell cannot be used."""
+    joints, pose = recording.joints, recording.pose
     whole = slice(dwell.interval.first, dwell.interval.last + 1)
     length = joints.time[dwell.interval.last] - joints.time[dwell.interval.first]
     if length < options.min_dwell and (np.abs(drift(joints.position[whole])) <= tolerance).all():
@@ -108,6 +116,13 @@ def _unusable(
     if (moved > 0.5 * tolerance).any():
         j = int(np.argmax(moved / tolerance))
         return "moving while measured", f"{joints.names[j]} crept by {moved[j]:.2g} rad or m"
+    if len(dwell.held) > 1:
+        words = ", then ".join(f"'{word}'" for word in dwell.held)
+        return "constraint changed", f"held by {words}"
+    if dwell.shown and not dwell.measured.any():
+        return None
+    if not pose.topic:
+        return "nothing measured", "no pose, and neither a constraint nor a distance"
     if not len(dwell.poses):
         return "no pose messages", f"on {pose.topic}"
     if not dwell.measured.any():
@@ -131,6 +146,7 @@ def _pose_limits(pose: PoseStream, R: Array, dwells: list[_Dwell]) -> Array:
 
     Eight times what is usual over all dwells, at least 1e-4 of the workspace and 1e-4 rad.
     """
+    dwells = [d for d in dwells if len(d.poses)]
     if not dwells:
         return np.zeros(2)
     strays = [np.abs(_deviation(pose, R, d)) for d in dwells]
@@ -149,6 +165,8 @@ def _calm_pose(
     dropped: list[Dropped],
 ) -> bool:
     """Remove a few outlying readings from the dwell; False if it is not calm even then."""
+    if not len(dwell.poses):
+        return True
     stray = np.abs(_deviation(pose, R, dwell))
     far = (stray[:, :3].max(axis=1) > limits[0]) | (stray[:, 3:].max(axis=1) > limits[1])
     if not far.any():
@@ -168,10 +186,7 @@ def _calm_pose(
 
 def _dwell_sample(joints: JointStream, pose: PoseStream, R: Array, dwell: _Dwell) -> Sample:
     """Average a dwell's readings."""
-    q, at = joints.position[dwell.readings], dwell.poses
-    r, middle = pose.position[at].mean(axis=0), mean_rotation(R[at])
-    off = np.hstack([pose.position[at] - r, rotation_vector(R[at] @ middle.T)])
-    rotates = dwell.measured[3:].any()
+    q = joints.position[dwell.readings]
     return Sample(
         time=0.5 * (dwell.start + dwell.end),
         duration=dwell.end - dwell.start,
@@ -179,15 +194,29 @@ def _dwell_sample(joints: JointStream, pose: PoseStream, R: Array, dwell: _Dwell
         effort=joints.effort[dwell.readings].mean(axis=0),
         velocity=slope(joints.time[dwell.readings], q),
         scatter_q=sample_sd(q),
-        r=np.where(dwell.measured[:3], r, 0.0),
-        R=middle if rotates else np.eye(3),
         measured=dwell.measured,
-        pose_cov=pose.covariance[at].mean(axis=0),
-        scatter_pose=np.where(dwell.measured, sample_sd(off), np.nan),
         count_q=len(q),
-        count_pose=len(at),
+        count_pose=len(dwell.poses),
         first_reading=dwell.interval.first,
+        readings=dwell.shown,
+        **_mean_pose(pose, R, dwell),
     )
+
+
+def _mean_pose(pose: PoseStream, R: Array, dwell: _Dwell) -> dict[str, Array]:
+    """The averages of a dwell's pose messages; placeholders where there are none."""
+    at = dwell.poses
+    if not len(at):
+        nothing = {"pose_cov": np.full((6, 6), np.nan), "scatter_pose": np.full(6, np.nan)}
+        return {"r": np.zeros(3), "R": np.eye(3), **nothing}
+    r, middle = pose.position[at].mean(axis=0), mean_rotation(R[at])
+    off = np.hstack([pose.position[at] - r, rotation_vector(R[at] @ middle.T)])
+    return {
+        "r": np.where(dwell.measured[:3], r, 0.0),
+        "R": middle if dwell.measured[3:].any() else np.eye(3),
+        "pose_cov": pose.covariance[at].mean(axis=0),
+        "scatter_pose": np.where(dwell.measured, sample_sd(off), np.nan),
+    }
 
 
 def _report_lonely_poses(

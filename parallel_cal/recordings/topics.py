@@ -15,14 +15,34 @@ POSES = ("geometry_msgs/msg/PoseWithCovarianceStamped", "geometry_msgs/msg/PoseS
 POINTS = ("geometry_msgs/msg/PointStamped",)
 TEMPERATURE = ("sensor_msgs/msg/Temperature",)
 PAYLOAD = ("geometry_msgs/msg/InertiaStamped",)
+CONSTRAINT = ("std_msgs/msg/String",)
+DISTANCE = ("sensor_msgs/msg/Range",)
 
 # a topic named like this is what the robot was told or what a model computed, not a measurement
 NOT_MEASUREMENTS = ("target", "command", "goal", "desired", "setpoint", "kinematics")
 
 
 def choose_topics(available: Available, topics: Topics, notes: list[str]) -> dict[str, TopicInfo]:
-    """The topic of each channel ("joints", "pose", "temperature", "payload") that has one."""
+    """The topic of each channel that has one: "joints", "pose", "temperature", "payload",
+    "constraint", "distance"; BagError without joints, or without anything measured."""
     chosen = {"joints": _require(available, "joint_states", topics.joint_states, JOINTS, notes)}
+    for channel, types in (("constraint", CONSTRAINT), ("distance", DISTANCE)):
+        # Words and ranges serve for many things: only the name tells that these are meant.
+        found = _optional(available, channel, getattr(topics, channel), types)
+        if found:
+            chosen[channel] = found
+    pose = _pose(available, topics, notes, needed=len(chosen) == 1)
+    if pose:
+        chosen["pose"] = pose
+    for channel, types in (("temperature", TEMPERATURE), ("payload", PAYLOAD)):
+        found = _optional(available, channel, getattr(topics, channel), types, notes)
+        if found:
+            chosen[channel] = found
+    return chosen
+
+
+def _pose(available: Available, topics: Topics, notes: list[str], needed: bool) -> TopicInfo | None:
+    """The pose device's topic; where another sensor was recorded, only by its name."""
     pose = _named(available, topics.measured_pose, POSES)
     point = _named(available, topics.measured_position, POINTS + POSES)
     if pose and point:
@@ -31,14 +51,14 @@ def choose_topics(available: Available, topics: Topics, notes: list[str]) -> dic
         wanted = topics.measured_position
     else:
         wanted = topics.measured_pose
-    chosen["pose"] = pose or point or _require(
-        available, "measured_pose", wanted, POSES + POINTS, notes
+    if not needed:
+        named = [topic for topic in (pose, point) if topic and topic.count]
+        return named[0] if named else _optional(available, "measured_pose", wanted, POSES + POINTS)
+    return pose or point or _require(
+        available, "measured_pose", wanted, POSES + POINTS, notes,
+        f"; or, without a pose device, record on '{topics.constraint or Topics.constraint}' "
+        f"({CONSTRAINT[0]}) which plane or sphere holds the tip",
     )  # fmt: skip
-    for channel, types in (("temperature", TEMPERATURE), ("payload", PAYLOAD)):
-        found = _optional(available, channel, getattr(topics, channel), types, notes)
-        if found:
-            chosen[channel] = found
-    return chosen
 
 
 def _named(available: Available, name: str, types: Types) -> TopicInfo | None:
@@ -65,9 +85,9 @@ def _only(available: Available, types: Types) -> list[TopicInfo]:
 
 
 def _optional(
-    available: Available, channel: str, name: str, types: Types, notes: list[str]
+    available: Available, channel: str, name: str, types: Types, notes: list[str] | None = None
 ) -> TopicInfo | None:
-    """The named topic, or for a default name the only one of that type."""
+    """The named topic, or for a default name and with `notes` the only one of that type."""
     found = _named(available, name, types)
     if found and found.count:
         return found
@@ -75,6 +95,8 @@ def _optional(
         if not name:
             return None
         raise BagError(f"no messages on topic '{name}' ({channel}). {_listing(available)}")
+    if notes is None:
+        return None
     others = _only(available, types)
     if len(others) == 1:
         notes.append(f"no topic '{name}'; {others[0].name} is used, the only one of its type")
@@ -88,14 +110,14 @@ def _optional(
 
 
 def _require(
-    available: Available, channel: str, name: str, types: Types, notes: list[str]
+    available: Available, channel: str, name: str, types: Types, notes: list[str], hint: str = ""
 ) -> TopicInfo:
     """As _optional, but a channel without topic is a BagError."""
     found = _optional(available, channel, name, types, notes)
     if found is None:
         raise BagError(
             f"no messages on topic '{name}' and not exactly one other topic of type "
-            f"{' or '.join(types)}. Name the topic as {channel}. {_listing(available)}"
+            f"{' or '.join(types)}. Name the topic as {channel}{hint}. {_listing(available)}"
         )
     return found
 

@@ -1,0 +1,79 @@
+"""The column map: which column of a table is what, in which unit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, ValidationError
+
+from parallel_cal.effect import CONDITIONS
+from parallel_cal.modelfiles.modelschema import NoisePart, Part, sentence, suggestion
+from parallel_cal.modelfiles.yamltext import Document, parse_yaml
+from parallel_cal.recordings.samples import READING
+
+
+class JointColumn(Part):
+    """A joint's readings; its name in the model file is the key."""
+
+    column: str
+    unit: Literal["rad", "deg", "m", "mm"]
+
+
+class PositionColumns(Part):
+    """x, y and z of {P} in {B}."""
+
+    columns: Annotated[list[str], Field(min_length=3, max_length=3)]
+    unit: Literal["m", "mm"]
+
+
+class ColumnMap(Part):
+    """What a table's columns hold; others are ignored.
+
+    `orientation` is a quaternion x y z w. A condition is a column, or the number it always was.
+    Rows of equal `group` are visits of one pose. `noise` is 1 sigma as the makers state it (SI).
+    """
+
+    joints: Annotated[dict[str, JointColumn], Field(min_length=1)]
+    position: PositionColumns | None = None
+    orientation: Annotated[list[str], Field(min_length=4, max_length=4)] | None = None
+    conditions: dict[str, str | float] = Field(default_factory=dict)
+    group: str | None = None
+    noise: NoisePart = NoisePart()
+
+    @property
+    def columns(self) -> list[str]:
+        """Every column the map names."""
+        names = [joint.column for joint in self.joints.values()]
+        names += self.position.columns if self.position else []
+        names += self.orientation or []
+        names += [c for c in self.conditions.values() if isinstance(c, str)]
+        return names + ([self.group] if self.group else [])
+
+
+def read_column_map(path: Path) -> ColumnMap:
+    """A column map; ModelFileError naming line and key of what is wrong with it."""
+    document = parse_yaml(path.read_text(encoding="utf-8"), str(path))
+    try:
+        found = ColumnMap.model_validate(document.data)
+    except ValidationError as error:
+        raise _invalid(document, error.errors(include_url=False)[0]) from None
+    if not found.position and not found.orientation:
+        raise document.error((), "neither position nor orientation: say what was measured")
+    for name in found.conditions:
+        if name.split(".")[0] not in (*CONDITIONS, READING.rstrip(".")):
+            raise document.error(("conditions", name), f"unknown condition; {_conditions()}")
+    return found
+
+
+def _invalid(document: Document, error: Any) -> Exception:
+    path = tuple(error["loc"])
+    if error["type"] == "extra_forbidden":
+        known = list(ColumnMap.model_fields) if len(path) == 1 else []
+        return document.error(path, "unknown key" + suggestion(str(path[-1]), known))
+    return document.error(path, sentence(error, path))
+
+
+def _conditions() -> str:
+    names = [f"{name}.JOINT" if given[2] else name for name, given in CONDITIONS.items()]
+    return f"expected one of {', '.join([*names, f'{READING}CHANNEL'])}"

@@ -1,0 +1,57 @@
+"""What sensors beside the pose device show: the plane or sphere that holds the tip, distances."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from parallel_cal.recordings.recording import Array, Recording, TextStream
+from parallel_cal.recordings.samples import READING, Sample
+
+if TYPE_CHECKING:
+    from parallel_cal.dataset import Dataset
+
+
+def held_words(stream: TextStream | None, start: float, end: float) -> list[str]:
+    """The words that held between two times, in their order; before the first, no word."""
+    if stream is None:
+        return [""]
+    first, last = np.searchsorted(stream.time, [start, end], side="right")
+    before = stream.value[first - 1] if first else ""
+    words = [before, *stream.value[first:last]]
+    return [w for k, w in enumerate(words) if k == 0 or w != words[k - 1]]
+
+
+def readings_between(recording: Recording, start: float, end: float) -> dict[str, float]:
+    """Mean reading (m) of each channel between two times; what holds the tip reads zero."""
+    word = held_words(recording.constraint, start, end)[0]
+    readings = {word: 0.0} if word else {}
+    for channel, stream in recording.distances.items():
+        a, b = np.searchsorted(stream.time, [start, end])
+        if b > a:
+            readings[channel] = float(stream.value[a:b].mean())
+    return readings
+
+
+def reading_columns(samples: Sequence[Sample]) -> dict[str, Array]:
+    """`reading.CHANNEL` (N,) of every channel that was read, NaN in samples where it was not."""
+    channels = dict.fromkeys(channel for sample in samples for channel in sample.readings)
+    return {
+        READING + channel: np.array([s.readings.get(channel, np.nan) for s in samples])
+        for channel in channels
+    }
+
+
+def joined_conditions(parts: Sequence[Dataset]) -> dict[str, Array]:
+    """Conditions (N,) of several datasets as one: those that all have, and every reading, NaN
+    in the parts where its sensor read nothing."""
+    names = dict.fromkeys(name for part in parts for name in part.conditions)
+    return {
+        name: np.concatenate(
+            [part.conditions.get(name, np.full(len(part), np.nan)) for part in parts]
+        )
+        for name in names
+        if name.startswith(READING) or all(name in part.conditions for part in parts)
+    }
