@@ -5,8 +5,10 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from math import isfinite
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from parallel_cal.errors import ModelError
 from parallel_cal.mechanism import Mechanism, load_class
 from parallel_cal.parameters import Named, Parameter, ParameterTable
 
@@ -50,6 +52,7 @@ class Effect(ABC):
 
     needs: ClassVar[tuple[str, ...]] = ()
     fixed: ClassVar[tuple[str, ...]] = ()  # patterns of its numbers that are given, not identified
+    of_device: ClassVar[bool] = False  # an error of the measurement, which the robot must not learn
     physics: ClassVar[str]
     source: ClassVar[str]
     lookalikes: ClassVar[tuple[str, ...]] = ()
@@ -104,3 +107,18 @@ class Effect(ABC):
 def load_effect(name: str) -> Effect:
     """An effect by file name (`backlash`) or Python path (`my_pkg.my_effect`)."""
     return load_class("effects", name, Effect)()
+
+
+def parse_effect(text: str) -> tuple[str, dict[str, float]]:
+    """`NAME[:param=value,...]` -> name and its numbers; ModelError where it is not that."""
+    name, _, numbers = text.partition(":")
+    given: dict[str, float] = {}
+    for item in filter(None, numbers.split(",")):
+        key, equals, value = item.partition("=")
+        try:
+            given[key.strip()] = float(value)
+        except ValueError:
+            equals = ""
+        if not (equals and key.strip() and isfinite(given[key.strip()])):
+            raise ModelError(f"effect '{text}': expected NAME:param=value,..., found '{item}'")
+    return name.strip(), given

@@ -147,6 +147,11 @@ class Kinematics:
         given: np.ndarray,
     ) -> Solutions:
         """Solutions with status; samples that the fast way left open are solved carefully."""
+        n = self._n
+        q = _turned_towards(x[:, :n], problem.unknown_joints, self.model)
+        if self.model.effects:  # which need not repeat after a turn: solve anew from there
+            step = np.where((q == x[:, :n]).all(axis=1), step.reshape(-1), 1.0)
+        x = np.hstack([q, x[:, n:]])
         x, step, residual, pivot = self._refined(problem, x, step, residual, pivot, rows)
         status = np.full(len(x), Status.CONVERGED, dtype=np.int8)
         finite = np.isfinite(given).all(axis=1) & np.isfinite(rows).all(axis=1)
@@ -159,10 +164,9 @@ class Kinematics:
         for i in np.flatnonzero(suspect & (status == Status.CONVERGED)):
             if problem.smallest_singular_value(x[i], rows[i]) < SINGULAR:
                 status[i] = Status.SINGULAR
-        q = _turned_towards(x[:, : self._n], problem.unknown_joints, self.model)
+        q = x[:, :n]
         outside = ~((q >= self._limits[:, 0]) & (q <= self._limits[:, 1])).all(axis=1)
         status[outside & (status == Status.CONVERGED)] = Status.OUTSIDE_LIMITS
-        n = self._n
         return Solutions(q, x[:, n : n + 3], x[:, n + 3 :].reshape(-1, 3, 3), residual, status)
 
     @staticmethod

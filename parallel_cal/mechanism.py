@@ -66,6 +66,9 @@ class Mechanism(ABC):
     workspace: Workspace
     joint_limits: tuple[tuple[float, float], ...]
     length: float = 0.1
+    gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)  # m/s^2 in {B}
+    bodies: Mapping[str, Sequence[str]] = {}  # patterns of the lengths that are of one material
+    parts: tuple[str, ...] = ()  # kinds of links whose centres of mass it knows
     options: Mapping[str, Any] = {}
 
     @abstractmethod
@@ -107,6 +110,14 @@ class Mechanism(ABC):
     @staticmethod
     def _joint_distance(unit: str, home: float, q: Any) -> Any:
         return 1 - ca.cos(q - home) if unit == "rad" else ca.fabs(q - home)
+
+    def rod_lengths(self, p: Named) -> list[Any]:
+        """Length of every rod that no motor drives, a pair's common one twice (m)."""
+        return []
+
+    def centres(self, q: Any, r: Any, R: Any, p: Named) -> Mapping[str, list[Any]]:
+        """Of each kind in `parts` the links' centres of mass in {B}, (3, 1) m each."""
+        return {}
 
     def widen(self, values: Mapping[str, float]) -> tuple[str, dict[str, float]]:
         """The larger model this one is a special case of, and its parameter values."""

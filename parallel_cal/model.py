@@ -166,6 +166,13 @@ class Structure:
         outputs = (self.rows, by_x, ca.jacobian(self.rows, self.v))
         return Batch(dense("rows", inputs, outputs))
 
+    @lru_cache(maxsize=8)  # noqa: B019  (lives as long as the structure, which is cached itself)
+    def columns(self, which: tuple[int, ...]) -> Batch:
+        """(configuration, a, v) -> d rows/d(some of v), on arrays: what a new effect would do."""
+        inputs = (self.configuration, self.a, self.v)
+        by_v = ca.jacobian(self.rows, ca.vertcat(*[self.v[i] for i in which]))
+        return Batch(dense("columns", inputs, (by_v,)))
+
     @cached_property
     def closure_configuration(self) -> ca.Function:
         """(configuration, a, v) -> phi, d phi/d(q, r, w): what a careful solver needs."""
@@ -200,11 +207,15 @@ class Structure:
 
 @dataclass(frozen=True)
 class Noise:
-    """Measurement noise, 1 sigma: joint readings (rad or m), position (m), orientation (rad)."""
+    """Measurement noise, 1 sigma: joint readings (rad or m), position (m), orientation (rad).
+
+    `assumed`: nobody measured it; only the ratios count, as weights.
+    """
 
     joint: float | None = None
     position: float | None = None
     orientation: float | None = None
+    assumed: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,13 +284,29 @@ class Model:
             values[model.table.index_of(f"{name}.{key}")] = value
         return replace(model, values=values)
 
+    def robot(self) -> Model:
+        """The robot alone, as its controller needs it: effects of the measuring device at zero."""
+        own = [f"{effect.name}.*" for effect in self.effects if effect.of_device]
+        if not own:
+            return self
+        device = self.table.matching(own)
+        return self.with_values(np.where(device, self.table.nominal, self.values), self.covariance)
+
     def without_effect(self, name: str) -> Model:
         """The model without one of its effects."""
         kept = tuple(effect for effect in self.effects if effect.name != name)
         if len(kept) == len(self.effects):
             has = ", ".join(effect.name for effect in self.effects) or "none"
-            raise ModelError(f"the model has no effect '{name}'; it has {has}")
+            why = self._built_in(name)
+            raise ModelError(f"the model has no effect '{name}'; it has {has}{why}")
         return self.with_effects(kept)
+
+    def _built_in(self, name: str) -> str:
+        """Why an effect that was added cannot be found: it made the mechanism another one."""
+        steps = [step.get("step") for step in self.history if step.get("effect") == name]
+        if steps[-1:] != ["add"]:
+            return ""
+        return f": it became the mechanism {self.mechanism.name}, go back to the file from before"
 
     def with_effects(self, effects: tuple[Effect, ...]) -> Model:
         """The model with these effects; numbers that it has already keep value and mask."""
@@ -294,7 +321,10 @@ class Model:
         )
 
     def widened(self) -> Model:
-        """The same robot in the next larger model (delta24 -> delta54): equal poses."""
+        """The same robot in the next larger model (delta24 -> delta54): equal poses.
+
+        Effects, sensors and whatever else both models name keep their values and masks.
+        """
         m = self.mechanism
         own = m.parameters
         name, values = m.widen(own.mapping(self.values[: len(own)]))
@@ -302,10 +332,23 @@ class Model:
         _, nominal = m.widen(own.mapping(own.nominal))
         larger.parameters = larger.parameters.with_nominal(nominal)
         larger.joints, larger.joint_limits = m.joints, m.joint_limits
-        larger.home, larger.workspace = m.home, m.workspace
-        values |= {p.name: self.value(p.name) for s in self.sensors for p in s.table(m)}
-        wide = new_model(larger, values, sensors=self.sensors)
-        return replace(wide, noise=self.noise, frames=self.frames)
+        larger.home, larger.workspace, larger.gravity = m.home, m.workspace, m.gravity
+        effects = [effect.name for effect in self.effects]
+        wide = new_model(larger, effects=effects, sensors=self.sensors)
+        values = self.table.mapping(self.values) | values
+        return replace(self._taken_over(wide, values), covariance=None)
+
+    def _taken_over(self, wide: Model, values: Mapping[str, float]) -> Model:
+        """Another model with these values, and with this one's masks where names are the same."""
+        masks = dict(zip(self.table.names, self.fixed, strict=True))
+        names = wide.table.names
+        return replace(
+            self,
+            mechanism=wide.mechanism,
+            effects=wide.effects,
+            values=np.array([values.get(n, v) for n, v in zip(names, wide.values, strict=True)]),
+            fixed=np.array([masks.get(n, f) for n, f in zip(names, wide.fixed, strict=True)]),
+        )
 
     def condition_rows(self, at: Mapping[str, Any] | None, n: int) -> np.ndarray:
         """(n, n_conditions) from named scalars or (n,) columns; neutral where not given.

@@ -10,13 +10,14 @@ import pytest
 from parallel_cal import cli
 from parallel_cal.bag_writer import write_bag
 from parallel_cal.dataset import load_dataset
+from parallel_cal.effect import parse_effect
 from parallel_cal.errors import BagError, ModelError, SolveError
 from parallel_cal.kinematics import Kinematics
 from parallel_cal.mechanism import Workspace, load_mechanism
 from parallel_cal.model import Noise, new_model
 from parallel_cal.modelfile import read_model
 from parallel_cal.rotation import rotation_vector
-from parallel_cal.simulate import parse_effect, simulate, stated_noise, with_effects
+from parallel_cal.simulate import simulate, stated_noise, with_effects
 
 ROOT = Path(__file__).parents[1]
 IDENTIFIED = ROOT / "config" / "delta_mockup_identified.yaml"

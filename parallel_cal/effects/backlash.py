@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-import casadi as ca
+from typing import Any
 
 from parallel_cal.effect import Effect, Seen
+from parallel_cal.effects._joints import shifted
 from parallel_cal.mechanism import Mechanism
 from parallel_cal.parameters import Named, Parameter
+
+SIZE = {"rad": (0.3e-3, 3e-3), "m": (20e-6, 0.2e-3)}  # tolerance and what no real drive exceeds
 
 
 class Backlash(Effect):
@@ -14,17 +17,20 @@ class Backlash(Effect):
 
     needs = ("direction",)
     physics = "A gear with play leaves the arm half the play behind the motor's encoder."
-    source = "gearbox play, 0.03-0.3 mrad for precision gears"
+    source = "gearbox play, 0.03-0.3 mrad for precision gears; 5-20 um for ball screws"
     lookalikes = ("hysteresis", "latency")
     separated_by = "the same poses approached from both directions, at rest"
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
         joints = zip(mechanism.joints, mechanism.joint_units, strict=True)
-        return [Parameter(f"{j}.width", unit, 0.0, 0.3e-3, low=0.0) for j, unit in joints]
+        sizes = [(joint, unit, *SIZE[unit]) for joint, unit in joints]
+        return [
+            Parameter(f"{joint}.width", unit, 0.0, tolerance, low=0.0, high=most)
+            for joint, unit, tolerance, most in sizes
+        ]
 
     def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
-        rows = [
-            seen.q[i] - e[joint].width / 2 * at["direction"][joint]
-            for i, joint in enumerate(mechanism.joints)
-        ]
-        return seen.with_q(ca.vertcat(*rows))
+        def error(joint: str, q: Any) -> Any:
+            return -e[joint].width / 2 * at["direction"][joint]
+
+        return shifted(seen, mechanism, mechanism.joints, error)

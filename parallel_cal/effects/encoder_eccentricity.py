@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import casadi as ca
 
 from parallel_cal.effect import Effect, Seen
+from parallel_cal.effects._joints import needs_turning, shifted, turning
 from parallel_cal.mechanism import Mechanism
 from parallel_cal.parameters import Named, Parameter
 
 
 class EncoderEccentricity(Effect):
-    """q_ideal = q + sin * sin q + cos * cos q for every joint (rad)."""
+    """q_ideal = q + sin * sin q + cos * cos q for every joint that turns (rad)."""
 
     physics = "An encoder disc off its axis by e at radius r misreads e/r once per turn."
     source = "encoder mounting tolerance: 10-40 um on a 25 mm radius is 0.4-1.6 mrad"
@@ -19,15 +22,16 @@ class EncoderEccentricity(Effect):
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
         return [
-            Parameter(f"{joint}.{part}", unit, 0.0, 1e-3)
-            for joint, unit in zip(mechanism.joints, mechanism.joint_units, strict=True)
+            Parameter(f"{joint}.{part}", "rad", 0.0, 1e-3, low=-10e-3, high=10e-3)
+            for joint in turning(mechanism)
             for part in ("sin", "cos")
         ]
 
     def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
-        q = seen.q
-        rows = [
-            q[i] + e[joint].sin * ca.sin(q[i]) + e[joint].cos * ca.cos(q[i])
-            for i, joint in enumerate(mechanism.joints)
-        ]
-        return seen.with_q(ca.vertcat(*rows))
+        def error(joint: str, q: Any) -> Any:
+            return e[joint].sin * ca.sin(q) + e[joint].cos * ca.cos(q)
+
+        return shifted(seen, mechanism, turning(mechanism), error)
+
+    def applies(self, mechanism: Mechanism) -> str:
+        return needs_turning(mechanism)

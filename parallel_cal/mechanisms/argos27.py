@@ -66,6 +66,9 @@ def chain_of(p: Named, chain: int) -> Named:
     return Named(CHAIN, [own[name] if name in has else 0.0 for name in CHAIN])
 
 
+BODIES = {"pantographs": ("*.R", "*.dR", "*.da", "*.dc")}
+
+
 class Argos27(Mechanism):
     """Three motors, three perfect pantographs, one platform; its centre moves a little.
 
@@ -81,6 +84,7 @@ class Argos27(Mechanism):
         high=(-HOME_TURN + REACH, HOME_TURN + REACH, REACH),
     )
     joint_limits = JOINT_LIMITS
+    bodies = BODIES
 
     def __init__(self, radius: float = RADIUS):
         self.length = float(radius)

@@ -20,6 +20,7 @@ GEAR, RADIUS = 255 / 20, 75 * MM
 HP4_ANCHORS = ((0, -1.6, -0.11), (1.3, 1.25, -0.15), (-1.44, 0.74, -0.16), (0, 0, 2.345))
 HP4_ADVANTAGES = (2.0, 2.0, 2.0, 4.0)
 HP4_SPOOLS = (1, 1, 1, 2)
+BODIES = {"base": ("*.A_?",), "spools": ("*.R",)}
 
 
 class Cable(Mechanism):
@@ -34,6 +35,7 @@ class Cable(Mechanism):
     controls = ("x", "y", "z")
     fixed = ("*.gear", "*.advantage")
     periodic = False
+    bodies = BODIES
     workspace = Workspace(low=(-0.5, -0.5, 0.0), high=(0.5, 0.5, 0.8))
     length = RADIUS / GEAR / 2  # of line, for a radian of the motor
 

@@ -13,6 +13,8 @@ from parallel_cal.parameters import Named
 from parallel_cal.rotation import rot_x, rot_z
 from parallel_cal.solvers.closed_form import joint_angles, positions
 
+BODIES = {"arms": ("*.La_?",), "rods": ("*.Lb",), "base": ("*.D_?",)}
+
 
 class Delta24(Mechanism):
     """Three arms and three rods that meet in one point: the platform stays parallel."""
@@ -25,6 +27,8 @@ class Delta24(Mechanism):
     workspace = Workspace(low=Delta54.workspace.low, high=Delta54.workspace.high)
     joint_limits = Delta54.joint_limits
     length = Delta54.length
+    bodies = BODIES
+    parts = Delta54.parts
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
         """Eq. 3.16 divided by 2 Lb: length error of each rod, in metres."""
@@ -33,10 +37,25 @@ class Delta24(Mechanism):
     @staticmethod
     def rod(angle: Any, r: Any, c: Named) -> Any:
         """The closure row of one chain."""
+        CB = r - Delta24.arm(angle, c)[1]
+        return (ca.dot(CB, CB) - c.Lb**2) / (2 * c.Lb)
+
+    @staticmethod
+    def arm(angle: Any, c: Named) -> tuple[Any, Any]:
+        """Both ends of one arm, less the platform's radius: hub and C."""
         T = rot_z(c.theta) @ rot_x(c.alpha)
         D, La = c.vector("D_x", "D_y", "D_z"), ca.vertcat(c.La_x, c.La_y, 0)
-        CB = r - T @ (D + rot_z(angle) @ La)
-        return (ca.dot(CB, CB) - c.Lb**2) / (2 * c.Lb)
+        return T @ D, T @ (D + rot_z(angle) @ La)
+
+    def rod_lengths(self, p: Named) -> list[Any]:
+        """Lb of both rods of each pair."""
+        return [p[f"chain{i + 1}"].Lb for i in range(3) for _ in range(2)]
+
+    def centres(self, q: Any, r: Any, R: Any, p: Named) -> Mapping[str, list[Any]]:
+        """Arms and rods half way between their ends, up to constant shifts."""
+        arms = [self.arm(q[i], p[f"chain{i + 1}"]) for i in range(3)]
+        rods = [(C + r) / 2 for _, C in arms for _ in range(2)]
+        return {"arm": [(hub + C) / 2 for hub, C in arms], "rod": rods}
 
     def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
         """Both solutions of the general position problem (eqs 6.25-6.26)."""

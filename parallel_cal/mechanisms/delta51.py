@@ -124,6 +124,13 @@ def _table() -> ParameterTable:
     )
 
 
+BODIES = {
+    "arms": ("*.a_?",),
+    "rods": ("*.l",),
+    "base": ("chain*.p_?", "rod*.b_?"),  # base and platform, as in model 54
+}
+
+
 class Delta51(Mechanism):
     """Six rods between points on three arms and on the platform; all six coordinates move."""
 
@@ -138,6 +145,7 @@ class Delta51(Mechanism):
     workspace = Workspace(Delta54.workspace.low, Delta54.workspace.high)
     joint_limits = Delta54.joint_limits
     length = Delta54.length
+    bodies = BODIES
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
         """(|A B|^2 - l^2) / 2l of each rod (eq. 2), in metres."""
@@ -160,6 +168,9 @@ class Delta51(Mechanism):
     def joint_candidates(self, r: Any, R: Any, p: Named) -> list[tuple[Any, ...]]:
         """Both angles of each joint at which its two rods close on average."""
         return joint_angles(_Middle(), r, R, p)
+
+    def rod_lengths(self, p: Named) -> list[Any]:
+        return [p[f"rod{rod}"].l for rod in RODS]
 
     def widen(self, values: Mapping[str, float]) -> tuple[str, dict[str, float]]:
         """Model 54 describes every robot that this model describes."""

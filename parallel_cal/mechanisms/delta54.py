@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import casadi as ca
@@ -39,6 +40,8 @@ PLATFORM = {  # set P2 (eq. 3.15): size of the platform, nearly unobservable, fi
     "b_z": ("m", 0.0, 0.2 * MM),
 }
 GROUPS = {"position": POSITION, "P1": PARALLELOGRAM, "P2": PLATFORM}
+# Of base and platform the chains feel the difference D: one body of one material.
+BODIES = {"arms": ("*.La_?",), "rods": ("*.Lb", "*.dLb"), "base": ("*.D_?", "*.b_?")}
 HOME = Home(joints=(30.65 * DEGREE,) * 3, position=(0.0, 0.0, 0.2))
 
 
@@ -70,6 +73,8 @@ class Delta54(Mechanism):
     workspace = Workspace(low=(-0.06, -0.06, 0.14), high=(0.06, 0.06, 0.26))
     joint_limits = ((-30 * DEGREE, 135 * DEGREE),) * 3  # section 2.3.2: mechanical stops
     length = 24 * MM
+    bodies = BODIES
+    parts = ("arm", "rod")
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
         """G1 and G2 of eq. 3.12, divided by 2 Lb and Lb: mean and half difference of a rod
@@ -101,6 +106,24 @@ class Delta54(Mechanism):
             return C, T @ (b + side * d), c.Lb + side * c.dLb
 
         return [rod(1), rod(-1)]
+
+    def rod_lengths(self, p: Named) -> list[Any]:
+        """Lb + dLb and Lb - dLb of each pair."""
+        chains = [p[f"chain{i + 1}"] for i in range(3)]
+        return [c.Lb + side * c.dLb for c in chains for side in (1, -1)]
+
+    def centres(self, q: Any, r: Any, R: Any, p: Named) -> Mapping[str, list[Any]]:
+        """Arms and rods half way between their ends."""
+        C, B, _ = self.rods(q, p)
+        rods = [(c + r + R @ b) / 2 for c, b in zip(C, B, strict=True)]
+        balls = [(one + other) / 2 for one, other in zip(C[::2], C[1::2], strict=True)]
+        arms = [(self._hub(p[f"chain{i + 1}"]) + ball) / 2 for i, ball in enumerate(balls)]
+        return {"arm": arms, "rod": rods}
+
+    @staticmethod
+    def _hub(c: Named) -> Any:
+        b, D = c.vector("b_x", "b_y", "b_z"), c.vector("D_x", "D_y", "D_z")
+        return rot_z(c.theta) @ rot_x(c.alpha) @ (b + D)
 
     def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
         """Model 24's two positions, platform parallel to the base (section 6.4.1)."""

@@ -13,6 +13,8 @@ from parallel_cal.mechanisms.delta24 import Delta24
 from parallel_cal.mechanisms.delta54 import DEGREE, MM
 from parallel_cal.parameters import Named, Parameter, ParameterTable
 
+BODIES = {"arms": ("La",), "rods": ("Lb",), "base": ("R",)}
+
 
 class DeltaNominal(Mechanism):
     """Three equal chains at theta_i; R is the base radius minus the platform radius."""
@@ -35,6 +37,8 @@ class DeltaNominal(Mechanism):
     workspace = Workspace(low=(-0.06, -0.06, 0.155), high=(0.06, 0.06, 0.275))
     joint_limits = Delta24.joint_limits
     length = Delta24.length
+    bodies = BODIES
+    parts = Delta24.parts
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
         """Model 24's closure (eq. 3.16) with the numbers of table 3.12."""
@@ -45,6 +49,12 @@ class DeltaNominal(Mechanism):
 
     def joint_candidates(self, r: Any, R: Any, p: Named) -> list[tuple[Any, ...]]:
         return Delta24().joint_candidates(r, R, self._wide(p))
+
+    def rod_lengths(self, p: Named) -> list[Any]:
+        return Delta24().rod_lengths(self._wide(p))
+
+    def centres(self, q: Any, r: Any, R: Any, p: Named) -> Mapping[str, list[Any]]:
+        return Delta24().centres(q, r, R, self._wide(p))
 
     def widen(self, values: Mapping[str, float]) -> tuple[str, dict[str, float]]:
         """Model 24 with equal chains."""

@@ -37,6 +37,7 @@ CHAIN = {
     "b_z": ("m", 0.0, 0.2 * MM, "P2"),
 }
 HANGING = float(np.sqrt(ROD**2 - OFFSET**2))  # carriage above platform
+BODIES = {"rods": ("*.Lb", "*.dLb"), "base": ("*.D_?", "*.b_?")}  # with the platform
 
 
 class LinearDelta(Mechanism):
@@ -58,6 +59,7 @@ class LinearDelta(Mechanism):
     workspace = Workspace(low=(-0.06, -0.06, 0.02), high=(0.06, 0.06, 0.18))
     joint_limits = ((0.0, 0.6),) * 3
     length = 25 * MM
+    bodies = BODIES
 
     def __init__(self, inclination: float = 0.0):
         self.inclination = float(inclination)
@@ -79,6 +81,11 @@ class LinearDelta(Mechanism):
         mean = (ca.dot(CB, CB) + ca.dot(dd, dd) - c.Lb**2 - c.dLb**2) / (2 * c.Lb)
         difference = (ca.dot(CB, dd) - c.Lb * c.dLb) / c.Lb
         return mean, difference
+
+    def rod_lengths(self, p: Named) -> list[Any]:
+        """Lb + dLb and Lb - dLb of each pair."""
+        chains = [p[f"chain{i + 1}"] for i in range(3)]
+        return [c.Lb + side * c.dLb for c in chains for side in (1, -1)]
 
     def rail(self, c: Named) -> Any:
         """Direction of a rail in the chain's frame."""

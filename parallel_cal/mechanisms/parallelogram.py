@@ -24,6 +24,7 @@ NOMINAL = {  # the paper's table 2: unit, nominal value, tolerance
     "l2": ("m", 950 * MM, 1 * MM),
     "h": ("m", 100 * MM, 1 * MM),
 }
+BODIES = {"base": ("a?_?",), "platform": ("b?_?", "h"), "rods": ("l?",)}
 
 
 class Parallelogram(Mechanism):
@@ -42,6 +43,8 @@ class Parallelogram(Mechanism):
     workspace = Workspace(low=(-0.65,), high=(0.65,))
     joint_limits = ((-60 * DEGREE, 60 * DEGREE),)
     length = 125 * MM
+    gravity = (0.0, -9.81, 0.0)  # y is up
+    bodies = BODIES
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
         """A1 B1 = l1 u, drive and first length in one (eqs 55, 61), and |A2 B2| = l2, in m."""

@@ -11,6 +11,8 @@ from parallel_cal.mechanism import Mechanism
 from parallel_cal.mechanisms.parallelogram import NOMINAL, Parallelogram
 from parallel_cal.parameters import Named, Parameter, ParameterTable
 
+BODIES = {"rods": ("l",), "platform": ("h",)}
+
 
 class ParallelogramSimple(Mechanism):
     """A bar of length l carries the tool at h below its end; the platform does not tilt."""
@@ -26,6 +28,8 @@ class ParallelogramSimple(Mechanism):
     workspace = Parallelogram.workspace
     joint_limits = Parallelogram.joint_limits
     length = Parallelogram.length
+    gravity = Parallelogram.gravity
+    bodies = BODIES
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
         """x = l sin(q + q0) (eq. 34), and the height that goes with it, in metres."""

@@ -37,6 +37,9 @@ def _leg(i: int) -> list[Parameter]:
     ]
 
 
+BODIES = {"base": ("*.C_?",), "platform": ("*.B_?",), "legs": ("*.L0",)}
+
+
 class PlanarStewart(Mechanism):
     """Three legs in a plane; joint readings are the extensions of the legs.
 
@@ -54,6 +57,7 @@ class PlanarStewart(Mechanism):
     workspace = Workspace(low=(-0.05, -0.05, -20 * DEGREE), high=(0.05, 0.05, 20 * DEGREE))
     joint_limits = ((0.0, 0.2),) * 3
     length = PLATFORM_RADIUS
+    bodies = BODIES
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
         """Distance of the joint centres minus the leg's length by its reading, in metres."""

@@ -25,6 +25,7 @@ CENTRE, BAR, ARM, ROD = 100 * MM, 20 * MM, 120 * MM, 240 * MM
 ALONG = CENTRE * np.tan(60 * DEGREE) - BAR
 _reach = (ROD / 2 + BAR * np.cos(60 * DEGREE)) / np.sin(60 * DEGREE)  # of both balls, at home
 ANGLE = float(np.arccos((_reach - CENTRE) / ARM))
+BODIES = {"arms": ("*.r",), "rod": ("L",), "base": ("a", "*.s")}
 
 
 class Rssr(Mechanism):
@@ -56,6 +57,7 @@ class Rssr(Mechanism):
     workspace = Workspace(low=(ANGLE - 55 * DEGREE,), high=(ANGLE + 55 * DEGREE,))
     joint_limits = ((-30 * DEGREE, 135 * DEGREE),)
     length = ARM
+    bodies = BODIES
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
         """(|BC|^2 - L^2) / 2 L: length error of the rod, in metres."""

@@ -76,6 +76,7 @@ class Serial(Mechanism):
         self.joints = tuple(f"joint{i + 1}" for i in range(len(self.driven)))
         self.joint_limits = tuple(link.limits for link in self.driven)
         self.parameters = _table(self.links, length_tolerance, angle_tolerance)
+        self.bodies = {"links": [p.name for p in self.parameters if p.unit == "m"]}
         self.controls = tuple(controls) if controls else _controls(len(self.driven))
         self.length = 0.3 * self._reach()
         self.home = self._home(home)

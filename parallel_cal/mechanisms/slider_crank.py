@@ -12,6 +12,7 @@ from parallel_cal.parameters import Named, Parameter, ParameterTable
 
 MM, DEGREE = 1e-3, np.pi / 180
 A, B, X = 80 * MM, 50 * MM, 100 * MM  # eq. 5.8; the slider at home
+BODIES = {"crank": ("a",), "rod": ("b",)}
 
 
 class SliderCrank(Mechanism):
@@ -31,6 +32,7 @@ class SliderCrank(Mechanism):
     workspace = Workspace(low=(75 * MM,), high=(125 * MM,))
     joint_limits = ((0.0, 60 * DEGREE),)
     length = A
+    bodies = BODIES
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
         """Eq. 5.10 divided by 2 b: length error of the rod, in metres."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import casadi as ca
@@ -43,6 +44,7 @@ def leg_parameters(platform: np.ndarray, base: np.ndarray, retracted: float) -> 
 PLATFORM, BASE = hexagon(PLATFORM_RADIUS, PLATFORM_ANGLES), hexagon(BASE_RADIUS, BASE_ANGLES)
 # Of all legs at home; rounded below what a machine's norm may differ by in its last bit.
 LENGTH = round(float(np.linalg.norm(PLATFORM[0] + [0, 0, HEIGHT] - BASE[0])), 13)
+BODIES = {"base": ("*.C_?",), "platform": ("*.B_?",), "legs": ("*.L0",)}
 
 
 class Stewart42(Mechanism):
@@ -61,6 +63,8 @@ class Stewart42(Mechanism):
     )
     joint_limits = ((0.0, 0.2),) * 6
     length = PLATFORM_RADIUS
+    bodies = BODIES
+    parts = ("leg",)
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
         """Eq. 3.8 without the squares: length error of each leg, in metres, q + L0 long."""
@@ -79,6 +83,11 @@ class Stewart42(Mechanism):
         C = [c.vector("C_x", "C_y", "C_z") for c in legs]
         B = [c.vector("B_x", "B_y", "B_z") for c in legs]
         return C, B, [q[i] + c.L0 for i, c in enumerate(legs)]
+
+    def centres(self, q: Any, r: Any, R: Any, p: Named) -> Mapping[str, list[Any]]:
+        """Legs half way between their balls."""
+        C, B, _ = self.rods(q, p)
+        return {"leg": [(c + r + R @ b) / 2 for c, b in zip(C, B, strict=True)]}
 
     def joint_candidates(self, r: Any, R: Any, p: Named) -> list[tuple[Any, ...]]:
         """The only solution: a leg's length is positive."""

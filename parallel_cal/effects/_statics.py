@@ -1,0 +1,110 @@
+"""Static loads: what weights do to joints and rods, by virtual work on the closure."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from parallel_cal.effect import Seen
+from parallel_cal.mechanism import POSE, Mechanism
+from parallel_cal.parameters import Named, Parameter
+
+PAYLOAD = "payload"
+LIFTED = 1e-6  # Nm or N, under 1 kg: below it nothing is lifted
+
+
+def masses(mechanism: Mechanism) -> list[Parameter]:
+    """The known weights beside the payload, kg: the platform, and one part of each kind."""
+    kinds = ("platform", *mechanism.parts)
+    return [Parameter(f"mass.{kind}", "kg", 0.0, 100.0, low=0.0, high=1000.0) for kind in kinds]
+
+
+def joint_forces(seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Any:
+    """What the weights exert on each joint along its reading (n_joints, 1), Nm or N."""
+    q = ca.SX.sym("q", len(mechanism.joints))
+    return _forces(seen.with_q(q), q, seen.q, e, at, mechanism)
+
+
+def rod_forces(seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Any:
+    """The tension that the weights put each rod under (n_rods, 1), N; compression is negative."""
+    names, by_length = rods(mechanism)
+    lengths = ca.SX.sym("l", len(names))
+    loose = seen.with_p(dict(zip(names, ca.vertsplit(lengths), strict=True)))
+    given = ca.vertcat(*[seen.p[name] for name in names])
+    return np.linalg.pinv(by_length).T @ _forces(loose, lengths, given, e, at, mechanism)
+
+
+def lengthened(seen: Seen, mechanism: Mechanism, by: Any) -> Seen:
+    """The same with every rod longer by (n_rods, 1) m, as far as its parameters can say so."""
+    names, by_length = rods(mechanism)
+    changes = ca.vertsplit(np.linalg.pinv(by_length) @ by)
+    return seen.with_p({k: seen.p[k] + d for k, d in zip(names, changes, strict=True)})
+
+
+@lru_cache(maxsize=64)
+def rods(mechanism: Mechanism) -> tuple[list[str], np.ndarray]:
+    """The parameters that the rods' lengths are made of, and d length / d parameter."""
+    names = mechanism.parameters.names
+    p = ca.SX.sym("p", len(names))
+    lengths = ca.vertcat(ca.SX(0, 1), *mechanism.rod_lengths(Named(names, p)))
+    by_length = np.array(ca.DM(ca.jacobian(lengths, p)))
+    used = np.flatnonzero(by_length.any(axis=0))
+    return [names[i] for i in used], by_length[:, used]
+
+
+def loaded(mechanism: Mechanism) -> list[str]:
+    """The joints that feel the weight of what the platform carries."""
+    return list(_loaded(mechanism, tuple(mechanism.gravity)))
+
+
+def needs_weight(mechanism: Mechanism) -> str:
+    """What `Effect.applies` answers for an effect of the payload's weight."""
+    if len(mechanism.joints) > len(mechanism.moves):
+        return "more joints than freedoms: statics alone does not share the weight out"
+    return "" if loaded(mechanism) else "no joint feels the weight of what the platform carries"
+
+
+def needs_rods(mechanism: Mechanism) -> str:
+    """The same for an effect on rods between joints and platform."""
+    return needs_weight(mechanism) or ("" if rods(mechanism)[0] else "it has no rods beside joints")
+
+
+@lru_cache(maxsize=64)
+def _loaded(mechanism: Mechanism, gravity: tuple[float, ...]) -> tuple[str, ...]:
+    """Found by weighing 1 kg on the nominal robot a little away from home."""
+    n, kinds = len(mechanism.joints), masses(mechanism)
+    names = mechanism.parameters.names
+    p = Named(names, ca.SX(ca.DM(mechanism.parameters.nominal)))
+    q = ca.DM(mechanism.home.joints) + mechanism.length * np.arange(1, n + 1) / (10 * n)
+    r, R = mechanism.start(q, p)
+    seen = Seen(ca.SX(q), ca.SX(r), ca.SX(R), p)
+    e = Named([kind.name for kind in kinds], ca.SX.zeros(len(kinds)))
+    forces = ca.DM(joint_forces(seen, e, Named([PAYLOAD], ca.SX(1)), mechanism))
+    felt = np.abs(np.array(forces).ravel()) > LIFTED
+    return tuple(joint for joint, is_felt in zip(mechanism.joints, felt, strict=True) if is_felt)
+
+
+def _forces(loose: Seen, u: Any, given: Any, e: Named, at: Named, mechanism: Mechanism) -> Any:
+    """dU/du - (dphi/du)^T lambda with (dphi/dx)^T lambda = dU/dx, at u = given.
+
+    U is the work of the weights; the platform follows u so that phi stays zero.
+    """
+    x, free = ca.SX.sym("x", len(POSE)), mechanism.moved
+    turned = loose.R + ca.skew(x[3:]) @ loose.R
+    pose = loose.with_pose(loose.r + x[:3], turned)
+    phi = ca.vertcat(mechanism.closure(pose.q, pose.r, pose.R, pose.p))
+    rows = ca.vertcat(phi, _work(pose, e, at, mechanism))
+    slopes = [ca.jacobian(rows, x)[:, free], ca.jacobian(rows, u)]
+    by_x, by_u = ca.substitute(slopes, [x, u], [ca.SX.zeros(len(POSE)), given])
+    multipliers = ca.solve(by_x[:-1, :].T, by_x[-1, :].T)
+    return by_u[-1, :].T - by_u[:-1, :].T @ multipliers
+
+
+def _work(seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Any:
+    """What gravity has done on payload, platform and parts, J; the first two act at {P}."""
+    mass, centres = e["mass"], mechanism.centres(seen.q, seen.r, seen.R, seen.p)
+    moments = [mass[kind] * point for kind, points in centres.items() for point in points]
+    return ca.dot(ca.DM(mechanism.gravity), sum(moments, (mass.platform + at[PAYLOAD]) * seen.r))

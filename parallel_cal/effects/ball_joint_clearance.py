@@ -1,0 +1,40 @@
+"""Play in ball joints: a pulled rod reaches further than a pushed one."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from parallel_cal.effect import Effect, Seen
+from parallel_cal.effects._statics import lengthened, masses, needs_rods, rod_forces
+from parallel_cal.mechanism import Mechanism
+from parallel_cal.parameters import Named, Parameter
+
+
+class BallJointClearance(Effect):
+    """L_ideal = L + play * tanh(tension / force) for every rod, one play (m) for all.
+
+    `play` is both joints' together from the middle to one side; `force` (N) is the tension that
+    seats them, known, not identified. Where every rod is always pulled (or pushed) well beyond
+    it, the play acts like the rods' lengths and cannot be seen.
+    """
+
+    needs = ("payload",)
+    fixed = ("mass.*", "force")
+    physics = "A ball in a loose socket lies on the side that the rod's force pushes it to."
+    source = "clearance of ball joints, 5-50 um"
+    lookalikes = ("rod_compliance", "joint_compliance", "payload_sag")
+    separated_by = "payloads that turn rods from pushed to pulled, small and large ones"
+
+    def parameters(self, mechanism: Mechanism) -> list[Parameter]:
+        return [
+            Parameter("play", "m", 0.0, 20e-6, low=0.0, high=0.2e-3),
+            Parameter("force", "N", 1.0, 1.0, low=0.1, high=10.0),
+            *masses(mechanism),
+        ]
+
+    def applies(self, mechanism: Mechanism) -> str:
+        return needs_rods(mechanism)
+
+    def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
+        tension = rod_forces(seen, e, at, mechanism)
+        return lengthened(seen, mechanism, e.play * ca.tanh(tension / e.force))

@@ -1,0 +1,51 @@
+"""A measuring device whose axes are neither quite square nor quite to one scale."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import casadi as ca
+
+from parallel_cal.effect import Effect, Seen
+from parallel_cal.mechanism import Mechanism
+from parallel_cal.parameters import Named, Parameter
+
+AXES = "xyz"
+
+
+class DeviceAxes(Effect):
+    """r_ideal = r + E r, E upper triangular: scale_i on the diagonal, square_ij (rad) beside it.
+
+    square_ij is how far the device's axis j leans towards i. The scale of the last axis is the
+    standard for the others: all scales together are no more than another metre, and lengths and
+    the gains of sliding joints take its place.
+    """
+
+    of_device = True
+    physics = "A coordinate measuring machine's axes lean and its scales stretch."
+    source = "10-50 urad and 10-50 um/m for machines in a workshop (ISO 10360 ball plate tests)"
+    lookalikes = ("encoder_gain",)
+    separated_by = "the same poses with the device turned by a quarter turn about the vertical"
+
+    def parameters(self, mechanism: Mechanism) -> list[Parameter]:
+        axes = _axes(mechanism)
+        entries = [(f"scale_{a}", "1") for a in axes[:-1]]
+        entries += [(f"square_{a}{b}", "rad") for a, b in combinations(axes, 2)]
+        return [
+            Parameter(name, unit, 0.0, 50e-6, low=-0.5e-3, high=0.5e-3) for name, unit in entries
+        ]
+
+    def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
+        E = ca.SX(3, 3)
+        for i, a in enumerate(AXES):
+            E[i, i] = e.get(f"scale_{a}", 0)
+            for j in range(i + 1, 3):
+                E[i, j] = e.get(f"square_{a}{AXES[j]}", 0)
+        return seen.with_pose(seen.r + E @ seen.r, seen.R)
+
+    def applies(self, mechanism: Mechanism) -> str:
+        return "" if len(_axes(mechanism)) > 1 else "the platform moves along fewer than two axes"
+
+
+def _axes(mechanism: Mechanism) -> list[str]:
+    return [a for a in AXES if a in mechanism.moves]

@@ -1,0 +1,67 @@
+"""Teeth of a gear that are not all alike: a ripple at the gear's ratio and twice that."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from parallel_cal.effect import Effect, Seen
+from parallel_cal.effects._joints import needs_turning, shifted, turning
+from parallel_cal.mechanism import Mechanism
+from parallel_cal.parameters import Named, Parameter
+
+RATIOS = (3.0, 150.0)  # below them an encoder's harmonics, above them more than poses can follow
+
+
+class GearTransmissionError(Effect):
+    """q_ideal = q + sum over k = 1, 2 of sin_k * sin(k ratio q) + cos_k * cos(k ratio q) (rad).
+
+    One `ratio` for all joints, known from the gear's catalogue or found by `scan`: its best
+    setting lies within half a step of the peak and shows at least 90 % of the first harmonic;
+    from there the ratio may be freed and is refined together with the amplitudes.
+    """
+
+    fixed = ("ratio",)
+    physics = "Eccentric gears and wave generators advance and delay the arm once per input turn."
+    source = "harmonic drives: 0.3-0.45 mrad at one and two periods per turn of the input"
+
+    def parameters(self, mechanism: Mechanism) -> list[Parameter]:
+        amplitudes = [
+            Parameter(f"{joint}.{part}{k}", "rad", 0.0, 0.3e-3, low=-3e-3, high=3e-3)
+            for joint in turning(mechanism)
+            for k in (1, 2)
+            for part in ("sin", "cos")
+        ]
+        return [Parameter("ratio", "1", 50.0, 20.0, low=1.0, high=250.0), *amplitudes]
+
+    def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
+        def ripple(joint: str, q: Any, k: int) -> Any:
+            angle = k * e.ratio * q
+            return e[joint][f"sin{k}"] * ca.sin(angle) + e[joint][f"cos{k}"] * ca.cos(angle)
+
+        def error(joint: str, q: Any) -> Any:
+            return ripple(joint, q, 1) + ripple(joint, q, 2)
+
+        return shifted(seen, mechanism, turning(mechanism), error)
+
+    def applies(self, mechanism: Mechanism) -> str:
+        return needs_turning(mechanism)
+
+    def scan(self, mechanism: Mechanism) -> Iterator[Mapping[str, float]]:
+        """Ratios pi / travel apart: a sine over the travel T has a peak 2 pi / T to each side.
+
+        The travel is the longest that joint limits allow, one turn where they allow any.
+        """
+        low, high = RATIOS
+        step = np.pi / _travel(mechanism)
+        for ratio in np.arange(low, high, step):
+            yield {"ratio": float(ratio)}
+
+
+def _travel(mechanism: Mechanism) -> float:
+    limits = dict(zip(mechanism.joints, mechanism.joint_limits, strict=True))
+    ways = [high - low for low, high in map(limits.__getitem__, turning(mechanism))]
+    return max(way if np.isfinite(way) else 2 * np.pi for way in ways)

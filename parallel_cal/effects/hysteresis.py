@@ -1,0 +1,56 @@
+"""A drive that winds up after each reversal before it follows: play with rounded corners."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import casadi as ca
+
+from parallel_cal.effect import Effect, Seen
+from parallel_cal.effects._joints import shifted
+from parallel_cal.mechanism import Mechanism
+from parallel_cal.parameters import Named, Parameter
+
+LAG = {"rad": (0.3e-3, 3e-3), "m": (10e-6, 0.1e-3)}  # tolerance and what no real drive exceeds
+WIDTH = {"rad": 20e-3, "m": 0.3e-3}  # of travel, until most of the lag has built up
+
+
+class Hysteresis(Effect):
+    """q_ideal = q - lag * tanh(travel / width) for every joint, travel since its last reversal.
+
+    `width` is a number to be given, or found by `scan`: over ways much longer than it the lag
+    is that of a backlash of 2 lag.
+    """
+
+    needs = ("travel",)
+    fixed = ("*.width",)
+    physics = "Friction winds up an elastic drive, which lags behind once the joint has reversed."
+    source = "harmonic drives: 0.3-0.6 mrad between the two directions"
+    lookalikes = ("backlash", "latency")
+    separated_by = "the same poses approached from both directions over short and long ways"
+
+    def parameters(self, mechanism: Mechanism) -> list[Parameter]:
+        joints = zip(mechanism.joints, mechanism.joint_units, strict=True)
+        return [p for joint, unit in joints for p in _of_joint(joint, unit)]
+
+    def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
+        def error(joint: str, q: Any) -> Any:
+            return -e[joint].lag * ca.tanh(at["travel"][joint] / e[joint].width)
+
+        return shifted(seen, mechanism, mechanism.joints, error)
+
+    def scan(self, mechanism: Mechanism) -> Iterator[Mapping[str, float]]:
+        """Widths in steps of a factor 3: nearer ones cannot be told apart by their shape."""
+        joints = list(zip(mechanism.joints, mechanism.joint_units, strict=True))
+        for factor in (1, 1 / 3, 1 / 9):
+            yield {f"{joint}.width": factor * WIDTH[unit] for joint, unit in joints}
+
+
+def _of_joint(joint: str, unit: str) -> list[Parameter]:
+    tolerance, most = LAG[unit]
+    width = WIDTH[unit]
+    return [
+        Parameter(f"{joint}.lag", unit, 0.0, tolerance, low=0.0, high=most),
+        Parameter(f"{joint}.width", unit, width, width / 10, low=width / 9),
+    ]

@@ -1,0 +1,49 @@
+"""Drives that give way under load: shafts and gears twist, spindles are compressed."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from parallel_cal.effect import Effect, Seen
+from parallel_cal.effects._statics import joint_forces, loaded, masses, needs_weight
+from parallel_cal.mechanism import Mechanism
+from parallel_cal.parameters import Named, Parameter
+
+# unit: unit of the compliance, tolerance, and what no real drive exceeds
+SIZE = {"rad": ("rad/(N m)", 1e-3, 1e-2), "m": ("m/N", 1e-6, 1e-5)}
+
+
+class JointCompliance(Effect):
+    """q_ideal = q + compliance * torque, the torque (Nm or N) that weight exerts on the joint.
+
+    The payload and `mass.platform` act at {P}'s origin; with phi(q, x, p) = 0 the torque is
+    -(dphi/dq)^T lambda, (dphi/dx)^T lambda = the weight's wrench; parts act on q and x.
+    """
+
+    needs = ("payload",)
+    fixed = ("mass.*",)
+    physics = "Between encoder and arm a shaft twists in proportion to the torque it holds."
+    source = "harmonic drives 1e-5..1e-4 rad/Nm, belts and thin shafts to 1e-3; screws 1e-8 m/N"
+    lookalikes = ("rod_compliance", "payload_sag", "ball_joint_clearance")
+    separated_by = "several payloads in poses all over the workspace, its edges included"
+
+    def parameters(self, mechanism: Mechanism) -> list[Parameter]:
+        units = dict(zip(mechanism.joints, mechanism.joint_units, strict=True))
+        sizes = [(joint, *SIZE[units[joint]]) for joint in loaded(mechanism)]
+        return [
+            *[
+                Parameter(f"{joint}.compliance", unit, 0.0, tolerance, low=0.0, high=most)
+                for joint, unit, tolerance, most in sizes
+            ],
+            *masses(mechanism),
+        ]
+
+    def applies(self, mechanism: Mechanism) -> str:
+        return needs_weight(mechanism)
+
+    def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
+        torque = joint_forces(seen, e, at, mechanism)
+        twists = [
+            e.get(f"{joint}.compliance", 0) * torque[i] for i, joint in enumerate(mechanism.joints)
+        ]
+        return seen.with_q(seen.q + ca.vertcat(*twists))

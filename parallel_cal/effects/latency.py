@@ -1,0 +1,32 @@
+"""Poses stamped later than they were taken: in motion the joints are already further on."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from parallel_cal.effect import Effect, Seen
+from parallel_cal.effects._joints import shifted
+from parallel_cal.mechanism import Mechanism
+from parallel_cal.parameters import Named, Parameter
+
+
+class Latency(Effect):
+    """q_ideal = q - delay * velocity for every joint, one delay (s) for all.
+
+    A pose stamped t was taken at t - delay; a negative delay says that the joints are late.
+    """
+
+    needs = ("velocity",)
+    physics = "A device that stamps poses on arrival shows where the robot was a moment before."
+    source = "1 ms at 0.2 m/s is 200 um; trackers and cameras over a network take 1-20 ms"
+    lookalikes = ("backlash", "hysteresis")
+    separated_by = "the same path at two speeds, and poses at rest"
+
+    def parameters(self, mechanism: Mechanism) -> list[Parameter]:
+        return [Parameter("delay", "s", 0.0, 5e-3, low=-50e-3, high=50e-3)]
+
+    def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
+        def error(joint: str, q: Any) -> Any:
+            return -e.delay * at["velocity"][joint]
+
+        return shifted(seen, mechanism, mechanism.joints, error)

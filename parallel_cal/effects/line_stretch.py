@@ -1,0 +1,54 @@
+"""Lines that give under load: the platform hangs lower than inextensible lines would hold it."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from parallel_cal.effect import Effect, Seen
+from parallel_cal.mechanism import Mechanism
+from parallel_cal.mechanisms.cable import Cable
+from parallel_cal.parameters import Named, Parameter
+
+GRAVITY = ca.DM([0, 0, -9.80665])  # m/s^2 in {B}
+
+
+class LineStretch(Effect):
+    """r_ideal = r - compliance * K^-1 (mass + payload) g, K = sum of advantage u u^T / L.
+
+    u points from {P} to the line's anchor, L (m) away; of a tackle's `advantage` strands each
+    carries its share. A line under the tension T is longer by T L / (EA), compliance = 1 / (EA)
+    (1/N). Where lines are redundant statics alone leaves T open, but the weight sags motors that
+    hold still by the displacement whose stretch balances it: K times that is the weight. `mass` is
+    the platform's own. A tension that is constant in every line acts like the spools' radii.
+    """
+
+    needs = ("payload",)
+    fixed = ("mass",)
+    physics = "A loaded line is longer than an unloaded one, in proportion to its length."
+    source = "Hooke's law; braided line of 1 mm, EA of 10-50 kN: 2 m under 1 kg give 2-0.4 mm"
+    lookalikes = ("payload_sag", "joint_compliance", "device_axes")
+    separated_by = "the same poses with another payload, high and low"
+
+    def parameters(self, mechanism: Mechanism) -> list[Parameter]:
+        return [
+            Parameter("compliance", "1/N", 0.0, 0.1e-3, low=0.0),
+            Parameter("mass", "kg", 0.0, 5.0, low=0.0),
+        ]
+
+    def applies(self, mechanism: Mechanism) -> str:
+        return "" if isinstance(mechanism, Cable) else "no line holds the platform"
+
+    def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
+        weight = (e.mass + at["payload"]) * GRAVITY
+        sag = e.compliance * ca.solve(_stiffness(seen, len(mechanism.joints)), weight)
+        return seen.with_pose(seen.r - sag, seen.R)
+
+
+def _stiffness(seen: Seen, lines: int) -> ca.SX:
+    """Force (N) a metre of displacement of lines with EA = 1 N."""
+    K = ca.SX.zeros(3, 3)
+    for i in range(1, lines + 1):
+        line = seen.p[f"line{i}"]
+        way = line.vector("A_x", "A_y", "A_z") - seen.r
+        K += line.advantage * way @ way.T / ca.norm_2(way) ** 3
+    return K

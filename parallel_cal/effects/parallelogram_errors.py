@@ -1,0 +1,42 @@
+"""Parallelograms that are none: the model in which the platform is not held parallel."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from parallel_cal.effect import Effect, Seen
+from parallel_cal.mechanism import Mechanism, load_mechanism
+from parallel_cal.parameters import Named, Parameter
+
+if TYPE_CHECKING:
+    from parallel_cal.model import Model
+
+
+class ParallelogramErrors(Effect):
+    """The next larger model in place of this one (24 -> 54: set P1, eq. 3.14), equal at first.
+
+    It has no numbers of its own: those of the larger mechanism are what is added, and the way
+    back is the model file from before.
+    """
+
+    physics = "Unequal rods and skew bars tilt a platform, bent pantographs shift its centre."
+    source = "table 5.18: half bars and rods off by 0.02-0.1 mm, axes by 0.1-0.6 degrees"
+    lookalikes = ("target_offset",)
+    separated_by = "orientation measured as well, or a target at a lever arm"
+
+    def parameters(self, mechanism: Mechanism) -> list[Parameter]:
+        return []
+
+    def applies(self, mechanism: Mechanism) -> str:
+        if type(mechanism).widen is Mechanism.widen:
+            return "it is not a special case of a larger model"
+        name, _ = mechanism.widen(mechanism.parameters.mapping(mechanism.parameters.nominal))
+        if set(load_mechanism(name, **mechanism.options).moves) <= set(mechanism.moves):
+            return f"{name}, its larger model, leaves the platform no further freedom"
+        return ""
+
+    def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
+        return seen
+
+    def added_to(self, model: Model) -> Model:
+        return model.widened()

@@ -1,0 +1,39 @@
+"""A measured point that is not the platform's origin: it swings round as the platform turns."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from parallel_cal.effect import Effect, Seen
+from parallel_cal.mechanism import Mechanism
+from parallel_cal.parameters import Named, Parameter
+
+AXES = "xyz"
+
+
+class TargetOffset(Effect):
+    """r_shown = r + R o: the device shows the point o (m) of {P} instead of its origin.
+
+    Points of the platform that are free parameters move along with o and hide it: keep them
+    fixed. An offset along the only axis that the platform turns about is a shift, not felt.
+    """
+
+    of_device = True
+    physics = "A reflector or stylus is never mounted exactly where the model has the origin."
+    source = "0.01-1 mm, as the target's mount was made or measured"
+
+    def parameters(self, mechanism: Mechanism) -> list[Parameter]:
+        turns = {c[1] for c in mechanism.moves if c.startswith("r")}
+        return [
+            Parameter(f"o_{a}", "m", 0.0, 0.5e-3, low=-5e-3, high=5e-3) for a in AXES if turns - {a}
+        ]
+
+    def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
+        offset = ca.vertcat(*[e.get(f"o_{a}", 0) for a in AXES])
+        return seen.with_pose(seen.r - seen.R @ offset, seen.R)
+
+    def applies(self, mechanism: Mechanism) -> str:
+        turns = [c for c in mechanism.moves if c.startswith("r")]
+        if not turns:
+            return "the platform does not turn"
+        return "" if len(turns) < len(mechanism.moves) else "the platform only turns"

@@ -1,0 +1,43 @@
+"""Bodies that grow as they warm up."""
+
+from __future__ import annotations
+
+from parallel_cal.effect import Effect, Seen
+from parallel_cal.mechanism import Mechanism
+from parallel_cal.parameters import Named, Parameter
+
+
+class ThermalExpansion(Effect):
+    """L_ideal = L (1 + alpha (T - T0)) for every length of a body, alpha (1/K) one a body.
+
+    T0 is `reference` (degC): at another one the lengths are others, nothing else.
+    """
+
+    needs = ("temperature",)
+    fixed = ("reference",)
+    physics = "A part of length L is longer by alpha L for every kelvin that it is warmer."
+    source = "steel 11.7e-6/K, aluminium 23e-6/K, carbon fibre -1e-6..2e-6/K, polymers to 1e-4/K"
+    lookalikes = ("base_drift", "zero_shift")
+    separated_by = "a temperature that rises and falls, so that it is not merely another clock"
+
+    def parameters(self, mechanism: Mechanism) -> list[Parameter]:
+        return [
+            *[
+                Parameter(f"{body}.alpha", "1/K", 0.0, 10e-6, low=-2e-6, high=100e-6)
+                for body in mechanism.bodies
+            ],
+            Parameter("reference", "degC", 20.0, 10.0, low=-50.0, high=100.0),
+        ]
+
+    def applies(self, mechanism: Mechanism) -> str:
+        return "" if mechanism.bodies else "it has no lengths that are known to be of one body"
+
+    def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
+        warmer, table = at["temperature"] - e.reference, mechanism.parameters
+        changes = {
+            name: seen.p[name] * (1 + e[body].alpha * warmer)
+            for body, lengths in mechanism.bodies.items()
+            for name, of_body in zip(table.names, table.matching(lengths), strict=True)
+            if of_body
+        }
+        return seen.with_p(changes)

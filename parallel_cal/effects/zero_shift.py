@@ -1,0 +1,43 @@
+"""Joints that were homed anew between two recordings: their zeros are not where they were."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from parallel_cal.effect import Effect, Seen
+from parallel_cal.effects._joints import shifted
+from parallel_cal.mechanism import Mechanism
+from parallel_cal.parameters import Named, Parameter
+
+LATER = (1, 2, 3)  # sessions that may begin with a shift; the first one's zero is the geometry's
+SIZE = {"rad": (0.5e-3, 5e-3), "m": (50e-6, 0.5e-3)}  # tolerance and what homing never misses by
+
+
+class ZeroShift(Effect):
+    """q_ideal = q + sum of since_k over the sessions k = 1, 2, 3 that have begun, every joint.
+
+    `since1` shifts the second session and those after it. Free `since2` and `since3` where
+    there are a third and a fourth session: a shift that no sample feels cannot be identified.
+    """
+
+    needs = ("session",)
+    fixed = tuple(f"*.since{k}" for k in LATER[1:])
+    physics = "Homing finds a joint's zero only as well as its switch repeats."
+    source = "reference switches repeat within 10-100 um"
+    lookalikes = ("base_drift", "thermal_expansion")
+    separated_by = "some poses measured both at the beginning and at the end of every session"
+
+    def parameters(self, mechanism: Mechanism) -> list[Parameter]:
+        joints = zip(mechanism.joints, mechanism.joint_units, strict=True)
+        sizes = [(joint, unit, *SIZE[unit]) for joint, unit in joints]
+        return [
+            Parameter(f"{joint}.since{k}", unit, 0.0, tolerance, low=-most, high=most)
+            for joint, unit, tolerance, most in sizes
+            for k in LATER
+        ]
+
+    def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
+        def error(joint: str, q: Any) -> Any:
+            return sum(e[joint][f"since{k}"] * (at.session >= k) for k in LATER)
+
+        return shifted(seen, mechanism, mechanism.joints, error)

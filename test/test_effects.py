@@ -1,0 +1,221 @@
+"""What every effect on the shelf keeps to, on every mechanism where it makes sense."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from parallel_cal.effect import CONDITIONS, load_effect
+from parallel_cal.errors import ModelError
+from parallel_cal.kinematics import Kinematics
+from parallel_cal.mechanism import load_mechanism, shelf_names
+from parallel_cal.model import new_model
+from parallel_cal.modelfile import dump_model, parse_model
+from parallel_cal.rotation import quaternion_to_matrix, rotation_matrix
+from parallel_cal.simulate import poses_in_workspace
+
+EFFECTS = shelf_names("effects")
+MECHANISMS = (
+    *("delta54", "delta24", "stewart42", "planar_stewart", "argos27", "argos9"),
+    *("scara16", "cable", "linear_delta", "slider_crank"),
+)
+SAMPLES = 12
+# What a session may bring, around the value that means "nothing special".
+SPREAD = {"time": 3000.0, "temperature": 8.0, "payload": 2.0, "velocity": 0.5, "travel": 0.1}
+
+
+def accepted(mechanism):
+    """Effects that make sense for it."""
+    return [name for name in EFFECTS if not load_effect(name).applies(mechanism)]
+
+
+PAIRS = [(m, e) for m in MECHANISMS for e in accepted(load_mechanism(m))]
+REFUSED = [(m, e) for m in MECHANISMS for e in EFFECTS if (m, e) not in PAIRS]
+each_effect = pytest.mark.parametrize("name", EFFECTS)
+each_pair = pytest.mark.parametrize(("mechanism", "name"), PAIRS)
+
+
+def configurations(mechanism, rng):
+    """(n, nq + 12) rows about home that need not close; only moved coordinates differ."""
+    m, home = mechanism, mechanism.home
+    scale = [0.3 if unit == "rad" else 0.02 for unit in m.joint_units]
+    q = np.array(home.joints) + rng.uniform(-1, 1, (SAMPLES, len(scale))) * scale
+    move = np.zeros((SAMPLES, 6))
+    move[:, m.moved] = rng.uniform(-1, 1, (SAMPLES, len(m.moved)))
+    r = np.array(home.position) + 0.05 * move[:, :3]
+    R = rotation_matrix(0.2 * move[:, 3:]) @ quaternion_to_matrix(np.array(home.quaternion))
+    return np.hstack([q, r, R.reshape(-1, 9)])
+
+
+def circumstances(conditions, rng):
+    """(n, n_conditions) rows, each condition drawn as a session may bring it."""
+    rows = np.empty((SAMPLES, len(conditions)))
+    for k, condition in enumerate(conditions):
+        name = condition.split(".")[0]
+        if name == "session":
+            rows[:, k] = np.arange(SAMPLES) % 4
+        elif name == "direction":
+            rows[:, k] = rng.choice([-1.0, 1.0], SAMPLES)
+        else:
+            rows[:, k] = CONDITIONS[name][1] + SPREAD[name] * rng.uniform(0.1, 1, SAMPLES)
+    return rows
+
+
+def evaluated(model, x, a, values=None):
+    """phi and d phi / dv at each row."""
+    values = model.values if values is None else values
+    found = [model.structure.closure(*row, values) for row in zip(x, a, strict=True)]
+    return np.array([ca.DM(f[0]) for f in found]), np.array([ca.DM(f[2]) for f in found])
+
+
+def own(model, name):
+    """Mask of the effect's free parameters."""
+    mine = np.array([n.startswith(f"{name}.") for n in model.table.names])
+    return mine & ~model.fixed
+
+
+@each_pair
+def test_an_effect_that_was_only_added_changes_nothing(mechanism, name):
+    plain = new_model(mechanism)
+    model, rng = plain.with_effect(name), np.random.default_rng(1)
+    if model.mechanism is not plain.mechanism:  # a larger model in its stead: the same poses
+        q = np.array(plain.mechanism.home.joints) + rng.uniform(-0.05, 0.05, (5, 3))
+        one, other = (Kinematics(m).direct(q).position for m in (plain, model))
+        np.testing.assert_allclose(one, other, atol=1e-12)
+        return
+    x = configurations(plain.mechanism, rng)
+    without, _ = evaluated(plain, x, np.zeros((SAMPLES, 0)))
+    within, _ = evaluated(model, x, circumstances(model.conditions, rng))
+    np.testing.assert_array_equal(within, without)
+
+
+@each_pair
+def test_every_free_number_is_felt(mechanism, name):
+    model, rng = new_model(mechanism).with_effect(name), np.random.default_rng(2)
+    grown = model.mechanism.name != mechanism  # what was added are the larger model's own numbers
+    free = ~model.fixed if grown else own(model, name)
+    assert free.any()
+    drawn = np.where(free, model.table.tolerance * rng.uniform(0.5, 1, len(free)), 0)
+    x = configurations(model.mechanism, rng)
+    at = circumstances(model.conditions, rng)
+    _, by_number = evaluated(model, x, at, model.values + drawn)
+    felt = np.abs(by_number).max(axis=(0, 1)) * model.table.tolerance > 1e-9
+    unfelt = [n for n, f, p in zip(model.table.names, free, felt, strict=True) if f and not p]
+    assert unfelt == []
+
+
+@pytest.mark.parametrize(("mechanism", "name"), REFUSED)
+def test_where_an_effect_makes_no_sense_it_is_refused_with_the_reason(mechanism, name):
+    model = new_model(mechanism)
+    reason = load_effect(name).applies(model.mechanism)
+    with pytest.raises(ModelError, match=f"'{name}' makes no sense for {mechanism}: ") as refusal:
+        model.with_effect(name)
+    assert str(refusal.value).endswith(reason)
+
+
+@each_pair
+def test_a_model_file_keeps_an_effect_with_its_numbers(mechanism, name):
+    model = new_model(mechanism).with_effect(name)
+    free = own(model, name)
+    model = model.with_values(model.values + np.where(free, 0.5 * model.table.tolerance, 0))
+    again = parse_model(dump_model(model), "file")
+    assert [effect.name for effect in again.effects] == [effect.name for effect in model.effects]
+    assert again.table.names == model.table.names
+    np.testing.assert_array_equal(again.values, model.values)
+    np.testing.assert_array_equal(again.fixed, model.fixed)
+
+
+@each_pair
+def test_numbers_have_a_physical_range_around_no_effect(mechanism, name):
+    model = new_model(mechanism).with_effect(name)
+    for parameter in load_effect(name).table(model.mechanism):
+        assert parameter.tolerance > 0, parameter.name
+        assert parameter.low <= parameter.nominal <= parameter.high, parameter.name
+        assert np.isfinite([parameter.low, parameter.high]).any(), parameter.name
+
+
+@each_pair
+def test_a_search_tries_only_numbers_that_are_not_identified(mechanism, name):
+    model = new_model(mechanism)
+    settings = list(load_effect(name).scan(model.mechanism))
+    assert settings
+    for setting in (settings[0], settings[-1]):
+        set_so = model.with_effect(name, setting)
+        for key, value in setting.items():
+            i = set_so.table.index_of(f"{name}.{key}")
+            assert set_so.fixed[i]
+            assert set_so.values[i] == value
+        parse_model(dump_model(set_so), "file")  # and a file may hold it
+
+
+@each_effect
+def test_an_effect_says_what_it_is_where_it_comes_from_and_what_it_resembles(name):
+    effect = load_effect(name)
+    assert effect.physics.endswith(".")
+    assert effect.source
+    assert type(effect).__doc__
+    assert set(effect.needs) <= set(CONDITIONS)
+    assert set(effect.lookalikes) <= set(EFFECTS) - {name}
+    assert bool(effect.lookalikes) == bool(effect.separated_by)
+
+
+def with_all(mechanism):
+    """A model with every effect that suits, each number off by half its tolerance."""
+    model = new_model(mechanism)
+    for name in EFFECTS:
+        if not load_effect(name).applies(model.mechanism):
+            model = model.with_effect(name)
+    free = np.any([own(model, effect.name) for effect in model.effects], axis=0)
+    return model.with_values(model.values + np.where(free, 0.5 * model.table.tolerance, 0))
+
+
+@pytest.mark.parametrize("mechanism", MECHANISMS)
+def test_with_all_effects_at_once_the_direct_problem_undoes_the_inverse(mechanism):
+    model, rng = with_all(mechanism), np.random.default_rng(3)
+    rows = circumstances(model.conditions, rng)
+    at = dict(zip(model.conditions, rows.T, strict=True))
+    r, R = poses_in_workspace(model.mechanism, SAMPLES, rng)
+    joints = Kinematics(model).inverse(r, R, at)
+    pose = Kinematics(model).direct(joints.joints, at)
+    assert joints.ok.all()
+    np.testing.assert_allclose(pose.position, joints.position, atol=1e-12)
+    np.testing.assert_allclose(pose.rotation, joints.rotation, atol=1e-11)
+
+
+USERS = '''
+"""Wear of a brake: the crank slips a little with every hour."""
+
+from parallel_cal.effect import Effect
+from parallel_cal.parameters import Parameter
+
+
+class Slip(Effect):
+    """q_ideal = q - rate * time."""
+
+    needs = ("time",)
+    physics = "A worn brake slips."
+    source = "the workshop's log"
+
+    def parameters(self, mechanism):
+        return [Parameter("rate", "rad/s", 0.0, 1e-6, low=0.0, high=1e-5)]
+
+    def ideal(self, seen, e, at, mechanism):
+        return seen.with_q(seen.q - e.rate * at.time)
+'''
+
+
+def test_a_users_own_effect_acts_after_ours(tmp_path, monkeypatch):
+    package = tmp_path / "workshop"
+    package.mkdir()
+    (package / "__init__.py").write_text("")
+    (package / "slip.py").write_text(USERS)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    numbers = {"encoder_gain.crank.gain": 1e-3, "workshop.slip.rate": 2e-6}
+    model = new_model("slider_crank", numbers, effects=["encoder_gain", "workshop.slip"])
+    assert model.conditions == ("time",)
+    answer = Kinematics(model).direct(np.array([0.5]), at={"time": 1000.0})
+    expected = Kinematics(new_model("slider_crank")).direct(np.array([0.5 * 1.001 - 2e-3]))
+    np.testing.assert_allclose(answer.position, expected.position, atol=1e-15)
+    again = parse_model(dump_model(model), "file")
+    assert [effect.name for effect in again.effects] == ["encoder_gain", "workshop.slip"]

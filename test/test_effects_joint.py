@@ -1,0 +1,398 @@
+"""Effects of encoders, gears, clocks and devices: by hand, and found in the virtual robot."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pytest
+import virtual_effects_joint as ve
+import virtual_robot as vr
+import virtual_stewart as vt
+
+from parallel_cal.dataset import Dataset
+from parallel_cal.effect import Seen, load_effect
+from parallel_cal.evidence import gather
+from parallel_cal.identification import chi2_band, fit
+from parallel_cal.mechanism import load_mechanism
+from parallel_cal.methods.implicit import estimate
+from parallel_cal.model import new_model
+from parallel_cal.parameters import Named
+
+HEX = vr.Noise(joint=5e-6, position=10e-6, orientation=15 * vr.ARCSEC)  # m on its legs
+
+
+# --------------------------------------------------------------------------- by pencil and paper
+
+
+def sees(name, mechanism, numbers, conditions, q=None, r=(0.1, -0.2, 0.3), R=None):
+    """(q, r, R) that the ideal mechanism sees."""
+    import casadi as ca
+
+    m = load_mechanism(mechanism)
+    effect = load_effect(name)
+    table = effect.table(m)
+    values = table.vector({f"{name}.{key}": value for key, value in numbers.items()})
+    e = Named(table.names, ca.SX(ca.DM(values)))[name]
+    at = Named(tuple(conditions), ca.SX(ca.DM(list(conditions.values()))))
+    q = m.home.joints if q is None else q
+    seen = Seen(ca.SX(ca.DM(q)), ca.SX(ca.DM(r)), ca.SX(ca.DM(np.eye(3) if R is None else R)), None)
+    seen = effect.ideal(seen, e, at, m)
+    return tuple(np.array(ca.DM(part)).squeeze() for part in (seen.q, seen.r, seen.R))
+
+
+THIRD = np.pi / 3
+QUARTER = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])  # about z
+
+
+def test_second_harmonic_of_a_joint_at_30_degrees_is_sine_and_cosine_of_60():
+    numbers = {"joint1.sin": 2e-3, "joint1.cos": 1e-3, "joint3.cos": 4e-3}
+    q, _, _ = sees("encoder_second_harmonic", "delta24", numbers, {}, [np.pi / 6, 0.5, THIRD])
+    expected = [np.pi / 6 + 2e-3 * 0.8660254037844386 + 0.5e-3, 0.5, THIRD - 2e-3]
+    np.testing.assert_allclose(q, expected, atol=1e-15)
+
+
+def test_a_gain_of_a_thousandth_lengthens_a_stroke_of_80_mm_by_80_um_and_leaves_zero():
+    q, _, _ = sees(
+        "encoder_gain", "stewart42", {"leg1.gain": 1e-3, "leg2.gain": -1e-3, "leg3.gain": 5e-4}, {},
+        [0.08, 0.08, 0.0, 0.08, 0.08, 0.08],
+    )  # fmt: skip
+    np.testing.assert_allclose(q, [0.08008, 0.07992, 0.0, 0.08, 0.08, 0.08], atol=1e-16)
+
+
+def test_a_gear_of_ratio_6_ripples_six_times_and_twelve_times_a_turn():
+    numbers = {"ratio": 6.0, "joint1.sin1": 1e-3, "joint1.cos2": 2e-3}
+    numbers |= {"joint2.cos1": 3e-3, "joint2.sin2": 1e-3}
+    q, _, _ = sees("gear_transmission_error", "delta24", numbers, {}, [np.pi / 12, THIRD, 0.7])
+    # 6 * 15 degrees = 90, its double 180; 6 * 60 = a whole turn
+    np.testing.assert_allclose(q, [np.pi / 12 + 1e-3 - 2e-3, THIRD + 3e-3, 0.7], atol=1e-15)
+
+
+def test_after_a_reversal_the_lag_grows_as_a_tanh_and_towards_where_the_joint_came_from():
+    numbers = {"joint1.lag": 3e-4, "joint1.width": 0.01, "joint2.lag": 2e-4, "joint2.width": 0.01}
+    travel = {"travel.joint1": 0.01 * np.log(2), "travel.joint2": -0.5, "travel.joint3": 1.0}
+    q, _, _ = sees("hysteresis", "delta24", numbers, travel, [0.5, 0.5, 0.5])
+    # tanh(ln 2) = (2 - 1/2) / (2 + 1/2) = 0.6
+    np.testing.assert_allclose(q, [0.5 - 1.8e-4, 0.5 + 2e-4, 0.5], atol=1e-15)
+
+
+def test_a_pose_stamped_2_ms_late_belongs_to_joints_2_ms_back():
+    velocity = {"velocity.joint1": 0.5, "velocity.joint2": -0.25, "velocity.joint3": 0.0}
+    q, _, _ = sees("latency", "delta24", {"delay": 2e-3}, velocity, [0.5, 0.5, 0.5])
+    np.testing.assert_allclose(q, [0.499, 0.5005, 0.5], atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("session", "shift"), [(0, 0), (1, 1e-3), (2, 3e-3), (3, -1e-3), (4, -1e-3)]
+)
+def test_every_session_keeps_the_shifts_of_those_before_it(session, shift):
+    numbers = {"joint1.since1": 1e-3, "joint1.since2": 2e-3, "joint1.since3": -4e-3}
+    q, _, _ = sees("zero_shift", "delta24", numbers, {"session": session}, [0.5, 0.5, 0.5])
+    np.testing.assert_allclose(q, [0.5 + shift, 0.5, 0.5], atol=1e-15)
+
+
+def test_a_base_that_slid_and_turned_is_put_back_to_where_it_was():
+    numbers = {"v_x": 1e-7, "v_y": 2e-7, "v_z": -1e-7, "w_z": 1e-6}
+    _, r, R = sees("base_drift", "stewart42", numbers, {"time": 1000.0})
+    # 0.1, 0.2, -0.1 mm too far; then turned back by 1 mrad about z
+    slid = np.array([0.1 - 1e-4, -0.2 - 2e-4, 0.3 + 1e-4])
+    expected = [slid[0] + 1e-3 * slid[1], slid[1] - 1e-3 * slid[0], slid[2]]
+    np.testing.assert_allclose(r, expected, atol=2e-7)  # 1 - cos(1 mrad) is 5e-7 of 0.2 m
+    np.testing.assert_allclose(R, [[1, 1e-3, 0], [-1e-3, 1, 0], [0, 0, 1]], atol=6e-7)
+
+
+@pytest.mark.parametrize(
+    ("number", "expected"),
+    [
+        ("scale_x", [0.1001, -0.2, 0.3]),
+        ("scale_y", [0.1, -0.2002, 0.3]),
+        ("square_xy", [0.0998, -0.2, 0.3]),
+        ("square_xz", [0.1003, -0.2, 0.3]),
+        ("square_yz", [0.1, -0.1997, 0.3]),
+    ],
+)
+def test_a_reading_along_a_leaning_axis_leads_aside(number, expected):
+    _, r, R = sees("device_axes", "delta54", {number: 1e-3}, {})
+    np.testing.assert_allclose(r, expected, atol=1e-15)
+    np.testing.assert_array_equal(R, np.eye(3))
+
+
+def test_a_target_off_the_origin_turns_with_the_platform():
+    _, r, R = sees(
+        "target_offset", "stewart42", {"o_x": 1e-3, "o_y": 2e-3, "o_z": 4e-3}, {}, R=QUARTER
+    )
+    np.testing.assert_allclose(r, [0.1 + 2e-3, -0.2 - 1e-3, 0.3 - 4e-3], atol=1e-15)
+    np.testing.assert_array_equal(R, QUARTER)
+
+
+def test_an_eccentric_encoder_and_play_in_a_sliding_joint_by_hand():
+    q, _, _ = sees(
+        "encoder_eccentricity", "scara16", {"joint1.sin": 2e-3, "joint2.cos": 1e-3}, {},
+        [np.pi / 6, THIRD, 0.05],
+    )  # fmt: skip
+    np.testing.assert_allclose(q, [np.pi / 6 + 1e-3, THIRD + 0.5e-3, 0.05], atol=1e-15)
+    came = {f"direction.joint{i}": 1.0 for i in (1, 2, 3)}
+    q, _, _ = sees("backlash", "scara16", {"joint3.width": 40e-6}, came, [0.1, 0.1, 0.05])
+    np.testing.assert_allclose(q, [0.1, 0.1, 0.05 - 20e-6], atol=1e-15)
+
+
+# --------------------------------------------------------------------------- where they apply
+
+
+def test_what_comes_round_once_a_turn_is_only_asked_of_joints_that_turn():
+    scara, hexapod = load_mechanism("scara16"), load_mechanism("stewart42")
+    for name in ("encoder_eccentricity", "encoder_second_harmonic", "gear_transmission_error"):
+        effect = load_effect(name)
+        joints = {p.name.split(".")[0] for p in effect.parameters(scara)} - {"ratio"}
+        assert joints == {"joint1", "joint2"}
+        assert effect.applies(scara) == ""
+        assert effect.applies(hexapod) == "no joint turns"
+
+
+@pytest.mark.parametrize(
+    ("effect", "mechanism", "names"),
+    [
+        ("device_axes", "delta24", "scale_x scale_y square_xy square_xz square_yz"),
+        ("device_axes", "planar_stewart", "scale_x square_xy"),
+        ("target_offset", "planar_stewart", "o_x o_y"),
+        ("target_offset", "stewart42", "o_x o_y o_z"),
+        ("base_drift", "planar_stewart", "v_x v_y w_z"),
+        ("base_drift", "argos9", "w_x w_y w_z"),
+        ("base_drift", "slider_crank", "v_x"),
+        ("base_drift", "cable", "v_x v_y v_z w_x w_y w_z"),
+    ],
+)
+def test_device_and_base_have_the_numbers_that_the_platform_can_feel(effect, mechanism, names):
+    found = [p.name for p in load_effect(effect).parameters(load_mechanism(mechanism))]
+    assert found == names.split()
+
+
+@pytest.mark.parametrize(
+    ("effect", "mechanism", "reason"),
+    [
+        ("device_axes", "argos9", "fewer than two axes"),
+        ("device_axes", "slider_crank", "fewer than two axes"),
+        ("target_offset", "delta24", "does not turn"),
+        ("target_offset", "argos9", "only turns"),
+    ],
+)
+def test_device_effects_say_where_they_make_no_sense(effect, mechanism, reason):
+    assert reason in load_effect(effect).applies(load_mechanism(mechanism))
+
+
+# --------------------------------------------------------------------------- found again
+
+
+@dataclass(frozen=True)
+class Robot:
+    """A virtual robot with non-nominal geometry, and the model that a person starts from."""
+
+    mechanism: str
+    twin: Any
+    joints: tuple[str, ...]
+    noise: vr.Noise
+    reach: float
+
+    def poses(self, n, seed):
+        rng = np.random.default_rng([seed, 9])
+        r = self.twin.home + rng.uniform(-0.06, 0.06, (n, 3))
+        if self.mechanism == "delta54":
+            return self.twin.inverse(r)[0]
+        return self.twin.inverse(r, vr.turn(rng.uniform(-0.25, 0.25, (n, 3))))[0]
+
+
+def hexapod(seed=3):
+    model = new_model("stewart42")
+    draw = np.random.default_rng(seed).standard_normal(len(model.values))
+    return vt.Stewart(model.table.mapping(model.values + 0.5 * model.table.tolerance * draw))
+
+
+DELTA = Robot("delta54", vr.MOCK_UP, ("joint1", "joint2", "joint3"), vr.THESIS_NOISE, 0.5)
+HEXAPOD = Robot("stewart42", hexapod(), tuple(f"leg{i}" for i in range(1, 7)), HEX, 0.05)
+
+
+def measured(robot, hidden, n=100, seed=1, errorless=False):
+    """A dataset of the robot with its hidden physics; `errorless` instruments claim 1e-6 of it."""
+    reading, nq = robot.poses(n, seed), len(robot.joints)
+    at = ve.visits(n, nq, seed, robot.reach)
+    _, r, R = vr.truth(robot.twin, hidden, reading, at)
+    q_error, r_error, w_error = ve.errors(robot.noise, n, nq, seed)
+    factor, size = (0.0, 1e-6) if errorless else (1.0, 1.0)
+    sigma = np.repeat([robot.noise.position * size, robot.noise.orientation * size], 3)
+    conditions = {"time": at.time, "session": at.session}
+    for k, joint in enumerate(robot.joints):
+        for name in ("direction", "travel", "velocity"):
+            conditions[f"{name}.{joint}"] = getattr(at, name)[:, k]
+    return Dataset.from_arrays(
+        robot.joints, reading + factor * q_error, r + factor * r_error,
+        vr.turn(factor * w_error) @ R, pose_cov=np.diag(sigma**2),
+        joint_sigma=robot.noise.joint * size, conditions=conditions, pose_id=np.arange(n),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Case:
+    """What is hidden, and the numbers that say so in the package's terms."""
+
+    robot: Robot
+    effect: str
+    hidden: Any
+    numbers: dict[str, float]
+    settings: Any = None
+    fix: tuple[str, ...] = ()
+
+    def __str__(self):
+        return f"{self.effect} of {self.robot.mechanism}"
+
+
+def a_joint(robot, part, values):
+    return {f"{j}.{part}": v for j, v in zip(robot.joints, values, strict=True)}
+
+
+OVAL, AT = (2e-3, -1e-3, 1.5e-3), (0.3, -0.5, 1.0)
+RIPPLE, PHASE = (4e-4, 3e-4, -5e-4), (0.4, 1.1, -0.8)
+SIX = (60e-6, -40e-6, 50e-6, 30e-6, -70e-6, 20e-6)
+PITCH = tuple(2 * v for v in SIX)
+SLIDE, SPIN = (5e-8, -8e-8, 4e-8), (1e-7, -2e-7, 1.5e-7)
+CROOKED = ve.CrookedAxes((1 + 2e-4, 0, 0), (1e-4, 1 - 1.5e-4, 0), (-2e-4, 1.2e-4, 1))
+AXES = {
+    **{"scale_x": 2e-4, "scale_y": -1.5e-4},
+    **{"square_xy": 1e-4, "square_xz": -2e-4, "square_yz": 1.2e-4},
+}
+DRIFT = {
+    **{f"v_{a}": v for a, v in zip("xyz", SLIDE, strict=True)},
+    **{f"w_{a}": v for a, v in zip("xyz", SPIN, strict=True)},
+}
+CASES = [
+    Case(
+        DELTA, "encoder_second_harmonic", ve.OvalDisc(OVAL, AT),
+        a_joint(DELTA, "sin", np.array(OVAL) * np.sin(2 * np.array(AT)))
+        | a_joint(DELTA, "cos", np.array(OVAL) * np.cos(2 * np.array(AT))),
+    ),
+    Case(
+        DELTA, "encoder_gain", ve.WrongPitch((2e-3, -3e-3, 1e-3)),
+        a_joint(DELTA, "gain", (2e-3, -3e-3, 1e-3)),
+    ),
+    Case(HEXAPOD, "encoder_gain", ve.WrongPitch(PITCH), a_joint(HEXAPOD, "gain", PITCH)),
+    Case(
+        DELTA, "gear_transmission_error", ve.GearRipple(50.0, RIPPLE, PHASE),
+        a_joint(DELTA, "sin1", np.array(RIPPLE) * np.cos(PHASE))
+        | a_joint(DELTA, "cos1", np.array(RIPPLE) * np.sin(PHASE))
+        | a_joint(DELTA, "sin2", np.array(RIPPLE) / 3 * np.cos(2 * np.array(PHASE)))
+        | a_joint(DELTA, "cos2", np.array(RIPPLE) / 3 * np.sin(2 * np.array(PHASE))),
+        {"ratio": 50.0},
+    ),
+    Case(
+        DELTA, "hysteresis", ve.WindUp((5e-4, 3e-4, 4e-4), 0.02),
+        a_joint(DELTA, "lag", (5e-4, 3e-4, 4e-4)),
+    ),
+    Case(
+        HEXAPOD, "hysteresis", ve.WindUp((20e-6,) * 6, 5e-4),
+        a_joint(HEXAPOD, "lag", (20e-6,) * 6), a_joint(HEXAPOD, "width", (5e-4,) * 6),
+    ),
+    Case(DELTA, "latency", ve.LateStamp(3e-3), {"delay": 3e-3}),
+    Case(HEXAPOD, "latency", ve.LateStamp(-2e-3), {"delay": -2e-3}),
+    Case(
+        DELTA, "zero_shift", ve.HomedAnew((1e-3, -5e-4, 7e-4)),
+        a_joint(DELTA, "since1", (1e-3, -5e-4, 7e-4)),
+    ),
+    Case(HEXAPOD, "zero_shift", ve.HomedAnew(SIX), a_joint(HEXAPOD, "since1", SIX)),
+    Case(DELTA, "base_drift", ve.CreepingStand(SLIDE, SPIN), DRIFT),
+    Case(HEXAPOD, "base_drift", ve.CreepingStand(SLIDE, SPIN), DRIFT),
+    Case(HEXAPOD, "device_axes", CROOKED, AXES),
+    Case(
+        HEXAPOD, "target_offset", ve.MisplacedTarget((1e-3, -2e-3, 1.5e-3)),
+        {"o_x": 1e-3, "o_y": -2e-3, "o_z": 1.5e-3}, fix=("*.B_?",),
+    ),
+    Case(
+        HEXAPOD, "backlash", vr.Backlash((30e-6, 10e-6, 20e-6, 40e-6, 15e-6, 25e-6)),
+        a_joint(HEXAPOD, "width", (30e-6, 10e-6, 20e-6, 40e-6, 15e-6, 25e-6)),
+    ),
+]  # fmt: skip
+# A Delta's arms and rods take the place of leaning axes: noise hides them, yet they are no nullity.
+SWALLOWED = Case(DELTA, "device_axes", CROOKED, AXES)
+
+
+def model_of(case):
+    """The nominal model; what stays fixed in the geometry is as the robot really is."""
+    model = new_model(case.robot.mechanism)
+    if case.fix:
+        fixed = model.table.matching(case.fix)
+        true = model.table.vector(case.robot.twin.parameters)
+        model = model.with_values(np.where(fixed, true, model.values))
+    return model
+
+
+def identified(case, data, **options):
+    model = model_of(case)
+    with_it = model.with_effect(case.effect, case.settings)
+    return fit(with_it, data, fix=case.fix, **options), fit(model, data, fix=case.fix, **options)
+
+
+@pytest.mark.parametrize("case", CASES, ids=str)
+def test_a_hidden_effect_is_found_with_its_size_and_the_error_at_poses_left_out_falls(case):
+    found, without = identified(case, measured(case.robot, [case.hidden]))
+    sigma = dict(zip(found.model.table.names, found.estimate.sigma, strict=True))
+    for name, planted in case.numbers.items():
+        full = f"{case.effect}.{name}"
+        assert abs(found.model.value(full) - planted) < 4 * sigma[full], full
+    low, high = chi2_band(found.estimate.dof)
+    assert low < found.estimate.chi2_per_dof < high
+    document, before = found.document(), without.document()["held_out"]["after"]
+    assert document["unidentifiable"] == []
+    floor = document["noise_floor"]["position_rms"]
+    assert document["held_out"]["after"]["position_rms"] < 1.25 * floor
+    assert before["position_rms"] > document["held_out"]["after"]["position_rms"]
+
+
+@pytest.mark.parametrize("case", [*CASES, SWALLOWED], ids=str)
+def test_without_noise_it_is_found_exactly(case):
+    found, _ = identified(case, measured(case.robot, [case.hidden], errorless=True), hold_out=0)
+    for name, planted in case.numbers.items():
+        assert found.model.value(f"{case.effect}.{name}") == pytest.approx(planted, abs=1e-9), name
+
+
+def test_a_gear_of_unknown_ratio_is_found_by_scanning_and_then_refined():
+    name, true = "gear_transmission_error", 47.3
+    data = measured(DELTA, [ve.GearRipple(true, RIPPLE, PHASE)], n=150)
+    start = fit(new_model("delta54"), data, hold_out=0).model
+    evidence, scan = gather(start, data), list(load_effect(name).scan(start.mechanism))
+    tried = [start.with_effect(name, setting) for setting in scan]
+    amplitudes = tried[0].table.matching([f"{name}.joint*"])
+    best = min(tried, key=lambda model: estimate(model, evidence, amplitudes).chi2)
+    step = scan[1]["ratio"] - scan[0]["ratio"]
+    assert abs(best.value(f"{name}.ratio") - true) < step
+    found = fit(best, data, free=[f"{name}.ratio"])
+    sigma = found.estimate.sigma[found.model.table.index_of(f"{name}.ratio")]
+    assert sigma < 0.1
+    assert abs(found.model.value(f"{name}.ratio") - true) < 4 * sigma
+    low, high = chi2_band(found.estimate.dof)
+    assert low < found.estimate.chi2_per_dof < high
+
+
+def test_a_third_session_needs_its_own_shift_freed():
+    """Sessions that were not recorded cost nothing; one that was may be freed."""
+    data = measured(DELTA, [ve.HomedAnew((1e-3, -5e-4, 7e-4))])
+    session = np.repeat([0.0, 1.0, 2.0], [50, 25, 25])  # 2 goes on from 1 without a shift
+    thrice = replace(data, conditions={**data.conditions, "session": session})
+    model = new_model("delta54").with_effect("zero_shift")
+    found = fit(model, thrice, free=["*.since2"], hold_out=0)
+    sigma = dict(zip(found.model.table.names, found.estimate.sigma, strict=True))
+    for joint, shift in zip(DELTA.joints, (1e-3, -5e-4, 7e-4), strict=True):
+        for part, planted in (("since1", shift), ("since2", 0.0)):
+            full = f"zero_shift.{joint}.{part}"
+            assert abs(found.model.value(full) - planted) < 4 * sigma[full]
+    assert found.document()["unidentifiable"] == []
+
+
+def test_a_ratio_between_two_of_a_scan_keeps_nine_tenths_of_its_ripple():
+    """A sine of the unknown frequency, fitted by sines of the frequency that was tried."""
+    m = load_mechanism("delta54")
+    one, other = [s["ratio"] for s in load_effect("gear_transmission_error").scan(m)][30:32]
+    low, high = m.joint_limits[0]
+    q = np.linspace(low, high, 2000)
+    ripple = np.sin((one + other) / 2 * q)
+    columns = np.column_stack([np.sin(one * q), np.cos(one * q)])
+    shown = columns @ np.linalg.lstsq(columns, ripple, rcond=None)[0]
+    assert np.linalg.norm(shown) > 0.89 * np.linalg.norm(ripple)

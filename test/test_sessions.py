@@ -1,0 +1,198 @@
+"""The way since a joint turned back, and several recordings taken together."""
+
+import json
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import virtual_robot as vr
+from datasets import JOINTS, measured
+
+from parallel_cal.bag_writer import write_bag
+from parallel_cal.cli import main
+from parallel_cal.dataset import Dataset, load_dataset, load_sessions
+from parallel_cal.effect import parse_effect
+from parallel_cal.errors import DatasetError, FitError
+from parallel_cal.identification import fit
+from parallel_cal.model import new_model
+from parallel_cal.recordings.sessions import joined
+from parallel_cal.recordings.travel import travel
+from parallel_cal.simulate import simulate, with_effects
+
+# --------------------------------------------------------------------------- way since a reversal
+
+CALM = 1e-3
+
+
+def ramp(*stops, per=400):
+    """A joint that goes straight from stop to stop."""
+    parts = [np.linspace(a, b, per, endpoint=False) for a, b in pairwise(stops)]
+    return np.concatenate([*parts, [stops[-1]]])
+
+
+def way(q, direction):
+    """The way of one joint after all its readings (n,)."""
+    level = np.array([[q[-1]]])
+    return travel(q[:, None], [len(q)], level, np.array([[direction]]), np.array([CALM]))[0, 0]
+
+
+def test_the_way_counts_from_the_last_reversal():
+    assert way(ramp(0.0, 0.5, 0.2, 0.6), +1) == pytest.approx(0.4, abs=1e-12)
+    assert way(ramp(0.0, 0.5, 0.2), -1) == pytest.approx(-0.3, abs=1e-12)
+
+
+def test_a_joint_that_never_turned_back_came_all_the_way():
+    assert way(ramp(0.1, 0.3, 0.3, 0.7), +1) == pytest.approx(0.6, abs=1e-12)
+
+
+def test_shaking_within_the_tolerance_is_no_reversal():
+    rng = np.random.default_rng(0)
+    q = ramp(0.0, 0.4, 0.1, 0.3)
+    q[:-1] += rng.uniform(-CALM / 4, CALM / 4, len(q) - 1)
+    assert way(q, +1) == pytest.approx(0.2, abs=CALM)
+
+
+def test_a_rest_on_the_way_changes_nothing():
+    assert way(ramp(0.5, 0.1, 0.2, 0.2, 0.2, 0.2, 0.3), +1) == pytest.approx(0.2, abs=1e-12)
+
+
+def test_a_joint_that_never_moved_has_no_way():
+    assert way(np.full(50, 0.3), 0) == 0.0
+
+
+def test_a_recordings_dwells_know_their_way_as_the_virtual_robot_drove_it(tmp_path):
+    model = new_model("delta54")
+    write_bag(simulate(model, 12, 3, quiet=True), tmp_path / "bag", "mcap")
+    data = load_dataset(tmp_path / "bag")
+    stops = np.vstack([model.mechanism.home.joints, data.q])
+    for j, joint in enumerate(model.joints):
+        steps, expected = np.diff(stops[:, j]), []
+        for k, step in enumerate(steps):
+            on = k and np.sign(step) == np.sign(steps[k - 1])
+            expected.append(step + (expected[-1] if on else 0.0))
+        np.testing.assert_allclose(data.conditions[f"travel.{joint}"], expected, atol=2e-3)
+
+
+def test_a_simulated_drive_that_winds_up_is_identified_from_its_recording(tmp_path):
+    hidden = [parse_effect("hysteresis:lag=0.002")]
+    write_bag(simulate(with_effects(new_model("delta24"), hidden), 40, 2), tmp_path / "bag", "mcap")
+    data = load_dataset(tmp_path / "bag")
+    model = new_model("delta24").with_effect("hysteresis")
+    width = with_effects(new_model("delta24"), hidden).value("hysteresis.joint1.width")
+    model = model.with_values(np.where(model.table.matching(["*.width"]), width, model.values))
+    found = fit(model, data, joint_sigma=1.2e-4, hold_out=0)
+    for joint in JOINTS:
+        assert found.model.value(f"hysteresis.{joint}.lag") == pytest.approx(2e-3, abs=2e-4)
+
+
+# --------------------------------------------------------------------------- several recordings
+
+
+@pytest.fixture(scope="module")
+def two():
+    first, second = measured(1, n_poses=30, n_replicates=5), measured(2, n_poses=30, n_replicates=5)
+    return first, replace(second, source="the second", q=second.q - [1e-3, 0, 0])
+
+
+def test_samples_know_their_session_and_time_goes_on(two):
+    both = joined(two)
+    assert len(both) == 70
+    np.testing.assert_array_equal(both.conditions["session"], np.repeat([0.0, 1.0], 35))
+    assert (np.diff(both.time) > 0).all()
+    np.testing.assert_array_equal(both.time, both.conditions["time"])
+    np.testing.assert_allclose(np.diff(both.time[35:]), np.diff(two[1].time))
+    np.testing.assert_array_equal(both.q[35:], two[1].q)
+    np.testing.assert_array_equal(both.conditions["direction.joint2"][:35],
+                                  two[0].conditions["direction.joint2"])  # fmt: skip
+
+
+def test_replicates_stay_within_their_session(two):
+    ids = joined(two).pose_id
+    assert not set(ids[:35]) & set(ids[35:])
+    for part, own in ((ids[:35], two[0].pose_id), (ids[35:], two[1].pose_id)):
+        np.testing.assert_array_equal(part[:, None] == part, own[:, None] == own)
+
+
+def test_what_only_one_session_recorded_is_left_out_and_said(two):
+    warm = replace(two[0], conditions={**two[0].conditions, "temperature": np.full(35, 21.0)})
+    both = joined((warm, two[1]))
+    assert "temperature" not in both.conditions
+    assert any("temperature of virtual robot is not used" in w for w in both.warnings)
+
+
+def test_the_hash_of_several_is_theirs_in_order(two):
+    one, other = (replace(d, sha256=s) for d, s in zip(two, ("a", "b"), strict=True))
+    assert joined((one, other)).sha256 != joined((other, one)).sha256
+    assert joined((one, other)).source == "virtual robot, the second"
+
+
+def test_recordings_of_another_robot_or_set_up_do_not_go_together(two):
+    with pytest.raises(DatasetError, match=r"the second: joint_names is .*'a'.*only recordings of"):
+        joined((two[0], replace(two[1], joint_names=("a", "b", "c"))))
+    with pytest.raises(DatasetError, match="the second: frame is tracker, but"):
+        joined((two[0], replace(two[1], frame="tracker")))
+
+
+def test_homing_anew_between_two_recordings_is_found(two, tmp_path):
+    for k, data in enumerate(two):
+        data.to_json(tmp_path / f"{k}.json")
+    both = load_sessions([tmp_path / "0.json", tmp_path / "1.json"])
+    model = new_model("delta54").with_effect("zero_shift")
+    found = fit(model, both, hold_out=0)
+    assert found.document()["unidentifiable"] == []
+    sigma = dict(zip(found.model.table.names, found.estimate.sigma, strict=True))
+    for joint, shift in zip(JOINTS, (1e-3, 0.0, 0.0), strict=True):
+        full = f"zero_shift.{joint}.since1"
+        assert abs(found.model.value(full) - shift) < 4 * sigma[full]
+    with pytest.raises(FitError, match="session was not recorded, but the model's effects"):
+        fit(model, load_sessions([tmp_path / "0.json"]), hold_out=0)
+
+
+def test_the_command_line_takes_several_recordings(two, tmp_path, capsys):
+    def answer(*words):
+        with pytest.raises(SystemExit) as done:
+            main([*words, "--json"])
+        assert done.value.code == 0
+        return json.loads(capsys.readouterr().out)
+
+    files = [str(tmp_path / f"{k}.json") for k in range(2)]
+    for data, file in zip(two, files, strict=True):
+        data.to_json(file)
+    model = str(tmp_path / "model.yaml")
+    answer("new", "delta54", "-o", model)
+    assert answer("compare", model, *files)["samples"] == 70
+    added = answer("add", model, "zero_shift", *files, "-o", model)
+    assert added["dataset"]["source"] == "virtual robot, the second"
+    assert added["parameters"]["zero_shift.joint1.since1"]["value"] == pytest.approx(1e-3, abs=2e-4)
+    without = added["held_out_without_effect"]["position_rms"]
+    assert added["held_out"]["after"]["position_rms"] < 0.8 * without
+
+
+def test_one_recording_alone_is_as_it_is(two, tmp_path):
+    two[0].to_json(tmp_path / "0.json")
+    alone = load_sessions([tmp_path / "0.json"])
+    assert isinstance(alone, Dataset)
+    assert "session" not in alone.conditions
+    assert len(alone) == len(two[0])
+
+
+def test_saved_samples_of_several_sessions_are_read_back(two, tmp_path):
+    joined(two).to_json(tmp_path / "both.json")
+    both = load_dataset(tmp_path / "both.json")
+    np.testing.assert_array_equal(both.conditions["session"], np.repeat([0.0, 1.0], 35))
+
+
+def test_the_virtual_robot_agrees_on_the_way(two):
+    """The clean recording's session, driven by the virtual robot and not by our simulation."""
+    session = vr.plan(seed=1)
+    ways, run = session.ways, np.zeros(3)
+    expected = []
+    for k, step in enumerate(ways):
+        run = np.where((k > 0) & (np.sign(step) == np.sign(ways[k - 1])), run, 0) + step
+        expected.append(run)
+    stream = vr.record(seed=1, pose_seed=1, noise=vr.Noise(0, 0, 0))
+    at = np.searchsorted(stream["joint_time"], session.arrive)
+    level, direction = session.reading, np.sign(ways).astype(int)
+    found = travel(stream["q"], list(at), level, direction, np.full(3, 1e-6))
+    np.testing.assert_allclose(found, expected, atol=1e-5)

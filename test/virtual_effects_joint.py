@@ -1,0 +1,148 @@
+"""Hidden physics of encoders, gears, clocks and measuring devices, for the virtual robots.
+
+Each is told as a mechanic would tell it, and nothing of it comes from the package. A session here
+is a list of random visits: what a joint did before a visit is drawn, not driven.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from virtual_robot import Array, At, Effect, Noise, apply, turn
+
+SESSIONS = 2
+
+
+@dataclass(frozen=True)
+class Visit(At):
+    """Circumstances of each sample; also each joint's way since it last turned back, its speed,
+    and the number of the recording."""
+
+    travel: Array
+    velocity: Array
+    session: Array
+
+
+def visits(n: int, joints: int, seed: int, reach: float) -> Visit:
+    """n samples over an hour; ways from `reach` / 300 to `reach`, speeds up to `reach` a second."""
+    rng = np.random.default_rng([seed, 7])
+    direction = rng.choice([-1.0, 1.0], (n, joints))
+    travel = direction * reach * np.exp(-rng.uniform(0, np.log(300), (n, joints)))
+    velocity = direction * rng.uniform(0, reach, (n, joints))
+    time = np.linspace(0, 3600, n)
+    air, load = np.full(n, 20.0), np.zeros(n)
+    session = np.arange(n) * SESSIONS // n
+    return Visit(time, air, load, direction, travel, velocity, session)
+
+
+@dataclass(frozen=True)
+class OvalDisc(Effect):
+    """An oval encoder disc: the reading runs ahead and behind twice a turn, most at `phase`."""
+
+    size: tuple[float, ...]
+    phase: tuple[float, ...]
+
+    def arm(self, reading: Array, robot: Any, at: At) -> Array:
+        return reading + np.array(self.size) * np.cos(2 * (reading - np.array(self.phase)))
+
+
+@dataclass(frozen=True)
+class WrongPitch(Effect):
+    """A spindle or belt that moves the joint by a little more than it says."""
+
+    excess: tuple[float, ...]
+
+    def arm(self, reading: Array, robot: Any, at: At) -> Array:
+        return reading * (1 + np.array(self.excess))
+
+
+@dataclass(frozen=True)
+class GearRipple(Effect):
+    """A gear whose output runs ahead and behind once, and a third as much twice, an input turn."""
+
+    ratio: float
+    size: tuple[float, ...]
+    phase: tuple[float, ...]
+
+    def arm(self, reading: Array, robot: Any, at: At) -> Array:
+        turned = self.ratio * reading + np.array(self.phase)
+        return reading + np.array(self.size) * (np.sin(turned) + np.sin(2 * turned) / 3)
+
+
+@dataclass(frozen=True)
+class WindUp(Effect):
+    """A drive that lags behind after a reversal, the more the further it has come since."""
+
+    lag: tuple[float, ...]
+    width: float
+
+    def arm(self, reading: Array, robot: Any, at: Visit) -> Array:  # type: ignore[override]
+        fading = np.exp(-2 * np.abs(at.travel) / self.width)
+        return reading - np.array(self.lag) * at.direction * (1 - fading) / (1 + fading)
+
+
+@dataclass(frozen=True)
+class LateStamp(Effect):
+    """Poses are stamped late: what is shown was so when the joints were not yet so far."""
+
+    delay: float
+
+    def arm(self, reading: Array, robot: Any, at: Visit) -> Array:  # type: ignore[override]
+        return reading - self.delay * at.velocity
+
+
+@dataclass(frozen=True)
+class HomedAnew(Effect):
+    """Before the second recording the joints were homed again, not quite to the same zero."""
+
+    by: tuple[float, ...]
+
+    def arm(self, reading: Array, robot: Any, at: Visit) -> Array:  # type: ignore[override]
+        return np.where(at.session[:, None] == 0, reading, reading + np.array(self.by))
+
+
+@dataclass(frozen=True)
+class CreepingStand(Effect):
+    """The robot's stand slides and turns slowly under the device's eyes."""
+
+    slide: tuple[float, float, float]
+    spin: tuple[float, float, float]
+
+    def device(self, r: Array, R: Array, at: At) -> tuple[Array, Array]:
+        turned = turn(at.time[:, None] * np.array(self.spin))
+        return apply(turned, r) + at.time[:, None] * np.array(self.slide), turned @ R
+
+
+@dataclass(frozen=True)
+class CrookedAxes(Effect):
+    """A machine whose slides do not meet at right angles, nor measure in one metre.
+
+    Its axes as columns: going by its own reading along them leads to the true point.
+    """
+
+    x: tuple[float, float, float]
+    y: tuple[float, float, float]
+    z: tuple[float, float, float]
+
+    def device(self, r: Array, R: Array, at: At) -> tuple[Array, Array]:
+        axes = np.column_stack([self.x, self.y, self.z])
+        return apply(np.linalg.inv(axes), r), R
+
+
+@dataclass(frozen=True)
+class MisplacedTarget(Effect):
+    """The reflector sits beside the platform's origin."""
+
+    at_platform: tuple[float, float, float]
+
+    def device(self, r: Array, R: Array, at: At) -> tuple[Array, Array]:
+        return r + apply(R, np.array(self.at_platform)), R
+
+
+def errors(noise: Noise, n: int, joints: int, seed: int) -> tuple[Array, Array, Array]:
+    """Errors of n readings: joints, position, rotation vector about the base's axes."""
+    rng = np.random.default_rng([seed, 8])
+    q, r, w = (rng.normal(size=(n, k)) for k in (joints, 3, 3))
+    return q * noise.joint, r * noise.position, w * noise.orientation

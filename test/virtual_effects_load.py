@@ -1,0 +1,169 @@
+"""Hidden physics of weight and warmth, for the virtual robots; nothing of it comes from the package.
+
+Forces are slopes of the energy that a person would measure with a weight and a pair of scales: move
+one joint, or make one rod longer, and see how much everything is lifted.
+"""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from virtual_robot import Array, At, Effect, Parameters, apply, turn
+
+DOWN = (0.0, 0.0, -9.81)
+
+
+@dataclass(frozen=True)
+class Weights:
+    """kg of the platform, of each arm and of each rod; gravity in m/s^2. The payload comes on top.
+
+    Arms and rods are even bars: they weigh half way between their ends.
+    """
+
+    platform: float = 0.0
+    arm: float = 0.0
+    rod: float = 0.0
+    gravity: tuple[float, float, float] = DOWN
+
+    def energy(self, robot: Any, angle: Array, payload: Array) -> Array:
+        """Potential energy (J) of everything that moves, with the joints at `angle`."""
+        r, R = robot.forward(angle)
+        height = -np.array(self.gravity)
+        energy = (self.platform + payload) * (r @ height)
+        if self.arm or self.rod:
+            C, B = robot.joint_points(angle), robot.platform_points(r, R)
+            arms = robot.hub + (C[..., :3, :] + C[..., 3:, :]) / 2
+            energy = energy + self.arm * (arms @ height).sum(-1) / 2
+            energy = energy + self.rod * ((C + B) @ height).sum(-1) / 2
+        return energy
+
+    def torques(self, robot: Any, angle: Array, payload: Array, step: float = 1e-5) -> Array:
+        """What the weights exert on each joint, Nm (N): energy lost per turn (metre)."""
+        lost = [
+            self.energy(robot, angle - t, payload) - self.energy(robot, angle + t, payload)
+            for t in step * np.eye(angle.shape[-1])
+        ]
+        return np.stack(lost, -1) / (2 * step)
+
+    def tensions(self, robot: Any, angle: Array, payload: Array, step: float = 1e-6) -> Array:
+        """What pulls at each rod, N: energy lost per metre that it is made longer."""
+        lost = []
+        for more in step * np.eye(robot.rods.shape[-1]):
+            short, long = with_rods(robot, robot.rods - more), with_rods(robot, robot.rods + more)
+            lost.append(self.energy(short, angle, payload) - self.energy(long, angle, payload))
+        return np.stack(lost, -1) / (2 * step)
+
+
+def with_rods(robot: Any, rods: Array) -> Any:
+    """The same robot with other rods, one set for all samples or one a sample."""
+    other = copy.copy(robot)
+    other.rods = rods
+    return other
+
+
+@dataclass(frozen=True)
+class LoadEffect(Effect):
+    """One disturbance by load; it may also change the rods that a pose hangs on."""
+
+    def held(self, robot: Any, angle: Array, at: At) -> Any:
+        """The robot with the rods it has under load."""
+        return robot
+
+
+@dataclass(frozen=True)
+class ShaftTwist(LoadEffect):
+    """Shafts (or spindles) that give by so much per Nm (N) that they hold."""
+
+    compliance: tuple[float, ...]
+    weights: Weights = field(default_factory=Weights)
+
+    def arm(self, reading: Array, robot: Any, at: At) -> Array:
+        angle = reading
+        for _ in range(4):  # the load moves as the shafts give way
+            torque = self.weights.torques(robot, angle, at.payload)
+            angle = reading + np.array(self.compliance) * torque
+        return angle
+
+
+@dataclass(frozen=True)
+class SoftRods(LoadEffect):
+    """Rods that are springs: longer by so many metres per newton that pulls at them."""
+
+    compliance: float
+    weights: Weights = field(default_factory=Weights)
+
+    def held(self, robot: Any, angle: Array, at: At) -> Any:
+        soft = robot
+        for _ in range(3):
+            tension = self.weights.tensions(soft, angle, at.payload)
+            soft = with_rods(robot, robot.rods + self.compliance * tension)
+        return soft
+
+
+@dataclass(frozen=True)
+class LooseBalls(LoadEffect):
+    """Balls that lie on the side where they are pushed: fully so from some newtons on."""
+
+    play: float
+    force: float
+    weights: Weights = field(default_factory=Weights)
+
+    def held(self, robot: Any, angle: Array, at: At) -> Any:
+        loose = robot
+        for _ in range(3):
+            way = np.exp(-2 * self.weights.tensions(loose, angle, at.payload) / self.force)
+            loose = with_rods(robot, robot.rods + self.play * (1 - way) / (1 + way))
+        return loose
+
+
+@dataclass(frozen=True)
+class Warmth(LoadEffect):
+    """Named dimensions grow by so much per kelvin above 20 degC: {"Lb": 1e-6}."""
+
+    growth: dict[str, float]
+
+    def geometry(self, parameters: Parameters, at: At) -> Parameters:
+        def warm(name: str, value: Any) -> Any:
+            part = name.split(".")[1].split("_")[0]
+            return value * (1 + self.growth.get(part, 0.0) * (at.temperature - 20.0))
+
+        return {name: warm(name, value) for name, value in parameters.items()}
+
+
+@dataclass(frozen=True)
+class SoftFrame(LoadEffect):
+    """A frame on legs: it sinks by `settle` m/N, and leans by `tilt` rad/(Nm) under the moment."""
+
+    settle: float
+    tilt: float
+
+    def device(self, r: Array, R: Array, at: At) -> tuple[Array, Array]:
+        weight = at.payload[:, None] * np.array(DOWN)
+        lean = turn(self.tilt * np.cross(r, weight))
+        return apply(lean, r) + self.settle * weight, lean @ R
+
+
+def truth(robot: Any, effects: Any, reading: Array, at: At) -> tuple[Array, Array]:
+    """From encoder readings to the pose that an errorless device shows, under load."""
+    parameters, angle = robot.parameters, reading
+    for effect in effects:
+        parameters = effect.geometry(parameters, at)
+    robot = type(robot)(parameters)
+    for effect in effects:
+        angle = effect.arm(angle, robot, at)
+    for effect in effects:
+        robot = effect.held(robot, angle, at)
+    r, R = robot.forward(angle)
+    for effect in effects:
+        r, R = effect.device(r, R, at)
+    return r, R
+
+
+def circumstances(n: int, joints: int, seed: int, heaviest: float) -> At:
+    """n samples: one of four payloads each, air between 12 and 30 degC, in no order."""
+    rng = np.random.default_rng([seed, 8])
+    payload = heaviest * rng.choice([0.0, 0.25, 0.5, 1.0], n)
+    return At(np.arange(n) * 10.0, rng.uniform(12, 30, n), payload, np.ones((n, joints)))
