@@ -1,0 +1,150 @@
+"""A CSV table and a column map become samples that every command takes; or one clear line."""
+
+import hashlib
+import json
+
+import numpy as np
+import pytest
+
+from parallel_cal import cli
+from parallel_cal.csv_import import import_csv
+from parallel_cal.dataset import load_dataset
+from parallel_cal.errors import ParallelCalError
+
+TABLE = """\
+number,a_deg,b_mm,x,y,z,qx,qy,qz,qw,T,visit
+1,90,100,1000,-2000,500,0,0,0,1,21.5,home
+
+2,-180,0,0,0,0,0,0,0.70710678,0.70710678,22.5,corner
+3,45,-20,1,2,3,1,0,0,0,23,home
+"""
+MAP = """\
+joints:
+  arm: {column: a_deg, unit: deg}
+  slide: {column: b_mm, unit: mm}
+position: {columns: [x, y, z], unit: mm}
+orientation: [qx, qy, qz, qw]
+conditions: {temperature: T, payload: 1.5}
+group: visit
+noise: {joint: 1.0e-4, position: 2.0e-5, orientation: 3.0e-5}
+"""
+
+
+@pytest.fixture
+def files(tmp_path):
+    """files(table, map): their paths."""
+
+    def write(table=TABLE, columns=MAP):
+        (tmp_path / "t.csv").write_text(table)
+        (tmp_path / "map.yaml").write_text(columns)
+        return tmp_path / "t.csv", tmp_path / "map.yaml"
+
+    return write
+
+
+def test_columns_become_samples_in_si(files):
+    table, columns = files()
+    data = import_csv(table, columns)
+    assert data.joint_names == ("arm", "slide")
+    np.testing.assert_allclose(data.q, [[np.pi / 2, 0.1], [-np.pi, 0], [np.pi / 4, -0.02]])
+    np.testing.assert_allclose(data.r, [[1, -2, 0.5], [0, 0, 0], [1e-3, 2e-3, 3e-3]])
+    np.testing.assert_allclose(data.R[1], [[0, -1, 0], [1, 0, 0], [0, 0, 1]], atol=1e-12)
+    np.testing.assert_allclose(data.R[2], np.diag([1, -1, -1]), atol=1e-12)
+    assert data.measured.all()
+    assert set(data.conditions) == {"temperature", "payload"}  # the order of lines is no time
+    np.testing.assert_array_equal(data.conditions["temperature"], [21.5, 22.5, 23])
+    np.testing.assert_array_equal(data.conditions["payload"], [1.5, 1.5, 1.5])
+    assert data.pose_id[0] == data.pose_id[2] != data.pose_id[1]
+    np.testing.assert_array_equal(data.joint_sigma, [1e-4, 1e-4])
+    np.testing.assert_allclose(np.sqrt(np.diag(data.pose_cov[0])), [2e-5] * 3 + [3e-5] * 3)
+    assert data.sha256 == hashlib.sha256(TABLE.encode()).hexdigest()
+
+
+def test_what_the_map_does_not_name_is_not_measured(files):
+    kept = [line for line in MAP.splitlines() if line.split(":")[0] not in ("orientation", "noise")]
+    data = import_csv(*files(columns="\n".join(kept)))
+    np.testing.assert_array_equal(data.measured, np.tile([True] * 3 + [False] * 3, (3, 1)))
+    assert np.isnan(data.pose_cov).all()
+    assert data.joint_sigma is None
+
+
+def test_orientations_alone_are_a_measurement(files):
+    data = import_csv(*files(columns=MAP.replace("position: {columns: [x, y, z], unit: mm}", "")))
+    np.testing.assert_array_equal(data.measured, np.tile([False] * 3 + [True] * 3, (3, 1)))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (("T,visit\n", "temp,visit\n"), "t.csv:1: no column T, which .*map.yaml names; the table "
+         "has number, a_deg, .*, temp, visit"),
+        ((",100,", ",,"), "t.csv:2: column b_mm holds '', expected a finite number"),
+        ((",22.5,", ",nan,"), "t.csv:4: column T holds 'nan'"),
+        ((",22.5,", ",cold,"), "t.csv:4: column T holds 'cold'"),
+        ((",23,home", ",23"), "t.csv:5: 11 cells, the header has 12"),
+        ((",1,0,0,0,", ",1,1,0,0,"), "t.csv:5: qx, qy, qz, qw are no quaternion"),
+        (("number,a_deg", "x,a_deg"), "t.csv:1: a column occurs twice"),
+        ((TABLE, "a,b\n"), "expected a header line and samples, found 1 lines"),
+    ],
+)  # fmt: skip
+def test_a_bad_table_is_named_by_file_line_and_column(files, change, words):
+    with pytest.raises(ParallelCalError, match=words):
+        import_csv(*files(table=TABLE.replace(*change)))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (("unit: deg", "unit: degree"), "map.yaml:2: joints.arm.unit: .*'deg'.*, found 'degree'"),
+        (("z], unit: mm", "z], unit: inch"), "map.yaml:4: position.unit: .*'mm', found 'inch'"),
+        (("z], unit: mm", "z]"), "map.yaml:4: position.unit: this key is missing"),
+        (("[x, y, z]", "[x, y]"), "map.yaml:4: position.columns: too few values"),
+        (("temperature: T", "temprature: T"), "map.yaml:6: conditions.temprature: unknown "
+         "condition; expected one of time, temperature, .*direction.JOINT"),
+        (("group:", "groups:"), "map.yaml:7: groups: unknown key; did you mean 'group'"),
+        (("joint: 1.0e-4", "joint: -1"), "map.yaml:8: noise.joint: expected 0 or more"),
+        ((MAP, "joints: {a: {column: a_deg, unit: deg}}"), "neither position nor orientation"),
+    ],
+)  # fmt: skip
+def test_a_bad_map_is_named_by_file_line_and_key(files, change, words):
+    with pytest.raises(ParallelCalError, match=words):
+        import_csv(*files(columns=MAP.replace(*change)))
+
+
+def run(*arguments):
+    with pytest.raises(SystemExit) as ended:
+        cli.main([str(a) for a in arguments])
+    return ended.value.code
+
+
+def test_imported_samples_are_read_like_a_recording_whatever_the_files_name(
+    files, tmp_path, capsys
+):
+    table, columns = files()
+    for name in ("samples.json", "samples"):
+        out = tmp_path / name
+        assert run("import-csv", table, "--columns", columns, "-o", out, "--json") == 0
+        assert json.loads(capsys.readouterr().out)["samples"] == 3
+        data = load_dataset(out, joints=["slide", "arm"])
+        np.testing.assert_allclose(data.q[0], [0.1, np.pi / 2])
+        assert run("look", out) == 0
+        assert "3 samples (dwell) of 2 poses" in capsys.readouterr().out
+    assert run("import-csv", table, "--columns", columns, "-o", out) == 0
+    assert f"written: {out}" in capsys.readouterr().out.replace("\n", " ")
+
+
+def test_a_joint_of_the_model_that_the_map_does_not_name_is_said(files, tmp_path, capsys):
+    table, columns = files()
+    assert run("import-csv", table, "--columns", columns, "-o", tmp_path / "s.json") == 0
+    assert run("new", "delta24", "-o", tmp_path / "m.yaml") == 0
+    assert run("fit", tmp_path / "m.yaml", tmp_path / "s.json") == 1
+    assert "in the samples: arm, slide; not found: joint1" in capsys.readouterr().err
+
+
+def test_files_that_are_not_there_are_named(files, tmp_path, capsys):
+    table, columns = files()
+    assert run("import-csv", tmp_path / "no.csv", "--columns", columns, "-o", tmp_path / "o") == 1
+    assert "no.csv: No such file" in capsys.readouterr().err
+    assert run("import-csv", table, "--columns", tmp_path / "no.yaml", "-o", tmp_path / "o") == 1
+    assert "no.yaml: No such file" in capsys.readouterr().err
+    assert not (tmp_path / "o").exists()

@@ -1,0 +1,162 @@
+"""A measured robot: the Hangprinter HP4, from its table by command line to a better model.
+
+The reference numbers are of an independent computation on the same 37 poses: line errors (closure
+rows), unweighted, each pose judged by a fit that left it out.
+"""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from parallel_cal import cli
+from parallel_cal.dataset import load_dataset
+from parallel_cal.errors import FitError
+from parallel_cal.evidence import gather
+from parallel_cal.identification import fit
+from parallel_cal.methods.implicit import estimate
+from parallel_cal.model import Noise
+from parallel_cal.modelfile import read_model
+
+ROOT = Path(__file__).parents[1]
+TABLE = ROOT.parent / "shared/data/hangprinter_hp4/hp4_2021-12-14.csv"
+MODEL = ROOT / "config/hangprinter_hp4.yaml"
+COLUMNS = ROOT / "config/columns/hangprinter_hp4.yaml"
+EACH_POSE = 1e-3  # share left out: as many folds as poses
+BUILDUP = "spool_buildup.Q"
+
+pytestmark = pytest.mark.skipif(not TABLE.exists(), reason="the measured cable robot is not here")
+
+
+def run(*arguments):
+    with pytest.raises(SystemExit) as ended:
+        cli.main([str(a) for a in arguments])
+    return ended.value.code
+
+
+@pytest.fixture(scope="module")
+def samples(tmp_path_factory):
+    """The table imported as a person would."""
+    path = tmp_path_factory.mktemp("hp4") / "hp4.json"
+    assert run("import-csv", TABLE, "--columns", COLUMNS, "-o", path) == 0
+    return path
+
+
+@pytest.fixture(scope="module")
+def dataset(samples):
+    return load_dataset(samples)
+
+
+@pytest.fixture(scope="module")
+def model():
+    return read_model(MODEL)
+
+
+def rms(values):
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def line_errors(model, dataset, index=slice(None)):
+    """|P - A| - |A| - line let out (n, 4) in m, of each line at the measured position."""
+    turns = np.tile(np.eye(3).ravel(), (len(dataset), 1))
+    x = np.column_stack([dataset.q, dataset.r, turns])[index]
+    return model.structure.closure_batch(x, np.zeros((len(x), 0)), model.values)[0]
+
+
+def left_out(model, dataset, **how):
+    """Line errors (37, 4) at each pose, of a fit that did not see it."""
+    evidence, free = gather(model, dataset), ~model.fixed
+    found = []
+    for i in range(len(dataset)):
+        rest = estimate(model, evidence.select(np.arange(len(dataset)) != i), free, **how)
+        found.append(line_errors(model.with_values(rest.values), dataset, [i])[0])
+    return np.array(found)
+
+
+@pytest.mark.parametrize(
+    ("effects", "expected"),
+    [([], (1.557e-3, 1.795e-3)), (["spool_buildup"], (1.165e-3, 1.337e-3))],
+)
+def test_unweighted_line_errors_are_those_of_the_independent_computation(
+    model, dataset, effects, expected
+):
+    for effect in effects:
+        model = model.with_effect(effect)
+    found = estimate(model, gather(model, dataset), ~model.fixed, weighted=False)
+    model = model.with_values(found.values)
+    assert rms(line_errors(model, dataset)) == pytest.approx(expected[0], abs=1e-6)
+    assert rms(left_out(model, dataset, weighted=False)) == pytest.approx(expected[1], abs=1e-6)
+    if effects:
+        scale = np.sqrt(found.chi2_per_dof)
+        sigma = scale * found.sigma[model.table.index_of(BUILDUP)]
+        assert model.value(BUILDUP) == pytest.approx(0.098e-3, abs=0.5e-6)
+        assert sigma == pytest.approx(0.010e-3, abs=0.5e-6)
+
+
+def test_by_command_line_build_up_lowers_the_error_at_poses_left_out(
+    samples, dataset, tmp_path, capsys
+):
+    plain, better = tmp_path / "plain.yaml", tmp_path / "better.yaml"
+    fold = ("--hold-out", EACH_POSE, "--json")
+    assert run("fit", MODEL, samples, "-o", plain, *fold) == 0
+    before = json.loads(capsys.readouterr().out)
+    assert run("add", plain, "spool_buildup", samples, "-o", better, *fold) == 0
+    after = json.loads(capsys.readouterr().out)
+    assert before["noise_from"] == {"joint": "assumed", "pose": "assumed"}
+    errors = [d["held_out"]["after"]["position_rms"] for d in (before, after)]
+    np.testing.assert_allclose(errors, [2.97e-3, 2.13e-3], rtol=0.02)
+    assert 0.08e-3 < after["parameters"][BUILDUP]["value"] < 0.12e-3
+    assert after["rank"] == after["free"] == 19
+    lines = [rms(left_out(read_model(file), dataset)) for file in (plain, better)]
+    assert lines[0] > 1.75e-3
+    assert lines[1] < 1.36e-3
+
+
+def test_nobody_knows_the_noise_so_it_must_be_stated_or_assumed(model, dataset):
+    silent = replace(model, noise=Noise())
+    with pytest.raises(FitError, match=r"joints' noise; .*your guess, with noise.assumed: true"):
+        gather(silent, dataset)
+    with pytest.raises(FitError, match=r"device's noise; .*your guess, with noise.assumed: true"):
+        gather(silent, dataset, joint_sigma=0.35)
+    assert gather(model, dataset).noise_assumed
+    stated = replace(model, noise=replace(model.noise, assumed=False))
+    assert not gather(stated, dataset).noise_assumed
+
+
+def test_only_the_ratio_of_assumed_figures_moves_the_estimates(model, dataset):
+    noise = model.noise
+    tenfold = replace(noise, joint=10 * noise.joint, position=10 * noise.position)
+    one, ten = (
+        fit(replace(model, noise=n).with_effect("spool_buildup"), dataset, hold_out=0)
+        for n in (noise, tenfold)
+    )
+    tolerance = model.with_effect("spool_buildup").table.tolerance
+    np.testing.assert_allclose(
+        one.model.values / tolerance, ten.model.values / tolerance, atol=1e-3
+    )
+
+
+def test_build_up_is_found_first_and_nothing_claims_that_the_noise_is_reached(model, dataset):
+    from parallel_cal.diagnosis import diagnose
+
+    found = diagnose(model, dataset).document()
+    assert found["candidates"][0]["effect"] == "spool_buildup"
+    assert found["candidates"][0]["p_value"] < 1e-12
+    assert found["effects"] == ["spool_buildup"]
+    assert found["verdict"] == "cannot_know"
+
+
+def test_a_robust_loss_copes_with_three_gross_outliers(model, dataset):
+    wrong = dataset.r.copy()
+    wrong[[5, 17, 30]] += [[0.1, 0, 0], [0, -0.06, 0.08], [0, 0.05, 0]]
+    spoilt = replace(dataset, r=wrong)
+    model = model.with_effect("spool_buildup")
+    truth = fit(model, dataset, hold_out=0).model
+    pulled = fit(model, spoilt, hold_out=0).model
+    robust = fit(model, spoilt, hold_out=0, loss="cauchy").model
+    clean = rms(line_errors(truth, dataset))
+    assert rms(line_errors(pulled, dataset)) > 2 * clean
+    assert rms(line_errors(robust, dataset)) < 1.1 * clean
+    assert robust.value(BUILDUP) == pytest.approx(truth.value(BUILDUP), abs=0.02e-3)
