@@ -24,6 +24,10 @@ app = typer.Typer(
 
 ModelFile = Annotated[Path, typer.Argument(metavar="MODEL.yaml", help="model file")]
 Bag = Annotated[Path, typer.Argument(help="rosbag2 folder or file, or saved samples (.json)")]
+Bags = Annotated[
+    list[Path],
+    typer.Argument(help="rosbag2 folders or files, or saved samples (.json); several: sessions"),
+]
 Out = Annotated[Path, typer.Option("-o", "--output", help="file to write")]
 OptionalOut = Annotated[
     Path | None, typer.Option("-o", "--output", help="model file to write; none: only show")
@@ -41,7 +45,9 @@ Input = Annotated[Path | None, typer.Option("--input", help="CSV table of many p
 Output = Annotated[Path | None, typer.Option("--output", help="CSV table of the answers")]
 Data = Annotated[
     list[str] | None,
-    typer.Option("--data", help="how to read the recording, KEY=VALUE (measured_pose=/tracker)"),
+    typer.Option(
+        "--data", help="how to read the recording, KEY=VALUE (measured_pose=/tracker, exclude=3,17)"
+    ),
 ]
 Method = Annotated[str, typer.Option(help="identification method")]
 HoldOut = Annotated[float, typer.Option(min=0.0, max=0.5, help="share of poses left out in turn")]
@@ -54,8 +60,17 @@ Free = Annotated[
 ]
 Fix = Annotated[list[str] | None, typer.Option(help="keep parameters like PATTERN fixed")]
 Prior = Annotated[bool, typer.Option("--prior", help="use tolerances as prior knowledge")]
+Loss = Annotated[
+    str, typer.Option(help="linear, or robust to bad samples: huber, soft_l1, cauchy, arctan")
+]
+Refit = Annotated[
+    list[str] | None,
+    typer.Option(help="identify parameters like PATTERN alone, keep the rest with its covariance"),
+]
 Force = Annotated[bool, typer.Option("--force", help="write in spite of the held-out errors")]
-EffectName = Annotated[str, typer.Argument(metavar="EFFECT", help="see 'parallel-cal effects'")]
+EffectName = Annotated[
+    str, typer.Argument(metavar="EFFECT", help="NAME or NAME:ratio=80, see 'parallel-cal effects'")
+]
 
 
 def _version(wanted: bool) -> None:
@@ -82,12 +97,16 @@ def new(
     option: Annotated[
         list[str] | None, typer.Option(metavar="KEY=VALUE", help="option of the mechanism")
     ] = None,
+    sensor: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME: {KEY: VALUE}", help="measuring set-up, 'probe: {height: 0.3}'"),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Write a model file with a mechanism's nominal values."""
     from parallel_cal.commands import models
 
-    models.new(mechanism, output, option or [], as_json)
+    models.new(mechanism, output, option or [], sensor or [], as_json)
 
 
 @app.command()
@@ -104,6 +123,14 @@ def effects(as_json: Json = False) -> None:
     from parallel_cal.commands import models
 
     models.effects(as_json)
+
+
+@app.command()
+def sensors(as_json: Json = False) -> None:
+    """List the measuring set-ups beside the pose device: what they are, their options."""
+    from parallel_cal.commands import models
+
+    models.sensors(as_json)
 
 
 # ------------------------------------------------------------------------------- kinematics
@@ -166,6 +193,19 @@ def look(bag: Bag, data: Data = None, as_json: Json = False) -> None:
     recordings.look(bag, data or [], as_json)
 
 
+@app.command(name="import-csv")
+def import_csv(
+    table: Annotated[Path, typer.Argument(metavar="TABLE.csv", help="one sample a line")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="samples to write (.json)")],
+    columns: Annotated[Path, typer.Option(help="column map: which column is what (YAML)")],
+    as_json: Json = False,
+) -> None:
+    """Make samples of a CSV table, for every command that takes a recording."""
+    from parallel_cal.commands import importing
+
+    importing.csv(table, columns, output, as_json)
+
+
 @app.command()
 def simulate(
     model: ModelFile,
@@ -207,7 +247,7 @@ def replay(
 @app.command()
 def fit(
     model: ModelFile,
-    bag: Bag,
+    bags: Bags,
     output: OptionalOut = None,
     method: Method = "implicit",
     hold_out: HoldOut = 0.25,
@@ -215,20 +255,22 @@ def fit(
     free: Free = None,
     fix: Fix = None,
     prior: Prior = False,
+    loss: Loss = "linear",
+    refit: Refit = None,
     data: Data = None,
     as_json: Json = False,
 ) -> None:
     """Identify the model's free parameters; show errors before, after and at poses left out."""
     from parallel_cal.commands import calibration
 
-    options = _fit_options(method, hold_out, joint_sigma, free, fix, prior)
-    calibration.fit(model, bag, output, data or [], as_json, **options)
+    options = _fit_options(method, hold_out, joint_sigma, free, fix, prior) | {"loss": loss}
+    calibration.fit(model, bags, output, data or [], as_json, refit=_patterns(refit), **options)
 
 
 @app.command()
 def compare(
     model: ModelFile,
-    bag: Bag,
+    bags: Bags,
     joint_sigma: JointSigma = None,
     data: Data = None,
     as_json: Json = False,
@@ -236,14 +278,14 @@ def compare(
     """Errors of a model at every sample of a recording, worst first; fits nothing."""
     from parallel_cal.commands import calibration
 
-    calibration.compare(model, bag, joint_sigma, data or [], as_json)
+    calibration.compare(model, bags, joint_sigma, data or [], as_json)
 
 
 @app.command()
 def add(
     model: ModelFile,
     effect: EffectName,
-    bag: Bag,
+    bags: Bags,
     output: OptionalOut = None,
     force: Force = False,
     method: Method = "implicit",
@@ -252,23 +294,51 @@ def add(
     free: Free = None,
     fix: Fix = None,
     prior: Prior = False,
+    loss: Loss = "linear",
     data: Data = None,
     as_json: Json = False,
 ) -> None:
     """Add an effect and identify anew; refused when the error at poses left out does not fall."""
     from parallel_cal.commands import calibration
 
-    options = _fit_options(method, hold_out, joint_sigma, free, fix, prior)
-    calibration.add(model, effect, bag, output, force, data or [], as_json, **options)
+    options = _fit_options(method, hold_out, joint_sigma, free, fix, prior) | {"loss": loss}
+    calibration.add(model, effect, bags, output, force, data or [], as_json, **options)
 
 
 @app.command()
 def remove(
     model: ModelFile,
     effect: EffectName,
-    bag: Bag,
+    bags: Bags,
     output: OptionalOut = None,
     force: Force = False,
+    method: Method = "implicit",
+    hold_out: HoldOut = 0.25,
+    joint_sigma: JointSigma = None,
+    free: Free = None,
+    fix: Fix = None,
+    prior: Prior = False,
+    loss: Loss = "linear",
+    data: Data = None,
+    as_json: Json = False,
+) -> None:
+    """Remove an effect and identify anew; refused when the error at poses left out rises."""
+    from parallel_cal.commands import calibration
+
+    options = _fit_options(method, hold_out, joint_sigma, free, fix, prior) | {"loss": loss}
+    calibration.remove(model, effect, bags, output, force, data or [], as_json, **options)
+
+
+@app.command()
+def diagnose(
+    model: ModelFile,
+    bags: Bags,
+    effect: Annotated[
+        list[str] | None, typer.Option(help="test only this effect (repeat for several)")
+    ] = None,
+    also: Annotated[
+        list[str] | None, typer.Option(help="test your own effect, too: its Python path")
+    ] = None,
     method: Method = "implicit",
     hold_out: HoldOut = 0.25,
     joint_sigma: JointSigma = None,
@@ -278,11 +348,70 @@ def remove(
     data: Data = None,
     as_json: Json = False,
 ) -> None:
-    """Remove an effect and identify anew; refused when the error at poses left out rises."""
-    from parallel_cal.commands import calibration
+    """Say which physical effect the model lacks, how sure that is, and what to measure next."""
+    from parallel_cal.commands import diagnosing
 
     options = _fit_options(method, hold_out, joint_sigma, free, fix, prior)
-    calibration.remove(model, effect, bag, output, force, data or [], as_json, **options)
+    options |= {"effects": effect or [], "also": also or []}
+    diagnosing.diagnose(model, bags, data or [], as_json, **options)
+
+
+@app.command()
+def report(
+    model: ModelFile,
+    bags: Bags,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="page (.html) or document (.json)")
+    ] = None,
+    against: Annotated[
+        Path | None,
+        typer.Option(metavar="OTHER.yaml", help="another model, side by side on the same data"),
+    ] = None,
+    effect: Annotated[
+        list[str] | None, typer.Option(help="test only this effect (repeat for several)")
+    ] = None,
+    also: Annotated[
+        list[str] | None, typer.Option(help="test your own effect, too: its Python path")
+    ] = None,
+    method: Method = "implicit",
+    hold_out: HoldOut = 0.25,
+    joint_sigma: JointSigma = None,
+    free: Free = None,
+    fix: Fix = None,
+    prior: Prior = False,
+    data: Data = None,
+    as_json: Json = False,
+) -> None:
+    """Write the diagnosis as one page to read offline: errors, arrows, evidence, parameters."""
+    from parallel_cal.commands import reporting
+
+    if output is None and not as_json:
+        raise typer.BadParameter("give -o R.html (or .json), or --json")
+    options = _fit_options(method, hold_out, joint_sigma, free, fix, prior)
+    options |= {"effects": effect or [], "also": also or []}
+    reporting.report(model, bags, output, against, data or [], as_json, **options)
+
+
+@app.command(name="short-cut")
+def short_cut(
+    model: ModelFile,
+    bags: Bags,
+    output: OptionalOut = None,
+    fix: Fix = None,
+    joint_sigma: JointSigma = None,
+    data: Data = None,
+    as_json: Json = False,
+) -> None:
+    """Identify a Delta without a device, from loops of two of its arms and one of its rods.
+
+    The topic `constraint` names the loop that is tied: 12:21:11 is the second ball of arm 1 tied to
+    the first of arm 2 by the first rod of chain 1. Angles do not see the size: --fix what was
+    measured, such as chain1.Lb chain1.dLb.
+    """
+    from parallel_cal.commands import short_cut as command
+
+    options = {"fix": _patterns(fix), "joint_sigma": joint_sigma}
+    command.run(model, bags, output, data or [], as_json, **options)
 
 
 @app.command()

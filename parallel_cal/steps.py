@@ -8,6 +8,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from parallel_cal.dataset import Dataset
+from parallel_cal.diagnosing.catalogue import candidate
+from parallel_cal.diagnosing.scene import scene
+from parallel_cal.effect import parse_effect
 from parallel_cal.errors import FitError
 from parallel_cal.identification import Result, fit
 from parallel_cal.model import Model
@@ -38,19 +41,30 @@ def fitted(model: Model, dataset: Dataset, **options: Any) -> Step:
 def added(model: Model, effect: str, dataset: Dataset, force: bool = False, **options: Any) -> Step:
     """Identify anew with one more effect; FitError when that does not help at poses left out.
 
-    What it must beat is the model without the effect, identified on the same data: otherwise
-    the re-identification of the geometry would pass for the effect's merit.
+    `effect` is NAME[:param=value,...] with what is known of its fixed numbers; an unknown gear
+    ratio and the like are searched for. What it must beat is the model without the effect,
+    identified on the same data: otherwise the re-identification of the geometry would pass for
+    the effect's merit.
     """
-    without = fit(model, dataset, **options).document()
-    result = fit(model.with_effect(effect), dataset, **options)
+    name, settings = parse_effect(effect)
+    base = fit(model, dataset, **options)
+    without = base.document()["held_out"]["after"]
+    model.with_effect(name)  # a wrong name is better said before a search
+    result = fit(model.with_effect(name, settings or _searched(base, name)), dataset, **options)
     document = result.document()
-    document["held_out_without_effect"] = without["held_out"]["after"]
-    ratio = held_out_ratio(without["held_out"]["after"], document["held_out"]["after"])
+    document["held_out_without_effect"] = without
+    ratio = held_out_ratio(without, document["held_out"]["after"])
     words = _gate(
         ratio, 1.0, force,
-        f"'{effect}' does not lower the error at poses left out", "add it",
+        f"'{name}' does not lower the error at poses left out", "add it",
     )  # fmt: skip
-    return _step("add", result, document, (*result.warnings, *words), effect)
+    return _step("add", result, document, (*result.warnings, *words), name)
+
+
+def _searched(base: Result, name: str) -> Mapping[str, float]:
+    """The settings of an effect that fit best to what the model without it leaves."""
+    here = scene(base.model, base.dataset, base.evidence, base.free)
+    return candidate(here, name).settings
 
 
 def removed(
@@ -83,11 +97,12 @@ def _gate(ratio: float | None, limit: float, force: bool, what: str, do: str) ->
 def held_out_ratio(
     before: Mapping[str, float | None], after: Mapping[str, float | None]
 ) -> float | None:
-    """Error after over before, the geometric mean of what was measured of the pose."""
+    """Error after over before, the geometric mean of what was measured of the pose; where
+    nothing was, of what other sensors read, or of the joints."""
     ratios = [_ratio(before, after, f"{kind}_rms") for kind in ("position", "orientation")]
     known = [r for r in ratios if r is not None]
-    if not known:
-        known = [r for r in [_ratio(before, after, "joint_rms")] if r is not None]
+    others = [_ratio(before, after, f"{kind}_rms") for kind in ("reading", "joint")]
+    known = known or [r for r in others if r is not None][:1]
     return math.exp(sum(math.log(r) for r in known) / len(known)) if known else None
 
 

@@ -23,7 +23,8 @@ IDENTIFIED = str(ROOT / "config" / "delta_mockup_identified.yaml")
 NOMINAL = str(ROOT / "config" / "delta_mockup_nominal.yaml")
 DELTA24 = str(ROOT / "config" / "delta24_mockup_identified.yaml")
 BAG = str(ROOT / "bags" / "delta_clean")
-E = {f"{k}_{m}" for k in ("position", "orientation", "joint") for m in ("mean", "rms")}
+KINDS = ("position", "orientation", "joint", "reading")
+E = {f"{k}_{m}" for k in KINDS for m in ("mean", "rms")}
 
 
 @pytest.fixture(scope="module")
@@ -124,10 +125,11 @@ def test_it_imports_heavy_things_only_where_they_are_used(command, heavy):
 
 
 def test_help_names_the_commands_that_exist_and_no_other():
-    listed = re.findall(r"^  (\w+) ", child("--help").stdout.split("Commands:")[1], flags=re.M)
+    listed = re.findall(r"^  ([\w-]+) ", child("--help").stdout.split("Commands:")[1], flags=re.M)
     assert listed == [
-        "new", "mechanisms", "effects", "direct", "inverse", "look", "simulate", "replay",
-        "fit", "compare", "add", "remove", "plan", "demo", "bench",
+        "new", "mechanisms", "effects", "sensors", "direct", "inverse", "look", "import-csv",
+        "simulate", "replay", "fit", "compare", "add", "remove", "diagnose", "report",
+        "short-cut", "plan", "demo", "bench",
     ]  # fmt: skip
 
 
@@ -393,7 +395,7 @@ def test_fit_prints_the_promised_document_and_writes_the_model_with_its_history(
     }  # fmt: skip
     assert set(found["before"]) == set(found["after"]) == E
     assert set(found["held_out"]) == {"before", "after"}
-    assert set(found["improvement"]) == {"position", "orientation", "joint"}
+    assert set(found["improvement"]) == set(KINDS)
     assert found["samples"] == 94
     assert found["before"]["position_mean"] == pytest.approx(590e-6, rel=0.05)
     assert found["held_out"]["after"]["position_mean"] < 50e-6
@@ -513,7 +515,7 @@ def test_ctrl_c_ends_without_a_traceback(run, monkeypatch):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(dataset, "load_dataset", pressed)
-    monkeypatch.setattr("parallel_cal.commands.calibration.load_dataset", pressed)
+    monkeypatch.setattr("parallel_cal.commands.calibration.load_sessions", pressed)
     code, out, err = run("fit", NOMINAL, BAG)
     assert code != 0
     assert out == ""

@@ -9,8 +9,8 @@ import numpy as np
 
 from parallel_cal.commands import console
 from parallel_cal.commands.recordings import bag_progress, data_options
-from parallel_cal.dataset import Dataset, load_dataset
-from parallel_cal.identification import compare as compared
+from parallel_cal.comparison import compare as compared
+from parallel_cal.dataset import Dataset, load_sessions
 from parallel_cal.model import Model
 from parallel_cal.modelfile import model_hash, read_model, write_model
 from parallel_cal.steps import Step, added, fitted, removed
@@ -19,23 +19,28 @@ ARCMIN = 60 * 180 / np.pi
 
 
 def fit(
-    model_file: Path, bag: Path, output: Path | None, data: list[str], as_json: bool, **options: Any
+    model_file: Path,
+    bags: list[Path],
+    output: Path | None,
+    data: list[str],
+    as_json: bool,
+    **options: Any,
 ) -> None:
-    model, dataset = _model_and_data(model_file, bag, data)
+    model, dataset = model_and_data(model_file, bags, data)
     _finish(fitted(model, dataset, progress=console.progress, **options), output, as_json)
 
 
 def add(
     model_file: Path,
     effect: str,
-    bag: Path,
+    bags: list[Path],
     output: Path | None,
     force: bool,
     data: list[str],
     as_json: bool,
     **options: Any,
 ) -> None:
-    model, dataset = _model_and_data(model_file, bag, data)
+    model, dataset = model_and_data(model_file, bags, data)
     step = added(model, effect, dataset, force, progress=console.progress, **options)
     _finish(step, output, as_json)
 
@@ -43,21 +48,21 @@ def add(
 def remove(
     model_file: Path,
     effect: str,
-    bag: Path,
+    bags: list[Path],
     output: Path | None,
     force: bool,
     data: list[str],
     as_json: bool,
     **options: Any,
 ) -> None:
-    model, dataset = _model_and_data(model_file, bag, data)
+    model, dataset = model_and_data(model_file, bags, data)
     step = removed(model, effect, dataset, force, progress=console.progress, **options)
     _finish(step, output, as_json)
 
 
-def _model_and_data(model_file: Path, bag: Path, data: list[str]) -> tuple[Model, Dataset]:
+def model_and_data(model_file: Path, bags: list[Path], data: list[str]) -> tuple[Model, Dataset]:
     model, options = read_model(model_file), data_options(data)
-    return model, load_dataset(bag, joints=model.joints, progress=bag_progress, **options)
+    return model, load_sessions(bags, joints=model.joints, progress=bag_progress, **options)
 
 
 def _finish(step: Step, output: Path | None, as_json: bool) -> None:
@@ -97,9 +102,9 @@ def _show_fit(document: dict[str, Any], model: Model) -> None:
 
 
 def compare(
-    model_file: Path, bag: Path, joint_sigma: float | None, data: list[str], as_json: bool
+    model_file: Path, bags: list[Path], joint_sigma: float | None, data: list[str], as_json: bool
 ) -> None:
-    model, dataset = _model_and_data(model_file, bag, data)
+    model, dataset = model_and_data(model_file, bags, data)
     document = compared(model, dataset, joint_sigma).document()
     console.progress("", 1.0)
     console.warn(dataset.warnings)
@@ -111,19 +116,35 @@ def compare(
     console.say(f"{document['samples']} samples")
     console.errors_table(columns, model.mechanism.joint_units)
     console.say("worst samples:")
-    _show_rows(document["rows"][:10])
+    _show_rows(document["rows"][:10], document["channels"])
+    _show_where(document["where"])
 
 
-def _show_rows(rows: list[dict[str, Any]]) -> None:
+def _show_rows(rows: list[dict[str, Any]], channels: list[str]) -> None:
     header = ("sample", "time [s]", "at [mm]", "error [um]", "|error| [um]", "turned [arcmin]")
     console.table(
-        header,
+        header + tuple(f"{channel} [um]" for channel in channels),
         [
             (str(r["sample"]), console.number(r["time"], 1, 1),
-             console.vector(r["position"], 1e3, 1),
+             " ".join(console.number(v, 1e3, 1) for v in r["position"]),
              " ".join(console.number(v, 1e6, 0) for v in r["position_error"]),
              console.number(r["position_norm"], 1e6, 0),
-             console.number(r["orientation_norm"], ARCMIN, 2))
+             console.number(r["orientation_norm"], ARCMIN, 2),
+             *(console.number(v, 1e6, 0) for v in r["reading_error"]))
             for r in rows
         ],
     )  # fmt: skip
+
+
+def _show_where(where: dict[str, Any]) -> None:
+    """What the errors go with, strongest first, and whether neighbours err alike."""
+    console.say("errors go with:")
+    rows = [(a["name"], console.number(a["strength"], 1, 1)) for a in where["along"][:5]]
+    console.table(("along", "largest mean [sigma]"), rows)
+    worst = where["regions"][0]
+    console.say(
+        f"worst region: {worst['region']}, {console.number(worst['position_rms'], 1e6, 0)} um rms; "
+        f"neighbours alike: p = {where['structure']['p_value']:.2g}"
+    )
+    for row in where["odd_samples"][:5]:
+        console.say(f"odd: sample {row['sample']}, {row['sigmas']:.1f} sigmas")

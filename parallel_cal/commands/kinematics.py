@@ -66,7 +66,7 @@ def inverse(
 
 
 def _model_and_conditions(model_file: Path, at: list[str]) -> tuple[Model, dict[str, float]]:
-    model = read_model(model_file)
+    model = read_model(model_file).robot()
     conditions = answers.parse_conditions(model, at)
     unused = [name for name in conditions if name not in model.conditions]
     if unused:

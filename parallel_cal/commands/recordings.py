@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from parallel_cal.commands import console
+from parallel_cal.effect import parse_effect
 from parallel_cal.errors import ParallelCalError
 from parallel_cal.modelfile import read_model
 from parallel_cal.recordings.recording import Topics
@@ -43,7 +44,7 @@ def simulate(
     from parallel_cal import simulate as simulation
     from parallel_cal.bag_writer import write_bag
 
-    wanted = [simulation.parse_effect(spec) for spec in specs]
+    wanted = [parse_effect(spec) for spec in specs]
     robot = simulation.with_effects(read_model(model_file), wanted)
     stated = simulation.stated_noise(robot)
     if robot.noise.joint is None:
@@ -92,14 +93,27 @@ def data_options(items: list[str]) -> dict[str, Any]:
     topics: dict[str, str] = {}
     for item in items:
         key, equals, value = item.partition("=")
-        if not equals or key not in (*channels, *numbers, "measures", "stamps"):
-            known = ", ".join((*channels, "measures", "stamps", *numbers))
-            raise ParallelCalError(f"--data {item}: expected KEY=VALUE, KEY one of {known}")
+        known = (*channels, "measures", "stamps", "exclude", *numbers)
+        if not equals or key not in known:
+            raise ParallelCalError(
+                f"--data {item}: expected KEY=VALUE, KEY one of {', '.join(known)}"
+            )
         if key in channels:
             topics[key] = value
+        elif key == "exclude":
+            options[key] = _sample_numbers(value)
         else:
             options[key] = value.split(",") if key == "measures" else _value(value)
     return options | ({"topics": Topics(**topics)} if topics else {})
+
+
+def _sample_numbers(text: str) -> list[int]:
+    try:
+        return [int(word) for word in text.split(",")]
+    except ValueError:
+        raise ParallelCalError(
+            f"--data exclude={text}: expected numbers of samples, such as exclude=3,17"
+        ) from None
 
 
 def _value(text: str) -> Any:

@@ -1,0 +1,88 @@
+"""Tests that need no model of the robot: is there structure in these residuals?"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+NEIGHBOURS = 7
+PERMUTATIONS = 999
+
+
+def holm(p_values: np.ndarray) -> np.ndarray:
+    """p-values (k,) adjusted for having looked at all of them (Holm 1979)."""
+    order = np.argsort(p_values, kind="stable")
+    k = len(p_values)
+    raised = np.maximum.accumulate(p_values[order] * (k - np.arange(k)))
+    adjusted = np.empty(k)
+    adjusted[order] = np.minimum(raised, 1.0)
+    return adjusted
+
+
+def morans_i(
+    field: np.ndarray, places: np.ndarray, group: np.ndarray, seed: int = 0
+) -> tuple[float, float]:
+    """Moran's I = sum w_ij f_i . f_j / sum f_i . f_i on nearest neighbours, and its p-value.
+
+    field (N, k) and places (N, d) of every sample; p (one-sided: neighbours alike) by permuting
+    the samples. Visits of one pose (`group`) are averaged: they are no neighbours but copies.
+    """
+    field, places = averaged(field, group), averaged(places, group)
+    n = len(field)
+    if n < NEIGHBOURS + 3 or not np.any(field):
+        return 0.0, 1.0
+    field = field - field.mean(axis=0)
+    near = nearest(places, NEIGHBOURS)
+    total = np.sum(field**2)
+    rng = np.random.default_rng(seed)
+
+    def index(f: np.ndarray) -> float:
+        return float(np.sum(f * f[near].mean(axis=1)) / total)
+
+    seen = index(field)
+    drawn = [index(field[rng.permutation(n)]) for _ in range(PERMUTATIONS)]
+    return seen, (1 + sum(d >= seen for d in drawn)) / (1 + PERMUTATIONS)
+
+
+def averaged(values: np.ndarray, group: np.ndarray) -> np.ndarray:
+    """Rows (N, k) averaged within groups, one row a group."""
+    names, inverse, count = np.unique(group, return_inverse=True, return_counts=True)
+    sums = np.zeros((len(names), values.shape[1]))
+    np.add.at(sums, inverse, values)
+    return np.asarray(sums / count[:, None])
+
+
+def nearest(places: np.ndarray, k: int) -> np.ndarray:
+    """Indices (N, k) of the nearest others, every coordinate scaled to its spread."""
+    scaled = places / np.maximum(places.std(axis=0), 1e-12)
+    apart = np.linalg.norm(scaled[:, None] - scaled[None], axis=2)
+    np.fill_diagonal(apart, np.inf)
+    return np.argpartition(apart, k - 1, axis=1)[:, :k]
+
+
+def runs_test(series: np.ndarray) -> float:
+    """p-value of too few changes of sign (Wald-Wolfowitz), k series (N, k) taken together."""
+    excess, variance = 0.0, 0.0
+    for column in series.T:
+        sign = column > np.median(column)
+        n1, n2 = int(sign.sum()), int((~sign).sum())
+        n = n1 + n2
+        if min(n1, n2) < 5:
+            continue
+        expected = 1 + 2 * n1 * n2 / n
+        excess += 1 + np.count_nonzero(sign[1:] != sign[:-1]) - expected
+        variance += (expected - 1) * (expected - 2) / (n - 1)
+    return normal_below(excess / variance**0.5) if variance > 0 else 1.0
+
+
+def normal_below(z: float) -> float:
+    """Probability that a standard normal number lies below z."""
+    from math import erfc, sqrt
+
+    return erfc(-z / sqrt(2)) / 2
+
+
+def smallest(p_values: Sequence[float]) -> float:
+    """The smallest of several p-values, corrected for their number (Bonferroni)."""
+    return min(1.0, len(p_values) * min(p_values, default=1.0))

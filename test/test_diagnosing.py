@@ -1,0 +1,217 @@
+"""The parts of a diagnosis, each against hand-worked numbers or an independent library."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import virtual_robot as vr
+from datasets import measured, quiet
+from scipy import stats
+
+from parallel_cal.diagnosing.catalogue import candidate
+from parallel_cal.diagnosing.fields import field, reference
+from parallel_cal.diagnosing.patterns import along, odd_samples, regions
+from parallel_cal.diagnosing.scene import columns, scene
+from parallel_cal.diagnosing.scoring import alike, f_test, log_p_of, score
+from parallel_cal.diagnosing.statistics import holm, morans_i, runs_test
+from parallel_cal.diagnosing.structure import smooth_map, structure
+from parallel_cal.evidence import gather
+from parallel_cal.identification import fit
+from parallel_cal.kinematics import Kinematics
+from parallel_cal.linearisation import Linearisation
+from parallel_cal.model import new_model
+
+
+@pytest.fixture(scope="module")
+def here():
+    """A fitted model 54 and data without hidden effect."""
+    return fitted_scene(measured(0))
+
+
+def fitted_scene(data, model=None):
+    result = fit(model or new_model("delta54"), data, hold_out=0)
+    return scene(result.model, data, result.evidence, result.free)
+
+
+# --------------------------------------------------------------------------------- statistics
+
+
+def test_holm_multiplies_the_smallest_p_value_by_the_number_of_tests_and_so_on():
+    adjusted = holm(np.array([0.04, 0.001, 0.02, 0.5]))
+    assert adjusted == pytest.approx([0.08, 0.004, 0.06, 0.5])
+
+
+def test_holm_never_orders_two_tests_the_other_way_and_never_exceeds_one():
+    assert holm(np.array([0.010, 0.0101, 0.9])) == pytest.approx([0.03, 0.03, 0.9])
+    assert holm(np.array([0.6, 0.7])) == pytest.approx([1.0, 1.0])
+
+
+def test_a_long_row_of_equal_signs_is_too_few_runs_and_a_zigzag_is_not():
+    halves = np.r_[np.full(20, 1.0), np.full(20, -1.0)][:, None]
+    # 2 runs where 21 are expected with variance 20 * 19 / 39: z = -6.09.
+    assert runs_test(halves) == pytest.approx(stats.norm.cdf(-19 / np.sqrt(20 * 19 / 39)), rel=1e-6)
+    assert runs_test(np.tile([1.0, -1.0], 20)[:, None]) > 0.999
+
+
+def test_runs_of_pure_noise_reject_as_often_as_they_should():
+    rng = np.random.default_rng(0)
+    rejected = [runs_test(rng.normal(size=(100, 3))) < 0.05 for _ in range(400)]
+    assert 0.02 < np.mean(rejected) < 0.08
+
+
+def test_morans_i_finds_a_gradient_and_not_noise():
+    rng = np.random.default_rng(1)
+    places, group = rng.uniform(size=(120, 3)), np.arange(120)
+    noise = rng.normal(size=(120, 3))
+    assert morans_i(noise, places, group)[1] > 0.05
+    index, p = morans_i(noise + 2 * places, places, group)
+    assert index > 0.1
+    assert p == pytest.approx(0.001)
+
+
+def test_visits_of_one_pose_do_not_pass_for_alike_neighbours():
+    rng = np.random.default_rng(2)
+    places = np.repeat(rng.uniform(size=(30, 3)), 4, axis=0)
+    field = np.repeat(rng.normal(size=(30, 3)), 4, axis=0)
+    assert morans_i(field, places, np.repeat(np.arange(30), 4))[1] > 0.05
+    assert morans_i(field, places, np.arange(120))[1] < 0.01  # what would go wrong
+
+
+@pytest.mark.parametrize(("F", "q", "dof"), [(0.3, 3, 40), (1.0, 1, 7), (12.0, 6, 300)])
+def test_the_p_value_of_an_f_test_is_scipys(F, q, dof):
+    assert log_p_of(F, q, dof) == pytest.approx(stats.f.logsf(F, q, dof), rel=1e-6)
+
+
+def test_the_p_value_keeps_its_order_where_it_underflows():
+    logs = [log_p_of(F, 3, 500) for F in (300.0, 3000.0, 30000.0, 3e5, 3e7)]
+    assert np.all(np.diff(logs) < -50)
+    # Where both are finite the leading term of the series is the whole of it.
+    assert log_p_of(60.0, 2, 4000) == pytest.approx(-2000 * np.log1p(2 * 60 / 4000), rel=1e-9)
+
+
+def test_the_f_test_of_a_planted_direction_is_the_regression_of_a_textbook():
+    rng = np.random.default_rng(3)
+    U = np.linalg.qr(rng.normal(size=(50, 2)))[0]
+    r = rng.normal(size=50) + 3 * U[:, 0]
+    F, log_p = f_test(r, U, dof=50)
+    rest = r - U @ (U.T @ r)
+    expected = ((r @ r - rest @ rest) / 2) / (rest @ rest / 48)
+    assert pytest.approx(expected) == F
+    assert log_p == pytest.approx(stats.f.logsf(expected, 2, 48))
+
+
+# ------------------------------------------------------------------------------------- scenes
+
+
+def test_regressors_are_taken_where_the_model_puts_the_platform(here):
+    """Guard against circularity: not at the measured pose, whose noise would explain itself."""
+    pose = Kinematics(here.model).direct(here.x[:, :3])
+    assert np.array_equal(here.x[:, 3:6], pose.position)
+    assert np.abs(here.evidence.x[:, 3:6] - pose.position).max() > 20e-6
+
+
+def test_the_residual_of_a_complete_model_is_noise_in_noise_units(here):
+    assert here.chi2_per_dof == pytest.approx(1, abs=0.15)
+    assert here.dof == here.residual.size - here.basis.shape[1]
+    z = field(here).noise_units
+    assert np.mean(z**2) == pytest.approx(1, abs=0.15)
+
+
+def test_columns_are_finite_differences_of_the_residuals(here):
+    extended = here.model.with_effect("backlash")
+    new = extended.table.matching(["backlash.*"])
+    B = columns(extended, here, new)
+    k = extended.table.index_of("backlash.joint2.width")
+    values = extended.values.copy()
+    values[k] += 1e-6
+    evidence = gather(extended, here.dataset)
+    moved = [
+        Linearisation(extended, evidence, new, True)(v, here.x).residual.reshape(-1)
+        for v in (extended.values, values)
+    ]
+    slope = (moved[1] - moved[0]) / 1e-6 * extended.table.tolerance[k]
+    assert np.abs(slope - B[:, 1]).max() < 1e-3 * np.abs(slope).max()
+
+
+def test_geometry_swallows_an_encoders_gain_but_not_its_play(here):
+    """Guard 3: on a Delta a few per cent of a gain survive, and most of a backlash."""
+    gain, play = (candidate(here, name).score for name in ("encoder_gain", "backlash"))
+    assert gain.remaining < 0.1
+    assert play.remaining > 0.8
+
+
+def test_one_direction_named_twice_is_alike_and_two_are_not(here):
+    play, again = (candidate(here, "backlash").score.U for _ in range(2))
+    drift = candidate(here, "base_drift").score.U
+    assert alike(play, again) == pytest.approx(1)
+    assert alike(play, drift) < 0.7
+
+
+def test_random_columns_score_as_chance_has_it(here):
+    rng = np.random.default_rng(0)
+    p = [score(here, rng.normal(size=(len(here.residual), 5))).p_value for _ in range(400)]
+    assert stats.kstest(p, "uniform").pvalue > 0.01
+
+
+def test_replicates_know_the_noise_without_any_model(here):
+    known = reference(here, field(here))
+    assert known.source == "stated (dataset)"
+    assert known.replicates == pytest.approx(1, abs=0.3)
+    assert known.replicates_dof == 120
+
+
+def test_a_noise_that_nobody_states_is_taken_from_replicates():
+    data = measured(1)
+    here = fitted_scene(data)
+    guessed = dataclasses.replace(
+        here.evidence,
+        S=here.evidence.S / 4,
+        noise_from={"joint": "scatter within dwells", "pose": "scatter within dwells"},
+    )
+    there = scene(here.model, data, guessed, here.free)
+    known = reference(there, field(there))
+    assert known.variance == pytest.approx(4, abs=1.2)
+    low, high = known.band(there.dof)
+    assert low < there.chi2_per_dof < high
+
+
+# ---------------------------------------------------------------------------------- structure
+
+
+def test_a_smooth_map_finds_the_size_and_the_scale_of_a_wave_and_nothing_in_noise():
+    data = measured(2, noise=quiet(), n_poses=150, n_replicates=0)
+    wave = 100e-6 * np.sin(2 * np.pi * data.r[:, :1] / 0.12) * [0, 0, 1]
+    here = fitted_scene(data)
+    pushed = dataclasses.replace(here.evidence)
+    pushed.x[:, 3:6] += wave
+    there = scene(here.model, data, pushed, np.zeros_like(here.free))
+    found = smooth_map(there, field(there))
+    assert found.share > 0.9
+    assert found.size == pytest.approx(71e-6, rel=0.15)
+    assert 0.005 < found.length < 0.06
+
+
+def test_noise_has_no_structure(here):
+    left = structure(here, field(here))
+    assert not left.found
+    assert left.map.share < 0.1
+
+
+def test_a_wild_sample_is_named_and_no_other():
+    data = measured(3)
+    data.r[17] += [0.5e-3, 0, 0]
+    here = fitted_scene(data)
+    odd = odd_samples(here, field(here))
+    assert [row["sample"] for row in odd if row["outlier"]] == [17]
+    assert odd[0]["sigmas"] > 5
+    assert odd[0]["time"] == data.time[17]
+
+
+def test_what_the_errors_go_with_is_named_first():
+    data = measured(4, effects=[vr.Backlash((1e-3, 0.0, 0.0))])
+    here = fitted_scene(data)
+    entries = along(here, field(here))
+    assert entries[0]["name"] == "direction.joint1"
+    assert entries[0]["strength"] > 5
+    assert entries[0]["at"] == [-1.0, 1.0]
+    assert sum(row["samples"] for row in regions(here, field(here))) == len(data)

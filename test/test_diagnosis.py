@@ -1,0 +1,283 @@
+"""A diagnosis on the independent robot: the right name, the right verdict, and honest doubts."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import virtual_effects_hidden as hidden
+import virtual_findings as vf
+import virtual_robot as vr
+from datasets import JOINTS, measured
+from findings import clean, dataset, hiding
+
+from parallel_cal.dataset import Dataset
+from parallel_cal.diagnosis import diagnose
+from parallel_cal.errors import FitError
+from parallel_cal.model import Noise, new_model
+from parallel_cal.steps import added
+
+MODEL = new_model("delta54")
+
+
+@pytest.fixture(scope="module")
+def play():
+    """A diagnosis of hidden play, and the data."""
+    data = measured(0, effects=[vr.Backlash((3e-4, 2.5e-4, 2e-4))], n_poses=110)
+    return diagnose(MODEL, data), data
+
+
+def entry(document, name):
+    return next(c for c in document["candidates"] if c["effect"] == name)
+
+
+# ------------------------------------------------------------------------- what it says
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_where_nothing_is_hidden_it_says_stop_looking_and_proposes_nothing(seed):
+    found = diagnose(MODEL, clean(seed))
+    assert found.verdict.word == "at_noise"
+    assert found.effects == ()
+    assert "stop looking" in found.verdict.summary
+
+
+def test_hidden_play_is_found_explained_and_measured(play):
+    found, _ = play
+    assert found.verdict.word == "explained"
+    assert found.effects == ("backlash",)
+    best = entry(found.document(), "backlash")
+    assert best["rank"] == 1
+    assert best["p_adjusted"] < 1e-9
+    assert best["first_picks"] > 0.95
+    assert best["shuffled_p_value"] <= 0.05
+    assert best["remaining_after_geometry"] > 0.8
+    widths = [best["parameters"][f"{joint}.width"] for joint in JOINTS]
+    for width, truth in zip(widths, (3e-4, 2.5e-4, 2e-4), strict=True):
+        assert abs(width["value"] - truth) < 4 * width["sigma"]
+
+
+def test_its_document_is_the_contracts(play):
+    document = play[0].document()
+    assert {"verdict", "summary", "baseline", "noise", "candidates", "structure"} <= set(document)
+    wanted = {
+        "effect", "rank", "p_value", "holdout_before", "holdout_after", "share_explained",
+        "remaining_after_geometry", "confused_with", "missing_conditions", "parameters",
+    }  # fmt: skip
+    for row in document["candidates"]:
+        assert wanted <= set(row)
+    ranks = [row["rank"] for row in document["candidates"]]
+    assert ranks == sorted(ranks)
+    best = document["candidates"][0]
+    assert best["holdout_after"]["position_rms"] < best["holdout_before"]["position_rms"]
+
+
+def test_what_it_proposes_add_accepts(play):
+    _, data = play
+    step = added(MODEL, "backlash", data)
+    held = step.document["held_out"]["after"]
+    assert held["position_rms"] < step.document["held_out_without_effect"]["position_rms"]
+    assert step.model.history[-1]["effect"] == "backlash"
+
+
+@pytest.mark.parametrize("name", vf.KINDS)
+def test_each_kind_of_physics_is_called_by_its_name(name):
+    """0.6 sigma of the residual, 150 samples; bench/find_effects.py draws hundreds."""
+    kind = vf.KINDS[name]
+    data, _ = hiding([kind], 0.6, seed=1)
+    found = diagnose(MODEL, data)
+    called = {n for e in found.effects for n in (e, *found.swaps.get(e, []))}
+    assert called & set(kind.names)
+    assert found.verdict.word == "explained"
+    after, floor = (found.best.document[k] for k in ("held_out", "noise_floor"))
+    # A complete model of 42 numbers does as well on poses it has not seen: 5 % over the noise.
+    assert after["after"]["position_rms"] < 1.12 * floor["position_rms"]
+
+
+def test_two_at_once_are_both_found():
+    kinds = [vf.KINDS["backlash"], vf.KINDS["base drift"]]
+    found = diagnose(MODEL, hiding(kinds, 0.6, seed=2)[0])
+    assert {"backlash", "base_drift"} == set(found.effects)
+    assert found.verdict.word == "explained"
+
+
+@pytest.mark.parametrize("name", vf.OUTSIDE)
+def test_what_nobody_catalogued_is_not_explained(name):
+    kind = vf.Kind((), vf.OUTSIDE[name], 0.5e-3)
+    found = diagnose(MODEL, hiding([kind], 1.5, seed=3)[0])
+    assert found.verdict.word in ("unexplained", "partly_explained")
+
+
+def test_an_unknown_gear_ratio_is_found_and_add_finds_it_too():
+    ripple = hidden.GearRipple((4e-4, 3e-4, 3.5e-4), (0.3, 1.2, 2.0), 37.3)
+    data = measured(4, effects=[ripple], n_poses=110)
+    found = diagnose(MODEL, data, effects=["gear_transmission_error", "backlash"])
+    best = entry(found.document(), "gear_transmission_error")
+    # The second harmonic of half the ratio is the same wave.
+    assert any(best["settings"]["ratio"] == pytest.approx(r, abs=0.3) for r in (37.3, 18.65))
+    assert best["tried"] > 50
+    step = added(MODEL, "gear_transmission_error", data)
+    ratio = step.document["parameters"]["gear_transmission_error.ratio"]["value"]
+    assert ratio == pytest.approx(best["settings"]["ratio"], rel=1e-6)
+
+
+def test_the_same_poses_at_another_size_of_noise_give_the_same_name():
+    """F tests do not care how large the stated noise is; the verdict does."""
+    data, _ = hiding([vf.KINDS["backlash"]], 0.6, seed=5)
+    loose = replace(data, pose_cov=9 * data.pose_cov, joint_sigma=3 * data.joint_sigma)
+    found = diagnose(MODEL, loose)
+    assert found.effects[0] in ("backlash", "hysteresis")
+
+
+# ----------------------------------------------------------------------- what it doubts
+
+
+def test_an_effect_whose_condition_was_not_recorded_is_listed_with_the_reason():
+    document = diagnose(MODEL, measured(1), effects=["thermal_expansion", "backlash"]).document()
+    row = entry(document, "thermal_expansion")
+    assert row["p_value"] is None
+    assert row["missing_conditions"] == ["temperature"]
+    assert row["reason"] == "cannot be tested: no temperature recorded"
+    assert document["measure_next"]["record"] == {"thermal_expansion": ["temperature"]}
+
+
+def test_an_effect_that_makes_no_sense_here_is_listed_with_the_reason():
+    document = diagnose(MODEL, measured(1), effects=["spool_buildup", "backlash"]).document()
+    assert "does not apply" in entry(document, "spool_buildup")["reason"]
+
+
+def test_what_geometry_absorbs_is_said_to_be_absorbed():
+    document = diagnose(MODEL, measured(1), effects=["target_offset", "backlash"]).document()
+    row = entry(document, "target_offset")
+    assert row["remaining_after_geometry"] < 0.01
+    assert "cannot be seen" in row["reason"]
+
+
+def all_of_steel_warming_up():
+    growth = hidden.ThermalGrowth(11.7e-6, 11.7e-6, 11.7e-6)
+    day = vr.plan(110, 20, 0, dwell=10.0, air=lambda t: 18 + 0.006 * np.asarray(t))
+    return dataset(vf.samples(day, [growth], vf.FINE, 0), vf.FINE)
+
+
+def test_temperature_that_rises_evenly_cannot_tell_growth_from_drift():
+    """Their lookalike is named, and so is what would separate them."""
+    found = diagnose(MODEL, all_of_steel_warming_up())
+    (name,) = found.effects[:1]
+    assert {name, *found.swaps.get(name, [])} >= {"thermal_expansion", "base_drift"}
+    document = found.document()
+    assert " or " in document["summary"]
+    assert document["measure_next"]["advice"]
+
+
+def test_poses_planned_to_tell_two_explanations_apart_do_so():
+    plan = diagnose(MODEL, all_of_steel_warming_up()).document()["measure_next"]["plan"]
+    assert plan is not None
+    assert plan["sigmas"]["then"] > 2 * plan["sigmas"]["now"]
+    temperatures = {pose["conditions"].get("temperature") for pose in plan["poses"]}
+    assert len(temperatures) > 1
+
+
+def test_without_any_noise_figure_it_cannot_know_but_still_names_the_best():
+    data = measured(2, effects=[vr.Backlash((6e-4, 6e-4, 6e-4))], n_replicates=0)
+    guessed = Dataset.from_arrays(
+        JOINTS, data.q, data.r, data.R, measured=data.measured, conditions=data.conditions,
+        pose_id=np.arange(len(data)), source="a camera nobody calibrated",
+    )  # fmt: skip
+    model = replace(MODEL, noise=Noise(1e-4, 1e-5, 1e-4, assumed=True))
+    found = diagnose(model, guessed)
+    assert found.verdict.word == "cannot_know"
+    assert found.effects == ("backlash",)
+    assert found.document()["noise"]["variance"] is None
+
+
+def test_too_few_poses_cannot_know():
+    found = diagnose(MODEL, measured(3, n_poses=8, n_replicates=0), fix=["chain[23].*"])
+    assert found.verdict.word in ("cannot_know", "unexplained")
+
+
+def test_a_random_group_ranks_among_the_effects_that_are_not_there(play):
+    document = play[0].document()
+    placebo = document["placebo"]["random_group"]
+    assert placebo["p_value"] > 0.001
+    assert placebo["rank"] > 1
+
+
+def test_orientation_that_the_model_holds_still_is_not_at_noise():
+    data = measured(4)
+    found = diagnose(new_model("delta24"), data, effects=["backlash"])
+    assert found.verdict.word == "unexplained"
+    assert "larger model" in found.verdict.summary
+
+
+def test_the_larger_model_is_a_candidate_like_any_other():
+    data = measured(4)
+    found = diagnose(new_model("delta24"), data)
+    assert found.effects == ("parallelogram_errors",)
+    assert found.verdict.word == "explained"
+    assert found.best.fitted.model.mechanism.name == "delta54"
+
+
+# --------------------------------------------------------------------------- what it takes
+
+
+def test_a_users_own_effect_takes_part(tmp_path, monkeypatch):
+    (tmp_path / "my_lab").mkdir()
+    (tmp_path / "my_lab" / "__init__.py").write_text("")
+    (tmp_path / "my_lab" / "cross_talk.py").write_text(OWN)
+    monkeypatch.syspath_prepend(tmp_path)
+    talk = hidden.CrossTalk((5e-4, 4e-4, 6e-4), 7.0)
+    data = measured(5, effects=[talk], n_poses=110)
+    assert diagnose(MODEL, data, effects=["backlash"]).verdict.word == "unexplained"
+    found = diagnose(MODEL, data, effects=["backlash"], also=["my_lab.cross_talk"])
+    assert found.effects == ("my_lab.cross_talk",)
+    assert found.verdict.word == "explained"
+
+
+OWN = '''
+"""Each joint's signal ripples with the angle of the next."""
+import casadi as ca
+
+from parallel_cal.effect import Effect
+from parallel_cal.parameters import Parameter
+
+
+class CrossTalk(Effect):
+    physics = "wires side by side"
+    source = "our lab"
+
+    def parameters(self, mechanism):
+        return [Parameter(f"{j}.size", "rad", 0.0, 3e-4) for j in mechanism.joints]
+
+    def ideal(self, seen, e, at, mechanism):
+        names, n = mechanism.joints, len(mechanism.joints)
+        q = [seen.q[i] + e[j].size * ca.sin(7 * seen.q[(i + 1) % n]) for i, j in enumerate(names)]
+        return seen.with_q(ca.vertcat(*q))
+'''
+
+
+def test_excluded_samples_keep_the_numbers_of_the_others():
+    data = measured(6)
+    data.r[[12, 40]] += [1e-3, 0, 0]
+    found = diagnose(MODEL, data.excluding([12]), effects=["backlash"])
+    assert [row["sample"] for row in found.document()["odd_samples"] if row["outlier"]] == [40]
+    assert any("excluded on request: sample 12" in w for w in found.document()["warnings"])
+
+
+def test_a_baseline_that_cannot_be_identified_is_a_clear_error():
+    with pytest.raises(FitError, match="different poses give"):
+        diagnose(MODEL, measured(0, n_poses=5, n_replicates=0))
+
+
+def test_it_says_what_it_does_and_stops_when_told():
+    class Stop(Exception):
+        pass
+
+    stages = []
+
+    def report(stage, fraction):
+        stages.append(stage)
+        if len(stages) == 6:
+            raise Stop
+
+    with pytest.raises(Stop):
+        diagnose(MODEL, measured(0), progress=report)
+    assert any("testing" in stage or "identifying" in stage for stage in stages)
