@@ -1,4 +1,4 @@
-# make demo | test | check | slow | bags | bench | clean      (PYTHON=python3.12 make ... for another)
+# make demo | test | check | slow | bags | bench | tables | clean      (PYTHON=python3.12 make ... for another)
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -14,7 +14,7 @@ endif
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 export ROS_DOMAIN_ID ?= $(shell echo $$(($$$$ % 100 + 1)))
 
-.PHONY: venv demo test check lint types slow bags bench clean
+.PHONY: venv demo test check lint types slow bags bench tables clean
 
 venv: $(STAMP)
 
@@ -70,6 +70,11 @@ bags: $(STAMP)
 
 bench: $(STAMP)
 	@$(BIN)/parallel-cal bench
+
+# The documents' tables and figures again (docs/tables.*): some minutes.
+tables: $(STAMP)
+	@$(call install,matplotlib)
+	@$(BIN)/python -m bench.tables
 
 clean:
 	@rm -rf $(VENV) build install log dist *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis

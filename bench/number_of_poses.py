@@ -94,11 +94,20 @@ def curve(case: Case, kind: str, draws: int, unseen: tuple[np.ndarray, np.ndarra
     """Errors (numbers, draws): every draw has its own noise, and its own random set."""
     rows = []
     for n in case.numbers:
-        again = not kind.startswith("optimal")
-        fixed = None if again else readings(case, kind, n, 0)
-        sets = (readings(case, kind, n, d) if fixed is None else fixed for d in range(draws))
+        try:
+            sets = _sets(case, kind, n, draws)
+        except FitError:  # no plan of so few poses sees all parameters
+            rows.append([np.inf] * draws)
+            continue
         rows.append([error(case, q, d, unseen) for d, q in enumerate(sets)])
     return np.array(rows)
+
+
+def _sets(case: Case, kind: str, n: int, draws: int) -> list[np.ndarray]:
+    """Readings of each draw; the planned ones are the same every time."""
+    if kind.startswith("optimal"):
+        return [readings(case, kind, n, 0)] * draws
+    return [readings(case, kind, n, draw) for draw in range(draws)]
 
 
 def show(case: Case, curves: dict[str, np.ndarray], before: float) -> None:
