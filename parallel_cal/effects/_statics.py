@@ -9,8 +9,8 @@ import casadi as ca
 import numpy as np
 
 from parallel_cal.effect import Seen
-from parallel_cal.mechanism import POSE, Mechanism
-from parallel_cal.parameters import Named, Parameter
+from parallel_cal.mechanism import POSE, Home, Mechanism
+from parallel_cal.parameters import Named, Parameter, ParameterTable
 
 PAYLOAD = "payload"
 LIFTED = 1e-6  # Nm or N, under 1 kg: below it nothing is lifted
@@ -57,7 +57,8 @@ def rods(mechanism: Mechanism) -> tuple[list[str], np.ndarray]:
 
 def loaded(mechanism: Mechanism) -> list[str]:
     """The joints that feel the weight of what the platform carries."""
-    return list(_loaded(mechanism, tuple(mechanism.gravity)))
+    m = mechanism
+    return [m.joints[i] for i in _loaded(m, m.gravity, m.home, m.parameters)]
 
 
 def needs_weight(mechanism: Mechanism) -> str:
@@ -73,18 +74,20 @@ def needs_rods(mechanism: Mechanism) -> str:
 
 
 @lru_cache(maxsize=64)
-def _loaded(mechanism: Mechanism, gravity: tuple[float, ...]) -> tuple[str, ...]:
-    """Found by weighing 1 kg on the nominal robot a little away from home."""
-    n, kinds = len(mechanism.joints), masses(mechanism)
-    names = mechanism.parameters.names
-    p = Named(names, ca.SX(ca.DM(mechanism.parameters.nominal)))
-    q = ca.DM(mechanism.home.joints) + mechanism.length * np.arange(1, n + 1) / (10 * n)
+def _loaded(
+    mechanism: Mechanism, gravity: tuple[float, ...], home: Home, table: ParameterTable
+) -> list[int]:
+    """Found by weighing 1 kg on the nominal robot a little away from home.
+
+    What a model file sets is in the arguments, so that an answer from before does not stay.
+    """
+    n, kinds, p = len(home.joints), masses(mechanism), Named(table.names, ca.SX(table.nominal))
+    q = ca.SX(home.joints + mechanism.length * np.arange(1, n + 1) / (10 * n))
     r, R = mechanism.start(q, p)
-    seen = Seen(ca.SX(q), ca.SX(r), ca.SX(R), p)
     e = Named([kind.name for kind in kinds], ca.SX.zeros(len(kinds)))
-    forces = ca.DM(joint_forces(seen, e, Named([PAYLOAD], ca.SX(1)), mechanism))
-    felt = np.abs(np.array(forces).ravel()) > LIFTED
-    return tuple(joint for joint, is_felt in zip(mechanism.joints, felt, strict=True) if is_felt)
+    at = Named([PAYLOAD], ca.SX(1))
+    forces = ca.DM(joint_forces(Seen(q, ca.SX(r), ca.SX(R), p), e, at, mechanism))
+    return [i for i in range(n) if abs(float(forces[i])) > LIFTED]
 
 
 def _forces(loose: Seen, u: Any, given: Any, e: Named, at: Named, mechanism: Mechanism) -> Any:
