@@ -1,12 +1,10 @@
-"""The whole way in half a minute: collect, identify, write, and the robot uses the better model."""
+"""The whole way in half a minute: collect, identify, find what is missing, use the better model."""
 
 from __future__ import annotations
 
 import json as json_format
-import math
 import shutil
 import signal
-import sys
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
@@ -15,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from parallel_cal.commands import console
+from parallel_cal.demo_story import UNITS, Story
 from parallel_cal.errors import ParallelCalError
 
 if TYPE_CHECKING:
@@ -22,13 +21,13 @@ if TYPE_CHECKING:
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 BAG = REPOSITORY / "bags" / "delta_clean"
+HIDDEN = REPOSITORY / "bags" / "delta_backlash"
 PRESET = REPOSITORY / "config" / "delta_mockup_nominal.yaml"
 APART = (
     8  # every eighth pose is kept apart: the fit never sees it, the served model is judged by it
 )
 HOLD_OUT = 0.25
 WITHIN_NOISE = 1.5  # a mean over some ten poses scatters by that much
-UNITS = {"position": ("um", 1e6), "orientation": ("arcmin", 60 * 180 / math.pi)}
 
 
 def main(
@@ -36,8 +35,8 @@ def main(
 ) -> int:
     """Calibrate the virtual Delta robot through both nodes; exit status 0 or 1.
 
-    `bag` replaces the recording, `rate` is how fast it is played, `keep` leaves the new model
-    file and the nodes' logs where they are.
+    `bag` replaces the recording, and nothing more is then looked for; `rate` is how fast it is
+    played, `keep` leaves the new model file and the nodes' logs where they are.
     """
     # a terminated demo ends its nodes, too
     signal.signal(signal.SIGTERM, signal.default_int_handler)
@@ -46,7 +45,8 @@ def main(
         if not keep:
             stack.callback(shutil.rmtree, folder, ignore_errors=True)
         try:
-            document = run(Path(bag) if bag else BAG, rate, folder, Story(json, keep))
+            hidden = None if bag else HIDDEN
+            document = run(Path(bag or BAG), hidden, rate, folder, Story(json, keep))
         except (ParallelCalError, KeyboardInterrupt) as error:
             console.error(str(error) or "interrupted; nothing is left running")
             return 1
@@ -55,19 +55,22 @@ def main(
     return 0
 
 
-def run(bag: Path, rate: float, folder: Path, story: Story) -> dict[str, Any]:
+def run(bag: Path, hidden: Path | None, rate: float, folder: Path, story: Story) -> dict[str, Any]:
     """The demo's steps; its document. ParallelCalError where one fails."""
-    begin, model_file = time.monotonic(), _prepared(bag, folder)
+    begin, model_file = time.monotonic(), _prepared([bag, *filter(None, [hidden])], folder)
     with _session(model_file) as session, story:
-        document = _steps(session, bag, rate, model_file, story)
+        document = _calibrate(session, bag, rate, model_file, story)
+        story.calibrated(document)
+        if hidden:
+            document["hidden"] = _find_missing(session, hidden, story)
     document["seconds"] = time.monotonic() - begin
     story.end(document)
     return document
 
 
-def _prepared(bag: Path, folder: Path) -> Path:
+def _prepared(bags: Sequence[Path], folder: Path) -> Path:
     """A copy of the nominal model; the demo never changes the repository."""
-    for path in (bag, PRESET):
+    for path in (*bags, PRESET):
         if not path.exists():
             raise ParallelCalError(
                 f"{path}: not there. The demo needs a clone of the repository: its bags/ and "
@@ -86,7 +89,7 @@ def _session(model_file: Path) -> DemoSession:
     return DemoSession(model_file)
 
 
-def _steps(
+def _calibrate(
     session: DemoSession, bag: Path, rate: float, model_file: Path, story: Story
 ) -> dict[str, Any]:
     old = session.hash_served()
@@ -103,7 +106,7 @@ def _steps(
         "dropped": status.dropped,
     }
     story.collected(counted)
-    before = session.miss(apart, joints)
+    before = session.answers(apart, joints).miss()
     story.missed("before", before)
     session.remove(apart)
     result = session.identify(HOLD_OUT, story.progress)
@@ -111,9 +114,36 @@ def _steps(
     story.identified(fit)
     seconds = session.wait_until_served(result.hash)
     story.served(model_file, result.hash, seconds)
-    after = session.miss(apart, joints)
+    after = session.answers(apart, joints).miss()
     story.missed("after", after)
     return _document(counted, before, after, fit, model_file, old, result.hash)
+
+
+def _find_missing(session: DemoSession, bag: Path, story: Story) -> dict[str, Any]:
+    """Diagnose another recording of the robot, add what is missing, ask the robot's node again."""
+    session.load(bag)
+    samples, joints = session.samples()
+    apart = kept_apart(samples)
+    story.loaded(bag.name, len(samples), len(apart))
+    before = session.answers(apart, joints).miss()
+    story.missed("before", before)
+    session.remove(apart)
+    result = session.diagnose(HOLD_OUT, story.progress)
+    story.diagnosed(result.message)
+    effects = json_format.loads(result.json)["effects"]
+    if not effects:
+        raise ParallelCalError(f"{bag}: the diagnosis names no effect: {result.message}")
+    added = session.add_effect(effects[0])
+    story.added(effects[0], session.wait_until_served(added.hash))
+    after = session.answers(apart, joints).miss()
+    story.missed("after", after)
+    return {
+        "recording": bag.name,
+        "verdict": result.verdict,
+        "effects": effects,
+        "kept_apart": {"before": before, "after": after},
+        "hash": added.hash,
+    }
 
 
 def _messages(bag: Path) -> int:
@@ -159,87 +189,3 @@ def _document(
         "hash": new,
         "served": after["model_hash"],
     }
-
-
-class Story:
-    """What the demo tells on the way, for people; silent for --json."""
-
-    def __init__(self, silent: bool, keep: bool):
-        from rich.console import Console
-
-        # progress is for those who look on, and never part of the answer
-        self._out = Console(quiet=silent, highlight=False, soft_wrap=True)
-        self._status = Console(stderr=True, quiet=silent or not sys.stderr.isatty()).status("")
-        self._left = f"nothing is left running, the files are {'kept' if keep else 'removed'}"
-
-    def __enter__(self) -> None:
-        self._say("[bold]A Delta robot misses its targets. By how much, and what helps?[/]")
-        self._say("[dim]virtual robot, bags/README.md; everything below runs through ROS 2[/]\n")
-
-    def __exit__(self, *_: object) -> None:
-        self._status.stop()
-
-    def _say(self, text: str) -> None:
-        self._status.stop()
-        self._out.print(text)
-
-    def progress(self, stage: str, fraction: float) -> None:
-        self._status.update(f"{stage} {100 * min(fraction, 1.0):.0f} %")
-        self._status.start()
-
-    def collected(self, counted: Mapping[str, int]) -> None:
-        self._line(
-            "collected",
-            f"{counted['collected']} samples of {counted['joint_states']} joint readings and "
-            f"{counted['poses']} poses, {counted['dropped']} dropped",
-        )
-        self._line("", f"{counted['kept_apart']} of them are kept apart: the fit never sees them")
-
-    def missed(self, when: str, errors: Mapping[str, Any]) -> None:
-        position, orientation = (_readable(kind, errors) for kind in UNITS)
-        self._line(when, f"kinematics_node is off by {position} and {orientation} there")
-
-    def identified(self, fit: Mapping[str, Any]) -> None:
-        self._line(
-            "identified",
-            f"{fit['free']} parameters from {fit['samples']} samples, "
-            f"chi2/dof {fit['chi2_per_dof']:.2f} (1: only noise is left)",
-        )
-
-    def served(self, path: Path, hash: str, seconds: float) -> None:
-        self._line("written", str(path))
-        self._line("", f"sha256 {hash}")
-        self._line("served", f"kinematics_node took the file over within {seconds + 0.05:.1f} s")
-
-    def _line(self, what: str, text: str) -> None:
-        self._say(f"[cyan]{what:10}[/]  {text}")
-
-    def end(self, document: Mapping[str, Any]) -> None:
-        self._say("")
-        self._out.print(_table(document))
-        if document["at_noise"]:
-            verdict = "[bold green]What is left is no more than the measurements' noise.[/]"
-        else:
-            verdict = "[bold yellow]More than noise is left: an effect is missing.[/]"
-        self._say(f"\n{verdict}")
-        self._say(f"[dim]{document['seconds']:.0f} s in all; {self._left}.[/]")
-
-
-def _readable(kind: str, errors: Mapping[str, Any]) -> str:
-    unit, factor = UNITS[kind]
-    digits = 1 if kind == "position" else 2
-    return f"{errors[f'{kind}_mean'] * factor:.{digits}f} {unit}"
-
-
-def _table(document: Mapping[str, Any]) -> Any:
-    from rich.table import Table
-
-    table = Table(box=None, pad_edge=False)
-    table.add_column("mean, unseen poses")
-    for name in ("before", "after", "noise alone", "better by"):
-        table.add_column(name, justify="right")
-    apart, noise = document["kept_apart"], document["noise_floor"]
-    for kind in UNITS:
-        cells = [_readable(kind, errors) for errors in (apart["before"], apart["after"], noise)]
-        table.add_row(kind, *cells, f"{document['improvement'][kind]:.0f}x")
-    return table

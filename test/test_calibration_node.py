@@ -9,8 +9,11 @@ import shutil
 from pathlib import Path
 from unittest import mock
 
+import bag_writing as bw
 import numpy as np
 import pytest
+import tied_session as ts
+import virtual_setups as vs
 
 pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy")
@@ -32,8 +35,11 @@ from visualization_msgs.msg import MarkerArray
 
 from parallel_cal.bag import list_topics
 from parallel_cal.dataset import load_dataset
-from parallel_cal.modelfile import model_hash, read_model
+from parallel_cal.kinematics import Kinematics
+from parallel_cal.model import Noise, new_model
+from parallel_cal.modelfile import model_hash, read_model, write_model
 from parallel_cal.nodes.client import Client, Process, own_domain
+from parallel_cal.sensor import load_sensor
 
 REPOSITORY = Path(__file__).parents[1]
 PRESET = REPOSITORY / "config" / "delta_mockup_nominal.yaml"
@@ -367,3 +373,47 @@ def test_without_auto_collect_samples_are_taken_by_hand(tmp_path):
     processes[1].end()  # may be interrupted while it makes sure of what we know already
     assert taken.success, taken.message
     assert len(listed.samples) == 1
+
+
+@mock.patch.dict(os.environ)
+def test_a_constraint_session_gives_the_samples_of_its_bag_and_calibrates_the_robot(tmp_path):
+    """A virtual Delta on a plate with two holes: joint states and a constraint, no pose."""
+    robot = vs.random_delta(3)
+    bag = bw.write_bag(tmp_path / "bag", ts.messages(robot, n=20))
+    sensor = load_sensor(
+        "plane_spheres",
+        height=ts.PLATE.height,
+        holes=ts.PLATE.holes,
+        bars=(ts.PLATE.bar,) * 2,
+    )
+    model_file, saved = tmp_path / "plate.yaml", tmp_path / "samples.json"
+    model = new_model("delta24", sensors=[sensor])
+    write_model(dataclasses.replace(model, noise=Noise(joint=ts.PLATE.joint)), model_file)
+    namespace, processes = own_domain() + "_tied", []
+    processes.append(Process("calibration_node", tmp_path, namespace, model_file=str(model_file)))
+    client = Client("tester", namespace, processes)
+    status = client.latest(CollectionStatus, "calibration_node/collection_status")
+    client.wait(lambda: bool(status), "a status")
+    listeners = client.listeners(topic.name for topic in list_topics(bag)[0])
+    processes.append(Process("replay_node", tmp_path, namespace, bag=str(bag), rate=20.0,
+                             wait_for_subscribers=listeners))  # fmt: skip
+    joints = next(t.count for t in list_topics(bag)[0] if t.name.endswith("joint_states"))
+    client.wait(lambda: status[0].joint_states_received >= joints, "the bag", 60)
+    client.wait(lambda: processes[1].status is not None, "the end of the replay")
+    assert client.call(SaveSamples, "calibration_node/save_samples", path=str(saved)).samples == 60
+    goal = {"hold_out": 0.25, "method": "implicit"}
+    handle = client.send_goal(Identify, "calibration_node/identify", lambda feedback: None, **goal)
+    result = client.answer(handle.get_result_async(), "the result").result
+    client.close()
+    assert processes[0].end() == 0
+    live, offline = load_dataset(saved), load_dataset(bag)
+    np.testing.assert_array_equal(live.q, offline.q)
+    readings = [name for name in offline.conditions if name.startswith("reading.")]
+    assert len(readings) == 3
+    for name in readings:
+        np.testing.assert_array_equal(live.conditions[name], offline.conditions[name])
+    assert result.success, result.message
+    assert "um" in result.message
+    joints, where = vs.workspace(robot)
+    found = Kinematics(read_model(model_file)).direct(joints).position
+    assert np.linalg.norm(found - where, axis=1).mean() < 100e-6

@@ -37,7 +37,7 @@ REPOSITORY = Path(__file__).parents[1]
 BAGS = REPOSITORY / "bags"
 BACKLASH, PRESET = BAGS / "delta_backlash", REPOSITORY / "config" / "delta_mockup_nominal.yaml"
 CANCELED, SUCCEEDED, ABORTED = 5, 4, 6
-FEW = ("delta_crosstalk", "delta_gear_ripple")  # of the rest, slow: all of them
+QUICK = ("delta_gear_ripple",)
 REPLAYED = ("delta_backlash",)
 WITH_CONDITIONS = ("delta_compliance", "delta_thermal")  # payload and temperature as topics
 
@@ -50,11 +50,11 @@ def truth(name):
     return yaml.safe_load((BAGS / "truth" / f"{name}.yaml").read_text())
 
 
-def recordings(chosen):
-    """Every recording as a test, slow ones marked; truths are read for the marks' sake only."""
+def recordings(quick):
+    """Every recording once; those that are not quick only with the slow tests."""
     names = sorted(path.stem for path in (BAGS / "truth").glob("*.yaml"))
-    rest = [name for name in names if name not in (*chosen, *REPLAYED)]
-    return [*chosen, *(pytest.param(name, marks=pytest.mark.slow) for name in rest)]
+    rest = [name for name in names if name not in (*quick, *REPLAYED)]
+    return [*quick, *(pytest.param(name, marks=pytest.mark.slow) for name in rest)]
 
 
 @pytest.fixture
@@ -104,9 +104,16 @@ def improved_by(session, effects, before, ask):
         before = after
 
 
+def added_to(model_file):
+    """Names in the file's history; a larger mechanism is one of them, and no effect of its own."""
+    return [step["effect"] for step in read_model(model_file).history if "effect" in step]
+
+
 def learn(session, name):
     """Diagnose all samples; then, by those left, add what is missing, judged by those apart."""
     effects = diagnosed(session, name)
+    if not effects:
+        return effects
     samples, joints = session.samples()
     apart = kept_apart(samples)
     session.remove(apart)
@@ -119,7 +126,7 @@ def learn(session, name):
     return effects
 
 
-@pytest.mark.parametrize("name", recordings(FEW))
+@pytest.mark.parametrize("name", recordings(QUICK))
 def test_the_samples_of_a_recording_get_the_right_verdict_and_the_better_model(
     name, tmp_path, environment
 ):
@@ -128,7 +135,7 @@ def test_the_samples_of_a_recording_get_the_right_verdict_and_the_better_model(
     with session:
         session.load(tmp_path / "samples.json")
         effects = learn(session, name)
-    assert [effect.name for effect in read_model(model_file).effects] == effects
+    assert added_to(model_file) == effects
 
 
 @pytest.mark.parametrize(
@@ -143,7 +150,7 @@ def test_a_replayed_recording_gets_the_right_verdict_and_the_better_model(
     with session:
         session.collect(BAGS / name, messages, 50.0, quiet)
         effects = learn(session, name)
-    assert [effect.name for effect in read_model(model_file).effects] == effects
+    assert added_to(model_file) == effects
 
 
 # ------------------------------------------------------------------ one node, asked in every way
@@ -217,11 +224,12 @@ def loaded(bench):
 
 def test_a_diagnosis_reports_its_stages_its_verdict_and_the_rest_of_the_error(loaded):
     heard, before = [], loaded.model_file.read_bytes()
-    answer = loaded.outcome(loaded.goal(Diagnose, heard.append, hold_out=0.25))
+    answer = loaded.outcome(loaded.goal(Diagnose, heard.append))
     result, document = answer.result, json.loads(answer.result.json, parse_constant=pytest.fail)
     assert answer.status == SUCCEEDED
     assert result.success
     assert result.message == f"{result.verdict}: {document['summary']}"
+    assert 30e-6 < document["baseline"]["position_mean"] < 38e-6  # left out, as the node does
     assert [f.fraction for f in heard] == sorted(f.fraction for f in heard)
     assert any("backlash" in f.stage for f in heard)
     loaded.client.wait(lambda: bool(loaded.diagnosis), "the latched diagnosis")
@@ -248,7 +256,7 @@ def test_odd_samples_are_named_as_the_node_names_them(loaded):
     [
         ({"model_file": "/no/such.yaml"}, "/no/such.yaml"),
         ({"hold_out": -1.0}, "hold_out"),
-        ({"hold_out": 7.0}, "hold_out"),
+        ({"hold_out": 7.0}, "at most 0.5"),
         ({"hold_out": float("nan")}, "hold_out"),
     ],
 )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, MutableMapping
 from typing import Any
 
 import numpy as np
@@ -54,6 +54,13 @@ def _pose(r: Any, R: Any, measured: Any, covariance: Any) -> PoseWithCovariance:
     spread[np.diag_indices(6)] = np.where(measured, np.diag(spread), NOT_MEASURED)
     pose = pose_message(r, matrix_to_quaternion(R))
     return PoseWithCovariance(pose=pose, covariance=spread.ravel())
+
+
+def number_samples(rows: Iterable[MutableMapping[str, Any]], collection: Collection) -> None:
+    """Add to rows about samples of the dataset the `id` that each has in the collection."""
+    ids = dict(zip(collection.dataset.numbers.tolist(), collection.ids.tolist(), strict=True))
+    for row in rows:
+        row["id"] = ids[row["sample"]]
 
 
 def time_message(ns: int) -> Time:

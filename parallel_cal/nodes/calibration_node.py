@@ -1,4 +1,4 @@
-"""Collects samples from topics, identifies the model on them, and writes the model file."""
+"""Collects samples from topics, judges the model on them, and writes the better model file."""
 
 from __future__ import annotations
 
@@ -13,27 +13,22 @@ from geometry_msgs.msg import (
     PoseStamped,
     PoseWithCovarianceStamped,
 )
-from parallel_cal_msgs.action import Identify
 from parallel_cal_msgs.msg import CollectionStatus
-from parallel_cal_msgs.srv import AddEffect, Compare
+from parallel_cal_msgs.srv import Compare
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
-from sensor_msgs.msg import JointState, Temperature
+from sensor_msgs.msg import JointState, Range, Temperature
 from std_msgs.msg import String
-from visualization_msgs.msg import MarkerArray
 
-from parallel_cal.accuracy import Errors
-from parallel_cal.errors import ModelFileError, ParallelCalError
-from parallel_cal.evidence import Evidence
-from parallel_cal.identification import compare
+from parallel_cal.errors import ParallelCalError
 from parallel_cal.modelfile import read_model
 from parallel_cal.nodes import calibration_messages as messages
+from parallel_cal.nodes.action_work import in_words
 from parallel_cal.nodes.collector import Collection, Collector
-from parallel_cal.nodes.identify_server import IdentifyServer, in_words
+from parallel_cal.nodes.judging import Judging
 from parallel_cal.nodes.parameters import LATCHED, declare, overridable
-from parallel_cal.nodes.recalibration import Outcome, Request, recalibrate
 from parallel_cal.nodes.run import run
 from parallel_cal.nodes.sample_services import SERVICES
 from parallel_cal.recordings.recording import Dropped
@@ -54,7 +49,7 @@ PARAMETERS: dict[str, tuple[Any, str]] = {
     "trim_end": (0.05, "s left out at its end"),
     "still_tolerance": (0.0, "rad or m a joint may stray at rest; 0 = from the data"),
     "joint_sigma": (0.0, "1-sigma encoder noise, rad or m; 0 = as in the model file"),
-    "hold_out": (0.25, "share of the poses left out per fold by add_effect"),
+    "hold_out": (0.25, "share of the poses left out per fold, where none is asked for"),
     "pose_type": ("PoseWithCovarianceStamped", "type of measured_pose, or PoseStamped"),
     "arrow_scale": (100.0, "length of residual arrows over the residuals'"),
     "look_period": (0.5, "s between two looks at what came in"),
@@ -75,11 +70,9 @@ class CalibrationNode(Node):
         self._collector = Collector(self._joints(), self._options(), auto=self._auto())
         self._status = self.create_publisher(CollectionStatus, "~/collection_status", LATCHED)
         self._dropped = self.create_publisher(String, "~/dropped", LATCHED)
-        self._result = self.create_publisher(String, "~/result", LATCHED)
-        self._arrows = self.create_publisher(MarkerArray, "~/residuals", LATCHED)
         self._subscribe()
+        self._judging = Judging(self, self._collect, self._say, self._group)
         self._offer_services()
-        self._identify = IdentifyServer(self, self._prepare, self._finished, self._say, self._group)
         self.create_timer(self._parameter("look_period"), self._look, callback_group=self._group)
         self._dropped.publish(messages.dropped_message([]))
         self._publish_status()
@@ -89,9 +82,6 @@ class CalibrationNode(Node):
 
     def _auto(self) -> bool:
         return bool(self._parameter("auto_collect"))
-
-    def _sigma(self) -> float | None:
-        return self._parameter("joint_sigma") or None
 
     def _options(self) -> Options:
         names = ("mode", "min_dwell", "trim_start", "trim_end")
@@ -124,13 +114,16 @@ class CalibrationNode(Node):
             "measured_position": PointStamped,
             "temperature": Temperature,
             "payload": InertiaStamped,
+            "constraint": String,
+            "distance": Range,
         }
         for channel, type in streams.items():
             self._listen(channel, type, STREAM, overridable())
-        # A payload is often said once, latched; the stream above would miss it, while a latched
-        # subscription alone would not match a publisher that does not latch.
+        # A payload or constraint is often said once, latched; the stream above would miss it, while
+        # a latched subscription alone would not match a publisher that does not latch.
         quiet = SubscriptionEventCallbacks(use_default_callbacks=False)
-        self._listen("payload", InertiaStamped, LATCHED, event_callbacks=quiet)
+        for channel in ("payload", "constraint"):
+            self._listen(channel, streams[channel], LATCHED, event_callbacks=quiet)
 
     def _listen(self, channel: str, type: Any, qos: QoSProfile, overrides: Any = None,
                 **more: Any) -> None:  # fmt: skip
@@ -145,8 +138,9 @@ class CalibrationNode(Node):
             **more,
         )
 
-    def _on_message(self, channel: str, message: Any) -> None:
-        self._collector.receive(channel, message, time.time_ns())
+    def _on_message(self, channel: str, message: Any, info: dict[str, int]) -> None:
+        """Received when it came in, as a recorder sees it, not when its turn came here."""
+        self._collector.receive(channel, message, info["received_timestamp"] or time.time_ns())
 
     def _look(self) -> None:
         """Make samples of what came in, now and then: it takes longer the more there is."""
@@ -171,6 +165,10 @@ class CalibrationNode(Node):
         if self._collector.trouble and self._collector.trouble != trouble:
             self._event = self._collector.trouble
         self._publish_status()
+
+    def _collect(self) -> Collection:
+        self._refresh()
+        return self._collector.collection()
 
     def _publish_status(self) -> None:
         self._status.publish(self._collection_status())
@@ -200,11 +198,11 @@ class CalibrationNode(Node):
     # ------------------------------------------------------------------ services
 
     def _offer_services(self) -> None:
-        own = {"compare": (Compare, self._compare), "add_effect": (AddEffect, self._add_effect)}
-        samples = {
+        works: dict[str, Any] = {
             name: (type, partial(f, self._collector)) for name, (type, f) in SERVICES.items()
         }
-        for name, (type, work) in {**samples, **own}.items():
+        works["compare"] = (Compare, self._judging.compare)
+        for name, (type, work) in works.items():
             on_call = partial(self._serve, work)
             self.create_service(type, f"~/{name}", on_call, callback_group=self._group)
 
@@ -227,84 +225,8 @@ class CalibrationNode(Node):
             return
         response.success, response.message = False, why
 
-    # ------------------------------------------------------------------ judging and identifying
-
-    def _compare(self, request: Any, response: Any) -> None:
-        model = read_model(self._model_file(request.model_file))
-        collection = self._collector.collection()
-        found = compare(model, collection.dataset, self._sigma())
-        document = found.document()
-        for row in document["rows"]:
-            row["id"] = int(collection.ids[row["sample"]])
-        response.success, response.json = True, messages.json_text(document)
-        response.message = f"{len(collection)} samples compared"
-        self._show(found.evidence, found.errors, collection)
-        self._publish_result("compare", True, response.message, "", document)
-
-    def _add_effect(self, request: Any, response: Any) -> None:
-        if self._identify.busy:
-            raise ParallelCalError("an identification is running; cancel it or wait")
-        if not request.effect:
-            raise ParallelCalError("no effect named, e.g. encoder_eccentricity")
-        work = Request(
-            **self._files("", request.output_file),
-            hold_out=self._parameter("hold_out"),
-            joint_sigma=self._sigma(),
-            force=request.force,
-            effect=request.effect,
-        )
-        collection = self._collector.collection()
-        outcome = recalibrate(work, collection.dataset)
-        response.success, response.message = outcome.success, outcome.message
-        response.json = messages.json_text(outcome.document) if outcome.document else ""
-        response.hash = outcome.hash
-        self._finished("add_effect", outcome, collection)
-
-    def _prepare(self, goal: Identify.Goal) -> tuple[Request, Collection]:
-        self._refresh()
-        work = Request(
-            **self._files(goal.model_file, goal.output_file),
-            method=goal.method,
-            hold_out=goal.hold_out,
-            joint_sigma=goal.joint_sigma or self._sigma(),
-            free=tuple(goal.free),
-            fix=tuple(goal.fix),
-            force=goal.force,
-        )
-        return work, self._collector.collection()
-
-    def _files(self, model_file: str, output_file: str) -> dict[str, Any]:
-        model_file = self._model_file(model_file)
-        output_file = output_file or self._parameter("output_file") or model_file
-        return {"model_file": model_file, "output_file": output_file}
-
-    def _model_file(self, given: str) -> str:
-        path = given or self._parameter("model_file")
-        if not path:
-            raise ModelFileError("no model file: set the parameter model_file or name one")
-        return path
-
-    def _finished(self, kind: str, outcome: Outcome, collection: Collection | None) -> None:
-        self._publish_result(kind, outcome.success, outcome.message, outcome.hash, outcome.document)
-        if outcome.model is not None and collection is not None:
-            found = compare(outcome.model, collection.dataset, self._sigma())
-            self._show(found.evidence, found.errors, collection)
-        if kind == "identify":  # a service says so itself
-            self._say(outcome.message)
-
-    def _publish_result(
-        self, kind: str, success: bool, message: str, hash: str, document: dict[str, Any]
-    ) -> None:
-        content = {"kind": kind, "success": success, "message": message, "hash": hash}
-        self._result.publish(messages.json_message({**content, "document": document}))
-
-    def _show(self, evidence: Evidence, errors: Errors, collection: Collection) -> None:
-        frame, scale = collection.dataset.frame, self._parameter("arrow_scale")
-        arrows = messages.residual_markers(evidence, errors, collection.ids, frame, scale)
-        self._arrows.publish(arrows)
-
     def destroy_node(self) -> None:
-        self._identify.close()
+        self._judging.close()
         super().destroy_node()
 
 

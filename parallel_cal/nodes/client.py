@@ -99,13 +99,17 @@ class Client:
         self.wait(future.done, what, patience)
         return future.result()
 
-    def call(self, type: Any, name: str, **fields: Any) -> Any:
-        """A service's response."""
+    def ask(self, type: Any, name: str, **fields: Any) -> Future:
+        """A service's response to come."""
         if name not in self._clients:
             self._clients[name] = self._node.create_client(type, name)
         client = self._clients[name]
         self.wait(client.service_is_ready, f"service {name}")
-        return self.answer(client.call_async(type.Request(**fields)), f"the answer of {name}")
+        return client.call_async(type.Request(**fields))
+
+    def call(self, type: Any, name: str, **fields: Any) -> Any:
+        """A service's response."""
+        return self.answer(self.ask(type, name, **fields), f"the answer of {name}")
 
     def listeners(self, topics: Iterable[str]) -> int:
         """How many subscriptions there are, so that a replay can wait for all of them."""

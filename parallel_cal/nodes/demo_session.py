@@ -5,20 +5,48 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from parallel_cal_msgs.action import Identify
+from parallel_cal_msgs.action import Diagnose, Identify
 from parallel_cal_msgs.msg import CollectionStatus, JointConfiguration, ModelStatus, Sample
-from parallel_cal_msgs.srv import ComputeFK, ListSamples, RemoveSample
+from parallel_cal_msgs.srv import AddEffect, ComputeFK, ListSamples, LoadSamples, RemoveSample
 
 from parallel_cal.bag import list_topics
+from parallel_cal.effect import CONDITIONS
 from parallel_cal.nodes.client import Client, NodeError, Process, own_domain
 from parallel_cal.nodes.conversions import pose_numbers
+from parallel_cal.nodes.requests import SOLVED
 from parallel_cal.rotation import rotation_vector
 
 Feedback = Callable[[str, float], None]
+LONG = 120.0  # s, for what takes some even on a quiet machine
+
+
+@dataclass(frozen=True)
+class Answers:
+    """Poses that kinematics_node answered, r (n, 3) and R (n, 3, 3), beside those measured."""
+
+    samples: list[Sample]
+    r: np.ndarray
+    R: np.ndarray
+    model_hash: str
+
+    def norms(self) -> dict[str, np.ndarray]:
+        """How far each answer (n,) is from the measurement: m and rad."""
+        r, R = _stacked([pose_numbers(sample.pose.pose) for sample in self.samples])
+        turn = rotation_vector(R @ self.R.transpose(0, 2, 1))
+        return {
+            "position": np.linalg.norm(r - self.r, axis=1),
+            "orientation": np.linalg.norm(turn, axis=1),
+        }
+
+    def miss(self) -> dict[str, Any]:
+        """Their means, and the model that answered."""
+        means = {f"{kind}_mean": float(n.mean()) for kind, n in self.norms().items()}
+        return {**means, "model_hash": self.model_hash}
 
 
 class DemoSession:
@@ -82,42 +110,60 @@ class DemoSession:
             if not done.success:
                 raise NodeError(done.message)
 
-    def miss(self, samples: list[Sample], joints: list[str]) -> dict[str, Any]:
-        """How far the poses that kinematics_node predicts lie off the measured ones (m, rad)."""
+    def load(self, path: Path) -> None:
+        """Replace the samples by those of a recording or a file."""
+        done = self._client.call(LoadSamples, "calibration_node/load_samples", path=str(path))
+        if not done.success:
+            raise NodeError(done.message)
+
+    def answers(self, samples: list[Sample], joints: list[str]) -> Answers:
+        """The poses that kinematics_node predicts for the samples, each under its conditions."""
+        told = [self._answer(sample, joints) for sample in samples]
+        poses = [pose_numbers(answer.results[0].solutions[0].pose) for answer in told]
+        return Answers(samples, *_stacked(poses), told[-1].model_hash)
+
+    def _answer(self, sample: Sample, joints: list[str]) -> ComputeFK.Response:
         answer = self._client.call(
             ComputeFK,
             "kinematics_node/compute_fk",
             joint_names=joints,
-            configurations=[JointConfiguration(positions=s.joints) for s in samples],
+            configurations=[JointConfiguration(positions=sample.joints)],
+            conditions=[c for c in sample.conditions if c.name.split(".")[0] in CONDITIONS],
         )
-        first = [one.solutions[0] for one in answer.results]
-        failed = answer.message or next((s.message for s in first if s.status), "")
+        solutions = [one for result in answer.results for one in result.solutions]
+        failed = answer.message or next(
+            (s.message for s in solutions if s.status not in SOLVED), ""
+        )
         if failed:
             raise NodeError(f"compute_fk: {failed}")
-        predicted = [pose_numbers(solution.pose) for solution in first]
-        measured = [pose_numbers(sample.pose.pose) for sample in samples]
-        (r, R), (r_measured, R_measured) = _stacked(predicted), _stacked(measured)
-        turn = rotation_vector(R_measured @ R.transpose(0, 2, 1))
-        return {
-            "position_mean": float(np.linalg.norm(r_measured - r, axis=1).mean()),
-            "orientation_mean": float(np.linalg.norm(turn, axis=1).mean()),
-            "model_hash": answer.model_hash,
-        }
+        return answer
 
     def identify(self, hold_out: float, hear: Feedback) -> Identify.Result:
         """The action's result; NodeError when it was refused."""
-        goal = self._client.send_goal(
-            Identify,
-            "calibration_node/identify",
-            lambda f: hear(f.stage, f.fraction),
-            hold_out=hold_out,
+        return self._done(Identify, "identify", hear, hold_out=hold_out)
+
+    def diagnose(self, hold_out: float, hear: Feedback) -> Diagnose.Result:
+        """The action's result; NodeError when there is none."""
+        return self._done(Diagnose, "diagnose", hear, hold_out=hold_out)
+
+    def _done(self, type: Any, name: str, hear: Feedback, **goal: Any) -> Any:
+        handle = self._client.send_goal(
+            type, f"calibration_node/{name}", lambda f: hear(f.stage, f.fraction), **goal
         )
-        if not goal.accepted:
+        if not handle.accepted:
             raise NodeError("calibration_node rejected the goal")
-        result = self._client.answer(goal.get_result_async(), "the result of identify").result
+        future = handle.get_result_async()
+        result = self._client.answer(future, f"the result of {name}", LONG).result
         if not result.success:
             raise NodeError(result.message)
         return result
+
+    def add_effect(self, effect: str) -> AddEffect.Response:
+        """The model with one more effect, written; NodeError when it was refused."""
+        done = self._client.call(AddEffect, "calibration_node/add_effect", effect=effect)
+        if not done.success:
+            raise NodeError(done.message)
+        return done
 
     def wait_until_served(self, hash: str) -> float:
         """Seconds until kinematics_node uses the model of that hash."""

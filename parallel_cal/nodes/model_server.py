@@ -88,7 +88,7 @@ class ModelServer:
 
     def _compile(self, served: Served) -> None:
         try:
-            kinematics = Kinematics(served.model, compile=True)
+            kinematics = Kinematics(served.model.robot(), compile=True)
             self_test(kinematics)
         except Exception as error:  # the virtual machine passed the test and goes on serving
             log.warning("compiled code is not used: %s", _reason(error))
@@ -138,7 +138,7 @@ def workspace_poses(mechanism: Mechanism, n: int) -> tuple[np.ndarray, np.ndarra
 
 def _tested(text: str, path: str | Path) -> tuple[Model, Kinematics]:
     model = parse_model(text, str(path))
-    kinematics = Kinematics(model)
+    kinematics = Kinematics(model.robot())
     try:
         self_test(kinematics)
     except ModelFileError as error:

@@ -19,7 +19,12 @@ from parallel_cal.steps import Step, added, fitted, held_out_ratio
 
 Tell = Callable[[str, float, float], None]  # stage, fraction, mean position error so far in m
 Table = Mapping[str, float | None]
-UNITS = {"position": (1e6, "um"), "orientation": (1e6, "urad"), "joint": (1e6, "urad")}
+UNITS = {
+    "position": (1e6, "um"),
+    "orientation": (1e6, "urad"),
+    "reading": (1e6, "um"),
+    "joint": (1e6, "urad"),
+}
 
 
 class Cancelled(Exception):
@@ -95,8 +100,7 @@ def recalibrate(
             tell(stage, fraction, position_error)
 
     try:
-        if not request.hold_out >= 0:
-            raise FitError(f"hold_out {request.hold_out}: expected 0 (no check) to 0.5")
+        check_share(request.hold_out)
         report("reading the model file", 0.0)
         model = read_model(request.model_file)
         position_error = _position_error(model, dataset, request.joint_sigma)
@@ -106,6 +110,12 @@ def recalibrate(
         return _written(request, step, cancel)
     except ParallelCalError as error:
         return Outcome(False, str(error))
+
+
+def check_share(hold_out: float) -> None:
+    """FitError for a share of the poses that is none; too large ones are refused by the fit."""
+    if not hold_out >= 0:
+        raise FitError(f"hold_out {hold_out}: expected 0 (no check) to 0.5")
 
 
 def _position_error(model: Model, dataset: Dataset, joint_sigma: float | None) -> float:

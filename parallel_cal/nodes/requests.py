@@ -89,7 +89,7 @@ def _target(pose: Any) -> Rows | str:
 
 def _solver(served: Served, request: Any, at: At) -> Callable[..., Solutions]:
     """How this request wants its rows solved."""
-    every, k, model = request.all_solutions, served.kinematics, served.model
+    every, k, model = request.all_solutions, served.kinematics, served.kinematics.model
     inverse = hasattr(request, "targets")
     if request.solver:
         named: Callable[..., Solutions] = solving.inverse if inverse else solving.direct

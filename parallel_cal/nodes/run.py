@@ -5,9 +5,9 @@ from __future__ import annotations
 import signal
 import sys
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, TypeVar
 
 import rclpy
 from rclpy.executors import (
@@ -21,6 +21,8 @@ from rclpy.node import Node
 from rclpy.task import Task
 
 from parallel_cal.errors import ParallelCalError
+
+T = TypeVar("T")
 
 
 class FrontExecutor(SingleThreadedExecutor):
@@ -64,6 +66,26 @@ class FrontExecutor(SingleThreadedExecutor):
         for task in self._handed_over:
             task.exception()
         self.shutdown()
+
+
+def in_front(node: Node, function: Callable[..., T], *args: Any) -> T:
+    """What a function gives or raises in the thread that spins, called from the second one.
+
+    ExternalShutdownException where that thread has ended.
+    """
+    answer: Future[T] = Future()
+
+    def call() -> None:  # raising there would end the node
+        try:
+            answer.set_result(function(*args))
+        except Exception as error:
+            answer.set_exception(error)
+
+    node.executor.create_task(call)
+    while not wait([answer], timeout=0.1).done:
+        if not node.context.ok():
+            raise ExternalShutdownException
+    return answer.result()
 
 
 @contextmanager
