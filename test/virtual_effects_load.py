@@ -1,4 +1,4 @@
-"""Hidden physics of weight and warmth, for the virtual robots; nothing of it comes from the package.
+"""Hidden physics of weight and warmth, for the virtual robots; nothing comes from the package.
 
 Forces are slopes of the energy that a person would measure with a weight and a pair of scales: move
 one joint, or make one rod longer, and see how much everything is lifted.
