@@ -1,0 +1,101 @@
+"""Residual arrows in space, coloured by direction, all on one stated scale."""
+
+from __future__ import annotations
+
+import colorsys
+from collections.abc import Sequence
+
+import numpy as np
+
+from parallel_cal.reporting.figures import Spec
+
+LONGEST = 0.16  # of the workspace: a typical large arrow
+HEAD, WIDTH = 0.3, 0.35  # of an arrow's length, of a head's length
+
+
+def scale_of(places: np.ndarray, fields: Sequence[np.ndarray]) -> float:
+    """A round magnification (1, 2 or 5 times a power of ten) common to several fields."""
+    span = float(np.linalg.norm(np.ptp(places, axis=0)))
+    size = max(float(np.quantile(np.linalg.norm(f, axis=1), 0.9)) for f in fields)
+    if not size or not span:
+        return 1.0
+    wanted = LONGEST * span / size
+    power = 10.0 ** np.floor(np.log10(wanted))
+    return float(max(step * power for step in (1, 2, 5) if step * power <= wanted))
+
+
+def arrows(
+    places: np.ndarray, field: np.ndarray, scale: float, words: Sequence[str], factor: float = 1.0
+) -> list[Spec]:
+    """Shafts, heads and hover words of arrows (N, 3) at places (N, 3); `factor` is from SI to
+    the axes' unit."""
+    starts, ends = places * factor, (places + scale * field) * factor
+    colours = [colour(v) for v in field]
+    shafts = np.stack([starts, ends, np.full_like(starts, np.nan)], axis=1).reshape(-1, 3)
+    lines = {
+        "type": "scatter3d",
+        "mode": "lines",
+        **_coordinates(shafts),
+        "line": {"width": 5, "color": [c for c in colours for _ in range(3)]},
+        "hoverinfo": "skip",
+    }
+    spots = {
+        "type": "scatter3d",
+        "mode": "markers",
+        **_coordinates(starts),
+        "marker": {"size": 3, "color": colours},
+        "text": list(words),
+        "hoverinfo": "text",
+    }
+    return [
+        trace | {"showlegend": False} for trace in (lines, _heads(starts, ends, colours), spots)
+    ]
+
+
+def _coordinates(points: np.ndarray) -> Spec:
+    rounded = np.round(points, 4)
+    return {
+        axis: [None if np.isnan(v) else float(v) for v in rounded[:, k]]
+        for k, axis in enumerate("xyz")
+    }
+
+
+def _heads(starts: np.ndarray, ends: np.ndarray, colours: list[str]) -> Spec:
+    """A pyramid of three sides on every arrow's end."""
+    along = HEAD * (ends - starts)
+    size = np.linalg.norm(along, axis=1, keepdims=True)
+    upright = np.abs(along[:, :1]) < np.abs(along[:, 2:])
+    u = _unit(np.cross(along, np.where(upright, [[1.0, 0.0, 0.0]], [[0.0, 0.0, 1.0]])))
+    v = _unit(np.cross(along, u))
+    thirds = np.arange(3) * 2 * np.pi / 3
+    corners = [ends - along + WIDTH * size * (np.cos(t) * u + np.sin(t) * v) for t in thirds]
+    vertices = np.stack([ends, *corners], axis=1).reshape(-1, 3)
+    first = 4 * np.arange(len(ends))[:, None]
+    i, j, k = (
+        (first + np.array(corner)).ravel().tolist()
+        for corner in ([0, 0, 0, 1], [1, 2, 3, 2], [2, 3, 1, 3])
+    )
+    return {
+        "type": "mesh3d",
+        **_coordinates(vertices),
+        "i": i,
+        "j": j,
+        "k": k,
+        "facecolor": [c for c in colours for _ in range(4)],
+        "hoverinfo": "skip",
+        "lighting": {"ambient": 0.9, "diffuse": 0.2},
+    }
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12))
+
+
+def colour(direction: np.ndarray) -> str:
+    """Hue by the direction in the x-y plane, red along +x; light upwards, dark downwards."""
+    x, y, z = direction
+    length = float(np.linalg.norm(direction))
+    hue = float(np.arctan2(y, x)) / (2 * np.pi) % 1.0
+    lightness = 0.5 + 0.22 * (float(z) / length if length else 0.0)
+    r, g, b = colorsys.hls_to_rgb(hue, lightness, 0.75)
+    return f"rgb({255 * r:.0f},{255 * g:.0f},{255 * b:.0f})"

@@ -1,0 +1,198 @@
+"""The parts of a report's document that a diagnosis does not write down itself."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from parallel_cal.accuracy import ERRORS
+from parallel_cal.diagnosing.fields import Field
+from parallel_cal.diagnosing.scene import Scene
+from parallel_cal.diagnosing.structure import regressors
+from parallel_cal.diagnosis import Diagnosis
+from parallel_cal.effect import CONDITIONS
+from parallel_cal.identification import Result, finite_or_none
+from parallel_cal.mechanism import POSE
+from parallel_cal.planners.words import describe, direction_in_words
+
+STRONG = 0.98  # correlation of two parameters that the data hardly tell apart
+
+
+def errors(found: Diagnosis) -> dict[str, Any]:
+    """E at poses left out: before any calibration, now, with the effects found; noise alone."""
+    base, best = found.base.document, found.best.document
+    steps = _judged(found)
+    return {
+        "before": steps[0]["held_out"]["before"] if steps else base["held_out"]["before"],
+        "now": base["held_out"]["after"],
+        "found": best["held_out"]["after"] if found.effects else None,
+        "noise": best["noise_floor"],
+    }
+
+
+def _judged(found: Diagnosis) -> list[dict[str, Any]]:
+    """Steps of the model's history with errors at poses left out: no published tables."""
+    entries = (entry for entry in found.model.history if isinstance(entry.get("held_out"), dict))
+    return [entry for entry in entries if {"before", "after"} <= entry["held_out"].keys()]
+
+
+def history(found: Diagnosis) -> list[dict[str, Any]]:
+    """One row a step: its name, E at poses left out, and the data it was judged on."""
+    four, data = errors(found), found.dataset
+    here = {"samples": len(data), "sha256": data.sha256}
+    steps = [_step(entry) for entry in _judged(found)]
+    rows = [(steps[0] if steps else here) | {"name": "before", "error": four["before"]}, *steps]
+    if not (steps and _same(steps[-1]["error"], four["now"])):  # else the last step is now
+        rows.append({"name": "now", "error": four["now"], **here})
+    if four["found"]:
+        rows.append({"name": f"with {' and '.join(found.effects)}", "error": four["found"], **here})
+    return rows
+
+
+def _same(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
+    """Whether errors are those of one fit, written and identified again."""
+    return all(
+        np.isclose(one.get(key) or 0.0, value or 0.0, rtol=1e-4, atol=0.0)
+        for key, value in other.items()
+    )
+
+
+def _step(entry: Mapping[str, Any]) -> dict[str, Any]:
+    """A row of the history from an entry in the model file."""
+    return {
+        "name": " ".join(str(entry[key]) for key in ("step", "effect") if key in entry),
+        "error": entry["held_out"]["after"],
+        "samples": entry.get("samples"),
+        "sha256": (entry.get("dataset") or {}).get("sha256", ""),
+    }
+
+
+def residuals(found: Diagnosis, seen: Field) -> dict[str, Any]:
+    """What the fit leaves, a row a sample: where (m, or the platform's axis), measured minus
+    predicted (m or rad) as it is and with the effects found, noise units, what may matter."""
+    scene = found.base.scene
+    kind, part = shown(seen)
+    return {
+        "kind": kind,
+        "components": _components(seen),
+        "sample": [int(i) for i in found.dataset.numbers],
+        "place": places(scene, kind).tolist(),
+        "now": seen.pose[:, part].tolist(),
+        "found": found.field.pose[:, part].tolist() if found.effects else None,
+        "noise_units": _used(seen).tolist(),
+        "regressors": {name: np.asarray(v).tolist() for name, v in regressors(scene)},
+        "units": dict(_units(scene)),
+    }
+
+
+def shown(seen: Field) -> tuple[str | None, slice]:
+    """Which half of the pose is drawn as arrows: None where nothing of it was measured."""
+    if seen.measured[:, :3].any():
+        return "position", slice(0, 3)
+    return ("orientation" if seen.measured.any() else None), slice(3, 6)
+
+
+def _used(seen: Field) -> np.ndarray:
+    return np.asarray(seen.noise_units[:, np.any(seen.noise_units != 0, axis=0)])
+
+
+def _components(seen: Field) -> list[str]:
+    """Names of the columns of `noise_units` that hold anything."""
+    used = np.flatnonzero(np.any(seen.noise_units != 0, axis=0))
+    pose = seen.measured.any()
+    return [POSE[k] if pose else f"equation {k + 1}" for k in used]
+
+
+def places(scene: Scene, kind: str | None) -> np.ndarray:
+    """Predicted positions (N, 3), or where only the orientation is known the
+    platform's z axis."""
+    n = len(scene.model.joints)
+    if kind == "orientation":
+        return np.asarray(scene.x[:, n + 3 :].reshape(-1, 3, 3)[:, :, 2])
+    return np.asarray(scene.x[:, n : n + 3])
+
+
+def _units(scene: Scene) -> Iterator[tuple[str, str]]:
+    """SI unit of every regressor; empty where nobody states one."""
+    m = scene.model.mechanism
+    own = dict(zip(m.joints, m.joint_units, strict=True)) | dict.fromkeys("xyz", "m")
+    for name, _ in regressors(scene):
+        kind, _, joint = name.partition(".")
+        stated = CONDITIONS[kind][0] if kind in CONDITIONS else ""
+        # A condition of a joint is stated for turns.
+        yield name, own.get(name) or stated.replace("rad", own.get(joint, "rad"))
+
+
+def samples(found: Diagnosis) -> list[dict[str, Any]]:
+    """A row a sample, worst first: where it was, its errors at a fit that left it out, and how
+    many sigmas the fit on all samples leaves."""
+    best, data = found.best.fitted, found.dataset
+    odd = {row["sample"]: "outlier" if row["outlier"] else "influential" for row in found.odd}
+    sigmas = [_sigmas(refit.scene) for refit in (found.base, found.best)]
+    rows = [
+        {
+            "sample": int(number),
+            "time": finite_or_none(data.time[i]),
+            "joints": best.evidence.x[i, : len(best.model.joints)].tolist(),
+            "position": [finite_or_none(v) for v in _measured(found, i)],
+            "now": _norms(found.base.fitted, i) | {"sigmas": float(sigmas[0][i])},
+            "found": _norms(best, i) | {"sigmas": float(sigmas[1][i])} if found.effects else None,
+            "odd": odd.get(int(number), ""),
+        }
+        for i, number in enumerate(data.numbers)
+    ]
+    return sorted(rows, key=lambda row: -row["now"]["sigmas"])
+
+
+def _measured(found: Diagnosis, i: int) -> np.ndarray:
+    return np.where(found.dataset.measured[i, :3], found.dataset.r[i], np.nan)
+
+
+def _norms(result: Result, i: int) -> dict[str, float | None]:
+    return {kind: finite_or_none(result.held_out.norms(kind)[i]) for kind in ERRORS}
+
+
+def _sigmas(scene: Scene) -> np.ndarray:
+    """Rms residual (N,) of each sample in noise units."""
+    blocks = scene.by_sample(scene.residual)
+    used = np.maximum(np.count_nonzero(blocks, axis=1), 1)
+    return np.asarray(np.sqrt(np.sum(blocks**2, axis=1) / used))
+
+
+def parameters(result: Result) -> dict[str, dict[str, Any]]:
+    """Value, sigma and nominal (SI); how far it moved and its sigma in tolerances; in words."""
+    tolerance = dict(zip(result.model.table.names, result.model.table.tolerance, strict=True))
+    return {
+        name: p
+        | {
+            "words": describe(name, result.model.mechanism),
+            "sigma_tolerances": None if p["sigma"] is None else p["sigma"] / tolerance[name],
+        }
+        for name, p in result.document()["parameters"].items()
+    }
+
+
+def combinations(result: Result) -> dict[str, list[dict[str, Any]]]:
+    """What the data cannot tell at all, and what they tell worse than the tolerances do."""
+    seen, mechanism = result.estimate.spectrum, result.model.mechanism
+    return {
+        key: [{"text": direction_in_words(c, mechanism), "parameters": c} for c in directions]
+        for key, directions in (("unidentifiable", seen.unidentifiable), ("weak", seen.weak))
+    }
+
+
+def correlated(result: Result, most: int = 10) -> list[dict[str, Any]]:
+    """The strongest correlations of two free parameters, where they are worth a word."""
+    names = [n for n, free in zip(result.model.table.names, result.free, strict=True) if free]
+    with np.errstate(invalid="ignore", divide="ignore"):  # unidentified ones have no sigma
+        C = np.triu(np.nan_to_num(result.correlations()), 1)
+    pairs = sorted(np.argwhere(np.abs(C) > STRONG).tolist(), key=lambda ij: -abs(C[tuple(ij)]))
+    return [{"parameters": [names[i], names[j]], "value": float(C[i, j])} for i, j in pairs[:most]]
+
+
+def smooth_map(found: Diagnosis) -> dict[str, Any]:
+    """The smooth picture of what is left: where and how large (m or rad)."""
+    drawn = found.left.map
+    return drawn.document() | {"places": drawn.places.tolist(), "field": drawn.field.tolist()}

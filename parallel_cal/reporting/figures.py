@@ -1,0 +1,115 @@
+"""The flat figures of a report as Plotly specifications: plain data, drawn by the page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from html import escape
+from typing import Any
+
+import numpy as np
+
+from parallel_cal.reporting.readable import large, number, small
+
+Spec = dict[str, Any]
+ACCENT, QUIET, WARNING = "#3b7dd8", "#8a94a3", "#d55e00"
+FAR = 5.0  # tolerances
+
+
+def thinned(n: int, most: int) -> np.ndarray:
+    """Indices of at most so many of n, evenly spread: more make a page heavy and show nothing."""
+    return np.unique(np.linspace(0, n - 1, min(n, most)).astype(int))
+
+
+def history(
+    rows: Sequence[Mapping[str, Any]], floor: Mapping[str, Any], kind: str, named: str, si: str
+) -> Spec:
+    """Errors of a kind at poses left out, step by step, with the floor of the noise."""
+    unit, factor = small(si)
+    values = [row["error"].get(f"{kind}_rms") for row in rows]
+    shown = [None if v is None else v * factor for v in values]
+    noise, ends = (floor[f"{kind}_rms"] or 0.0) * factor, [-0.3, len(rows) - 0.4]
+    ticks = {"tickvals": list(range(len(rows))), "ticktext": [escape(r["name"]) for r in rows]}
+    return {
+        "data": [_level(noise, ends), _steps(rows, shown)] if noise else [_steps(rows, shown)],
+        "layout": {
+            "height": 300,
+            "xaxis": {**ticks, "range": ends, "showgrid": False, "zeroline": False},
+            "yaxis": _log_axis([noise, *shown], f"{kind}, rms [{unit}]"),
+            "annotations": [_floor_label(noise, named)] if noise else [],
+            "margin": {"t": 16, "r": 16},
+        },
+    }
+
+
+def _level(noise: float, ends: Sequence[float]) -> Spec:
+    return {
+        "type": "scatter", "mode": "lines", "x": list(ends), "y": [noise] * 2,
+        "line": {"dash": "dash", "color": QUIET}, "hoverinfo": "skip",
+    }  # fmt: skip
+
+
+def _steps(rows: Sequence[Mapping[str, Any]], values: Sequence[float | None]) -> Spec:
+    return {
+        "type": "scatter", "mode": "lines+markers+text", "x": list(range(len(rows))),
+        "y": list(values), "text": [number(v) for v in values], "textposition": "top right",
+        "hovertext": [
+            f"{escape(r['name'])}: {r['samples']} samples, data {r['sha256'][:12]}" for r in rows
+        ],
+        "hoverinfo": "text", "line": {"color": ACCENT, "width": 3}, "marker": {"size": 9},
+        "cliponaxis": False,
+    }  # fmt: skip
+
+
+def _log_axis(values: Sequence[float | None], title: str) -> Spec:
+    """Logarithmic, ticks at 1, 2, 5 times powers of ten."""
+    known = [v for v in values if v]
+    low, high = np.log10(min(known) * 0.6), np.log10(max(known) * 1.6)
+    powers = 10.0 ** np.arange(np.floor(low), np.ceil(high) + 1)
+    ticks = [t for t in (np.array([[1], [2], [5]]) * powers).T.ravel() if low < np.log10(t) < high]
+    return {
+        "type": "log", "range": [low, high], "title": {"text": title}, "tickvals": ticks,
+        "ticktext": [f"{t:g}" for t in ticks],
+    }  # fmt: skip
+
+
+def _floor_label(noise: float, named: str) -> Spec:
+    return {
+        "xref": "paper", "x": 0.01, "xanchor": "left", "y": float(np.log10(noise)),
+        "yanchor": "top", "text": f"{named}: {number(noise)}", "showarrow": False,
+    }  # fmt: skip
+
+
+def parameter_bars(parameters: Mapping[str, Mapping[str, Any]]) -> Spec:
+    """How far every free parameter moved from nominal, in tolerances, with 1 sigma."""
+    rows = [(name, p) for name, p in parameters.items() if not p["fixed"]][::-1]
+    sigma = [p["sigma_tolerances"] or 0.0 for _, p in rows]
+    bars = {
+        "type": "bar", "orientation": "h",
+        "x": [p["moved_tolerances"] for _, p in rows], "y": [escape(name) for name, _ in rows],
+        "error_x": {"array": sigma, "thickness": 1.2, "width": 2, "color": QUIET},
+        "marker": {"color": [_bar_colour(p) for _, p in rows]},
+        "hovertext": [_in_words(p) for _, p in rows], "hoverinfo": "text",
+    }  # fmt: skip
+    return {
+        "data": [bars],
+        "layout": {
+            "height": 90 + 16 * len(rows),
+            "bargap": 0.35,
+            "xaxis": {"title": {"text": "moved from nominal [tolerances], bars 1 σ"}},
+            "yaxis": {"tickfont": {"size": 10}, "showgrid": False, "dtick": 1},
+            "margin": {"t": 8, "r": 12},
+        },
+    }
+
+
+def _bar_colour(p: Mapping[str, Any]) -> str:
+    if p["sigma"] is None:
+        return QUIET
+    return WARNING if abs(p["moved_tolerances"]) > FAR else ACCENT
+
+
+def _in_words(p: Mapping[str, Any]) -> str:
+    unit, factor = large(p["unit"])
+    sigma = f" ± {number(p['sigma'], factor, 2)}" if p["sigma"] is not None else ", not identified"
+    value, nominal = (number(p[key], factor, 6) for key in ("value", "nominal"))
+    return f"{escape(p['words'])}: {value}{sigma} {unit}, nominal {nominal}"

@@ -1,0 +1,117 @@
+"""Small multiples: the residuals along everything that was recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from parallel_cal.reporting.figures import QUIET, Spec, thinned
+from parallel_cal.reporting.readable import large
+
+# Okabe and Ito's palette: told apart by the colour-blind, on light and dark grounds
+COMPONENTS = {
+    "x": "#0072b2", "y": "#d55e00", "z": "#009e73", "rx": "#56b4e9", "ry": "#e69f00",
+    "rz": "#cc79a7",
+}  # fmt: skip
+POINTS, STEPS = 400, 150  # of a panel's residuals, of a rolling mean
+LEVELS = 5  # a quantity with so few values has means, nothing rolls
+
+
+def multiples(document: Mapping[str, Any]) -> Iterator[tuple[str, float, Spec]]:
+    """(name, strength in sigmas of a mean, figure) of all that varied, most striking first."""
+    found = document["residuals"]
+    for entry in document["along"]:
+        if len(set(found["regressors"][entry["name"]])) > 1:
+            yield entry["name"], entry["strength"], _panel(entry, found)
+
+
+def _panel(entry: Mapping[str, Any], found: Mapping[str, Any]) -> Spec:
+    """Points, the mean of each component, and the 99 % band about zero."""
+    unit, factor = large(found["units"][entry["name"]])
+    values = np.array(found["regressors"][entry["name"]]) * factor
+    at, band, z = (np.array(a) for a in (entry["at"], entry["band"], found["noise_units"]))
+    at, means = at * factor, np.array(entry["mean"])
+    means = means[:, np.any(means != 0, axis=0)]  # as `noise_units`, of what was measured
+    few = len(np.unique(values)) <= LEVELS
+    step = float(np.min(np.diff(at), initial=np.inf)) if few and len(at) > 1 else 0.0
+    draw = _level_traces if few else _rolling_traces
+    size = max(float(np.quantile(np.abs(z), 0.98)) if z.size else 0.0, 2.0)
+    axis = {"title": {"text": unit, "standoff": 4}, "nticks": 6}
+    if few:
+        axis |= {"tickvals": at.tolist(), "range": [at[0] - 0.6 * step, at[-1] + 0.6 * step]}
+    return {
+        "data": [_points(values, z, 0.25 * step), *draw(at, band, means, found["components"])],
+        "layout": {
+            "height": 210,
+            "xaxis": axis,
+            "yaxis": {"range": [-size, size], "nticks": 5},
+            "margin": {"t": 6, "r": 8, "l": 34, "b": 40},
+        },
+    }
+
+
+def _points(values: np.ndarray, z: np.ndarray, width: float) -> Spec:
+    """Every residual, thinned out evenly where there are many; spread where they would coincide."""
+    kept = thinned(len(values), POINTS // max(z.shape[1], 1))
+    x = np.repeat(values[kept], z.shape[1])
+    spread = width * np.random.default_rng(0).uniform(-1, 1, len(x))
+    return {
+        "type": "scatter", "mode": "markers", "hoverinfo": "skip", "x": rounded(x + spread),
+        "y": rounded(z[kept].ravel()), "marker": {"size": 3, "color": QUIET, "opacity": 0.3},
+    }  # fmt: skip
+
+
+def _rolling_traces(
+    at: np.ndarray, band: np.ndarray, means: np.ndarray, names: Sequence[str]
+) -> list[Spec]:
+    kept = thinned(len(at), STEPS)
+    at, band, means = at[kept], band[kept], means[kept]
+    grey = {
+        "type": "scatter", "mode": "lines", "hoverinfo": "skip",
+        "x": rounded(np.concatenate([at, at[::-1]])),
+        "y": rounded(np.concatenate([band, -band[::-1]])),
+        "fill": "toself", "fillcolor": "rgba(138,148,163,0.28)", "line": {"width": 0},
+    }  # fmt: skip
+    lines = [
+        _mean(name, at, mean) | {"mode": "lines", "line": {"color": colour(name), "width": 2}}
+        for name, mean in zip(names, means.T, strict=True)
+    ]
+    return [grey, *lines]
+
+
+def _level_traces(
+    at: np.ndarray, band: np.ndarray, means: np.ndarray, names: Sequence[str]
+) -> list[Spec]:
+    """A mean for each level and component beside each other, each with its own band."""
+    step = float(np.min(np.diff(at), initial=np.inf)) if len(at) > 1 else 1.0
+    apart = 0.5 * step * (np.arange(len(names)) / max(len(names) - 1, 1) - 0.5)
+    bars = {"array": rounded(band), "color": QUIET, "thickness": 6, "width": 0}
+    traces = []
+    for name, mean, shift in zip(names, means.T, apart, strict=True):
+        zero = _mean(name, at + shift, np.zeros(len(at))) | {"error_y": bars, "opacity": 0.45}
+        point, dot = {"size": 1, "color": QUIET}, {"size": 8, "color": colour(name)}
+        traces += [
+            zero | {"mode": "markers", "marker": point, "hoverinfo": "skip"},
+            _mean(name, at + shift, mean) | {"mode": "markers", "marker": dot},
+        ]
+    return traces
+
+
+def _mean(name: str, at: np.ndarray, mean: np.ndarray) -> Spec:
+    return {
+        "type": "scatter", "name": name, "x": rounded(at), "y": rounded(mean),
+        "hovertemplate": "%{y:.2f} σ",
+    }  # fmt: skip
+
+
+def colour(name: str) -> str:
+    """Of a pose component, or of an equation by its number."""
+    palette = list(COMPONENTS.values())
+    return COMPONENTS.get(name) or palette[int(name.split()[-1]) % len(palette)]
+
+
+def rounded(values: np.ndarray) -> list[float]:
+    """Five digits: a picture needs no more, and a page is smaller."""
+    return [float(f"{v:.5g}") for v in values]

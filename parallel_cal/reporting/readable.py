@@ -1,0 +1,77 @@
+"""Numbers as people read them: um, mm, arcmin, degrees; the unit always beside them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+ARCMIN = 60 * 180 / math.pi
+SMALL = {"m": ("µm", 1e6), "rad": ("arcmin", ARCMIN)}
+LARGE = {"m": ("mm", 1e3), "rad": ("deg", 180 / math.pi), "degC": ("°C", 1.0), "1": ("", 1.0)}
+OF = {"position": "m", "orientation": "rad", "reading": "m"}
+MISSING = "–"
+
+
+def small(unit: str) -> tuple[str, float]:
+    """(name, factor) in which an error of this SI unit is read."""
+    return SMALL.get(unit, (unit, 1.0))
+
+
+def large(unit: str) -> tuple[str, float]:
+    """(name, factor) in which a value of this SI unit is read."""
+    return LARGE.get(unit, (unit, 1.0))
+
+
+def number(value: float | None, factor: float = 1.0, digits: int = 3) -> str:
+    """A few significant digits; a dash where the value is not known."""
+    if value is None or not math.isfinite(value):
+        return MISSING
+    scaled = value * factor
+    if scaled == 0:
+        return "0"
+    size = math.floor(math.log10(abs(scaled)))
+    if size < -4 or size > 6:
+        return f"{scaled:.{digits - 1}e}"
+    return f"{scaled:.{max(digits - 1 - size, 0)}f}"
+
+
+def with_unit(value: float | None, unit: str, scale: Any = small) -> str:
+    """`32.2 µm`; a dash where the value is not known."""
+    name, factor = scale(unit)
+    text = number(value, factor)
+    return text if text == MISSING else f"{text} {name}".rstrip()
+
+
+def vector(values: Sequence[float | None], unit: str, digits: int = 2) -> str:
+    """Several values of one unit, fixed digits so that columns line up."""
+    factor = large(unit)[1]
+    if all(v is None for v in values):
+        return MISSING
+    return " ".join(MISSING if v is None else f"{v * factor:.{digits}f}" for v in values)
+
+
+def probability(p: float | None) -> str:
+    """A p-value in two digits; below 1e-99 it is as good as zero."""
+    if p is None:
+        return MISSING
+    return f"{p:.2g}" if p > 1e-99 else "< 1e-99"
+
+
+def percent(share: float | None) -> str:
+    return MISSING if share is None else f"{round(100 * share)} %"
+
+
+def unit_of(kind: str, joint_units: Mapping[str, str]) -> str:
+    """SI unit of an error kind; a robot of turns and slides has no common one for joints."""
+    units = set(joint_units.values())
+    return OF.get(kind) or (units.pop() if len(units) == 1 else "rad|m")
+
+
+def shown_kinds(errors: Mapping[str, Mapping[str, float | None] | None]) -> list[str]:
+    """Which errors tell: of the pose; where none was measured of readings, or of joints."""
+    known = {key for e in (errors["now"], errors["noise"]) for key, v in (e or {}).items() if v}
+    for group in (("position", "orientation"), ("reading",), ("joint",)):
+        if kinds := [k for k in group if f"{k}_rms" in known]:
+            return kinds
+    return []
