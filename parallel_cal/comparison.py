@@ -63,13 +63,6 @@ class Comparison:
             "replicates": {"variance": known.replicates, "dof": known.replicates_dof},
         }
 
-    @cached_property
-    def _sigmas(self) -> np.ndarray:
-        """Rms residual (N,) of each sample in noise units."""
-        blocks = self.scene.by_sample(self.scene.residual)
-        used = np.maximum(np.count_nonzero(blocks, axis=1), 1)
-        return np.asarray(np.sqrt(np.sum(blocks**2, axis=1) / used))
-
     def _worst_first(self) -> np.ndarray:
         found = [self.errors.norms(kind) for kind in ("position", "orientation", "reading")]
         norms = next((n for n in found if np.isfinite(n).any()), found[0])
@@ -86,7 +79,7 @@ class Comparison:
             "joints": self.evidence.x[i, :n].tolist(),
             "position": [finite_or_none(v) for v in position],
             **{f"{k}_error": [finite_or_none(v) for v in part] for k, part in parts.items()},
-            "sigmas": finite_or_none(self._sigmas[i]),
+            "sigmas": finite_or_none(self.scene.sigmas[i]),
             **{f"{kind}_norm": finite_or_none(self.errors.norms(kind)[i]) for kind in ERRORS},
         }
 

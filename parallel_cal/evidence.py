@@ -61,7 +61,7 @@ def gather(model: Model, dataset: Dataset, joint_sigma: float | None = None) -> 
     n = len(order)
     S[:, range(n), range(n)] = joint**2
     S[:, n:, n:] = pose
-    a = _conditions(model, dataset)
+    a = conditions(model, dataset)
     noise_from = {"joint": joint_from, "pose": pose_from}
     return Evidence(x, S, measured, a, np.asarray(dataset.pose_id), reading, noise_from)
 
@@ -149,7 +149,8 @@ def _fallback_pose_sigma(
     return np.where(sigma > 0, sigma, 1.0), source
 
 
-def _conditions(model: Model, dataset: Dataset) -> np.ndarray:
+def conditions(model: Model, dataset: Dataset) -> np.ndarray:
+    """(N, n_conditions) as recorded; FitError where one that the effects need was not."""
     missing = [c for c in model.conditions if c not in dataset.conditions]
     if missing:
         names = ", ".join(effect.name for effect in model.effects if effect.needs)

@@ -18,7 +18,7 @@ def diagnose(
     model, dataset = model_and_data(model_file, bags, data)
     document = diagnosed(model, dataset, progress=console.progress, **options).document()
     console.progress("", 1.0)
-    console.warn([*dataset.warnings, *document["warnings"]])
+    console.warn(document["warnings"])
     if as_json:
         return console.emit(document)
     console.say(f"{document['verdict']}: {document['summary']}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from parallel_cal.diagnosing.scene import Scene, columns, columns_at, scene
 from parallel_cal.diagnosing.scoring import Score, score
 from parallel_cal.effect import Effect, load_effect
 from parallel_cal.errors import ModelError
-from parallel_cal.evidence import gather
+from parallel_cal.evidence import conditions
 from parallel_cal.mechanism import shelf_names
 from parallel_cal.model import Model
 
@@ -75,7 +75,7 @@ def candidate(here: Scene, name: str) -> Candidate:
         return Candidate(name, effect, missing=missing, reason=_untestable(missing))
     if plain.mechanism is not here.model.mechanism:
         return _wider(here, name, effect, plain)
-    a = gather(plain, here.dataset).a
+    a = conditions(plain, here.dataset)
     settings = list(effect.scan(here.model.mechanism))
     scores = [score_of(here, name, setting, a) for setting in settings]
     best = int(np.argmin([s.log_p for s in scores]))
@@ -138,5 +138,6 @@ def _untestable(missing: tuple[str, ...]) -> str:
 def _wider(here: Scene, name: str, effect: Effect, wide: Model) -> Candidate:
     """A larger model's further parameters, in a scene of its own: its rows differ."""
     new = new_numbers(here.model, wide)
-    there = scene(wide, here.dataset, gather(wide, here.dataset), ~np.asarray(wide.fixed) & ~new)
+    evidence = replace(here.evidence, a=conditions(wide, here.dataset))
+    there = scene(wide, here.dataset, evidence, ~np.asarray(wide.fixed) & ~new)
     return Candidate(name, effect, score=score(there, columns(wide, there, new)), there=there)

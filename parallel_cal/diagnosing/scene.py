@@ -10,7 +10,7 @@ import numpy as np
 
 from parallel_cal.accuracy import condition_columns, shown
 from parallel_cal.dataset import Dataset
-from parallel_cal.evidence import Evidence, gather
+from parallel_cal.evidence import Evidence, conditions
 from parallel_cal.kinematics import Kinematics
 from parallel_cal.linearisation import Linearisation
 from parallel_cal.model import Model
@@ -54,6 +54,13 @@ class Scene:
         """What of some columns (n, k) no change of the free parameters imitates."""
         return np.asarray(columns - self.basis @ (self.basis.T @ columns))
 
+    @property
+    def sigmas(self) -> np.ndarray:
+        """Rms residual (N,) of each sample."""
+        blocks = self.by_sample(self.residual)
+        used = np.maximum(np.count_nonzero(blocks, axis=1), 1)
+        return np.asarray(np.sqrt(np.sum(blocks**2, axis=1) / used))
+
     def by_sample(self, column: np.ndarray) -> np.ndarray:
         """A column (n,) as (N, rows)."""
         return column.reshape(-1, self.rows)
@@ -87,8 +94,7 @@ def predicted(model: Model, evidence: Evidence) -> np.ndarray:
 def columns(extended: Model, here: Scene, new: np.ndarray) -> np.ndarray:
     """d residual / d (new parameters, in tolerances), (n, n_new), of a model with one more effect
     at zero; its mechanism and sensors are those of the scene. FitError where a condition lacks."""
-    evidence = gather(extended, here.dataset)
-    return columns_at(extended, here, evidence.a, new)
+    return columns_at(extended, here, conditions(extended, here.dataset), new)
 
 
 def columns_at(extended: Model, here: Scene, a: np.ndarray, new: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ from parallel_cal.diagnosing.catalogue import Candidate, new_numbers
 from parallel_cal.diagnosing.scene import Progress, Scene, columns_at, scene
 from parallel_cal.diagnosing.scoring import log_p_of, score
 from parallel_cal.errors import FitError
-from parallel_cal.evidence import gather
+from parallel_cal.evidence import conditions
 from parallel_cal.identification import Result
 from parallel_cal.model import Model
 from parallel_cal.steps import held_out_ratio
@@ -195,7 +195,7 @@ def shuffled_p(one: Candidate) -> float | None:
         return None
     here = one.there
     extended = here.model.with_effect(one.name, one.settings)
-    a, new = gather(extended, here.dataset).a, new_numbers(here.model, extended)
+    a, new = conditions(extended, here.dataset), new_numbers(here.model, extended)
     own = [extended.conditions.index(c) for c in one.effect.conditions(extended.mechanism)]
     rng, as_good = np.random.default_rng(0), 1
     for _ in range(SHUFFLES):

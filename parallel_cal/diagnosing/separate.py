@@ -12,7 +12,7 @@ from parallel_cal.diagnosing.catalogue import Candidate
 from parallel_cal.diagnosing.search import Chosen, Refit
 from parallel_cal.effect import CONDITIONS, load_effect
 from parallel_cal.errors import FitError, ModelError
-from parallel_cal.evidence import Evidence, gather
+from parallel_cal.evidence import Evidence, conditions
 from parallel_cal.linearisation import Linearisation
 from parallel_cal.model import Model, Noise
 from parallel_cal.planners.expectation import VAGUE, white_blocks
@@ -58,7 +58,7 @@ def separating(
         model = best.fitted.model.with_effect(rival.name, rival.settings)
         if model.mechanism is not best.fitted.model.mechanism:
             return None
-        evidence = gather(model, best.fitted.dataset)
+        evidence = replace(best.fitted.evidence, a=conditions(model, best.fitted.dataset))
         model = replace(model, noise=_noise(model, evidence))
         rng = np.random.default_rng(seed)
         pool = make_pool(model, POOL, rng, symmetric=False)
@@ -126,7 +126,7 @@ def _noise(model: Model, evidence: Evidence) -> Noise:
     """Typical noise of the data, for a planner that wants one figure a kind."""
     n = len(model.joints)
     variance = np.median(np.diagonal(evidence.S, axis1=1, axis2=2), axis=0)
-    seen = np.asarray(evidence.measured).any(axis=0)
+    seen: np.ndarray = np.any(evidence.measured, axis=0)
 
     def typical(part: slice) -> float | None:
         known = variance[part][seen[part]]

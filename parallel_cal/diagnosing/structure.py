@@ -93,10 +93,10 @@ def orders(here: Scene) -> Iterator[tuple[str, np.ndarray]]:
 
 def regressors(here: Scene) -> Iterator[tuple[str, np.ndarray]]:
     """What residuals may depend on (N,), poses as predicted: time, joints, place, conditions."""
-    n = len(here.model.joints)
     yield "time", np.asarray(here.dataset.time)
-    yield from ((name, here.x[:, j]) for j, name in enumerate(here.model.joints))
-    yield from ((axis, here.x[:, n + k]) for k, axis in enumerate("xyz"))
+    for k, name in enumerate([*here.model.joints, *"xyz"]):
+        if np.ptp(here.x[:, k]) > 1e-9:
+            yield name, here.x[:, k]
     for name, values in here.dataset.conditions.items():
         known = np.isfinite(values).all() and np.ptp(values) > 0 if len(values) else False
         if known and not name.startswith(("time", NUMBER, "effort.", "reading.")):
@@ -120,7 +120,7 @@ def smooth_map(here: Scene, found: Field) -> SmoothMap:
     apart = np.sum(((places[:, None] - places[None]) / spread) ** 2, axis=2)
     best = max((_left_out(apart, e, l, s) for l in LENGTHS for s in (0.1, 0.3, 1.0, 3.0)),
                key=lambda fit: fit[0])  # fmt: skip
-    share, length, smooth = best
+    share, length, smooth = best if e.any() else (0.0, *best[1:])
     metres = length * float(np.sqrt(np.mean(spread**2)))
     size = float(np.sqrt(np.mean(np.sum(smooth**2, axis=1))))
     return SmoothMap(kind, metres, size, max(share, 0.0), places, smooth)

@@ -12,6 +12,11 @@ from parallel_cal.methods.implicit import Estimate
 
 EXPLAINED = 0.7  # of the variance beyond the noise
 HELD_STILL = 2.0  # sigmas rms of coordinates that a model holds: it lacks freedoms
+UNITS = (
+    ("position", 1e6, 0, "um"),
+    ("orientation", 3437.75, 2, "arcmin"),
+    ("reading", 1e6, 1, "um"),
+)
 FEW = 10  # degrees of freedom: below, nothing can be said
 
 
@@ -59,9 +64,10 @@ def judge(
         part = f", {share:.0%} of what exceeded the noise" if share is not None else ""
         verb = "explains" if len(here.chosen) == 1 else "together explain"
         return Verdict("explained", f"{names} {verb} the rest{part}: {errors}", share)
+    verb = "is" if len(here.chosen) == 1 else "are"
     return Verdict(
         "partly_explained",
-        f"{names} {'is' if len(here.chosen) == 1 else 'are'} part of it ({errors}), but {'; '.join(against)}",
+        f"{names} {verb} part of it ({errors}), but {'; '.join(against)}",
         share,
         tuple(against),
     )
@@ -118,10 +124,10 @@ def _few(dof: int) -> str:
 
 def _blind(names: str, errors: str, left: Structure) -> str:
     rest = " and structure remains" if left.found else ""
-    found = f"{names or 'nothing in the catalogue'} lowers the error at poses left out ({errors})"
+    found = f"{names} helps" if names else "nothing in the catalogue helps"
     return (
-        f"{found}{rest}; whether that is all cannot be known without a noise figure: state noise "
-        "in the model file, or visit poses again"
+        f"{found} ({errors}){rest}; whether that is all cannot be known without a noise figure: "
+        "state noise in the model file, or visit poses again"
     )
 
 
@@ -129,14 +135,12 @@ def _errors(base: Refit, here: Refit) -> str:
     """Held-out errors before and after, as a person reads them."""
     b, a = (r.document["held_out"]["after"] for r in (base, here))
     parts = []
-    for kind, factor, unit in (("position", 1e6, "um"), ("orientation", 3437.75, "arcmin")):
-        key = f"{kind}_rms"
-        if b.get(key) is not None and a.get(key) is not None:
-            digits = 0 if unit == "um" else 2
-            now = f"{a[key] * factor:.{digits}f} {unit}"
-            parts.append(now if not here.chosen else f"{b[key] * factor:.{digits}f} to {now}")
-    label = "error at poses left out"
-    return f"{label} {', '.join(parts)}" if parts else f"{label} not known"
+    for kind, factor, digits, unit in UNITS:
+        before, after = (e.get(f"{kind}_rms") for e in (b, a))
+        if before is not None and after is not None:
+            now = f"{after * factor:.{digits}f} {unit}"
+            parts.append(f"{before * factor:.{digits}f} to {now}" if here.chosen else now)
+    return f"error at poses left out {', '.join(parts) or 'not known'}"
 
 
 def listed(names: Sequence[str], rivals: dict[str, list[str]]) -> str:

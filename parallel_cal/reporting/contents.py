@@ -130,7 +130,7 @@ def samples(found: Diagnosis) -> list[dict[str, Any]]:
     many sigmas the fit on all samples leaves."""
     best, data = found.best.fitted, found.dataset
     odd = {row["sample"]: "outlier" if row["outlier"] else "influential" for row in found.odd}
-    sigmas = [_sigmas(refit.scene) for refit in (found.base, found.best)]
+    sigmas = [refit.scene.sigmas for refit in (found.base, found.best)]
     rows = [
         {
             "sample": int(number),
@@ -152,13 +152,6 @@ def _measured(found: Diagnosis, i: int) -> np.ndarray:
 
 def _norms(result: Result, i: int) -> dict[str, float | None]:
     return {kind: finite_or_none(result.held_out.norms(kind)[i]) for kind in ERRORS}
-
-
-def _sigmas(scene: Scene) -> np.ndarray:
-    """Rms residual (N,) of each sample in noise units."""
-    blocks = scene.by_sample(scene.residual)
-    used = np.maximum(np.count_nonzero(blocks, axis=1), 1)
-    return np.asarray(np.sqrt(np.sum(blocks**2, axis=1) / used))
 
 
 def parameters(result: Result) -> dict[str, dict[str, Any]]:
