@@ -21,12 +21,14 @@ ERRORS = ("position", "orientation", "joint", "reading")
 class Errors:
     """Measured minus predicted (table 5.9): position (N, 3) m, orientation (N, 3) rad about
     base axes from the direct problem, joint (N, nq) from the inverse, reading (N, n_channels) m
-    of the sensors beside the pose device from the direct problem; NaN where not known."""
+    of the sensors beside the pose device from the direct problem; closure (N, n_rows) m at what
+    was measured; NaN where not known."""
 
     position: np.ndarray
     orientation: np.ndarray
     joint: np.ndarray
     reading: np.ndarray
+    closure: np.ndarray
 
     def norms(self, kind: str) -> np.ndarray:
         """(N,) norms over what is known of a sample, NaN where nothing is."""
@@ -36,17 +38,24 @@ class Errors:
         return np.where(known.any(axis=1), norms, np.nan)
 
     def select(self, index: np.ndarray) -> Errors:
-        return Errors(*(getattr(self, kind)[index] for kind in ERRORS))
+        return Errors(*(part[index] for part in vars(self).values()))
 
     def document(self) -> dict[str, float | None]:
-        """Mean and rms of the norms of each kind (table 5.15); None where not measured."""
+        """Mean and rms of the norms of each kind (table 5.15), and rms of the closure's rows:
+        with more of these than freedoms it is the one error that weighs all of them. None where
+        not measured."""
         entries: dict[str, float | None] = {}
         for kind in ERRORS:
             norms = self.norms(kind)
             norms = norms[np.isfinite(norms)]
             entries[f"{kind}_mean"] = float(norms.mean()) if len(norms) else None
-            entries[f"{kind}_rms"] = float(np.sqrt((norms**2).mean())) if len(norms) else None
+            entries[f"{kind}_rms"] = _rms(norms)
+        entries["closure_rms"] = _rms(self.closure[np.isfinite(self.closure)])
         return entries
+
+
+def _rms(values: np.ndarray) -> float | None:
+    return float(np.sqrt((values**2).mean())) if len(values) else None
 
 
 def errors(model: Model, evidence: Evidence) -> Errors:
@@ -71,7 +80,20 @@ def errors(model: Model, evidence: Evidence) -> Errors:
         _where(orientation & _solved(pose), np.where(measured[:, n + 3 :], turn, 0.0)),
         _where(given & _solved(joints), x[:, :n] - joints.joints),
         _readings_apart(model, evidence, pose),
+        _closure(model, evidence),
     )
+
+
+def _closure(model: Model, evidence: Evidence) -> np.ndarray:
+    """Rows of the closure (N, n_rows) at measured joints and pose; NaN where a coordinate that
+    the mechanism moves was not measured."""
+    phi = model.structure.rows_batch(evidence.x, evidence.a, model.values)[0]
+    return _where(_complete(model, evidence), phi[:, : model.structure.phi.shape[0]])
+
+
+def _complete(model: Model, evidence: Evidence) -> np.ndarray:
+    moved = [len(model.joints) + i for i in model.mechanism.moved]
+    return np.asarray(evidence.measured[:, moved].all(axis=1))
 
 
 def shown(model: Model, solutions: Solutions) -> Solutions:
@@ -133,7 +155,10 @@ def noise_floor(model: Model, evidence: Evidence, seed: int = 0) -> dict[str, fl
 
     Joint noise reaches the pose and what sensors show there through the direct problem, pose
     noise the joints through the inverse; means of norms by 64 draws a sample with a fixed seed.
+    None where the noise was only assumed.
     """
+    if evidence.noise_assumed:
+        return Errors(*[np.empty((0, 1))] * 5).document()
     n, m = len(model.joints), model.mechanism
     closure = model.structure.phi.shape[0]
     rows = _row_jacobians(model, evidence)
@@ -159,9 +184,10 @@ def noise_floor(model: Model, evidence: Evidence, seed: int = 0) -> dict[str, fl
     mask = measured.reshape(-1, n + 6)
     known = [judged(m, mask[:, n:], part) for part in (range(3), range(3, 6))]
     known.append(np.all(mask[:, given], axis=1))
+    gaps = np.einsum("nij,dnj->dni", C, noise)[:, _complete(model, evidence)]
     kept = [mask[:, n : n + 3], mask[:, n + 3 :], np.ones_like(flat[2], dtype=bool)]
     parts = [_where(k, np.where(c, a, 0.0)) for k, c, a in zip(known, kept, flat[:3], strict=True)]
-    return Errors(*[*parts, flat[3]]).document()
+    return Errors(*[*parts, flat[3], gaps]).document()
 
 
 def _row_jacobians(model: Model, evidence: Evidence) -> np.ndarray:

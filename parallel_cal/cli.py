@@ -50,7 +50,12 @@ Data = Annotated[
     ),
 ]
 Method = Annotated[str, typer.Option(help="identification method")]
-HoldOut = Annotated[float, typer.Option(min=0.0, max=0.5, help="share of poses left out in turn")]
+HoldOut = Annotated[
+    float,
+    typer.Option(
+        min=0.0, max=0.5, help="share of poses left out in turn; 0.001: each pose alone, 0: none"
+    ),
+]
 JointSigma = Annotated[
     float | None, typer.Option(min=0.0, help="noise of joint readings, 1 sigma (rad or m)")
 ]
@@ -339,20 +344,20 @@ def diagnose(
     also: Annotated[
         list[str] | None, typer.Option(help="test your own effect, too: its Python path")
     ] = None,
-    method: Method = "implicit",
     hold_out: HoldOut = 0.25,
     joint_sigma: JointSigma = None,
     free: Free = None,
     fix: Fix = None,
     prior: Prior = False,
+    loss: Loss = "linear",
     data: Data = None,
     as_json: Json = False,
 ) -> None:
     """Say which physical effect the model lacks, how sure that is, and what to measure next."""
     from parallel_cal.commands import diagnosing
 
-    options = _fit_options(method, hold_out, joint_sigma, free, fix, prior)
-    options |= {"effects": effect or [], "also": also or []}
+    options = _fit_options("implicit", hold_out, joint_sigma, free, fix, prior)
+    options |= {"loss": loss, "effects": effect or [], "also": also or []}
     diagnosing.diagnose(model, bags, data or [], as_json, **options)
 
 
@@ -373,12 +378,12 @@ def report(
     also: Annotated[
         list[str] | None, typer.Option(help="test your own effect, too: its Python path")
     ] = None,
-    method: Method = "implicit",
     hold_out: HoldOut = 0.25,
     joint_sigma: JointSigma = None,
     free: Free = None,
     fix: Fix = None,
     prior: Prior = False,
+    loss: Loss = "linear",
     data: Data = None,
     as_json: Json = False,
 ) -> None:
@@ -387,8 +392,8 @@ def report(
 
     if output is None and not as_json:
         raise typer.BadParameter("give -o R.html (or .json), or --json")
-    options = _fit_options(method, hold_out, joint_sigma, free, fix, prior)
-    options |= {"effects": effect or [], "also": also or []}
+    options = _fit_options("implicit", hold_out, joint_sigma, free, fix, prior)
+    options |= {"loss": loss, "effects": effect or [], "also": also or []}
     reporting.report(model, bags, output, against, data or [], as_json, **options)
 
 

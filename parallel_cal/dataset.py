@@ -142,7 +142,7 @@ class Dataset:
         named = dataclasses.replace(
             self, conditions={**self.conditions, NUMBER: self.numbers.astype(float)}
         )
-        said = f"excluded on request: sample {', '.join(map(str, sorted(numbers)))}"
+        said = f"left out on request: sample {', '.join(map(str, sorted(numbers)))}"
         kept = named.select(~np.isin(self.numbers, list(numbers)))
         return dataclasses.replace(kept, warnings=(*self.warnings, said))
 

@@ -15,6 +15,7 @@ from parallel_cal.rotation import rotation_matrix, rotation_vector
 
 ASSUMED = "assumed"  # whose a noise figure is that nobody measured
 GUESS = "(nobody knows? your guess, with noise.assumed: true)"
+SCATTER = "scatter within dwells"  # where noise comes from that nobody stated
 
 
 @dataclass(frozen=True)
@@ -106,7 +107,7 @@ def _joint_sigma(
             f"{dataset.source}: no figure for the joints' noise; give --joint-sigma (rad or m) or "
             f"noise.joint in the model file {GUESS}"
         )
-    return scatter, "scatter within dwells"
+    return scatter, SCATTER
 
 
 def _stated(model: Model) -> str:
@@ -145,7 +146,7 @@ def _fallback_pose_sigma(
             f"{dataset.source}: no figure for the device's noise; record a covariance or give "
             f"noise.position (m) and noise.orientation (rad) in the model file {GUESS}"
         )
-    source = _stated(model) if np.isfinite(given[wanted]).any() else "scatter within dwells"
+    source = _stated(model) if np.isfinite(given[wanted]).any() else SCATTER
     return np.where(sigma > 0, sigma, 1.0), source
 
 

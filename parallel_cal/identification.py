@@ -12,10 +12,11 @@ from parallel_cal.accuracy import Errors, errors, improvement, noise_floor
 from parallel_cal.dataset import Dataset
 from parallel_cal.errors import FitError
 from parallel_cal.estimators import Estimator, estimator, need_settling
-from parallel_cal.evidence import Evidence, gather
+from parallel_cal.evidence import SCATTER, Evidence, gather
 from parallel_cal.methods.implicit import Estimate
 from parallel_cal.model import Model
-from parallel_cal.observability import in_words
+from parallel_cal.parameters import Parameter
+from parallel_cal.planners.words import direction_in_words
 from parallel_cal.prior import Prior
 from parallel_cal.refit import considered
 
@@ -44,6 +45,7 @@ class Result:
     dataset: Dataset
     method: str
     loss: str = "linear"
+    refit: tuple[str, ...] = ()
     warnings: tuple[str, ...] = field(default=())
 
     @property
@@ -63,24 +65,33 @@ class Result:
             "improvement": improvement(before, after),
             "improvement_held_out": improvement(held["before"], held["after"]),
             "chi2_per_dof": finite_or_none(self.estimate.chi2_per_dof),
-            "chi2_band": list(chi2_band(self.estimate.dof)),
+            "chi2_band": self._band(),
             "dof": self.estimate.dof,
             "rank": self.estimate.spectrum.rank,
             "free": int(self.free.sum()),
             "unidentifiable": [
-                {"text": in_words(c), "parameters": c}
+                {"text": direction_in_words(c, self.model.mechanism), "parameters": c}
                 for c in self.estimate.spectrum.unidentifiable
             ],
-            "weak": [{"text": in_words(c), "parameters": c} for c in self.estimate.spectrum.weak],
+            "weak": [
+                {"text": direction_in_words(c, self.model.mechanism), "parameters": c}
+                for c in self.estimate.spectrum.weak
+            ],
             "noise_floor": self.noise,
             "noise_from": self.evidence.noise_from,
             "method": self.method,
             "loss": self.loss,
+            "refit": list(self.refit),
             "down_weighted": doubted(self.estimate, self.dataset),
             "iterations": self.estimate.iterations,
             "warnings": list(self.warnings),
             "dataset": {"source": self.dataset.source, "sha256": self.dataset.sha256},
         }
+
+    def _band(self) -> list[float | None]:
+        """Where chi2/dof of a complete model lies; nowhere where nobody knows the noise."""
+        assumed = self.evidence.noise_assumed
+        return [None, None] if assumed else list(chi2_band(self.estimate.dof))
 
     def _held_out_before(self) -> dict[str, float | None]:
         kinds = ("position", "orientation", "reading")
@@ -143,6 +154,8 @@ def fit(
     report("identifying", 0.1)
     with single_threaded():
         estimate = estimate_with(model, evidence, mask)
+        if evidence.noise_assumed:
+            estimate = scaled(estimate)
         if partial:
             estimate = considered(model, evidence, mask, estimate)
         fitted = model.with_values(estimate.values, estimate.covariance)
@@ -164,12 +177,22 @@ def fit(
         dataset=dataset,
         method=method,
         loss=loss,
+        refit=tuple(n for n, m in zip(model.table.names, mask, strict=True) if partial and m),
         warnings=(
             *dataset.warnings,
             *_warnings(fitted, estimate, mask),
+            *_of_noise(estimate, evidence),
             *_doubts(estimate, dataset, loss),
         ),
     )
+
+
+def scaled(estimate: Estimate) -> Estimate:
+    """The same with sigmas from the residuals, covariance * chi2/dof: all that can be said where
+    only the proportions of the noise were given."""
+    if estimate.dof <= 0:
+        return estimate
+    return replace(estimate, covariance=estimate.covariance * estimate.chi2_per_dof)
 
 
 def single_threaded() -> Any:
@@ -226,12 +249,21 @@ def _check_plausible(model: Model, estimate: Estimate, free: np.ndarray) -> None
         low, high = p.plausible_range()
         value = model.values[i]
         if free[i] and not low <= value <= high:
-            raise FitError(
-                f"{p.name} went to {value:.6g} {p.unit}, {(value - p.nominal) / p.tolerance:+.1f} "
-                f"tolerances from its nominal {p.nominal:.6g} (plausible {low:.6g} to {high:.6g}; "
-                f"chi2/dof {estimate.chi2_per_dof:.3g}): check units and mechanism, fix the "
-                "parameter, use priors, or correct nominal and tolerance in the model file"
-            )
+            raise FitError(_implausible(p, float(value), estimate.chi2_per_dof))
+
+
+def _implausible(p: Parameter, value: float, chi2_per_dof: float) -> str:
+    low, high = p.plausible_range()
+    shown = f"{value:.6g}" if p.unit == "1" else f"{value:.6g} {p.unit}"
+    if p.group == "effect":  # what is wrong is the effect, not the file or the units
+        plausible = f"({low:.6g} to {high:.6g})"
+        return f"{p.name} would have to be {shown}, which is not plausible {plausible}"
+    return (
+        f"{p.name} went to {shown}, {(value - p.nominal) / p.tolerance:+.1f} tolerances from its "
+        f"nominal {p.nominal:.6g} (plausible {low:.6g} to {high:.6g}; chi2/dof "
+        f"{chi2_per_dof:.3g}): check units and mechanism, fix the parameter, use priors, or "
+        "correct nominal and tolerance in the model file"
+    )
 
 
 def _held_out(
@@ -248,6 +280,7 @@ def _held_out(
     """Errors at every pose of fits that left it out; NaN where leaving out is not possible."""
     joined = {"position": 3, "orientation": 3, "joint": len(model.joints)}
     joined["reading"] = len(model.structure.channels)
+    joined["closure"] = model.structure.phi.shape[0]
     parts = {kind: np.full((len(evidence), size), np.nan) for kind, size in joined.items()}
     folds = dataset.folds(fraction, seed) if fraction > 0 else []
     for k, (train, test) in enumerate(folds):
@@ -271,15 +304,31 @@ def _warnings(model: Model, estimate: Estimate, free: np.ndarray) -> list[str]:
         for i, p in enumerate(table)
         if free[i] and abs(moved[i]) > FAR
     ]
-    words += [f"the data cannot tell {in_words(c)}" for c in estimate.spectrum.unidentifiable]
+    unseen = estimate.spectrum.unidentifiable
+    words += [f"the data cannot tell {direction_in_words(c, model.mechanism)}" for c in unseen]
+    return words
+
+
+def _of_noise(estimate: Estimate, evidence: Evidence) -> list[str]:
+    """Residuals beside the noise that was stated."""
+    if evidence.noise_assumed:
+        return [
+            "noise: assumed, so its proportions alone count: sigmas are from the residuals, and "
+            "whether more than noise is left cannot be known"
+        ]
     low, high = chi2_band(estimate.dof)
     if estimate.dof > 0 and not low <= estimate.chi2_per_dof <= high:
         size = "larger" if estimate.chi2_per_dof > high else "smaller"
-        words.append(
+        guessed = [kind for kind, source in evidence.noise_from.items() if source == SCATTER]
+        noise = "the stated noise"
+        if guessed:  # a robot that comes back shows more than its jitter at rest
+            which = " and ".join(guessed)
+            noise = f"the jitter within dwells, taken for the {which} noise that nobody stated"
+        return [
             f"chi2/dof {estimate.chi2_per_dof:.2f} is outside {low:.2f}..{high:.2f}: the residuals "
-            f"are {size} than the stated noise"
-        )
-    return words
+            f"are {size} than {noise}"
+        ]
+    return []
 
 
 def doubted(estimate: Estimate, dataset: Dataset) -> list[dict[str, Any]]:

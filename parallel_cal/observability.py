@@ -65,12 +65,6 @@ def combination(direction: np.ndarray, names: list[str]) -> dict[str, float]:
     return {names[i]: float(sign * direction[i]) for i in order if size[i] > 0.1}
 
 
-def in_words(parts: dict[str, float]) -> str:
-    """`chain1.b_x + 0.71 chain1.D_x`, in units of tolerances."""
-    terms = [f"{weight:+.2f} {name}" for name, weight in parts.items()]
-    return " ".join(terms)
-
-
 def _triangle(J: np.ndarray, tolerance: np.ndarray) -> np.ndarray:
     """R of J tolerance = QR: the same singular values from a small matrix."""
     R: np.ndarray = np.zeros((0, len(tolerance)))

@@ -31,7 +31,7 @@ def considered(model: Model, evidence: Evidence, free: np.ndarray, found: Estima
     J = _jacobian(model, reweighted(evidence, found.weight), free | others, found.values)
     P_pp, P_oo = found.covariance[np.ix_(free, free)], before[np.ix_(others, others)]
     in_p = free[free | others]
-    G = -P_pp @ J[:, in_p].T @ J[:, ~in_p]
+    G = -found.spectrum.covariance @ J[:, in_p].T @ J[:, ~in_p]
     covariance = np.zeros_like(before)
     covariance[np.ix_(others, others)] = P_oo
     covariance[np.ix_(free, others)] = G @ P_oo

@@ -20,7 +20,8 @@ from parallel_cal.loops.blind_spots import blind_spots
 from parallel_cal.loops.combining import closures, put_together
 from parallel_cal.loops.loop import Loop, loop_dataset, loop_model, recorded_home
 from parallel_cal.model import Model
-from parallel_cal.observability import Spectrum, in_words, spectrum
+from parallel_cal.observability import Spectrum, spectrum
+from parallel_cal.planners.words import direction_in_words
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,10 @@ class Combination:
             "rank": self.spectrum.rank,
             "free": int(np.sum(~self.model.fixed)),
             "unidentifiable": [{"text": what} for what in self.unseen],
-            "weak": [{"text": in_words(c), "parameters": c} for c in self.spectrum.weak],
+            "weak": [
+                {"text": direction_in_words(c, self.model.mechanism), "parameters": c}
+                for c in self.spectrum.weak
+            ],
             "warnings": list(self.warnings),
         }
 

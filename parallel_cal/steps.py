@@ -125,6 +125,15 @@ def _step(
     if effect is not None:
         entry["effect"] = effect
     entry |= {key: document[key] for key in ("method", "samples", "dataset")}
+    entry |= _unusual(document)
     entry |= {key: document[key] for key in ("before", "after", "held_out", "chi2_per_dof")}
     model = replace(result.model, history=(*result.model.history, entry))
     return Step(model, document, warnings)
+
+
+def _unusual(document: Mapping[str, Any]) -> dict[str, Any]:
+    """What was not plain least squares of all free parameters on all samples."""
+    loss = document["loss"] if document["loss"] != "linear" else None
+    samples = [row["sample"] for row in document["down_weighted"]]
+    how = {"loss": loss, "refit": document["refit"], "down_weighted": samples}
+    return {key: value for key, value in how.items() if value}

@@ -24,7 +24,7 @@ NOMINAL = str(ROOT / "config" / "delta_mockup_nominal.yaml")
 DELTA24 = str(ROOT / "config" / "delta24_mockup_identified.yaml")
 BAG = str(ROOT / "bags" / "delta_clean")
 KINDS = ("position", "orientation", "joint", "reading")
-E = {f"{k}_{m}" for k in KINDS for m in ("mean", "rms")}
+E = {f"{k}_{m}" for k in KINDS for m in ("mean", "rms")} | {"closure_rms"}
 
 
 @pytest.fixture(scope="module")

@@ -13,10 +13,11 @@ from parallel_cal.evidence import gather
 from parallel_cal.identification import fit, single_threaded
 from parallel_cal.kinematics import Kinematics
 from parallel_cal.methods.implicit import estimate
-from parallel_cal.model import new_model
+from parallel_cal.model import Noise, new_model
 from parallel_cal.modelfile import read_model, write_model
 from parallel_cal.prior import Prior
 from parallel_cal.refit import considered
+from parallel_cal.steps import fitted
 
 MM = 1e-3
 OFFSETS = "chain?.La_y"  # across the arm: what a joint's zero moves
@@ -185,6 +186,33 @@ def test_three_gross_outliers_are_named_and_do_no_harm(loss, bias):
     assert all(0 < d["weight"] < 0.5 for d in document["down_weighted"])
     assert any(w.startswith(f"samples down-weighted by loss {loss}:") for w in held.warnings)
     assert pulled.document()["down_weighted"] == []
+
+
+def test_the_history_says_what_was_refitted_with_which_loss_and_mistrusted(calibrated, tmp_path):
+    spoilt = few(0)
+    wrong = np.array(spoilt.r)
+    wrong[2] += 3 * MM
+    step = fitted(calibrated, replace(spoilt, r=wrong), refit=[OFFSETS], loss="cauchy", hold_out=0)
+    write_model(step.model, tmp_path / "model.yaml")
+    entry = read_model(tmp_path / "model.yaml").history[-1]
+    assert entry["loss"] == "cauchy"
+    assert entry["refit"] == [f"chain{i}.La_y" for i in (1, 2, 3)]
+    assert entry["down_weighted"] == [2]
+    plain = fitted(calibrated, measured(1), hold_out=0).model.history[-1]
+    assert not {"loss", "refit", "down_weighted"} & plain.keys()
+
+
+def test_refitting_with_assumed_noise_scales_what_is_new_alone(calibrated):
+    """The parameters kept keep their covariance, and what it adds does not depend on the guess."""
+    bare, sigma = few(0), vr.THESIS_NOISE
+    bare = replace(bare, pose_cov=np.zeros_like(bare.pose_cov), joint_sigma=None)
+    found = []
+    for size in (1.0, 7.0):
+        guess = Noise(size * sigma.joint, size * sigma.position, size * sigma.orientation, True)
+        found.append(
+            fit(replace(calibrated, noise=guess), bare, refit=[OFFSETS], hold_out=0).estimate
+        )
+    assert found[0].covariance == pytest.approx(found[1].covariance, rel=1e-3, abs=1e-16)
 
 
 def test_an_unknown_loss_is_a_clear_error():

@@ -5,6 +5,7 @@ rows), unweighted, each pose judged by a fit that left it out.
 """
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -95,9 +96,7 @@ def test_unweighted_line_errors_are_those_of_the_independent_computation(
         assert sigma == pytest.approx(0.010e-3, abs=0.5e-6)
 
 
-def test_by_command_line_build_up_lowers_the_error_at_poses_left_out(
-    samples, dataset, tmp_path, capsys
-):
+def test_by_command_line_build_up_lowers_the_error_at_poses_left_out(samples, tmp_path, capsys):
     plain, better = tmp_path / "plain.yaml", tmp_path / "better.yaml"
     fold = ("--hold-out", EACH_POSE, "--json")
     assert run("fit", MODEL, samples, "-o", plain, *fold) == 0
@@ -109,9 +108,43 @@ def test_by_command_line_build_up_lowers_the_error_at_poses_left_out(
     np.testing.assert_allclose(errors, [2.97e-3, 2.13e-3], rtol=0.02)
     assert 0.08e-3 < after["parameters"][BUILDUP]["value"] < 0.12e-3
     assert after["rank"] == after["free"] == 19
-    lines = [rms(left_out(read_model(file), dataset)) for file in (plain, better)]
+    lines = [d["held_out"]["after"]["closure_rms"] for d in (before, after)]
     assert lines[0] > 1.75e-3
     assert lines[1] < 1.36e-3
+    written = [step["held_out"]["after"] for step in read_model(better).history[1:]]
+    assert [e["closure_rms"] for e in written] == lines
+
+
+def test_the_closure_error_of_the_documents_is_that_of_the_lines(model, dataset):
+    found = fit(model.with_effect("spool_buildup"), dataset, hold_out=0)
+    document = found.document()
+    assert document["before"]["closure_rms"] == pytest.approx(rms(line_errors(model, dataset)))
+    assert document["after"]["closure_rms"] == pytest.approx(rms(line_errors(found.model, dataset)))
+    assert document["held_out"]["after"]["closure_rms"] is None
+    height = np.tile([True, True, False, False, False, False], (len(dataset), 1))
+    blind = fit(model, replace(dataset, measured=height), hold_out=0, prior=True).document()
+    assert blind["after"]["closure_rms"] is None
+
+
+def test_people_see_the_closure_error_of_a_robot_with_more_lines_than_freedoms(samples, capsys):
+    assert run("compare", MODEL, samples) == 0
+    shown = capsys.readouterr().out
+    assert re.search(r"closure, rms of its rows +7234\.15  um", shown)
+    assert "noise alone" not in shown
+
+
+def test_assumed_noise_claims_nothing_but_proportions(model, dataset):
+    found = fit(model, dataset, hold_out=0)
+    document = found.document()
+    assert set(document["noise_floor"]) == set(document["before"])
+    assert set(document["noise_floor"].values()) == {None}
+    assert document["chi2_band"] == [None, None]
+    assert sum("noise: assumed" in w for w in document["warnings"]) == 1
+    assert not any("chi2/dof" in w for w in document["warnings"])
+    stated = fit(replace(model, noise=replace(model.noise, assumed=False)), dataset, hold_out=0)
+    assert any("chi2/dof" in w for w in stated.warnings)
+    ratio = found.estimate.sigma[found.free] / stated.estimate.sigma[found.free]
+    np.testing.assert_allclose(ratio, np.sqrt(document["chi2_per_dof"]))
 
 
 def test_nobody_knows_the_noise_so_it_must_be_stated_or_assumed(model, dataset):
@@ -136,6 +169,7 @@ def test_only_the_ratio_of_assumed_figures_moves_the_estimates(model, dataset):
     np.testing.assert_allclose(
         one.model.values / tolerance, ten.model.values / tolerance, atol=1e-3
     )
+    np.testing.assert_allclose(one.estimate.sigma, ten.estimate.sigma, rtol=1e-3)
 
 
 def test_build_up_is_found_first_and_nothing_claims_that_the_noise_is_reached(model, dataset):
@@ -146,6 +180,17 @@ def test_build_up_is_found_first_and_nothing_claims_that_the_noise_is_reached(mo
     assert found["candidates"][0]["p_value"] < 1e-12
     assert found["effects"] == ["spool_buildup"]
     assert found["verdict"] == "cannot_know"
+
+
+@pytest.mark.parametrize("loss", ["huber", "cauchy"])
+def test_a_robust_loss_finds_its_own_scale_where_the_noise_is_assumed(model, dataset, loss):
+    noise, model = model.noise, model.with_effect("spool_buildup")
+    tenfold = replace(noise, joint=10 * noise.joint, position=10 * noise.position)
+    one, ten = (
+        fit(replace(model, noise=n), dataset, hold_out=0, loss=loss) for n in (noise, tenfold)
+    )
+    np.testing.assert_allclose(one.estimate.weight, ten.estimate.weight, atol=1e-3)
+    assert one.estimate.weight.min() < 0.8
 
 
 def test_a_robust_loss_copes_with_three_gross_outliers(model, dataset):

@@ -15,7 +15,7 @@ from virtual_small import Cable
 from virtual_stewart import column, numbered
 
 STEPS = 400
-FALL = np.array([0.0, 0.0, -9.80665])
+FALL = (0.0, 0.0, -9.81)  # m/s^2
 
 
 @dataclass(frozen=True)
@@ -31,10 +31,14 @@ class WoundCable(Cable):
     """The cable robot of virtual_small with real line on its spools."""
 
     def __init__(
-        self, parameters: Parameters, line: Line, spools: tuple[int, ...] = (1, 1, 1, 2)
+        self,
+        parameters: Parameters,
+        line: Line,
+        spools: tuple[int, ...] = (1, 1, 1, 2),
+        fall: ArrayLike = FALL,
     ) -> None:
         super().__init__(parameters, spools)
-        self.line = line
+        self.line, self.fall = line, np.asarray(fall, float)
         names = numbered("line", len(spools))
         self.gear = column(parameters, "gear", names)
         self.strands = column(parameters, "advantage", names)
@@ -62,7 +66,7 @@ class WoundCable(Cable):
         if np.isinf(self.line.EA):
             return r
         free = np.linalg.norm(r[:, None, :] - self.anchors, axis=-1)
-        weight = np.asarray(mass)[:, None] * FALL
+        weight = np.asarray(mass)[:, None] * self.fall
 
         def unbalanced(sag: Array) -> Array:
             to_anchor = self.anchors - (r + sag)[:, None, :]

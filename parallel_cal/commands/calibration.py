@@ -16,6 +16,7 @@ from parallel_cal.modelfile import model_hash, read_model, write_model
 from parallel_cal.steps import Step, added, fitted, removed
 
 ARCMIN = 60 * 180 / np.pi
+BEYOND_CHANCE = 0.05
 
 
 def fit(
@@ -81,14 +82,14 @@ def _finish(step: Step, output: Path | None, as_json: bool) -> None:
 def _show_fit(document: dict[str, Any], model: Model) -> None:
     held = document["held_out"]
     columns = {"before": document["before"], "after": document["after"]}
-    columns["left out, before"], columns["left out, after"] = held["before"], held["after"]
-    if document.get("noise_floor"):
-        columns["noise alone"] = document["noise_floor"]
+    without = document.get("held_out_without_effect")  # judged like the new model
+    columns["left out, without it" if without else "left out, before"] = without or held["before"]
+    columns["left out, after"] = held["after"]
     console.say(
         f"{document['samples']} samples, {document['rank']} of {document['free']} free parameters "
         f"identified, chi2/dof {console.number(document['chi2_per_dof'])}"
     )
-    console.errors_table(columns, model.mechanism.joint_units)
+    show_errors(columns, document["noise_floor"], model)
     rows = []
     for name, p in document["parameters"].items():
         if not p["fixed"]:
@@ -101,6 +102,16 @@ def _show_fit(document: dict[str, Any], model: Model) -> None:
         console.say(f"written: {document['output']} (sha256 {document['hash'][:12]})")
 
 
+def show_errors(
+    columns: dict[str, dict[str, Any]], floor: dict[str, float | None], model: Model
+) -> None:
+    """Errors beside those of noise alone, where somebody knows the noise."""
+    if any(v is not None for v in floor.values()):
+        columns = columns | {"noise alone": floor}
+    redundant = model.structure.phi.shape[0] > len(model.mechanism.moved)
+    console.errors_table(columns, model.mechanism.joint_units, closure=redundant)
+
+
 def compare(
     model_file: Path, bags: list[Path], joint_sigma: float | None, data: list[str], as_json: bool
 ) -> None:
@@ -110,11 +121,8 @@ def compare(
     console.warn(dataset.warnings)
     if as_json:
         return console.emit(document)
-    columns = {"error": document}
-    if document.get("noise_floor"):
-        columns["noise alone"] = document["noise_floor"]
     console.say(f"{document['samples']} samples")
-    console.errors_table(columns, model.mechanism.joint_units)
+    show_errors({"error": document}, document["noise_floor"], model)
     console.say("worst samples:")
     _show_rows(document["rows"][:10], document["channels"])
     _show_where(document["where"])
@@ -137,14 +145,21 @@ def _show_rows(rows: list[dict[str, Any]], channels: list[str]) -> None:
 
 
 def _show_where(where: dict[str, Any]) -> None:
-    """What the errors go with, strongest first, and whether neighbours err alike."""
-    console.say("errors go with:")
-    rows = [(a["name"], console.number(a["strength"], 1, 1)) for a in where["along"][:5]]
-    console.table(("along", "largest mean [sigma]"), rows)
+    """What the errors go with, beyond chance, and whether neighbours err alike."""
+    rows = [
+        (a["name"], console.number(a["strength"], 1, 1), f"{a['p_value']:.2g}")
+        for a in where["along"][:5]
+        if a["p_value"] < BEYOND_CHANCE
+    ]
+    if rows:
+        console.say("errors go with:")
+        console.table(("along", "largest mean [sigma]", "p"), rows)
+    else:
+        console.say("errors go with nothing recorded, beyond chance")
     worst = where["regions"][0]
     console.say(
         f"worst region: {worst['region']}, {console.number(worst['position_rms'], 1e6, 0)} um rms; "
-        f"neighbours alike: p = {where['structure']['p_value']:.2g}"
+        f"structure: p = {where['structure']['p_value']:.2g}"
     )
     for row in where["odd_samples"][:5]:
         console.say(f"odd: sample {row['sample']}, {row['sigmas']:.1f} sigmas")

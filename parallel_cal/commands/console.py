@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 # what a person reads -> factor from SI; the unit is always printed beside the number
-READABLE = {"m": ("mm", 1e3), "rad": ("deg", 180 / math.pi)}
+READABLE = {"m": ("mm", 1e3), "rad": ("deg", 180 / math.pi), "1": ("", 1.0)}
 ERROR_UNITS = {
     "position": ("um", 1e6),
     "orientation": ("arcmin", 60 * 180 / math.pi),
@@ -95,9 +95,11 @@ def progress(stage: str, fraction: float) -> None:
         sys.stderr.flush()
 
 
-def errors_table(columns: Mapping[str, Mapping[str, Any]], joint_units: Sequence[str]) -> None:
+def errors_table(
+    columns: Mapping[str, Mapping[str, Any]], joint_units: Sequence[str], closure: bool = False
+) -> None:
     """Mean and rms errors of what was measured, one column for each of before, after, ... (as
-    table 5.15)."""
+    table 5.15); with `closure` that of the closure's rows, too (where they are redundant)."""
     names = set(joint_units)
     joint = ("um", 1e6) if names == {"m"} else ("arcmin", 60 * 180 / math.pi)
     if len(names) > 1:  # turns and slides in one norm have no people's unit
@@ -110,4 +112,7 @@ def errors_table(columns: Mapping[str, Mapping[str, Any]], joint_units: Sequence
         for measure in ("mean", "rms"):
             cells = [number(c.get(f"{kind}_{measure}"), factor, 2) for c in columns.values()]
             rows.append([f"{kind} error, {measure}", *cells, unit])
+    if closure:
+        cells = [number(c.get("closure_rms"), 1e6, 2) for c in columns.values()]
+        rows.append(["closure, rms of its rows", *cells, "um"])
     table(["", *columns, "unit"], rows)

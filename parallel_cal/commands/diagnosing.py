@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from parallel_cal.commands import console
-from parallel_cal.commands.calibration import model_and_data
+from parallel_cal.commands.calibration import model_and_data, show_errors
 from parallel_cal.diagnosis import diagnose as diagnosed
 
 SHOWN = 8  # candidates that a person reads
@@ -25,16 +25,15 @@ def diagnose(
     columns = {
         "left out, as it is": document["baseline"],
         "left out, with it": document["best"],
-        "noise alone": document["noise"]["floor"],
     }
-    console.errors_table(columns, model.mechanism.joint_units)
+    show_errors(columns, document["noise"]["floor"], model)
     _show_candidates(document["candidates"])
     _show_odd(document["odd_samples"])
     _show_next(document["measure_next"])
 
 
 def _show_candidates(candidates: list[dict[str, Any]]) -> None:
-    tested = [c for c in candidates if c["p_value"] is not None]
+    tested = [c for c in candidates if c["p_adjusted"] is not None][:SHOWN]
     header = ("effect", "p", "left out", "explains", "first pick", "not geometry", "confused with")
     console.table(
         header,
@@ -46,13 +45,13 @@ def _show_candidates(candidates: list[dict[str, Any]]) -> None:
                 console.number(c["share_explained"], 100, 0) + " %",
                 console.number(c["first_picks"], 100, 0) + " %",
                 console.number(c["remaining_after_geometry"], 100, 0) + " %",
-                ", ".join(c["confused_with"]) or c["reason"],
+                ", ".join(c["confused_with"]),
             )
-            for c in tested[:SHOWN]
+            for c in tested
         ],
     )
     for c in candidates:
-        if c["missing_conditions"]:
+        if c["missing_conditions"] or (c["reason"] and (c in tested or c["p_value"] is not None)):
             console.say(f"{c['effect']}: {c['reason']}")
 
 

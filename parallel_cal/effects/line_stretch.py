@@ -9,8 +9,6 @@ from parallel_cal.mechanism import Mechanism
 from parallel_cal.mechanisms.cable import Cable
 from parallel_cal.parameters import Named, Parameter
 
-GRAVITY = ca.DM([0, 0, -9.80665])  # m/s^2 in {B}
-
 
 class LineStretch(Effect):
     """r_ideal = r - compliance * K^-1 (mass + payload) g, K = sum of advantage u u^T / L.
@@ -39,7 +37,7 @@ class LineStretch(Effect):
         return "" if isinstance(mechanism, Cable) else "no line holds the platform"
 
     def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
-        weight = (e.mass + at["payload"]) * GRAVITY
+        weight = (e.mass + at["payload"]) * ca.DM(mechanism.gravity)
         sag = e.compliance * ca.solve(_stiffness(seen, len(mechanism.joints)), weight)
         return seen.with_pose(seen.r - sag, seen.R)
 

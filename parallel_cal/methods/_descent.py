@@ -10,7 +10,7 @@ import numpy as np
 from parallel_cal.errors import FitError
 from parallel_cal.evidence import Evidence
 from parallel_cal.linearisation import Linearisation, System
-from parallel_cal.methods._estimate import GAIN, STEP, Estimate, concluded, damped_step
+from parallel_cal.methods._estimate import GAIN, STEP, Estimate, Normal, concluded
 from parallel_cal.model import Model
 from parallel_cal.prior import Knowledge, Prior
 
@@ -45,7 +45,7 @@ def minimise(
     if system is None:
         raise FitError("the starting model has no solution at some samples: start nearer")
     for k in range(iterations):
-        step, promised = damped_step(system, values, tolerance, known, damping)
+        step, promised = Normal(system, values, tolerance, known).step(damping)
         trial = values.copy()
         trial[free] += step
         tried = linearise(trial)

@@ -41,21 +41,33 @@ class Estimate:
         return np.where(self.lost, np.inf, np.sqrt(np.diag(self.covariance)))
 
 
-def damped_step(
-    system: System, values: np.ndarray, tolerance: np.ndarray, known: Knowledge, damping: float
-) -> tuple[np.ndarray, float]:
-    """One damped Gauss-Newton step from the normal equations, scaled by tolerances, and the
-    fall of chi2 that it promises."""
-    J = system.columns
-    normal = (J.T @ J) * np.outer(tolerance, tolerance) + known.information
-    gradient = tolerance * (J.T @ system.residual.reshape(-1)) + known.gradient(values)
-    size, directions = np.linalg.eigh(normal)
-    floor = max(1e-13 * size[-1], 1e-300)
-    # Directions the data cannot see keep their values: no walk along them.
-    damped = size + damping * np.maximum(size, 1e-6 * size[-1])  # weak directions wait
-    inverse = np.where(size > floor, 1 / np.maximum(damped, floor), 0.0)
-    along = directions.T @ gradient
-    return -tolerance * (directions @ (inverse * along)), float(np.sum(inverse * along**2))
+class Normal:
+    """The normal equations at a point, scaled by tolerances, along their own directions."""
+
+    def __init__(self, system: System, values: np.ndarray, tolerance: np.ndarray, known: Knowledge):
+        J = system.columns
+        normal = (J.T @ J) * np.outer(tolerance, tolerance) + known.information
+        gradient = tolerance * (J.T @ system.residual.reshape(-1)) + known.gradient(values)
+        self._size, directions = np.linalg.eigh(normal)
+        self._tolerance, self._directions = tolerance, directions
+        self._along, self._chi2 = directions.T @ gradient, system.chi2
+
+    def step(self, damping: float) -> tuple[np.ndarray, float]:
+        """A damped Gauss-Newton step (n_free,), and the fall of chi2 that it promises."""
+        size = self._size
+        floor = max(1e-13 * size[-1], 1e-300)
+        # Directions the data cannot see keep their values: no walk along them.
+        damped = size + damping * np.maximum(size, 1e-6 * size[-1])  # weak directions wait
+        inverse = np.where(size > floor, 1 / np.maximum(damped, floor), 0.0)
+        step = -self._tolerance * (self._directions @ (inverse * self._along))
+        return step, float(np.sum(inverse * self._along**2))
+
+    @property
+    def arrived(self) -> bool:
+        """Whether there is nothing left to gain; a damped step may be short far from there."""
+        step, left = self.step(0.0)
+        short = np.max(np.abs(step / self._tolerance), initial=0.0) < STEP
+        return bool(short or left < GAIN * self._chi2)
 
 
 def concluded(

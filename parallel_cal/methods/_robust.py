@@ -34,7 +34,8 @@ def robust(
 
     Dividing a sample's covariance by its weight multiplies its whitened residual by sqrt(w), so
     the method itself is untouched. chi2 is of the weighted residuals, sigma that of the last
-    weights, without a correction for the loss. FitError for an unknown loss.
+    weights, without a correction for the loss. Where the noise was only assumed, the residuals
+    themselves say what is large. FitError for an unknown loss.
     """
     if loss not in LOSSES:
         raise FitError(f"no loss '{loss}'; there are linear, {', '.join(LOSSES)}")
@@ -46,7 +47,9 @@ def robust(
                 f"loss '{loss}' needs every sample, but this method leaves out those near "
                 "singularities; use the implicit method"
             )
-        before, weight = weight, LOSSES[loss](_sizes(found.residuals) / np.sqrt(weight))
+        plain = found.residuals / np.sqrt(weight)[:, None]
+        unit = _scale(plain) if evidence.noise_assumed else 1.0
+        before, weight = weight, LOSSES[loss](_sizes(plain) / unit)
         model = model.with_values(found.values)
         if np.abs(weight - before).max() < 1e-6:
             break
@@ -56,6 +59,11 @@ def robust(
 def reweighted(evidence: Evidence, weight: np.ndarray | None) -> Evidence:
     """Samples whose noise is that of their weight (N,)."""
     return evidence if weight is None else replace(evidence, S=evidence.S / weight[:, None, None])
+
+
+def _scale(residuals: np.ndarray) -> float:
+    """Sigma of most of the measured rows, by their median deviation, where nobody knows it."""
+    return max(1.4826 * float(np.median(np.abs(residuals[residuals != 0]))), 1e-300)
 
 
 def _sizes(residuals: np.ndarray) -> np.ndarray:

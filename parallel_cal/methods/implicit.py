@@ -6,16 +6,28 @@ measured) quantities, is the Gauss-Helmert model: orthogonal distance regression
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from parallel_cal.errors import FitError
 from parallel_cal.evidence import Evidence
-from parallel_cal.linearisation import Linearisation
-from parallel_cal.methods._estimate import GAIN, STEP, Estimate, concluded, damped_step
+from parallel_cal.linearisation import Linearisation, System
+from parallel_cal.methods._estimate import Estimate, Normal, concluded
 from parallel_cal.model import Model
 from parallel_cal.prior import Knowledge, Prior
 
 __all__ = ["Estimate", "Linearisation", "estimate"]
+
+
+@dataclass(frozen=True)
+class _Point:
+    """Parameters, the closure linearised there, the way on, and chi2 with what a prior adds."""
+
+    values: np.ndarray
+    system: System
+    normal: Normal
+    cost: float
 
 
 def estimate(
@@ -35,29 +47,38 @@ def estimate(
     """
     tolerance, known = model.table.tolerance[free], Knowledge(prior, model.table, free)
     linearise = Linearisation(model, evidence, free, weighted)
-    values, x = np.array(model.values), linearise.start()
-    system = linearise(values, x)
-    damping = 1e-6
-    for k in range(iterations):
-        step, promised = damped_step(system, values, tolerance, known, damping)
-        trial = values.copy()
-        trial[free] += step
-        if k > 0 and promised < GAIN * system.chi2:  # nothing left to gain by another look
-            return concluded(model, trial, system, free, prior, k)
+
+    def at(values: np.ndarray, x: np.ndarray) -> _Point:
+        system = linearise(values, x)
+        normal = Normal(system, values, tolerance, known)
+        return _Point(values, system, normal, system.chi2 + known.cost(values))
+
+    def ahead(point: _Point, damping: float) -> tuple[_Point, float]:
+        step, promised = point.normal.step(damping)
+        values = point.values.copy()
+        values[free] += step
         # The adjusted quantities follow from the step by the linearised closure.
-        x_trial = system.adjusted(step)
-        tried = linearise(trial, x_trial)
-        before, after = system.chi2 + known.cost(values), tried.chi2 + known.cost(trial)
-        small = np.max(np.abs(step / tolerance), initial=0.0) < STEP
-        if small or after <= before * (1 + 1e-9):
-            values, x, system, damping = trial, x_trial, tried, max(damping / 5, 1e-12)
-        else:
-            damping = max(damping * 3, 1e-6)
-        if small:
-            return concluded(model, values, system, free, prior, k + 1)
+        return at(values, point.system.adjusted(step)), promised
+
+    here, damping = at(np.array(model.values), linearise.start()), 1e-6
+    for k in range(iterations):
+        if k > 0 and here.normal.arrived:
+            return concluded(model, here.values, here.system, free, prior, k)
+        tried, promised = ahead(here, damping)
+        if tried.cost > here.cost:
+            # A step along a curved valley ends on its slope; a second one leads to its floor.
+            tried, _ = ahead(tried, damping)
+        fall = here.cost - tried.cost
+        # Short of half the promise, curvature counts: longer steps would only swing.
+        damping = max(damping / 5, 1e-12) if fall > promised / 2 else max(damping * 3, 1e-6)
+        # Costs compare only between adjusted quantities, which those measured are not yet.
+        stay = np.zeros(len(tolerance))
+        closer = fall >= -1e-9 * here.cost
+        here = tried if closer else at(here.values, here.system.adjusted(stay))
         if damping > 1e12:
             break
     raise FitError(
-        f"identification did not converge in {iterations} iterations (chi2 {system.chi2:.3g} of "
-        f"{len(evidence)} samples); is the starting model of the right robot, are units right?"
+        f"identification did not converge in {iterations} iterations "
+        f"(chi2 {here.system.chi2:.3g} of {len(evidence)} samples); is the starting model of "
+        "the right robot, are units right?"
     )

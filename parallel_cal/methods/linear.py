@@ -7,7 +7,7 @@ import numpy as np
 from parallel_cal.evidence import Evidence
 from parallel_cal.linearisation import Linearisation
 from parallel_cal.methods._descent import judged, spread
-from parallel_cal.methods._estimate import Estimate, concluded, damped_step
+from parallel_cal.methods._estimate import Estimate, Normal, concluded
 from parallel_cal.model import Model
 from parallel_cal.prior import Knowledge, Prior
 
@@ -28,7 +28,7 @@ def estimate(
     tolerance, known = model.table.tolerance[free], Knowledge(prior, model.table, free)
     linearise = Linearisation(model, evidence, free, weighted)
     system = linearise(np.array(model.values), linearise.start())
-    step, _ = damped_step(system, model.values, tolerance, known, 0.0)
+    step, _ = Normal(system, model.values, tolerance, known).step(0.0)
     values = np.array(model.values)
     values[free] += step
     if weighted:

@@ -44,7 +44,8 @@ def against(document: Document, plot: Plot) -> str:
     found, residuals = document["against"], document["residuals"]
     names = ("this model", "the other")
     columns = {name: s["errors"] for name, s in zip(names, found["sides"], strict=True)}
-    columns["noise alone"] = found["sides"][0]["noise"]
+    if any(v is not None for v in found["sides"][0]["noise"].values()):
+        columns["noise alone"] = found["sides"][0]["noise"]
     pictures = "".join(
         _side(name, side, residuals, plot) for name, side in zip(names, found["sides"], strict=True)
     )

@@ -39,15 +39,10 @@ def numbers(document: Document) -> str:
     if errors["found"]:
         effects = " and ".join(document["diagnosis"]["effects"])
         tiles.append(_tile(f"with {effects}", errors["found"], kinds, units, "found"))
-    tiles.append(_tile(floor_words(document), errors["noise"], kinds, units))
+    if any(v is not None for v in errors["noise"].values()):  # else nobody knows it
+        tiles.append(_tile("noise alone", errors["noise"], kinds, units))
     note = paragraph("RMS of the error's norm at poses left out of the fit.", "note")
     return f'<section id="numbers"><div class="tiles">{"".join(tiles)}</div>{note}</section>'
-
-
-def floor_words(document: Document) -> str:
-    """What the floor is called: a guess is no measurement."""
-    assumed = "assumed" in document["provenance"]["noise_from"].values()
-    return "noise alone, if as assumed" if assumed else "noise alone"
 
 
 def _tile(
@@ -66,9 +61,8 @@ def _value(e: Mapping[str, Any], kind: str, si: str) -> str:
 def history(document: Document, plot: Plot) -> str:
     """The falling error, a chart for each kind."""
     floor, units = document["errors"]["noise"], document["provenance"]["joint_units"]
-    named = floor_words(document)
     charts = [
-        figures.history(document["history"], floor, kind, named, unit_of(kind, units))
+        figures.history(document["history"], floor, kind, "noise alone", unit_of(kind, units))
         for kind in shown_kinds(document["errors"])
     ]
     if not charts:
