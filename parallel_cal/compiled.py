@@ -17,6 +17,8 @@ import numpy as np
 
 log = logging.getLogger(__name__)
 
+LARGE = 10_000  # instructions: looking for common ones would take longer than it saves
+
 
 class Single:
     """A function of vectors, called through one buffer: microseconds a call, thread-safe."""
@@ -103,7 +105,10 @@ class _Chunk:
 
 
 def dense(name: str, inputs: Sequence[ca.SX], outputs: Sequence[ca.SX]) -> ca.Function:
-    """A function with dense outputs and common sub-expressions shared."""
+    """A function with dense outputs; common sub-expressions shared where it is not too large."""
+    plain = ca.Function(name, list(inputs), [ca.densify(o) for o in outputs])
+    if plain.n_instructions() > LARGE:
+        return plain
     return ca.Function(name, list(inputs), [ca.densify(o) for o in ca.cse(list(outputs))])
 
 

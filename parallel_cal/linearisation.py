@@ -18,6 +18,7 @@ from parallel_cal.model import Model
 from parallel_cal.rotation import rotation_matrix, rotation_vector
 
 BLOCK = 1024  # samples at a time: what is in work then stays in the processor's cache
+MANY = 50_000  # samples from which compiled code pays, even where the cache does not hold it yet
 
 Adjust = Callable[[np.ndarray], np.ndarray]
 
@@ -46,8 +47,9 @@ class Linearisation:
 
     def __init__(self, model: Model, evidence: Evidence, free: np.ndarray, weighted: bool):
         self._evidence, self._model, self._weighted = evidence, model, weighted
-        self._free = slice(None) if np.all(free) else np.flatnonzero(free)  # no copy of all
-        self._n_free, self._batch = int(np.sum(free)), model.structure.rows_batch
+        self._free = None if np.all(free) else np.flatnonzero(free)  # no copy of all
+        s, self._n_free = model.structure, int(np.sum(free))
+        self._batch = s.rows_compiled if len(evidence) >= MANY else s.rows_batch
         self._rows = model.structure.rows.shape[0]
         closure = model.structure.phi.shape[0]
         # A channel that was not read is an unknown of its own row, projected out as one.
@@ -126,8 +128,10 @@ class Linearisation:
         phi, C, J = self._batch(x, self._evidence.a[part], values)
         phi[:, self._rows - self._read.shape[1] :] -= self._read[part]
         C = C.reshape(len(x), -1, self._rows).transpose(0, 2, 1)
-        J = J.reshape(len(x), -1, self._rows)[:, self._free].transpose(0, 2, 1)
-        return phi, C, J
+        J = J.reshape(len(x), -1, self._rows)
+        if self._free is not None:
+            J = J.take(self._free, axis=1)  # indexing would put samples last: slow to multiply
+        return phi, C, J.transpose(0, 2, 1)
 
     def _covariance(self, part: slice) -> np.ndarray:
         """S of some samples, zero where not measured."""

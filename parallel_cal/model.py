@@ -10,11 +10,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from parallel_cal.compiled import Batch, dense
+from parallel_cal.compiled import Batch, compiled, dense
 from parallel_cal.effect import CONDITIONS, Effect, Seen, load_effect
 from parallel_cal.errors import ModelError
 from parallel_cal.mechanism import Mechanism, load_mechanism
 from parallel_cal.parameters import Named, ParameterTable
+from parallel_cal.rotation import left_generators
 from parallel_cal.sensor import Sensor
 
 
@@ -63,7 +64,7 @@ class Structure:
         """The closure of the ideal mechanism at what the effects let it see."""
         seen = self.seen
         phi = ca.vertcat(self.mechanism.closure(seen.q, seen.r, seen.R, seen.p))
-        return self._checked(phi)
+        return self._checked(ca.cse(phi))  # before it is differentiated: once, not once a slope
 
     def _checked(self, phi: Any) -> Any:
         moved = len(self.mechanism.moves)
@@ -82,26 +83,27 @@ class Structure:
     @cached_property
     def jacobian_pose(self) -> Any:
         """d phi / d (r, w) with R <- exp(w) R, shape (rows, 6)."""
-        return self._by_pose(self.phi)
-
-    def _by_pose(self, rows: Any) -> Any:
         # Through a small left turn, not through R's nine entries: a third fewer operations.
         w = ca.SX.sym("w", 3)
-        turned = ca.substitute(rows, self.R9, ca.vec((self.R + ca.skew(w) @ self.R).T))
+        turned = ca.substitute(self.phi, self.R9, ca.vec((self.R + ca.skew(w) @ self.R).T))
         by_turn = ca.substitute(ca.jacobian(turned, w), w, ca.DM.zeros(3))
-        return ca.horzcat(ca.jacobian(rows, self.r), by_turn)
+        return ca.horzcat(ca.jacobian(self.phi, self.r), by_turn)
 
     @cached_property
     def jacobian_configuration(self) -> Any:
         """d phi / d (q, r, w), shape (rows, n_joints + 6)."""
         return ca.horzcat(ca.jacobian(self.phi, self.q), self.jacobian_pose)
 
+    def _slopes(self, rows: Any) -> tuple[Any, Any]:
+        """d rows / d (q, r, w) and d rows / dv: in one, they share most of their operations."""
+        J, n = ca.jacobian(rows, ca.vertcat(self.configuration, self.v)), self.q.numel() + 3
+        return ca.horzcat(J[:, :n], J[:, n : n + 9] @ left_generators(self.R)), J[:, n + 9 :]
+
     @cached_property
     def closure(self) -> ca.Function:
         """(configuration, a, v) -> phi, d phi/d(q, r, w), d phi/dv."""
         inputs = (self.configuration, self.a, self.v)
-        outputs = (self.phi, self.jacobian_configuration, ca.jacobian(self.phi, self.v))
-        return dense("closure", inputs, outputs)
+        return dense("closure", inputs, (self.phi, *self._slopes(self.phi)))
 
     @cached_property
     def closure_batch(self) -> Batch:
@@ -157,16 +159,24 @@ class Structure:
         return ca.vertcat(phi, *readings)
 
     @cached_property
-    def rows_batch(self) -> Batch:
-        """(configuration, a, v) -> rows, d rows/d(q, r, w), d rows/dv, on arrays."""
+    def rows_function(self) -> ca.Function:
+        """(configuration, a, v) -> rows, d rows/d(q, r, w), d rows/dv."""
         if not self.sensors:
-            return self.closure_batch
+            return self.closure
         inputs = (self.configuration, self.a, self.v)
-        by_x = ca.horzcat(ca.jacobian(self.rows, self.q), self._by_pose(self.rows))
-        outputs = (self.rows, by_x, ca.jacobian(self.rows, self.v))
-        return Batch(dense("rows", inputs, outputs))
+        return dense("rows", inputs, (self.rows, *self._slopes(self.rows)))
 
-    @lru_cache(maxsize=8)  # noqa: B019  (lives as long as the structure, which is cached itself)
+    @cached_property
+    def rows_batch(self) -> Batch:
+        """`rows_function` on arrays of samples."""
+        return Batch(self.rows_function) if self.sensors else self.closure_batch
+
+    @cached_property
+    def rows_compiled(self) -> Batch:
+        """The same as machine code: very many samples repay the second that compiling takes."""
+        return Batch(compiled(self.rows_function))
+
+    @lru_cache(maxsize=64)  # noqa: B019  (lives as long as the structure, which is cached itself)
     def columns(self, which: tuple[int, ...]) -> Batch:
         """(configuration, a, v) -> d rows/d(some of v), on arrays: what a new effect would do."""
         inputs = (self.configuration, self.a, self.v)
@@ -278,11 +288,14 @@ class Model:
         effect = load_effect(name)
         if reason := effect.applies(self.mechanism):
             raise ModelError(f"'{name}' makes no sense for {self.mechanism.name}: {reason}")
-        model = effect.added_to(self)
-        values = model.values.copy()
-        for key, value in (settings or {}).items():
-            values[model.table.index_of(f"{name}.{key}")] = value
-        return replace(model, values=values)
+        return effect.added_to(self).with_settings(name, settings or {})
+
+    def with_settings(self, effect: str, settings: Mapping[str, float]) -> Model:
+        """The model with some numbers of an effect, by short name, at these values."""
+        values = self.values.copy()
+        for key, value in settings.items():
+            values[self.table.index_of(f"{effect}.{key}")] = value
+        return replace(self, values=values)
 
     def robot(self) -> Model:
         """The robot alone, as its controller needs it: effects of the measuring device at zero."""

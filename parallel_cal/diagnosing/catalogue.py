@@ -77,22 +77,22 @@ def candidate(here: Scene, name: str) -> Candidate:
         return _wider(here, name, effect, plain)
     a = conditions(plain, here.dataset)
     settings = list(effect.scan(here.model.mechanism))
-    scores = [score_of(here, name, setting, a) for setting in settings]
+    scores = [score_of(here, plain, setting, a) for setting in settings]
     best = int(np.argmin([s.log_p for s in scores]))
     setting, found = settings[best], scores[best]
     if len(settings) > 1 and len(setting) == 1 and found.log_p < WORTH_REFINING:
-        setting, found = _refined(here, name, settings, best, a)
+        setting, found = _refined(here, plain, settings, best, a)
     return Candidate(name, effect, setting, found, here, len(settings), (), _unseen(found))
 
 
-def score_of(here: Scene, name: str, settings: Mapping[str, float], a: np.ndarray) -> Score:
-    """The score of an effect with these settings under conditions a (N, n_conditions)."""
-    extended = here.model.with_effect(name, settings)
+def score_of(here: Scene, plain: Model, settings: Mapping[str, float], a: np.ndarray) -> Score:
+    """The score of a model's last effect with these settings, conditions a (N, n_conditions)."""
+    extended = plain.with_settings(plain.effects[-1].name, settings)
     return score(here, columns_at(extended, here, a, new_numbers(here.model, extended)))
 
 
 def _refined(
-    here: Scene, name: str, settings: list[Mapping[str, float]], best: int, a: np.ndarray
+    here: Scene, plain: Model, settings: list[Mapping[str, float]], best: int, a: np.ndarray
 ) -> tuple[Mapping[str, float], Score]:
     """The best value between the neighbours of the best one scanned."""
     from scipy.optimize import minimize_scalar
@@ -100,13 +100,13 @@ def _refined(
     (key,) = settings[best]
     near = sorted(s[key] for s in settings[max(best - 1, 0) : best + 2])
     found = minimize_scalar(
-        lambda value: score_of(here, name, {key: value}, a).log_p,
+        lambda value: score_of(here, plain, {key: value}, a).log_p,
         bounds=(near[0], near[-1]),
         method="bounded",
         options={"xatol": 1e-3 * (near[-1] - near[0])},
     )
     refined = {key: float(found.x)}
-    return refined, score_of(here, name, refined, a)
+    return refined, score_of(here, plain, refined, a)
 
 
 def _unseen(found: Score) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 
 from parallel_cal.diagnosing.fields import Field
 from parallel_cal.diagnosing.scene import Scene
-from parallel_cal.diagnosing.statistics import runs_test
+from parallel_cal.diagnosing.statistics import normal_below, runs_test
 from parallel_cal.diagnosing.structure import regressors
 
 WINDOW = 15  # samples of the rolling mean
@@ -18,8 +18,8 @@ GROSS = 1e-3  # chance of one such sample in a whole data set
 def along(here: Scene, found: Field) -> list[dict[str, Any]]:
     """For every regressor the rolling mean of each residual component with its 99 % band.
 
-    `strength` is the largest mean in units of its own uncertainty: above the band there is
-    something; largest first.
+    `strength` is the largest mean in units of its own uncertainty, `p_value` the chance of one as
+    large among so many; largest first.
     """
     z = found.noise_units
     entries = [_along(name, values, z) for name, values in regressors(here)]
@@ -45,6 +45,7 @@ def _along(name: str, values: np.ndarray, z: np.ndarray) -> dict[str, Any]:
         "mean": means.tolist(),
         "band": (2.576 / np.sqrt(count)).tolist(),
         "strength": float(strength.max(initial=0.0)),
+        "p_value": min(1.0, 2 * strength.size * normal_below(-float(strength.max(initial=0.0)))),
         "runs_p_value": runs_test(z[order]),
     }
 

@@ -95,11 +95,9 @@ def resampled(
     names = np.unique(here.group)
     gram = np.array([_gram(blocks[here.group == g]) for g in names])
     p, ends = here.basis.shape[1], np.cumsum([here.basis.shape[1], *[g.shape[1] for g in groups]])
-    rng, found = np.random.default_rng(seed), np.zeros((resamples, len(groups)))
-    for row in found:
-        count = np.bincount(rng.integers(len(names), size=len(names)), minlength=len(names))
-        row[:] = _log_ps(np.tensordot(count.astype(float), gram, axes=1), p, ends, here.dof)
-    return found
+    picks = np.random.default_rng(seed).integers(len(names), size=(resamples, len(names)))
+    count = np.array([np.bincount(row, minlength=len(names)) for row in picks], dtype=float)
+    return _log_ps(np.tensordot(count, gram, axes=1), p, ends, here.dof)
 
 
 def _gram(block: np.ndarray) -> np.ndarray:
@@ -107,16 +105,19 @@ def _gram(block: np.ndarray) -> np.ndarray:
     return np.asarray(rows.T @ rows)
 
 
-def _log_ps(G: np.ndarray, p: int, ends: np.ndarray, dof: int) -> list[float]:
-    """log p of every group from a Gram matrix of [basis, groups, residual]."""
-    # Directions that this resample does not see are held by a grain of the identity.
-    A = G[:p, :p] + 1e-9 * np.eye(p) * max(np.trace(G[:p, :p]) / max(p, 1), 1e-12)
-    left = G[p:, p:] - G[p:, :p] @ np.linalg.solve(A, G[:p, p:])
-    rr, logs = float(left[-1, -1]), []
-    for begin, end in zip(ends[:-1] - p, ends[1:] - p, strict=True):
+def _log_ps(G: np.ndarray, p: int, ends: np.ndarray, dof: int) -> np.ndarray:
+    """log p (resamples, k) of every group from Gram matrices of [basis, groups, residual]."""
+    # Directions that a resample does not see are held by a grain of the identity.
+    grain = 1e-9 * np.maximum(np.trace(G[:, :p, :p], axis1=1, axis2=2) / max(p, 1), 1e-12)
+    A = G[:, :p, :p] + grain[:, None, None] * np.eye(p)
+    left = G[:, p:, p:] - G[:, p:, :p] @ np.linalg.solve(A, G[:, :p, p:])
+    rr, logs = left[:, -1, -1], np.zeros((len(G), len(ends) - 1))
+    for column, begin, end in zip(logs.T, ends[:-1] - p, ends[1:] - p, strict=True):
         q = end - begin
-        M, g = left[begin:end, begin:end], left[begin:end, -1]
-        taken = float(g @ np.linalg.lstsq(M, g, rcond=1e-6)[0]) if q else 0.0
-        F = (taken / max(q, 1)) / max((rr - taken) / max(dof - q, 1), 1e-300)
-        logs.append(log_p_of(max(F, 0.0), q, dof - q) if q and dof > q else 0.0)
+        if not q or dof <= q:
+            continue
+        M, g = left[:, begin:end, begin:end], left[:, begin:end, -1:]
+        taken = (g.transpose(0, 2, 1) @ np.linalg.pinv(M, rcond=1e-6, hermitian=True) @ g)[:, 0, 0]
+        F = taken / q / np.maximum((rr - taken) / (dof - q), 1e-300)
+        column[:] = [log_p_of(max(f, 0.0), q, dof - q) for f in F]
     return logs

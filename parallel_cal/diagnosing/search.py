@@ -21,7 +21,8 @@ from parallel_cal.steps import held_out_ratio
 SHUFFLES = 39  # a condition must beat all of them, but for one by chance
 SIGNIFICANT = 0.01  # over the whole catalogue (Holm)
 MOST = 4  # effects added in one diagnosis
-LIKE = 1.05  # of the held-out error: a swap within it tells as good a story
+LIKE = 1.05  # of the held-out error: a swap within it tells as good a story ...
+APART = 5.0  # ... unless the data tell the two apart by as many sigmas
 
 
 @dataclass(frozen=True)
@@ -135,16 +136,23 @@ class Search:
         return here
 
     def swaps(self, here: Refit, rivals: Mapping[str, list[Candidate]]) -> dict[str, list[str]]:
-        """For each chosen effect those of its rivals with which the held-out error is as low."""
+        """For each chosen effect those of its rivals that tell as good a story in its place."""
         found: dict[str, list[str]] = {}
         for i, one in enumerate(here.chosen):
             for other in rivals.get(one.name, []):
                 swapped = list(here.chosen)
                 swapped[i] = Chosen.of(other)
-                ratio = ratio_of(here, self.fit(*swapped))
-                if ratio is not None and ratio < LIKE:
+                if _as_good(here, self.fit(*swapped)):
                     found.setdefault(one.name, []).append(other.name)
         return found
+
+
+def _as_good(here: Refit, other: Refit) -> bool:
+    ratio = ratio_of(here, other)
+    if ratio is None or ratio >= LIKE:
+        return False
+    own, its = here.fitted.estimate, other.fitted.estimate
+    return its.chi2 - own.chi2 < APART**2 * max(own.chi2_per_dof, 1e-300)
 
 
 def ratio_of(before: Refit, after: Refit) -> float | None:

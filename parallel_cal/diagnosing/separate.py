@@ -31,7 +31,7 @@ def next_measurement(
     chosen from the rival that is hardest to tell from it.
     """
     record = {c.name: list(c.missing) for c in ranked if c.missing}
-    advice = [load_effect(name).separated_by for name in rivals]
+    advice = [load_effect(name).separated_by for name, others in rivals.items() if others]
     document: dict[str, Any] = {"record": record, "advice": [a for a in advice if a]}
     known = {c.name: Chosen.of(c) for c in ranked}
     plans = [

@@ -33,15 +33,15 @@ def morans_i(
     if n < NEIGHBOURS + 3 or not np.any(field):
         return 0.0, 1.0
     field = field - field.mean(axis=0)
-    near = nearest(places, NEIGHBOURS)
-    total = np.sum(field**2)
+    near, products = nearest(places, NEIGHBOURS), field @ field.T
     rng = np.random.default_rng(seed)
 
-    def index(f: np.ndarray) -> float:
-        return float(np.sum(f * f[near].mean(axis=1)) / total)
+    def index(order: np.ndarray) -> float:
+        alike = products[order[:, None], order[near]]
+        return float(alike.sum() / NEIGHBOURS / np.trace(products))
 
-    seen = index(field)
-    drawn = [index(field[rng.permutation(n)]) for _ in range(PERMUTATIONS)]
+    seen = index(np.arange(n))
+    drawn = [index(rng.permutation(n)) for _ in range(PERMUTATIONS)]
     return seen, (1 + sum(d >= seen for d in drawn)) / (1 + PERMUTATIONS)
 
 

@@ -12,10 +12,10 @@ from parallel_cal.methods.implicit import Estimate
 
 EXPLAINED = 0.7  # of the variance beyond the noise
 HELD_STILL = 2.0  # sigmas rms of coordinates that a model holds: it lacks freedoms
-UNITS = (
-    ("position", 1e6, 0, "um"),
-    ("orientation", 3437.75, 2, "arcmin"),
-    ("reading", 1e6, 1, "um"),
+UNITS = (  # of errors as a person reads them, and the factor from SI
+    ("position", 1e6, "um"),
+    ("orientation", 3437.75, "arcmin"),
+    ("reading", 1e6, "um"),
 )
 FEW = 10  # degrees of freedom: below, nothing can be said
 
@@ -61,7 +61,8 @@ def judge(
         return _nothing_found(after.chi2_per_dof, high, errors, left)
     against = _guards(share, after, known.variance, high, left)
     if not against:
-        part = f", {share:.0%} of what exceeded the noise" if share is not None else ""
+        told = share is not None and share >= EXPLAINED  # else the excess was mostly luck
+        part = f", {share:.0%} of what exceeded the noise" if told else ""
         verb = "explains" if len(here.chosen) == 1 else "together explain"
         return Verdict("explained", f"{names} {verb} the rest{part}: {errors}", share)
     verb = "is" if len(here.chosen) == 1 else "are"
@@ -135,11 +136,11 @@ def _errors(base: Refit, here: Refit) -> str:
     """Held-out errors before and after, as a person reads them."""
     b, a = (r.document["held_out"]["after"] for r in (base, here))
     parts = []
-    for kind, factor, digits, unit in UNITS:
+    for kind, factor, unit in UNITS:
         before, after = (e.get(f"{kind}_rms") for e in (b, a))
         if before is not None and after is not None:
-            now = f"{after * factor:.{digits}f} {unit}"
-            parts.append(f"{before * factor:.{digits}f} to {now}" if here.chosen else now)
+            now = f"{after * factor:.3g} {unit}"
+            parts.append(f"{before * factor:.3g} to {now}" if here.chosen else now)
     return f"error at poses left out {', '.join(parts) or 'not known'}"
 
 

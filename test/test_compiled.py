@@ -1,0 +1,90 @@
+"""One function is one: on the virtual machine, compiled, and without common parts shared."""
+
+import numpy as np
+import pytest
+
+from parallel_cal import compiled, linearisation
+from parallel_cal.evidence import Evidence
+from parallel_cal.kinematics import Kinematics
+from parallel_cal.linearisation import Linearisation
+from parallel_cal.model import Structure, new_model
+from parallel_cal.rotation import rotation_matrix
+
+STEP = 1e-6  # m and rad
+
+
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.delenv("PARALLEL_CAL_COMPILE", raising=False)
+
+
+def configurations(model, n):
+    """Poses of the workspace, the platform moved off them a little, so that no row is zero."""
+    rng = np.random.default_rng(3)
+    pose = Kinematics(model).inverse(model.mechanism.sample(n, rng))
+    R = rotation_matrix(0.02 * rng.standard_normal((n, 3))) @ pose.rotation
+    r = pose.position + 1e-3 * rng.standard_normal((n, 3))
+    return np.hstack([pose.joints, r, R.reshape(n, 9)])
+
+
+def samples(model, n):
+    return Evidence(
+        configurations(model, n), np.tile(1e-8 * np.eye(9), (n, 1, 1)), np.ones((n, 9), bool),
+        np.zeros((n, 0)), np.arange(n), np.zeros((n, 0)), {},
+    )  # fmt: skip
+
+
+def linearised(model, evidence):
+    return Linearisation(model, evidence, ~model.fixed, True)(model.values, evidence.x)
+
+
+def test_very_many_samples_are_linearised_by_machine_code_with_the_same_result(
+    tmp_path, monkeypatch
+):
+    model = new_model("delta24")
+    evidence = samples(model, 40)
+    before = linearised(model, evidence)
+    assert not list(tmp_path.rglob("*.so"))
+    monkeypatch.setattr(linearisation, "MANY", 40)
+    after = linearised(model, evidence)
+    assert len(list(tmp_path.rglob("*.so"))) == 1
+    np.testing.assert_allclose(after.residual, before.residual, rtol=1e-12)
+    np.testing.assert_allclose(after.jacobian, before.jacobian, rtol=1e-12, atol=1e-9)
+
+
+def test_without_a_compiler_very_many_samples_take_the_virtual_machine(tmp_path, monkeypatch):
+    monkeypatch.setenv("PARALLEL_CAL_COMPILE", "never")
+    model = new_model("delta24", effects=["backlash"])
+    s = Structure(model.mechanism, model.effects)
+    x, a = configurations(model, 5), np.ones((5, 3))
+    for own, machine in zip(
+        s.rows_batch(x, a, model.values), s.rows_compiled(x, a, model.values), strict=True
+    ):
+        np.testing.assert_array_equal(machine, own)
+    assert not list(tmp_path.rglob("*.so"))
+
+
+@pytest.mark.parametrize("large", [0, 10**9], ids=["as it is", "with common parts shared"])
+@pytest.mark.parametrize("effect", ["joint_compliance", "rod_compliance"])
+def test_slopes_of_a_closure_under_load_are_those_of_small_steps(effect, large, monkeypatch):
+    monkeypatch.setattr(compiled, "LARGE", large)
+    model = new_model("delta54", effects=[effect])
+    s, n = Structure(model.mechanism, model.effects), 3
+    values = model.values + 0.3 * model.table.tolerance  # some compliance, and no nominal robot
+    x, a = configurations(model, 4), np.full((4, len(s.conditions)), 0.7)
+    _, by_x, by_v = s.closure_batch(x, a, values)
+    rows = s.phi.shape[0]
+
+    def phi(change, values=values):
+        R = rotation_matrix(change[n + 3 :]) @ x[:, n + 3 :].reshape(-1, 3, 3)
+        moved = np.hstack([x[:, : n + 3] + change[: n + 3], R.reshape(-1, 9)])
+        return s.closure_batch(moved, a, values)[0]
+
+    for k, step in enumerate(STEP * np.eye(n + 6)):
+        slope = (phi(step) - phi(-step)) / (2 * STEP)
+        np.testing.assert_allclose(by_x.reshape(4, -1, rows)[:, k], slope, atol=1e-7)
+    for k, step in enumerate(np.diag(1e-2 * model.table.tolerance)):
+        slope = (phi(np.zeros(9), values + step) - phi(np.zeros(9), values - step)) / (2 * step[k])
+        scale = max(1.0, np.abs(slope).max())
+        np.testing.assert_allclose(by_v.reshape(4, -1, rows)[:, k], slope, atol=1e-6 * scale)
