@@ -95,7 +95,7 @@ def studies(draws: int) -> Iterator[tuple[str, Callable[[], str]]]:
 
 
 def main() -> None:
-    draws = int(sys.argv[1]) if len(sys.argv) > 1 else 200
+    draws = int(sys.argv[1]) if len(sys.argv) > 1 else 20
     wanted = sys.argv[2:]
     for name, study in studies(draws):
         if not wanted or name in wanted:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 
-from bench.timing import Row, seconds_each, show
+from timing import Row, seconds_each, show
 
 CODE = {
     "python": "pass",

@@ -11,28 +11,22 @@ import numpy as np
 
 from parallel_cal.dataset import Dataset
 from parallel_cal.diagnosing.catalogue import Candidate, candidate, names_of
+from parallel_cal.diagnosing.entries import REFITTED, chi2_before, entries, placebo, rivals_of
 from parallel_cal.diagnosing.fields import Field, Reference, field, reference
 from parallel_cal.diagnosing.patterns import odd_samples
-from parallel_cal.diagnosing.scene import Progress, Scene
-from parallel_cal.diagnosing.scoring import alike, resampled, score
+from parallel_cal.diagnosing.scene import Progress
 from parallel_cal.diagnosing.search import (
     SIGNIFICANT,
     Chosen,
     Refit,
     Search,
-    ratio_of,
-    shuffled_p,
 )
 from parallel_cal.diagnosing.separate import next_measurement
 from parallel_cal.diagnosing.statistics import holm
 from parallel_cal.diagnosing.structure import Structure, structure
-from parallel_cal.diagnosing.verdict import Verdict, judge, listed, share_explained
+from parallel_cal.diagnosing.verdict import Verdict, judge, listed
 from parallel_cal.identification import fit, single_threaded
 from parallel_cal.model import Model
-
-ALIKE = 0.9  # canonical correlation above which two effects are one entry
-RESAMPLES = 200
-REFITTED = 5  # best candidates that are identified and judged at poses left out
 
 
 @dataclass(frozen=True)
@@ -105,6 +99,7 @@ def diagnose(
     effects: Iterable[str] = (),
     also: Iterable[str] = (),
     hold_out: float = 0.25,
+    loss: str = "linear",
     seed: int = 0,
     progress: Progress | None = None,
     **options: Any,
@@ -113,10 +108,14 @@ def diagnose(
 
     The geometry is identified first; every effect of the catalogue (or only `effects`, and `also`
     a user's own by Python path) is scored off the geometry, the best are refitted and judged at
-    poses left out. Further options as in `identification.fit`. FitError where the baseline itself
-    cannot be identified.
+    poses left out. With a robust `loss`, samples that it gives less than half their weight are set
+    aside first, and named. Further options as in `identification.fit`. FitError where the
+    baseline itself cannot be identified.
     """
     report = progress or (lambda stage, fraction: None)
+    if loss != "linear":
+        first = fit(model, dataset, hold_out=0, loss=loss, **options)
+        dataset = dataset.excluding([d["sample"] for d in first.document()["down_weighted"]])
     refit = partial(_refit, dataset=dataset, hold_out=hold_out, seed=seed, options=options)
     with single_threaded():
         search = Search(model, refit, report)
@@ -150,14 +149,14 @@ class _Diagnosing:
         scene, ranked = base.scene, self._ranked(base)
         best, against = search.forward(base, self._significant)
         best = search.backward(best)
-        swaps = search.swaps(best, _rivals(best, ranked))
+        swaps = search.swaps(best, rivals_of(best, ranked))
         there = best.scene
         seen, found = field(scene), field(there)
         noise, left = reference(scene, seen), structure(there, found)
         names = listed([c.name for c in best.chosen], swaps)
-        before = _chi2_before(base, best, ranked)
+        before = chi2_before(base, best, ranked)
         verdict = judge(base, best, before, noise, left, found.held, names)
-        self._report("planning what to measure next", 0.9)
+        self._report("weighing the evidence", 0.8)
         rivals = {c.name: swaps.get(c.name, []) for c in best.chosen}
         return Diagnosis(
             model=self._model,
@@ -165,8 +164,8 @@ class _Diagnosing:
             base=base,
             best=best,
             ranked=tuple(ranked),
-            entries=tuple(self._entries(ranked, noise, against)),
-            placebo=_placebo(scene, ranked),
+            entries=tuple(entries(ranked, base, search, noise, against)),
+            placebo=placebo(scene, ranked),
             noise=noise,
             verdict=verdict,
             left=left,
@@ -192,130 +191,3 @@ class _Diagnosing:
         ranked = [c for c in self._ranked(here) if c.testable]
         adjusted = holm(np.array([c.p_value for c in ranked]))
         return [c for c, p in zip(ranked, adjusted, strict=True) if p < SIGNIFICANT][:REFITTED]
-
-    def _entries(
-        self, ranked: list[Candidate], noise: Reference, against: Mapping[str, str]
-    ) -> list[dict[str, Any]]:
-        """One row a candidate: evidence for the testable, a reason for the others."""
-        self._report("drawing poses anew", 0.8)
-        tested = [c for c in ranked if c.testable]
-        adjusted = dict(
-            zip([c.name for c in tested], holm(np.array([c.p_value for c in tested])), strict=True)
-        )
-        picks = first_picks(tested)
-        rows = []
-        for rank, one in enumerate(ranked, 1):
-            row = _row(one, rank, ranked) | {
-                "p_adjusted": adjusted.get(one.name), "first_picks": picks.get(one.name),
-                "reason": one.reason or against.get(one.name, ""),
-            }  # fmt: skip
-            if one.testable and rank <= REFITTED:
-                row |= self._judged(one, noise)
-            rows.append(row)
-        return rows
-
-    def _judged(self, one: Candidate, noise: Reference) -> dict[str, Any]:
-        """What a refit with this effect alone says."""
-        base, after = self._base, self._search.fit(Chosen.of(one))
-        if after.result is None:
-            return {"reason": after.reason}
-        estimate = after.fitted.estimate
-        own = {
-            name.removeprefix(f"{one.name}."): p
-            for name, p in after.document["parameters"].items()
-            if name not in base.document["parameters"] or _freed(name, base, after)
-        }
-        return {
-            "holdout_before": base.document["held_out"]["after"],
-            "holdout_after": after.document["held_out"]["after"],
-            "holdout_ratio": ratio_of(base, after),
-            "chi2_per_dof": estimate.chi2_per_dof,
-            "share_explained": share_explained(
-                _chi2_before(base, after, [one]), estimate.chi2_per_dof, noise.variance
-            ),
-            "shuffled_p_value": shuffled_p(one),
-            "parameters": own,
-        }
-
-
-def _chi2_before(base: Refit, after: Refit, ranked: list[Candidate]) -> float:
-    """chi2/dof of the base, on the rows of the model after: a larger model has more of them."""
-    taken = {c.name for c in after.chosen}
-    wider = [c.there for c in ranked if c.name in taken and c.there is not base.scene]
-    return next((s.chi2_per_dof for s in wider if s is not None), base.scene.chi2_per_dof)
-
-
-def _freed(name: str, base: Refit, after: Refit) -> bool:
-    return bool(
-        base.document["parameters"][name]["fixed"]
-        and not after.document["parameters"][name]["fixed"]
-    )
-
-
-def _row(one: Candidate, rank: int, ranked: list[Candidate]) -> dict[str, Any]:
-    """What is known of a candidate without a refit."""
-    score = one.score
-    return {
-        "effect": one.name,
-        "rank": rank,
-        "physics": one.effect.physics,
-        "source": one.effect.source,
-        "p_value": one.p_value if score else None,
-        "log10_p": one.log_p / np.log(10) if score else None,
-        "F": score.F if score else None,
-        "freedoms": score.q if score else None,
-        "settings": dict(one.settings),
-        "tried": one.tried,
-        "remaining_after_geometry": score.remaining if score else None,
-        "typical_size_in_sigmas": score.size if score else None,
-        "confused_with": [c.name for c in ranked if c is not one and confused(one, c)],
-        "lookalikes": list(one.effect.lookalikes),
-        "separated_by": one.effect.separated_by,
-        "missing_conditions": list(one.missing),
-        "holdout_before": None,
-        "holdout_after": None,
-        "share_explained": None,
-        "parameters": {},
-    }
-
-
-def confused(one: Candidate, other: Candidate) -> bool:
-    """Whether the data cannot tell two effects: off the geometry they act in one direction."""
-    if one.score is None or other.score is None or not (one.testable and other.testable):
-        return False
-    if one.there is not other.there:  # a larger model's rows are others
-        return False
-    return alike(one.score.U, other.score.U) > ALIKE
-
-
-def _rivals(best: Refit, ranked: list[Candidate]) -> dict[str, list[Candidate]]:
-    """For each chosen effect the candidates that the data confuse it with, all not chosen."""
-    taken = {c.name for c in best.chosen}
-    return {
-        one.name: [c for c in ranked if c.name not in taken and confused(one, c)]
-        for one in ranked
-        if one.name in taken
-    }
-
-
-def first_picks(tested: list[Candidate]) -> dict[str, float]:
-    """Share of the resamples of the poses in which each candidate scores best."""
-    seen = [c for c in tested if c.score is not None and c.there is not None]
-    if not seen:
-        return {}
-    logs = np.zeros((RESAMPLES, len(seen)))
-    for there in {id(c.there): c.there for c in seen}.values():
-        mine = [k for k, c in enumerate(seen) if c.there is there]
-        groups = [seen[k].score.U for k in mine]  # type: ignore[union-attr]
-        assert there is not None
-        logs[:, mine] = resampled(there, groups, RESAMPLES) + np.log([seen[k].tried for k in mine])
-    wins = np.bincount(np.argmin(logs, axis=1), minlength=len(seen)) / RESAMPLES
-    return {c.name: float(w) for c, w in zip(seen, wins, strict=True)}
-
-
-def _placebo(here: Scene, ranked: list[Candidate]) -> dict[str, Any]:
-    """A group of random columns as if it were an effect: where does it rank?"""
-    draw = np.random.default_rng(0).standard_normal((len(here.residual), 6))
-    random = score(here, draw * (here.residual != 0)[:, None])
-    better = sum(c.score is not None and c.log_p < random.log_p for c in ranked)
-    return {"random_group": {"p_value": random.p_value, "rank": better + 1}}

@@ -154,7 +154,7 @@ def test_what_geometry_absorbs_is_said_to_be_absorbed():
 
 def all_of_steel_warming_up():
     growth = hidden.ThermalGrowth(11.7e-6, 11.7e-6, 11.7e-6)
-    day = vr.plan(110, 20, 0, dwell=10.0, air=lambda t: 18 + 0.006 * np.asarray(t))
+    day = vr.plan(110, 20, 0, dwell=10.0, air=lambda t: 18 + 0.003 * np.asarray(t))
     return dataset(vf.samples(day, [growth], vf.FINE, 0), vf.FINE)
 
 
@@ -259,7 +259,7 @@ def test_excluded_samples_keep_the_numbers_of_the_others():
     data.r[[12, 40]] += [1e-3, 0, 0]
     found = diagnose(MODEL, data.excluding([12]), effects=["backlash"])
     assert [row["sample"] for row in found.document()["odd_samples"] if row["outlier"]] == [40]
-    assert any("excluded on request: sample 12" in w for w in found.document()["warnings"])
+    assert any("left out on request: sample 12" in w for w in found.document()["warnings"])
 
 
 def test_a_baseline_that_cannot_be_identified_is_a_clear_error():
@@ -281,3 +281,15 @@ def test_it_says_what_it_does_and_stops_when_told():
     with pytest.raises(Stop):
         diagnose(MODEL, measured(0), progress=report)
     assert any("testing" in stage or "identifying" in stage for stage in stages)
+
+
+def test_gross_outliers_are_set_aside_and_named_before_a_robust_diagnosis():
+    data, _ = hiding([vf.KINDS["backlash"]], 0.6, seed=6)
+    data.r[[20, 60, 100]] += [[2e-3, 0, 0], [0, -3e-3, 0], [0, 0, 5e-3]]
+    spoilt = diagnose(MODEL, data, effects=["backlash", "base_drift", "device_axes"])
+    assert {row["sample"] for row in spoilt.odd if row["outlier"]} >= {20, 60, 100}
+    assert spoilt.verdict.word != "explained"
+    found = diagnose(MODEL, data, effects=["backlash", "base_drift", "device_axes"], loss="cauchy")
+    assert found.effects == ("backlash",)
+    assert found.verdict.word == "explained"
+    assert any("left out on request: sample 20, 60, 100" in w for w in found.document()["warnings"])

@@ -1,0 +1,128 @@
+"""The tutorial quotes only what its commands print.
+
+Every command of a ```console block of docs/judge_your_calibration.md is run, in one folder, after
+those that write the files it reads. Each quoted line must be among those printed, numbers to 5 %
+or a unit in the second decimal. A quoted `error:` is an expected refusal.
+"""
+
+import os
+import re
+import shlex
+import shutil
+from contextlib import redirect_stderr, redirect_stdout
+from functools import cache
+from io import StringIO
+from pathlib import Path
+
+import pytest
+
+from parallel_cal import cli
+
+ROOT = Path(__file__).parents[1]
+TUTORIAL = (ROOT / "docs" / "judge_your_calibration.md").read_text(encoding="utf-8")
+TABLE = ROOT.parent / "shared/data/hangprinter_hp4/hp4_2021-12-14.csv"
+VERDICTS = ("at_noise", "explained", "partly_explained", "unexplained", "cannot_know")
+NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
+
+
+def quoted(language):
+    return re.findall(rf"^```{language}\n(.*?)^```$", TUTORIAL, flags=re.M | re.S)
+
+
+def steps():
+    """(command, quoted lines) in the order of the page."""
+    found = []
+    for line in "".join(quoted("console")).splitlines():
+        if line.startswith("$ "):
+            found.append((line[2:], []))
+        elif line != "...":
+            found[-1][1].append(line)
+    return found
+
+
+def cases():
+    """The steps; diagnoses that repeat the verdict of an earlier one belong to the slow tests."""
+    shown = set()
+    for command, lines in steps():
+        verdicts = {line.split(":")[0] for line in lines} & set(VERDICTS)
+        marks = [pytest.mark.slow] if verdicts and verdicts <= shown else []
+        shown |= verdicts
+        yield pytest.param(command, lines, id=command, marks=marks)
+
+
+def measured_elsewhere(command):
+    """Whether a command needs the cable robot's table, which is not in the repository."""
+    return "hp4" in command
+
+
+def like(seen, printed):
+    """Whether a line is another one but for spaces and the last digits of its numbers."""
+    if NUMBER.sub("#", seen).split() != NUMBER.sub("#", printed).split():
+        return False
+    pairs = zip(NUMBER.findall(seen), NUMBER.findall(printed), strict=True)
+    return all(float(b) == pytest.approx(float(a), rel=0.05, abs=0.011) for a, b in pairs)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A reader's folder: the repository's data, and the files that the page shows."""
+    path = tmp_path_factory.mktemp("tutorial")
+    for name in ("bags", "config"):
+        (path / name).symlink_to(ROOT / name)
+    if TABLE.exists():
+        shutil.copy(TABLE, path)
+    for text in quoted("python"):
+        file = path / re.match(r"# (\S+\.py)\n", text)[1]
+        file.parent.mkdir()
+        file.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def run(folder):
+    """run(command) -> (exit code, printed lines), after the commands that write what it reads."""
+    writes = {words[words.index("-o") + 1]: c for c, _ in steps() if "-o" in (words := c.split())}
+
+    @cache
+    def call(command):
+        words = [w for w in shlex.split(command) if w != "PYTHONPATH=."]
+        for word in words:
+            if writes.get(word, command) != command:
+                call(writes[word])
+        return execute(words, folder)
+
+    return call
+
+
+def execute(words, folder):
+    """A command line, run in this process as in a shell in the folder."""
+    assert words[0] == "parallel-cal"
+    printed = StringIO()
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(printed), redirect_stderr(printed):
+        patch.chdir(folder)
+        patch.syspath_prepend(str(folder))
+        with pytest.raises(SystemExit) as ended:
+            cli.main(words[1:])
+    return ended.value.code, printed.getvalue().splitlines()
+
+
+@pytest.mark.parametrize(("command", "lines"), list(cases()))
+def test_the_tutorial_shows_what_the_command_prints(run, command, lines):
+    if measured_elsewhere(command) and not TABLE.exists():
+        pytest.skip("the measured cable robot is not here")
+    code, printed = run(command)
+    refused = any(line.startswith("error:") for line in lines)
+    assert code == (1 if refused else 0), "\n".join(printed)
+    for line in lines:
+        assert any(like(line, p) for p in printed), f"not printed: {line}\n" + "\n".join(printed)
+
+
+def test_every_verdict_has_an_example():
+    shown = {line.split(":")[0] for _, lines in steps() for line in lines}
+    assert set(VERDICTS) <= shown
+
+
+def test_links_of_the_documents_lead_somewhere():
+    for page in (*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), ROOT / "bags" / "README.md"):
+        for link in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8")):
+            assert os.path.exists(page.parent / link), f"{page.name}: {link}"
