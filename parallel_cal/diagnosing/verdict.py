@@ -139,9 +139,13 @@ def _errors(base: Refit, here: Refit) -> str:
     for kind, factor, unit in UNITS:
         before, after = (e.get(f"{kind}_rms") for e in (b, a))
         if before is not None and after is not None:
-            now = f"{after * factor:.3g} {unit}"
-            parts.append(f"{before * factor:.3g} to {now}" if here.chosen else now)
+            now = f"{_digits(after * factor)} {unit}"
+            parts.append(f"{_digits(before * factor)} to {now}" if here.chosen else now)
     return f"error at poses left out {', '.join(parts) or 'not known'}"
+
+
+def _digits(value: float) -> str:
+    return f"{value:.0f}" if value >= 100 else f"{value:.3g}"
 
 
 def listed(names: Sequence[str], rivals: dict[str, list[str]]) -> str:
