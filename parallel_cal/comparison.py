@@ -15,7 +15,8 @@ from parallel_cal.diagnosing.patterns import along, odd_samples, regions
 from parallel_cal.diagnosing.scene import Scene, scene
 from parallel_cal.diagnosing.structure import structure
 from parallel_cal.evidence import Evidence, gather
-from parallel_cal.identification import finite_or_none, single_threaded
+from parallel_cal.identification import single_threaded
+from parallel_cal.identifying.doubts import finite_or_none
 from parallel_cal.model import Model
 
 

@@ -12,17 +12,23 @@ from parallel_cal.accuracy import Errors, errors, improvement, noise_floor
 from parallel_cal.dataset import Dataset
 from parallel_cal.errors import FitError
 from parallel_cal.estimators import Estimator, estimator, need_settling
-from parallel_cal.evidence import SCATTER, Evidence, gather
+from parallel_cal.evidence import Evidence, gather
+from parallel_cal.identifying.checks import check_enough, check_plausible, chosen_parameters
+from parallel_cal.identifying.doubts import (
+    chi2_band,
+    doubted,
+    finite_or_none,
+    on_noise,
+    on_parameters,
+    on_samples,
+)
 from parallel_cal.methods.implicit import Estimate
 from parallel_cal.model import Model
-from parallel_cal.parameters import Parameter
 from parallel_cal.planners.words import direction_in_words
 from parallel_cal.prior import Prior
 from parallel_cal.refit import considered
 
 Progress = Callable[[str, float], None]
-FAR = 5.0  # tolerances: a parameter that moved further deserves a word
-DOUBTED = 0.5  # a sample that a robust loss gives less weight than this is named
 
 
 @dataclass(frozen=True)
@@ -143,12 +149,12 @@ def fit(
     (`huber`): samples that it mistrusts are named. FitError where the data cannot carry it.
     """
     report = progress or (lambda stage, fraction: None)
-    mask, partial = _chosen(model, free, fix, refit)
+    mask, partial = chosen_parameters(model, free, fix, refit)
     estimate_with = estimator(method, prior, loss)
     if partial:
         need_settling(method, "a partial re-calibration")
     evidence = gather(model, dataset, joint_sigma)
-    _check_enough(model, evidence, mask, prior)
+    check_enough(model, evidence, mask, prior)
     report("errors before", 0.0)
     before = errors(model, evidence)
     report("identifying", 0.1)
@@ -159,7 +165,7 @@ def fit(
         if partial:
             estimate = considered(model, evidence, mask, estimate)
         fitted = model.with_values(estimate.values, estimate.covariance)
-        _check_plausible(fitted, estimate, mask)
+        check_plausible(fitted, estimate, mask)
         after = errors(fitted, evidence)
         held_out = _held_out(
             model, dataset, evidence, mask, hold_out, seed, prior, estimate_with, report
@@ -180,9 +186,9 @@ def fit(
         refit=tuple(n for n, m in zip(model.table.names, mask, strict=True) if partial and m),
         warnings=(
             *dataset.warnings,
-            *_warnings(fitted, estimate, mask),
-            *_of_noise(estimate, evidence),
-            *_doubts(estimate, dataset, loss),
+            *on_parameters(fitted, estimate, mask),
+            *on_noise(estimate, evidence),
+            *on_samples(estimate, dataset, loss),
         ),
     )
 
@@ -200,70 +206,6 @@ def single_threaded() -> Any:
     from threadpoolctl import threadpool_limits
 
     return threadpool_limits(limits=1)
-
-
-def _chosen(
-    model: Model, free: Iterable[str], fix: Iterable[str], refit: Iterable[str]
-) -> tuple[np.ndarray, bool]:
-    """Which parameters are identified, and whether the others keep their covariance."""
-    refit, free, fix = tuple(refit), tuple(free), tuple(fix)
-    if refit and (free or fix):
-        raise FitError("refit names all that is identified: give it no free or fix patterns")
-    return (model.table.matching(refit), True) if refit else (_free_mask(model, free, fix), False)
-
-
-def _free_mask(model: Model, free: Iterable[str], fix: Iterable[str]) -> np.ndarray:
-    freed, fixed = model.table.matching(free), model.table.matching(fix)
-    own = ~np.asarray(model.fixed)
-    both, only_freed, only_fixed = freed & fixed, freed & ~fixed, fixed & ~freed
-    if both.any() and only_freed.any() == only_fixed.any():
-        names = [n for n, b in zip(model.table.names, both, strict=True) if b]
-        raise FitError(f"{', '.join(names)}: both freed and fixed; say which")
-    free_is_narrower = both.any() and not only_freed.any()
-    mask = (own & ~fixed) | freed if free_is_narrower else (own | freed) & ~fixed
-    if not mask.any():
-        raise FitError("no parameter is left free; give --free a pattern or fix fewer")
-    return np.asarray(mask)
-
-
-def _check_enough(model: Model, evidence: Evidence, free: np.ndarray, prior: bool | Prior) -> None:
-    """A clear word before the numbers fail: too few poses, or all of them the same; with a
-    prior one equation is enough."""
-    poses, first = np.unique(evidence.group, return_index=True)
-    n = len(model.joints)
-    moved = [n + i for i in model.mechanism.moved]
-    given = evidence.measured[:, moved].sum(axis=1) + np.isfinite(evidence.reading).sum(axis=1)
-    equations = np.maximum(model.structure.phi.shape[0] - len(moved) + given, 0)[first]
-    carried, most = int(equations.sum()), max(int(equations.max(initial=0)), 1)
-    if carried < (1 if prior else free.sum()):
-        raise FitError(
-            f"{len(poses)} different poses give {carried} equations, but {int(free.sum())} "
-            f"parameters are free: measure at least {-(-int(free.sum()) // most)} different "
-            "poses (better twice as many), or fix parameters"
-        )
-
-
-def _check_plausible(model: Model, estimate: Estimate, free: np.ndarray) -> None:
-    """A small residual bought with an absurd parameter is a failed fit, not a good one."""
-    for i, p in enumerate(model.table):
-        low, high = p.plausible_range()
-        value = model.values[i]
-        if free[i] and not low <= value <= high:
-            raise FitError(_implausible(p, float(value), estimate.chi2_per_dof))
-
-
-def _implausible(p: Parameter, value: float, chi2_per_dof: float) -> str:
-    low, high = p.plausible_range()
-    shown = f"{value:.6g}" if p.unit == "1" else f"{value:.6g} {p.unit}"
-    if p.group == "effect":  # what is wrong is the effect, not the file or the units
-        plausible = f"({low:.6g} to {high:.6g})"
-        return f"{p.name} would have to be {shown}, which is not plausible {plausible}"
-    return (
-        f"{p.name} went to {shown}, {(value - p.nominal) / p.tolerance:+.1f} tolerances from its "
-        f"nominal {p.nominal:.6g} (plausible {low:.6g} to {high:.6g}; chi2/dof "
-        f"{chi2_per_dof:.3g}): check units and mechanism, fix the parameter, use priors, or "
-        "correct nominal and tolerance in the model file"
-    )
 
 
 def _held_out(
@@ -286,7 +228,7 @@ def _held_out(
     for k, (train, test) in enumerate(folds):
         report("leaving poses out", 0.2 + 0.8 * k / len(folds))
         try:
-            _check_enough(model, evidence.select(train), free, prior)
+            check_enough(model, evidence.select(train), free, prior)
         except FitError:
             continue
         found = estimate_with(model, evidence.select(train), free)
@@ -294,75 +236,3 @@ def _held_out(
         for kind, array in parts.items():
             array[test] = getattr(judged, kind)
     return Errors(**parts)
-
-
-def _warnings(model: Model, estimate: Estimate, free: np.ndarray) -> list[str]:
-    table = model.table
-    moved = (model.values - table.nominal) / table.tolerance
-    words = [
-        f"{p.name} moved {moved[i]:+.1f} tolerances from nominal"
-        for i, p in enumerate(table)
-        if free[i] and abs(moved[i]) > FAR
-    ]
-    unseen = estimate.spectrum.unidentifiable
-    words += [f"the data cannot tell {direction_in_words(c, model.mechanism)}" for c in unseen]
-    return words
-
-
-def _of_noise(estimate: Estimate, evidence: Evidence) -> list[str]:
-    """Residuals beside the noise that was stated."""
-    if evidence.noise_assumed:
-        return [
-            "noise: assumed, so its proportions alone count: sigmas are from the residuals, and "
-            "whether more than noise is left cannot be known"
-        ]
-    low, high = chi2_band(estimate.dof)
-    if estimate.dof > 0 and not low <= estimate.chi2_per_dof <= high:
-        size = "larger" if estimate.chi2_per_dof > high else "smaller"
-        guessed = [kind for kind, source in evidence.noise_from.items() if source == SCATTER]
-        noise = "the stated noise"
-        if guessed:  # a robot that comes back shows more than its jitter at rest
-            which = " and ".join(guessed)
-            noise = f"the jitter within dwells, taken for the {which} noise that nobody stated"
-        return [
-            f"chi2/dof {estimate.chi2_per_dof:.2f} is outside {low:.2f}..{high:.2f}: the residuals "
-            f"are {size} than {noise}"
-        ]
-    return []
-
-
-def doubted(estimate: Estimate, dataset: Dataset) -> list[dict[str, Any]]:
-    """Samples that a robust loss gave less than half their weight, least trusted first."""
-    if estimate.weight is None:
-        return []
-    order = np.argsort(estimate.weight, kind="stable")
-    return [
-        {
-            "sample": int(dataset.numbers[i]),
-            "time": float(dataset.time[i]),
-            "weight": float(estimate.weight[i]),
-        }
-        for i in order
-        if estimate.weight[i] < DOUBTED
-    ]
-
-
-def _doubts(estimate: Estimate, dataset: Dataset, loss: str) -> list[str]:
-    words = [
-        f"{d['sample']} ({d['time']:.1f} s, weight {d['weight']:.2g})"
-        for d in doubted(estimate, dataset)
-    ]
-    return [f"samples down-weighted by loss {loss}: {', '.join(words)}"] if words else []
-
-
-def chi2_band(dof: int) -> tuple[float, float]:
-    """Where chi2/dof lies in 99 % of fits with a complete model (Wilson-Hilferty)."""
-    if dof <= 0:
-        return (0.0, float("inf"))
-    a = 2 / (9 * dof)
-    return tuple((1 - a + z * a**0.5) ** 3 for z in (-2.5758, 2.5758))  # type: ignore[return-value]
-
-
-def finite_or_none(value: float) -> float | None:
-    """A number as documents hold it: None where it is not known."""
-    return float(value) if np.isfinite(value) else None

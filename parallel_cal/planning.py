@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.errors import FitError
-from parallel_cal.identification import _free_mask, single_threaded
+from parallel_cal.identification import single_threaded
+from parallel_cal.identifying.checks import free_mask
 from parallel_cal.kinematics import Solutions
 from parallel_cal.model import Model
 from parallel_cal.planners.expectation import Expectation, View
@@ -111,7 +112,7 @@ def plan(
     """
     method = _checked_method(criterion, method)
     measured = _measured(model)
-    mask = _free_mask(model, free, fix)
+    mask = free_mask(model, free, fix)
     _check_enough(model, n, mask, measured)
     report = progress or (lambda stage, fraction: None)
     rng = np.random.default_rng(seed)

@@ -15,7 +15,8 @@ import numpy as np
 from parallel_cal.accuracy import errors
 from parallel_cal.dataset import Dataset
 from parallel_cal.errors import FitError
-from parallel_cal.identification import Result, chi2_band, fit, single_threaded
+from parallel_cal.identification import Result, fit, single_threaded
+from parallel_cal.identifying.doubts import chi2_band
 from parallel_cal.loops.blind_spots import blind_spots
 from parallel_cal.loops.combining import closures, put_together
 from parallel_cal.loops.loop import Loop, loop_dataset, loop_model, recorded_home

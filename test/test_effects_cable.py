@@ -9,7 +9,8 @@ from virtual_cable import FALL, Line, WoundCable
 from parallel_cal.dataset import Dataset
 from parallel_cal.effect import Seen, load_effect
 from parallel_cal.errors import ModelError
-from parallel_cal.identification import chi2_band, fit
+from parallel_cal.identification import fit
+from parallel_cal.identifying.doubts import chi2_band
 from parallel_cal.mechanism import load_mechanism
 from parallel_cal.model import new_model
 from parallel_cal.parameters import Named

@@ -14,7 +14,8 @@ import virtual_stewart as vt
 from parallel_cal.dataset import Dataset
 from parallel_cal.effect import Seen, load_effect
 from parallel_cal.evidence import gather
-from parallel_cal.identification import chi2_band, fit
+from parallel_cal.identification import fit
+from parallel_cal.identifying.doubts import chi2_band
 from parallel_cal.mechanism import load_mechanism
 from parallel_cal.methods.implicit import estimate
 from parallel_cal.model import new_model

@@ -17,7 +17,8 @@ from datasets import measured as session
 from parallel_cal.dataset import Dataset
 from parallel_cal.effect import Seen, load_effect
 from parallel_cal.errors import ModelError, ModelFileError
-from parallel_cal.identification import chi2_band, fit
+from parallel_cal.identification import fit
+from parallel_cal.identifying.doubts import chi2_band
 from parallel_cal.kinematics import Kinematics
 from parallel_cal.mechanism import load_mechanism
 from parallel_cal.model import Noise, new_model

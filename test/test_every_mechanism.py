@@ -7,7 +7,8 @@ from parallel_cal.bag_writer import write_bag
 from parallel_cal.dataset import load_dataset
 from parallel_cal.effect import load_effect
 from parallel_cal.errors import ModelError
-from parallel_cal.identification import chi2_band, fit
+from parallel_cal.identification import fit
+from parallel_cal.identifying.doubts import chi2_band
 from parallel_cal.kinematics import Kinematics, Status
 from parallel_cal.mechanism import load_mechanism, shelf_names
 from parallel_cal.model import new_model

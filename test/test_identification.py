@@ -11,7 +11,8 @@ from parallel_cal.comparison import compare
 from parallel_cal.dataset import Dataset
 from parallel_cal.errors import FitError
 from parallel_cal.evidence import gather
-from parallel_cal.identification import chi2_band, fit, single_threaded
+from parallel_cal.identification import fit, single_threaded
+from parallel_cal.identifying.doubts import chi2_band
 from parallel_cal.kinematics import Kinematics
 from parallel_cal.methods._estimate import Normal
 from parallel_cal.methods.implicit import Linearisation, estimate

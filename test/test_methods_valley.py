@@ -11,7 +11,8 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from bench.tables.argos import session, with_device
 from parallel_cal.evidence import gather
-from parallel_cal.identification import chi2_band, single_threaded
+from parallel_cal.identification import single_threaded
+from parallel_cal.identifying.doubts import chi2_band
 from parallel_cal.methods.implicit import estimate
 
 

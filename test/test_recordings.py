@@ -11,7 +11,8 @@ from bag_catalogue import RECORDINGS
 
 from parallel_cal.dataset import load_dataset
 from parallel_cal.effect import load_effect
-from parallel_cal.identification import chi2_band, fit
+from parallel_cal.identification import fit
+from parallel_cal.identifying.doubts import chi2_band
 from parallel_cal.modelfile import read_model
 
 REPOSITORY = Path(__file__).parents[1]

@@ -12,7 +12,8 @@ from parallel_cal.accuracy import reading_errors
 from parallel_cal.dataset import Dataset
 from parallel_cal.errors import FitError, ModelError
 from parallel_cal.evidence import gather
-from parallel_cal.identification import chi2_band, fit, single_threaded
+from parallel_cal.identification import fit, single_threaded
+from parallel_cal.identifying.doubts import chi2_band
 from parallel_cal.kinematics import Kinematics
 from parallel_cal.linearisation import Linearisation, moved
 from parallel_cal.methods.implicit import estimate

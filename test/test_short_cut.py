@@ -14,7 +14,7 @@ from virtual_small import Rssr
 
 from parallel_cal import cli
 from parallel_cal.errors import FitError
-from parallel_cal.identification import chi2_band
+from parallel_cal.identifying.doubts import chi2_band
 from parallel_cal.kinematics import Kinematics
 from parallel_cal.loops.loop import Loop, loop_model, loop_numbers
 from parallel_cal.mechanism import Home

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from parallel_cal.diagnosing.scene import Scene
+from parallel_cal.identifying.doubts import chi2_band
 from parallel_cal.linearisation import Linearisation
 from parallel_cal.rotation import rotation_vector
 
@@ -86,14 +87,13 @@ class Reference:
 
     def band(self, dof: int) -> tuple[float, float]:
         """Where chi2/dof lies in 99 % of complete models; infinite where the noise is unknown."""
-        from scipy.special import chdtri, fdtri
+        from scipy.special import fdtri
 
         if self.variance is None or dof <= 0:
             return (0.0, float("inf"))
         if self.dof is None:
-            low, high = (float(chdtri(dof, p)) / dof for p in (0.995, 0.005))
-        else:
-            low, high = (float(fdtri(dof, self.dof, p)) for p in (0.005, 0.995))
+            return chi2_band(dof)
+        low, high = (float(fdtri(dof, self.dof, p)) for p in (0.005, 0.995))
         return low * self.variance, high * self.variance
 
 

@@ -13,7 +13,8 @@ from parallel_cal.diagnosing.scene import Scene
 from parallel_cal.diagnosing.structure import regressors
 from parallel_cal.diagnosis import Diagnosis
 from parallel_cal.effect import CONDITIONS
-from parallel_cal.identification import Result, finite_or_none
+from parallel_cal.identification import Result
+from parallel_cal.identifying.doubts import finite_or_none
 from parallel_cal.mechanism import POSE
 from parallel_cal.planners.words import describe, direction_in_words
 
