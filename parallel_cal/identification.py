@@ -18,6 +18,7 @@ from parallel_cal.identifying.doubts import (
     chi2_band,
     doubted,
     finite_or_none,
+    on_held,
     on_noise,
     on_parameters,
     on_samples,
@@ -170,6 +171,7 @@ def fit(
         held_out = _held_out(
             model, dataset, evidence, mask, hold_out, seed, prior, estimate_with, report
         )
+    noise = noise_floor(fitted, evidence)
     return Result(
         model=replace(fitted, fixed=model.fixed if partial else ~mask),
         start=model,
@@ -178,7 +180,7 @@ def fit(
         before=before,
         after=after,
         held_out=held_out,
-        noise=noise_floor(fitted, evidence),
+        noise=noise,
         evidence=evidence,
         dataset=dataset,
         method=method,
@@ -188,6 +190,7 @@ def fit(
             *dataset.warnings,
             *on_parameters(fitted, estimate, mask),
             *on_noise(estimate, evidence),
+            *on_held(fitted, after.document(), noise),
             *on_samples(estimate, dataset, loss),
         ),
     )

@@ -335,3 +335,11 @@ def test_identification_jacobian_is_the_finite_difference_of_the_residuals():
         moved = model.values + step * np.eye(len(model.values))[k]
         difference = (linearise.blocks(moved, evidence.x)[0] - phi) / step
         assert np.abs(difference - J[:, :, k]).max() < 1e-4
+
+
+def test_a_tilt_that_the_model_holds_still_is_said_although_chi2_does_not_see_it():
+    result = fit(new_model("delta24"), measured(4), hold_out=0)
+    assert result.estimate.chi2_per_dof < 1.3
+    (words,) = [w for w in result.warnings if "holds it at one value" in w]
+    assert words.startswith("the orientation is off by ")
+    assert not any("holds it" in w for w in fit(new_model("delta54"), measured(4)).warnings)

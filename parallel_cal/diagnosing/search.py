@@ -167,21 +167,27 @@ def clearly_falls(before: Refit, after: Refit) -> bool:
     taken as a whole: a fall that half of the poses contradict is luck."""
     old, new = (_squared(r.fitted) for r in (before, after))
     known = np.isfinite(old) & np.isfinite(new)
+    if not known.any():
+        return True  # nothing to judge by
     fall = np.bincount(before.scene.group[known], (old - new)[known])
     return bool(fall.mean() > fall.std() / np.sqrt(len(fall)))
 
 
 def _squared(result: Result) -> np.ndarray:
-    """Squared held-out error (N,) in units of the device's noise."""
+    """Squared held-out error (N,): of the pose in units of the device's noise; where none was
+    measured, of what sensors read, or of the joints."""
     n, found = len(result.model.joints), result.held_out
     variance = np.diagonal(result.evidence.S, axis1=1, axis2=2)
     parts = [
         np.sum(e**2, axis=1) / np.mean(variance[:, at], axis=1)
         for e, at in ((found.position, slice(n, n + 3)), (found.orientation, slice(n + 3, n + 6)))
     ]
-    total = np.nansum(parts, axis=0)
-    unknown = np.isnan(parts).all(axis=0)
-    return np.where(unknown, np.sum(found.joint**2, axis=1) / np.mean(variance[:, :n]), total)
+    if np.isfinite(parts).any():
+        return np.where(np.isnan(parts).all(axis=0), np.nan, np.nansum(parts, axis=0))
+    read = np.isfinite(found.reading).any(axis=1)
+    if read.any():
+        return np.where(read, np.nansum(found.reading**2, axis=1), np.nan)
+    return np.asarray(np.sum(found.joint**2, axis=1))
 
 
 def _superfluous(without: Refit, here: Refit) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from parallel_cal.model import Model
 from parallel_cal.planners.words import direction_in_words
 
 FAR = 5.0  # tolerances: a parameter that moved further deserves a word
+HELD = 3.0  # of the noise: what the model holds at one value does move
 DOUBTED = 0.5  # a sample that a robust loss gives less weight than this is named
 
 
@@ -50,6 +52,22 @@ def on_noise(estimate: Estimate, evidence: Evidence) -> list[str]:
             f"are {size} than {noise}"
         ]
     return []
+
+
+def on_held(
+    model: Model, after: Mapping[str, float | None], noise: Mapping[str, float | None]
+) -> list[str]:
+    """What was measured to move, but the model holds at one value: chi2 does not see it."""
+    words = []
+    for kind, part in (("position", range(3)), ("orientation", range(3, 6))):
+        error, floor = after[f"{kind}_rms"], noise[f"{kind}_rms"]
+        still = not any(i in model.mechanism.moved for i in part)
+        if still and error is not None and floor is not None and error > HELD * floor:
+            words.append(
+                f"the {kind} is off by {error / floor:.0f} times its noise, but "
+                f"{model.mechanism.name} holds it at one value: a larger model may explain it"
+            )
+    return words
 
 
 def doubted(estimate: Estimate, dataset: Dataset) -> list[dict[str, Any]]:
