@@ -65,7 +65,7 @@ class Result:
         held = {"before": self._held_out_before(), "after": self.held_out.document()}
         return {
             "samples": self.samples,
-            "parameters": self._parameters(),
+            "parameters": parameter_rows(self.model, self.estimate.sigma, ~self.free),
             "before": before,
             "after": after,
             "held_out": held,
@@ -105,25 +105,26 @@ class Result:
         judged = np.any([np.isfinite(self.held_out.norms(kind)) for kind in kinds], axis=0)
         return self.before.select(judged).document()
 
-    def _parameters(self) -> dict[str, dict[str, Any]]:
-        table, sigma = self.model.table, self.estimate.sigma
-        return {
-            p.name: {
-                "value": float(self.model.values[i]),
-                "sigma": finite_or_none(sigma[i]),
-                "nominal": p.nominal,
-                "unit": p.unit,
-                "fixed": not bool(self.free[i]),
-                "moved_tolerances": float((self.model.values[i] - p.nominal) / p.tolerance),
-            }
-            for i, p in enumerate(table)
-        }
-
     def correlations(self) -> np.ndarray:
         """Correlation matrix (n_free, n_free) of the free parameters."""
         covariance = self.estimate.covariance[np.ix_(self.free, self.free)]
         sigma = np.sqrt(np.diag(covariance))
         return covariance / np.outer(sigma, sigma)
+
+
+def parameter_rows(model: Model, sigma: np.ndarray, fixed: np.ndarray) -> dict[str, dict[str, Any]]:
+    """Every parameter by name, as documents hold it: SI, and moved in tolerances."""
+    return {
+        p.name: {
+            "value": float(model.values[i]),
+            "sigma": finite_or_none(sigma[i]),
+            "nominal": p.nominal,
+            "unit": p.unit,
+            "fixed": bool(fixed[i]),
+            "moved_tolerances": float((model.values[i] - p.nominal) / p.tolerance),
+        }
+        for i, p in enumerate(model.table)
+    }
 
 
 def fit(

@@ -15,7 +15,7 @@ import numpy as np
 from parallel_cal.accuracy import errors
 from parallel_cal.dataset import Dataset
 from parallel_cal.errors import FitError
-from parallel_cal.identification import Result, fit, single_threaded
+from parallel_cal.identification import Result, fit, parameter_rows, single_threaded
 from parallel_cal.identifying.doubts import chi2_band
 from parallel_cal.loops.blind_spots import blind_spots
 from parallel_cal.loops.combining import closures, put_together
@@ -56,9 +56,10 @@ class Combination:
         A loop's errors before and after are those of the whole Delta's model: `orientation` is
         the second arm's angle from the first's, `joint` the first's from the second's.
         """
+        sigma = np.sqrt(np.diag(np.asarray(self.model.covariance)))
         return {
             "loops": [self._loop(found) for found in self.loops],
-            "parameters": self._parameters(),
+            "parameters": parameter_rows(self.model, sigma, self.model.fixed),
             "chi2_per_dof": self.chi2_per_dof if self.dof > 0 else None,
             "chi2_band": list(chi2_band(self.dof)),
             "dof": self.dof,
@@ -81,20 +82,6 @@ class Combination:
             "rank": found.rank,
             **{key: own[key] for key in keys},
             "after": errors(combined, found.fit.evidence).document(),
-        }
-
-    def _parameters(self) -> dict[str, dict[str, Any]]:
-        sigma = np.sqrt(np.diag(np.asarray(self.model.covariance)))
-        return {
-            p.name: {
-                "value": float(self.model.values[i]),
-                "sigma": float(sigma[i]),
-                "nominal": p.nominal,
-                "unit": p.unit,
-                "fixed": bool(self.model.fixed[i]),
-                "moved_tolerances": float((self.model.values[i] - p.nominal) / p.tolerance),
-            }
-            for i, p in enumerate(self.model.table)
         }
 
     @property

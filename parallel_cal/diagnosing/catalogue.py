@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from parallel_cal.evidence import conditions
 from parallel_cal.mechanism import shelf_names
 from parallel_cal.model import Model
 
+SHUFFLES = 39  # a condition must beat all of them, but for one by chance
 WORTH_REFINING = np.log(1e-3)
 VISIBLE_SIGMAS = 0.1  # of all residuals, at typical size: ten times that is the most plausible
 
@@ -53,6 +55,24 @@ class Candidate:
     @property
     def p_value(self) -> float:
         return float(np.exp(self.log_p))
+
+    @cached_property
+    def shuffled_p(self) -> float | None:
+        """Guard 4: share of copies with the condition shuffled between samples (all its columns
+        alike) that score as well, counting the effect itself; None where it needs no condition."""
+        if not self.effect.needs or self.score is None or self.there is None:
+            return None
+        here = self.there
+        extended = here.model.with_effect(self.name, self.settings)
+        a, new = conditions(extended, here.dataset), new_numbers(here.model, extended)
+        own = [extended.conditions.index(c) for c in self.effect.conditions(extended.mechanism)]
+        rng, as_good = np.random.default_rng(0), 1
+        for _ in range(SHUFFLES):
+            shuffled = a.copy()
+            shuffled[:, own] = a[rng.permutation(len(a))][:, own]
+            again = score(here, columns_at(extended, here, shuffled, new))
+            as_good += again.log_p <= self.score.log_p
+        return as_good / (SHUFFLES + 1)
 
 
 def names_of(model: Model, also: Iterable[str] = (), only: Iterable[str] = ()) -> list[str]:

@@ -11,7 +11,7 @@ from parallel_cal.diagnosing.catalogue import Candidate
 from parallel_cal.diagnosing.fields import Reference
 from parallel_cal.diagnosing.scene import Scene
 from parallel_cal.diagnosing.scoring import alike, resampled, score
-from parallel_cal.diagnosing.search import Chosen, Refit, Search, ratio_of, shuffled_p
+from parallel_cal.diagnosing.search import Chosen, Refit, Search, ratio_of
 from parallel_cal.diagnosing.statistics import holm
 from parallel_cal.diagnosing.verdict import share_explained
 
@@ -62,7 +62,7 @@ def _judged(one: Candidate, base: Refit, search: Search, noise: Reference) -> di
         "holdout_ratio": ratio_of(base, after),
         "chi2_per_dof": chi2,
         "share_explained": share_explained(chi2_before(base, after, [one]), chi2, noise.variance),
-        "shuffled_p_value": shuffled_p(one),
+        "shuffled_p_value": one.shuffled_p,
         "parameters": own,
     }
 
@@ -148,5 +148,5 @@ def placebo(here: Scene, ranked: list[Candidate]) -> dict[str, Any]:
     draw = np.random.default_rng(0).standard_normal((len(here.residual), 6))
     random = score(here, draw * (here.residual != 0)[:, None])
     better = sum(c.score is not None and c.log_p < random.log_p for c in ranked)
-    shuffled = {c.name: p for c in ranked if c.testable and (p := shuffled_p(c)) is not None}
+    shuffled = {c.name: p for c in ranked if c.testable and (p := c.shuffled_p) is not None}
     return {"random_group": {"p_value": random.p_value, "rank": better + 1}, "shuffled": shuffled}

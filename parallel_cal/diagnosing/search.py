@@ -9,16 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from parallel_cal.diagnosing.catalogue import Candidate, new_numbers
-from parallel_cal.diagnosing.scene import Progress, Scene, columns_at, scene
-from parallel_cal.diagnosing.scoring import log_p_of, score
+from parallel_cal.diagnosing.catalogue import SHUFFLES, Candidate
+from parallel_cal.diagnosing.scene import Progress, Scene, scene
+from parallel_cal.diagnosing.scoring import log_p_of
 from parallel_cal.errors import FitError
-from parallel_cal.evidence import conditions
 from parallel_cal.identification import Result
 from parallel_cal.model import Model
 from parallel_cal.steps import held_out_ratio
 
-SHUFFLES = 39  # a condition must beat all of them, but for one by chance
 SIGNIFICANT = 0.01  # over the whole catalogue (Holm)
 MOST = 4  # effects added in one diagnosis
 LIKE = 1.05  # of the held-out error: a swap within it tells as good a story ...
@@ -95,7 +93,7 @@ class Search:
         ratio = ratio_of(before, after)
         if ratio is not None and (ratio >= 1 or not clearly_falls(before, after)):
             return after, f"does not clearly lower the error at poses left out (factor {ratio:.3f})"
-        p = shuffled_p(one)
+        p = one.shuffled_p
         if p is not None and p > 2 / (SHUFFLES + 1):
             return after, "explains no more than its own condition shuffled between poses"
         return after, ""
@@ -200,20 +198,3 @@ def _superfluous(without: Refit, here: Refit) -> bool:
         return False
     F = max(less.chi2 - more.chi2, 0.0) / q / max(more.chi2_per_dof, 1e-300)
     return log_p_of(F, q, more.dof) > np.log(SIGNIFICANT)
-
-
-def shuffled_p(one: Candidate) -> float | None:
-    """Guard 4: share of copies with the condition shuffled between samples (all its columns
-    alike) that score as well, counting the effect itself; None where it needs no condition."""
-    if not one.effect.needs or one.score is None or one.there is None:
-        return None
-    here = one.there
-    extended = here.model.with_effect(one.name, one.settings)
-    a, new = conditions(extended, here.dataset), new_numbers(here.model, extended)
-    own = [extended.conditions.index(c) for c in one.effect.conditions(extended.mechanism)]
-    rng, as_good = np.random.default_rng(0), 1
-    for _ in range(SHUFFLES):
-        shuffled = a.copy()
-        shuffled[:, own] = a[rng.permutation(len(a))][:, own]
-        as_good += score(here, columns_at(extended, here, shuffled, new)).log_p <= one.score.log_p
-    return as_good / (SHUFFLES + 1)
