@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import virtual_effects_joint as ve
 import virtual_robot as vr
-import virtual_stewart as vt
+from twins import hexapod, joints_near_home
 
 from parallel_cal.dataset import Dataset
 from parallel_cal.effect import Seen, load_effect
@@ -196,17 +196,7 @@ class Robot:
     reach: float
 
     def poses(self, n, seed):
-        rng = np.random.default_rng([seed, 9])
-        r = self.twin.home + rng.uniform(-0.06, 0.06, (n, 3))
-        if self.mechanism == "delta54":
-            return self.twin.inverse(r)[0]
-        return self.twin.inverse(r, vr.turn(rng.uniform(-0.25, 0.25, (n, 3))))[0]
-
-
-def hexapod(seed=3):
-    model = new_model("stewart42")
-    draw = np.random.default_rng(seed).standard_normal(len(model.values))
-    return vt.Stewart(model.table.mapping(model.values + 0.5 * model.table.tolerance * draw))
+        return joints_near_home(self.mechanism, self.twin, n, seed)
 
 
 DELTA = Robot("delta54", vr.MOCK_UP, ("joint1", "joint2", "joint3"), vr.THESIS_NOISE, 0.5)

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 import virtual_effects_load as vl
 import virtual_robot as vr
-import virtual_stewart as vt
 from datasets import measured as session
+from twins import hexapod, joints_near_home
 
 from parallel_cal.dataset import Dataset
 from parallel_cal.effect import Seen, load_effect
@@ -246,17 +246,7 @@ class Robot:
     heaviest: float
 
     def poses(self, n, seed):
-        rng = np.random.default_rng([seed, 9])
-        r = self.twin.home + rng.uniform(-0.06, 0.06, (n, 3))
-        if self.mechanism == "delta54":
-            return self.twin.inverse(r)[0]
-        return self.twin.inverse(r, vr.turn(rng.uniform(-0.25, 0.25, (n, 3))))[0]
-
-
-def hexapod(seed=3):
-    model = new_model("stewart42")
-    draw = np.random.default_rng(seed).standard_normal(len(model.values))
-    return vt.Stewart(model.table.mapping(model.values + 0.5 * model.table.tolerance * draw))
+        return joints_near_home(self.mechanism, self.twin, n, seed)
 
 
 FINE = vr.Noise(5 * vr.ARCSEC, 3e-6, 3 * vr.ARCSEC)
