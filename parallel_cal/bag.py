@@ -140,11 +140,7 @@ class _Bag:
         if self.path.is_dir() and not (self.path / "metadata.yaml").exists():
             files = _data_files(self.path)
             if len(files) != 1:
-                found = ", ".join(f.name for f in files) or "none"
-                raise BagError(
-                    f"{self.path}: no metadata.yaml; data files: {found}. Give one data file, or "
-                    "rebuild it with 'ros2 bag reindex'."
-                )
+                raise BagError(self._no_metadata(files))
             self.notes.append(f"{self.path}: no metadata.yaml; read {files[0].name} directly")
             return files[0]
         if self.path.is_file() and self.path.suffix not in (".mcap", ".db3"):
@@ -153,6 +149,17 @@ class _Bag:
                 "(convert a ROS 1 .bag with 'rosbags-convert')"
             )
         return self.path
+
+    def _no_metadata(self, files: list[Path]) -> str:
+        if not files:
+            return (
+                f"{self.path}: not a rosbag2 recording: it holds neither metadata.yaml nor a "
+                f"{', '.join(DATA_FILES)} file. Give the folder that 'ros2 bag record' wrote."
+            )
+        return (
+            f"{self.path}: no metadata.yaml; data files: {', '.join(f.name for f in files)}. "
+            "Give one data file, or rebuild it with 'ros2 bag reindex'."
+        )
 
     def messages(self, connections: list[Any]) -> Iterator[tuple[Any, int, bytes]]:
         """(connection, log time in ns, bytes) of every message on some connections."""

@@ -34,6 +34,8 @@ from parallel_cal.recordings.sessions import joined
 
 NUMBER = "number"  # the condition that keeps a sample's number where others were excluded
 METRES = 10.0  # positions typically further than this from the origin are taken for millimetres
+# name -> unit and what it is expected to be within; kelvin lie beyond
+PLAUSIBLE = {"temperature": ("degC", -60.0, 150.0), "payload": ("kg", 0.0, 1e5)}
 TURNS = 4.0 * np.pi  # joints that travel further are taken for degrees, or turn endlessly
 
 
@@ -241,7 +243,7 @@ def dataset_from_recording(recording: Recording, options: Options | None = None)
     far = _position_suspicions(dataset)
     if far and not options.assume_units:
         raise DatasetError(f"{recording.source}: {far[0]}, or set assume_units")
-    warnings += far + _joint_suspicions(dataset)
+    warnings += far + _joint_suspicions(dataset) + _condition_suspicions(conditions)
     return dataclasses.replace(dataset, warnings=tuple(warnings))
 
 
@@ -277,6 +279,17 @@ def _joint_suspicions(dataset: Dataset) -> list[str]:
         "(fine if it turns endlessly)"
         for name, width in zip(dataset.joint_names, travel, strict=True)
         if width > TURNS
+    ]
+
+
+def _condition_suspicions(conditions: Mapping[str, Array]) -> list[str]:
+    """A sentence for each condition that can hardly be in its unit."""
+    return [
+        f"{name} does not look like {unit}: it goes from {values.min():.4g} to {values.max():.4g}; "
+        f"expected {low:g} to {high:g}"
+        for name, (unit, low, high) in PLAUSIBLE.items()
+        for values in [conditions.get(name, np.zeros(0))]
+        if len(values) and not (low <= values.min() and values.max() <= high)
     ]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -28,6 +29,7 @@ def look(
     joints: Sequence[str] | None = None,
     measures: Sequence[str] | None = None,
     stamps: str = "header",
+    exclude: Sequence[int] = (),
     progress: Progress | None = None,
     **options: Any,
 ) -> dict[str, Any]:
@@ -37,18 +39,18 @@ def look(
     that cannot be read is a BagError.
     """
     if holds_samples(Path(path)):
-        return look_at(Dataset.from_json(path))
+        return look_at(Dataset.from_json(path).excluding(exclude))
     recording = read_bag(
         path, topics, joints=joints, measures=measures, stamps=stamps, progress=progress
     )
     duration = list_topics(path)[1]
-    chosen = make_options(**{**options, "assume_units": True})
+    chosen = dataclasses.replace(make_options(**options), assume_units=True)
     document = _recording_part(recording, duration)
     try:
         dataset = dataset_from_recording(recording, chosen)
     except DatasetError as error:
         return document | _nothing_usable(recording, str(error))
-    return document | _dataset_part(dataset)
+    return document | _dataset_part(dataset.excluding(exclude))
 
 
 def look_at(dataset: Dataset) -> dict[str, Any]:
@@ -211,12 +213,19 @@ def print_look(document: dict[str, Any], console: Console) -> None:
         console.print(_topic_table(document))
     console.print(_joint_table(document))
     console.print(_sample_sentence(document))
-    for reason, count in document["dropped"].items():
-        console.print(f"  dropped {count}: {reason}", highlight=False)
+    _print_dropped(document, console)
     _print_conditions(document["conditions"], console)
     _print_noise(document, console)
     for warning in document["warnings"]:
         console.print(f"[yellow]warning:[/yellow] {_escaped(warning)}", highlight=False)
+
+
+def _print_dropped(document: dict[str, Any], console: Console) -> None:
+    """How many were dropped for each reason, and the first of them."""
+    for reason, count in document["dropped"].items():
+        first = next(d for d in document["dropped_list"] if d["reason"] == reason)
+        told = f"  dropped {count}: {reason}; at {first['time']:.2f} s: {first['detail']}"
+        console.print(_escaped(told), highlight=False)
 
 
 def _escaped(text: str) -> str:

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
@@ -171,6 +172,24 @@ def write_bag(path: Path, messages: Iterable[Message], *, sqlite: bool = False) 
                 added = writer.add_connection(topic, type_, typestore=ROS)
                 connections[topic, type_] = added
             writer.write(connections[topic, type_], log, ROS.serialize_cdr(message, type_))
+    return path
+
+
+def split(path: Path, *parts: Iterable[Message]) -> Path:
+    """A recording in several files, as `ros2 bag record --max-bag-size` leaves it."""
+    bags = [write_bag(path / f"part{k}", part) for k, part in enumerate(parts)]
+    pages = [yaml.safe_load((bag / "metadata.yaml").read_text()) for bag in bags]
+    whole, *rest = (page["rosbag2_bagfile_information"] for page in pages)
+    for other in rest:
+        whole["message_count"] += other["message_count"]
+        whole["files"] += other["files"]
+        topics = whole["topics_with_message_count"], other["topics_with_message_count"]
+        for topic, more in zip(*topics, strict=True):
+            topic["message_count"] += more["message_count"]
+    whole["relative_file_paths"] = [file["path"] for file in whole["files"]]
+    for bag in bags:
+        data_file(bag).rename(path / data_file(bag).name)
+    (path / "metadata.yaml").write_text(yaml.safe_dump(pages[0]))
     return path
 
 

@@ -261,8 +261,8 @@ def check(name: str, folder: Path = BAGS) -> bool:
 
 README = """# Recordings of virtual robots
 All are synthetic: `test/virtual_robot.py` and its neighbours build the robots from points and rods,
-independently of the package, `test/bag_catalogue.py` lists the recordings, and one command writes
-them all (and this page):
+independently of the package, `test/bag_catalogue.py` lists the recordings, and one command,
+`make bags`, writes them all (and this page):
 
     python test/make_bags.py            # --only NAME for one, --check to compare instead
     python test/make_baselines.py       # models/, from which a user starts

@@ -20,6 +20,7 @@ from bag_writing import (
     payload,
     pose,
     poses,
+    split,
     temperature,
     text,
     write_bag,
@@ -78,6 +79,25 @@ def test_a_directory_without_metadata_is_read_by_its_data_file(tmp_path):
     bag = write_bag(tmp_path / "b", joint_states(MOVES) + poses(MOVES))
     (bag / "metadata.yaml").unlink()
     assert "no metadata.yaml" in read_bag(bag).notes[0]
+
+
+def test_a_recording_split_over_files_is_read_as_one(tmp_path):
+    whole = joint_states(MOVES) + poses(MOVES)
+    (tmp_path / "s").mkdir()
+    early, late = ([m for m in whole if (m[2] < ns(1.2)) == first] for first in (True, False))
+    bag = split(tmp_path / "s", early, late)
+    recording = read_bag(bag)
+    np.testing.assert_array_equal(recording.joints.position, MOVES.q)
+    assert len(recording.pose.time) == len(poses(MOVES))
+    (bag / "metadata.yaml").unlink()
+    with pytest.raises(BagError, match=r"data files: part0\.mcap, part1\.mcap.*reindex"):
+        read_bag(bag)
+
+
+def test_a_folder_that_is_no_recording_is_refused(tmp_path):
+    (tmp_path / "a.txt").write_text("hello")
+    with pytest.raises(BagError, match=r"not a rosbag2 recording: it holds neither metadata\.yaml"):
+        read_bag(tmp_path)
 
 
 def test_a_missing_file_is_named(tmp_path):
@@ -225,6 +245,37 @@ def test_single_readings_that_are_not_finite_are_dropped_and_counted(tmp_path, v
     assert recording.dropped[0].time == pytest.approx(0.5051)
 
 
+def test_what_is_not_finite_is_told_with_its_value(tmp_path):
+    bad = joint_state(0.5051, MOVES.names, [0.1, np.nan, 0.3])
+    recording = read_bag(write_bag(tmp_path / "a", [*joint_states(MOVES), *poses(MOVES), bad]))
+    assert "the first is message 51: 0.1 nan 0.3" in recording.dropped[0].detail
+    never = [joint_state(t, MOVES.names, [0.1, np.nan, 0.3]) for t in MOVES.time]
+    with pytest.raises(BagError, match=r"message 0: 0\.1 nan 0\.3.*joint1, joint2, joint3: check"):
+        read_bag(write_bag(tmp_path / "b", never + poses(MOVES)))
+
+
+def test_numbers_that_no_robot_reads_are_dropped(tmp_path):
+    bad = [joint_state(0.5051, MOVES.names, [1e300, 0, 0]), pose(0.5051, [0, 1e200, 0])]
+    recording = read_bag(write_bag(tmp_path / "b", joint_states(MOVES) + poses(MOVES) + bad))
+    assert reasons(recording) == {"joint reading is beyond 1e9": 1, "position is beyond 1e9": 1}
+
+
+def test_every_message_is_kept_or_counted_as_dropped(tmp_path):
+    bad = [
+        joint_state(0.5051, MOVES.names, [0.1, np.nan, 0.3]),
+        joint_state(0.6051, ["finger"], [0.0]),
+        joint_state(0.7051, MOVES.names, [0.1], stamp=ns(0.2)),
+        pose(0.5051, [0, 0, np.inf]),
+        pose(0.6051, [0, 0, 0], (0, 0, 0, 0)),
+        pose(0.7051, [0, 0, 0], frame="world"),
+    ]
+    recording = read_bag(write_bag(tmp_path / "b", joint_states(MOVES) + poses(MOVES) + bad))
+    kept = len(recording.joints.time) + len(recording.pose.time)
+    recorded = sum(topic.count for topic in recording.topics)
+    assert kept + sum(reasons(recording).values()) == recorded
+    assert len(reasons(recording)) == 6
+
+
 def test_a_stream_without_a_finite_pose_is_refused(tmp_path):
     bad = [pose(t, [np.nan, 0, 0]) for t in (0.1, 0.2)]
     with pytest.raises(BagError, match=r"measured_pose: none of its 2 messages .*not finite"):
@@ -298,6 +349,38 @@ def test_a_variance_of_zero_or_less_means_not_given(tmp_path):
     assert stream.measured.all()
     assert np.isnan(stream.covariance[0, :2]).all()
     assert stream.covariance[0, 2, 2] == 1e-10
+
+
+def test_a_variance_that_no_device_has_means_not_given(tmp_path):
+    messages = poses(MOVES, variances=[5e-324, 1e-30, 1e-18, 1e-8, 1e-8, 1e-8])
+    stream = read_bag(write_bag(tmp_path / "b", joint_states(MOVES) + messages)).pose
+    assert stream.measured.all()
+    assert np.isnan(np.diagonal(stream.covariance[0])[:2]).all()
+    assert stream.covariance[0, 2, 2] == 1e-18
+
+
+def correlated(value, *, both=True):
+    messages = poses(MOVES, variances=[1e-10] * 6)
+    for *_, message in messages:
+        covariance = message.pose.covariance.reshape(6, 6)
+        covariance[0, 1] = value
+        covariance[1, 0] = value if both else 0.0
+    return joint_states(MOVES) + messages
+
+
+@pytest.mark.parametrize("value", [5e-10, -5e-10, np.inf, 1e300])
+def test_a_matrix_that_is_no_covariance_leaves_its_variances_and_is_told(tmp_path, value):
+    recording = read_bag(write_bag(tmp_path / "b", correlated(value)))
+    np.testing.assert_array_equal(recording.pose.covariance[0], np.diag([1e-10] * 6))
+    assert "no covariance, as it has a negative eigenvalue" in recording.notes[0]
+
+
+def test_a_correlation_is_kept_even_when_written_on_one_side(tmp_path):
+    whole = read_bag(write_bag(tmp_path / "a", correlated(5e-11)))
+    half = read_bag(write_bag(tmp_path / "b", correlated(5e-11, both=False)))
+    assert whole.pose.covariance[0, 0, 1] == whole.pose.covariance[0, 1, 0] == 5e-11
+    assert half.pose.covariance[0, 0, 1] == half.pose.covariance[0, 1, 0] == 2.5e-11
+    assert whole.notes == half.notes == ()
 
 
 def test_poses_without_covariance_are_measured_but_give_no_accuracy(tmp_path):

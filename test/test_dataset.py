@@ -105,6 +105,22 @@ def test_dwells_are_found_when_one_joint_never_moves():
     assert len(still_intervals(session.time, session.q, tolerance, 0.3, 0.5)) == 3
 
 
+@pytest.mark.parametrize("travel", [4e-4, 1e-3, 3e-3])
+def test_a_joint_that_hardly_moves_does_not_break_the_dwells_of_the_others(tmp_path, travel):
+    stops = np.random.default_rng(0).uniform(-0.5, 0.5, (8, 3)) * [travel, 1, 1]
+    session = Session(stops)  # 2e-5 of noise on every joint
+    dataset = dataset_of(tmp_path, joint_states(session) + poses(session))
+    np.testing.assert_allclose(dataset.q, stops, atol=1e-5)
+
+
+@pytest.mark.parametrize("jitter", [5e-3, 2e-2, 5e-2])
+def test_a_robot_that_trembles_stands_still_all_the_same(tmp_path, jitter):
+    stops = np.random.default_rng(0).uniform(-0.5, 0.5, (8, 3))
+    session = Session(stops, jitter=jitter)
+    dataset = dataset_of(tmp_path, joint_states(session) + poses(session))
+    np.testing.assert_allclose(dataset.q, stops, atol=3 * jitter / np.sqrt(85))
+
+
 def test_a_silence_ends_a_dwell():
     session = Session([[0.1, 0.2], [0.4, 0.0]], dwell=3.0)
     time = np.where(session.time > 1.5, session.time + 5.0, session.time)
@@ -142,6 +158,69 @@ def test_a_platform_that_moves_while_the_joints_stand_is_dropped(tmp_path):
     assert "while the joints stand still" in dataset.dropped[0].detail
 
 
+@pytest.mark.parametrize("late", [0.2, -0.2])
+def test_poses_taken_in_motion_are_removed_where_clocks_differ_a_little(tmp_path, late):
+    dataset = dataset_of(
+        tmp_path, joint_states(ROBOT) + poses(dataclasses.replace(ROBOT, start=late))
+    )
+    assert len(dataset) == 5
+    np.testing.assert_allclose(dataset.r, STOPS, atol=2e-5)
+    assert reasons(dataset) == {"pose reading is an outlier"}
+
+
+@pytest.mark.parametrize("late", [0.5, 0.7, -0.5])
+def test_no_sample_is_made_of_poses_in_motion_where_clocks_differ(tmp_path, late):
+    dataset = dataset_of(
+        tmp_path, joint_states(ROBOT) + poses(dataclasses.replace(ROBOT, start=late))
+    )
+    assert len(dataset) == 1  # before the first move, or after the last
+    moving = [d for d in dataset.dropped if d.reason == "moving while measured"]
+    assert len(moving) == 4
+    assert "do their clocks agree" in moving[0].detail
+
+
+def test_a_noisy_or_vibrating_device_is_no_motion(tmp_path):
+    for k, shake in enumerate(
+        (lambda t: 1e-3 * np.sin(44 * t), lambda t: 1e-3 * np.sign(t % 0.2 - 0.1))
+    ):
+        shaken = [
+            pose(t, ROBOT.position(np.array([t]))[0] + shake(t))
+            for t in np.arange(0.004, ROBOT.time[-1], 0.02).tolist()
+        ]
+        dataset = load_dataset(write_bag(tmp_path / f"bag{k}", joint_states(ROBOT) + shaken))
+        assert len(dataset) == 5
+        assert dataset.dropped == ()
+
+
+@pytest.mark.parametrize("rate", [5.0, 20.0])
+def test_a_device_that_shows_whole_steps_is_no_motion(tmp_path, rate):
+    session = Session(STOPS, pose_rate=rate)
+    time = np.arange(0.004, session.time[-1], 1 / rate)
+    noise = np.random.default_rng(2).normal(0.0, 2e-4, (len(time), 3))
+    seen = np.round((session.position(time) + noise) / 1e-3) * 1e-3
+    shown = [pose(t, r) for t, r in zip(time.tolist(), seen, strict=True)]
+    dataset = dataset_of(tmp_path, joint_states(session) + shown)
+    assert len(dataset) == 5
+    assert dataset.dropped == ()
+
+
+def test_joints_that_come_too_rarely_are_reported_and_make_no_sample(tmp_path):
+    stops = np.random.default_rng(0).uniform(-0.5, 0.5, (12, 3))
+    slow, seen = Session(stops, rate=1.0), poses(Session(stops))
+    with pytest.raises(DatasetError, match="one message in 1 s; only standstills of 10 s"):
+        dataset_of(tmp_path, joint_states(slow) + seen)
+
+
+def test_messages_that_measure_less_than_their_dwell_are_reported(tmp_path):
+    some = [1e-10] * 3 + [1e9] * 3
+    messages = poses(ROBOT)
+    messages[5] = pose(0.254, ROBOT.stops[0], variances=some)
+    dataset = dataset_of(tmp_path, joint_states(ROBOT) + messages)
+    assert dataset.measured.all()
+    told = [(d.reason, d.count, round(d.time, 3)) for d in dataset.dropped]
+    assert told == [("measures less than the rest of its dwell", 1, 0.254)]
+
+
 def test_a_joint_that_creeps_is_not_standing_still(tmp_path):
     session = Session([*STOPS, *STOPS])
     creep = (session.time > 1.6) & (session.time < 2.6)
@@ -165,6 +244,12 @@ def test_a_device_triggered_once_per_pose_is_enough_and_reported(tmp_path):
     assert np.isnan(dataset.scatter_pose).all()
     assert "fewer than 3" in dataset.warnings[0]
     assert reasons(dataset) == {"moving while measured"}
+
+
+@pytest.mark.parametrize("length", [2, 5, 15])
+def test_a_recording_of_a_few_messages_says_what_to_do(tmp_path, length):
+    with pytest.raises(DatasetError, match=r"no usable dwell.*Let the robot stand"):
+        dataset_of(tmp_path, joint_states(ROBOT)[:length] + poses(ROBOT)[:2])
 
 
 def test_a_recording_without_dwells_says_what_to_do(tmp_path):
@@ -201,8 +286,28 @@ def test_an_unknown_option_or_mode_names_those_that_exist(tmp_path):
     bag = write_bag(tmp_path / "bag", joint_states(ROBOT) + poses(ROBOT))
     with pytest.raises(DatasetError, match=r"min_dwel; known: .*min_dwell"):
         load_dataset(bag, min_dwel=1.0)
-    with pytest.raises(DatasetError, match="expected 'auto'"):
+    with pytest.raises(DatasetError, match=r"mode='fast'; expected one of auto, dwell, continuous"):
         load_dataset(bag, mode="fast")
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"min_dwell": "abc"},
+        {"min_dwell": -1},
+        {"min_dwell": np.nan},
+        {"trim_start": -0.1},
+        {"min_joint_messages": 0},
+        {"assume_units": "maybe"},
+        {"still_tolerance": "abc"},
+        {"still_tolerance": [1e-3, 2e-3]},
+        {"joint_sigma": 0},
+    ],
+)
+def test_an_option_of_a_wrong_value_is_named_with_what_is_expected(tmp_path, wrong):
+    bag = write_bag(tmp_path / "bag", joint_states(ROBOT) + poses(ROBOT))
+    with pytest.raises(DatasetError, match=rf"{next(iter(wrong))}=.*expected"):
+        load_dataset(bag, **wrong)
 
 
 # ---- what is measured
@@ -318,6 +423,24 @@ def test_joints_in_degrees_are_suspicious(tmp_path):
     turned = Session(60.0 * np.array(STOPS), r=STOPS, jitter=1e-3)
     dataset = dataset_of(tmp_path, joint_states(turned) + poses(turned))
     assert "joint1 looks like degrees" in dataset.warnings[0]
+
+
+@pytest.mark.parametrize(
+    ("measured", "told"),
+    [
+        (temperature(0.0, 294.15), "temperature does not look like degC: it goes from 294.1"),
+        (temperature(0.0, -400.0), "temperature does not look like degC: it goes from -400"),
+        (payload(0.0, -1.0), "payload does not look like kg: it goes from -1"),
+    ],
+)
+def test_a_condition_in_another_unit_is_suspicious(tmp_path, measured, told):
+    dataset = dataset_of(tmp_path, [*joint_states(ROBOT), *poses(ROBOT), measured])
+    assert [w for w in dataset.warnings if w.startswith(told)]
+
+
+def test_a_cold_hall_is_not_suspicious(tmp_path):
+    cold = temperature(0.0, -25.0)
+    assert dataset_of(tmp_path, [*joint_states(ROBOT), *poses(ROBOT), cold]).warnings == ()
 
 
 # ---- replicates and folds
@@ -508,6 +631,25 @@ def test_look_prints_units(tmp_path):
         print_look(look(write_bag(tmp_path / "b", joint_states(ROBOT) + poses(ROBOT))), console)
     for word in ("100.", "Hz", "5 samples (dwell) of 4 poses", " um", "arcmin", "deg"):
         assert word in shown.get()
+
+
+def test_look_prints_when_and_what_was_dropped(tmp_path):
+    from rich.console import Console
+
+    wild = joint_state(0.5051, ROBOT.names, [np.nan, 0.0, 0.0])
+    bag = write_bag(tmp_path / "bag", [*joint_states(ROBOT), *poses(ROBOT), wild])
+    console = Console(width=200)
+    with console.capture() as shown:
+        print_look(look(bag), console)
+    told = "dropped 1: joint reading is not finite; at 0.51 s: joint_states: 1 of 741 messages"
+    assert told in shown.get()
+
+
+def test_look_leaves_out_the_samples_it_is_told_to(tmp_path):
+    bag = write_bag(tmp_path / "bag", joint_states(ROBOT) + poses(ROBOT))
+    document = look(bag, exclude=[1])
+    assert document["samples"] == 4
+    assert document["replicates"]["poses"] == 0
 
 
 # ---- the recordings that ship with the package

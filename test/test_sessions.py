@@ -134,6 +134,12 @@ def test_recordings_of_another_robot_or_set_up_do_not_go_together(two):
         joined((two[0], replace(two[1], frame="tracker")))
 
 
+def test_the_same_recording_does_not_count_twice(two):
+    twice = replace(two[0], sha256="a"), replace(two[1], sha256="a")
+    with pytest.raises(DatasetError, match="the second: the same recording as virtual robot;"):
+        joined(twice)
+
+
 def test_homing_anew_between_two_recordings_is_found(two, tmp_path):
     for k, data in enumerate(two):
         data.to_json(tmp_path / f"{k}.json")

@@ -190,7 +190,7 @@ def test_readings_survive_saving_and_joining(tmp_path):
     assert column(again, PLANE) == column(dataset, PLANE)
     only_plane = dataset.select(dataset.conditions[SPHERE] != 0.0)
     del (only_plane.conditions)[SPHERE]
-    both = joined([only_plane, replace(again, source="again")])
+    both = joined([only_plane, replace(again, source="again", sha256="another")])
     assert column(both, SPHERE) == [None] * 3 + [None, None, 0.0, None]
     assert not any("not used" in warning for warning in both.warnings)
 

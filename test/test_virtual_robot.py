@@ -333,6 +333,10 @@ def test_the_page_beside_the_recordings_tells_their_hashes_and_they_are_small(na
     assert len(content) <= 2_000_000
 
 
+def test_the_page_is_what_the_program_writes() -> None:
+    assert (make_bags.BAGS / "README.md").read_text() == make_bags.readme(make_bags.BAGS)
+
+
 @pytest.mark.parametrize("name", ALL)
 def test_what_is_hidden_is_written_down(name: str) -> None:
     hidden = yaml.safe_load((make_bags.BAGS / "truth" / f"{name}.yaml").read_text())

@@ -117,6 +117,8 @@ def _sample_numbers(text: str) -> list[int]:
 
 
 def _value(text: str) -> Any:
+    if "," in text:
+        return [_value(word) for word in text.split(",")]
     if text.lower() in ("true", "false"):
         return text.lower() == "true"
     try:

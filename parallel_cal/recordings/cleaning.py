@@ -29,6 +29,8 @@ from parallel_cal.recordings.recording import (
 )
 
 NOT_MEASURED = 1e3  # a variance above this says "this coordinate is not measured"
+NOT_GIVEN = 1e-24  # no device knows a pose to 1e-12 m or rad: a variance up to this is no statement
+ABSURD = 1e9  # m or rad: no robot reads this, and the sums of its squares would overflow
 CLOCK_JUMP = 1_000_000_000  # ns; a stamp further back than this is a clock that was reset
 
 
@@ -42,19 +44,24 @@ class Sieve:
         self.dropped: list[Dropped] = []
         self._stamps(stamp)
 
-    def drop(self, bad: ArrayLike, reason: str, hint: str = "") -> None:
-        """Drop the messages marked in `bad` (n,); BagError when nothing is left."""
+    def drop(
+        self, bad: ArrayLike, reason: str, hint: str = "", values: Array | None = None
+    ) -> None:
+        """Drop the messages marked in `bad` (n,), the first of them told with its row of `values`;
+        BagError when nothing is left."""
         bad = np.asarray(bad, bool) & self.keep
         if not bad.any():
             return
         self.keep &= ~bad
         first, count = int(np.argmax(bad)), int(bad.sum())
+        shown = "" if values is None else ": " + " ".join(f"{v:.6g}" for v in values[first])
+        message = f"message {first}{shown}"
         if not self.keep.any():
             raise BagError(
-                f"{self.topic}: none of its {len(bad)} messages can be used; the last "
-                f"{count} were dropped because: {reason}. {hint}".rstrip()
+                f"{self.topic}: none of its {len(bad)} messages can be used; the last {count} "
+                f"were dropped because: {reason} ({message}). {hint}".rstrip()
             )
-        detail = f"{self.topic}: {count} of {len(bad)} messages, the first is message {first}"
+        detail = f"{self.topic}: {count} of {len(bad)} messages, the first is {message}"
         self.dropped.append(Dropped(float(self.time[first]), reason, detail, count))
 
     def _stamps(self, stamp: NDArray[np.int64]) -> None:
@@ -122,7 +129,10 @@ def resolve_stamps(raw: Raw, stamps: str, notes: list[str]) -> NDArray[np.int64]
     """Time (n,) in ns of each message: the header's, or the log's where headers carry none."""
     if not raw.stamp:
         why = f" ({raw.undecodable} cannot be decoded)" if raw.undecodable else ""
-        raise BagError(f"{raw.topic}: no usable message{why}. Record again with this topic.")
+        raise BagError(
+            f"{raw.topic}: no usable message{why}. Record again with this topic; where messages "
+            "were compressed one by one, give the bag's folder with its metadata.yaml."
+        )
     header, log = np.array(raw.stamp, np.int64), np.array(raw.log, np.int64)
     if stamps == "log":
         return log
@@ -155,9 +165,11 @@ def clean_joints(
             q[i] = position[index]
             if len(torque) == len(present):
                 effort[i] = torque[index]
+    hint = f"Expected a position in rad or m for each of {', '.join(names)}: check their driver."
     sieve.drop(missing, f"lacks some of the joints {', '.join(names)}")
-    sieve.drop(ragged, "position and name differ in length")
-    sieve.drop(~np.isfinite(q).all(axis=1), "joint reading is not finite")
+    sieve.drop(ragged, "position and name differ in length", hint)
+    sieve.drop(~np.isfinite(q).all(axis=1), "joint reading is not finite", hint, q)
+    sieve.drop((np.abs(q) > ABSURD).any(axis=1), "joint reading is beyond 1e9", hint, q)
     keep = sieve.keep
     return JointStream(raw.topic, names, sieve.time[keep], q[keep], effort[keep])
 
@@ -194,6 +206,7 @@ def clean_poses(
     has_rotation = np.array([row[2] is not None for row in raw.rows])
     variance = [np.zeros(36) if row[3] is None else row[3] for row in raw.rows]
     covariance, measured = read_covariance(np.array(variance).reshape(-1, 6, 6))
+    notes += _without_impossible_correlations(covariance, raw.topic)
     measured[:, 3:] &= has_rotation[:, None]
     if measures is not None:
         measured &= np.isin(COORDINATES, _known(measures))
@@ -214,14 +227,34 @@ def clean_poses(
 
 
 def read_covariance(covariance: Array) -> tuple[Array, Bools]:
-    """Covariance (n, 6, 6), NaN where not given (variance <= 0), and what is measured (n, 6)."""
+    """Covariance (n, 6, 6), NaN where not given (variance <= 1e-24), what is measured (n, 6)."""
     covariance = 0.5 * (covariance + np.swapaxes(covariance, 1, 2))
     variance = np.diagonal(covariance, axis1=1, axis2=2)
     measured = ~(variance > NOT_MEASURED)
-    unknown = ~(variance > 0.0) | ~measured | ~np.isfinite(variance)
+    unknown = ~(variance > NOT_GIVEN) | ~measured | ~np.isfinite(variance)
     covariance[unknown] = np.nan
     np.swapaxes(covariance, 1, 2)[unknown] = np.nan
     return covariance, measured
+
+
+def _without_impossible_correlations(covariance: Array, topic: str) -> list[str]:
+    """Leave matrices (n, 6, 6) that are no covariance their variances only; a sentence if any."""
+    sigma = np.sqrt(np.nan_to_num(np.diagonal(covariance, axis1=1, axis2=2)))
+    sigma[sigma == 0.0] = 1.0
+    with np.errstate(over="ignore"):
+        correlation = covariance / (sigma[:, :, None] * sigma[:, None, :])
+    correlation = np.clip(np.nan_to_num(correlation), -2.0, 2.0)
+    correlated = np.flatnonzero(np.count_nonzero(correlation, axis=(1, 2)) > 6)
+    least = np.linalg.eigvalsh(correlation[correlated])[:, 0]
+    bad = correlated[least < -1e-6]
+    if not len(bad):
+        return []
+    alone = np.isnan(covariance[bad]) | np.eye(6, dtype=bool)
+    covariance[bad] = np.where(alone, covariance[bad], 0.0)
+    return [
+        f"{topic}: no covariance, as it has a negative eigenvalue, in {len(bad)} of "
+        f"{len(covariance)} messages, the first is message {bad[0]}: its variances alone are used"
+    ]
 
 
 def _known(measures: Sequence[str]) -> list[str]:
@@ -246,15 +279,18 @@ def _sieve_poses(sieve: Sieve, position: Array, quaternion: Array, measured: Boo
     position[~measured[:, :3]] = 0.0
     quaternion[~rotates] = (0.0, 0.0, 0.0, 1.0)
     finite = np.isfinite(position).all(axis=1) & np.isfinite(quaternion).all(axis=1)
-    norm = np.linalg.norm(np.where(np.isfinite(quaternion), quaternion, 1.0), axis=1)
+    norm = np.linalg.norm(np.clip(np.nan_to_num(quaternion, nan=1.0), -ABSURD, ABSURD), axis=1)
     hint = (
         "If the device measures positions only, say so: measures=x,y,z, a PointStamped topic, "
         "or orientation variances above 1e3."
     )
+    shown = np.hstack([position, quaternion])
+    absurd = (np.abs(position) > ABSURD).any(axis=1)
     sieve.drop(~measured.any(axis=1), "nothing measured (all variances above 1e3)")
-    sieve.drop(~finite, "pose is not finite", hint)
-    sieve.drop(norm < 1e-6, "quaternion is zero", hint)
-    sieve.drop(np.abs(norm - 1.0) > 0.05, "quaternion is not of unit length", hint)
+    sieve.drop(~finite, "pose is not finite", hint, shown)
+    sieve.drop(absurd, "position is beyond 1e9", "Expected metres.", shown)
+    sieve.drop(norm < 1e-6, "quaternion is zero", hint, quaternion)
+    sieve.drop(np.abs(norm - 1.0) > 0.05, "quaternion is not of unit length", hint, quaternion)
     quaternion /= np.maximum(norm, 1e-300)[:, None]
 
 

@@ -16,6 +16,7 @@ Indices = NDArray[np.intp]
 # below FLOOR, settling would cut dwells short; a calm spread above SLOW may be slow motion, and
 # nothing above CEILING is noise of a robot worth calibrating.
 FLOOR, SLOW, CEILING = 2e-5, 1e-3, 5e-2
+READINGS = 8  # in a window: with fewer, noise cannot be told from motion
 
 
 @dataclass(frozen=True)
@@ -31,13 +32,19 @@ def still_tolerance(time: Array, q: Array, min_dwell: float) -> Array:
 
     Four times the spread of the calmest tenth of all windows of length `min_dwell` (up to 1e-3 of
     the joint's travel), at least 10 sigma of the reading-to-reading noise and 1.5 encoder steps,
-    within 2e-5 to 5e-2 of the travel. A joint that never does more than that stands still always.
+    within 2e-5 to 5e-2 of the travel; up to 6 sigma where a window holds readings enough to tell
+    noise from motion. A joint that never does more than that stands still always.
     """
+    if len(time) < 2:
+        return np.full(q.shape[1], 1e-12)
     travel = np.ptp(q, axis=0)
     calm = np.quantile(window_spread(time, q, min_dwell), 0.1, axis=0)
-    noise = np.maximum(10.0 * _jitter(time, q, min_dwell), 1.5 * _encoder_step(q))
+    sigma = jitter(time, q, min_dwell)
+    noise = np.maximum(10.0 * sigma, 1.5 * encoder_step(q))
     tolerance = np.maximum(noise, np.minimum(4.0 * calm, SLOW * travel))
-    tolerance = np.clip(tolerance, FLOOR * travel, CEILING * travel)
+    dense = min_dwell > READINGS * np.median(np.diff(time))
+    ceiling = np.maximum(CEILING * travel, 6.0 * sigma if dense else 0.0)
+    tolerance = np.clip(tolerance, FLOOR * travel, ceiling)
     rests = travel <= 1.5 * np.maximum(noise, 4.0 * calm)
     return np.where(rests, np.maximum(travel, 1e-12), tolerance)
 
@@ -56,7 +63,7 @@ def _range(q: Array, first: Indices, last: Indices) -> Array:
     spread = np.zeros((len(first), q.shape[1]))
     level = np.frexp(last - first + 1)[1] - 1
     low = high = q
-    for k in range(int(level.max()) + 1):
+    for k in range(int(level.max(initial=0)) + 1):
         at = level == k
         a, b = first[at], last[at] + 1 - 2**k
         spread[at] = np.maximum(high[a], high[b]) - np.minimum(low[a], low[b])
@@ -65,21 +72,21 @@ def _range(q: Array, first: Indices, last: Indices) -> Array:
     return spread
 
 
-def _jitter(time: Array, q: Array, length: float) -> Array:
+def jitter(time: Array, q: Array, length: float) -> Array:
     """Reading-to-reading noise sigma (nq,): rms second difference of the calmest windows."""
     if len(q) < 11:
         return np.zeros(q.shape[1])
-    width = int(np.clip(length / np.median(np.diff(time)), 8, len(q) - 3))
+    width = int(np.clip(length / np.median(np.diff(time)), READINGS, len(q) - 3))
     second = q[2:] - 2.0 * q[1:-1] + q[:-2]
     sums = np.cumsum(np.vstack([np.zeros(q.shape[1]), second**2]), axis=0)
     mean = np.maximum(sums[width:] - sums[:-width], 0.0) / width
     return np.sqrt(np.quantile(mean, 0.1, axis=0) / 6.0)
 
 
-def _encoder_step(q: Array) -> Array:
+def encoder_step(q: Array) -> Array:
     """The smallest step (nq,) of joints that often repeat a reading exactly; 0 for others."""
     change = np.abs(np.diff(q, axis=0))
-    repeats = np.mean(change == 0.0, axis=0) > 0.3
+    repeats = np.sum(change == 0.0, axis=0) > 0.3 * len(change)
     smallest = np.min(np.where(change > 0.0, change, np.inf), axis=0, initial=np.inf)
     return np.where(repeats & np.isfinite(smallest), smallest, 0.0)
 

@@ -26,7 +26,10 @@ def paired_samples(recording: Recording, options: Options, tolerance: Array) -> 
         found.dropped.append(Dropped(first, "no joint readings around the pose", detail, count))
     at = np.flatnonzero(usable)
     if not len(at):
-        raise DatasetError(f"{recording.source}: no pose has joint readings around it in time")
+        raise DatasetError(
+            f"{recording.source}: no message on {pose.topic} has two on {joints.topic} around it "
+            f"within {max_gap(joints, options):.2g} s. Record both together, or set max_gap"
+        )
     columns = _interpolated(joints, pose.time[at])
     R = quaternion_to_matrix(pose.quaternion)
     nowhere = np.full(len(joints.names), np.nan)

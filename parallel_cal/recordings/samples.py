@@ -10,6 +10,17 @@ import numpy as np
 from parallel_cal.errors import DatasetError
 from parallel_cal.recordings.recording import Array, Bools, Dropped, JointStream
 
+MODES = ("auto", "dwell", "continuous")
+LEAST = {
+    "min_dwell": 0.0,
+    "trim_start": 0.0,
+    "trim_end": 0.0,
+    "max_gap": 0.0,
+    "min_joint_messages": 1,
+    "min_pose_messages": 1,
+    "replicate_tolerance": 0.0,
+}
+
 
 @dataclass(frozen=True)
 class Options:
@@ -33,6 +44,20 @@ class Options:
     joint_sigma: float | Sequence[float] | None = None
     assume_units: bool = False
     replicate_tolerance: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.mode not in MODES:
+            raise DatasetError(f"mode='{self.mode}'; expected one of {', '.join(MODES)}")
+        for name, least in LEAST.items():
+            value = getattr(self, name)
+            if value is not None and not (_is_number(value) and least <= value < np.inf):
+                raise DatasetError(f"{name}={value}: expected a number of at least {least:g}")
+        if not isinstance(self.assume_units, bool):
+            raise DatasetError(f"assume_units={self.assume_units}: expected true or false")
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
 READING = "reading."  # a dataset's columns of what sensors beside the pose device show, in m
@@ -75,7 +100,10 @@ class Samples:
 
 def per_joint(value: float | Sequence[float], names: Sequence[str], what: str) -> Array:
     """A positive number per joint (nq,) from one number or one per joint; DatasetError if not."""
-    values = np.atleast_1d(np.asarray(value, float))
+    try:
+        values = np.atleast_1d(np.asarray(value, float))
+    except (TypeError, ValueError):
+        values = np.zeros(0)
     if values.shape not in ((1,), (len(names),)) or not (values > 0).all():
         raise DatasetError(
             f"{what}={value}: expected one positive number, or one for each of {', '.join(names)}"

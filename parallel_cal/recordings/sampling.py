@@ -16,9 +16,7 @@ from parallel_cal.recordings.travel import travel
 
 
 def samples_of(recording: Recording, options: Options) -> Samples:
-    """Make samples of a recording; DatasetError when there is none or the mode is unknown."""
-    if options.mode not in ("auto", "dwell", "continuous"):
-        raise DatasetError(f"mode='{options.mode}'; expected 'auto', 'dwell' or 'continuous'")
+    """Make samples of a recording; DatasetError when there is none."""
     joints = recording.joints
     tolerance = _tolerance(joints, options)
     if options.mode == "continuous":
@@ -40,11 +38,13 @@ def _why_none(recording: Recording, options: Options, samples: Samples) -> str:
     """The message for a recording without a single usable dwell."""
     reasons = sorted({d.reason for d in samples.dropped})
     tolerance = ", ".join(f"{t:.2g}" for t in samples.tolerance)
+    said = "".join(f" {warning}." for warning in samples.warnings)
     return (
         f"{recording.source}: no usable dwell of at least {options.min_dwell} s "
         f"(candidates dropped: {'; '.join(reasons) or 'none found'}; joints counted as still "
-        f"within {tolerance}). Let the robot stand at each pose, adjust min_dwell or "
-        "still_tolerance, or pair every pose with the moving joints: mode='continuous'."
+        f"within {tolerance}). Let the robot stand at each pose, adjust min_dwell, trim_start, "
+        "trim_end or still_tolerance, read by log time if clocks differ (stamps='log'), or pair "
+        f"every pose with the moving joints: mode='continuous'.{said}"
     )
 
 

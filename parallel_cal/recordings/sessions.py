@@ -24,8 +24,9 @@ def joined(datasets: Sequence[Dataset]) -> Dataset:
 
     Time goes on from one session to the next, whatever lay between them. Poses are replicates
     within a session only. Conditions that some session lacks are left out, with a warning.
-    DatasetError where joints, their sigma, mode or frame differ.
+    DatasetError where joints, their sigma, mode or frame differ, or a recording comes twice.
     """
+    _check_different(datasets)
     _check_alike(datasets)
     starts = np.cumsum([0.0, *[_length(d) for d in datasets[:-1]]])
     firsts = np.cumsum([0, *[int(d.pose_id.max(initial=-1)) + 1 for d in datasets[:-1]]])
@@ -43,6 +44,17 @@ def joined(datasets: Sequence[Dataset]) -> Dataset:
         source=", ".join(d.source for d in parts),
         sha256=hashlib.sha256("".join(d.sha256 for d in parts).encode()).hexdigest(),
     )
+
+
+def _check_different(datasets: Sequence[Dataset]) -> None:
+    known: dict[str, str] = {}
+    for dataset in datasets:
+        if dataset.sha256 and dataset.sha256 in known:
+            raise DatasetError(
+                f"{dataset.source}: the same recording as {known[dataset.sha256]}; give it once, "
+                "or the result would look surer than it is"
+            )
+        known[dataset.sha256] = dataset.source
 
 
 def _check_alike(datasets: Sequence[Dataset]) -> None:

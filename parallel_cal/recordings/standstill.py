@@ -6,7 +6,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from parallel_cal.recordings.dwells import Indices, Interval, drift, still_intervals
+from parallel_cal.recordings.dwells import (
+    CEILING,
+    Indices,
+    Interval,
+    drift,
+    encoder_step,
+    jitter,
+    still_intervals,
+    still_tolerance,
+)
 from parallel_cal.recordings.readings import held_words, readings_between
 from parallel_cal.recordings.recording import (
     Array,
@@ -31,13 +40,15 @@ from parallel_cal.rotation import quaternion_to_matrix, rotation_vector
 @dataclass
 class _Dwell:
     """A standstill under examination: its readings, its pose messages and what they measure,
-    the words that held the tip meanwhile and what other sensors showed (m)."""
+    the words that held the tip meanwhile and what other sensors showed (m). Messages that measure
+    `less` than most are not among its poses."""
 
     interval: Interval
     start: float
     end: float
     readings: slice
     poses: Indices
+    less: Indices
     measured: Bools
     held: list[str]
     shown: dict[str, float]
@@ -46,7 +57,7 @@ class _Dwell:
 def standstill_samples(recording: Recording, options: Options, tolerance: Array) -> Samples:
     """One sample per standstill, and the reason for each that is not used."""
     joints, pose = recording.joints, recording.pose
-    found = Samples("dwell", [], tolerance, [])
+    found = Samples("dwell", [], tolerance, [], _too_slow(joints, options))
     intervals = still_intervals(
         joints.time, joints.position, tolerance, options.min_dwell / 3, max_gap(joints, options)
     )
@@ -60,12 +71,24 @@ def standstill_samples(recording: Recording, options: Options, tolerance: Array)
         else:
             dwells.append(dwell)
     R = quaternion_to_matrix(pose.quaternion)
-    limits = _pose_limits(pose, R, dwells)
+    limits = _pose_limits(pose, R, dwells, options.min_dwell)
     for dwell in dwells:
+        found.dropped += _partial(pose, dwell)
         if _calm_pose(pose, R, dwell, limits, minimum, found.dropped):
             found.kept.append(_dwell_sample(joints, pose, R, dwell))
     _report_lonely_poses(pose, windows, options, found)
     return found
+
+
+def _too_slow(joints: JointStream, options: Options) -> list[str]:
+    """A sentence if the readings come so rarely that short standstills look like motion."""
+    period = float(np.median(np.diff(joints.time))) if len(joints.time) > 1 else 0.0
+    if period <= options.min_dwell:
+        return []
+    return [
+        f"{joints.topic}: one message in {period:.2g} s; only standstills of {10 * period:.2g} s "
+        "and more are sure to be seen. Publish faster, or stand longer"
+    ]
 
 
 def _window(recording: Recording, interval: Interval, options: Options) -> _Dwell:
@@ -78,11 +101,13 @@ def _window(recording: Recording, interval: Interval, options: Options) -> _Dwel
     poses = np.arange(c, max(c, d))
     # a coordinate counts as measured when most messages measure it; the others are left out
     measured = pose.measured[poses].mean(axis=0) > 0.5 if len(poses) else np.zeros(6, bool)
-    poses = poses[(pose.measured[poses] | ~measured).all(axis=1)]
+    enough = (pose.measured[poses] | ~measured).all(axis=1)
     readings = slice(int(a), int(max(a, b)))
     held = held_words(recording.constraint, start, end)
     shown = readings_between(recording, start, end)
-    return _Dwell(interval, start, end, readings, poses, measured, held, shown)
+    return _Dwell(
+        interval, start, end, readings, poses[enough], poses[~enough], measured, held, shown
+    )
 
 
 def _min_pose_messages(windows: list[_Dwell], options: Options, warnings: list[str]) -> int:
@@ -141,19 +166,43 @@ def _deviation(pose: PoseStream, R: Array, dwell: _Dwell) -> Array:
     return np.where(dwell.measured, both, 0.0)
 
 
-def _pose_limits(pose: PoseStream, R: Array, dwells: list[_Dwell]) -> Array:
+def _partial(pose: PoseStream, dwell: _Dwell) -> list[Dropped]:
+    """The messages of a dwell that are not averaged because a coordinate is missing in them."""
+    if not len(dwell.less):
+        return []
+    count, first = len(dwell.less), float(pose.time[dwell.less[0]])
+    detail = f"{count} messages of {pose.topic}"
+    return [Dropped(first, "measures less than the rest of its dwell", detail, count)]
+
+
+def _pose_limits(pose: PoseStream, R: Array, dwells: list[_Dwell], length: float) -> Array:
     """How far (2,) a single reading may lie off its dwell's middle, in m and rad.
 
-    Eight times what is usual over all dwells, at least 1e-4 of the workspace and 1e-4 rad.
+    Eight times what is usual over all dwells; but where the device's clock is not the joints', no
+    dwell is calm: at most 20 times what half its readings keep to (up to 5e-2 of all that the
+    device saw), or what stands still by its own stream. At least 1.5 of the device's steps, 1e-4 of
+    the workspace and 1e-4 rad.
     """
     dwells = [d for d in dwells if len(d.poses)]
     if not dwells:
         return np.zeros(2)
     strays = [np.abs(_deviation(pose, R, d)) for d in dwells]
-    usual = np.median([(s[:, :3].max(), s[:, 3:].max()) for s in strays], axis=0)
+    largest = np.median([s.max(axis=0) for s in strays], axis=0)
+    half = np.median([np.median(s, axis=0) for s in strays], axis=0)
+    seen = _seen(pose, R)
+    calm = np.minimum(20.0 * half, CEILING * np.ptp(seen, axis=0))
+    calm = np.maximum(calm, still_tolerance(pose.time, seen, length))
+    calm = np.maximum(calm, 6.0 * jitter(pose.time, seen, length))  # where nothing ever moves
+    limits = np.maximum(np.minimum(8.0 * largest, calm), 1.5 * encoder_step(seen))
     centres = np.array([np.median(pose.position[d.poses], axis=0) for d in dwells])
     extent = np.ptp(np.quantile(centres, [0.05, 0.95], axis=0), axis=0).max()
-    return np.maximum(8.0 * usual, [1e-4 * extent + 1e-9, 1e-4])
+    return np.maximum([limits[:3].max(), limits[3:].max()], [1e-4 * extent + 1e-9, 1e-4])
+
+
+def _seen(pose: PoseStream, R: Array) -> Array:
+    """Position and rotation off the middle (m, 6) of all messages, a few wild ones clipped."""
+    seen = np.hstack([pose.position, rotation_vector(R @ mean_rotation(R).T)])
+    return np.clip(seen, *np.quantile(seen, [0.01, 0.99], axis=0))
 
 
 def _calm_pose(
@@ -174,7 +223,7 @@ def _calm_pose(
     middle, worst = 0.5 * (dwell.start + dwell.end), stray.max(axis=0)
     size = f"by {1e3 * worst[:3].max():.3g} mm, {1e3 * worst[3:].max():.3g} mrad"
     if far.mean() > 0.2 or (~far).sum() < minimum:
-        detail = f"{pose.topic} strays {size} while the joints stand still"
+        detail = f"{pose.topic} strays {size} while the joints stand still; do their clocks agree?"
         dropped.append(Dropped(middle, "moving while measured", detail))
         return False
     first = float(pose.time[dwell.poses[far][0]])
