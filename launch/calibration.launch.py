@@ -12,22 +12,39 @@ from launch_ros.parameter_descriptions import ParameterValue
 
 TOPICS = {
     "joint_states": "sensor_msgs/JointState, the encoder readings",
-    "measured_pose": "geometry_msgs/PoseStamped or PoseWithCovarianceStamped from the device",
+    "measured_pose": "the device's poses, see pose_type",
     "measured_position": "geometry_msgs/PointStamped, for position-only devices",
+    "constraint": "std_msgs/String, what holds the tip, without a pose device",
+    "distance": "sensor_msgs/Range, a sensor's reading, without a pose device",
     "temperature": "sensor_msgs/Temperature",
     "payload": "geometry_msgs/InertiaStamped, m in kg",
     "target_pose": "geometry_msgs/PoseStamped to be turned into joint commands",
+    "joint_command": "trajectory_msgs/JointTrajectory, what a target comes to",
 }
+POSE_TYPES = ["PoseWithCovarianceStamped", "PoseStamped"]
 
 
 def generate_launch_description():
     remappings = [(topic, LaunchConfiguration(topic)) for topic in TOPICS]
-    # A path that looks like a number must stay a string.
-    model = {"model_file": ParameterValue(LaunchConfiguration("model_file"), value_type=str)}
+    # Types are named: a path that looks like a number must stay a string.
+    types = {"model_file": str, "pose_type": str, "use_sim_time": bool}
+    parameters = {
+        name: ParameterValue(LaunchConfiguration(name), value_type=type)
+        for name, type in types.items()
+    }
     return LaunchDescription(
         [
             DeclareLaunchArgument("model_file", description="model file (YAML) of the robot"),
             DeclareLaunchArgument("namespace", default_value="", description="of both nodes"),
+            DeclareLaunchArgument(
+                "pose_type",
+                default_value=POSE_TYPES[0],
+                choices=POSE_TYPES,
+                description="type of measured_pose, of geometry_msgs",
+            ),
+            DeclareLaunchArgument(
+                "use_sim_time", default_value="false", description="take the time from /clock"
+            ),
             *(
                 DeclareLaunchArgument(topic, default_value=topic, description=what)
                 for topic, what in TOPICS.items()
@@ -38,7 +55,7 @@ def generate_launch_description():
                     executable=node,
                     name=node,
                     namespace=LaunchConfiguration("namespace"),
-                    parameters=[model],
+                    parameters=[parameters],
                     remappings=remappings,
                     output="screen",
                 )

@@ -19,6 +19,7 @@ pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy")
 pytest.importorskip("parallel_cal_msgs")
 
+from geometry_msgs.msg import PoseStamped
 from parallel_cal_msgs.action import Identify
 from parallel_cal_msgs.msg import CollectionStatus, ModelStatus
 from parallel_cal_msgs.srv import (
@@ -29,6 +30,9 @@ from parallel_cal_msgs.srv import (
     RemoveSample,
     SaveSamples,
 )
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters
+from ros_helpers import NodeProcess
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
@@ -245,6 +249,7 @@ def test_odd_goals_are_messages(full):
         {"hold_out": -1.0},
         {"joint_sigma": -1.0},
         {"joint_sigma": float("nan")},
+        {"joint_sigma": float("inf")},
         {"output_file": "/no/such/folder/robot.yaml"},
     ]
     for goal in goals:
@@ -373,6 +378,60 @@ def test_without_auto_collect_samples_are_taken_by_hand(tmp_path):
     processes[1].end()  # may be interrupted while it makes sure of what we know already
     assert taken.success, taken.message
     assert len(listed.samples) == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "expected"),
+    [
+        ("mode", "walk", "auto or dwell or continuous"),
+        ("look_period", -1.0, "a number from 0.01 to 3600"),
+        ("pose_type", "Pose", "PoseWithCovarianceStamped or PoseStamped"),
+        ("joint_sigma", float("nan"), "a number from 0 to 1"),
+    ],
+)
+@mock.patch.dict(os.environ)
+def test_a_parameter_that_is_not_allowed_is_one_clear_line(tmp_path, name, value, expected):
+    node = NodeProcess("calibration_node", tmp_path, own_domain() + "_bad", **{name: value})
+    assert node.ended() == 1
+    assert node.said.startswith(f"error: parameter {name}: expected {expected}: ")
+    assert node.said.count("\n") == 1
+
+
+def test_parameters_set_to_what_cannot_be_are_refused_with_the_reason(robot):
+    for name, value, reason in (
+        ("mode", "walk", "auto or dwell or continuous"),
+        ("model_file", "/no/such.yaml", "/no/such.yaml: cannot be read"),
+        ("pose_type", "PoseStamped", "read-only"),
+    ):
+        text = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=value)
+        change = Parameter(name=name, value=text)
+        answer = robot.call(SetParameters, "set_parameters", parameters=[change]).results[0]
+        assert not answer.successful
+        assert reason in answer.reason
+
+
+@mock.patch.dict(os.environ)
+def test_with_a_clock_that_stands_still_a_topic_of_another_type_is_told_and_paths_may_use_home(
+    tmp_path,
+):
+    os.environ["HOME"] = str(tmp_path)
+    shutil.copy(PRESET, tmp_path / "robot.yaml")
+    namespace = own_domain() + "_still"
+    parameters = {"model_file": "~/robot.yaml", "use_sim_time": True}
+    node = Process("calibration_node", tmp_path, namespace, **parameters)
+    client = Client("tester", namespace, [node])
+    status = client.latest(CollectionStatus, "calibration_node/collection_status")
+    client._node.create_publisher(PoseStamped, "measured_pose", 10)
+    told = "measured_pose is published as geometry_msgs/msg/PoseStamped, expected"
+    client.wait(lambda: bool(status) and told in status[0].last_event, "the other type")
+    service = "calibration_node/load_samples"
+    assert client.call(LoadSamples, service, path=str(CLEAN)).success
+    service = "calibration_node/save_samples"
+    assert client.call(SaveSamples, service, path="~/samples.json").samples == 94
+    assert client.call(Compare, "calibration_node/compare").success
+    assert (tmp_path / "samples.json").exists()
+    client.close()
+    assert node.end() == 0
 
 
 @mock.patch.dict(os.environ)

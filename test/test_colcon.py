@@ -1,8 +1,10 @@
 """Both packages build with colcon, unchanged, on the pip-installed ROS."""
 
+import configparser
 import os
 import re
 import shutil
+import signal
 import subprocess
 import venv
 from pathlib import Path
@@ -93,6 +95,41 @@ def test_ros2_run_finds_the_nodes(workspace, node):
     executable = workspace[1] / "parallel_cal" / "lib" / "parallel_cal" / node
     assert executable.is_file()
     assert os.access(executable, os.X_OK)
+
+
+def test_the_nodes_run_with_the_workspace_sourced(workspace):
+    """What `ros2 run` and `ros2 launch` come to in a shell that has sourced the install space."""
+    python, install = workspace
+    setup = configparser.ConfigParser()
+    setup.read(ROOT / "setup.cfg")
+    libraries = setup["options"]["install_requires"], setup["options.extras_require"]["ros"]
+    named = [line for text in libraries for line in text.split()]
+    run(python, "-m", "pip", "install", "-qq", *named, env=clean_environment())
+    share = install / "parallel_cal" / "share" / "parallel_cal"
+    preset = share / "config" / "delta_mockup_nominal.yaml"
+    served = start(workspace, "kinematics_node", f"model_file:={preset}")
+    assert f"{preset.name}: " in served.stdout.readline()
+    served.send_signal(signal.SIGINT)
+    assert served.wait(60) == 0
+    refused = start(workspace, "calibration_node", "mode:=walk")
+    assert refused.stdout.readline().startswith("error: parameter mode")
+    assert refused.wait(60) == 1
+
+
+def start(workspace, node, parameter):
+    python, install = workspace
+    executable = install / "parallel_cal" / "lib" / "parallel_cal" / node
+    command = f'source {install / "setup.bash"} && exec {executable} --ros-args -p "{parameter}"'
+    environment = clean_environment(
+        AMENT_PREFIX_PATH=str(python.parents[1]), ROS_AUTOMATIC_DISCOVERY_RANGE="OFF"
+    )
+    return subprocess.Popen(
+        ["bash", "-c", command],
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
 
 
 @pytest.mark.parametrize(

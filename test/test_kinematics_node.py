@@ -27,10 +27,10 @@ from geometry_msgs.msg import (
 from parallel_cal_msgs.msg import Condition, JointConfiguration, ModelStatus, Solution
 from parallel_cal_msgs.srv import ComputeFK, ComputeIK, LoadModel
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
-from rcl_interfaces.srv import GetParameters, SetParameters
-from rclpy.qos import ReliabilityPolicy
+from rcl_interfaces.srv import GetParameters, SetParameters, SetParametersAtomically
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from ros_helpers import Hammer, NodeProcess
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import JointState, Temperature
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
@@ -57,6 +57,14 @@ def pose(position, quaternion=(0.0, 0.0, 0.0, 1.0)):
 def numbers(pose):
     p, o = pose.position, pose.orientation
     return [p.x, p.y, p.z, o.x, o.y, o.z, o.w]
+
+
+def as_parameter(name, value):
+    if isinstance(value, float):
+        double = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value)
+        return Parameter(name=name, value=double)
+    text = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=str(value))
+    return Parameter(name=name, value=text)
 
 
 class Robot:
@@ -95,14 +103,13 @@ class Robot:
         return self.known[self.status[0].hash]
 
     def set(self, **parameters):
-        values = [
-            Parameter(
-                name=name,
-                value=ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=str(value)),
-            )
-            for name, value in parameters.items()
-        ]
+        values = [as_parameter(name, value) for name, value in parameters.items()]
         return self.call(SetParameters, "set_parameters", parameters=values).results[0]
+
+    def set_together(self, **parameters):
+        values = [as_parameter(name, value) for name, value in parameters.items()]
+        service = "set_parameters_atomically"
+        return self.call(SetParametersAtomically, service, parameters=values).result
 
     def model_file(self):
         answer = self.call(GetParameters, "get_parameters", names=["model_file"])
@@ -308,6 +315,15 @@ def test_under_load_every_answer_is_exactly_that_of_the_model_it_names(robot):
     assert used == {nominal, identified}
 
 
+def test_of_a_burst_of_requests_none_is_lost(robot):
+    deep = QoSProfile(depth=1000)  # the client's own queue
+    client = robot.client._node.create_client(ComputeFK, f"{NODE}/compute_fk", qos_profile=deep)
+    robot.client.wait(client.service_is_ready, "the service")
+    request = ComputeFK.Request(configurations=configurations([0.5] * 3))
+    sent = [client.call_async(request) for _ in range(300)]
+    robot.client.wait(lambda: all(future.done() for future in sent), "all answers")
+
+
 def test_a_bad_file_is_reported_in_status_and_diagnostics_and_the_model_stays(robot):
     before = robot.fk([0.5] * 3)
     robot.file.write_text("parallel_cal: 1\nmechanism: delta54\n")
@@ -373,6 +389,47 @@ def test_a_joint_state_without_a_joint_is_counted_and_told(robot):
     assert int(counts["joint_states refused"]) >= 1
     assert int(counts["joint_states received"]) > int(counts["joint_states refused"])
     assert int(counts["compute_fk answered"]) > 50
+
+
+def told_of(robot, publisher, message, reason):
+    """Publish until the diagnostics give this reason for a refusal."""
+
+    def told(status):
+        publisher.publish(message)
+        return any(reason in v.value for v in status.values if v.key.endswith("last reason"))
+
+    robot.wait_for_diagnosis("traffic", told)
+
+
+def test_a_joint_given_twice_and_a_temperature_that_is_none_are_refused(robot):
+    joints = robot.client._node.create_publisher(JointState, "joint_states", 10)
+    thermometer = robot.client._node.create_publisher(Temperature, "temperature", 10)
+    twice = JointState(name=[*NAMES, "joint1"], position=[0.5, 0.6, 0.7, 0.9])
+    told_of(robot, joints, twice, "joint1 given more than once")
+    told_of(robot, thermometer, Temperature(temperature=np.nan), "the value is nan")
+
+
+def test_velocities_that_are_no_numbers_are_worked_out_from_the_positions(robot):
+    model = read_model(IDENTIFIED).with_effect("latency")
+    write_model(model, robot.folder / "late.yaml")
+    robot.learn(robot.folder / "late.yaml")
+    assert robot.call(LoadModel, "load_model", path=str(robot.folder / "late.yaml")).success
+    publisher = robot.client._node.create_publisher(JointState, "joint_states", 10)
+    heard = heard_on(robot, PoseStamped, f"{NODE}/pose")
+    state = JointState(name=NAMES, position=[0.5, 0.6, 0.7], velocity=[np.nan] * 3)
+    publish_until(robot, publisher, state, heard)
+    expected = robot.kinematics.direct(np.array([0.5, 0.6, 0.7]))
+    assert numbers(heard[-1].pose)[:3] == expected.position.tolist()
+    robot.back_to(NOMINAL)
+
+
+def test_a_topic_that_is_published_with_another_type_is_told(robot):
+    stranger = Client("stranger", robot.namespace, [])
+    stranger._node.create_publisher(Pose, "target_pose", 10)
+    expected = "target_pose is published as geometry_msgs/msg/Pose, expected"
+    robot.wait_for_diagnosis("traffic", lambda s: expected in s.message)
+    assert robot.diagnostics["traffic"].level == DiagnosticStatus.WARN
+    stranger.close()
 
 
 def test_a_target_becomes_the_command_of_the_calibrated_inverse_and_others_nothing(robot):
@@ -456,6 +513,18 @@ def test_a_parameter_of_the_wrong_kind_is_one_clear_line_and_a_whole_number_will
     assert process.said.count("\n") == 1
 
 
-def test_a_parameter_of_the_wrong_kind_is_refused_while_running(robot):
-    assert not robot.set(time_from_start="soon").successful
+def test_a_parameter_that_is_not_allowed_is_refused_while_running(robot):
+    for value in ("soon", 1e30, -1.0, np.nan):
+        refused = robot.set(time_from_start=value)
+        assert not refused.successful
+        assert "time_from_start" in refused.reason
+        assert "expected a number from 0 to 3600" in refused.reason
     assert robot.call(ComputeFK, "compute_fk", configurations=configurations([0.5] * 3)).results
+
+
+def test_parameters_refused_together_leave_the_model_as_it_is(robot):
+    before = robot.fk([0.5] * 3).model_hash
+    together = robot.set_together(model_file=IDENTIFIED, direction_threshold=-1.0)
+    assert "direction_threshold" in together.reason
+    assert robot.fk([0.5] * 3).model_hash == before
+    assert robot.model_file() == str(robot.file)

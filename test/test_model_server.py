@@ -122,16 +122,24 @@ def test_the_self_test_sees_a_direct_problem_that_does_not_lead_back(monkeypatch
 
 @pytest.fixture
 def watched(tmp_path):
-    file, changed = tmp_path / "robot.yaml", threading.Semaphore(0)
+    """A watched file in a folder of its own; what counts its changes; its watch."""
+    file, changed = tmp_path / "here" / "robot.yaml", threading.Semaphore(0)
+    file.parent.mkdir()
     shutil.copy(NOMINAL, file)
     watch = FileWatch(changed.release)
-    assert watch.watch(file)
+    watch.watch(file)
     yield file, changed, watch
     watch.stop()
 
 
 def seen(changed):
     return changed.acquire(timeout=10)
+
+
+def point(link, to):
+    """Point a link elsewhere in one step, as a deployment does."""
+    link.with_name("new").symlink_to(to)
+    os.replace(link.with_name("new"), link)
 
 
 def test_a_file_replaced_atomically_is_seen_once(watched):
@@ -150,6 +158,17 @@ def test_a_file_written_in_place_or_removed_and_made_again_is_seen(watched):
     assert seen(changed)
 
 
+def test_a_folder_made_anew_and_everything_after_it_is_seen(watched):
+    file, changed, _ = watched
+    shutil.rmtree(file.parent)
+    assert not changed.acquire(timeout=3 * DEBOUNCE)
+    file.parent.mkdir()
+    shutil.copy(IDENTIFIED, file)
+    assert seen(changed)
+    shutil.copy(NOMINAL, file)
+    assert seen(changed)
+
+
 def test_reading_it_and_writing_its_neighbours_is_not_a_change(watched):
     file, changed, _ = watched
     file.read_text()
@@ -157,20 +176,37 @@ def test_reading_it_and_writing_its_neighbours_is_not_a_change(watched):
     assert not changed.acquire(timeout=3 * DEBOUNCE)
 
 
-def test_a_link_pointed_elsewhere_is_a_change(tmp_path, watched):
-    _, changed, watch = watched
-    link = tmp_path / "link.yaml"
-    link.symlink_to(NOMINAL)
-    watch.watch(link)
-    (tmp_path / "new").symlink_to(IDENTIFIED)
-    os.replace(tmp_path / "new", link)
+@pytest.mark.parametrize("linked", ["robot.yaml", "."])
+def test_a_linked_file_or_folder_pointed_elsewhere_is_a_change_and_is_watched_there(
+    tmp_path, watched, linked
+):
+    file, changed, watch = watched
+    other = tmp_path / "there" / "robot.yaml"
+    other.parent.mkdir()
+    shutil.copy(IDENTIFIED, other)
+    link = tmp_path / "link"
+    link.symlink_to(file.parent / linked)
+    watch.watch(link / "robot.yaml" if linked == "." else link)
+    point(link, other.parent / linked)
+    assert seen(changed)
+    shutil.copy(NOMINAL, other)
     assert seen(changed)
 
 
-def test_a_folder_that_is_not_there_cannot_be_watched_yet(tmp_path):
-    watch = FileWatch(lambda: None)
-    assert not watch.watch(tmp_path / "none" / "robot.yaml")
-    assert watch.idle
+def test_a_file_whose_folder_is_yet_to_come_is_seen_when_it_comes(tmp_path, watched):
+    _, changed, watch = watched
+    file = tmp_path / "later" / "robot.yaml"
+    watch.watch(file)
+    file.parent.mkdir()
+    shutil.copy(NOMINAL, file)
+    assert seen(changed)
+
+
+def test_nothing_is_watched_when_asked_to(watched):
+    file, changed, watch = watched
+    watch.watch(None)
+    shutil.copy(IDENTIFIED, file)
+    assert not changed.acquire(timeout=3 * DEBOUNCE)
 
 
 # ------------------------------------------------------------------ what the streams remember

@@ -7,17 +7,15 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from geometry_msgs.msg import (
-    InertiaStamped,
-    PointStamped,
-    PoseStamped,
-    PoseWithCovarianceStamped,
-)
+import geometry_msgs.msg
+from geometry_msgs.msg import InertiaStamped, PointStamped
 from parallel_cal_msgs.msg import CollectionStatus
 from parallel_cal_msgs.srv import Compare
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState, Range, Temperature
 from std_msgs.msg import String
@@ -28,44 +26,54 @@ from parallel_cal.nodes import calibration_messages as messages
 from parallel_cal.nodes.action_work import in_words
 from parallel_cal.nodes.collector import Collection, Collector
 from parallel_cal.nodes.judging import Judging
-from parallel_cal.nodes.parameters import LATCHED, declare, overridable
-from parallel_cal.nodes.run import run
+from parallel_cal.nodes.parameters import (
+    ACCEPTED,
+    LATCHED,
+    WAITING,
+    Setting,
+    absolute,
+    declare,
+    overridable,
+)
+from parallel_cal.nodes.run import every, foreign_publishers, run
 from parallel_cal.nodes.sample_services import SERVICES
 from parallel_cal.recordings.recording import Dropped
 from parallel_cal.recordings.samples import Options
 
-POSE_TYPES = {t.__name__: t for t in (PoseWithCovarianceStamped, PoseStamped)}
+MODES = ("auto", "dwell", "continuous")
+POSE_TYPES = ("PoseWithCovarianceStamped", "PoseStamped")
 # Reliable, and deep enough for minutes of a 1 kHz stream while this process is busy.
 STREAM = QoSProfile(depth=100_000)
 BUSY = 0.25  # largest part of the time spent on looking at what was collected so far
 
-PARAMETERS: dict[str, tuple[Any, str]] = {
-    "model_file": ("", "model file to identify (YAML)"),
-    "output_file": ("", "where the result goes; empty = model_file"),
-    "auto_collect": (True, "take every standstill; else only those taken by take_sample"),
-    "mode": ("auto", "auto | dwell | continuous, see parallel_cal.recordings.samples.Options"),
-    "min_dwell": (0.3, "s the robot rests at least"),
-    "trim_start": (0.1, "s left out at the start of a dwell, while the robot settles"),
-    "trim_end": (0.05, "s left out at its end"),
-    "still_tolerance": (0.0, "rad or m a joint may stray at rest; 0 = from the data"),
-    "joint_sigma": (0.0, "1-sigma encoder noise, rad or m; 0 = as in the model file"),
-    "hold_out": (0.25, "share of the poses left out per fold, where none is asked for"),
-    "pose_type": ("PoseWithCovarianceStamped", "type of measured_pose, or PoseStamped"),
-    "arrow_scale": (100.0, "length of residual arrows over the residuals'"),
-    "look_period": (0.5, "s between two looks at what came in"),
+PARAMETERS = {
+    "model_file": Setting("", "model file to identify (YAML)"),
+    "output_file": Setting("", "where the result goes; empty = model_file"),
+    "auto_collect": Setting(True, "take every standstill; else only those taken by take_sample"),
+    "mode": Setting("auto", "one sample a standstill (dwell) or a pose (continuous)", MODES),
+    "min_dwell": Setting(0.3, "s the robot rests at least", (0, 3600)),
+    "trim_start": Setting(0.1, "s left out at a dwell's start, while the robot settles", (0, 3600)),
+    "trim_end": Setting(0.05, "s left out at its end", (0, 3600)),
+    "still_tolerance": Setting(0.0, "rad or m a joint strays at rest; 0 = from the data", (0, 1)),
+    "joint_sigma": Setting(0.0, "1-sigma encoder noise, rad or m; 0 = the model file's", (0, 1)),
+    "hold_out": Setting(0.25, "share of the poses left out, where none is asked for", (0, 0.5)),
+    "pose_type": Setting(POSE_TYPES[0], "type of measured_pose", POSE_TYPES, fixed=True),
+    "arrow_scale": Setting(100.0, "length of residual arrows over the residuals'", (0, 1e9)),
+    "look_period": Setting(0.5, "s between two looks at what came in", (0.01, 3600), fixed=True),
 }
 
 
 class CalibrationNode(Node):
-    """The calibration node; topics and services as in the package's documentation."""
+    """The calibration node; topics and services are listed in docs/ros.md."""
 
     def __init__(self) -> None:
         super().__init__("calibration_node")
-        declare(self, PARAMETERS)
+        declare(self, PARAMETERS, self._on_parameters)
         # One group and not the default one: `run` then calls everything from one thread.
         self._group = MutuallyExclusiveCallbackGroup()
         self._model_joints: tuple[Any, tuple[str, ...] | None] = (None, None)
         self._event, self._next_look = "", 0.0
+        self._foreign: list[str] = []
         self._dropped_before: list[Dropped] = []
         self._collector = Collector(self._joints(), self._options(), auto=self._auto())
         self._status = self.create_publisher(CollectionStatus, "~/collection_status", LATCHED)
@@ -73,7 +81,7 @@ class CalibrationNode(Node):
         self._subscribe()
         self._judging = Judging(self, self._collect, self._say, self._group)
         self._offer_services()
-        self.create_timer(self._parameter("look_period"), self._look, callback_group=self._group)
+        every(self._parameter("look_period"), self, self._look, self._group)
         self._dropped.publish(messages.dropped_message([]))
         self._publish_status()
 
@@ -90,27 +98,35 @@ class CalibrationNode(Node):
 
     def _joints(self) -> tuple[str, ...] | None:
         """The model's joints, read again when the file changes; None while it cannot be read."""
-        path = self._parameter("model_file")
+        path = absolute(self._parameter("model_file"))
+        if not path:
+            return None
         try:
-            version = (path, Path(path).stat().st_mtime_ns) if path else None
+            version = (path, _modified(path))
             if version != self._model_joints[0]:
                 self._model_joints = (version, read_model(path).joints)
-        except (OSError, ParallelCalError) as error:
+        except ParallelCalError as error:
             if self._model_joints[0] != str(error):
                 self.get_logger().error(f"model file: {error}")
             self._model_joints = (str(error), None)
         return self._model_joints[1]
 
+    def _on_parameters(self, changes: list[Parameter]) -> SetParametersResult:
+        """Refuse a model file that cannot be read."""
+        file = next((c.value for c in changes if c.name == "model_file"), "")
+        try:
+            if file:
+                read_model(absolute(file))
+        except Exception as error:  # a user's own mechanism may raise anything
+            return SetParametersResult(successful=False, reason=in_words(error))
+        return ACCEPTED
+
     # ------------------------------------------------------------------ collecting
 
     def _subscribe(self) -> None:
-        name = self._parameter("pose_type")
-        if name not in POSE_TYPES:
-            self.get_logger().error(f"pose_type '{name}': expected {' or '.join(POSE_TYPES)}")
-        pose_type = POSE_TYPES.get(name, PoseWithCovarianceStamped)
         streams = {
             "joint_states": JointState,
-            "measured_pose": pose_type,
+            "measured_pose": getattr(geometry_msgs.msg, self._parameter("pose_type")),
             "measured_position": PointStamped,
             "temperature": Temperature,
             "payload": InertiaStamped,
@@ -148,8 +164,14 @@ class CalibrationNode(Node):
         if begin < self._next_look:
             return
         self._refresh()
+        self._warn_of_foreign()
         end = time.monotonic()
         self._next_look = end + (end - begin) / BUSY
+
+    def _warn_of_foreign(self) -> None:
+        before, self._foreign = self._foreign, foreign_publishers(self)
+        for text in sorted(set(self._foreign) - set(before)):
+            self._say(text)
 
     def _refresh(self) -> None:
         self._collector.configure(self._joints(), self._options(), self._auto())
@@ -204,7 +226,9 @@ class CalibrationNode(Node):
         works["compare"] = (Compare, self._judging.compare)
         for name, (type, work) in works.items():
             on_call = partial(self._serve, work)
-            self.create_service(type, f"~/{name}", on_call, callback_group=self._group)
+            self.create_service(
+                type, f"~/{name}", on_call, qos_profile=WAITING, callback_group=self._group
+            )
 
     def _serve(self, work: Any, request: Any, response: Any) -> Any:
         """Bring the samples up to date, do it, and answer with a message whatever happens."""
@@ -228,6 +252,14 @@ class CalibrationNode(Node):
     def destroy_node(self) -> None:
         self._judging.close()
         super().destroy_node()
+
+
+def _modified(path: str) -> int | None:
+    """When a file was written, ns; None where there is none."""
+    try:
+        return Path(path).stat().st_mtime_ns
+    except OSError:
+        return None
 
 
 def main(args: list[str] | None = None) -> int:

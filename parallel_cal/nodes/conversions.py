@@ -11,13 +11,11 @@ from geometry_msgs.msg import Point, Pose, Quaternion
 from parallel_cal_msgs.msg import Condition, Solution
 
 from parallel_cal.commands.answers import parse_conditions
-from parallel_cal.errors import ParallelCalError, SolveError
+from parallel_cal.errors import SolveError
 from parallel_cal.kinematics import Solutions, Status
 from parallel_cal.model import Model
 from parallel_cal.rotation import quaternion_to_matrix
 
-# What one message may cause: it is answered with the reason, and the node goes on.
-FAILURES = (ParallelCalError, ArithmeticError, ValueError)
 UNIT_LENGTH = 1e-3  # a quaternion this far from unit length is somebody's mistake
 
 ADVICE: dict[int, str] = {
@@ -31,7 +29,7 @@ ADVICE: dict[int, str] = {
 
 
 def joint_order(names: Sequence[str], joints: Sequence[str]) -> list[int]:
-    """Where each of the model's joints stands among `names`; SolveError for one not there.
+    """Where each of the model's joints stands among `names`; SolveError unless it is there once.
 
     Further names are allowed: a joint state may tell of more joints than the robot's.
     """
@@ -39,11 +37,17 @@ def joint_order(names: Sequence[str], joints: Sequence[str]) -> list[int]:
     if missing:
         have = ", ".join(names) or "none"
         raise SolveError(f"joint {', '.join(missing)} not given; the message names {have}")
+    twice = [joint for joint in joints if list(names).count(joint) > 1]
+    if twice:
+        raise SolveError(f"joint {', '.join(twice)} given more than once")
     return [list(names).index(joint) for joint in joints]
 
 
 def matched_joints(message: Any, joints: Sequence[str]) -> tuple[np.ndarray, np.ndarray | None]:
-    """Positions (nq,) and velocities of a JointState in the model's order; None where empty."""
+    """Positions (nq,) and velocities of a JointState in the model's order.
+
+    Velocities are None where they are left empty or not finite, as drivers without them have it.
+    """
     order = joint_order(message.name, joints)
     if len(message.position) != len(message.name):
         raise SolveError(f"{len(message.position)} positions for {len(message.name)} joint names")
@@ -52,7 +56,15 @@ def matched_joints(message: Any, joints: Sequence[str]) -> tuple[np.ndarray, np.
         raise SolveError("a joint position is not finite")
     if len(message.velocity) != len(message.name):
         return q, None
-    return q, np.asarray(message.velocity)[order]
+    velocity = np.asarray(message.velocity)[order]
+    return q, velocity if np.isfinite(velocity).all() else None
+
+
+def finite(value: float) -> float:
+    """A measured number; SolveError where it is none."""
+    if not np.isfinite(value):
+        raise SolveError(f"the value is {value}")
+    return value
 
 
 def pose_numbers(pose: Pose) -> tuple[np.ndarray, np.ndarray]:
@@ -65,18 +77,6 @@ def pose_numbers(pose: Pose) -> tuple[np.ndarray, np.ndarray]:
     if abs(length - 1) > UNIT_LENGTH:
         raise SolveError(f"the quaternion has length {length:.6g}, expected 1")
     return r, quaternion_to_matrix(quaternion)
-
-
-def controlled_pose(
-    model: Model, r: np.ndarray, R: np.ndarray | None
-) -> tuple[np.ndarray, np.ndarray | None]:
-    """The pose with what the robot does not control taken from home; None: all of the rotation."""
-    controlled = model.mechanism.controlled
-    ignored = [i for i in range(3) if i not in controlled]
-    if ignored:
-        r = np.array(r)
-        r[..., ignored] = np.array(model.mechanism.home.position)[ignored]
-    return r, (R if any(i >= 3 for i in controlled) else None)
 
 
 def conditions_of(model: Model, conditions: Iterable[Condition]) -> dict[str, float] | None:

@@ -1,77 +1,65 @@
-"""Notices when a file was written, replaced or moved into place."""
+"""Notices when a file was written, replaced or became another one."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
-from threading import Lock, Timer
-from typing import Any
+from threading import Event, Lock, Thread
 
-from watchdog.events import FileSystemEvent, FileSystemEventHandler
-from watchdog.observers import Observer
+DEBOUNCE = 0.15  # s between two looks; a change counts when the next look finds nothing newer
 
-# Opening and reading are events too: only those that change the content count.
-CHANGES = ("created", "modified", "moved", "closed")
-DEBOUNCE = 0.15  # s of quiet: editors write in several steps
+State = tuple[int, ...] | None  # None where there is no file
 
 
-class FileWatch(FileSystemEventHandler):
+class FileWatch:
     """Calls `changed()` from a thread of its own, once the watched file has been left alone.
 
-    The folder is watched, not the file: an atomic replacement leaves an old file behind.
+    The file is looked at again and again: notices from its folder would end with the folder, and
+    tell nothing of a linked folder pointed elsewhere or of a file written on another machine.
     """
 
     def __init__(self, changed: Callable[[], None]):
         self._changed = changed
-        self._observer: Any = None
-        self._names: set[str] = set()
-        self._path: Path | None = None
-        self._timer: Timer | None = None
-        self._lock = Lock()
+        self._path: str | Path | None = None
+        self._known: State = None
+        self._seen: State = None
+        self._lock, self._ended = Lock(), Event()
+        self._thread = Thread(target=self._run, daemon=True)
+        self._thread.start()
 
-    def watch(self, path: str | Path | None) -> bool:
-        """Watch this file instead (None: nothing); whether its folder exists to be watched."""
-        wanted = Path(path).absolute() if path else None
-        if wanted is not None and wanted == self._path:
-            return True
-        self.stop()
-        if wanted is None or not wanted.parent.is_dir():
-            return wanted is None
-        observer = Observer()
-        # A link may be pointed elsewhere, or the file behind it be replaced.
-        places = {wanted, wanted.resolve()}
-        for folder in {place.parent for place in places if place.parent.is_dir()}:
-            observer.schedule(self, str(folder))
-        self._names = {str(place) for place in places}
-        observer.daemon = True
-        observer.start()
-        self._path, self._observer = wanted, observer
-        return True
-
-    @property
-    def idle(self) -> bool:
-        """Nothing is watched."""
-        return self._path is None
+    def watch(self, path: str | Path | None) -> None:
+        """Watch this file instead, which may be yet to come (None: nothing)."""
+        with self._lock:
+            if path != self._path:
+                self._path, self._known = path, _state(path)
 
     def stop(self) -> None:
         """Watch nothing any more."""
-        with self._lock:
-            if self._timer is not None:
-                self._timer.cancel()
-        if self._observer is not None:
-            self._observer.stop()
-            self._observer.join(1.0)
-        self._path, self._observer = None, None
+        self._ended.set()
+        self._thread.join()
 
-    def on_any_event(self, event: FileSystemEvent) -> None:
-        """Called by watchdog for everything in the folder."""
-        if event.event_type not in CHANGES:
-            return
-        if not self._names & {str(event.src_path), str(event.dest_path)}:
-            return
+    def _run(self) -> None:
+        while not self._ended.wait(DEBOUNCE):
+            if self._settled():
+                self._changed()
+
+    def _settled(self) -> bool:
+        """Whether the file is another one than known, and the same as at the last look."""
         with self._lock:
-            if self._timer is not None:
-                self._timer.cancel()
-            self._timer = Timer(DEBOUNCE, self._changed)
-            self._timer.daemon = True
-            self._timer.start()
+            before, self._seen = self._seen, _state(self._path)
+            if self._seen is None or self._seen != before or self._seen == self._known:
+                return False
+            self._known = self._seen
+            return True
+
+
+def _state(path: str | Path | None) -> State:
+    """What changes with the content or with the file that a path leads to."""
+    if path is None:
+        return None
+    try:
+        found = os.stat(path)
+    except OSError:
+        return None
+    return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns

@@ -20,7 +20,7 @@ from parallel_cal.nodes.action_work import ActionWork, Say, Turn, Work, in_words
 from parallel_cal.nodes.collector import Collection
 from parallel_cal.nodes.diagnose_server import diagnose_job, examine
 from parallel_cal.nodes.identify_server import identify_job, request_of
-from parallel_cal.nodes.parameters import LATCHED
+from parallel_cal.nodes.parameters import LATCHED, absolute
 from parallel_cal.nodes.recalibration import Outcome, Request, recalibrate
 from parallel_cal.nodes.run import in_front
 
@@ -58,13 +58,13 @@ class Judging:
     def _files(self, model_file: str, output_file: str) -> dict[str, Any]:
         model_file = self._model_file(model_file)
         output_file = output_file or self._parameter("output_file") or model_file
-        return {"model_file": model_file, "output_file": output_file}
+        return {"model_file": model_file, "output_file": absolute(output_file)}
 
     def _model_file(self, given: str) -> str:
         path = given or self._parameter("model_file")
         if not path:
             raise ModelFileError("no model file: set the parameter model_file or name one")
-        return str(path)
+        return absolute(path)
 
     # ------------------------------------------------------------------ comparing
 

@@ -1,9 +1,11 @@
-"""Parameters of nodes: scalars and paths, declared from one table with their descriptions."""
+"""Parameters of nodes: scalars and paths, declared from one table that says what they may be."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+import os
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
 
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.exceptions import InvalidParameterTypeException
@@ -18,45 +20,83 @@ LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 # Best effort receives from reliable publishers too, and an old reading is worth nothing.
 SENSOR = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 RELIABLE = QoSProfile(depth=10)
+# Requests that wait for their turn: of ROS' usual ten, the oldest is silently lost to a newer one.
+WAITING = QoSProfile(depth=1000)
 
 
-def declare(node: Node, table: Mapping[str, tuple[Any, str]]) -> None:
-    """Declare parameters from {name: (default, description)}; ParallelCalError for a wrong type.
+class Setting(NamedTuple):
+    """A parameter: its default, what it means, and which values it may have.
 
-    Where a real number is expected a whole one will do (`-p min_dwell:=1`).
+    `allowed` holds the least and the greatest number or the words to choose from; empty: any. A
+    `fixed` one is read at the start and cannot be set later.
     """
-    for name, (default, what) in table.items():
-        real = isinstance(default, float)
-        descriptor = ParameterDescriptor(description=what, dynamic_typing=real)
+
+    default: Any
+    what: str
+    allowed: tuple[Any, ...] = ()
+    fixed: bool = False
+
+    def allows(self, value: Any) -> bool:
+        """Whether the parameter may have this value; a whole number will do for a real one."""
+        real = isinstance(self.default, float) and not isinstance(value, bool)
+        if not isinstance(value, (int, float) if real else type(self.default)):
+            return False
+        if not self.allowed or isinstance(value, str):
+            return not self.allowed or value in self.allowed
+        return bool(self.allowed[0] <= value <= self.allowed[-1])
+
+    def expected(self) -> str:
+        """What a value must be, in words."""
+        if not self.allowed:
+            return _KINDS[type(self.default)]
+        if isinstance(self.default, str):
+            return " or ".join(self.allowed)
+        return f"{_KINDS[type(self.default)]} from {self.allowed[0]:g} to {self.allowed[-1]:g}"
+
+
+_KINDS = {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}
+Settings = Mapping[str, Setting]
+Changes = list[Parameter]
+ACCEPTED = SetParametersResult(successful=True)
+
+
+def declare(
+    node: Node,
+    settings: Settings,
+    accept: Callable[[Changes], SetParametersResult] = lambda changes: ACCEPTED,
+) -> None:
+    """Declare parameters; ParallelCalError for a value that is not allowed.
+
+    Whoever sets some later is refused with the same words; `accept` hears of changes that are
+    allowed and has the last word.
+    """
+    for name, setting in settings.items():
+        real = isinstance(setting.default, float)
+        descriptor = ParameterDescriptor(
+            description=setting.what, dynamic_typing=real, read_only=setting.fixed
+        )
         try:
-            value = node.declare_parameter(name, default, descriptor).value
+            value = node.declare_parameter(name, setting.default, descriptor).value
         except InvalidParameterTypeException:
             value = None
-        if value is None or not _fits(value, default):
-            raise ParallelCalError(f"parameter {name}: {_expected(default)}: {what}")
+        if not setting.allows(value):
+            expected = f"expected {setting.expected()}: {setting.what}"
+            raise ParallelCalError(f"parameter {name}: {expected}")
 
-    def check(changes: list[Parameter]) -> SetParametersResult:
-        """What dynamic typing would let pass later on."""
+    def check(changes: Changes) -> SetParametersResult:
         for change in changes:
-            default = table[change.name][0] if change.name in table else change.value
-            if not _fits(change.value, default):
-                return SetParametersResult(successful=False, reason=_expected(default))
-        return SetParametersResult(successful=True)
+            setting = settings.get(change.name)
+            if setting is not None and not setting.allows(change.value):
+                reason = f"{change.name} {change.value}: expected {setting.expected()}"
+                return SetParametersResult(successful=False, reason=reason)
+        return accept(changes)
 
     node.add_on_set_parameters_callback(check)
 
 
-def _fits(value: Any, default: Any) -> bool:
-    """Whether a value may stand where the default stands; a whole number for a real one."""
-    real = isinstance(default, float) and not isinstance(value, bool)
-    return isinstance(value, (int, float) if real else type(default))
-
-
-def _expected(default: Any) -> str:
-    return f"expected {_KINDS[type(default)]}"
-
-
-_KINDS = {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}
+def absolute(path: str) -> str:
+    """A path with ~ as the home folder; what is empty stays so."""
+    return str(Path(os.path.expanduser(path)).absolute()) if path else ""
 
 
 def overridable() -> QoSOverridingOptions:

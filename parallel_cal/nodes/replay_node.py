@@ -22,19 +22,19 @@ from std_srvs.srv import SetBool
 
 from parallel_cal.bag import RawMessage, list_topics, raw_messages
 from parallel_cal.errors import BagError, ParallelCalError
-from parallel_cal.nodes.parameters import declare
+from parallel_cal.nodes.parameters import Setting, declare
 from parallel_cal.nodes.run import ros
 from parallel_cal.recordings.recording import TopicInfo
 
-PARAMETERS: dict[str, tuple[Any, str]] = {
-    "bag": ("", "recording to publish: a bag directory, .mcap or .db3"),
-    "rate": (1.0, "how many times faster than it was recorded"),
-    "topics": ("", "topics to publish, separated by commas; empty = all"),
-    "loop": (False, "begin again at the end"),
-    "start_paused": (False, "wait for the service ~/pause with data: false"),
-    "wait_for_subscribers": (-1, "subscriptions to wait for; -1 = one, but go on without any"),
-    "patience": (15.0, "s to wait for them"),
-    "ack_patience": (60.0, "s to wait at the end until subscribers have received everything"),
+PARAMETERS = {
+    "bag": Setting("", "recording to publish: a bag directory, .mcap or .db3"),
+    "rate": Setting(1.0, "how many times faster than it was recorded"),
+    "topics": Setting("", "topics to publish, separated by commas; empty = all"),
+    "loop": Setting(False, "begin again at the end"),
+    "start_paused": Setting(False, "wait for the service ~/pause with data: false"),
+    "wait_for_subscribers": Setting(-1, "subscriptions to wait for; -1 = one, but go on without"),
+    "patience": Setting(15.0, "s to wait for them"),
+    "ack_patience": Setting(60.0, "s to wait at the end until all of it was received"),
 }
 SAID_ONCE = 10  # messages: a topic with fewer is kept for late subscribers, as if latched
 DEPTH = 20_000  # messages a topic that may be on their way; then the slowest reader is waited for
@@ -235,7 +235,7 @@ def main(args: list[str] | None = None) -> None:
 def _parser() -> argparse.ArgumentParser:
     """Every parameter as an option; what is not given stays with the parameter."""
     parser = argparse.ArgumentParser(prog="replay_node", description=__doc__)
-    for name, (default, what) in PARAMETERS.items():
+    for name, (default, what, *_) in PARAMETERS.items():
         if name == "bag":
             parser.add_argument(name, nargs="?", help=what)
         elif isinstance(default, bool):

@@ -14,7 +14,6 @@ from parallel_cal.errors import SolveError
 from parallel_cal.kinematics import Solutions, Status
 from parallel_cal.nodes.conversions import (
     conditions_of,
-    controlled_pose,
     invalid_solution,
     joint_order,
     pose_numbers,
@@ -95,14 +94,13 @@ def _solver(served: Served, request: Any, at: At) -> Callable[..., Solutions]:
         named: Callable[..., Solutions] = solving.inverse if inverse else solving.direct
 
         def by_name(*rows: Any) -> Solutions:
-            posed = controlled_pose(model, *rows) if inverse else rows
-            found = named(model, *posed, at or {}, every, request.solver)
+            found = named(model, *rows, at or {}, every, request.solver)
             return found[0] if np.ndim(rows[0]) == 1 and not every else found
 
         return by_name
     if inverse:
         ik = k.inverse_all if every else k.inverse
-        return lambda r, R: ik(*controlled_pose(model, r, R), at)
+        return lambda r, R: ik(*solving.controlled_pose(model, r, R), at)
     fk = k.direct_all if every else k.direct
     return lambda q: fk(q, at)
 

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from typing import Any, TypeVar
 
 import rclpy
+from rclpy.clock import Clock, ClockType
 from rclpy.executors import (
     ConditionReachedException,
     ExternalShutdownException,
@@ -86,6 +87,29 @@ def in_front(node: Node, function: Callable[..., T], *args: Any) -> T:
         if not node.context.ok():
             raise ExternalShutdownException
     return answer.result()
+
+
+def every(seconds: float, node: Node, call: Callable[[], None], group: Any = None) -> None:
+    """Call again and again, also while a simulated clock stands still."""
+    clock = Clock(clock_type=ClockType.STEADY_TIME)
+    node.create_timer(seconds, call, callback_group=group, clock=clock)
+
+
+def foreign_publishers(node: Node) -> list[str]:
+    """What is published with another type than the node expects: it never arrives, and no one
+    says so."""
+    found = {
+        (listening.topic_name, publisher.topic_type, _type_name(listening.msg_type))
+        for listening in node.subscriptions
+        for publisher in node.get_publishers_info_by_topic(listening.topic_name)
+    }
+    return [
+        f"{t} is published as {is_}, expected {be}" for t, is_, be in sorted(found) if is_ != be
+    ]
+
+
+def _type_name(message: type) -> str:
+    return f"{message.__module__.split('.')[0]}/msg/{message.__name__}"
 
 
 @contextmanager

@@ -10,6 +10,7 @@ from std_srvs.srv import Trigger
 from parallel_cal.errors import DatasetError
 from parallel_cal.nodes.calibration_messages import sample_messages
 from parallel_cal.nodes.collector import Collector
+from parallel_cal.nodes.parameters import absolute
 
 
 def take(collector: Collector, request: Any, response: Any) -> None:
@@ -48,7 +49,7 @@ def clear(collector: Collector, request: Any, response: Any) -> None:
 def _path(request: Any) -> str:
     if not request.path:
         raise DatasetError("no path given")
-    return str(request.path)
+    return absolute(request.path)
 
 
 SERVICES = {

@@ -5,7 +5,6 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
-from builtin_interfaces.msg import Duration
 from geometry_msgs.msg import (
     InertiaStamped,
     PoseStamped,
@@ -13,6 +12,7 @@ from geometry_msgs.msg import (
     PoseWithCovarianceStamped,
 )
 from rclpy.callback_groups import CallbackGroup
+from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
@@ -22,17 +22,12 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from parallel_cal.errors import SolveError
 from parallel_cal.kinematics import Solutions, Status
-from parallel_cal.nodes.conversions import (
-    FAILURES,
-    controlled_pose,
-    matched_joints,
-    pose_message,
-    pose_numbers,
-)
+from parallel_cal.nodes.conversions import finite, matched_joints, pose_message, pose_numbers
 from parallel_cal.nodes.following import Memory, joints_for
 from parallel_cal.nodes.model_server import ModelServer, Served, in_words
 from parallel_cal.nodes.parameters import LATCHED, RELIABLE, SENSOR, overridable
 from parallel_cal.nodes.tally import Tally
+from parallel_cal.solving import controlled_pose
 
 QUIET = 5.0  # s between two lines of the log about refused messages
 
@@ -75,7 +70,12 @@ class Streams:
         """
         quiet = SubscriptionEventCallbacks(use_default_callbacks=False)
         self._node.create_subscription(
-            type, topic, take, LATCHED, callback_group=self._group, event_callbacks=quiet
+            type,
+            topic,
+            partial(self._receive, f"latched {topic}", take),
+            LATCHED,
+            callback_group=self._group,
+            event_callbacks=quiet,
         )
 
     def _receive(self, channel: str, take: Any, message: Any) -> None:
@@ -83,7 +83,7 @@ class Streams:
         self._tally.add(channel, "received")
         try:
             take(message)
-        except FAILURES as error:
+        except Exception as error:  # a user's own mechanism may raise anything; the node stays up
             self._tally.add(channel, "refused", str(error))
             log = self._node.get_logger()
             log.warning(f"{channel} refused: {error}", throttle_duration_sec=QUIET)
@@ -97,10 +97,10 @@ class Streams:
     # ------------------------------------------------------------------ conditions
 
     def _on_temperature(self, message: Temperature) -> None:
-        self._memory.heard["temperature"] = message.temperature
+        self._memory.heard["temperature"] = finite(message.temperature)
 
     def _on_payload(self, message: InertiaStamped) -> None:
-        self._memory.heard["payload"] = message.inertia.m
+        self._memory.heard["payload"] = finite(message.inertia.m)
 
     # ------------------------------------------------------------------ poses
 
@@ -120,6 +120,8 @@ class Streams:
             sure = PoseWithCovariance(pose=pose, covariance=self._covariance(served, found))
             self._sure_pose.publish(PoseWithCovarianceStamped(header=header, pose=sure))
         self._tally.add("joint_states", "answered")
+        if found.status == Status.OUTSIDE_LIMITS:
+            self._tally.add("joint_states", "outside limits")
 
     def _covariance(self, served: Served, found: Solutions) -> Any:
         model, at = served.model, self._memory.conditions(served.model)
@@ -137,6 +139,6 @@ class Streams:
         found = joints_for(served, self._memory, r, R)
         seconds = self._node.get_parameter("time_from_start").value
         point = JointTrajectoryPoint(positions=found.joints.tolist())
-        point.time_from_start = Duration(sec=int(seconds), nanosec=round(seconds % 1 * 1e9))
+        point.time_from_start = Duration(seconds=seconds).to_msg()
         self._command.publish(JointTrajectory(joint_names=list(model.joints), points=[point]))
         self._tally.add("target_pose", "answered")

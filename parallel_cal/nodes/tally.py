@@ -48,13 +48,12 @@ def model_diagnostics(name: str, served: Served | None, last: Attempt, failure: 
     return diagnostics(about, Level.OK, "model in use", items)
 
 
-def traffic_diagnostics(name: str, tally: Tally, unheard: list[str]) -> Any:
-    """WARN when the model needs conditions that nothing is known of."""
-    items = tally.items()
-    if unheard:
-        text = f"not known, neutral values are used: {', '.join(unheard)}"
-        return diagnostics(f"{name}: traffic", DiagnosticStatus.WARN, text, items)
-    return diagnostics(f"{name}: traffic", DiagnosticStatus.OK, "", items)
+def traffic_diagnostics(name: str, tally: Tally, unheard: list[str], foreign: list[str]) -> Any:
+    """WARN when the model needs conditions that nothing is known of, or a topic is `foreign`."""
+    neutral = f"not known, neutral values are used: {', '.join(unheard)}"
+    warnings = [neutral] * bool(unheard) + foreign
+    level = DiagnosticStatus.WARN if warnings else DiagnosticStatus.OK
+    return diagnostics(f"{name}: traffic", level, "; ".join(warnings), tally.items())
 
 
 def diagnostics(name: str, level: bytes, message: str, items: dict[str, str]) -> Any:
