@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from math import isfinite
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from parallel_cal.errors import ModelError
+from parallel_cal.errors import ModelError, told
 from parallel_cal.mechanism import Mechanism, load_class
 from parallel_cal.parameters import Named, Parameter, ParameterTable
 
@@ -99,6 +99,11 @@ class Effect(ABC):
         """The condition columns it needs: `direction` becomes one a joint."""
         columns: list[str] = []
         for need in self.needs:
+            if need not in CONDITIONS:
+                known = ", ".join(CONDITIONS)
+                raise ModelError(
+                    f"{self.name} needs '{need}', which nobody records; there are {known}"
+                )
             per_joint = CONDITIONS[need][2]
             columns += [f"{need}.{j}" for j in mechanism.joints] if per_joint else [need]
         return columns
@@ -106,7 +111,11 @@ class Effect(ABC):
 
 def load_effect(name: str) -> Effect:
     """An effect by file name (`backlash`) or Python path (`my_pkg.my_effect`)."""
-    return load_class("effects", name, Effect)()
+    cls = load_class("effects", name, Effect)
+    try:
+        return cls()
+    except Exception as error:
+        raise told(name, error) from error
 
 
 def parse_effect(text: str) -> tuple[str, dict[str, float]]:

@@ -3,6 +3,9 @@
 Every message names the file, key, topic or sample, the value, what was expected and what to do.
 """
 
+import traceback
+from pathlib import Path
+
 
 class ParallelCalError(Exception):
     """Base of every error the package raises on purpose; one readable sentence."""
@@ -22,6 +25,16 @@ class ModelFileError(ParallelCalError):
 
 class ModelError(ParallelCalError):
     """A model is put together wrongly: unknown mechanism, effect, parameter or condition."""
+
+
+def told(name: str, error: Exception) -> ModelError:
+    """What the file of a mechanism or an effect raised, in one line that says where."""
+    if isinstance(error, ParallelCalError):
+        return ModelError(f"{name}: {error}")
+    frames = traceback.extract_tb(error.__traceback__)
+    file, line = next((f.filename, f.lineno) for f in frames[::-1] if "casadi.py" not in f.filename)
+    place = "" if file.startswith("<frozen") else f" ({Path(file).name}:{line})"
+    return ModelError(f"{name}: {type(error).__name__}: {' '.join(str(error).split())}{place}")
 
 
 class SolveError(ParallelCalError):

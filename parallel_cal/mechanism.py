@@ -7,12 +7,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from importlib import import_module
+from inspect import signature
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from parallel_cal.errors import ModelError
+from parallel_cal.errors import ModelError, told
+from parallel_cal.mechanisms._check import check
 from parallel_cal.parameters import Named, ParameterTable
 from parallel_cal.rotation import quaternion_to_matrix
 
@@ -101,15 +103,19 @@ class Mechanism(ABC):
 
     def start_inverse(self, r: Any, R: Any, p: Named) -> Any:
         """For each joint the candidate nearest to home, angles compared on the circle."""
-        candidates = self.joint_candidates(r, R, p)
-        choices = zip(candidates, self.joint_units, self.home.joints, strict=True)
-        return ca.vertcat(
-            *[_nearest(c, partial(self._joint_distance, unit, h)) for c, unit, h in choices]
-        )
+        candidates = self.turned_home(self.joint_candidates(r, R, p))
+        choices = zip(candidates, self.home.joints, strict=True)
+        return ca.vertcat(*[_nearest(c, partial(_apart, home)) for c, home in choices])
 
-    @staticmethod
-    def _joint_distance(unit: str, home: float, q: Any) -> Any:
-        return 1 - ca.cos(q - home) if unit == "rad" else ca.fabs(q - home)
+    def turned_home(self, candidates: list[tuple[Any, ...]]) -> list[tuple[Any, ...]]:
+        """Each joint's values, angles within half a turn of home."""
+        if not self.periodic:
+            return candidates
+        choices = zip(candidates, self.joint_units, self.home.joints, strict=True)
+        return [
+            tuple(_within_half_a_turn(q, home) for q in joint) if unit == "rad" else joint
+            for joint, unit, home in choices
+        ]
 
     def rod_lengths(self, p: Named) -> list[Any]:
         """Length of every rod that no motor drives, a pair's common one twice (m)."""
@@ -136,11 +142,11 @@ class Mechanism(ABC):
 
     @property
     def moved(self) -> list[int]:
-        return [POSE.index(c) for c in self.moves]
+        return _places(self.moves)
 
     @property
     def controlled(self) -> list[int]:
-        return [POSE.index(c) for c in self.controls]
+        return _places(self.controls)
 
     @property
     def passive(self) -> list[int]:
@@ -151,6 +157,20 @@ class Mechanism(ABC):
         """n uniform draws of the controlled coordinates in the workspace, (n, n_controlled)."""
         low, high = np.array(self.workspace.low), np.array(self.workspace.high)
         return rng.uniform(low, high, size=(n, len(self.controls)))
+
+
+def _places(coordinates: Sequence[str]) -> list[int]:
+    if unknown := [c for c in coordinates if c not in POSE]:
+        raise ModelError(f"coordinates {unknown}, expected some of {' '.join(POSE)}")
+    return [POSE.index(c) for c in coordinates]
+
+
+def _within_half_a_turn(q: Any, home: float) -> Any:
+    return q - 2 * ca.pi * ca.floor((q - home) / (2 * ca.pi) + 0.5)
+
+
+def _apart(home: float, q: Any) -> Any:
+    return ca.fabs(q - home)
 
 
 def _nearest(candidates: Sequence[Any], distance: Callable[[Any], Any]) -> Any:
@@ -169,14 +189,18 @@ def load_class(shelf: str, name: str, base: type) -> type:
     """The one subclass of `base` in parallel_cal/<shelf>/<name>.py or at a Python path."""
     path = name if "." in name else f"parallel_cal.{shelf}.{name}"
     try:
+        if path.startswith("."):  # a path of files
+            raise ModuleNotFoundError(name=path)
         module = import_module(path)
     except ModuleNotFoundError as error:
         if error.name is None or not path.startswith(error.name):
-            raise
+            raise told(path, error) from error
         raise ModelError(
             f"no {shelf.rstrip('s')} '{name}': expected one of {', '.join(shelf_names(shelf))}, "
             f"or the Python path of your own (my_pkg.my_file)"
         ) from None
+    except Exception as error:
+        raise told(path, error) from error
     found = [c for c in vars(module).values() if _defined_here(c, base, module.__name__)]
     if len(found) != 1:
         raise ModelError(f"{path} defines {len(found)} subclasses of {base.__name__}, expected 1")
@@ -200,8 +224,23 @@ def shelf_names(shelf: str) -> list[str]:
     return sorted(m.name for m in iter_modules(package.__path__) if not m.name.startswith("_"))
 
 
-def load_mechanism(name: str, **options: Any) -> Mechanism:
+def load_mechanism(name: str, /, **options: Any) -> Mechanism:
     """A mechanism by file name (`delta54`) or Python path (`my_pkg.my_robot`)."""
-    mechanism = load_class("mechanisms", name, Mechanism)(**options)
+    cls = load_class("mechanisms", name, Mechanism)
+    try:
+        signature(cls).bind(**options)
+    except TypeError as error:
+        takes = ", ".join(options_of(cls)) or "none"
+        raise ModelError(f"{name}: {error}; its options: {takes}") from None
+    try:
+        mechanism = cls(**options)
+        check(mechanism)
+    except Exception as error:
+        raise told(name, error) from error
     mechanism.options = options
     return mechanism
+
+
+def options_of(cls: type) -> list[str]:
+    """The options of a mechanism or sensor: `links`, or with its default `radius=0.1`."""
+    return [str(p.replace(annotation=p.empty)) for p in signature(cls).parameters.values()]

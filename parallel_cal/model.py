@@ -12,8 +12,9 @@ import numpy as np
 
 from parallel_cal.compiled import Batch, compiled, dense
 from parallel_cal.effect import CONDITIONS, Effect, Seen, load_effect
-from parallel_cal.errors import ModelError
+from parallel_cal.errors import ModelError, told
 from parallel_cal.mechanism import Mechanism, load_mechanism
+from parallel_cal.mechanisms._check import check_parameters
 from parallel_cal.parameters import Named, ParameterTable
 from parallel_cal.rotation import left_generators
 from parallel_cal.sensor import Sensor
@@ -34,6 +35,7 @@ class Structure:
         tables = [part.table(mechanism) for part in effects]
         for table in (*tables, *(sensor.table(mechanism) for sensor in sensors)):
             self.table = self.table + table
+        check_parameters(self.table)
         needed = [c for effect in effects for c in effect.conditions(mechanism)]
         self.conditions = tuple(dict.fromkeys(needed))
         self.q = ca.SX.sym("q", len(mechanism.joints))
@@ -56,28 +58,52 @@ class Structure:
         seen = Seen(self.q, self.r, self.R, self.geometry)
         numbers, at = Named(self.table.names, self.v), Named(self.conditions, self.a)
         for effect in self.effects:
-            seen = effect.ideal(seen, numbers[effect.name], at, self.mechanism)
+            try:
+                seen = self._whole(effect.ideal(seen, numbers[effect.name], at, self.mechanism))
+            except Exception as error:
+                raise told(effect.name, error) from error
+        return seen
+
+    def _whole(self, seen: Any) -> Seen:
+        """What an effect lets through, which must still be joints and a pose."""
+        if not isinstance(seen, Seen):
+            raise ModelError(f"ideal gives a {type(seen).__name__}, expected what it saw, edited")
+        found = [ca.SX(part).shape for part in (seen.q, seen.r, seen.R)]
+        expected = [self.q.shape, (3, 1), (3, 3)]
+        if found != expected:
+            raise ModelError(f"ideal gives q, r, R of shapes {found}, expected {expected}")
         return seen
 
     @cached_property
     def phi(self) -> Any:
         """The closure of the ideal mechanism at what the effects let it see."""
         seen = self.seen
-        phi = ca.vertcat(self.mechanism.closure(seen.q, seen.r, seen.R, seen.p))
-        return self._checked(ca.cse(phi))  # before it is differentiated: once, not once a slope
+        try:
+            phi = self.mechanism.closure(seen.q, seen.r, seen.R, seen.p)
+        except Exception as error:
+            raise told(self.mechanism.name, error) from error
+        return self._checked(phi)
 
     def _checked(self, phi: Any) -> Any:
-        moved = len(self.mechanism.moves)
+        its, moved = f"{self.mechanism.name}: its closure", len(self.mechanism.moves)
+        try:
+            phi = ca.cse(ca.SX(phi))  # before it is differentiated: once, not once a slope
+        except NotImplementedError:
+            kind = type(phi).__name__
+            raise ModelError(f"{its} is a {kind}, expected casadi.vertcat of its rows") from None
         if phi.shape[1] != 1 or phi.shape[0] < moved:
             raise ModelError(
-                f"mechanism {self.mechanism.name}: its closure has shape {phi.shape}, expected "
-                f"one column with at least {moved} rows, one for each moved coordinate"
+                f"{its} has shape {phi.shape}, expected one column with at least {moved} rows, "
+                "one for each moved coordinate"
             )
-        unknown = {str(s) for s in ca.symvar(phi)} - {
-            str(s) for s in ca.symvar(ca.vertcat(self.configuration, self.v, self.a))
-        }
-        if unknown:
-            raise ModelError(f"mechanism {self.mechanism.name}: free symbols {sorted(unknown)}")
+        inputs = ca.vertcat(self.configuration, self.v, self.a)
+        if unknown := {str(s) for s in ca.symvar(phi)} - {str(s) for s in ca.symvar(inputs)}:
+            raise ModelError(f"{its} has free symbols {sorted(unknown)}")
+        neutral = [CONDITIONS[name.split(".")[0]][1] for name in self.conditions]
+        home = [*self.mechanism.home.configuration, *self.table.nominal, *neutral]
+        rows = np.array(ca.Function("home", [inputs], [phi])(home)).ravel()
+        if bad := np.flatnonzero(~np.isfinite(rows)).tolist():
+            raise ModelError(f"{its} is no number in rows {bad} at home with nominal values")
         return phi
 
     @cached_property
@@ -204,7 +230,8 @@ class Structure:
     @cached_property
     def joint_candidates(self) -> ca.Function:
         """(r, R9, v) -> for each joint one column of the values it may start from."""
-        choices = self.mechanism.joint_candidates(self.r, self.R, self.geometry)
+        m = self.mechanism
+        choices = m.turned_home(m.joint_candidates(self.r, self.R, self.geometry))
         return dense("joints", (self.r, self.R9, self.v), [ca.vertcat(*c) for c in choices])
 
     @cached_property
@@ -281,8 +308,8 @@ class Model:
         return float(self.values[self.table.index_of(name)])
 
     def with_effect(self, name: str, settings: Mapping[str, float] | None = None) -> Model:
-        """The model with one more effect, at zero, behind those it has; `settings` are its fixed
-        numbers by short name, where they are known (`{"ratio": 80.0}`)."""
+        """The model with one more effect, at zero, behind those it has; `settings` are numbers
+        of it that are known, by short name (`{"ratio": 80.0}`)."""
         if any(effect.name == name for effect in self.effects):
             raise ModelError(f"the model already has the effect '{name}'")
         effect = load_effect(name)
@@ -291,11 +318,12 @@ class Model:
         return effect.added_to(self).with_settings(name, settings or {})
 
     def with_settings(self, effect: str, settings: Mapping[str, float]) -> Model:
-        """The model with some numbers of an effect, by short name, at these values."""
-        values = self.values.copy()
+        """The model with some numbers of an effect, by short name, held at these values."""
+        values, fixed = self.values.copy(), self.fixed.copy()
         for key, value in settings.items():
-            values[self.table.index_of(f"{effect}.{key}")] = value
-        return replace(self, values=values)
+            i = self.table.index_of(f"{effect}.{key}")
+            values[i], fixed[i] = value, True
+        return replace(self, values=values, fixed=fixed)
 
     def robot(self) -> Model:
         """The robot alone, as its controller needs it: effects of the measuring device at zero."""

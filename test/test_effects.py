@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -219,3 +221,32 @@ def test_a_users_own_effect_acts_after_ours(tmp_path, monkeypatch):
     np.testing.assert_allclose(answer.position, expected.position, atol=1e-15)
     again = parse_model(dump_model(model), "file")
     assert [effect.name for effect in again.effects] == ["encoder_gain", "workshop.slip"]
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "words"),
+    [
+        ("def ideal", "def ideally", "slip: TypeError: Can't instantiate abstract class Slip"),
+        ('("time",)', '("hour",)', "slip needs 'hour', which nobody records; there are time, "),
+        ('"rad/s"', '"deg/s"', "slip.rate in deg, expected SI units"),
+        ("0.0, 1e-6", "0.0, 0.0", "slip.rate: tolerance 0.0, expected above 0"),
+        ("seen.with_q(seen.q - e.rate * at.time)", "seen.q", "slip: ideal gives a SX"),
+        ("seen.with_q(", "seen.with_q([1, 2] + ", "slip: ideal gives q, r, R of shapes [(2, 1), "),
+        ("e.rate", "e.speed", "slip: no entry 'workshop_wrong.slip.speed'; there are"),
+        ("at.time", "at.hour", "slip: no entry 'hour'; there are time"),
+    ],
+)
+def test_a_users_effect_with_a_mistake_is_refused_in_one_line(
+    right, wrong, words, tmp_path, monkeypatch
+):
+    package = tmp_path / "workshop_wrong"
+    package.mkdir()
+    (package / "__init__.py").write_text("")
+    (package / "slip.py").write_text(USERS.replace(right, wrong))
+    monkeypatch.syspath_prepend(str(tmp_path))
+    for name in ("workshop_wrong", "workshop_wrong.slip"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    with pytest.raises(ModelError) as caught:
+        Kinematics(new_model("slider_crank", effects=["workshop_wrong.slip"])).direct(np.ones(1))
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)

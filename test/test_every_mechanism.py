@@ -6,7 +6,7 @@ import pytest
 from parallel_cal.bag_writer import write_bag
 from parallel_cal.dataset import load_dataset
 from parallel_cal.effect import load_effect
-from parallel_cal.errors import ModelError
+from parallel_cal.errors import ModelError, ModelFileError
 from parallel_cal.identification import fit
 from parallel_cal.identifying.doubts import chi2_band
 from parallel_cal.kinematics import Kinematics, Status
@@ -53,11 +53,22 @@ class Crank(Mechanism):
 """
 
 
-def test_a_users_mechanism_is_named_by_its_python_path(tmp_path, monkeypatch):
-    package = tmp_path / "my_pkg"
-    package.mkdir()
-    (package / "__init__.py").write_text("")
-    (package / "crank.py").write_text(USERS.replace("{closure}", "r[0] - p.a * ca.cos(q[0])"))
+GOOD = "r[0] - p.a * ca.cos(q[0])"
+
+
+@pytest.fixture
+def package(tmp_path, monkeypatch):
+    """A user's package on the Python path, of a name no other test has."""
+    folder = tmp_path / f"pkg_{tmp_path.name}"
+    folder.mkdir()
+    (folder / "__init__.py").write_text("")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    return folder
+
+
+def test_a_users_mechanism_is_named_by_its_python_path(package):
+    crank, bent = f"{package.name}.crank", f"{package.name}.bent"
+    (package / "crank.py").write_text(USERS.replace("{closure}", GOOD))
     (package / "bent.py").write_text(
         "from parallel_cal.effect import Effect\n"
         "from parallel_cal.parameters import Parameter\n\n\n"
@@ -67,13 +78,12 @@ def test_a_users_mechanism_is_named_by_its_python_path(tmp_path, monkeypatch):
         "    def ideal(self, seen, e, at, mechanism):\n"
         "        return type(seen)(seen.q, seen.r - e.by, seen.R, seen.p)\n"
     )
-    monkeypatch.syspath_prepend(str(tmp_path))
-    model = new_model("my_pkg.crank", effects=["my_pkg.bent"])
-    assert model.table.names == ("a", "my_pkg.bent.by")
+    model = new_model(crank, effects=[bent])
+    assert model.table.names == ("a", f"{bent}.by")
     answer = Kinematics(model).direct(np.array([1.2]))
     assert answer.position[0] == pytest.approx(0.1 * np.cos(1.2), abs=1e-15)
-    assert parse_model(dump_model(model), "file").mechanism.name == "my_pkg.crank"
-    assert load_effect("my_pkg.bent").name == "my_pkg.bent"
+    assert parse_model(dump_model(model), "file").mechanism.name == crank
+    assert load_effect(bent).name == bent
 
 
 @pytest.mark.parametrize(
@@ -82,16 +92,66 @@ def test_a_users_mechanism_is_named_by_its_python_path(tmp_path, monkeypatch):
         ("ca.SX(0, 1)", "closure has shape .0, 1., expected one column with at least 1 rows"),
         ("ca.horzcat(r[0], q[0])", "closure has shape .1, 2., expected one column"),
         ("r[0] - ca.SX.sym('mystery')", "free symbols .'mystery'."),
+        ("None", "closure is a NoneType, expected casadi.vertcat of its rows"),
+        ("[r[0] - p.a]", "closure is a list, expected casadi.vertcat of its rows"),
+        ("r[0] - float('nan')", r"closure is no number in rows \[0\] at home"),
+        ("r[0] - p.length", "crank: no entry 'length'; there are a"),
+        ("r[0] - q[3]", r"crank: RuntimeError: .*out of bounds.* \(crank.py:15\)$"),
+        ("r[0] - 1 / 0", r"crank: ZeroDivisionError.* \(crank.py:15\)$"),
     ],
 )
-def test_a_users_closure_of_the_wrong_kind_is_a_clear_error(closure, words, tmp_path, monkeypatch):
-    package = tmp_path / f"odd{abs(hash(closure)) % 10**8}"
-    package.mkdir()
-    (package / "__init__.py").write_text("")
+def test_a_users_closure_of_the_wrong_kind_is_a_clear_error(closure, words, package):
     (package / "crank.py").write_text(USERS.replace("{closure}", closure))
-    monkeypatch.syspath_prepend(str(tmp_path))
     model = new_model(f"{package.name}.crank")
     with pytest.raises(ModelError, match=words):
+        Kinematics(model).direct(np.array([1.0]))
+    with pytest.raises(ModelFileError, match=rf"robot\.yaml:\d+: mechanism: .*{words}"):
+        parse_model(dump_model(model), "robot.yaml")
+
+
+@pytest.mark.parametrize(
+    ("given", "instead", "words"),
+    [
+        ("import casadi", "import not_here\nimport casadi", "ModuleNotFoundError.*crank.py:2"),
+        ("    def closure(", "    def closure((", "SyntaxError: .*crank.py, line 14"),
+        ("closure(self", "clause(self", "TypeError: .*closure"),
+        ("    home = ", "    away = ", "the class has no home"),
+        ('moves, controls = ("crank",), ("x",)', 'moves, controls = ("crank",), ("u",)',
+         "coordinates .'u'., expected some of x y z rx ry rz"),
+        ('("x",), ("x",)', '("x",), ("y",)', "controls y, which it does not move"),
+        ('("x",), ("x",)', '("x", "y"), ("x", "y")', "controls x y with joints crank only"),
+        ("Workspace((0.02,)", "Workspace((0.02, 0.0)", "workspace.low has 2 entries, expected 1"),
+        ("((0.1, 3.0),)", "((0.1, 3.0),) * 2", "joint_limits has 2 entries, expected 1"),
+        ('"m", 0.1, 1e-3', '"mm", 100, 1', "a in mm, expected SI units"),
+        ('"m", 0.1', '"m", float("inf")', "nominal values, .* must be finite numbers"),
+        ("    home", "    joint_unit = 'deg'\n    home", "joints in deg, expected rad or m"),
+        ("    home", "    length = 0.0\n    home", "length 0.0 m.*expected above 0"),
+    ],
+)  # fmt: skip
+def test_a_users_class_that_lacks_or_miscounts_something_is_a_clear_error(
+    given, instead, words, package
+):
+    text = USERS.replace("{closure}", GOOD)
+    assert given in text
+    (package / "crank.py").write_text(text.replace(given, instead))
+    with pytest.raises(ModelError, match=f"crank: {words}") as refused:
+        load_mechanism(f"{package.name}.crank")
+    assert "\n" not in str(refused.value)
+
+
+def test_a_users_effect_that_fails_is_named_with_its_line(package):
+    (package / "crank.py").write_text(USERS.replace("{closure}", GOOD))
+    (package / "bent.py").write_text(
+        "from parallel_cal.effect import Effect\n"
+        "from parallel_cal.parameters import Parameter\n\n\n"
+        "class Bent(Effect):\n"
+        "    def parameters(self, mechanism):\n"
+        "        return [Parameter('by', 'm', 0.0, 1e-3)]\n\n"
+        "    def ideal(self, seen, e, at, mechanism):\n"
+        "        return seen.with_q(seen.q + e.by * (1 / len([])))\n"
+    )
+    model = new_model(f"{package.name}.crank", effects=[f"{package.name}.bent"])
+    with pytest.raises(ModelError, match=r"bent: ZeroDivisionError: .* \(bent.py:10\)"):
         Kinematics(model).direct(np.array([1.0]))
 
 
@@ -100,6 +160,14 @@ def test_a_module_without_a_mechanism_or_an_unknown_path_is_a_clear_error():
         load_mechanism("parallel_cal.errors")
     with pytest.raises(ModelError, match=r"no mechanism 'nobody\.has_this'"):
         load_mechanism("nobody.has_this")
+
+
+@pytest.mark.parametrize("name", sorted(set(shelf_names("mechanisms")) - NEEDS_OPTIONS))
+def test_joints_that_are_no_numbers_are_invalid_input_even_where_all_poses_are_asked_for(name):
+    kinematics = Kinematics(new_model(name))
+    joints = np.full(len(kinematics.model.joints), np.nan)
+    for found in (kinematics.direct(joints), kinematics.direct_all(joints)[0]):
+        assert Status(int(found.status)) == Status.INVALID_INPUT
 
 
 def test_a_singular_start_ends_in_a_status_and_not_in_an_error():

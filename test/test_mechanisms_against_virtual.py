@@ -16,6 +16,7 @@ import virtual_small as vm
 import virtual_stewart as vt
 from virtual_robot import turn
 
+from parallel_cal import solving
 from parallel_cal.kinematics import Kinematics
 from parallel_cal.mechanism import load_mechanism, shelf_names
 from parallel_cal.model import new_model
@@ -126,6 +127,27 @@ def test_direct_and_inverse_problem_are_solved_as_the_virtual_robot_stands(case,
     np.testing.assert_allclose(joints.joints, q, rtol=1e-12, atol=1e-9)
     np.testing.assert_allclose(joints.position, r, atol=1e-9)
     np.testing.assert_allclose(joints.rotation, R, atol=1e-9)
+
+
+CLOSED = [  # where the documents give one, or geometry at once does
+    *[("direct", n) for n in ("slider_crank", "rssr", "parallelogram", "parallelogram_simple")],
+    *[("direct", n) for n in ("scara16", "cable")],
+    *[("inverse", n) for n in ("slider_crank", "rssr", "argos_nominal", "argos9")],
+    *[("inverse", n) for n in ("stewart42", "planar_stewart", "cable")],
+]
+
+
+@pytest.mark.parametrize(("problem", "name"), CLOSED)
+def test_a_closed_form_answers_as_the_virtual_robot_stands(problem, name):
+    case = next(case for case in CASES if case.name == name)
+    model, (q, r, R) = situation(case, 4, n=20)
+    if problem == "direct":
+        found = solving.direct(model, q, {}, solver="closed_form")
+    else:
+        found = solving.inverse(model, r, R, {}, solver="closed_form")
+    np.testing.assert_allclose(found.position, r, atol=1e-9)
+    np.testing.assert_allclose(found.rotation, R, atol=1e-9)
+    np.testing.assert_allclose(found.joints, q, rtol=1e-12, atol=1e-9)
 
 
 @each_case

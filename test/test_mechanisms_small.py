@@ -493,10 +493,13 @@ def test_linear_delta_with_leaning_rails_has_its_home(lean):
     assert np.hypot(0.1 + out, up - home.position[2]) == pytest.approx(0.25, abs=1e-12)
 
 
-def test_linear_delta_has_two_poses_and_eight_joint_sets():
+def test_linear_delta_has_two_level_poses_and_eight_joint_sets():
     kinematics = Kinematics(new_model("linear_delta"))
     pose = kinematics.direct(np.array([0.3, 0.32, 0.31]))
-    assert len(kinematics.direct_all(np.array([0.3, 0.32, 0.31]))) == 2
+    every = kinematics.direct_all(np.array([0.3, 0.32, 0.31]))
+    assert every.count_complex == 40
+    assert (np.abs(every.rotation - np.eye(3)).max(axis=(1, 2)) < 1e-9).sum() == 2
+    assert every.position[0] == pytest.approx(pose.position)
     assert len(kinematics.inverse_all(pose.position)) == 8
 
 
@@ -545,6 +548,18 @@ def test_wrong_cable_options_say_what_is_expected():
         load_mechanism("cable", spools=[1, 1, 2])
     with pytest.raises(ModelError, match="2 anchors given, expected at least 3 points"):
         load_mechanism("cable", anchors=[[0, 0, 1], [0, 1, 0]])
+    with pytest.raises(ModelError, match=r"first 3 anchors .* lie in one line"):
+        load_mechanism("cable", anchors=[[0, 0, 1], [1, 0, 1], [2, 0, 1]])
+    with pytest.raises(ModelError, match="an anchor at the origin"):
+        load_mechanism("cable", anchors=[[0, 0, 0], [1, 0, 1], [0, 1, 1]])
+    with pytest.raises(ModelError, match=r"advantages \[2, 2, 0, 4\], expected numbers above 0"):
+        load_mechanism("cable", advantages=[2, 2, 0, 4])
+
+
+@pytest.mark.parametrize("radius", [0, -0.11])
+def test_an_argos_without_size_is_refused(radius):
+    with pytest.raises(ModelError, match=f"argos27: length {float(radius)} m.*expected above 0"):
+        load_mechanism("argos27", radius=radius)
 
 
 HP4 = Path(__file__).parents[2] / "shared/data/hangprinter_hp4/hp4_2021-12-14.csv"

@@ -435,13 +435,20 @@ def test_an_unknown_mechanism_is_refused_and_the_nearest_is_suggested(text):
     )
 
 
+@pytest.mark.parametrize("name", ["../my_robot", ".", "os.nothing"])
+def test_a_mechanism_that_is_nowhere_is_refused(text, name):
+    bad = text.replace("mechanism: delta24", f"mechanism: '{name}'")
+    refused(bad, f"mechanism: no mechanism '{name}': expected one of argos27, ", "my_pkg.my_file")
+
+
 def test_a_model_file_of_another_mechanism_names_what_does_not_fit(text):
     refused(text.replace("mechanism: delta24", "mechanism: delta_nominal"), "unknown parameter")
 
 
 def test_an_option_that_the_mechanism_does_not_take_is_refused(text):
     bad = text.replace("mechanism: delta24", "mechanism: {name: delta24, options: {legs: 6}}")
-    refused(bad, "mechanism.options: ['legs'] not taken: Delta24() takes no arguments")
+    refused(bad, "delta24: got an unexpected keyword argument 'legs'; its options: none")
+    refused(bad.replace("legs", "name"), "unexpected keyword argument 'name'; its options: none")
 
 
 def test_an_unknown_effect_is_refused_and_the_nearest_is_suggested(text):
@@ -561,12 +568,23 @@ def test_a_home_of_the_wrong_length_is_refused(text):
     refused(
         re.sub(r"  position: \[.*\]", "  position: [0, 0]", text), "home.position: too few values"
     )
-    refused(re.sub(r"quaternion: \[.*\]", "quaternion: [0, 0, 0, 0]", text), "home.quaternion")
+    for nothing in ("[0, 0, 0, 0]", "[0, 0, 0, 1e-300]"):
+        refused(re.sub(r"quaternion: \[.*\]", f"quaternion: {nothing}", text), "home.quaternion")
 
 
 def test_a_workspace_of_the_wrong_length_is_refused(text):
     bad = re.sub(r"workspace: .*", "workspace: {low: [0, 0], high: [1, 1]}", text)
     refused(bad, "workspace.low: 2 values found, expected 3, one for each of x, y, z")
+
+
+def test_a_workspace_that_is_inside_out_is_refused(text):
+    box = "workspace: {low: [0, 0, 0.3], high: [0.1, 0.1, 0.2]}"
+    refused(re.sub(r"workspace: .*", box, text), "workspace.low.2: 0.3 is above high, 0.2")
+
+
+def test_a_history_that_could_not_be_written_back_is_refused(text):
+    bad = text.replace("history: []", "history: [{before: {position_rms: .nan}}]")
+    refused(bad, "history.0.before", "expected a finite number, found nan")
 
 
 def test_several_mistakes_are_counted(text):

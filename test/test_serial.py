@@ -1,11 +1,17 @@
 """Serial arms: hand-worked numbers, plain homogeneous matrices, the inverse problem, refusals."""
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
+from parallel_cal import completeness
+from parallel_cal.accuracy import errors
+from parallel_cal.dataset import Dataset
 from parallel_cal.errors import ModelError
+from parallel_cal.evidence import gather
 from parallel_cal.kinematics import Kinematics, Status
 from parallel_cal.mechanism import load_mechanism
 from parallel_cal.model import new_model
@@ -220,6 +226,63 @@ def test_a_puma_has_several_ways_to_one_pose():
         assert np.abs(again.position - pose.position).max() < 1e-9
 
 
+def test_no_way_to_a_pose_is_wound_up_by_whole_turns():
+    """Within half a turn of home, or a turn off where only there the joint's stops allow it."""
+    model = off_nominal("serial", 3, **PUMA)
+    kinematics, home = Kinematics(model), np.array(model.mechanism.home.joints)
+    low, high = np.array(model.mechanism.joint_limits).T
+    for q in home + np.random.default_rng(6).uniform(-0.3, 0.3, (5, 6)):
+        pose = kinematics.direct(q)
+        ways = kinematics.inverse_all(pose.position, pose.rotation)
+        inside = (ways.joints >= low) & (ways.joints <= high)
+        assert np.abs(ways.joints - home)[~inside].max(initial=0) <= np.pi
+        for turn in (-2 * np.pi, 2 * np.pi):
+            elsewhere = (ways.joints + turn >= low) & (ways.joints + turn <= high)
+            assert not (elsewhere & ~inside).any()
+        expected = np.where(inside.all(axis=1), Status.CONVERGED, Status.OUTSIDE_LIMITS)
+        assert ways.status.tolist() == expected.tolist()
+
+
+def test_a_wrist_that_was_flipped_when_measured_is_no_joint_error():
+    """The same pose is reached with the wrist turned over: joint 4 half a turn further, and read
+    a whole turn further by an encoder that counts turns."""
+    model, q = off_nominal("serial", 3, **PUMA), np.array(PUMA["home"])
+    flipped = q + [0, 0, 0, np.pi, -2 * q[4], np.pi]
+    flipped = flipped + 2 * np.pi * np.array([[0] * 6, [0, 0, 0, -1, 0, 0], [0, 0, 0, 1, 0, -1]])
+    pose = Kinematics(model).direct(flipped)
+    accuracy = np.tile(1e-10 * np.eye(6), (3, 1, 1))
+    data = Dataset.from_arrays(
+        model.joints,
+        flipped,
+        pose.position,
+        pose.rotation,
+        pose_cov=accuracy,
+        joint_sigma=[1e-4] * 6,
+    )
+    assert np.abs(errors(model, gather(model, data)).joint).max() < 1e-9
+
+
+DOCS = (Path(__file__).parents[1] / "docs/serial_arm.md").read_text(encoding="utf-8")
+DESCRIBED = [yaml.safe_load(block) for block in re.findall(r"```yaml\n(.*?)```", DOCS, flags=re.S)]
+
+
+def test_the_puma_of_the_documentation_is_a_puma():
+    """Paul's zero position: a2 + a3 in front, d3 aside, d4 and the flange above (mm)."""
+    arm = load_mechanism("serial", links=DESCRIBED[0])
+    found = Kinematics(new_model(arm)).direct(np.zeros(6))
+    assert found.position == pytest.approx([0.4318 + 0.0203, -0.15005, 0.4318 + 0.056], abs=1e-15)
+    assert found.rotation == pytest.approx(np.eye(3), abs=1e-15)
+    assert len(arm.parameters) == completeness.serial(R=6, P=0)
+
+
+def test_the_scara_of_the_documentation_moves_as_model_16_and_is_complete():
+    arm = load_mechanism("serial", links=DESCRIBED[1], home=(-0.7, 1.6, 0.0))
+    q = np.random.default_rng(0).uniform([-1, 0.3, -0.1], [1, 2.5, 0.1], (20, 3))
+    found, known = (Kinematics(new_model(m)).direct(q) for m in (arm, "scara16"))
+    assert np.abs(found.position - known.position).max() < 1e-15
+    assert completeness.check(arm).rank == completeness.serial(R=2, P=1)
+
+
 def test_an_arm_is_described_in_its_model_file(tmp_path):
     model = off_nominal("serial", 0, **PUMA)
     write_model(model, tmp_path / "puma.yaml")
@@ -241,6 +304,13 @@ def test_an_arm_is_described_in_its_model_file(tmp_path):
         ([{"joint": "R", "axes": "skew"}, {"joint": "R"}], "expected perpendicular"),
         ([{"joint": "R", "alpha": QUARTER}], "one rotation"),
         ([{"joint": "R", "free": ["gamma"]}], "gamma"),
+        ([{"joint": "R", "free": "alpha"}], "expected a list"),
+        ([{"joint": "R", "a": "30 mm"}], "link1: a '30 mm', expected a number in m"),
+        ([{"joint": "R", "theta": np.inf}], "link1: theta inf, expected a number in rad"),
+        ([{"joint": "R", "low": "-90"}], "low '-90', expected a number in rad or m"),
+        ([3], r"links \[3\], expected a list such as"),
+        ({"joint": "R"}, "expected a list such as"),
+        (3, "links 3, expected a list such as"),
     ],
 )
 def test_links_that_make_no_good_model_are_refused_with_the_reason(links, words):

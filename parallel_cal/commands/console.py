@@ -103,7 +103,7 @@ def errors_table(
     names = set(joint_units)
     joint = ("um", 1e6) if names == {"m"} else ("arcmin", 60 * 180 / math.pi)
     if len(names) > 1:  # turns and slides in one norm have no people's unit
-        joint = ("rad|m", 1.0)
+        joint = ("urad|um", 1e6)
     units = {**ERROR_UNITS, "joint": joint}
     rows = []
     for kind, (unit, factor) in units.items():

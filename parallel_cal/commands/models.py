@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import sys
-from inspect import signature
 from pathlib import Path
 from typing import Any
 
 from parallel_cal.commands import console
 from parallel_cal.effect import load_effect
 from parallel_cal.errors import ParallelCalError
-from parallel_cal.mechanism import Mechanism, load_class, load_mechanism, shelf_names
+from parallel_cal.mechanism import Mechanism, load_class, load_mechanism, options_of, shelf_names
 from parallel_cal.model import new_model
 from parallel_cal.sensor import Sensor
 
@@ -42,11 +41,7 @@ def _mechanism(name: str, options: list[str]) -> Mechanism:
         if not equals:
             raise ParallelCalError(f"--option {item}: expected KEY=VALUE")
         given[key] = parse_yaml(text, f"--option {key}").data
-    try:
-        return load_mechanism(name, **given)
-    except TypeError as error:
-        takes = ", ".join(_options_of(load_class("mechanisms", name, Mechanism))) or "none"
-        raise ParallelCalError(f"mechanism {name} ({error}); its options: {takes}") from None
+    return load_mechanism(name, **given)
 
 
 def _sensor(item: str) -> Sensor:
@@ -61,15 +56,6 @@ def _sensor(item: str) -> Sensor:
         if isinstance(options, dict):
             return read_sensor(document, (name,), name, options)
     raise ParallelCalError(f"--sensor {item}: expected 'NAME' or 'NAME: {{KEY: VALUE, ...}}'")
-
-
-def _options_of(cls: type) -> list[str]:
-    """The options of a mechanism or sensor, `links` or with its default `radius=0.1`."""
-    made = vars(cls).get("__init__")
-    if made is None:
-        return []
-    parameters = list(signature(made).parameters.values())[1:]
-    return [str(p.replace(annotation=p.empty)) for p in parameters]
 
 
 def mechanisms(as_json: bool) -> None:
@@ -89,7 +75,7 @@ def mechanisms(as_json: bool) -> None:
 
 def _mechanism_row(name: str) -> dict[str, Any]:
     cls: Any = load_class("mechanisms", name, Mechanism)
-    options = _options_of(cls)
+    options = options_of(cls)
     # One that cannot be built without options says so instead.
     m = None if any("=" not in option for option in options) else cls()
     return {
@@ -158,7 +144,7 @@ def _sensor_row(name: str) -> dict[str, Any]:
     cls: Any = load_class("sensors", name, Sensor)
     return {
         "name": name,
-        "options": _options_of(cls),
+        "options": options_of(cls),
         "physics": cls.physics,
         "source": cls.source,
     }

@@ -103,10 +103,17 @@ class Cable(Mechanism):
 def _check(anchors: Sequence[Any], advantages: Sequence[float], spools: Sequence[int]) -> None:
     n = len(anchors)
     if n < 3 or any(len(point) != 3 for point in anchors):
-        raise ModelError(f"cable: {n} anchors given, expected at least 3 points [x, y, z] in m")
+        raise ModelError(f"{n} anchors given, expected at least 3 points [x, y, z] in m")
     for name, values in (("advantages", advantages), ("spools", spools)):
         if len(values) != n:
-            raise ModelError(f"cable: {len(values)} {name} for {n} anchors, expected one for each")
+            raise ModelError(f"{len(values)} {name} for {n} anchors, expected one for each")
+    if not all(value > 0 for value in advantages):
+        raise ModelError(f"advantages {list(advantages)}, expected numbers above 0")
+    points = np.array(anchors, dtype=float)
+    if np.linalg.norm(np.cross(*(points[1:3] - points[0]))) < 1e-6:
+        raise ModelError(f"the first 3 anchors {points[:3].tolist()} lie in one line")
+    if not points.any(axis=1).all():
+        raise ModelError("an anchor at the origin, where readings are zero: its line has no length")
 
 
 def _line(number: int, anchor: Sequence[float], advantage: float) -> list[Parameter]:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from math import isfinite
+from numbers import Real
 from typing import Any
 
 import casadi as ca
@@ -27,6 +29,7 @@ TOPOLOGY = {
     ("frame", None): ("theta", "d", "a", "b", "alpha", "beta"),
 }
 KEYS = {*UNITS, "joint", "axes", "free", "low", "high", "name"}
+EXAMPLE = "[{joint: R, axes: parallel, a: 0.3}, {joint: R, a: 0.2}]"
 DEFAULT_LIMITS = {"R": (-170 * DEGREE, 170 * DEGREE), "P": (-0.5, 0.5)}
 
 
@@ -151,6 +154,8 @@ def rotation_difference(model: Any, R: Any) -> Any:
 
 def read_links(given: Sequence[Mapping[str, Any]]) -> tuple[Link, ...]:
     """Links from the model file, each checked and given table 3.5's parameters."""
+    if not isinstance(given, list | tuple) or not all(isinstance(k, Mapping) for k in given):
+        raise ModelError(f"links {given!r}, expected a list such as {EXAMPLE}")
     last = max((i for i, link in enumerate(given) if link.get("joint")), default=-1)
     if last < 0:
         raise ModelError("a serial arm needs at least one link with joint: R or P")
@@ -176,13 +181,23 @@ def _link(name: str, given: Mapping[str, Any], next_joint: str | None) -> Link:
     joint = given.get("joint")
     if joint not in ("R", "P", None):
         raise ModelError(f"{name}: joint '{joint}', expected R, P or null")
-    nominal = {key: float(given.get(key, 0.0)) for key in UNITS}
-    free = tuple(given["free"]) if "free" in given else _topology(name, given, next_joint)
-    if wrong := set(free) - set(UNITS):
-        raise ModelError(f"{name}: free has {sorted(wrong)}, expected some of {list(UNITS)}")
-    _check_regular(name, free, nominal)
     low, high = DEFAULT_LIMITS.get(joint or "", (0.0, 0.0))
-    return Link(name, joint, free, nominal, (given.get("low", low), given.get("high", high)))
+    numbers = {**dict.fromkeys(UNITS, 0.0), "low": low, "high": high}
+    numbers = {key: _number(name, key, given.get(key, own)) for key, own in numbers.items()}
+    nominal = {key: numbers[key] for key in UNITS}
+    free = given["free"] if "free" in given else _topology(name, given, next_joint)
+    if not isinstance(free, list | tuple) or not set(free) <= set(UNITS):
+        raise ModelError(f"{name}: free {free!r}, expected a list of some of {list(UNITS)}")
+    _check_regular(name, free, nominal)
+    return Link(name, joint, tuple(free), nominal, (numbers["low"], numbers["high"]))
+
+
+def _number(name: str, key: str, value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, Real) or not isfinite(value):
+        raise ModelError(
+            f"{name}: {key} {value!r}, expected a number in {UNITS.get(key, 'rad or m')}"
+        )
+    return float(value)
 
 
 def _topology(name: str, given: Mapping[str, Any], next_joint: str | None) -> tuple[str, ...]:

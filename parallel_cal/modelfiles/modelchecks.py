@@ -58,6 +58,13 @@ def joint(document: Document, name: str, expected: str, part: JointPart) -> None
         raise document.error(path, f"limits {limits} rad: are these degrees?")
 
 
+def box(document: Document, low: Sequence[float], high: Sequence[float]) -> None:
+    """A workspace that is not inside out."""
+    for i, (a, b) in enumerate(zip(low, high, strict=True)):
+        if a > b:
+            raise document.error(("workspace", "low", i), f"{a} is above high, {b}")
+
+
 def gravity(document: Document, found: Sequence[float]) -> None:
     """A direction in {B} and m/s^2, not a bare direction or mm/s^2; zero is weightless."""
     size = math.hypot(*found)

@@ -41,7 +41,7 @@ class Reader:
             checks.number(self._document, path, parameter, entry.value)
         table = _full_table(mechanism, effects, sensors)
         sigmas = [entry.sigma for _, _, entry in entries]
-        return Model(
+        model = Model(
             mechanism,
             tuple(effects),
             np.array([entry.value for _, _, entry in entries]),
@@ -52,6 +52,11 @@ class Reader:
             frames=dict(file.frames),
             sensors=tuple(sensors),
         )
+        try:
+            model.structure.phi  # noqa: B018  (a user's closure is read here, not when it is needed)
+        except ModelError as error:
+            raise self._error(("mechanism",), str(error)) from None
+        return model
 
     # ------------------------------------------------------------------ what the file is about
 
@@ -78,10 +83,6 @@ class Reader:
             return load_mechanism(name, **options)
         except ModelError as error:
             raise self._unknown(("mechanism",), name, known, error) from None
-        except TypeError as error:
-            raise self._error(
-                ("mechanism", "options"), f"{[*options]} not taken: {error}"
-            ) from None
 
     def _effects(self) -> list[Effect]:
         return self._loaded("effects", lambda path, name, entry: load_effect(name))
@@ -114,7 +115,7 @@ class Reader:
     def _unknown(
         self, path: Path, name: str, known: list[str], error: ModelError
     ) -> ModelFileError:
-        near = suggestion(name, known)
+        near = "" if name in known else suggestion(name, known)
         return self._error(path, f"{error}{near if 'did you mean' in near else ''}")
 
     # ------------------------------------------------------------------ this robot's mechanism
@@ -125,13 +126,14 @@ class Reader:
         n, controls = len(mechanism.joints), mechanism.controls
         if file.home is not None:
             self._check_length(("home", "joints"), file.home.joints, n, "one for each joint")
-            if not any(file.home.quaternion):
+            if math.hypot(*file.home.quaternion) < 1e-9:
                 raise self._error(("home", "quaternion"), "all zeros, expected a rotation x y z w")
             mechanism.home = Home(*(tuple(v) for _, v in file.home))
         if file.workspace is not None:
             for key, values in file.workspace:
                 what = f"one for each of {', '.join(controls)}"
                 self._check_length(("workspace", key), values, len(controls), what)
+            checks.box(self._document, file.workspace.low, file.workspace.high)
             mechanism.workspace = Workspace(*(tuple(v) for _, v in file.workspace))
         if file.gravity is not None:
             checks.gravity(self._document, file.gravity)

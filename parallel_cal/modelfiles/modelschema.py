@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, JsonValue, ValidationError
 
 from parallel_cal.modelfiles.yamltext import Document, Path
 
@@ -129,7 +129,7 @@ class FilePart(Part):
     effects: list[EffectPart] = []
     sensors: list[SensorPart] = []
     covariance: CovariancePart | None = None
-    history: list[dict[str, Any]] = []
+    history: list[dict[str, JsonValue]] = []
 
 
 # where a key may stand -> the keys known there; `*` is any name or number
