@@ -66,9 +66,11 @@ def errors(model: Model, evidence: Evidence) -> Errors:
     x, measured = evidence.x, evidence.measured
     rotation = x[:, n + 3 :].reshape(-1, 3, 3)
     # The robot is solved in {B}; the device shows its poses in frames of its own.
-    pose = shown(model, kinematics.direct(x[:, :n], at))
+    reached = kinematics.direct(x[:, :n], at)
+    pose = shown(model, reached)
     position, turned = model.structure.located(x[:, n:], model.values)
-    joints = kinematics.inverse(position, turned.reshape(-1, 3, 3), at)
+    # In the assembly mode that was measured: an arm's wrist need not be flipped as at home.
+    joints = kinematics.inverse(position, turned.reshape(-1, 3, 3), at, reached)
     given = measured[:, [n + i for i in m.controlled]].all(axis=1)
     turn = rotation_vector(
         rotation @ np.where(np.isfinite(pose.rotation), pose.rotation, np.eye(3)).transpose(0, 2, 1)
@@ -78,10 +80,16 @@ def errors(model: Model, evidence: Evidence) -> Errors:
     return Errors(
         _where(placed & _solved(pose), apart),
         _where(orientation & _solved(pose), np.where(measured[:, n + 3 :], turn, 0.0)),
-        _where(given & _solved(joints), x[:, :n] - joints.joints),
+        _where(given & _solved(joints), _unwound(m, x[:, :n] - joints.joints)),
         _readings_apart(model, evidence, pose),
         _closure(model, evidence),
     )
+
+
+def _unwound(mechanism: Mechanism, difference: np.ndarray) -> np.ndarray:
+    """Joint errors without whole turns, which change nothing (a spool's do)."""
+    turns = [mechanism.periodic and unit == "rad" for unit in mechanism.joint_units]
+    return difference - 2 * np.pi * np.round(difference / (2 * np.pi)) * turns
 
 
 def _closure(model: Model, evidence: Evidence) -> np.ndarray:

@@ -18,6 +18,8 @@ import numpy as np
 log = logging.getLogger(__name__)
 
 LARGE = 10_000  # instructions: looking for common ones would take longer than it saves
+# Without the last one CasADi's x * x and |x| stay calls of functions that others might replace.
+FLAGS = ("-O2", "-fPIC", "-shared", "-fno-semantic-interposition")
 
 
 class Single:
@@ -116,14 +118,13 @@ def compiled(function: ca.Function) -> ca.Function:
     """The function as machine code from the cache or the C compiler; itself without one."""
     if os.environ.get("PARALLEL_CAL_COMPILE") == "never":
         return function
-    library = _cache_folder() / f"{_fingerprint(function)}.so"
-    if not library.exists() and not _compile(function, library):
-        return function
     try:
-        return ca.external(function.name(), str(library))
-    except RuntimeError as error:  # a cache from another machine: the virtual machine serves
-        log.info("compiled %s cannot be loaded (%s)", library.name, error)
-        return function
+        library = _cache_folder() / f"{_fingerprint(function)}.so"
+        if library.exists() or _compile(function, library):
+            return ca.external(function.name(), str(library))
+    except (OSError, RuntimeError) as error:  # no home, no right, a cache from another machine
+        log.info("compiled %s is not used (%s)", function.name(), error)
+    return function
 
 
 def _compile(function: ca.Function, library: Path) -> bool:
@@ -146,13 +147,13 @@ def _build(function: ca.Function, compiler: str, folder: Path, library: Path) ->
     code.add(function)
     code.generate(f"{folder}{os.sep}")
     built = folder / "code.so"
-    command = [compiler, "-O2", "-fPIC", "-shared", str(folder / "code.c"), "-o", str(built), "-lm"]
+    command = [compiler, *FLAGS, str(folder / "code.c"), "-o", str(built), "-lm"]
     subprocess.run(command, check=True, capture_output=True, timeout=120)
     built.replace(library)  # atomic: another process never loads half a library
 
 
 def _fingerprint(function: ca.Function) -> str:
-    text = f"{ca.__version__} {os.uname().machine} O2 {function.serialize()}"
+    text = f"{ca.__version__} {os.uname().machine} {FLAGS} {function.serialize()}"
     return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 

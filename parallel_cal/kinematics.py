@@ -55,9 +55,13 @@ class Kinematics:
 
     def direct_all(self, q: np.ndarray, at: Mapping[str, Any] | None = None) -> Solutions:
         """Every pose for joints (nq,), home branch first: all that exist where the platform hangs
-        on six rods (6.2.4) or has three balls on circles (6.7.2), else the distinct ones reached
-        from all candidates."""
-        for feature, solver in (("rods", "homotopy"), ("circles", "three_circles")):
+        on six rods (6.2.4), has three balls on circles (6.7.2) or on great circles (6.2.3), else
+        the distinct ones reached from all candidates."""
+        first = self.direct(q, at)
+        if first.status == Status.INVALID_INPUT:
+            return stacked([first])
+        complete_for = {"rods": "homotopy", "circles": "three_circles", "normals": "polynomial"}
+        for feature, solver in complete_for.items():
             if hasattr(self.model.mechanism, feature):
                 # These solvers use this class, too.
                 complete = import_module(f"parallel_cal.solvers.{solver}")
@@ -65,7 +69,7 @@ class Kinematics:
                 if len(found):
                     return found  # type: ignore[no-any-return]
         starts = self._candidates(q)
-        return self._distinct([self.direct(q, at)], starts, lambda s: self.direct(q, at, s))
+        return self._distinct([first], starts, lambda s: self.direct(q, at, s))
 
     def inverse_all(
         self,
@@ -159,7 +163,7 @@ class Kinematics:
         x[~finite], residual[~finite] = np.nan, np.nan
         settled = (step < SETTLED) & problem.closed(residual)
         for i in np.flatnonzero(finite & ~settled):
-            x[i], residual[i], status[i] = problem.careful(x[i], rows[i], given[i])
+            x[i], residual[i], status[i] = self._carefully(problem, x[i], rows[i], given[i])
         suspect = finite & ~(settled & (pivot > SUSPECT_PIVOT))
         for i in np.flatnonzero(suspect & (status == Status.CONVERGED)):
             if problem.smallest_singular_value(x[i], rows[i]) < SINGULAR:
@@ -168,6 +172,19 @@ class Kinematics:
         outside = ~((q >= self._limits[:, 0]) & (q <= self._limits[:, 1])).all(axis=1)
         status[outside & (status == Status.CONVERGED)] = Status.OUTSIDE_LIMITS
         return Solutions(q, x[:, n : n + 3], x[:, n + 3 :].reshape(-1, 3, 3), residual, status)
+
+    def _carefully(
+        self, problem: Problem, x: np.ndarray, row: np.ndarray, given: np.ndarray
+    ) -> tuple[np.ndarray, float, Status]:
+        """The careful solver's answer; it may have wound joints up on its way."""
+        x, residual, status = problem.careful(x, row, given)
+        q = _turned_towards(x[: self._n], problem.unknown_joints, self.model)
+        if (q == x[: self._n]).all():
+            return x, residual, status
+        turned = np.concatenate([q, x[self._n :]])
+        if not self.model.effects:
+            return turned, residual, status
+        return problem.careful(turned, row, given)
 
     @staticmethod
     def _refined(problem: Problem, x: np.ndarray, *parts: np.ndarray) -> list[np.ndarray]:
@@ -252,9 +269,14 @@ def _apart(a: Solutions, b: Solutions) -> float:
 
 
 def _turned_towards(q: np.ndarray, unknown: bool, model: Model) -> np.ndarray:
-    """Solved angles moved by whole turns to within half a turn of home."""
+    """Solved angles moved by whole turns to within half a turn of home, or one turn further where
+    only that is inside the limits."""
     if not unknown or not model.mechanism.periodic:
         return q
-    turns = np.array([unit == "rad" for unit in model.mechanism.joint_units])
+    turn = 2 * np.pi * np.array([unit == "rad" for unit in model.mechanism.joint_units])
     home = np.array(model.mechanism.home.joints)
-    return q - 2 * np.pi * np.round((q - home) / (2 * np.pi)) * turns
+    low, high = np.array(model.mechanism.joint_limits).T
+    q = q - turn * np.round((q - home) / (2 * np.pi))
+    other = q - turn * np.sign(q - home)
+    better = ((q < low) | (q > high)) & (low <= other) & (other <= high)
+    return np.where(better, other, q)

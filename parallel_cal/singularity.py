@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from parallel_cal.kinematics import Solutions
 from parallel_cal.model import Model
+from parallel_cal.solutions import Solutions
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Distances:
 def distances(model: Model, solutions: Solutions, at: Mapping[str, Any] | None = None) -> Distances:
     """Both distances of N solved configurations."""
     direct, inverse = jacobians(model, solutions, at)
-    return Distances(_smallest(direct), _smallest(inverse), _sign(direct), _sign(inverse))
+    return Distances(smallest(direct), smallest(inverse), _sign(direct), _sign(inverse))
 
 
 def jacobians(
@@ -47,7 +47,8 @@ def jacobians(
     return C[:, :, [n + i for i in m.moved]], C[:, :, [*range(n), *(n + i for i in m.passive)]]
 
 
-def _smallest(J: np.ndarray) -> np.ndarray:
+def smallest(J: np.ndarray) -> np.ndarray:
+    """The smallest singular value of each Jacobian, NaN where it is not finite."""
     finite = np.isfinite(J).all(axis=(1, 2))
     sizes = np.full(len(J), np.nan)
     if finite.any():
@@ -57,6 +58,9 @@ def _smallest(J: np.ndarray) -> np.ndarray:
 
 def _sign(J: np.ndarray) -> np.ndarray:
     """Of the determinant; 1 where there are more rows than unknowns."""
-    if J.shape[1] != J.shape[2]:
-        return np.ones(len(J))
-    return np.asarray(np.sign(np.linalg.det(J)))
+    signs = np.ones(len(J))
+    if J.shape[1] == J.shape[2]:
+        finite = np.isfinite(J).all(axis=(1, 2))
+        signs[finite] = np.sign(np.linalg.det(J[finite]))
+        signs[~finite] = np.nan
+    return signs

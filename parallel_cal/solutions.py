@@ -37,7 +37,8 @@ class Solutions:
     """N solved configurations: joints (N, nq), position (N, 3) m, rotation (N, 3, 3),
     residual (N,) m and status (N,). Indexing gives one, or a smaller set.
 
-    `count_complex` says how many complex solutions a complete search found (None: no such search).
+    `count_complex` says how many complex solutions a complete search found (None: no such search);
+    `message` what a solver has to say about all of them together.
     """
 
     joints: np.ndarray
@@ -46,6 +47,7 @@ class Solutions:
     residual: np.ndarray
     status: np.ndarray
     count_complex: int | None = None
+    message: str | None = None
 
     def __len__(self) -> int:
         return len(self.joints)

@@ -16,6 +16,7 @@ from parallel_cal.kinematics import CLOSED, Kinematics, Solutions, Status
 from parallel_cal.mechanism import shelf_names
 from parallel_cal.model import Model
 from parallel_cal.rotation import quaternion_to_matrix
+from parallel_cal.solvers._common import home_first, judged
 
 Conditions = Mapping[str, Any]
 Solver = tuple[Callable[..., Solutions], Callable[..., Solutions]]
@@ -39,19 +40,61 @@ def inverse(
     every: bool = False,
     solver: str = "newton",
 ) -> Solutions:
-    """Joints for positions and rotations: one each for (N, 3), or `every` one for (3,)."""
-    return _solver(solver)[1](model, r, R, at, every)
+    """Joints for positions and rotations: one each for (N, 3), or `every` one for (3,).
+
+    Of the pose only what the robot controls counts (`controlled_pose`).
+    """
+    return _solver(solver)[1](model, *controlled_pose(model, r, R), at, every)
 
 
-def _solver(name: str) -> Solver:
-    """A solver by name: Newton's method, the closed form, or a file on the shelf solvers/."""
+def controlled_pose(
+    model: Model, r: np.ndarray, R: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """The pose with what the robot does not control taken from home; None: all of the rotation."""
+    controlled = model.mechanism.controlled
+    ignored = [i for i in range(3) if i not in controlled]
+    if ignored:
+        r = np.array(r)
+        r[..., ignored] = np.array(model.mechanism.home.position)[ignored]
+    return r, (R if any(i >= 3 for i in controlled) else None)
+
+
+def _solver(text: str) -> Solver:
+    """A solver by `NAME[:option=value,...]`: Newton's method, the closed form, or a file on the
+    shelf solvers/."""
+    name, _, given = text.partition(":")
     if name in SOLVERS:
+        if given:
+            raise SolveError(f"{name} has no options, '{given}' given")
         return SOLVERS[name]
     if name not in shelf_names("solvers") or not _is_solver(name):
         others = [n for n in shelf_names("solvers") if n not in SOLVERS and _is_solver(n)]
         raise SolveError(f"no solver '{name}'; there are {', '.join([*SOLVERS, *others])}")
     module = import_module(f"parallel_cal.solvers.{name}")
-    return partial(_shelf_direct, module), partial(_shelf_inverse, module)
+    return partial(_shelf_direct, module, given), partial(_shelf_inverse, module, given)
+
+
+def _options(solve: Callable[..., Solutions], given: str) -> dict[str, Any]:
+    """`half_steps=5,rough=true` as keyword arguments, of the types of the function's defaults."""
+    defaults = {p.name: p.default for p in signature(solve).parameters.values()}
+    known = {k: v for k, v in defaults.items() if isinstance(v, (bool, int, float, str))}
+    options = {}
+    for item in filter(None, given.split(",")):
+        key, _, value = (part.strip() for part in item.partition("="))
+        try:
+            options[key] = _like(known[key], value)
+        except (KeyError, ValueError):
+            words = ", ".join(f"{k}={v}" for k, v in known.items())
+            expected = f"expected one of {words}" if words else "this solver has none"
+            raise SolveError(f"solver option '{item}': {expected}") from None
+    return options
+
+
+def _like(default: Any, text: str) -> Any:
+    """Text as a value of the default's type; ValueError where it is none."""
+    if isinstance(default, bool):
+        return bool(("false", "true").index(text.lower()))
+    return type(default)(text)
 
 
 def _is_solver(name: str) -> bool:
@@ -60,21 +103,33 @@ def _is_solver(name: str) -> bool:
     return function is not None and next(iter(signature(function).parameters)) == "model"
 
 
-def _shelf_direct(module: Any, model: Model, q: np.ndarray, at: Conditions, every: bool) -> Any:
+def _shelf_direct(
+    module: Any, given: str, model: Model, q: np.ndarray, at: Conditions, every: bool
+) -> Any:
+    solve = _all_of(module, "direct_all") if every else module.direct
+    options = _options(solve, given)
     if not every:
-        return module.direct(model, np.atleast_2d(q), at)
-    found = _all_of(module, "direct_all")(model, q, at)
+        return solve(model, np.atleast_2d(q), at, **options)
+    found = solve(model, q, at, **options)
     return found if len(found) else _unsolved(model, q, None)
 
 
 def _shelf_inverse(
-    module: Any, model: Model, r: np.ndarray, R: np.ndarray | None, at: Conditions, every: bool
+    module: Any,
+    given: str,
+    model: Model,
+    r: np.ndarray,
+    R: np.ndarray | None,
+    at: Conditions,
+    every: bool,
 ) -> Any:
+    solve = _all_of(module, "inverse_all") if every else module.inverse
+    options = _options(solve, given)
     if every:
-        found = _all_of(module, "inverse_all")(model, r, R, at)
+        found = solve(model, r, R, at, **options)
         return found if len(found) else _unsolved(model, None, r)
     turned = None if R is None else np.reshape(R, (-1, 3, 3))
-    return module.inverse(model, np.atleast_2d(r), turned, at)
+    return solve(model, np.atleast_2d(r), turned, at, **options)
 
 
 def _all_of(module: Any, name: str) -> Callable[..., Solutions]:
@@ -109,11 +164,13 @@ def _closed_direct(model: Model, q: np.ndarray, at: Conditions, every: bool) -> 
     """The candidates themselves, where the closure says that they are exact."""
     if q.ndim == 2:
         return _stacked([_closed_direct(model, row, _at(at, i), every) for i, row in enumerate(q)])
-    home = np.array(model.mechanism.home.position)
     columns = np.array(model.structure.candidates(q, model.values)).T
     found = [(q, c[:3], c[3:].reshape(3, 3)) for c in columns if np.isfinite(c).all()]
-    found.sort(key=lambda s: float(np.linalg.norm(s[1] - home)))
-    return _judged(model, found, at, every) or _unsolved(model, q, None)
+    exact = _exact(model, found, at, "direct")
+    if exact is None:
+        return _unsolved(model, q, None)
+    order = home_first(model, exact, at)
+    return exact[order if every else order[:1]]
 
 
 def _closed_inverse(
@@ -131,33 +188,30 @@ def _closed_inverse(
     sets = [np.array(c) for c in product(*(np.array(c).ravel() for c in choices))]
     found = [(q, r, R) for q in sets if np.isfinite(q).all()]
     found.sort(key=lambda s: float(np.sum(1 - np.cos(s[0] - home))))
-    return _judged(model, found, at, every) or _unsolved(model, None, r)
+    exact = _exact(model, found, at, "inverse")
+    if exact is None:
+        return _unsolved(model, None, r)
+    return exact if every else exact[:1]
 
 
-def _judged(
+def _exact(
     model: Model,
     found: list[tuple[np.ndarray, np.ndarray, np.ndarray]],
     at: Conditions,
-    every: bool,
+    problem: str,
 ) -> Solutions | None:
     """The exact ones with status; SolveError where there are candidates but none is exact."""
     if not found:
         return None
-    q, r, R = (np.array(part) for part in zip(*found, strict=True))
-    configuration = np.hstack([q, r, R.reshape(len(R), 9)])
-    conditions = model.condition_rows(at, len(q))
-    phi = model.structure.closure_batch(configuration, conditions, model.values)
-    residual = np.linalg.norm(phi[0], axis=1)
-    exact = np.flatnonzero(residual < CLOSED)
+    rows = np.array([np.concatenate([q, r, R.ravel()]) for q, r, R in found])
+    solutions = judged(model, rows, at, CLOSED, problem)
+    exact = np.flatnonzero(solutions.residual < CLOSED)
     if not len(exact):
         raise SolveError(
             f"closed_form is not exact for this {model.mechanism.name} and its effects "
-            f"(off by {residual.min():.2g} m); there is newton"
+            f"(off by {solutions.residual.min():.2g} m); there is newton"
         )
-    limits = np.array(model.mechanism.joint_limits)
-    inside = ((q >= limits[:, 0]) & (q <= limits[:, 1])).all(axis=1)
-    status = np.where(inside, Status.CONVERGED, Status.OUTSIDE_LIMITS)
-    return Solutions(q, r, R, residual, status)[exact if every else exact[:1]]
+    return solutions[exact]
 
 
 def _unsolved(model: Model, q: np.ndarray | None, r: np.ndarray | None) -> Solutions:

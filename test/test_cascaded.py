@@ -11,6 +11,9 @@ from parallel_cal.rotation import rotation_vector
 from parallel_cal.solvers import cascaded, fixed_newton
 
 ARCSECOND = np.pi / 180 / 3600
+PARALLELOGRAM = {
+    p.name for p in new_model("delta54").mechanism.parameters if p.group == cascaded.PERFECT
+}
 
 
 @pytest.fixture(scope="module")
@@ -55,6 +58,19 @@ def test_five_fixed_steps_from_the_centre_leave_hundredths_of_a_micrometre_near_
     position, orientation, _ = errors(found, poses)
     assert 0.005e-6 < position < 0.5e-6
     assert orientation < 0.3 * ARCSECOND
+
+
+def test_the_cascades_error_falls_with_the_square_of_the_parallelogram_errors(mock_up):
+    """Table 6.6 again: at its tilt (1070 arcseconds against 1500 here) 0.2 um are left."""
+    small = np.array([row.name in PARALLELOGRAM for row in mock_up.table])
+    left = []
+    for share in (1.0, 0.71):
+        model = mock_up.with_values(mock_up.values * np.where(small, share, 1.0))
+        truth = Kinematics(model).inverse(vr.targets(74, 1, 0.04))
+        left.append(errors(cascaded.direct(model, truth.joints), truth)[:2])
+    assert np.divide(*left) == pytest.approx([0.71**-2] * 2, rel=0.1)
+    assert left[1][0] == pytest.approx(0.2e-6, rel=0.1)
+    assert left[1][1] == pytest.approx(2 * ARCSECOND, rel=0.1)
 
 
 def test_each_whole_cascade_step_gains_three_digits(mock_up, poses):
@@ -115,5 +131,9 @@ def test_mechanisms_that_do_not_fall_into_halves_are_refused():
         cascaded.direct(new_model("delta24"), np.zeros(3))
     with pytest.raises(SolveError, match="use --solver newton"):
         cascaded.direct(new_model("stewart42"), np.zeros(6))
+    with pytest.raises(SolveError, match="use --solver newton"):
+        cascaded.direct(new_model("delta51"), np.zeros(3))
+    with pytest.raises(SolveError, match="slide: use --solver newton"):
+        cascaded.inverse(new_model("linear_delta"), np.zeros(3))
     with pytest.raises(SolveError, match="has 3"):
         cascaded.direct(new_model("delta54"), np.zeros(4))

@@ -7,6 +7,7 @@ from parallel_cal.errors import SolveError
 from parallel_cal.kinematics import Kinematics, Solutions
 from parallel_cal.model import new_model
 from parallel_cal.rotation import rotation_matrix, rotation_vector
+from parallel_cal.simulate import poses_in_workspace
 from parallel_cal.solvers import cascaded_circles, three_circles
 
 
@@ -81,6 +82,17 @@ def test_the_cascade_comes_to_the_poses_of_newton_s_method():
     assert np.abs(turned).max() < 1e-6
     back = cascaded_circles.inverse(model, exact.position, exact.rotation, half_steps=24)
     assert np.abs(back.joints - q).max() < 1e-6
+
+
+def test_the_default_cascade_converges_over_the_workspace():
+    model = strayed(7)
+    exact = Kinematics(model).inverse(
+        *poses_in_workspace(model.mechanism, 100, np.random.default_rng(0))
+    )
+    exact = exact[exact.ok]
+    found = cascaded_circles.direct(model, exact.joints)
+    assert found.ok.all()
+    assert np.abs(found.position - exact.position).max() < 0.1e-6
 
 
 def test_other_mechanisms_and_problems_are_refused_with_a_way_out():

@@ -1,5 +1,8 @@
 """One function is one: on the virtual machine, compiled, and without common parts shared."""
 
+from pathlib import Path
+
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -63,6 +66,56 @@ def test_without_a_compiler_very_many_samples_take_the_virtual_machine(tmp_path,
     ):
         np.testing.assert_array_equal(machine, own)
     assert not list(tmp_path.rglob("*.so"))
+
+
+def unwritable(folder, monkeypatch):
+    (folder / "file").touch()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(folder / "file"))
+
+
+def of_somebody_else(folder, monkeypatch):
+    def refused(path):
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr(Path, "exists", refused)
+
+
+def without_a_home(folder, monkeypatch):
+    def nobody():
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.setattr(Path, "home", nobody)
+
+
+def from_another_machine(folder, monkeypatch):
+    compiled.compiled(squared())
+    (library,) = folder.rglob("*.so")
+    library.unlink()  # it is still mapped
+    library.write_text("not for this machine")
+
+
+def with_a_failing_compiler(folder, monkeypatch):
+    monkeypatch.setenv("CC", "false")
+
+
+def squared():
+    x = ca.SX.sym("x", 2)
+    return ca.Function("squared", [x], [x**2])
+
+
+@pytest.mark.parametrize(
+    "spoiled",
+    [unwritable, of_somebody_else, without_a_home, from_another_machine, with_a_failing_compiler],
+)
+def test_where_machine_code_cannot_be_had_the_virtual_machine_serves_in_silence(
+    spoiled, tmp_path, monkeypatch, capfd
+):
+    spoiled(tmp_path, monkeypatch)
+    function = compiled.compiled(squared())
+    assert function.class_name() == "SXFunction"
+    np.testing.assert_array_equal(np.array(function([3, 4])).ravel(), [9, 16])
+    assert capfd.readouterr() == ("", "")
 
 
 @pytest.mark.parametrize("large", [0, 10**9], ids=["as it is", "with common parts shared"])

@@ -174,7 +174,54 @@ def test_what_is_no_platform_is_refused():
         homotopy.all_poses(C[:5], B, L)
     with pytest.raises(SolveError, match="not a finite number"):
         homotopy.all_poses(C, B, L * np.nan)
+    with pytest.raises(SolveError, match="meet in one point"):
+        homotopy.all_poses(C, np.tile(B[0], (6, 1)), L)
     with pytest.raises(SolveError, match="rods"):
         homotopy.direct_all(new_model("delta24"), np.zeros(3))
+
+
+def test_a_rod_that_is_there_twice_leaves_no_regular_pose():
+    C, B, L, *_ = platform(np.random.default_rng(7))
+    C[1], B[1], L[1] = C[0], B[0], L[0]
+    assert homotopy.all_poses(C, B, L).count_complex == 0
+
+
+@pytest.mark.parametrize("seed", [0, 2, 5])
+def test_lost_paths_are_followed_anew(seed):
+    """A platform so small that paths run close to each other: some jump, and poses are missed."""
+    C, B, _, r, R = platform(np.random.default_rng(seed))
+    B = 3e-5 * B
+    L = np.linalg.norm(r + B @ R.T - C, axis=1)
+    assert homotopy.all_poses(C, B, L, retries=0).count_complex < 40
+    found = homotopy.all_poses(C, B, L)
+    assert (found.count_complex, found.retries) == (40, 1)
+
+
+@pytest.mark.parametrize("size", [1e-6, 1e6])
+def test_size_does_not_matter(size):
+    C, B, L, *_ = platform(np.random.default_rng(8))
+    found, other = (homotopy.all_poses(s * C, s * B, s * L) for s in (1, size))
+    assert other.count_complex == 40
+    assert other.real.position / size == pytest.approx(found.real.position)
+
+
+def test_flat_platforms_have_forty_poses_and_symmetric_ones_fewer():
+    C, B, _, r, R = platform(np.random.default_rng(9))
+    C[:, 2] = B[:, 2] = 0
+    L = np.linalg.norm(r + B @ R.T - C, axis=1)
+    assert homotopy.all_poses(C, B, L).count_complex == 40
+    C, B = (np.repeat(a[:3], 2, axis=0) for a in (C, B))
+    found = homotopy.all_poses(C, np.roll(B, 1, axis=0), np.full(6, 2.0))
+    assert found.count_complex == 16  # the octahedron's, as is known
+
+
+@pytest.mark.parametrize("name", ["delta51", "linear_delta"])
+def test_other_robots_on_six_rods_are_solved_as_well(name):
+    model = new_model(name)
+    q = np.array(model.mechanism.home.joints) + [0.01, -0.02, 0.03]
+    found = homotopy.direct_all(model, q)
+    assert found.count_complex == 40
+    assert found.position[0] == pytest.approx(Kinematics(model).direct(q).position)
+    assert found.residual.max() < 1e-12
     with pytest.raises(SolveError, match="direct problems only"):
         homotopy.inverse(new_model("delta54"), np.zeros(3))

@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 import virtual_robot as vr
+from datasets import measured
 
 from parallel_cal.errors import ModelError, SolveError
+from parallel_cal.identification import fit
 from parallel_cal.kinematics import Kinematics, Status
 from parallel_cal.model import new_model
 from parallel_cal.rotation import rotation_vector
@@ -89,6 +91,40 @@ def test_pose_covariance_is_the_spread_of_answers_over_parameter_draws(mock_up):
         ]
     )
     assert np.sqrt(np.diag(np.cov(pose.T))) == pytest.approx(np.sqrt(np.diag(predicted)), rel=0.12)
+
+
+def test_covariance_of_both_problems_holds_for_what_an_identification_left_uncertain():
+    """Its parameters are known together, forty times better than each alone would suggest."""
+    known = fit(new_model("delta54"), measured(1), hold_out=0).model
+    size, directions = np.linalg.eigh(known.covariance)
+    root = directions * np.sqrt(np.clip(size, 0, None))
+    draws = np.random.default_rng(2).standard_normal((400, len(size)))
+    drawn = [Kinematics(known.with_values(known.values + root @ draw)) for draw in draws]
+    kinematics = Kinematics(known)
+    joints, position = np.array([0.5, 0.55, 0.6]), [0.05, -0.05, 0.15]
+    pose, answer = kinematics.direct(joints), kinematics.inverse(position)
+    poses = np.array([k.direct(joints).position for k in drawn]) - pose.position
+    turned = np.array([k.inverse(position).joints for k in drawn]) - answer.joints
+    for spread, predicted in (
+        (np.cov(poses.T), kinematics.direct_covariance(pose)[:3, :3]),
+        (np.cov(turned.T), kinematics.inverse_covariance(answer)),
+    ):
+        ratios = np.linalg.eigvals(np.linalg.solve(predicted, spread)).real
+        assert np.abs(ratios - 1).max() < 0.25  # in every direction, not only along the axes
+
+
+def test_the_last_reading_inside_the_limits_is_inside(mock_up):
+    low, high = mock_up.model.mechanism.joint_limits[0]
+    for joint, status in ((low, 0), (low - 1e-12, 3), (high, 0), (high + 1e-12, 3)):
+        assert mock_up.direct([joint, 0.5, 0.5]).status == status
+        assert mock_up.direct([[joint, 0.5, 0.5]]).status == status
+
+
+def test_rods_too_short_to_meet_are_unreachable_in_the_direct_problem():
+    model = new_model("delta24", {f"chain{i}.Lb": 0.08 for i in (1, 2, 3)})
+    answer = Kinematics(model).direct([0.0, 0.0, 0.0])
+    assert answer.status == Status.UNREACHABLE
+    assert answer.residual > 1e-3
 
 
 def test_backlash_moves_the_answer_by_half_its_width_with_the_direction():

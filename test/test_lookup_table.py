@@ -7,7 +7,7 @@ import virtual_robot as vr
 from parallel_cal.errors import SolveError
 from parallel_cal.kinematics import Kinematics, Status
 from parallel_cal.model import new_model
-from parallel_cal.rotation import rotation_vector
+from parallel_cal.rotation import quaternion_to_matrix, rotation_vector
 from parallel_cal.solvers import lookup_table
 from parallel_cal.solvers.lookup_table import LookUpTable
 
@@ -91,7 +91,8 @@ def test_one_pose_is_answered_with_one_solution():
 def test_orientation_robots_have_tables_too():
     model = new_model("argos9", {"chain2.alpha0": np.radians(46)})
     m = model.mechanism
-    model.mechanism.workspace = type(m.workspace)((-0.1,) * 3, (0.1,) * 3)
+    home = rotation_vector(quaternion_to_matrix(np.array(m.home.quaternion)))
+    m.workspace = type(m.workspace)(tuple(home - 0.1), tuple(home + 0.1))
     q = np.random.default_rng(0).uniform(-0.03, 0.03, (20, 3)) + m.home.joints
     pose = Kinematics(model).direct(q)
     found = lookup_table.inverse(model, pose.position, pose.rotation, size=6)

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 import virtual_robot as vr
 
+from parallel_cal.errors import SolveError
 from parallel_cal.kinematics import Kinematics, Status
-from parallel_cal.mechanisms.delta51 import from_delta54, to_delta54
+from parallel_cal.mechanisms.delta51 import RODS, from_delta54, to_delta54
 from parallel_cal.model import new_model
 from parallel_cal.rotation import rotation_vector
 from parallel_cal.solvers import ipr_compensation
@@ -270,6 +271,26 @@ def test_a_rods_closure_is_what_paper_and_pencil_say(changed, rod):
     assert phi(model, q, [10, 0, 8], CYCLE)[int(rod) - 11] == pytest.approx(row, abs=1e-12)
 
 
+@pytest.mark.parametrize("rod", RODS)
+def test_a_rods_slopes_are_the_papers_matrices_with_one_sign_put_right(rod):
+    """Eqs 12-19 by cross products; by eqs 5, 6 and 13 the columns of b must be -A B, not A B."""
+    model, q, i = new_model("delta51"), np.array([0.4, 0.6, 0.5]), int(rod[0])
+    s, k = Kinematics(model).direct(q), model.value
+    x = np.concatenate([q, s.position, s.rotation.ravel()])
+    slopes = model.structure.closure(x, [], model.values)[1:]
+    J, J_v = (np.array(slope)[RODS.index(rod)] for slope in slopes)
+    b, a = (np.array([k(f"rod{rod}.{n}_{axis}") for axis in "xyz"]) for n in "ba")
+    turn = vr.about("z", np.radians([-90, 30, 150][i - 1])) @ vr.about("x", q[i - 1])
+    AP, BC, l = -turn @ a, -s.rotation @ b, k(f"rod{rod}.l")
+    AB = s.position - BC - (np.array([k(f"chain{i}.p_{axis}") for axis in "xyz"]) - AP)
+    assert l * J[3:] == pytest.approx([*AB, *np.cross(AB, BC)], abs=1e-14)
+    names = [f"rod{rod}.{n}_{axis}" for n in "ba" for axis in "xyz"]
+    names += [f"rod{rod}.l", *(f"chain{i}.beta_{axis}" for axis in "xyz")]
+    columns = l * J_v[[model.table.index_of(name) for name in names]]
+    printed = [*(-AB @ s.rotation), *(AB @ turn), l, *np.cross(AB, AP)]
+    assert -columns == pytest.approx(printed, abs=1e-14)
+
+
 class PointDelta(vr.RodRobot):
     """Six rods between points, from the 51-parameter table; solved by the virtual robot."""
 
@@ -438,3 +459,17 @@ def test_one_pose_is_answered_with_one_solution_and_failures_keep_their_reason()
     assert one.joints.shape == (3,)
     far = ipr_compensation.inverse(model, np.array([[0, 0, 0.2], [0, 0, 2.0]]))
     assert far.status.tolist() == [Status.CONVERGED, Status.UNREACHABLE]
+
+
+def test_a_correction_that_corrects_nothing_is_no_solution():
+    """Rods of half their length reach nowhere; a first-order step from nominal is no pose."""
+    short = new_model("delta_nominal", {"Lb": 0.12})
+    assert Kinematics(short).direct(np.full(3, 0.5)).status == Status.UNREACHABLE
+    found = ipr_compensation.direct(short, np.full(3, 0.5))
+    assert found.residual > 1e-2
+    assert found.status == Status.NOT_CONVERGED
+
+
+def test_a_robot_with_more_lines_than_freedoms_is_not_compensated_through_its_pose():
+    with pytest.raises(SolveError, match="more closure rows than freedoms: use --solver newton"):
+        ipr_compensation.inverse(new_model("cable"), np.zeros(3))

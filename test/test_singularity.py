@@ -4,8 +4,11 @@ import numpy as np
 import pytest
 import virtual_robot as vr
 
+from parallel_cal import solving
+from parallel_cal.errors import SolveError
 from parallel_cal.kinematics import Kinematics, Status
 from parallel_cal.model import new_model
+from parallel_cal.rotation import rotation_matrix
 from parallel_cal.singularity import distances
 from parallel_cal.solvers import continuous
 
@@ -53,7 +56,7 @@ def test_well_inside_the_workspace_both_distances_are_large(mock_up):
 
 def test_the_branch_is_kept_along_a_trajectory_and_equals_the_home_branch(mock_up):
     points = np.linspace([0, 0, 0.2], [0.05, -0.05, 0.24], 30)
-    track = continuous.inverse(mock_up, points)
+    track = continuous.follow_poses(mock_up, points)
     assert (track.danger, track.lost) == (None, None)
     assert track.message == "the assembly mode is kept"
     assert np.abs(track.solutions.joints - mock_up.inverse(points).joints).max() < 1e-12
@@ -61,7 +64,7 @@ def test_the_branch_is_kept_along_a_trajectory_and_equals_the_home_branch(mock_u
 
 def test_the_end_of_reach_is_announced_and_then_named(mock_up):
     points = np.linspace([0, 0, 0.2], [0, 0, 0.36], 400)
-    track = continuous.inverse(mock_up, points)
+    track = continuous.follow_poses(mock_up, points)
     assert track.lost is not None
     assert track.danger < track.lost == len(track.solutions)
     assert f"lost between points {track.lost - 1} and {track.lost}" in track.message
@@ -77,3 +80,65 @@ def test_an_elbow_the_other_way_stays_the_other_way(mock_up):
         moved = mock_up.inverse(point, elbow.rotation, start=moved)
     assert np.abs(moved.joints - elbow.joints).max() < 0.6
     assert np.abs(moved.joints - mock_up.inverse(points[-1]).joints).max() > 0.5
+
+
+def towards_the_direct_singularity(points):
+    """The line of bench/singularity.py, on which the platform tilts freely before reach ends."""
+    return np.linspace([0, 0, 0.2], [0.3, 0, 0.1], points)
+
+
+def test_a_commanded_platform_loses_its_mode_in_a_direct_singularity(mock_up):
+    points = towards_the_direct_singularity(40)
+    track = continuous.follow_poses(mock_up, points)
+    beyond = mock_up.inverse(points[track.lost])
+    assert beyond.ok or beyond.status == Status.OUTSIDE_LIMITS  # the joints alone do not tell
+    found = distances(mock_up.model, mock_up.inverse(points[track.lost - 1 : track.lost + 1]))
+    assert found.direct_sign.prod() == -1
+    assert found.inverse.min() > 0.1
+    assert track.danger < track.lost
+
+
+def test_huge_steps_and_points_twice_end_on_the_same_branch(mock_up):
+    points = np.array([[-0.1, 0, 0.2], [0.1, 0, 0.15], [0.1, 0, 0.15], [-0.1, 0.05, 0.25]])
+    track = continuous.follow_poses(mock_up, points)
+    assert track.lost is None
+    assert np.abs(track.solutions.joints - mock_up.inverse(points).joints).max() < 1e-12
+    back = continuous.follow_joints(mock_up, track.solutions.joints[::-1])
+    assert np.abs(back.solutions.position[::-1] - points).max() < 1e-12
+
+
+def test_orientations_are_followed_too():
+    kinematics = Kinematics(new_model("stewart42"))
+    home = np.array(kinematics.model.mechanism.home.position)
+    R = rotation_matrix(np.linspace([0, 0, 0], [0.2, -0.1, 0.3], 5))
+    track = continuous.follow_poses(kinematics, np.tile(home, (5, 1)), R)
+    assert track.lost is None
+    assert track.solutions.rotation == pytest.approx(R)
+
+
+def test_the_solver_says_where_the_trajectory_ends(mock_up):
+    points = towards_the_direct_singularity(40)
+    found = solving.inverse(mock_up.model, points, None, {}, solver="continuous")
+    lost = continuous.follow_poses(mock_up, points).lost
+    assert found.message == f"the assembly mode is lost between points {lost - 1} and {lost}"
+    assert (found.status[lost:] == Status.NOT_CONVERGED).all()
+    assert np.isnan(found.joints[lost:]).all()
+    assert np.isfinite(found.joints[:lost]).all()
+
+
+def test_a_trajectory_begins_with_a_point_within_reach(mock_up):
+    far = continuous.follow_poses(mock_up, np.array([[0, 0, 0.6], [0, 0, 0.2]]))
+    assert (far.lost, far.message) == (0, "point 0 of the trajectory has no solution")
+    with pytest.raises(SolveError, match="at least one point"):
+        continuous.follow_joints(mock_up, np.empty((0, 3)))
+
+
+@pytest.mark.parametrize("solver", ["newton", "closed_form", "fixed_newton"])
+def test_a_stretched_arm_is_singular_for_every_solver(solver):
+    """Hand-worked: arm and rod of 0.17 and 0.21 m in line from (0.056, 0) to (0, z)."""
+    geometry = {"R": 0.056, "La": 0.17, "Lb": 0.21}
+    model = new_model("delta_nominal", geometry)
+    reach = np.sqrt(0.38**2 - 0.056**2)
+    for short, status in ((1e-12, Status.SINGULAR), (1e-3, Status.CONVERGED)):
+        found = solving.inverse(model, np.array([[0, 0, reach - short]]), None, {}, solver=solver)
+        assert found.status[0] == status

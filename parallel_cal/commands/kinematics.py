@@ -14,6 +14,7 @@ from parallel_cal.commands.tables import counts, direct_table, inverse_table
 from parallel_cal.errors import ParallelCalError
 from parallel_cal.files import write_atomically
 from parallel_cal.kinematics import Solutions
+from parallel_cal.mechanism import POSE
 from parallel_cal.model import Model
 from parallel_cal.modelfile import read_model
 
@@ -60,6 +61,7 @@ def inverse(
         return _many(*inverse_table(model, table, conditions, solver), output, as_json)
     r = np.array(model.mechanism.home.position if position is None else position)
     R = None if quaternion is None else answers.rotation_of(quaternion)
+    _warn_of_unused(model, {"position": position, "orientation": quaternion})
     found = solving.inverse(model, r, R, conditions, every, solver)
     known = answers.inverse_covariances(model, found, conditions) if covariance else None
     _one(found, model, known, partial(_joint_sigma, model), as_json)
@@ -72,6 +74,16 @@ def _model_and_conditions(model_file: Path, at: list[str]) -> tuple[Model, dict[
     if unused:
         console.warn([f"no effect of the model depends on {', '.join(unused)}"])
     return model, conditions
+
+
+def _warn_of_unused(model: Model, given: dict[str, list[float] | None]) -> None:
+    """A Delta's orientation, for example, follows from its position."""
+    axes = {"position": {*POSE[:3]}, "orientation": {*POSE[3:]}}
+    console.warn(
+        f"{model.mechanism.name} does not control its {kind}: the given one is not used"
+        for kind, values in given.items()
+        if values is not None and not axes[kind] & {*model.mechanism.controls}
+    )
 
 
 def _one(
@@ -125,10 +137,12 @@ def _many(text: str, found: Solutions, output: Path | None, as_json: bool) -> No
         write_atomically(output, text)
     statuses = counts(found)
     summary = ", ".join(f"{n} {status}" for status, n in statuses.items()) or "no rows"
+    said = {} if found.message is None else {"message": found.message}
+    summary = "; ".join([summary, *said.values()])
     if as_json and output is None:
-        console.emit({"solutions": answers.rows_of(found)})
+        console.emit({"solutions": answers.rows_of(found), **said})
     elif as_json:
-        console.emit({"output": str(output), "rows": len(found), "statuses": statuses})
+        console.emit({"output": str(output), "rows": len(found), "statuses": statuses, **said})
     elif output is None:
         console.say(text.rstrip("\n"))
         console.note(summary)

@@ -6,7 +6,7 @@ import csv
 import io
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -80,7 +80,7 @@ def direct_table(model: Model, path: Path, at: Conditions, solver: str) -> tuple
     found = _filled(model, good)
     if good.any():
         some = direct(model, q[good], _those(conditions, good), solver=solver)
-        _put(found, some, good)
+        found = _put(found, some, good)
     names = (*POSITION, *QUATERNION)
     return _text(table, names, np.hstack([found.position, found.quaternion]), found), found
 
@@ -99,7 +99,7 @@ def inverse_table(model: Model, path: Path, at: Conditions, solver: str) -> tupl
     if good.any():
         turned = None if R is None else R[good]
         some = inverse(model, r[good], turned, _those(conditions, good), solver=solver)
-        _put(found, some, good)
+        found = _put(found, some, good)
     return _text(table, model.joints, found.joints, found), found
 
 
@@ -132,9 +132,10 @@ def _filled(model: Model, good: np.ndarray) -> Solutions:
     )
 
 
-def _put(found: Solutions, some: Solutions, good: np.ndarray) -> None:
+def _put(found: Solutions, some: Solutions, good: np.ndarray) -> Solutions:
     for part in ("joints", "position", "rotation", "residual", "status"):
         getattr(found, part)[good] = getattr(some, part)
+    return replace(found, message=some.message)
 
 
 def _rotations(table: Table) -> np.ndarray:

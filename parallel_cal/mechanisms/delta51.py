@@ -151,15 +151,23 @@ class Delta51(Mechanism):
         """(|A B|^2 - l^2) / 2l of each rod (eq. 2), in metres."""
         return ca.vertcat(*[self._rod(rod, q, r, R, p) for rod in RODS])
 
+    def rods(self, q: Any, p: Named) -> tuple[list[Any], list[Any], list[Any]]:
+        """The six rods' ends in {B} and in {P}, (3, 1) each, and their lengths."""
+        A, b, length = zip(*[self._ends(rod, q, p) for rod in RODS], strict=True)
+        return list(A), list(b), list(length)
+
+    def _rod(self, rod: str, q: Any, r: Any, R: Any, p: Named) -> Any:
+        A, b, length = self._ends(rod, q, p)
+        AB = r + R @ b - A
+        return (ca.dot(AB, AB) - length**2) / (2 * length)
+
     @staticmethod
-    def _rod(rod: str, q: Any, r: Any, R: Any, p: Named) -> Any:
-        """A_ij = p_i + exp(beta_i) P_i Q_i a_ij and B_ij = r + R b_ij (eqs 6-11)."""
+    def _ends(rod: str, q: Any, p: Named) -> tuple[Any, Any, Any]:
+        """A_ij = p_i + exp(beta_i) P_i Q_i a_ij, b_ij and l_ij (eqs 6-11)."""
         i, c, k = int(rod[0]), p[f"chain{rod[0]}"], p[f"rod{rod}"]
         turn = exponential(c.vector("beta_x", "beta_y", "beta_z")) @ rot_z(THETA[i - 1])
         a, b = k.vector("a_x", "a_y", "a_z"), k.vector("b_x", "b_y", "b_z")
-        A = c.vector("p_x", "p_y", "p_z") + turn @ (rot_x(q[i - 1]) @ a)
-        AB = r + R @ b - A
-        return (ca.dot(AB, AB) - k.l**2) / (2 * k.l)
+        return c.vector("p_x", "p_y", "p_z") + turn @ (rot_x(q[i - 1]) @ a), b, k.l
 
     def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
         """Both positions at which the rods close on average, platform parallel to the base."""

@@ -61,6 +61,12 @@ def chain_parameters(groups: dict[str, dict[str, tuple[str, float, float]]]) -> 
     )
 
 
+def swapped(v: Any) -> Any:
+    """Rot(z, q) v as a matrix times (cos q, sin q, 1): eqs 6.28 and 6.29."""
+    x, y, z = v[0], v[1], v[2]
+    return ca.vertcat(ca.horzcat(x, -y, 0), ca.horzcat(y, x, 0), ca.horzcat(0, 0, z))
+
+
 class Delta54(Mechanism):
     """Three arms, six rods of free length and orientation; all six coordinates move."""
 
@@ -83,8 +89,8 @@ class Delta54(Mechanism):
         # |CB + dd|^2 and |CB - dd|^2: their half sum is G1, a quarter of their difference G2
         errors = [ca.sumsqr(r + R @ B - C) - L**2 for C, B, L in ends]
         first, second = ca.vertcat(*errors[::2]), ca.vertcat(*errors[1::2])
-        Lb = ca.vertcat(*[p[f"chain{i + 1}"].Lb for i in range(3)])
-        return ca.vertcat((first + second) / (4 * Lb), (first - second) / (4 * Lb))
+        to_metres = 0.25 / ca.vertcat(*[p[f"chain{i + 1}"].Lb for i in range(3)])
+        return ca.vertcat((first + second) * to_metres, (first - second) * to_metres)
 
     def rods(self, q: Any, p: Named) -> tuple[list[Any], list[Any], list[Any]]:
         """Eq. 3.9: the six rods' ends C in {B} and B in {P}, (3, 1) each, and their lengths."""
@@ -96,13 +102,14 @@ class Delta54(Mechanism):
     def rod_pair(angle: Any, c: Named) -> list[tuple[Any, Any, Any]]:
         """Both rods of one chain: C on the arm, B on the platform, length (table 3.10)."""
         T = rot_z(c.theta) @ rot_x(c.alpha)
-        dT = rot_x(c.dalpha) @ rot_y(c.dbeta)
+        motor = T @ (rot_x(c.dalpha) @ rot_y(c.dbeta))
         b, D = c.vector("b_x", "b_y", "b_z"), c.vector("D_x", "D_y", "D_z")
         La, dC = ca.vertcat(c.La_x, c.La_y, 0), c.vector("dC_x", "dC_y", "dC_z")
-        d, Q = ca.vertcat(0, 0, c.d_z), rot_z(angle)
+        d, turn = ca.vertcat(0, 0, c.d_z), ca.vertcat(ca.cos(angle), ca.sin(angle), 1)
 
         def rod(side: int) -> tuple[Any, Any, Any]:
-            C = T @ (b + D + dT @ (side * d + Q @ (La + side * dC)))
+            # What stands before `turn` is of the parameters alone: computed once a model.
+            C = T @ (b + D) + side * motor @ d + motor @ swapped(La + side * dC) @ turn
             return C, T @ (b + side * d), c.Lb + side * c.dLb
 
         return [rod(1), rod(-1)]

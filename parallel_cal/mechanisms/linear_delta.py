@@ -68,19 +68,23 @@ class LinearDelta(Mechanism):
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
         """G1 and G2 as in eq. 3.12, divided by 2 Lb and Lb: mean and half difference of a rod
         pair's length error, three rows each, in metres."""
-        pairs = [self.rod_pair(i, q[i], r, R, p[f"chain{i + 1}"]) for i in range(3)]
-        return ca.vertcat(*[g1 for g1, _ in pairs], *[g2 for _, g2 in pairs])
+        ends = zip(*self.rods(q, p), strict=True)
+        errors = [ca.sumsqr(r + R @ B - C) - L**2 for C, B, L in ends]
+        first, second = ca.vertcat(*errors[::2]), ca.vertcat(*errors[1::2])
+        Lb = ca.vertcat(*[p[f"chain{i + 1}"].Lb for i in range(3)])
+        return ca.vertcat((first + second) / (4 * Lb), (first - second) / (4 * Lb))
 
-    def rod_pair(self, i: int, reading: Any, r: Any, R: Any, c: Named) -> tuple[Any, Any]:
-        """Both closure rows of one chain."""
-        T = rot_z(i * 120 * DEGREE)
-        b, D = c.vector("b_x", "b_y", "b_z"), c.vector("D_x", "D_y", "D_z")
-        d, dC = c.vector("d_x", "d_y", "d_z"), c.vector("dC_x", "dC_y", "dC_z")
-        CB = r + R @ T @ b - T @ (b + D + self.rail(c) * reading)
-        dd = R @ T @ d - T @ (d + dC)
-        mean = (ca.dot(CB, CB) + ca.dot(dd, dd) - c.Lb**2 - c.dLb**2) / (2 * c.Lb)
-        difference = (ca.dot(CB, dd) - c.Lb * c.dLb) / c.Lb
-        return mean, difference
+    def rods(self, q: Any, p: Named) -> tuple[list[Any], list[Any], list[Any]]:
+        """The six rods' ends C in {B} and B in {P}, (3, 1) each, and their lengths."""
+        C, B = [], []
+        for i in range(3):
+            c, T = p[f"chain{i + 1}"], rot_z(i * 120 * DEGREE)
+            b, D = c.vector("b_x", "b_y", "b_z"), c.vector("D_x", "D_y", "D_z")
+            d, dC = c.vector("d_x", "d_y", "d_z"), c.vector("dC_x", "dC_y", "dC_z")
+            for side in (1, -1):
+                C.append(T @ (b + D + self.rail(c) * q[i] + side * (d + dC)))
+                B.append(T @ (b + side * d))
+        return C, B, self.rod_lengths(p)
 
     def rod_lengths(self, p: Named) -> list[Any]:
         """Lb + dLb and Lb - dLb of each pair."""

@@ -13,7 +13,8 @@ from parallel_cal.compiled import Batch
 from parallel_cal.errors import SolveError
 from parallel_cal.model import Model
 from parallel_cal.rotation import quaternion_to_matrix, rotation_vector
-from parallel_cal.solutions import Solutions, Status, stacked
+from parallel_cal.singularity import jacobians, smallest
+from parallel_cal.solutions import SINGULAR, Solutions, Status, stacked
 
 if TYPE_CHECKING:
     from parallel_cal.kinematics import Kinematics
@@ -25,6 +26,12 @@ def nearest(candidates: Sequence[Any], distance: Callable[[Any], Any]) -> Any:
     for other in candidates[1:]:
         best = ca.if_else(distance(other) < distance(best), other, best)
     return best
+
+
+def at_least_one(steps: int) -> int:
+    if steps < 1:
+        raise SolveError(f"{steps} steps asked for: expected 1 or more")
+    return steps
 
 
 def joint_rows(model: Model, q: np.ndarray) -> np.ndarray:
@@ -75,21 +82,23 @@ def answers(
     given: np.ndarray,
     at: Mapping[str, Any] | None,
     tolerance: float,
+    problem: str,
 ) -> Solutions:
     """(configuration, a, v) -> configuration on all samples, judged by the closure.
 
     Converged means a residual below `tolerance` (m): a fixed number of steps is as good as it is.
     """
     (x,) = Batch(solve)(given, model.condition_rows(at, len(given)), model.values)
-    solutions = judged(model, x, at, tolerance)
+    solutions = judged(model, x, at, tolerance, problem)
     solutions.status[~np.isfinite(given).all(axis=1)] = Status.INVALID_INPUT
     return solutions
 
 
 def judged(
-    model: Model, x: np.ndarray, at: Mapping[str, Any] | None, tolerance: float
+    model: Model, x: np.ndarray, at: Mapping[str, Any] | None, tolerance: float, problem: str
 ) -> Solutions:
-    """Configurations (N, nq + 12) as solutions, with the closure's residual and a status."""
+    """Configurations (N, nq + 12) as solutions of the direct or the inverse problem, with the
+    closure's residual and a status."""
     conditions, n = model.condition_rows(at, len(x)), len(model.joints)
     phi = model.structure.closure_batch(x, conditions, model.values)[0]
     residual = np.linalg.norm(phi, axis=1)
@@ -99,10 +108,13 @@ def judged(
     status[residual >= tolerance] = Status.NOT_CONVERGED
     status[~np.isfinite(residual)] = Status.UNREACHABLE
     R = x[:, n + 3 :].reshape(-1, 3, 3)
-    return Solutions(x[:, :n], x[:, n : n + 3], R, residual, status)
+    solutions = Solutions(x[:, :n], x[:, n : n + 3], R, residual, status)
+    near = smallest(jacobians(model, solutions, at)[problem == "inverse"]) < SINGULAR
+    status[near & (residual < tolerance)] = Status.SINGULAR
+    return solutions
 
 
-def nearest_home(
+def on_home_branch(
     q: np.ndarray,
     at: Mapping[str, Any] | None,
     every: Callable[[np.ndarray, Mapping[str, Any] | None], Solutions],
@@ -112,19 +124,27 @@ def nearest_home(
     if q.ndim == 1:
         found = every(q, at) if np.isfinite(q).all() else None
         return found[0] if found else _unreachable(q)
-    rows = [nearest_home(row, _sample(at, i), every) for i, row in enumerate(q)]
+    rows = [on_home_branch(row, sample(at, i), every) for i, row in enumerate(q)]
     return stacked(rows)
 
 
-def from_home(model: Model, poses: Solutions) -> np.ndarray:
-    """Distance of each pose from home, in metres; rotations over the mechanism's length."""
-    home = model.mechanism.home
-    turned = rotation_vector(poses.rotation @ quaternion_to_matrix(home.quaternion).T)
-    apart = np.concatenate([poses.position - home.position, model.mechanism.length * turned], 1)
-    return np.linalg.norm(apart, axis=1)
+def home_first(model: Model, poses: Solutions, at: Mapping[str, Any] | None) -> np.ndarray:
+    """The order of all poses of one set of joints from the home branch outwards.
+
+    Nearest to home is not enough: far from home a pose of another assembly mode may be nearer.
+    """
+    if len(poses) == 0:
+        return np.arange(0)
+    branch, home = kinematics_of(model).direct(poses.joints[0], at), model.mechanism.home
+    r, R = branch.position, branch.rotation
+    if branch.status == Status.UNREACHABLE:
+        r, R = np.array(home.position), quaternion_to_matrix(home.quaternion)
+    turned = rotation_vector(poses.rotation @ R.T)
+    apart = np.concatenate([poses.position - r, model.mechanism.length * turned], 1)
+    return np.argsort(np.linalg.norm(apart, axis=1))
 
 
-def _sample(at: Mapping[str, Any] | None, i: int) -> dict[str, Any] | None:
+def sample(at: Mapping[str, Any] | None, i: int) -> dict[str, Any] | None:
     """The conditions of sample i, where some are columns."""
     if at is None:
         return None

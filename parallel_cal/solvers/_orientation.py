@@ -125,8 +125,8 @@ def _first_roots(m: np.ndarray, k: np.ndarray, roots: Callable) -> tuple[np.ndar
     best = max(tried, key=lambda t: t[1])
     if best[1] < 1e-12:
         raise SolveError(
-            "the general orientation problem has no eighth-order polynomial here: the "
-            "conditions depend on each other, so the orientation is not determined"
+            "the general orientation problem has no eighth-order polynomial here: its "
+            "conditions depend on each other, or leave each direction a single place"
         )
     return best[0], best[2]
 

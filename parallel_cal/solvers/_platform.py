@@ -130,6 +130,8 @@ def _checked(C: Any, B: Any, L: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray
         )
     if not all(np.isfinite(a).all() for a in (C, B, L)):
         raise SolveError("a point or length of the general pose problem is not a finite number")
+    if not (np.ptp(C, axis=0).any() and np.ptp(B, axis=0).any()):
+        raise SolveError("all six rods meet in one point: the orientation is not determined")
     return C, B, L
 
 

@@ -131,6 +131,8 @@ def alpha(X: np.ndarray, M: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def distinct(X: np.ndarray, apart: float = 1e-8) -> np.ndarray:
     """Indices of the first row of each group of equal points of projective space."""
+    if len(X) == 0:
+        return np.arange(0)
     overlap = X @ X.conj().T
     difference = X[:, None, :] - overlap[:, :, None] * X[None, :, :]
     same = np.linalg.norm(difference, axis=2) < apart
@@ -138,7 +140,8 @@ def distinct(X: np.ndarray, apart: float = 1e-8) -> np.ndarray:
 
 
 def normalised(X: np.ndarray) -> np.ndarray:
-    return X / np.linalg.norm(X, axis=1, keepdims=True)
+    with np.errstate(invalid="ignore"):  # a path that blew up becomes NaN
+        return X / np.linalg.norm(X, axis=1, keepdims=True)
 
 
 def _newton_step(X: np.ndarray, M: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

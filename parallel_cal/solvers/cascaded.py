@@ -22,7 +22,7 @@ from parallel_cal.mechanism import POSE
 from parallel_cal.model import Model, Structure
 from parallel_cal.parameters import Named
 from parallel_cal.rotation import cayley, left_generators
-from parallel_cal.solvers._common import answers, joint_rows, nearest, pose_rows
+from parallel_cal.solvers._common import answers, at_least_one, joint_rows, nearest, pose_rows
 from parallel_cal.solvers.closed_form import joint_angles, positions
 
 HALF_STEPS = 3  # G1, G2, G1: one and a half iterations (6.4.5)
@@ -40,8 +40,8 @@ def direct(
     tolerance: float = TOLERANCE,
 ) -> Solutions:
     """Poses for joints (nq,) or (N, nq) after some half steps; `rough` is eq. 6.33 instead."""
-    solve = direct_function(model.structure, 0 if rough else half_steps)
-    solutions = answers(model, solve, joint_rows(model, q), at, tolerance)
+    solve = direct_function(model.structure, 0 if rough else at_least_one(half_steps))
+    solutions = answers(model, solve, joint_rows(model, q), at, tolerance, "direct")
     return solutions[0] if np.ndim(q) == 1 else solutions
 
 
@@ -55,8 +55,8 @@ def inverse(
     tolerance: float = TOLERANCE,
 ) -> Solutions:
     """Joints, and the orientation that follows, for positions (3,) or (N, 3)."""
-    solve = inverse_function(model.structure, 0 if rough else half_steps)
-    solutions = answers(model, solve, pose_rows(model, position, None), at, tolerance)
+    solve = inverse_function(model.structure, 0 if rough else at_least_one(half_steps))
+    solutions = answers(model, solve, pose_rows(model, position, None), at, tolerance, "inverse")
     return solutions[0] if np.ndim(position) == 1 else solutions
 
 
@@ -77,6 +77,11 @@ def direct_function(s: Structure, half_steps: int) -> ca.Function:
 @lru_cache(maxsize=32)
 def inverse_function(s: Structure, half_steps: int) -> ca.Function:
     """The same for joints and orientation at a given position."""
+    if set(s.mechanism.joint_units) != {"rad"}:
+        raise SolveError(
+            f"the cascaded inverse problem needs joints that turn (eqs 6.36-6.37); those of "
+            f"{s.mechanism.name} slide: use --solver newton"
+        )
     q, R = ca.SX(ca.DM(s.mechanism.home.joints)), ca.SX.eye(3)
     for k in range(max(half_steps, 2)):
         for _ in range(SETTLING if s.effects and k % 2 == 0 else 1):
@@ -85,7 +90,8 @@ def inverse_function(s: Structure, half_steps: int) -> ca.Function:
             if k % 2:
                 R = _orientation(s, ideal.q, p, ideal.p)(s.r, R)
             else:
-                q = q + _apart(_joints(s, R, p) - ideal.q, s)
+                change = _joints(s, R, p) - ideal.q
+                q = q + ca.atan2(ca.sin(change), ca.cos(change))  # not by a whole turn
     return _function("cascaded_inverse", s, q, s.r, R)
 
 
@@ -133,9 +139,10 @@ def _checked(s: Structure) -> Seen:
     """What the mechanism sees, where cascading is possible; SolveError where it is not."""
     ideal, pose = s.seen, ca.vertcat(s.r, s.R9)
     rows = s.mechanism.closure(s.q, s.r, s.R, s.geometry)
-    spheres = s.mechanism.moves == POSE and rows.shape[0] == 6 and len(s.q.nz) == 3
-    curvature = [ca.hessian(rows[i], s.r)[0] for i in range(3)] if spheres else []
-    if not spheres or any(not c.sparsity().is_diag() for c in curvature):
+    halves = s.mechanism.moves == POSE and rows.shape[0] == 6 and len(s.q.nz) == 3
+    curvature = [ca.hessian(row, s.r)[0] for row in ca.vertsplit(rows)] if halves else []
+    spheres = all(c.sparsity().is_diag() for c in curvature[:3])
+    if not (halves and spheres and all(c.is_zero() for c in curvature[3:])):
         raise SolveError(
             f"the cascaded solver needs three closure rows that are spheres and three that give "
             f"the orientation; {s.mechanism.name} is not like that: use --solver newton"
@@ -150,12 +157,6 @@ def _at_joints(ideal: Seen, s: Structure, q: Any) -> Seen:
     """What the mechanism sees at other joint readings."""
     new_q, vector = ca.substitute([ideal.q, ca.SX(ideal.p._vector)], [s.q], [q])
     return Seen(new_q, ideal.r, ideal.R, Named(ideal.p._names, vector))
-
-
-def _apart(change: Any, s: Structure) -> Any:
-    """Differences of angles on the circle."""
-    angle = set(s.mechanism.joint_units) == {"rad"}
-    return ca.atan2(ca.sin(change), ca.cos(change)) if angle else change
 
 
 def _home(s: Structure) -> Any:

@@ -20,10 +20,10 @@ from parallel_cal.model import Model, Structure
 from parallel_cal.parameters import Named
 from parallel_cal.rotation import cayley
 from parallel_cal.solutions import Solutions
-from parallel_cal.solvers._common import answers, joint_rows, nearest, pose_rows
+from parallel_cal.solvers._common import answers, at_least_one, joint_rows, nearest, pose_rows
 from parallel_cal.solvers.closed_form import joint_angles, positions
 
-HALF_STEPS = 8  # G1 and G2 four times: below a micrometre for a robot within its tolerances
+HALF_STEPS = 12  # G1 and G2 six times: some 10 nm for a robot within its tolerances
 NEWTON_STEPS = 2  # of G1 in one half step
 TOLERANCE = 1e-6  # m: what such few steps are expected to reach
 
@@ -36,8 +36,8 @@ def direct(
     tolerance: float = TOLERANCE,
 ) -> Solutions:
     """Poses for joints (nq,) or (N, nq) after some half steps (6.7.2)."""
-    solve = direct_function(model.structure, half_steps)
-    solutions = answers(model, solve, joint_rows(model, q), at, tolerance)
+    solve = direct_function(model.structure, at_least_one(half_steps))
+    solutions = answers(model, solve, joint_rows(model, q), at, tolerance, "direct")
     return solutions[0] if np.ndim(q) == 1 else solutions
 
 
@@ -50,8 +50,9 @@ def inverse(
     tolerance: float = TOLERANCE,
 ) -> Solutions:
     """Joints, and the position that follows, for rotations (3, 3) or (N, 3, 3) (6.7.3)."""
-    solve = inverse_function(model.structure, half_steps)
-    solutions = answers(model, solve, pose_rows(model, position, rotation), at, tolerance)
+    solve = inverse_function(model.structure, at_least_one(half_steps))
+    given = pose_rows(model, position, rotation)
+    solutions = answers(model, solve, given, at, tolerance, "inverse")
     return solutions[0] if np.ndim(position) == 1 else solutions
 
 

@@ -68,13 +68,8 @@ def joint_angles(mechanism: Mechanism, r: Any, R: Any, p: Named) -> list[tuple[A
 
 def _cosine_sum(a: Any, b: Any, c: Any) -> tuple[Any, Any]:
     """Both solutions of a cos q + b sin q = c (eq. 6.24)."""
-    away = ca.atan2(ca.sqrt(a**2 + b**2 - c**2), c)
-    middle = ca.atan2(b, a)
-    return _wrapped(middle + away), _wrapped(middle - away)
-
-
-def _wrapped(angle: Any) -> Any:
-    return ca.atan2(ca.sin(angle), ca.cos(angle))
+    s = ca.sqrt(a**2 + b**2 - c**2)
+    return ca.atan2(b * c + a * s, a * c - b * s), ca.atan2(b * c - a * s, a * c + b * s)
 
 
 def _at_zero(expression: Any, symbol: Any) -> Any:

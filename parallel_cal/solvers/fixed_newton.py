@@ -17,7 +17,7 @@ from parallel_cal.compiled import dense
 from parallel_cal.errors import SolveError
 from parallel_cal.kinematics import Solutions
 from parallel_cal.model import Model, Structure
-from parallel_cal.solvers._common import answers, joint_rows, pose_rows
+from parallel_cal.solvers._common import answers, at_least_one, joint_rows, pose_rows
 from parallel_cal.solvers.newton import Elimination, moved, row_order, split
 
 STEPS = 5
@@ -35,8 +35,8 @@ def direct(
     tolerance: float = TOLERANCE,
 ) -> Solutions:
     """Poses for joints (nq,) or (N, nq) after some steps."""
-    solve = newton_steps(model.structure, "direct", steps, update, start)
-    solutions = answers(model, solve, joint_rows(model, q), at, tolerance)
+    solve = newton_steps(model.structure, "direct", at_least_one(steps), update, start)
+    solutions = answers(model, solve, joint_rows(model, q), at, tolerance, "direct")
     return solutions[0] if np.ndim(q) == 1 else solutions
 
 
@@ -51,8 +51,9 @@ def inverse(
     tolerance: float = TOLERANCE,
 ) -> Solutions:
     """Joints for positions (3,) or (N, 3) and rotations; passive coordinates follow."""
-    solve = newton_steps(model.structure, "inverse", steps, update, start)
-    solutions = answers(model, solve, pose_rows(model, position, rotation), at, tolerance)
+    solve = newton_steps(model.structure, "inverse", at_least_one(steps), update, start)
+    given = pose_rows(model, position, rotation)
+    solutions = answers(model, solve, given, at, tolerance, "inverse")
     return solutions[0] if np.ndim(position) == 1 else solutions
 
 

@@ -18,14 +18,14 @@ from parallel_cal.compiled import Single, dense
 from parallel_cal.errors import SolveError
 from parallel_cal.kinematics import Solutions
 from parallel_cal.model import Model, Structure
-from parallel_cal.solvers._common import from_home, joint_rows, kinematics_of, nearest_home
+from parallel_cal.solvers._common import home_first, joint_rows, kinematics_of, on_home_branch
 from parallel_cal.solvers._platform import PoseSet, all_poses
 
 __all__ = ["PoseSet", "all_poses", "direct", "direct_all", "inverse", "pose_set"]
 
 
 def pose_set(model: Model, q: np.ndarray, at: Mapping[str, Any] | None = None) -> PoseSet:
-    """Every pose of the model at joints q (nq,), the real ones from home outwards.
+    """Every pose of the model at joints q (nq,), the home branch first among the real ones.
 
     They are the poses of six rods, refined on the whole closure: the same where the effects act
     on joints and geometry, and their continuation where an effect depends on the pose too.
@@ -38,18 +38,18 @@ def pose_set(model: Model, q: np.ndarray, at: Mapping[str, Any] | None = None) -
         return replace(found, real=replace(found.real, joints=np.empty((0, len(q)))))
     start = replace(found.real, joints=np.tile(q, (m, 1)))
     real = kinematics_of(model).direct(start.joints, at, start)
-    return replace(found, real=real[np.argsort(from_home(model, real))])
+    return replace(found, real=real[home_first(model, real, at)])
 
 
 def direct_all(model: Model, q: np.ndarray, at: Mapping[str, Any] | None = None) -> Solutions:
-    """Every real pose of the model at joints q (nq,), from home outwards; maybe none."""
+    """Every real pose of the model at joints q (nq,), the home branch first; maybe none."""
     found = pose_set(model, q, at)
     return replace(found.real, count_complex=found.count_complex)
 
 
 def direct(model: Model, q: np.ndarray, at: Mapping[str, Any] | None = None) -> Solutions:
-    """The pose nearest to home for joints (nq,) or (N, nq); unreachable where none is real."""
-    return nearest_home(q, at, lambda row, conditions: direct_all(model, row, conditions))
+    """The pose on the home branch for joints (nq,) or (N, nq); unreachable where none is real."""
+    return on_home_branch(q, at, lambda row, conditions: direct_all(model, row, conditions))
 
 
 def inverse(

@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from parallel_cal.kinematics import Kinematics, Solutions, Status
+from parallel_cal.errors import SolveError
+from parallel_cal.kinematics import CLOSED, Kinematics, Solutions, Status
 from parallel_cal.model import Model
 from parallel_cal.rotation import rotation_matrix
 from parallel_cal.solvers._common import judged
@@ -24,7 +25,8 @@ def direct(model: Model, q: np.ndarray, at: Mapping[str, Any] | None = None) -> 
     """The nominal pose moved by the predicted error dX (eq. 30)."""
     nominal = _nominal(model).direct(np.atleast_2d(q), at)
     dX = pose_error(model, nominal, at)
-    return _shaped(_answer(model, nominal.joints, _moved(nominal, dX), nominal, at), q)
+    answer = _answer(model, nominal.joints, _moved(nominal, dX), nominal, at, "direct")
+    return _shaped(answer, q)
 
 
 def inverse(
@@ -33,7 +35,15 @@ def inverse(
     rotation: np.ndarray | None = None,
     at: Mapping[str, Any] | None = None,
 ) -> Solutions:
-    """The nominal joints less what the predicted error asks for (eqs 29-33)."""
+    """The nominal joints less what the predicted error asks for (eqs 29-33).
+
+    SolveError for a robot with more rows than freedoms: its joints need not agree on one error.
+    """
+    if model.structure.phi.shape[0] > len(model.mechanism.moved):
+        raise SolveError(
+            f"ipr_compensation corrects joints through the pose; {model.mechanism.name} has more "
+            f"closure rows than freedoms: use --solver newton"
+        )
     nominal = _nominal(model).inverse(np.atleast_2d(position), rotation, at)  # (i)
     dX = pose_error(model, nominal, at)  # (ii)
     m = model.mechanism
@@ -42,7 +52,8 @@ def inverse(
     left = np.zeros_like(dX)
     left[:, m.passive] = dX[:, m.passive] - follows
     pose = _moved(nominal, left)
-    return _shaped(_answer(model, nominal.joints - dq, pose, nominal, at), position)  # (v)
+    answer = _answer(model, nominal.joints - dq, pose, nominal, at, "inverse")  # (v)
+    return _shaped(answer, position)
 
 
 def pose_error(model: Model, nominal: Solutions, at: Mapping[str, Any] | None = None) -> np.ndarray:
@@ -112,10 +123,18 @@ def _answer(
     pose: tuple[np.ndarray, np.ndarray],
     nominal: Solutions,
     at: Mapping[str, Any] | None,
+    problem: str,
 ) -> Solutions:
-    """Solutions with the full model's closure as residual; where nominal failed, its status."""
-    x = np.hstack([q, pose[0], pose[1].reshape(-1, 9)])
-    solutions = judged(model, x, at, tolerance=np.inf)
+    """Solutions with the full model's closure as residual; where nominal failed, its status.
+
+    Not converged where more than a tenth of the error is left: there it is not of first order.
+    """
+    before, solutions = (
+        judged(model, np.hstack([q, r, R.reshape(-1, 9)]), at, np.inf, problem)
+        for q, r, R in ((nominal.joints, nominal.position, nominal.rotation), (q, *pose))
+    )
+    left = solutions.residual > np.maximum(0.1 * before.residual, CLOSED)
+    solutions.status[left] = Status.NOT_CONVERGED
     failed = (nominal.status != Status.CONVERGED) & (nominal.status != Status.OUTSIDE_LIMITS)
     solutions.status[failed] = nominal.status[failed]
     return solutions

@@ -150,21 +150,15 @@ def _solved_at(
     if problem == "direct":
         return kinematics.direct(points, at)
     m = kinematics.model.mechanism
-    pose = np.tile([*m.home.position, 0.0, 0.0, 0.0], (len(points), 1))
+    home = rotation_vector(quaternion_to_matrix(m.home.quaternion))
+    pose = np.tile([*m.home.position, *home], (len(points), 1))
     pose[:, m.controlled] = points
-    turned = any(i >= 3 for i in m.controlled)
-    rotation = rotation_matrix(pose[:, 3:]) @ _home_rotation(m) if turned else None
-    return kinematics.inverse(pose[:, :3], rotation, at)
+    return kinematics.inverse(pose[:, :3], rotation_matrix(pose[:, 3:]), at)
 
 
 def _controlled(mechanism: Mechanism, s: Solutions) -> np.ndarray:
-    """Controlled coordinates: position (m), rotation vector from home (rad)."""
-    turn = rotation_vector(s.rotation @ _home_rotation(mechanism).T)
-    return np.hstack([s.position, turn])[:, mechanism.controlled]
-
-
-def _home_rotation(mechanism: Mechanism) -> np.ndarray:
-    return quaternion_to_matrix(np.array(mechanism.home.quaternion))
+    """Controlled coordinates: position (m), rotation vector (rad)."""
+    return np.hstack([s.position, rotation_vector(s.rotation)])[:, mechanism.controlled]
 
 
 def _corrected(
@@ -179,7 +173,8 @@ def _corrected(
     q = nominal.joints + change[:, :n] if n else nominal.joints
     r = nominal.position + change[:, n : n + 3]
     R = rotation_matrix(change[:, n + 3 :]) @ nominal.rotation
-    solutions = judged(model, np.hstack([q, r, R.reshape(-1, 9)]), at, tolerance=np.inf)
+    x = np.hstack([q, r, R.reshape(-1, 9)])
+    solutions = judged(model, x, at, np.inf, table.problem)
     usable = _usable(nominal)
     solutions.status[~usable] = nominal.status[~usable]
     solutions.status[usable & np.isnan(change).any(axis=1)] = Status.NOT_CONVERGED

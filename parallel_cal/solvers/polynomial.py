@@ -19,10 +19,10 @@ from parallel_cal.kinematics import Solutions
 from parallel_cal.model import Model, Structure
 from parallel_cal.solvers._common import (
     configurations,
-    from_home,
+    home_first,
     joint_rows,
     judged,
-    nearest_home,
+    on_home_branch,
 )
 from parallel_cal.solvers._orientation import FORMS, angles, coefficients, orientations
 
@@ -38,12 +38,12 @@ def direct_all(
     at: Mapping[str, Any] | None = None,
     form: str = "eigenvalue",
 ) -> Solutions:
-    """All real orientations, at most eight, at joints q (nq,), from home outwards."""
+    """All real orientations, at most eight, at joints q (nq,), the home branch first."""
     u, v, c = circles(model, q, at)
     R = orientations(u, v, c, form)
     position = np.tile(model.mechanism.home.position, (len(R), 1))
-    found = judged(model, configurations(q, position, R), at, TOLERANCE)
-    return found[np.argsort(from_home(model, found))]
+    found = judged(model, configurations(q, position, R), at, TOLERANCE, "direct")
+    return found[home_first(model, found, at)]
 
 
 def direct(
@@ -52,8 +52,8 @@ def direct(
     at: Mapping[str, Any] | None = None,
     form: str = "eigenvalue",
 ) -> Solutions:
-    """The orientation nearest to home for joints (nq,) or (N, nq); unreachable where none is."""
-    return nearest_home(q, at, lambda row, conditions: direct_all(model, row, conditions, form))
+    """The orientation on the home branch for joints (nq,) or (N, nq); unreachable where none is."""
+    return on_home_branch(q, at, lambda row, conditions: direct_all(model, row, conditions, form))
 
 
 def inverse(

@@ -21,7 +21,7 @@ from parallel_cal.compiled import Single, dense
 from parallel_cal.errors import SolveError
 from parallel_cal.model import Model, Structure
 from parallel_cal.solutions import Solutions, Status, stacked
-from parallel_cal.solvers._common import from_home, joint_rows, kinematics_of, nearest_home
+from parallel_cal.solvers._common import home_first, joint_rows, kinematics_of, on_home_branch
 
 DEGREE = 16
 SIDES = ((0, 1), (0, 2), (1, 2))
@@ -31,7 +31,7 @@ NEARLY_REAL = 1e-3  # distance from the unit circle at which Newton's method dec
 
 
 def direct_all(model: Model, q: np.ndarray, at: Mapping[str, Any] | None = None) -> Solutions:
-    """Every real pose at joints q (nq,), from home outwards; `count_complex` is 16 in general."""
+    """Every real pose at joints q (nq,), home branch first; `count_complex` is 16 in general."""
     q = np.asarray(q, dtype=float)
     C, u, radius, B = circles(model, q, at)
     z, starts = balls(C, u, radius, B)
@@ -49,12 +49,12 @@ def direct_all(model: Model, q: np.ndarray, at: Mapping[str, Any] | None = None)
             np.empty((0, len(q))), np.empty((0, 3)), np.empty((0, 3, 3)), none, none, len(z)
         )
     poses = stacked(found)
-    return replace(poses[np.argsort(from_home(model, poses))], count_complex=len(z))
+    return replace(poses[home_first(model, poses, at)], count_complex=len(z))
 
 
 def direct(model: Model, q: np.ndarray, at: Mapping[str, Any] | None = None) -> Solutions:
-    """The pose nearest to home for joints (nq,) or (N, nq); unreachable where none is real."""
-    return nearest_home(q, at, lambda row, conditions: direct_all(model, row, conditions))
+    """The pose on the home branch for joints (nq,) or (N, nq); unreachable where none is real."""
+    return on_home_branch(q, at, lambda row, conditions: direct_all(model, row, conditions))
 
 
 def inverse(
