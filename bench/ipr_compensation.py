@@ -115,6 +115,8 @@ def main() -> None:
     options.add_argument("--robots", type=int, default=10)
     options.add_argument("--json", action="store_true")
     chosen = options.parse_args()
+    if "x" not in load_mechanism(chosen.mechanism).controls:
+        options.error(f"{chosen.mechanism} controls no position; the error shown is one")
     rows = study(chosen.mechanism, chosen.poses, chosen.robots)
     if chosen.mechanism == "delta54":
         rows += mock_up(chosen.poses)

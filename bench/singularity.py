@@ -27,7 +27,7 @@ CENTRE, TOWARDS = np.array([0.0, 0.0, 0.2]), np.array([0.3, 0.0, -0.1])
 
 def followed(kinematics: Kinematics, fractions: np.ndarray) -> tuple[Any, Any]:
     """Solutions along the line and their distances to both kinds of singularity."""
-    track = continuous.inverse(kinematics, CENTRE + fractions[:, None] * TOWARDS)
+    track = continuous.follow_poses(kinematics, CENTRE + fractions[:, None] * TOWARDS)
     return track.solutions, distances(kinematics.model, track.solutions)
 
 
@@ -39,7 +39,8 @@ def singular_fraction(kinematics: Kinematics) -> float:
         _, found = followed(kinematics, np.concatenate([np.linspace(0, low, 20)[:-1], fractions]))
         direct = found.direct[19:]
         best = int(np.argmin(direct))
-        low, high = fractions[max(best - 1, 0)], fractions[min(best + 1, len(direct) - 1)]
+        # The track ends at the singularity: it may lie beyond its last point.
+        low, high = fractions[max(best - 1, 0)], fractions[min(best + 1, len(fractions) - 1)]
     return float(fractions[best])
 
 
