@@ -40,7 +40,9 @@ Every = Annotated[bool, typer.Option("--all", help="all solutions, not only the 
 Covariance = Annotated[
     bool, typer.Option("--covariance", help="with the uncertainty carried from the fit")
 ]
-Solver = Annotated[str, typer.Option(help="newton, closed_form, or a file of solvers/")]
+Solver = Annotated[
+    str, typer.Option(help="newton, closed_form, or a file of solvers/: NAME[:option=value,...]")
+]
 Input = Annotated[Path | None, typer.Option("--input", help="CSV table of many problems")]
 Output = Annotated[Path | None, typer.Option("--output", help="CSV table of the answers")]
 Data = Annotated[
@@ -157,7 +159,7 @@ def direct(
     from parallel_cal.commands import kinematics
 
     values = _numbers(joints, "--joints")
-    _one_of(values, table, "--joints", every)
+    _one_of(values, table, "--joints", output, every or covariance)
     kinematics.direct(model, values, at or [], every, solver, covariance, table, output, as_json)
 
 
@@ -181,7 +183,7 @@ def inverse(
 
     values = _numbers(position, "--position", 3)
     quaternion = _numbers(orientation, "--orientation", 4)
-    _one_of(values or quaternion, table, "--position", every)
+    _one_of(values or quaternion, table, "--position", output, every or covariance)
     kinematics.inverse(
         model, values, quaternion, at or [], every, solver, covariance, table, output, as_json
     )
@@ -493,11 +495,15 @@ def _numbers(text: str | None, option: str, n: int | None = None) -> list[float]
     return values
 
 
-def _one_of(values: list[float] | None, table: Path | None, option: str, every: bool) -> None:
+def _one_of(
+    values: list[float] | None, table: Path | None, option: str, output: Path | None, more: bool
+) -> None:
     if (values is None) == (table is None):
         raise typer.BadParameter(f"give either {option} or --input")
-    if table is not None and every:
-        raise typer.BadParameter("--all is for one problem, not for --input")
+    if table is not None and more:
+        raise typer.BadParameter("--all and --covariance are for one problem, not for --input")
+    if table is None and output is not None:
+        raise typer.BadParameter("--output goes with --input; one problem's answer is printed")
 
 
 def _fit_options(

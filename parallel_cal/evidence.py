@@ -94,7 +94,7 @@ def _joint_sigma(
 ) -> tuple[np.ndarray, str]:
     """Joint noise (nq,), and where it comes from: option, dataset, model file, scatter."""
     if given is not None:
-        if not given > 0:
+        if not 0 < given < np.inf:
             raise FitError(f"joint sigma {given} rad: expected a positive number")
         return np.full(len(order), given), "option"
     if dataset.joint_sigma is not None:
@@ -131,7 +131,23 @@ def _pose_covariance(model: Model, dataset: Dataset) -> tuple[np.ndarray, str]:
         bad = lacking[i]
         covariance[i][bad, :], covariance[i][:, bad] = 0.0, 0.0
         covariance[i][bad, bad] = sigma[bad] ** 2
+    _check_definite(covariance, dataset)
     return covariance, source if wanted.any() else "dataset"
+
+
+def _check_definite(covariance: np.ndarray, dataset: Dataset) -> None:
+    """FitError for a matrix that no noise can have."""
+    sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    seen = dataset.measured[:, :, None] & dataset.measured[:, None, :]
+    correlation = np.where(seen, covariance / (sigma[:, :, None] * sigma[:, None, :]), np.eye(6))
+    skew = np.abs(correlation - correlation.transpose(0, 2, 1)).max(axis=(1, 2))
+    least = np.linalg.eigvalsh(correlation)[:, 0]
+    for i in np.flatnonzero((skew > 1e-6) | (least < -1e-6)):
+        raise FitError(
+            f"{dataset.source}: sample {dataset.numbers[i]}: the pose's recorded covariance is not "
+            "symmetric, or says that a combination of coordinates has a negative variance; "
+            "correct what the device's driver fills in, or leave all but the diagonal at zero"
+        )
 
 
 def _fallback_pose_sigma(

@@ -14,9 +14,17 @@ def write_atomically(path: str | Path, text: str) -> None:
     """Replace a file in one step: a reader, or a power cut, sees the old or the new text.
 
     Permission bits of an existing file stay, and a symbolic link keeps pointing where it did;
-    OSError where the folder cannot be written.
+    OSError, with the file's own name, where the folder cannot be written.
     """
     target = Path(path).resolve()
+    try:
+        _replace(target, text)
+    except OSError as error:  # it names the part that nobody asked for
+        raise OSError(error.errno, error.strerror, str(path)) from None
+    _sync_folder(target.parent)
+
+
+def _replace(target: Path, text: str) -> None:
     handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".part")
     with _removed_on_failure(name):
         with os.fdopen(handle, "w", encoding="utf-8", newline="") as stream:
@@ -25,7 +33,6 @@ def write_atomically(path: str | Path, text: str) -> None:
             os.fsync(stream.fileno())
         os.chmod(name, _permissions(target))
         os.replace(name, target)
-    _sync_folder(target.parent)
 
 
 @contextlib.contextmanager

@@ -41,8 +41,8 @@ def fitted(model: Model, dataset: Dataset, **options: Any) -> Step:
 def added(model: Model, effect: str, dataset: Dataset, force: bool = False, **options: Any) -> Step:
     """Identify anew with one more effect; FitError when that does not help at poses left out.
 
-    `effect` is NAME[:param=value,...] with what is known of its fixed numbers; an unknown gear
-    ratio and the like are searched for. What it must beat is the model without the effect,
+    `effect` is NAME[:param=value,...]: given numbers are held; an unknown gear ratio and the like
+    are searched for. What it must beat is the model without the effect,
     identified on the same data: otherwise the re-identification of the geometry would pass for
     the effect's merit.
     """

@@ -98,7 +98,7 @@ def child(*arguments):
 
 
 # What costs a tenth of a second or more to import; `parallel-cal bench startup` times it.
-HEAVY = {"scipy", "rclpy", "rosbags", "plotly", "ruamel", "watchdog"}
+HEAVY = {"scipy", "rclpy", "rosbags", "plotly", "ruamel"}
 
 
 @pytest.mark.parametrize(
@@ -214,6 +214,16 @@ def test_inverse_undoes_direct(document):
         "solutions"
     ][0]
     assert turned["joints"] == pytest.approx(back["joints"], abs=1e-9)
+
+
+def test_an_orientation_that_follows_from_the_position_does_not_choose_the_branch(run, document):
+    flipped = ("inverse", IDENTIFIED, "--position", 0.03, 0.02, 0.17, "--orientation", 0, 0, 1, 0)
+    expected = document(*flipped[:6])
+    for solver in ("newton", "fixed_newton"):
+        turned, plain = (document(*c, "--solver", solver) for c in (flipped, flipped[:6]))
+        assert turned == plain
+        assert turned["solutions"][0]["joints"] == pytest.approx(expected["solutions"][0]["joints"])
+    assert "delta54 does not control its orientation" in run(*flipped, "--json")[2]
 
 
 def test_numbers_may_be_negative_in_exponents_and_with_commas_and_options_may_come_first(document):
@@ -380,7 +390,14 @@ def test_an_output_that_cannot_be_written_is_a_clear_error(run, tmp_path):
     result = run(
         "direct", DELTA24, "--input", tmp_path / "q.csv", "--output", tmp_path / "no" / "p.csv"
     )
-    fails(result, "No such file or directory")
+    fails(result, f"error: {tmp_path / 'no' / 'p.csv'}: No such file or directory")
+
+
+def test_an_option_that_would_do_nothing_is_wrong_usage(run, tmp_path):
+    single = ("direct", DELTA24, "--joints", ".5", ".5", ".5")
+    fails(run(*single, "--output", tmp_path / "p.csv"), "--output goes with --input", code=2)
+    for extra in ("--all", "--covariance"):
+        fails(run("direct", DELTA24, "--input", tmp_path / "q.csv", extra), "--input", code=2)
 
 
 # ------------------------------------------------------------------- calibration
@@ -462,6 +479,14 @@ def test_add_lowers_the_error_and_remove_is_refused_where_it_would_raise_it(
     fails(run("remove", fitted, "backlash", backlash), "has no effect 'backlash'")
 
 
+def test_a_number_given_with_an_effect_is_held(document, backlash):
+    found = document("add", IDENTIFIED, "backlash:joint2.width=0.00025", backlash, "--force")
+    widths = [found["parameters"][f"backlash.joint{j}.width"] for j in (1, 2, 3)]
+    assert [w["fixed"] for w in widths] == [False, True, False]
+    assert widths[1]["value"] == 0.00025
+    assert widths[0]["sigma"] > 0
+
+
 def test_add_is_refused_where_the_error_at_poses_left_out_does_not_fall(
     document, run, tmp_path, clean
 ):
@@ -493,6 +518,9 @@ def test_look_prints_what_a_recording_holds(document, run):
     assert document("look", BAG)["samples"] == 94
     assert document("look", BAG, "--data", "mode=continuous")["mode"] == "continuous"
     assert "94 samples" in run("look", BAG)[1].replace("\n", " ")
+    fails(run("look", BAG, "--data", "min_dwell=abc"), "min_dwell=abc: expected a number")
+    tolerances = "still_tolerance=1e-3,2e-3,1e-3"
+    assert document("look", BAG, "--data", tolerances, "--data", "exclude=3")["samples"] == 93
     fails(run("look", BAG, "--data", "mood=good"), "expected KEY=VALUE", "measured_pose")
     fails(run("look", ROOT / "setup.cfg"), "not a rosbag2 recording")
 
@@ -544,7 +572,7 @@ def test_a_direct_problem_loads_nothing_heavy_that_it_does_not_need():
         "import sys; from parallel_cal.cli import main\n"
         f"sys.argv = ['x', 'direct', {str(DELTA24)!r}, '--joints', '0.5', '0.5', '0.5']\n"
         "try:\n    main()\nexcept SystemExit:\n    pass\n"
-        "heavy = ('scipy', 'rosbags', 'rclpy', 'plotly', 'rich.table', 'watchdog')\n"
+        "heavy = ('scipy', 'rosbags', 'rclpy', 'plotly', 'rich.table')\n"
         "sys.stderr.write(str([m for m in heavy if m in sys.modules]))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import virtual_robot as vr
 from datasets import JOINTS, as_dataset, measured, quiet, redrawn
+from scipy import stats
 
 from parallel_cal.comparison import compare
 from parallel_cal.dataset import Dataset
@@ -108,14 +109,27 @@ def test_projecting_out_equals_a_measurement_without_weight():
     assert np.abs(apart).max() < 1e-3
 
 
-def test_predicted_sigma_is_the_spread_over_200_noise_seeds():
-    samples = vr.dwell_samples(vr.MOCK_UP, seed=0)
-    model = new_model("delta54", vr.TABLE_5_12)
+# A robot with perfect parallelograms, all that model 24 knows off by some of its tolerance.
+PARALLEL = vr.TABLE_5_12 | {
+    "chain1.D_x": 0.0768, "chain1.Lb": 0.2404, "chain2.theta": 2.099, "chain2.La_y": -0.0035,
+    "chain3.alpha": 1.565, "chain3.La_x": 0.1196,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("name", "true", "seen"),
+    [("delta54", vr.TABLE_5_18, 6), ("delta24", PARALLEL, 3)],
+    ids=["model 54 from full poses", "model 24 from positions"],
+)
+def test_predicted_sigma_is_the_spread_over_200_noise_seeds(name, true, seen):
+    samples = vr.dwell_samples(vr.Delta(true), seed=0)
+    mask = np.tile(np.arange(6) < seen, (len(samples["q"]), 1))
+    model = new_model(name)
     free = ~model.fixed
     found = []
     with single_threaded():
         for seed in range(200):
-            evidence = gather(model, as_dataset(redrawn(samples, seed)))
+            evidence = gather(model, as_dataset(redrawn(samples, seed), measured=mask))
             found.append(estimate(model, evidence, free))
     spread = np.std([e.values[free] for e in found], axis=0, ddof=1)
     predicted = np.sqrt(np.mean([e.sigma[free] ** 2 for e in found], axis=0))
@@ -123,11 +137,21 @@ def test_predicted_sigma_is_the_spread_over_200_noise_seeds():
     assert abs(np.median(ratio) - 1) < 0.05
     assert np.abs(ratio - 1).max() < 0.25
     # ... and the estimates do not lean to one side.
-    truth = model.table.vector(vr.TABLE_5_18)[free]
+    truth = np.array([true[n] for n in model.table.names])[free]
     bias = (np.mean([e.values[free] for e in found], axis=0) - truth) / (predicted / np.sqrt(200))
     assert np.sqrt(np.mean(bias**2)) < 1.5
-    chi2 = np.mean([e.chi2_per_dof for e in found])
-    assert chi2 == pytest.approx(1, abs=4 / np.sqrt(200 * found[0].dof / 2))
+    # chi2 is distributed as its name says, and so is the estimates' distance from the truth.
+    assert uniform(stats.chi2.sf([e.chi2 for e in found], found[0].dof))
+    apart = [e.values[free] - truth for e in found]
+    size = [
+        d @ np.linalg.solve(e.covariance[np.ix_(free, free)], d)
+        for e, d in zip(found, apart, strict=True)
+    ]
+    assert uniform(stats.chi2.sf(size, free.sum()))
+
+
+def uniform(p_values):
+    return stats.kstest(p_values, "uniform").pvalue > 0.01
 
 
 def test_unweighted_chains_are_found_one_by_one():
@@ -199,6 +223,14 @@ def test_duplicate_directions_are_found_and_named():
     assert np.isinf(result.estimate.sigma[lost]).all()
     first = result.model.table.names[np.flatnonzero(lost)[0]]
     assert result.document()["parameters"][first]["sigma"] is None
+    # Nothing that was measured changes when the robot does, along any of them.
+    table, before = result.model.table, compare(result.model, data).errors.position
+    for combination in result.estimate.spectrum.unidentifiable:
+        moved = result.model.values.copy()
+        for name, tolerances in combination.items():
+            moved[table.index_of(name)] += tolerances * table[name].tolerance
+        apart = compare(result.model.with_values(moved), data).errors.position - before
+        assert np.abs(apart).max() < 1e-9
 
 
 def test_prior_keeps_what_the_data_cannot_see_at_its_nominal_value():
@@ -283,6 +315,31 @@ def test_an_absurd_parameter_of_an_effect_speaks_against_the_effect():
         FitError, match=r"^device_axes.scale_\w would have to be -?0.\d+, which is not plausible"
     ):
         fit(new_model("delta54").with_effect("device_axes"), stretched, fix=["chain*"], hold_out=0)
+
+
+def test_a_covariance_that_no_noise_has_is_refused_with_its_sample():
+    data = measured(0)
+    strange = np.array(data.pose_cov)
+    strange[7, 0, 1] = strange[7, 1, 0] = -3 * strange[7, 0, 0]
+    with pytest.raises(FitError, match=r"sample 7: .*covariance is not symmetric, or .*negative"):
+        fit(new_model("delta54"), replace(data, pose_cov=strange))
+    upper = np.array(data.pose_cov)
+    upper[3, 0, 1] = 0.5 * upper[3, 0, 0]
+    with pytest.raises(FitError, match="sample 3: the pose's recorded covariance is not symmetric"):
+        fit(new_model("delta54"), replace(data, pose_cov=upper))
+
+
+def test_a_joint_that_never_moved_is_named_as_what_the_data_hardly_tell():
+    others = np.random.default_rng(0).uniform(0.2, 0.9, (60, 2))
+    reading = np.insert(others, 0, 0.53, axis=1)
+    r, R = vr.MOCK_UP.forward(reading)
+    q, away, turn = vr.THESIS_NOISE.draw(np.random.default_rng(1), 60)
+    samples = {"q": reading + q, "r": r + away, "R": vr.turn(turn) @ R, "time": np.arange(60.0)}
+    data = as_dataset(samples | {"direction": reading, "pose_index": np.arange(60)})
+    with pytest.raises(FitError, match=r"the data hardly tell .* of chain 1.*use priors, fix some"):
+        fit(new_model("delta24"), data, hold_out=0)
+    known = fit(new_model("delta24"), data, hold_out=0, prior=True)
+    assert np.isfinite(known.estimate.sigma).all()
 
 
 def test_a_start_far_off_is_no_obstacle():

@@ -15,9 +15,13 @@ from parallel_cal.evidence import Evidence
 from parallel_cal.linearisation import Linearisation, System
 from parallel_cal.methods._estimate import Estimate, Normal, concluded
 from parallel_cal.model import Model
+from parallel_cal.observability import Spectrum, spectrum
+from parallel_cal.planners.words import direction_in_words
 from parallel_cal.prior import Knowledge, Prior
 
 __all__ = ["Estimate", "Linearisation", "estimate"]
+
+HARDLY = 0.1  # sigmas that a tolerance moves the residuals by: ten tolerances fit as well
 
 
 @dataclass(frozen=True)
@@ -79,6 +83,17 @@ def estimate(
             break
     raise FitError(
         f"identification did not converge in {iterations} iterations "
-        f"(chi2 {here.system.chi2:.3g} of {len(evidence)} samples); is the starting model of "
-        "the right robot, are units right?"
+        f"(chi2 {here.system.chi2:.3g} of {len(evidence)} samples): "
+        f"{_why(model, spectrum(here.system.columns, model.table, free, prior), prior)}"
+    )
+
+
+def _why(model: Model, seen: Spectrum, prior: bool | Prior) -> str:
+    """What keeps a method walking: what the data hardly see, else a start far off."""
+    weakest = (*seen.weak, *seen.unidentifiable)[-1:]
+    if prior or not weakest or seen.singular_values[-1] > HARDLY:
+        return "is the starting model of the right robot, are units right?"
+    return (
+        f"the data hardly tell {direction_in_words(weakest[0], model.mechanism)}; use priors, "
+        "fix some of these, or measure more different poses"
     )
