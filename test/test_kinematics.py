@@ -8,8 +8,9 @@ from datasets import measured
 from parallel_cal.errors import ModelError, SolveError
 from parallel_cal.identification import fit
 from parallel_cal.kinematics import Kinematics, Status
+from parallel_cal.mechanism import load_mechanism
 from parallel_cal.model import new_model
-from parallel_cal.rotation import rotation_vector
+from parallel_cal.rotation import rotation_matrix, rotation_vector
 
 
 @pytest.fixture(scope="module")
@@ -179,3 +180,18 @@ def test_adding_an_effect_twice_or_removing_an_absent_one_is_an_error():
         model.without_effect("encoder_eccentricity")
     with pytest.raises(ModelError, match=r"no effect 'tides': expected one of .*backlash"):
         model.with_effect("tides")
+
+
+@pytest.mark.parametrize("name", ["delta54", "argos27", "stewart42", "linear_delta"])
+def test_a_single_solve_needs_no_arrays(name, monkeypatch):
+    """The slow way, for whatever is unusual, is taken by no pose of the workspace."""
+    mechanism = load_mechanism(name)
+    rows = np.zeros((20, 6))
+    rows[:, mechanism.controlled] = mechanism.sample(20, np.random.default_rng(8))
+    kinematics = Kinematics(new_model(mechanism))
+    poses = kinematics.inverse(rows[:, :3], rotation_matrix(rows[:, 3:]))
+    monkeypatch.setattr(Kinematics, "_classified", None)
+    for pose in poses:
+        answer = kinematics.direct(pose.joints)
+        assert np.abs(answer.position - pose.position).max() < 1e-9
+        assert np.abs(answer.rotation - pose.rotation).max() < 1e-9

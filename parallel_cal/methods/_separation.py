@@ -12,7 +12,7 @@ from typing import Any
 import casadi as ca
 
 from parallel_cal.errors import FitError
-from parallel_cal.model import Structure
+from parallel_cal.structure import Structure
 
 Monomial = tuple[str, ...]  # atoms, sorted, repeated for powers; () is 1
 Polynomial = dict[Monomial, Any]

@@ -19,11 +19,12 @@ from parallel_cal.effect import Seen
 from parallel_cal.errors import SolveError
 from parallel_cal.kinematics import Solutions
 from parallel_cal.mechanism import POSE
-from parallel_cal.model import Model, Structure
+from parallel_cal.model import Model
 from parallel_cal.parameters import Named
 from parallel_cal.rotation import cayley, left_generators
 from parallel_cal.solvers._common import answers, at_least_one, joint_rows, nearest, pose_rows
 from parallel_cal.solvers.closed_form import joint_angles, positions
+from parallel_cal.structure import Structure
 
 HALF_STEPS = 3  # G1, G2, G1: one and a half iterations (6.4.5)
 TOLERANCE = 1e-6  # m: what such few steps are expected to reach

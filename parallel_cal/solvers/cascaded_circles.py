@@ -16,12 +16,13 @@ import numpy as np
 from parallel_cal.compiled import dense
 from parallel_cal.errors import SolveError
 from parallel_cal.mechanism import POSE, Mechanism
-from parallel_cal.model import Model, Structure
+from parallel_cal.model import Model
 from parallel_cal.parameters import Named
 from parallel_cal.rotation import cayley
 from parallel_cal.solutions import Solutions
 from parallel_cal.solvers._common import answers, at_least_one, joint_rows, nearest, pose_rows
 from parallel_cal.solvers.closed_form import joint_angles, positions
+from parallel_cal.structure import Structure
 
 HALF_STEPS = 12  # G1 and G2 six times: some 10 nm for a robot within its tolerances
 NEWTON_STEPS = 2  # of G1 in one half step

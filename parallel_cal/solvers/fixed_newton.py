@@ -16,9 +16,10 @@ import numpy as np
 from parallel_cal.compiled import dense
 from parallel_cal.errors import SolveError
 from parallel_cal.kinematics import Solutions
-from parallel_cal.model import Model, Structure
+from parallel_cal.model import Model
 from parallel_cal.solvers._common import answers, at_least_one, joint_rows, pose_rows
 from parallel_cal.solvers.newton import Elimination, moved, row_order, split
+from parallel_cal.structure import Structure
 
 STEPS = 5
 TOLERANCE = 1e-6  # m: what such few steps are expected to reach

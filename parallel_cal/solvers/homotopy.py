@@ -17,9 +17,10 @@ import numpy as np
 from parallel_cal.compiled import Single, dense
 from parallel_cal.errors import SolveError
 from parallel_cal.kinematics import Solutions
-from parallel_cal.model import Model, Structure
+from parallel_cal.model import Model
 from parallel_cal.solvers._common import home_first, joint_rows, kinematics_of, on_home_branch
 from parallel_cal.solvers._platform import PoseSet, all_poses
+from parallel_cal.structure import Structure
 
 __all__ = ["PoseSet", "all_poses", "direct", "direct_all", "inverse", "pose_set"]
 

@@ -10,8 +10,8 @@ import casadi as ca
 import numpy as np
 
 from parallel_cal.compiled import dense
-from parallel_cal.model import Structure
 from parallel_cal.rotation import cayley
+from parallel_cal.structure import Structure
 
 ITERATIONS = 2  # of third order, from model 24's solution; more follow only where needed
 INLINE_BELOW = 2000  # instructions of one step that are worth repeating in the function

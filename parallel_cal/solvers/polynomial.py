@@ -16,7 +16,7 @@ import numpy as np
 from parallel_cal.compiled import Single, dense
 from parallel_cal.errors import SolveError
 from parallel_cal.kinematics import Solutions
-from parallel_cal.model import Model, Structure
+from parallel_cal.model import Model
 from parallel_cal.solvers._common import (
     configurations,
     home_first,
@@ -25,6 +25,7 @@ from parallel_cal.solvers._common import (
     on_home_branch,
 )
 from parallel_cal.solvers._orientation import FORMS, angles, coefficients, orientations
+from parallel_cal.structure import Structure
 
 __all__ = ["FORMS", "angles", "coefficients", "direct", "direct_all", "inverse", "orientations"]
 

@@ -47,6 +47,11 @@ class Problem:
         return self._refine(begin, rows, self.k)
 
     @cached_property
+    def refine_one(self) -> Single:
+        """`refine` for one configuration."""
+        return Single(self._ready(self._refine_function))
+
+    @cached_property
     def _refine(self) -> Batch:
         return Batch(self._ready(self._refine_function))
 

@@ -19,9 +19,10 @@ import numpy as np
 
 from parallel_cal.compiled import Single, dense
 from parallel_cal.errors import SolveError
-from parallel_cal.model import Model, Structure
+from parallel_cal.model import Model
 from parallel_cal.solutions import Solutions, Status, stacked
 from parallel_cal.solvers._common import home_first, joint_rows, kinematics_of, on_home_branch
+from parallel_cal.structure import Structure
 
 DEGREE = 16
 SIDES = ((0, 1), (0, 2), (1, 2))
