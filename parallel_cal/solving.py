@@ -16,9 +16,11 @@ from parallel_cal.kinematics import CLOSED, Kinematics, Solutions, Status
 from parallel_cal.mechanism import shelf_names
 from parallel_cal.model import Model
 from parallel_cal.rotation import quaternion_to_matrix
+from parallel_cal.simulate import poses_in_workspace
 from parallel_cal.solvers._common import home_first, judged
 
 Conditions = Mapping[str, Any]
+Candidate = tuple[np.ndarray, np.ndarray, np.ndarray]  # joints, position, rotation
 Solver = tuple[Callable[..., Solutions], Callable[..., Solutions]]
 
 
@@ -164,9 +166,7 @@ def _closed_direct(model: Model, q: np.ndarray, at: Conditions, every: bool) -> 
     """The candidates themselves, where the closure says that they are exact."""
     if q.ndim == 2:
         return _stacked([_closed_direct(model, row, _at(at, i), every) for i, row in enumerate(q)])
-    columns = np.array(model.structure.candidates(q, model.values)).T
-    found = [(q, c[:3], c[3:].reshape(3, 3)) for c in columns if np.isfinite(c).all()]
-    exact = _exact(model, found, at, "direct")
+    exact = _exact(model, _poses(model, q), at, "direct")
     if exact is None:
         return _unsolved(model, q, None)
     order = home_first(model, exact, at)
@@ -184,34 +184,57 @@ def _closed_inverse(
         )
     home = np.array(model.mechanism.home.joints)
     R = quaternion_to_matrix(np.array(model.mechanism.home.quaternion)) if R is None else R
-    choices = model.structure.joint_candidates.call([r, R.ravel(), model.values])
-    sets = [np.array(c) for c in product(*(np.array(c).ravel() for c in choices))]
-    found = [(q, r, R) for q in sets if np.isfinite(q).all()]
-    found.sort(key=lambda s: float(np.sum(1 - np.cos(s[0] - home))))
+    found = sorted(_joint_sets(model, r, R), key=lambda s: np.sum(1 - np.cos(s[0] - home)))
     exact = _exact(model, found, at, "inverse")
     if exact is None:
         return _unsolved(model, None, r)
     return exact if every else exact[:1]
 
 
-def _exact(
-    model: Model,
-    found: list[tuple[np.ndarray, np.ndarray, np.ndarray]],
-    at: Conditions,
-    problem: str,
-) -> Solutions | None:
-    """The exact ones with status; SolveError where there are candidates but none is exact."""
+def _poses(model: Model, q: np.ndarray) -> list[Candidate]:
+    columns = np.array(model.structure.candidates(q, model.values)).T
+    return [(q, c[:3], c[3:].reshape(3, 3)) for c in columns if np.isfinite(c).all()]
+
+
+def _joint_sets(model: Model, r: np.ndarray, R: np.ndarray) -> list[Candidate]:
+    choices = model.structure.joint_candidates.call([r, R.ravel(), model.values])
+    sets = [np.array(c) for c in product(*(np.array(c).ravel() for c in choices))]
+    return [(q, r, R) for q in sets if np.isfinite(q).all()]
+
+
+def _exact(model: Model, found: list[Candidate], at: Conditions, problem: str) -> Solutions | None:
+    """The exact ones with status; SolveError where none is, in the workspace neither."""
     if not found:
         return None
-    rows = np.array([np.concatenate([q, r, R.ravel()]) for q, r, R in found])
-    solutions = judged(model, rows, at, CLOSED, problem)
+    solutions = _judged(model, found, at, problem)
     exact = np.flatnonzero(solutions.residual < CLOSED)
-    if not len(exact):
-        raise SolveError(
-            f"closed_form is not exact for this {model.mechanism.name} and its effects "
-            f"(off by {solutions.residual.min():.2g} m); there is newton"
-        )
-    return solutions[exact]
+    if len(exact):
+        return solutions[exact]
+    off = _off_within(model, at, problem)
+    if off < CLOSED:  # the formula holds for this model: the sample is out of reach
+        return None
+    raise SolveError(
+        f"closed_form is not exact for this {model.mechanism.name} and its effects "
+        f"(off by {off:.2g} m); there is newton"
+    )
+
+
+def _off_within(model: Model, at: Conditions, problem: str) -> float:
+    """The largest residual (m) of the formula's best answers at five poses of the workspace."""
+    r, R = poses_in_workspace(model.mechanism, 5, np.random.default_rng(0))
+    solved = Kinematics(model).inverse(r, R, at)
+    direct = problem == "direct"
+    found = [
+        _poses(model, solved.joints[i]) if direct else _joint_sets(model, r[i], R[i])
+        for i in np.flatnonzero(solved.ok)
+    ]
+    best = [_judged(model, sets, at, problem).residual.min() for sets in found if sets]
+    return float(max(best, default=np.inf))
+
+
+def _judged(model: Model, found: list[Candidate], at: Conditions, problem: str) -> Solutions:
+    rows = np.array([np.concatenate([q, r, R.ravel()]) for q, r, R in found])
+    return judged(model, rows, at, CLOSED, problem)
 
 
 def _unsolved(model: Model, q: np.ndarray | None, r: np.ndarray | None) -> Solutions:

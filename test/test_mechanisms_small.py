@@ -606,3 +606,33 @@ def test_preset_is_read_and_solved_over_its_workspace(name):
     assert there.ok.all()
     assert back.ok.all()
     assert np.abs(back.position - there.position).max() < 1e-12
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_every_pose_of_a_planar_platform_is_found(seed):
+    rng = np.random.default_rng(seed)
+    model = strayed("planar_stewart", seed, tolerances=20)
+    robot = virtual_stewart.PlanarStewart(model.table.mapping(model.values))
+    q = robot.inverse(*poses_in_workspace(model.mechanism, 1, rng))[0][0]
+    found = Kinematics(model).direct_all(q)
+    others = poses_from_anywhere(robot, q, rng)
+    assert len(others) > 1
+    for r, R in others:
+        away = np.abs(found.position - r).max(axis=1) + np.abs(found.rotation - R).max(axis=(1, 2))
+        assert away.min() < 1e-6
+    assert len(found) == len({tuple(np.round(r, 6)) for r, _ in others})
+
+
+def poses_from_anywhere(robot, q, rng):
+    """The poses that scipy finds from 60 random starts, with repetitions."""
+    from scipy.optimize import fsolve
+
+    def placed(u):
+        return np.array([*u[:2], 0.0]), rotation_matrix(np.array([0.0, 0.0, u[2]]))
+
+    def gaps(u):
+        return robot.gaps(q, *placed(u), robot.home)
+
+    starts = rng.uniform([-0.4, -0.4, -np.pi], [0.4, 0.4, np.pi], (60, 3))
+    ends = [fsolve(gaps, start, full_output=True) for start in starts]
+    return [placed(u) for u, info, done, _ in ends if done == 1 and abs(info["fvec"]).max() < 1e-9]

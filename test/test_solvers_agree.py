@@ -7,7 +7,7 @@ import pytest
 
 from parallel_cal import solving
 from parallel_cal.errors import SolveError
-from parallel_cal.kinematics import Kinematics
+from parallel_cal.kinematics import Kinematics, Status
 from parallel_cal.mechanism import shelf_names
 from parallel_cal.model import new_model
 from parallel_cal.simulate import poses_in_workspace
@@ -107,3 +107,13 @@ def test_the_rough_cascade_can_be_chosen_by_name():
     model, expected = strayed("delta54")
     rough = solving.direct(model, expected.joints, {}, solver="cascaded:rough=true")
     assert 1e-6 < apart(rough, expected) < 1e-2
+
+
+@pytest.mark.parametrize("name", ["delta24", "delta_nominal", "slider_crank"])
+def test_the_closed_form_calls_a_target_out_of_reach_unreachable(name):
+    model, expected = strayed(name)
+    targets = expected.position.copy()
+    targets[1, model.mechanism.controlled[0]] += 9.0
+    found = solving.inverse(model, targets, expected.rotation, {}, solver="closed_form")
+    assert list(found.ok) == [True, False, *[True] * (len(targets) - 2)]
+    assert found.status[1] == Status.UNREACHABLE

@@ -9,6 +9,7 @@ import numpy as np
 
 from parallel_cal.mechanism import Home, Mechanism, Workspace
 from parallel_cal.parameters import Named, Parameter, ParameterTable
+from parallel_cal.rotation import rot_z
 
 DEGREE = np.pi / 180
 BASE_RADIUS, PLATFORM_RADIUS, RETRACTED = 0.3, 0.08, 0.15  # m
@@ -21,6 +22,7 @@ def _triangle(radius: float, degrees: tuple[float, ...]) -> np.ndarray:
 
 
 PLATFORM, BASE = _triangle(PLATFORM_RADIUS, PLATFORM_ANGLES), _triangle(BASE_RADIUS, BASE_ANGLES)
+TURNS = np.radians(np.arange(0, 360, 10))  # close enough to find all six poses at once
 LENGTH = float(np.linalg.norm(PLATFORM[0] - BASE[0]))  # of all legs, at home
 
 
@@ -76,6 +78,27 @@ class PlanarStewart(Mechanism):
     def extended(q: Any, c: Named) -> Any:
         """|L0 + q exp(i delta)|: the slide does not quite run along the leg."""
         return ca.sqrt(c.L0**2 + q**2 + 2 * c.L0 * q * ca.cos(c.delta))
+
+    def start(self, q: Any, p: Named) -> tuple[Any, Any]:
+        """Home."""
+        return super().candidates(q, p)[0]
+
+    def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
+        """Where the platform, turned in steps of 10 degrees, would have to be: with
+        m_i = R B_i - C_i, |r + m_i|^2 = l_i^2, and the difference of two legs is linear in r."""
+        legs = [p[f"leg{i + 1}"] for i in range(3)]
+        lengths = ca.vertcat(*[self.extended(q[i], c) for i, c in enumerate(legs)])
+        return [(self._position(rot_z(turn), lengths, legs), rot_z(turn)) for turn in TURNS]
+
+    @staticmethod
+    def _position(R: Any, lengths: Any, legs: list[Named]) -> Any:
+        turned = [R[:2, :2] @ ca.vertcat(c.B_x, c.B_y) for c in legs]
+        m = [B - ca.vertcat(c.C_x, c.C_y) for B, c in zip(turned, legs, strict=True)]
+        (a, b), (c, d) = ((2 * (m[i] - m[0])).elements() for i in (1, 2))
+        g, h = (
+            lengths[i] ** 2 - lengths[0] ** 2 - ca.sumsqr(m[i]) + ca.sumsqr(m[0]) for i in (1, 2)
+        )
+        return ca.vertcat(d * g - b * h, a * h - c * g, 0) / (a * d - b * c)
 
     def joint_candidates(self, r: Any, R: Any, p: Named) -> list[tuple[Any, ...]]:
         """The longer of the two extensions that give a leg its length."""
