@@ -175,3 +175,11 @@ def test_a_singular_start_ends_in_a_status_and_not_in_an_error():
     model = new_model("delta_nominal", {"R": 0.05, "La": 0.1, "Lb": 0.05})
     answer = Kinematics(model).direct(np.full(3, np.pi / 2))
     assert Status(int(answer.status)) in (Status.SINGULAR, Status.UNREACHABLE, Status.NOT_CONVERGED)
+
+
+@pytest.mark.parametrize("name", [n for n in shelf_names("mechanisms") if n != "serial"])
+def test_home_closes(name):
+    model = new_model(name)
+    home = model.mechanism.home
+    pose = Kinematics(model).direct(np.array(home.joints))
+    assert np.abs(pose.position - home.position).max() < 2e-5

@@ -33,7 +33,7 @@ class DeltaNominal(Mechanism):
             Parameter("Lb", "m", 240 * MM, 0.5 * MM),
         ]
     )
-    home = Home(joints=(30.65 * DEGREE,) * 3, position=(0.0, 0.0, 0.2165))
+    home = Home(joints=(30.65 * DEGREE,) * 3, position=(0.0, 0.0, 0.22078))
     workspace = Workspace(low=(-0.06, -0.06, 0.155), high=(0.06, 0.06, 0.275))
     joint_limits = Delta24.joint_limits
     length = Delta24.length
