@@ -7,7 +7,7 @@ import shutil
 import signal
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -38,15 +38,14 @@ def main(
     `bag` replaces the recording, and nothing more is then looked for; `rate` is how fast it is
     played, `keep` leaves the new model file and the nodes' logs where they are.
     """
-    # a terminated demo ends its nodes, too
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
     with ExitStack() as stack:
+        interrupted = _told_to_end(stack)
         folder = Path(tempfile.mkdtemp(prefix="parallel_cal_demo_"))
         if not keep:
             stack.callback(shutil.rmtree, folder, ignore_errors=True)
         try:
             hidden = None if bag else HIDDEN
-            document = run(Path(bag or BAG), hidden, rate, folder, Story(json, keep))
+            document = run(Path(bag or BAG), hidden, rate, folder, Story(json, keep), interrupted)
         except (ParallelCalError, KeyboardInterrupt) as error:
             console.error(str(error) or "interrupted; nothing is left running")
             return 1
@@ -55,10 +54,30 @@ def main(
     return 0
 
 
-def run(bag: Path, hidden: Path | None, rate: float, folder: Path, story: Story) -> dict[str, Any]:
-    """The demo's steps; its document. ParallelCalError where one fails."""
+def _told_to_end(stack: ExitStack) -> Callable[[], bool]:
+    """Whether SIGINT or SIGTERM came, while the stack is open.
+
+    What a signal's handler raises may be swallowed, in a destructor for example: it only notes.
+    """
+    asked: list[int] = []
+    for number in (signal.SIGINT, signal.SIGTERM):
+        before = signal.signal(number, lambda number, frame: asked.append(number))
+        stack.callback(signal.signal, number, before)
+    return lambda: bool(asked)
+
+
+def run(
+    bag: Path,
+    hidden: Path | None,
+    rate: float,
+    folder: Path,
+    story: Story,
+    interrupted: Callable[[], bool],
+) -> dict[str, Any]:
+    """The demo's steps; its document. ParallelCalError where one fails, KeyboardInterrupt where
+    it waits and is `interrupted`."""
     begin, model_file = time.monotonic(), _prepared([bag, *filter(None, [hidden])], folder)
-    with _session(model_file) as session, story:
+    with _session(model_file, interrupted) as session, story:
         document = _calibrate(session, bag, rate, model_file, story)
         story.calibrated(document)
         if hidden:
@@ -79,14 +98,14 @@ def _prepared(bags: Sequence[Path], folder: Path) -> Path:
     return Path(shutil.copy(PRESET, folder / "robot.yaml"))
 
 
-def _session(model_file: Path) -> DemoSession:
+def _session(model_file: Path, interrupted: Callable[[], bool]) -> DemoSession:
     try:
         from parallel_cal.nodes.demo_session import DemoSession
     except ImportError as error:
         raise ParallelCalError(
             f"ROS 2 is missing ({error}): run 'make demo', or install the extra 'ros' and msg_defs"
         ) from None
-    return DemoSession(model_file)
+    return DemoSession(model_file, interrupted)
 
 
 def _calibrate(

@@ -69,9 +69,17 @@ class Process:
 
 
 class Client:
-    """Calls and listens; every wait is for a condition and ends when a process died."""
+    """Calls and listens; every wait is for a condition and ends when a process died or the user
+    has `interrupted`."""
 
-    def __init__(self, name: str, namespace: str, processes: list[Process]):
+    def __init__(
+        self,
+        name: str,
+        namespace: str,
+        processes: list[Process],
+        interrupted: Callable[[], bool] = lambda: False,
+    ):
+        self._interrupted = interrupted
         self._context = rclpy.Context()
         rclpy.init(context=self._context)
         self._node = rclpy.create_node(name, namespace=namespace, context=self._context)
@@ -88,6 +96,8 @@ class Client:
         """Serve callbacks until `ready`; NodeError names `what` was waited for."""
         end = time.monotonic() + patience
         while not ready():
+            if self._interrupted():
+                raise KeyboardInterrupt
             for process in self._processes:
                 process.check()
             if time.monotonic() > end:

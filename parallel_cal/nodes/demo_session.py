@@ -52,8 +52,8 @@ class Answers:
 class DemoSession:
     """kinematics_node and calibration_node on one model file; a context that ends them all."""
 
-    def __init__(self, model_file: Path):
-        self._model_file = model_file
+    def __init__(self, model_file: Path, interrupted: Callable[[], bool] = lambda: False):
+        self._model_file, self._interrupted = model_file, interrupted
         self._processes: list[Process] = []
 
     def __enter__(self) -> DemoSession:
@@ -61,7 +61,7 @@ class DemoSession:
         with ExitStack() as self._open:  # whatever fails or is interrupted here, all is ended
             self._start("kinematics_node", model_file=str(self._model_file))
             self._start("calibration_node", model_file=str(self._model_file))
-            self._client = Client("demo", self._namespace, self._processes)
+            self._client = Client("demo", self._namespace, self._processes, self._interrupted)
             self._open.callback(self._client.close)
             status = "calibration_node/collection_status"
             self._status = self._client.latest(CollectionStatus, status)
