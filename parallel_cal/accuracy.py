@@ -88,8 +88,7 @@ def errors(model: Model, evidence: Evidence) -> Errors:
 
 def _unwound(mechanism: Mechanism, difference: np.ndarray) -> np.ndarray:
     """Joint errors without whole turns, which change nothing (a spool's do)."""
-    turns = [mechanism.periodic and unit == "rad" for unit in mechanism.joint_units]
-    return difference - 2 * np.pi * np.round(difference / (2 * np.pi)) * turns
+    return difference - mechanism.turns * np.round(difference / (2 * np.pi))
 
 
 def _closure(model: Model, evidence: Evidence) -> np.ndarray:

@@ -275,7 +275,7 @@ def _turned_towards(q: np.ndarray, unknown: bool, model: Model) -> np.ndarray:
     only that is inside the limits."""
     if not unknown or not model.mechanism.periodic:
         return q
-    turn = 2 * np.pi * np.array([unit == "rad" for unit in model.mechanism.joint_units])
+    turn = model.mechanism.turns
     home = np.array(model.mechanism.home.joints)
     low, high = np.array(model.mechanism.joint_limits).T
     q = q - turn * np.round((q - home) / (2 * np.pi))

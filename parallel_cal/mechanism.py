@@ -16,7 +16,7 @@ import numpy as np
 from parallel_cal.errors import ModelError, told
 from parallel_cal.mechanisms._check import check
 from parallel_cal.parameters import Named, ParameterTable
-from parallel_cal.rotation import quaternion_to_matrix
+from parallel_cal.rotation import quaternion_to_matrix, rotation_matrix, rotation_vector
 
 POSE = ("x", "y", "z", "rx", "ry", "rz")
 
@@ -152,6 +152,19 @@ class Mechanism(ABC):
     def passive(self) -> list[int]:
         """Moved coordinates that follow by themselves (the Delta's orientation)."""
         return [i for i in self.moved if i not in self.controlled]
+
+    @property
+    def turns(self) -> np.ndarray:
+        """By how much each joint (nq,) may be off without a difference: 2 pi, or 0."""
+        return 2 * np.pi * np.array([self.periodic and unit == "rad" for unit in self.joint_units])
+
+    def poses(self, controlled: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Positions (n, 3) and rotations (n, 3, 3) that differ from home in what is controlled,
+        (n, n_controlled) as `Workspace` has it."""
+        home = rotation_vector(quaternion_to_matrix(np.array(self.home.quaternion)))
+        rows = np.tile([*self.home.position, *home], (len(controlled), 1))
+        rows[:, self.controlled] = controlled
+        return rows[:, :3], rotation_matrix(rows[:, 3:])
 
     def sample(self, n: int, rng: np.random.Generator) -> np.ndarray:
         """n uniform draws of the controlled coordinates in the workspace, (n, n_controlled)."""

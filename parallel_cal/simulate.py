@@ -12,7 +12,7 @@ from parallel_cal.errors import SolveError
 from parallel_cal.kinematics import Kinematics, Status
 from parallel_cal.mechanism import Mechanism
 from parallel_cal.model import Model, Noise
-from parallel_cal.rotation import quaternion_to_matrix, rotation_matrix, rotation_vector
+from parallel_cal.rotation import rotation_matrix
 
 MOVE, DWELL = 0.5, 1.0  # s at a time
 JOINT_RATE, POSES_EVERY = 100, 5  # Hz; the device reports at every fifth reading, 20 Hz
@@ -166,11 +166,8 @@ def _targets(model: Model, n: int, rng: np.random.Generator) -> np.ndarray:
 def poses_in_workspace(
     mechanism: Mechanism, n: int, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Positions (n, 3) and rotations (n, 3, 3) that differ from home in what is controlled."""
-    home = quaternion_to_matrix(np.array(mechanism.home.quaternion))
-    rows = np.tile([*mechanism.home.position, *rotation_vector(home)], (n, 1))
-    rows[:, mechanism.controlled] = mechanism.sample(n, rng)
-    return rows[:, :3], rotation_matrix(rows[:, 3:])
+    """Positions (n, 3) and rotations (n, 3, 3) drawn from the workspace."""
+    return mechanism.poses(mechanism.sample(n, rng))
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
@@ -71,6 +71,15 @@ class Solutions:
 
 def stacked(found: Sequence[Solutions]) -> Solutions:
     """Single solutions as one set."""
+    return _combined(np.stack, found)
+
+
+def concatenated(found: Sequence[Solutions]) -> Solutions:
+    """Several sets as one."""
+    return _combined(np.concatenate, found)
+
+
+def _combined(combine: Callable[..., np.ndarray], found: Sequence[Solutions]) -> Solutions:
     names = ("joints", "position", "rotation", "residual", "status")
-    q, r, R, residual, status = (np.stack([getattr(s, name) for s in found]) for name in names)
+    q, r, R, residual, status = (combine([getattr(s, name) for s in found]) for name in names)
     return Solutions(q, r, R, residual, status)

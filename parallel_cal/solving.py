@@ -17,7 +17,8 @@ from parallel_cal.mechanism import shelf_names
 from parallel_cal.model import Model
 from parallel_cal.rotation import quaternion_to_matrix
 from parallel_cal.simulate import poses_in_workspace
-from parallel_cal.solvers._common import home_first, judged
+from parallel_cal.solutions import concatenated
+from parallel_cal.solvers._common import home_first, judged, sample
 
 Conditions = Mapping[str, Any]
 Candidate = tuple[np.ndarray, np.ndarray, np.ndarray]  # joints, position, rotation
@@ -165,7 +166,9 @@ def _newton_inverse(
 def _closed_direct(model: Model, q: np.ndarray, at: Conditions, every: bool) -> Solutions:
     """The candidates themselves, where the closure says that they are exact."""
     if q.ndim == 2:
-        return _stacked([_closed_direct(model, row, _at(at, i), every) for i, row in enumerate(q)])
+        return concatenated(
+            [_closed_direct(model, row, sample(at, i) or {}, every) for i, row in enumerate(q)]
+        )
     exact = _exact(model, _poses(model, q), at, "direct")
     if exact is None:
         return _unsolved(model, q, None)
@@ -179,8 +182,8 @@ def _closed_inverse(
     if r.ndim == 2:
         turns = [None] * len(r) if R is None else np.reshape(R, (-1, 3, 3))
         rows = zip(r, turns, strict=True)
-        return _stacked(
-            [_closed_inverse(model, *row, _at(at, i), every) for i, row in enumerate(rows)]
+        return concatenated(
+            [_closed_inverse(model, *row, sample(at, i) or {}, every) for i, row in enumerate(rows)]
         )
     home = np.array(model.mechanism.home.joints)
     R = quaternion_to_matrix(np.array(model.mechanism.home.quaternion)) if R is None else R
@@ -246,17 +249,6 @@ def _unsolved(model: Model, q: np.ndarray | None, r: np.ndarray | None) -> Solut
     joints = np.full((1, len(model.joints)), np.nan) if q is None else q[None]
     position = nan[:, :3] if r is None else r[None]
     return Solutions(joints, position, nan[:, 3:].reshape(1, 3, 3), nan[:, 0], np.array([status]))
-
-
-def _at(at: Conditions, i: int) -> dict[str, float]:
-    """The conditions of row i, where some are columns."""
-    return {name: float(np.ravel(v)[i] if np.ndim(v) else v) for name, v in at.items()}
-
-
-def _stacked(found: list[Solutions]) -> Solutions:
-    parts = ("joints", "position", "rotation", "residual", "status")
-    q, r, R, residual, status = (np.concatenate([getattr(s, p) for s in found]) for p in parts)
-    return Solutions(q, r, R, residual, status)
 
 
 SOLVERS: dict[str, Solver] = {

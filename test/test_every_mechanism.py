@@ -54,6 +54,17 @@ class Crank(Mechanism):
 
 
 GOOD = "r[0] - p.a * ca.cos(q[0])"
+BENT = """from parallel_cal.effect import Effect
+from parallel_cal.parameters import Parameter
+
+
+class Bent(Effect):
+    def parameters(self, mechanism):
+        return [Parameter("by", "m", 0.0, 1e-3)]
+
+    def ideal(self, seen, e, at, mechanism):
+        return {ideal}
+"""
 
 
 @pytest.fixture
@@ -70,13 +81,7 @@ def test_a_users_mechanism_is_named_by_its_python_path(package):
     crank, bent = f"{package.name}.crank", f"{package.name}.bent"
     (package / "crank.py").write_text(USERS.replace("{closure}", GOOD))
     (package / "bent.py").write_text(
-        "from parallel_cal.effect import Effect\n"
-        "from parallel_cal.parameters import Parameter\n\n\n"
-        "class Bent(Effect):\n"
-        "    def parameters(self, mechanism):\n"
-        "        return [Parameter('by', 'm', 0.0, 1e-3)]\n\n"
-        "    def ideal(self, seen, e, at, mechanism):\n"
-        "        return type(seen)(seen.q, seen.r - e.by, seen.R, seen.p)\n"
+        BENT.format(ideal="type(seen)(seen.q, seen.r - e.by, seen.R, seen.p)")
     )
     model = new_model(crank, effects=[bent])
     assert model.table.names == ("a", f"{bent}.by")
@@ -142,13 +147,7 @@ def test_a_users_class_that_lacks_or_miscounts_something_is_a_clear_error(
 def test_a_users_effect_that_fails_is_named_with_its_line(package):
     (package / "crank.py").write_text(USERS.replace("{closure}", GOOD))
     (package / "bent.py").write_text(
-        "from parallel_cal.effect import Effect\n"
-        "from parallel_cal.parameters import Parameter\n\n\n"
-        "class Bent(Effect):\n"
-        "    def parameters(self, mechanism):\n"
-        "        return [Parameter('by', 'm', 0.0, 1e-3)]\n\n"
-        "    def ideal(self, seen, e, at, mechanism):\n"
-        "        return seen.with_q(seen.q + e.by * (1 / len([])))\n"
+        BENT.format(ideal="seen.with_q(seen.q + e.by * (1 / len([])))")
     )
     model = new_model(f"{package.name}.crank", effects=[f"{package.name}.bent"])
     with pytest.raises(ModelError, match=r"bent: ZeroDivisionError: .* \(bent.py:10\)"):

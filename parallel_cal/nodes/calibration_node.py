@@ -38,9 +38,8 @@ from parallel_cal.nodes.parameters import (
 from parallel_cal.nodes.run import every, foreign_publishers, run
 from parallel_cal.nodes.sample_services import SERVICES
 from parallel_cal.recordings.recording import Dropped
-from parallel_cal.recordings.samples import Options
+from parallel_cal.recordings.samples import MODES, Options
 
-MODES = ("auto", "dwell", "continuous")
 POSE_TYPES = ("PoseWithCovarianceStamped", "PoseStamped")
 # Reliable, and deep enough for minutes of a 1 kHz stream while this process is busy.
 STREAM = QoSProfile(depth=100_000)

@@ -15,7 +15,6 @@ from parallel_cal.kinematics import Kinematics, Solutions, Status
 from parallel_cal.mechanism import Mechanism
 from parallel_cal.model import Model
 from parallel_cal.modelfile import model_hash, parse_model
-from parallel_cal.rotation import quaternion_to_matrix, rotation_matrix, rotation_vector
 
 log = logging.getLogger(__name__)
 
@@ -128,12 +127,9 @@ def workspace_poses(mechanism: Mechanism, n: int) -> tuple[np.ndarray, np.ndarra
 
     The corners of a workspace box may well be out of a good robot's reach.
     """
-    home = quaternion_to_matrix(np.array(mechanism.home.quaternion))
-    rows = np.tile([*mechanism.home.position, *rotation_vector(home)], (n, 1))
     low, high = np.array(mechanism.workspace.low), np.array(mechanism.workspace.high)
     drawn = mechanism.sample(n, np.random.default_rng(0))
-    rows[:, mechanism.controlled] = (drawn + (low + high) / 2) / 2
-    return rows[:, :3], rotation_matrix(rows[:, 3:])
+    return mechanism.poses((drawn + (low + high) / 2) / 2)
 
 
 def _tested(text: str, path: str | Path) -> tuple[Model, Kinematics]:

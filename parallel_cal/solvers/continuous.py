@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from parallel_cal.kinematics import Kinematics
 from parallel_cal.model import Model
 from parallel_cal.rotation import rotation_matrix, rotation_vector
 from parallel_cal.singularity import distances
-from parallel_cal.solutions import Solutions, Status, stacked
+from parallel_cal.solutions import Solutions, Status, concatenated, stacked
 from parallel_cal.solvers._common import kinematics_of, sample
 
 NEAR = 0.02  # scaled singular value below which the mode is called in danger
@@ -180,11 +180,9 @@ def _same_branch(
 
 def _filled_up(track: Track, joints: np.ndarray, positions: np.ndarray) -> Solutions:
     """The track's solutions, then what is given and NaN for the points beyond its end."""
-    s, n = track.solutions, len(track.solutions)
+    n = len(track.solutions)
     beyond = len(joints) - n
     nan = np.full((beyond, 3, 3), np.nan)
     ended = np.full(beyond, Status.NOT_CONVERGED, dtype=np.int8)
-    rest = (joints[n:], positions[n:], nan, nan[:, 0, 0], ended)
-    parts = (s.joints, s.position, s.rotation, s.residual, s.status)
-    q, r, R, residual, status = (np.concatenate(pair) for pair in zip(parts, rest, strict=True))
-    return Solutions(q, r, R, residual, status, message=track.message)
+    rest = Solutions(joints[n:], positions[n:], nan, nan[:, 0, 0], ended)
+    return replace(concatenated([track.solutions, rest]), message=track.message)

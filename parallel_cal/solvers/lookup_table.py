@@ -19,7 +19,7 @@ from parallel_cal.errors import SolveError
 from parallel_cal.kinematics import Kinematics, Solutions, Status
 from parallel_cal.mechanism import Mechanism
 from parallel_cal.model import Model
-from parallel_cal.rotation import quaternion_to_matrix, rotation_matrix, rotation_vector
+from parallel_cal.rotation import rotation_matrix, rotation_vector
 from parallel_cal.solvers._common import judged
 
 SIZE = 9  # grid points along each given coordinate
@@ -149,11 +149,7 @@ def _solved_at(
     """Solutions at grid points: joints, or controlled coordinates as `Workspace` has them."""
     if problem == "direct":
         return kinematics.direct(points, at)
-    m = kinematics.model.mechanism
-    home = rotation_vector(quaternion_to_matrix(m.home.quaternion))
-    pose = np.tile([*m.home.position, *home], (len(points), 1))
-    pose[:, m.controlled] = points
-    return kinematics.inverse(pose[:, :3], rotation_matrix(pose[:, 3:]), at)
+    return kinematics.inverse(*kinematics.model.mechanism.poses(points), at)
 
 
 def _controlled(mechanism: Mechanism, s: Solutions) -> np.ndarray:
