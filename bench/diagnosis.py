@@ -23,11 +23,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "test"))
 import virtual_findings as vf
 from findings import clean, hiding
 
-from parallel_cal.dataset import load_dataset
-from parallel_cal.diagnosis import diagnose
-from parallel_cal.identification import fit
-from parallel_cal.model import new_model
-from parallel_cal.modelfile import read_model
+from parallel_cal.diagnosis.diagnose import diagnose
+from parallel_cal.identification.fit import fit
+from parallel_cal.model.file.modelfile import read_model
+from parallel_cal.model.model import new_model
+from parallel_cal.recordings.loading import load_dataset
 
 ROOT = Path(__file__).resolve().parents[1]
 

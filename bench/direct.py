@@ -17,11 +17,11 @@ from timing import Row, seconds_each, show
 sys.path.insert(0, str(Path(__file__).parents[1] / "test"))
 import virtual_robot as vr
 
-from parallel_cal.compiled import Batch, Single, compiled
-from parallel_cal.kinematics import Kinematics
-from parallel_cal.model import Model, new_model
-from parallel_cal.rotation import rotation_matrix
-from parallel_cal.solvers.newton import newton_functions
+from parallel_cal.base.compiled import Batch, Single, compiled
+from parallel_cal.base.rotation import rotation_matrix
+from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.kinematics.newton import newton_functions
+from parallel_cal.model.model import Model, new_model
 
 N = 100_000
 

@@ -21,9 +21,9 @@ from typing import Any
 
 import numpy as np
 
-from parallel_cal.kinematics import Kinematics
-from parallel_cal.mechanism import load_mechanism
-from parallel_cal.model import Model, new_model
+from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.model.model import Model, new_model
+from parallel_cal.model.shelf import load_mechanism
 
 LENGTH, ANGLE = 0.05e-3, np.radians(0.1)  # eq. 3.29: equally distributed between plus and minus
 ROD = 0.05  # m (figure 3.20)

@@ -20,9 +20,9 @@ import virtual_findings as vf
 import virtual_robot as vr
 from findings import clean, hiding
 
-from parallel_cal.dataset import Dataset
-from parallel_cal.diagnosis import Diagnosis, diagnose
-from parallel_cal.model import new_model
+from parallel_cal.diagnosis.diagnose import Diagnosis, diagnose
+from parallel_cal.model.model import new_model
+from parallel_cal.recordings.dataset import Dataset
 
 SIZE, LARGE = 0.6, 1.5  # sigmas of the residual, of a single effect and of uncatalogued ones
 

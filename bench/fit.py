@@ -18,11 +18,11 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "test"))
 import virtual_robot as vr
 from datasets import measured
 
-from parallel_cal.evidence import Evidence, gather
-from parallel_cal.identification import fit, single_threaded
+from parallel_cal.identification.fit import fit, single_threaded
+from parallel_cal.identification.methods.implicit import Linearisation, estimate
+from parallel_cal.identification.observations import Evidence, gather
 from parallel_cal.mechanisms.delta24 import Delta24
-from parallel_cal.methods.implicit import Linearisation, estimate
-from parallel_cal.model import Model, new_model
+from parallel_cal.model.model import Model, new_model
 
 
 def scipy_fit(model: Model, evidence: Evidence, free: np.ndarray) -> np.ndarray:

@@ -20,10 +20,10 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1] / "test"))
 from virtual_robot import TABLE_5_18
 
-from parallel_cal.kinematics import Kinematics, Solutions
-from parallel_cal.mechanism import load_mechanism
-from parallel_cal.model import Model, new_model
-from parallel_cal.solvers import ipr_compensation
+from parallel_cal.kinematics.kinematics import Kinematics, Solutions
+from parallel_cal.kinematics.solvers import ipr_compensation
+from parallel_cal.model.model import Model, new_model
+from parallel_cal.model.shelf import load_mechanism
 
 SPREADS = (0.125, 0.25, 0.5, 1.0, 2.0)  # in tolerances
 

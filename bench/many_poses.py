@@ -13,12 +13,12 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from parallel_cal.evidence import Evidence
-from parallel_cal.identification import single_threaded
-from parallel_cal.kinematics import Kinematics
-from parallel_cal.methods.implicit import estimate
-from parallel_cal.model import Model, new_model
-from parallel_cal.rotation import rotation_matrix
+from parallel_cal.base.rotation import rotation_matrix
+from parallel_cal.identification.fit import single_threaded
+from parallel_cal.identification.methods.implicit import estimate
+from parallel_cal.identification.observations import Evidence
+from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.model.model import Model, new_model
 
 SIGMA = np.repeat([1e-4, 1e-5, 1e-4], 3)  # rad, m, rad
 COUNTS = (1_000, 10_000, 100_000)

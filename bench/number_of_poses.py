@@ -22,13 +22,13 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "test"))
 import virtual_robot as vr
 from datasets import as_dataset
 
-from parallel_cal.errors import FitError
-from parallel_cal.evidence import gather
-from parallel_cal.identification import single_threaded
-from parallel_cal.kinematics import Kinematics
-from parallel_cal.methods.implicit import estimate
-from parallel_cal.model import Model, Noise, new_model
-from parallel_cal.planning import plan
+from parallel_cal.base.errors import FitError
+from parallel_cal.identification.fit import single_threaded
+from parallel_cal.identification.methods.implicit import estimate
+from parallel_cal.identification.observations import gather
+from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.model.model import Model, Noise, new_model
+from parallel_cal.planning.plan import plan
 
 SETS = ("random", "grid", "optimal (D)", "optimal (prediction)")
 NOISE = vr.THESIS_NOISE

@@ -24,11 +24,11 @@ import virtual_argos as va
 import virtual_robot as vr
 import virtual_stewart as vs
 
-from parallel_cal import solving
-from parallel_cal.errors import SolveError
-from parallel_cal.kinematics import Kinematics, Solutions
-from parallel_cal.model import Model, new_model
-from parallel_cal.simulate import poses_in_workspace
+from parallel_cal.base.errors import SolveError
+from parallel_cal.kinematics import solving
+from parallel_cal.kinematics.kinematics import Kinematics, Solutions
+from parallel_cal.model.mechanism import poses_in_workspace
+from parallel_cal.model.model import Model, new_model
 
 AGREE = 1e-9  # m and rad
 POSES = 100

@@ -19,14 +19,14 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "test"))
 import virtual_setups as vs
 from tied import dataset
 
-from parallel_cal.dataset import Dataset
-from parallel_cal.errors import FitError
-from parallel_cal.evidence import gather
-from parallel_cal.identification import single_threaded
-from parallel_cal.kinematics import Kinematics
-from parallel_cal.methods.implicit import Estimate, estimate
-from parallel_cal.model import Model, new_model
-from parallel_cal.sensor import load_sensor
+from parallel_cal.base.errors import FitError
+from parallel_cal.identification.fit import single_threaded
+from parallel_cal.identification.methods.implicit import Estimate, estimate
+from parallel_cal.identification.observations import gather
+from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.model.model import Model, new_model
+from parallel_cal.model.shelf import load_sensor
+from parallel_cal.recordings.dataset import Dataset
 
 HOLES = vs.Plate.holes
 

@@ -21,13 +21,13 @@ import virtual_robot as vr
 import virtual_short_cut as vs
 from tied import JOINTS, blind
 
-from parallel_cal.dataset import Dataset
-from parallel_cal.identification import fit
-from parallel_cal.kinematics import Kinematics
-from parallel_cal.loops.loop import Loop
-from parallel_cal.model import Model, new_model
-from parallel_cal.rotation import rotation_vector
-from parallel_cal.short_cut import Combination, short_cut
+from parallel_cal.base.rotation import rotation_vector
+from parallel_cal.identification.fit import fit
+from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.model.model import Model, new_model
+from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.short_cut.identify import Combination, short_cut
+from parallel_cal.short_cut.loop import Loop
 
 NOISE = vr.THESIS_NOISE
 RODS_1 = ("chain1.Lb", "chain1.dLb")

@@ -16,11 +16,11 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from parallel_cal.kinematics import Kinematics
-from parallel_cal.model import new_model
-from parallel_cal.rotation import rotation_vector
-from parallel_cal.singularity import distances
-from parallel_cal.solvers import continuous
+from parallel_cal.base.rotation import rotation_vector
+from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.kinematics.singularity import distances
+from parallel_cal.kinematics.solvers import continuous
+from parallel_cal.model.model import new_model
 
 CENTRE, TOWARDS = np.array([0.0, 0.0, 0.2]), np.array([0.3, 0.0, -0.1])
 

@@ -22,13 +22,13 @@ from timing import seconds_each
 sys.path.insert(0, str(Path(__file__).parents[1] / "test"))
 import virtual_robot as vr
 
-from parallel_cal.compiled import Batch
-from parallel_cal.kinematics import Kinematics, Solutions
-from parallel_cal.model import Model, new_model
-from parallel_cal.rotation import rotation_vector
-from parallel_cal.solvers.cascaded import PERFECT, direct_function, inverse_function
-from parallel_cal.solvers.fixed_newton import newton_steps
-from parallel_cal.solvers.homotopy import direct_all
+from parallel_cal.base.compiled import Batch
+from parallel_cal.base.rotation import rotation_vector
+from parallel_cal.kinematics.kinematics import Kinematics, Solutions
+from parallel_cal.kinematics.solvers.cascaded import PERFECT, direct_function, inverse_function
+from parallel_cal.kinematics.solvers.fixed_newton import newton_steps
+from parallel_cal.kinematics.solvers.homotopy import direct_all
+from parallel_cal.model.model import Model, new_model
 
 N = 1000
 CUBE = 0.04  # m: near the centre, where a Jacobian of the centre serves

@@ -15,9 +15,9 @@ from pathlib import Path
 
 from presets_argos_stewart import models as others
 
-from parallel_cal.files import write_atomically
-from parallel_cal.model import Model, Noise, new_model
-from parallel_cal.modelfile import dump_model
+from parallel_cal.base.files import write_atomically
+from parallel_cal.model.file.modelfile import dump_model
+from parallel_cal.model.model import Model, Noise, new_model
 
 HERE = Path(__file__).resolve().parent
 ARCSEC = math.radians(1 / 3600)

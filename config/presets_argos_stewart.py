@@ -14,9 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from parallel_cal.mechanism import Home, Mechanism, load_mechanism
 from parallel_cal.mechanisms.stewart42 import leg_parameters
-from parallel_cal.model import Model, Noise, new_model
+from parallel_cal.model.mechanism import Home, Mechanism
+from parallel_cal.model.model import Model, Noise, new_model
+from parallel_cal.model.shelf import load_mechanism
 
 THESIS = "P. Vischer, Improving the Accuracy of Parallel Robots, EPFL 1996"
 HP4 = "github.com/tobbelobb/auto-calibration-simulation-for-hangprinter, commit 00be0787"

@@ -59,7 +59,7 @@ def measure() -> dict[str, Any]:
 
 
 def _fold(session: Any, fold: int, effect: str) -> dict[str, Any]:
-    from parallel_cal.modelfile import model_hash
+    from parallel_cal.model.file.modelfile import model_hash
 
     session.wait_until_served(model_hash(PRESET.read_bytes()))
     session.load(BAG)

@@ -6,18 +6,18 @@ from typing import Any
 __version__ = "0.1.0"
 
 _HOME = {
-    "Dataset": "dataset",
-    "Kinematics": "kinematics",
-    "Model": "model",
-    "ParallelCalError": "errors",
-    "Status": "kinematics",
-    "compare": "identification",
-    "fit": "identification",
-    "load_dataset": "dataset",
-    "model_hash": "modelfile",
-    "new_model": "model",
-    "read_model": "modelfile",
-    "write_model": "modelfile",
+    "Dataset": "recordings.dataset",
+    "Kinematics": "kinematics.kinematics",
+    "Model": "model.model",
+    "ParallelCalError": "base.errors",
+    "Status": "kinematics.solutions",
+    "compare": "diagnosis.comparison",
+    "fit": "identification.fit",
+    "load_dataset": "recordings.loading",
+    "model_hash": "model.file.modelfile",
+    "new_model": "model.model",
+    "read_model": "model.file.modelfile",
+    "write_model": "model.file.modelfile",
 }
 __all__ = sorted(_HOME)
 

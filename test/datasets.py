@@ -3,7 +3,7 @@
 import numpy as np
 import virtual_robot as vr
 
-from parallel_cal.dataset import Dataset
+from parallel_cal.recordings.dataset import Dataset
 
 JOINTS = ("joint1", "joint2", "joint3")
 JOINT_SIGMA = vr.THESIS_NOISE.joint

@@ -7,9 +7,9 @@ import virtual_findings as vf
 import virtual_robot as vr
 from datasets import JOINTS, quiet
 
-from parallel_cal.dataset import Dataset
-from parallel_cal.identification import fit
-from parallel_cal.model import Model, new_model
+from parallel_cal.identification.fit import fit
+from parallel_cal.model.model import Model, new_model
+from parallel_cal.recordings.dataset import Dataset
 
 
 def dataset(samples, noise):

@@ -10,8 +10,8 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
-from parallel_cal.model import Model, Noise, new_model
-from parallel_cal.modelfile import write_model
+from parallel_cal.model.file.modelfile import write_model
+from parallel_cal.model.model import Model, Noise, new_model
 
 MODELS = Path(__file__).resolve().parent.parent / "bags" / "models"
 ARCSEC = math.radians(1 / 3600)

@@ -7,10 +7,10 @@ import virtual_robot as vr
 from test_mechanisms_against_virtual import CASES, Case, wanted
 from virtual_serial import Serial
 
-from parallel_cal.evidence import Evidence
-from parallel_cal.mechanism import load_mechanism
-from parallel_cal.model import new_model
-from parallel_cal.rotation import rotation_matrix
+from parallel_cal.base.rotation import rotation_matrix
+from parallel_cal.identification.observations import Evidence
+from parallel_cal.model.model import new_model
+from parallel_cal.model.shelf import load_mechanism
 
 SIGMA = {"joint": 5e-6, "position": 5e-6, "orientation": 2e-5}  # rad or m, m, rad
 

@@ -6,7 +6,14 @@ import sys
 from pathlib import Path
 
 PACKAGE = Path(__file__).parents[1] / "parallel_cal"
-MAY_USE_ROSBAGS = {"bag.py", "bag_writer.py", "replay_node.py"}
+MAY_USE_ROSBAGS = {"bag.py", "writer.py", "replay_node.py"}
+
+# The rooms, each importing only from those before it; CONTRIBUTING draws them.
+ROOMS = (
+    "base model mechanisms effects sensors kinematics recordings identification planning "
+    "diagnosis short_cut session reporting nodes cli"
+).split()
+ARROWS = 59  # between rooms; a new one needs a reason, and this number says so
 
 
 def imports(path):
@@ -28,7 +35,7 @@ def test_only_nodes_import_rclpy_and_only_the_bag_files_import_rosbags():
 
 def test_the_mathematics_loads_without_scipy_rosbags_or_ros():
     code = (
-        "import sys, parallel_cal.identification, parallel_cal.kinematics\n"
+        "import sys, parallel_cal.identification.fit, parallel_cal.kinematics.kinematics\n"
         "heavy = ('scipy', 'rosbags', 'rclpy', 'plotly', 'pydantic')\n"
         "print([m for m in heavy if m in sys.modules])"
     )
@@ -39,3 +46,56 @@ def test_the_mathematics_loads_without_scipy_rosbags_or_ros():
 def test_the_virtual_robot_shares_nothing_with_the_package():
     for path in Path(__file__).parent.glob("virtual*.py"):
         assert not any(name.startswith("parallel_cal") for name in imports(path)), path
+
+
+def name_of(path):
+    return ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts)
+
+
+MODULES = {name_of(path): path for path in PACKAGE.rglob("*.py")}
+
+
+def used(path):
+    """Modules of the package that a file imports, in functions and for type checkers, too."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("parallel_cal"):
+            for alias in node.names:
+                longer = f"{node.module}.{alias.name}"
+                yield longer if longer in MODULES else node.module
+
+
+GRAPH = {name: {m for m in used(path) if m in MODULES} for name, path in MODULES.items()}
+
+
+def room(name):
+    return name.split(".")[1]
+
+
+def test_every_file_is_in_a_room():
+    assert {room(name) for name in MODULES} - {"__init__"} == set(ROOMS)
+
+
+def test_rooms_import_downward_only_and_along_no_new_arrow():
+    arrows = {(room(a), room(b)) for a, its in GRAPH.items() for b in its} - {
+        (name, name) for name in ROOMS
+    }
+    upward = [(a, b) for a, b in arrows if ROOMS.index(a) < ROOMS.index(b)]
+    assert not upward
+    assert len(arrows) <= ARROWS
+
+
+def test_no_file_imports_itself_in_a_circle():
+    done, open_ = set(), []
+
+    def visit(name):
+        if name in done:
+            return
+        assert name not in open_, [*open_[open_.index(name) :], name]
+        open_.append(name)
+        for other in sorted(GRAPH[name]):
+            visit(other)
+        open_.pop()
+        done.add(name)
+
+    for name in sorted(GRAPH):
+        visit(name)

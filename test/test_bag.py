@@ -26,8 +26,8 @@ from bag_writing import (
     write_bag,
 )
 
-from parallel_cal.bag import read_bag
-from parallel_cal.errors import BagError
+from parallel_cal.base.errors import BagError
+from parallel_cal.recordings.bag import read_bag
 from parallel_cal.recordings.recording import Topics
 
 MOVES = Session([[0.1, 0.2, 0.3], [0.4, 0.0, 0.5]])
@@ -38,7 +38,8 @@ def reasons(recording):
 
 
 def test_importing_the_reader_does_not_import_rosbags():
-    code = "import sys, parallel_cal.bag, parallel_cal.dataset; sys.exit('rosbags' in sys.modules)"
+    modules = "sys, parallel_cal.recordings.bag, parallel_cal.recordings.loading"
+    code = f"import {modules}; sys.exit('rosbags' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 

@@ -37,13 +37,13 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
-from parallel_cal.bag import list_topics
-from parallel_cal.dataset import load_dataset
-from parallel_cal.kinematics import Kinematics
-from parallel_cal.model import Noise, new_model
-from parallel_cal.modelfile import model_hash, read_model, write_model
+from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.model.file.modelfile import model_hash, read_model, write_model
+from parallel_cal.model.model import Noise, new_model
+from parallel_cal.model.shelf import load_sensor
 from parallel_cal.nodes.client import Client, Process, own_domain
-from parallel_cal.sensor import load_sensor
+from parallel_cal.recordings.bag import list_topics
+from parallel_cal.recordings.loading import load_dataset
 
 REPOSITORY = Path(__file__).parents[1]
 PRESET = REPOSITORY / "config" / "delta_mockup_nominal.yaml"

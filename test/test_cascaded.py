@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import virtual_robot as vr
 
-from parallel_cal.errors import SolveError
-from parallel_cal.kinematics import Kinematics, Status
-from parallel_cal.model import new_model
-from parallel_cal.rotation import rotation_vector
-from parallel_cal.solvers import cascaded, fixed_newton
+from parallel_cal.base.errors import SolveError
+from parallel_cal.base.rotation import rotation_vector
+from parallel_cal.kinematics.kinematics import Kinematics, Status
+from parallel_cal.kinematics.solvers import cascaded, fixed_newton
+from parallel_cal.model.model import new_model
 
 ARCSECOND = np.pi / 180 / 3600
 PARALLELOGRAM = {

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from parallel_cal.errors import SolveError
-from parallel_cal.kinematics import Kinematics, Solutions
-from parallel_cal.model import new_model
-from parallel_cal.rotation import rotation_matrix, rotation_vector
-from parallel_cal.simulate import poses_in_workspace
-from parallel_cal.solvers import cascaded_circles, three_circles
+from parallel_cal.base.errors import SolveError
+from parallel_cal.base.rotation import rotation_matrix, rotation_vector
+from parallel_cal.kinematics.kinematics import Kinematics, Solutions
+from parallel_cal.kinematics.solvers import cascaded_circles, three_circles
+from parallel_cal.model.mechanism import poses_in_workspace
+from parallel_cal.model.model import new_model
 
 
 def strayed(seed):

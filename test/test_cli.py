@@ -12,11 +12,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from parallel_cal import __version__, cli
-from parallel_cal.dataset import load_dataset
-from parallel_cal.kinematics import Kinematics
-from parallel_cal.model import new_model
-from parallel_cal.modelfile import model_hash, read_model, write_model
+from parallel_cal import __version__
+from parallel_cal.cli import main as cli
+from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.model.file.modelfile import model_hash, read_model, write_model
+from parallel_cal.model.model import new_model
+from parallel_cal.recordings.loading import load_dataset
 
 ROOT = Path(__file__).parents[1]
 IDENTIFIED = str(ROOT / "config" / "delta_mockup_identified.yaml")
@@ -86,7 +87,7 @@ def fails(result, *words, code=1):
 
 def child(*arguments):
     return subprocess.run(
-        [sys.executable, "-m", "parallel_cal.cli", *arguments],
+        [sys.executable, "-m", "parallel_cal.cli.main", *arguments],
         env={**os.environ, "PYTHONPATH": str(ROOT)},
         capture_output=True,
         text=True,
@@ -108,7 +109,7 @@ HEAVY = {"scipy", "rclpy", "rosbags", "plotly", "ruamel"}
 def test_it_imports_heavy_things_only_where_they_are_used(command, heavy):
     """What start-up time is made of, without a clock."""
     code = (
-        "import atexit, sys; from parallel_cal.cli import main;"
+        "import atexit, sys; from parallel_cal.cli.main import main;"
         "atexit.register(lambda: print(*{m.split('.')[0] for m in sys.modules}, file=sys.stderr));"
         f"sys.argv[1:] = [{command!r}]; main()"
     )
@@ -531,19 +532,19 @@ def test_topics_can_be_named(run, document):
 
 
 def test_replay_without_ros_and_an_unknown_benchmark_are_clear_errors(run, monkeypatch):
-    monkeypatch.setattr("parallel_cal.commands.recordings.find_spec", lambda name: None)
+    monkeypatch.setattr("parallel_cal.cli.recordings.find_spec", lambda name: None)
     fails(run("replay", BAG), "needs ROS 2")
     fails(run("bench", "nonsense"), "no benchmark nonsense; there are")
 
 
 def test_ctrl_c_ends_without_a_traceback(run, monkeypatch):
-    from parallel_cal import dataset
+    from parallel_cal.recordings import loading
 
     def pressed(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(dataset, "load_dataset", pressed)
-    monkeypatch.setattr("parallel_cal.commands.calibration.load_sessions", pressed)
+    monkeypatch.setattr(loading, "load_dataset", pressed)
+    monkeypatch.setattr("parallel_cal.cli.calibration.load_sessions", pressed)
     code, out, err = run("fit", NOMINAL, BAG)
     assert code != 0
     assert out == ""
@@ -569,7 +570,7 @@ def test_renamed_joints_are_used_everywhere(document, tmp_path):
 
 def test_a_direct_problem_loads_nothing_heavy_that_it_does_not_need():
     code = (
-        "import sys; from parallel_cal.cli import main\n"
+        "import sys; from parallel_cal.cli.main import main\n"
         f"sys.argv = ['x', 'direct', {str(DELTA24)!r}, '--joints', '0.5', '0.5', '0.5']\n"
         "try:\n    main()\nexcept SystemExit:\n    pass\n"
         "heavy = ('scipy', 'rosbags', 'rclpy', 'plotly', 'rich.table')\n"

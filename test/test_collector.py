@@ -11,11 +11,11 @@ import virtual_setups as vs
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
-from parallel_cal.dataset import load_dataset
-from parallel_cal.errors import DatasetError
+from parallel_cal.base.errors import DatasetError
 from parallel_cal.nodes import collector as collector_module
 from parallel_cal.nodes.collector import Collector
-from parallel_cal.nodes.joining import joined
+from parallel_cal.recordings.joining import joined
+from parallel_cal.recordings.loading import load_dataset
 from parallel_cal.recordings.samplefile import PER_SAMPLE
 
 BAG = Path(__file__).parent.parent / "bags" / "delta_clean"

@@ -6,12 +6,13 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from parallel_cal import compiled, linearisation
-from parallel_cal.evidence import Evidence
-from parallel_cal.kinematics import Kinematics
-from parallel_cal.linearisation import Linearisation
-from parallel_cal.model import Structure, new_model
-from parallel_cal.rotation import rotation_matrix
+from parallel_cal.base import compiled
+from parallel_cal.base.rotation import rotation_matrix
+from parallel_cal.identification import linearisation
+from parallel_cal.identification.linearisation import Linearisation
+from parallel_cal.identification.observations import Evidence
+from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.model.model import Structure, new_model
 
 STEP = 1e-6  # m and rad
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from test_serial import PUMA
 
-from parallel_cal import completeness
-from parallel_cal.errors import ModelError
-from parallel_cal.kinematics import Kinematics
-from parallel_cal.mechanism import load_mechanism
-from parallel_cal.model import new_model
+from parallel_cal.base.errors import ModelError
+from parallel_cal.identification import completeness
+from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.model.model import new_model
+from parallel_cal.model.shelf import load_mechanism
 
 # Table 3.1: robot, joint-link-trains, R, P, SS, E, L, C.
 TABLE_3_1 = [

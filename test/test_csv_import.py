@@ -6,10 +6,10 @@ import json
 import numpy as np
 import pytest
 
-from parallel_cal import cli
-from parallel_cal.csv_import import import_csv
-from parallel_cal.dataset import load_dataset
-from parallel_cal.errors import ParallelCalError
+from parallel_cal.base.errors import ParallelCalError
+from parallel_cal.cli import main as cli
+from parallel_cal.recordings.csv_import import import_csv
+from parallel_cal.recordings.loading import load_dataset
 
 TABLE = """\
 number,a_deg,b_mm,x,y,z,qx,qy,qz,qw,T,visit

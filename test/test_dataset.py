@@ -22,11 +22,12 @@ from bag_writing import (
     write_bag,
 )
 
-from parallel_cal.bag import read_bag
-from parallel_cal.dataset import Dataset, dataset_from_recording, load_dataset, make_options
-from parallel_cal.errors import DatasetError
-from parallel_cal.look import look, print_look
+from parallel_cal.base.errors import DatasetError
+from parallel_cal.recordings.bag import read_bag
+from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.dwells import approach, still_intervals, still_tolerance
+from parallel_cal.recordings.info import look, print_look
+from parallel_cal.recordings.loading import dataset_from_recording, load_dataset, make_options
 from parallel_cal.recordings.recording import COORDINATES
 
 BAGS = Path(__file__).parent.parent / "bags"

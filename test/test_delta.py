@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 import virtual_robot as vr
 
-from parallel_cal.kinematics import Kinematics, Status
-from parallel_cal.mechanism import load_mechanism
-from parallel_cal.model import new_model
-from parallel_cal.rotation import rotation_vector
-from parallel_cal.solvers.newton import newton_functions
+from parallel_cal.base.rotation import rotation_vector
+from parallel_cal.kinematics.kinematics import Kinematics, Status
+from parallel_cal.kinematics.newton import newton_functions
+from parallel_cal.model.model import new_model
+from parallel_cal.model.shelf import load_mechanism
 
 # One chain in whole numbers. R turns (x, y, z) into (z, x, y); T turns it into (x, -z, y).
 HAND = dict(  # noqa: C408

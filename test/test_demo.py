@@ -11,13 +11,14 @@ from types import SimpleNamespace
 
 import pytest
 
-from parallel_cal import demo
+from parallel_cal.nodes import demo
 
 REPOSITORY = Path(__file__).parents[1]
 
 
 def start(*arguments, **environment):
-    code = f"import sys; from parallel_cal.demo import main; sys.exit(main({', '.join(arguments)}))"
+    call = f"main({', '.join(arguments)})"
+    code = f"import sys; from parallel_cal.nodes.demo import main; sys.exit({call})"
     return subprocess.Popen(
         [sys.executable, "-c", code],
         stdout=subprocess.PIPE,

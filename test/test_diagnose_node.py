@@ -25,13 +25,13 @@ from parallel_cal_msgs.srv import AddEffect, Compare, ListSamples, LoadSamples
 from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
-from parallel_cal.bag import list_topics
-from parallel_cal.dataset import load_dataset
-from parallel_cal.demo import kept_apart
-from parallel_cal.effect import load_effect
-from parallel_cal.modelfile import model_hash, read_model
+from parallel_cal.model.file.modelfile import model_hash, read_model
+from parallel_cal.model.shelf import load_effect
 from parallel_cal.nodes.client import Client, Process, own_domain
+from parallel_cal.nodes.demo import kept_apart
 from parallel_cal.nodes.demo_session import DemoSession
+from parallel_cal.recordings.bag import list_topics
+from parallel_cal.recordings.loading import load_dataset
 
 REPOSITORY = Path(__file__).parents[1]
 BAGS = REPOSITORY / "bags"

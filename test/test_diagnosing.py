@@ -8,18 +8,18 @@ import virtual_robot as vr
 from datasets import measured, quiet
 from scipy import stats
 
-from parallel_cal.diagnosing.catalogue import candidate
-from parallel_cal.diagnosing.fields import field, reference
-from parallel_cal.diagnosing.patterns import along, odd_samples, regions
-from parallel_cal.diagnosing.scene import columns, scene
-from parallel_cal.diagnosing.scoring import alike, f_test, log_p_of, score
-from parallel_cal.diagnosing.statistics import holm, morans_i, runs_test
-from parallel_cal.diagnosing.structure import smooth_map, structure
-from parallel_cal.evidence import gather
-from parallel_cal.identification import fit
-from parallel_cal.kinematics import Kinematics
-from parallel_cal.linearisation import Linearisation
-from parallel_cal.model import new_model
+from parallel_cal.diagnosis.catalogue import candidate
+from parallel_cal.diagnosis.fields import field, reference
+from parallel_cal.diagnosis.patterns import along, odd_samples, regions
+from parallel_cal.diagnosis.scene import columns, scene
+from parallel_cal.diagnosis.scoring import alike, f_test, log_p_of, score
+from parallel_cal.diagnosis.statistics import holm, morans_i, runs_test
+from parallel_cal.diagnosis.structure import smooth_map, structure
+from parallel_cal.identification.fit import fit
+from parallel_cal.identification.linearisation import Linearisation
+from parallel_cal.identification.observations import gather
+from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.model.model import new_model
 
 
 @pytest.fixture(scope="module")

@@ -10,11 +10,11 @@ import virtual_robot as vr
 from datasets import JOINTS, measured
 from findings import clean, dataset, hiding
 
-from parallel_cal.dataset import Dataset
-from parallel_cal.diagnosis import diagnose
-from parallel_cal.errors import FitError
-from parallel_cal.model import Noise, new_model
-from parallel_cal.steps import added
+from parallel_cal.base.errors import FitError
+from parallel_cal.diagnosis.diagnose import diagnose
+from parallel_cal.model.model import Noise, new_model
+from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.session.steps import added
 
 MODEL = new_model("delta54")
 
@@ -236,8 +236,8 @@ OWN = '''
 """Each joint's signal ripples with the angle of the next."""
 import casadi as ca
 
-from parallel_cal.effect import Effect
-from parallel_cal.parameters import Parameter
+from parallel_cal.model.effect import Effect
+from parallel_cal.model.parameters import Parameter
 
 
 class CrossTalk(Effect):

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from parallel_cal import cli
+from parallel_cal.cli import main as cli
 
 ROOT = Path(__file__).parents[1]
 TUTORIAL = (ROOT / "docs" / "judge_your_calibration.md").read_text(encoding="utf-8")

@@ -8,14 +8,14 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from parallel_cal.effect import CONDITIONS, load_effect
-from parallel_cal.errors import ModelError
-from parallel_cal.kinematics import Kinematics
-from parallel_cal.mechanism import load_mechanism, shelf_names
-from parallel_cal.model import new_model
-from parallel_cal.modelfile import dump_model, parse_model
-from parallel_cal.rotation import quaternion_to_matrix, rotation_matrix
-from parallel_cal.simulate import poses_in_workspace
+from parallel_cal.base.errors import ModelError
+from parallel_cal.base.rotation import quaternion_to_matrix, rotation_matrix
+from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.model.effect import CONDITIONS
+from parallel_cal.model.file.modelfile import dump_model, parse_model
+from parallel_cal.model.mechanism import poses_in_workspace
+from parallel_cal.model.model import new_model
+from parallel_cal.model.shelf import load_effect, load_mechanism, shelf_names
 
 EFFECTS = shelf_names("effects")
 MECHANISMS = (
@@ -188,8 +188,8 @@ def test_with_all_effects_at_once_the_direct_problem_undoes_the_inverse(mechanis
 USERS = '''
 """Wear of a brake: the crank slips a little with every hour."""
 
-from parallel_cal.effect import Effect
-from parallel_cal.parameters import Parameter
+from parallel_cal.model.effect import Effect
+from parallel_cal.model.parameters import Parameter
 
 
 class Slip(Effect):

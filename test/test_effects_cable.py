@@ -6,14 +6,14 @@ import pytest
 from test_virtual_robots import CABLE
 from virtual_cable import FALL, Line, WoundCable
 
-from parallel_cal.dataset import Dataset
-from parallel_cal.effect import Seen, load_effect
-from parallel_cal.errors import ModelError
-from parallel_cal.identification import fit
-from parallel_cal.identifying.doubts import chi2_band
-from parallel_cal.mechanism import load_mechanism
-from parallel_cal.model import new_model
-from parallel_cal.parameters import Named
+from parallel_cal.base.errors import ModelError
+from parallel_cal.identification.doubts import chi2_band
+from parallel_cal.identification.fit import fit
+from parallel_cal.model.effect import Seen
+from parallel_cal.model.model import new_model
+from parallel_cal.model.parameters import Named
+from parallel_cal.model.shelf import load_effect, load_mechanism
+from parallel_cal.recordings.dataset import Dataset
 
 MOTORS = ("motor1", "motor2", "motor3", "motor4")
 NOISE = {"joint": 0.02, "position": 0.1e-3}  # rad of the motor (60 um of line), m

@@ -11,15 +11,15 @@ import virtual_effects_joint as ve
 import virtual_robot as vr
 from twins import hexapod, joints_near_home
 
-from parallel_cal.dataset import Dataset
-from parallel_cal.effect import Seen, load_effect
-from parallel_cal.evidence import gather
-from parallel_cal.identification import fit
-from parallel_cal.identifying.doubts import chi2_band
-from parallel_cal.mechanism import load_mechanism
-from parallel_cal.methods.implicit import estimate
-from parallel_cal.model import new_model
-from parallel_cal.parameters import Named
+from parallel_cal.identification.doubts import chi2_band
+from parallel_cal.identification.fit import fit
+from parallel_cal.identification.methods.implicit import estimate
+from parallel_cal.identification.observations import gather
+from parallel_cal.model.effect import Seen
+from parallel_cal.model.model import new_model
+from parallel_cal.model.parameters import Named
+from parallel_cal.model.shelf import load_effect, load_mechanism
+from parallel_cal.recordings.dataset import Dataset
 
 HEX = vr.Noise(joint=5e-6, position=10e-6, orientation=15 * vr.ARCSEC)  # m on its legs
 

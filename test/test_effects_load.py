@@ -14,16 +14,16 @@ import virtual_robot as vr
 from datasets import measured as session
 from twins import hexapod, joints_near_home
 
-from parallel_cal.dataset import Dataset
-from parallel_cal.effect import Seen, load_effect
-from parallel_cal.errors import ModelError, ModelFileError
-from parallel_cal.identification import fit
-from parallel_cal.identifying.doubts import chi2_band
-from parallel_cal.kinematics import Kinematics
-from parallel_cal.mechanism import load_mechanism
-from parallel_cal.model import Noise, new_model
-from parallel_cal.modelfile import dump_model, parse_model
-from parallel_cal.parameters import Named
+from parallel_cal.base.errors import ModelError, ModelFileError
+from parallel_cal.identification.doubts import chi2_band
+from parallel_cal.identification.fit import fit
+from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.model.effect import Seen
+from parallel_cal.model.file.modelfile import dump_model, parse_model
+from parallel_cal.model.model import Noise, new_model
+from parallel_cal.model.parameters import Named
+from parallel_cal.model.shelf import load_effect, load_mechanism
+from parallel_cal.recordings.dataset import Dataset
 
 G = 9.81
 

@@ -3,17 +3,16 @@
 import numpy as np
 import pytest
 
-from parallel_cal.bag_writer import write_bag
-from parallel_cal.dataset import load_dataset
-from parallel_cal.effect import load_effect
-from parallel_cal.errors import ModelError, ModelFileError
-from parallel_cal.identification import fit
-from parallel_cal.identifying.doubts import chi2_band
-from parallel_cal.kinematics import Kinematics, Status
-from parallel_cal.mechanism import load_mechanism, shelf_names
-from parallel_cal.model import new_model
-from parallel_cal.modelfile import dump_model, parse_model
-from parallel_cal.simulate import simulate, stated_noise
+from parallel_cal.base.errors import ModelError, ModelFileError
+from parallel_cal.identification.doubts import chi2_band
+from parallel_cal.identification.fit import fit
+from parallel_cal.kinematics.kinematics import Kinematics, Status
+from parallel_cal.model.file.modelfile import dump_model, parse_model
+from parallel_cal.model.model import new_model
+from parallel_cal.model.shelf import load_effect, load_mechanism, shelf_names
+from parallel_cal.recordings.loading import load_dataset
+from parallel_cal.recordings.simulate import simulate, stated_noise
+from parallel_cal.recordings.writer import write_bag
 
 NEEDS_OPTIONS = {"serial"}  # a chain is described in its file: test_serial.py
 NEEDS_PRIOR = {"rssr"}  # one angle against another tells little: the tolerances must help
@@ -37,9 +36,9 @@ def test_file_bag_samples_and_fit_work_with(name, tmp_path):
 
 USERS = """
 import casadi as ca
-from parallel_cal.effect import Effect
-from parallel_cal.mechanism import Home, Mechanism, Workspace
-from parallel_cal.parameters import Parameter, ParameterTable
+from parallel_cal.model.effect import Effect
+from parallel_cal.model.mechanism import Home, Mechanism, Workspace
+from parallel_cal.model.parameters import Parameter, ParameterTable
 
 
 class Crank(Mechanism):
@@ -54,8 +53,8 @@ class Crank(Mechanism):
 
 
 GOOD = "r[0] - p.a * ca.cos(q[0])"
-BENT = """from parallel_cal.effect import Effect
-from parallel_cal.parameters import Parameter
+BENT = """from parallel_cal.model.effect import Effect
+from parallel_cal.model.parameters import Parameter
 
 
 class Bent(Effect):
@@ -156,7 +155,7 @@ def test_a_users_effect_that_fails_is_named_with_its_line(package):
 
 def test_a_module_without_a_mechanism_or_an_unknown_path_is_a_clear_error():
     with pytest.raises(ModelError, match="defines 0 subclasses of Mechanism, expected 1"):
-        load_mechanism("parallel_cal.errors")
+        load_mechanism("parallel_cal.base.errors")
     with pytest.raises(ModelError, match=r"no mechanism 'nobody\.has_this'"):
         load_mechanism("nobody.has_this")
 

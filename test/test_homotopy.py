@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 import virtual_robot as vr
 
-from parallel_cal.errors import SolveError
-from parallel_cal.kinematics import Kinematics, Status
-from parallel_cal.model import new_model
-from parallel_cal.rotation import rotation_matrix, rotation_vector
-from parallel_cal.solvers import homotopy
-from parallel_cal.solvers._platform import start_system
-from parallel_cal.solvers._quadrics import CERTAIN, alpha
-from parallel_cal.solvers._study import quadrics
+from parallel_cal.base.errors import SolveError
+from parallel_cal.base.rotation import rotation_matrix, rotation_vector
+from parallel_cal.kinematics.kinematics import Kinematics, Status
+from parallel_cal.kinematics.solvers import homotopy
+from parallel_cal.kinematics.solvers._platform import start_system
+from parallel_cal.kinematics.solvers._quadrics import CERTAIN, alpha
+from parallel_cal.kinematics.solvers._study import quadrics
+from parallel_cal.model.model import new_model
 
 
 def platform(rng):

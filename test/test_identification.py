@@ -8,17 +8,17 @@ import virtual_robot as vr
 from datasets import JOINTS, as_dataset, measured, quiet, redrawn
 from scipy import stats
 
-from parallel_cal.comparison import compare
-from parallel_cal.dataset import Dataset
-from parallel_cal.errors import FitError
-from parallel_cal.evidence import gather
-from parallel_cal.identification import fit, single_threaded
-from parallel_cal.identifying.doubts import chi2_band
-from parallel_cal.kinematics import Kinematics
-from parallel_cal.methods._estimate import Normal
-from parallel_cal.methods.implicit import Linearisation, estimate
-from parallel_cal.model import new_model
-from parallel_cal.prior import Knowledge
+from parallel_cal.base.errors import FitError
+from parallel_cal.diagnosis.comparison import compare
+from parallel_cal.identification.doubts import chi2_band
+from parallel_cal.identification.fit import fit, single_threaded
+from parallel_cal.identification.methods._estimate import Normal
+from parallel_cal.identification.methods.implicit import Linearisation, estimate
+from parallel_cal.identification.observations import gather
+from parallel_cal.identification.prior import Knowledge
+from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.model.model import new_model
+from parallel_cal.recordings.dataset import Dataset
 
 
 @pytest.fixture(scope="module")

@@ -5,12 +5,12 @@ import pytest
 import virtual_robot as vr
 from datasets import measured
 
-from parallel_cal.errors import ModelError, SolveError
-from parallel_cal.identification import fit
-from parallel_cal.kinematics import Kinematics, Status
-from parallel_cal.mechanism import load_mechanism
-from parallel_cal.model import new_model
-from parallel_cal.rotation import rotation_matrix, rotation_vector
+from parallel_cal.base.errors import ModelError, SolveError
+from parallel_cal.base.rotation import rotation_matrix, rotation_vector
+from parallel_cal.identification.fit import fit
+from parallel_cal.kinematics.kinematics import Kinematics, Status
+from parallel_cal.model.model import new_model
+from parallel_cal.model.shelf import load_mechanism
 
 
 @pytest.fixture(scope="module")

@@ -34,8 +34,8 @@ from sensor_msgs.msg import JointState, Temperature
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-from parallel_cal.kinematics import Kinematics, Status
-from parallel_cal.modelfile import model_hash, read_model, write_model
+from parallel_cal.kinematics.kinematics import Kinematics, Status
+from parallel_cal.model.file.modelfile import model_hash, read_model, write_model
 from parallel_cal.nodes.client import Client, own_domain
 
 CONFIG = Path(__file__).parents[1] / "config"

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 import virtual_robot as vr
 
-from parallel_cal.errors import SolveError
-from parallel_cal.kinematics import Kinematics, Status
-from parallel_cal.model import new_model
-from parallel_cal.rotation import quaternion_to_matrix, rotation_vector
-from parallel_cal.solvers import lookup_table
-from parallel_cal.solvers.lookup_table import LookUpTable
+from parallel_cal.base.errors import SolveError
+from parallel_cal.base.rotation import quaternion_to_matrix, rotation_vector
+from parallel_cal.kinematics.kinematics import Kinematics, Status
+from parallel_cal.kinematics.solvers import lookup_table
+from parallel_cal.kinematics.solvers.lookup_table import LookUpTable
+from parallel_cal.model.model import new_model
 
 MOCK_UP = new_model("delta54", vr.TABLE_5_18)
 ASKED = vr.targets(200, seed=3)

@@ -16,11 +16,11 @@ import virtual_small as vm
 import virtual_stewart as vt
 from virtual_robot import turn
 
-from parallel_cal import solving
-from parallel_cal.kinematics import Kinematics
-from parallel_cal.mechanism import load_mechanism, shelf_names
-from parallel_cal.model import new_model
-from parallel_cal.rotation import quaternion_to_matrix, rotation_vector
+from parallel_cal.base.rotation import quaternion_to_matrix, rotation_vector
+from parallel_cal.kinematics import solving
+from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.model.model import new_model
+from parallel_cal.model.shelf import load_mechanism, shelf_names
 
 SHELF = shelf_names("mechanisms")
 SIX_LINES = [(1, 1, 2), (-1, 1, 2), (0, -1.4, 2.1), (1.1, -1, 0.1), (-1, -1, 0), (0, 1.5, -0.1)]

@@ -9,12 +9,12 @@ import virtual_argos
 import virtual_small
 import virtual_stewart
 
-from parallel_cal.errors import ModelError
-from parallel_cal.kinematics import Kinematics, Status
-from parallel_cal.mechanism import load_mechanism
-from parallel_cal.model import new_model
-from parallel_cal.rotation import rotation_matrix, rotation_vector
-from parallel_cal.simulate import poses_in_workspace
+from parallel_cal.base.errors import ModelError
+from parallel_cal.base.rotation import rotation_matrix, rotation_vector
+from parallel_cal.kinematics.kinematics import Kinematics, Status
+from parallel_cal.model.mechanism import poses_in_workspace
+from parallel_cal.model.model import new_model
+from parallel_cal.model.shelf import load_mechanism
 
 ALL = (
     "argos_nominal argos9 argos27 stewart42 planar_stewart linear_delta slider_crank rssr cable"
@@ -596,7 +596,7 @@ PRESETS = (
 
 @pytest.mark.parametrize("name", PRESETS)
 def test_preset_is_read_and_solved_over_its_workspace(name):
-    from parallel_cal.modelfile import read_model
+    from parallel_cal.model.file.modelfile import read_model
 
     model = read_model(CONFIG / f"{name}.yaml")
     kinematics = Kinematics(model)

@@ -10,20 +10,20 @@ from datasets import quiet
 from virtual_small import SliderCrank
 from virtual_stewart import Assembly
 
-from parallel_cal.errors import FitError
-from parallel_cal.estimators import method_named
-from parallel_cal.evidence import Evidence, gather
-from parallel_cal.identification import single_threaded
-from parallel_cal.kinematics import Kinematics
+from parallel_cal.base.errors import FitError
+from parallel_cal.base.rotation import rotation_matrix
+from parallel_cal.identification.estimators import method_named
+from parallel_cal.identification.fit import single_threaded
+from parallel_cal.identification.methods import _optimisers as optimisers
+from parallel_cal.identification.methods import implicit, semiparametric
+from parallel_cal.identification.methods._factors import separated
+from parallel_cal.identification.methods._robust import robust
+from parallel_cal.identification.methods._separation import Separation
+from parallel_cal.identification.methods.sensitivity import base_parameters
+from parallel_cal.identification.observations import Evidence, gather
+from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.mechanisms.delta24 import Delta24
-from parallel_cal.methods import _optimisers as optimisers
-from parallel_cal.methods import implicit, semiparametric
-from parallel_cal.methods._factors import separated
-from parallel_cal.methods._robust import robust
-from parallel_cal.methods._separation import Separation
-from parallel_cal.methods.sensitivity import base_parameters
-from parallel_cal.model import new_model
-from parallel_cal.rotation import rotation_matrix
+from parallel_cal.model.model import new_model
 
 MM, DEGREE = 1e-3, np.pi / 180
 CRANK = {"a": 80.2 * MM, "b": 50.1 * MM, "q0": 1 * DEGREE}

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from method_cases import ROBOTS, SIGMA, evidence_of, strayed, true_poses
 
-from parallel_cal.errors import FitError
-from parallel_cal.estimators import method_named
-from parallel_cal.identification import single_threaded
-from parallel_cal.kinematics import Kinematics
-from parallel_cal.rotation import rotation_vector
+from parallel_cal.base.errors import FitError
+from parallel_cal.base.rotation import rotation_vector
+from parallel_cal.identification.estimators import method_named
+from parallel_cal.identification.fit import single_threaded
+from parallel_cal.kinematics.kinematics import Kinematics
 
 METHODS = (
     "implicit", "forward", "inverse", "linear", "sensitivity", "semiparametric", "cascaded"

@@ -8,14 +8,14 @@ import pytest
 import virtual_robot as vr
 from datasets import measured
 
-from parallel_cal import cli
-from parallel_cal.errors import FitError
-from parallel_cal.identification import fit
-from parallel_cal.mechanism import shelf_names
-from parallel_cal.model import new_model
-from parallel_cal.modelfile import read_model, write_model
+from parallel_cal.base.errors import FitError
+from parallel_cal.cli import main as cli
+from parallel_cal.identification.fit import fit
+from parallel_cal.model.file.modelfile import read_model, write_model
+from parallel_cal.model.model import new_model
+from parallel_cal.model.shelf import shelf_names
 
-METHODS = shelf_names("methods")
+METHODS = shelf_names("identification.methods")
 ECCENTRIC = vr.EncoderEccentricity((4e-3, -3e-3, 2e-3), (1e-3, 4e-3, -3e-3))
 EXPANDED = ("semiparametric", "cascaded")  # they know no effect that needs its own functions
 

@@ -7,17 +7,17 @@ import pytest
 import virtual_robot as vr
 from datasets import as_dataset, measured, redrawn
 
-from parallel_cal.comparison import compare
-from parallel_cal.errors import FitError
-from parallel_cal.evidence import gather
-from parallel_cal.identification import fit, single_threaded
-from parallel_cal.kinematics import Kinematics
-from parallel_cal.methods.implicit import estimate
-from parallel_cal.model import Noise, new_model
-from parallel_cal.modelfile import read_model, write_model
-from parallel_cal.prior import Prior
-from parallel_cal.refit import considered
-from parallel_cal.steps import fitted
+from parallel_cal.base.errors import FitError
+from parallel_cal.diagnosis.comparison import compare
+from parallel_cal.identification.fit import fit, single_threaded
+from parallel_cal.identification.methods.implicit import estimate
+from parallel_cal.identification.observations import gather
+from parallel_cal.identification.prior import Prior
+from parallel_cal.identification.refit import considered
+from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.model.file.modelfile import read_model, write_model
+from parallel_cal.model.model import Noise, new_model
+from parallel_cal.session.steps import fitted
 
 MM = 1e-3
 OFFSETS = "chain?.La_y"  # across the arm: what a joint's zero moves

@@ -10,10 +10,10 @@ import virtual_argos as va
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from bench.tables.argos import session, with_device
-from parallel_cal.evidence import gather
-from parallel_cal.identification import single_threaded
-from parallel_cal.identifying.doubts import chi2_band
-from parallel_cal.methods.implicit import estimate
+from parallel_cal.identification.doubts import chi2_band
+from parallel_cal.identification.fit import single_threaded
+from parallel_cal.identification.methods.implicit import estimate
+from parallel_cal.identification.observations import gather
 
 
 def found(seed, prior, start=None):

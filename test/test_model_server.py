@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from parallel_cal.errors import ModelFileError, SolveError
-from parallel_cal.kinematics import Kinematics, Status
-from parallel_cal.mechanism import shelf_names
-from parallel_cal.model import new_model
-from parallel_cal.modelfile import model_hash, read_model, write_model
+from parallel_cal.base.errors import ModelFileError, SolveError
+from parallel_cal.kinematics.kinematics import Kinematics, Status
+from parallel_cal.model.file.modelfile import model_hash, read_model, write_model
+from parallel_cal.model.model import new_model
+from parallel_cal.model.shelf import shelf_names
 from parallel_cal.nodes.file_watch import DEBOUNCE, FileWatch
 from parallel_cal.nodes.following import DirectionTracker, Memory, joints_for
 from parallel_cal.nodes.model_server import ModelServer, Served, self_test

@@ -12,12 +12,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from parallel_cal import modelfile
-from parallel_cal.errors import ModelFileError
-from parallel_cal.kinematics import Kinematics
-from parallel_cal.mechanism import load_mechanism
-from parallel_cal.model import Noise, new_model
-from parallel_cal.modelfile import dump_model, model_hash, parse_model, read_model, write_model
+from parallel_cal.base.errors import ModelFileError
+from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.model.file import modelfile
+from parallel_cal.model.file.modelfile import (
+    dump_model,
+    model_hash,
+    parse_model,
+    read_model,
+    write_model,
+)
+from parallel_cal.model.model import Noise, new_model
+from parallel_cal.model.shelf import load_mechanism
 
 ROOT = Path(__file__).parents[1]
 LINK = "chain1.D_x: {value: 0.0761, unit: m, nominal: 0.076, tolerance: 0.001}"
@@ -159,7 +165,7 @@ def test_the_hash_of_a_model_is_that_of_its_file(tmp_path):
 def test_the_hash_is_the_same_in_another_process(tmp_path):
     write_model(new_model("delta24"), tmp_path / "m.yaml")
     code = (
-        "import sys; from parallel_cal.modelfile import *; "
+        "import sys; from parallel_cal.model.file.modelfile import *; "
         "print(model_hash(read_model(sys.argv[1])))"
     )
     found = {

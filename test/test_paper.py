@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 import virtual_robot as vr
 
-from parallel_cal.errors import SolveError
-from parallel_cal.kinematics import Kinematics, Status
+from parallel_cal.base.errors import SolveError
+from parallel_cal.base.rotation import rotation_vector
+from parallel_cal.kinematics.kinematics import Kinematics, Status
+from parallel_cal.kinematics.solvers import ipr_compensation
 from parallel_cal.mechanisms.delta51 import RODS, from_delta54, to_delta54
-from parallel_cal.model import new_model
-from parallel_cal.rotation import rotation_vector
-from parallel_cal.solvers import ipr_compensation
+from parallel_cal.model.model import new_model
 
 MM, DEGREE = 1e-3, np.pi / 180
 QUARTER = np.pi / 2

@@ -9,19 +9,19 @@ import pytest
 import virtual_robot as vr
 from datasets import as_dataset
 
-from parallel_cal import cli
-from parallel_cal.errors import FitError
-from parallel_cal.evidence import gather
-from parallel_cal.identification import single_threaded
-from parallel_cal.kinematics import Kinematics
-from parallel_cal.methods.implicit import estimate
-from parallel_cal.model import Noise, new_model
-from parallel_cal.planners.indices import indices, prediction_rms
-from parallel_cal.planners.posepool import clear, make_pool
-from parallel_cal.planners.selection import Problem, anneal, exchange
-from parallel_cal.planners.words import describe, direction_in_words
-from parallel_cal.planning import plan
-from parallel_cal.singularity import distances
+from parallel_cal.base.errors import FitError
+from parallel_cal.cli import main as cli
+from parallel_cal.identification.fit import single_threaded
+from parallel_cal.identification.methods.implicit import estimate
+from parallel_cal.identification.observations import gather
+from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.kinematics.singularity import distances
+from parallel_cal.model.model import Noise, new_model
+from parallel_cal.model.words import describe, direction_in_words
+from parallel_cal.planning.indices import indices, prediction_rms
+from parallel_cal.planning.plan import plan
+from parallel_cal.planning.posepool import clear, make_pool
+from parallel_cal.planning.selection import Problem, anneal, exchange
 
 FULL = Noise(vr.THESIS_NOISE.joint, vr.THESIS_NOISE.position, vr.THESIS_NOISE.orientation)
 NOMINAL = str(Path(__file__).parents[1] / "config" / "delta_mockup_nominal.yaml")
@@ -329,7 +329,7 @@ def test_plan_shows_people_units_and_both_columns(capsys, tmp_path):
     assert code == 0
     for word in ("x [m]", "joint1 [rad]", "planned", "random", "um", "known worst"):
         assert word in out
-    from parallel_cal.modelfiles.yamltext import parse_yaml
+    from parallel_cal.model.file.yamltext import parse_yaml
 
     assert len(parse_yaml(whole.read_text(), "plan.yaml").data["poses"]) == 9
 

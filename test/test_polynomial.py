@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from parallel_cal.errors import SolveError
-from parallel_cal.kinematics import Kinematics, Status
-from parallel_cal.model import new_model
-from parallel_cal.rotation import quaternion_to_matrix, rotation_matrix, rotation_vector
-from parallel_cal.solvers import polynomial
-from parallel_cal.solvers._orientation import HALF_TANGENT, sh, sw
-from parallel_cal.solvers.polynomial import FORMS, angles, coefficients, orientations
+from parallel_cal.base.errors import SolveError
+from parallel_cal.base.rotation import quaternion_to_matrix, rotation_matrix, rotation_vector
+from parallel_cal.kinematics.kinematics import Kinematics, Status
+from parallel_cal.kinematics.solvers import polynomial
+from parallel_cal.kinematics.solvers._orientation import HALF_TANGENT, sh, sw
+from parallel_cal.kinematics.solvers.polynomial import FORMS, angles, coefficients, orientations
+from parallel_cal.model.model import new_model
 
 
 def problem(rng):

@@ -12,14 +12,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from parallel_cal import cli
-from parallel_cal.dataset import load_dataset
-from parallel_cal.errors import FitError
-from parallel_cal.evidence import gather
-from parallel_cal.identification import fit
-from parallel_cal.methods.implicit import estimate
-from parallel_cal.model import Noise
-from parallel_cal.modelfile import read_model
+from parallel_cal.base.errors import FitError
+from parallel_cal.cli import main as cli
+from parallel_cal.identification.fit import fit
+from parallel_cal.identification.methods.implicit import estimate
+from parallel_cal.identification.observations import gather
+from parallel_cal.model.file.modelfile import read_model
+from parallel_cal.model.model import Noise
+from parallel_cal.recordings.loading import load_dataset
 
 ROOT = Path(__file__).parents[1]
 TABLE = ROOT.parent / "shared/data/hangprinter_hp4/hp4_2021-12-14.csv"
@@ -173,7 +173,7 @@ def test_only_the_ratio_of_assumed_figures_moves_the_estimates(model, dataset):
 
 
 def test_build_up_is_found_first_and_nothing_claims_that_the_noise_is_reached(model, dataset):
-    from parallel_cal.diagnosis import diagnose
+    from parallel_cal.diagnosis.diagnose import diagnose
 
     found = diagnose(model, dataset).document()
     assert found["candidates"][0]["effect"] == "spool_buildup"

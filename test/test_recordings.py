@@ -9,11 +9,10 @@ import pytest
 import yaml
 from bag_catalogue import RECORDINGS
 
-from parallel_cal.dataset import load_dataset
-from parallel_cal.effect import load_effect
-from parallel_cal.identification import fit
-from parallel_cal.identifying.doubts import chi2_band
-from parallel_cal.modelfile import read_model
+from parallel_cal.identification.doubts import chi2_band
+from parallel_cal.identification.fit import fit
+from parallel_cal.model.file.modelfile import read_model
+from parallel_cal.recordings.loading import load_dataset
 
 REPOSITORY = Path(__file__).parents[1]
 BAGS = REPOSITORY / "bags"
@@ -41,7 +40,7 @@ def dataset(name):
 
 @cache
 def refitted(name, effect=""):
-    model = load_effect(effect).added_to(baseline(name)) if effect else baseline(name)
+    model = baseline(name).with_effect(effect) if effect else baseline(name)
     return fit(model, dataset(name), hold_out=0.0)
 
 

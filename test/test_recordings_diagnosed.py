@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from parallel_cal import cli
+from parallel_cal.cli import main as cli
 
 ROOT = Path(__file__).parents[1]
 NAMES = sorted(path.stem for path in (ROOT / "bags" / "truth").glob("*.yaml"))

@@ -19,8 +19,8 @@ from ros_helpers import NodeProcess
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
 
-from parallel_cal.bag import list_topics, raw_messages
 from parallel_cal.nodes.client import LATCHED, Client, own_domain
+from parallel_cal.recordings.bag import list_topics, raw_messages
 
 BAG = Path(__file__).parents[1] / "bags" / "delta_clean"
 COUNTS = {topic.name: topic.count for topic in list_topics(BAG)[0]}

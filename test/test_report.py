@@ -13,17 +13,17 @@ import virtual_setups as vs
 from datasets import measured
 from tied import dataset as tied
 
-from parallel_cal import cli
-from parallel_cal.dataset import Dataset
-from parallel_cal.model import new_model
-from parallel_cal.modelfile import model_hash, write_model
-from parallel_cal.report import report
+from parallel_cal.cli import main as cli
+from parallel_cal.model.file.modelfile import model_hash, write_model
+from parallel_cal.model.model import new_model
+from parallel_cal.model.shelf import load_sensor
+from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.reporting.arrows import arrows, colour, scale_of
 from parallel_cal.reporting.figures import thinned
 from parallel_cal.reporting.page import page
 from parallel_cal.reporting.readable import number, probability, vector, with_unit
-from parallel_cal.sensor import load_sensor
-from parallel_cal.steps import fitted
+from parallel_cal.reporting.report import report
+from parallel_cal.session.steps import fitted
 
 SECTIONS = [
     "verdict", "numbers", "history", "what-is-left-in-space", "what-is-left-along-everything",
@@ -235,7 +235,7 @@ def test_two_models_stand_side_by_side_on_the_same_samples(document, text):
 
 
 def test_a_parameter_that_one_model_lacks_has_no_difference(calibrated, data):
-    from parallel_cal.comparison import compare
+    from parallel_cal.diagnosis.comparison import compare
     from parallel_cal.reporting.versus import versus
 
     more = calibrated.with_effect("backlash")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import virtual_robot as vr
 
-from parallel_cal.rotation import (
+from parallel_cal.base.rotation import (
     matrix_to_quaternion,
     quaternion_to_matrix,
     rotation_matrix,

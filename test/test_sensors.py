@@ -8,17 +8,17 @@ import virtual_setups as vs
 from datasets import JOINTS, as_dataset
 from tied import blind, dataset
 
-from parallel_cal.accuracy import reading_errors
-from parallel_cal.dataset import Dataset
-from parallel_cal.errors import FitError, ModelError
-from parallel_cal.evidence import gather
-from parallel_cal.identification import fit, single_threaded
-from parallel_cal.identifying.doubts import chi2_band
-from parallel_cal.kinematics import Kinematics
-from parallel_cal.linearisation import Linearisation, moved
-from parallel_cal.methods.implicit import estimate
-from parallel_cal.model import new_model
-from parallel_cal.sensor import load_sensor
+from parallel_cal.base.errors import FitError, ModelError
+from parallel_cal.identification.doubts import chi2_band
+from parallel_cal.identification.fit import fit, single_threaded
+from parallel_cal.identification.linearisation import Linearisation, moved
+from parallel_cal.identification.methods.implicit import estimate
+from parallel_cal.identification.observations import gather
+from parallel_cal.identification.prediction_errors import reading_errors
+from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.model.model import new_model
+from parallel_cal.model.shelf import load_sensor
+from parallel_cal.recordings.dataset import Dataset
 
 PLATE = vs.Plate()
 

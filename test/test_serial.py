@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 import yaml
 
-from parallel_cal import completeness
-from parallel_cal.accuracy import errors
-from parallel_cal.dataset import Dataset
-from parallel_cal.errors import ModelError
-from parallel_cal.evidence import gather
-from parallel_cal.kinematics import Kinematics, Status
-from parallel_cal.mechanism import load_mechanism
-from parallel_cal.model import new_model
-from parallel_cal.modelfile import read_model, write_model
+from parallel_cal.base.errors import ModelError
+from parallel_cal.identification import completeness
+from parallel_cal.identification.observations import gather
+from parallel_cal.identification.prediction_errors import errors
+from parallel_cal.kinematics.kinematics import Kinematics, Status
+from parallel_cal.model.file.modelfile import read_model, write_model
+from parallel_cal.model.model import new_model
+from parallel_cal.model.shelf import load_mechanism
+from parallel_cal.recordings.dataset import Dataset
 
 QUARTER = np.pi / 2
 

@@ -9,16 +9,17 @@ import pytest
 import virtual_robot as vr
 from datasets import JOINTS, measured
 
-from parallel_cal.bag_writer import write_bag
-from parallel_cal.cli import main
-from parallel_cal.dataset import Dataset, load_dataset, load_sessions
-from parallel_cal.effect import parse_effect
-from parallel_cal.errors import DatasetError, FitError
-from parallel_cal.identification import fit
-from parallel_cal.model import new_model
+from parallel_cal.base.errors import DatasetError, FitError
+from parallel_cal.cli.main import main
+from parallel_cal.identification.fit import fit
+from parallel_cal.model.effect import parse_effect
+from parallel_cal.model.model import new_model
+from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.recordings.loading import load_dataset, load_sessions
 from parallel_cal.recordings.sessions import joined
+from parallel_cal.recordings.simulate import simulate, with_effects
 from parallel_cal.recordings.travel import travel
-from parallel_cal.simulate import simulate, with_effects
+from parallel_cal.recordings.writer import write_bag
 
 # --------------------------------------------------------------------------- way since a reversal
 

@@ -9,17 +9,18 @@ import pytest
 import tied_session as ts
 import virtual_setups as vs
 
-from parallel_cal import cli
-from parallel_cal.bag import list_topics, read_bag
-from parallel_cal.dataset import Dataset, dataset_from_recording, load_dataset
-from parallel_cal.errors import BagError, DatasetError
-from parallel_cal.kinematics import Kinematics
-from parallel_cal.modelfile import read_model
+from parallel_cal.base.errors import BagError, DatasetError
+from parallel_cal.cli import main as cli
+from parallel_cal.identification.prediction_errors import held_out_ratio
+from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.model.file.modelfile import read_model
+from parallel_cal.recordings.bag import list_topics, read_bag
+from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.recordings.loading import dataset_from_recording, load_dataset
 from parallel_cal.recordings.recording import Topics
 from parallel_cal.recordings.samples import Options
 from parallel_cal.recordings.sessions import joined
 from parallel_cal.recordings.topics import choose_topics
-from parallel_cal.steps import held_out_ratio
 
 STOPS = [[0.1, 0.2, 0.3], [0.4, 0.1, 0.2], [0.2, 0.5, 0.1], [0.3, 0.3, 0.5]]
 PLANE, SPHERE = "reading.plane", "reading.sphere1"

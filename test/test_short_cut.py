@@ -12,16 +12,16 @@ from bag_writing import Session, joint_states, text, write_bag
 from tied import JOINTS, blind
 from virtual_small import Rssr
 
-from parallel_cal import cli
-from parallel_cal.errors import FitError
-from parallel_cal.identifying.doubts import chi2_band
-from parallel_cal.kinematics import Kinematics
-from parallel_cal.loops.loop import Loop, loop_model, loop_numbers
-from parallel_cal.mechanism import Home
+from parallel_cal.base.errors import FitError
+from parallel_cal.cli import main as cli
+from parallel_cal.identification.doubts import chi2_band
+from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.mechanisms.rssr import Circle, numbers_of
-from parallel_cal.model import new_model
-from parallel_cal.modelfile import read_model, write_model
-from parallel_cal.short_cut import combine, identify, short_cut
+from parallel_cal.model.file.modelfile import read_model, write_model
+from parallel_cal.model.mechanism import Home
+from parallel_cal.model.model import new_model
+from parallel_cal.short_cut.identify import combine, identify, short_cut
+from parallel_cal.short_cut.loop import Loop, loop_model, loop_numbers
 
 SIGMA = vr.THESIS_NOISE.joint
 RODS_1 = ("chain1.Lb", "chain1.dLb")

@@ -7,17 +7,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from parallel_cal import cli
-from parallel_cal.bag_writer import write_bag
-from parallel_cal.dataset import load_dataset
-from parallel_cal.effect import parse_effect
-from parallel_cal.errors import BagError, ModelError, SolveError
-from parallel_cal.kinematics import Kinematics
-from parallel_cal.mechanism import Workspace, load_mechanism
-from parallel_cal.model import Noise, new_model
-from parallel_cal.modelfile import read_model
-from parallel_cal.rotation import rotation_vector
-from parallel_cal.simulate import simulate, stated_noise, with_effects
+from parallel_cal.base.errors import BagError, ModelError, SolveError
+from parallel_cal.base.rotation import rotation_vector
+from parallel_cal.cli import main as cli
+from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.model.effect import parse_effect
+from parallel_cal.model.file.modelfile import read_model
+from parallel_cal.model.mechanism import Workspace
+from parallel_cal.model.model import Noise, new_model
+from parallel_cal.model.shelf import load_mechanism
+from parallel_cal.recordings.loading import load_dataset
+from parallel_cal.recordings.simulate import simulate, stated_noise, with_effects
+from parallel_cal.recordings.writer import write_bag
 
 ROOT = Path(__file__).parents[1]
 IDENTIFIED = ROOT / "config" / "delta_mockup_identified.yaml"

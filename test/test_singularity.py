@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 import virtual_robot as vr
 
-from parallel_cal import solving
-from parallel_cal.errors import SolveError
-from parallel_cal.kinematics import Kinematics, Status
-from parallel_cal.model import new_model
-from parallel_cal.rotation import rotation_matrix
-from parallel_cal.singularity import distances
-from parallel_cal.solvers import continuous
+from parallel_cal.base.errors import SolveError
+from parallel_cal.base.rotation import rotation_matrix
+from parallel_cal.kinematics import solving
+from parallel_cal.kinematics.kinematics import Kinematics, Status
+from parallel_cal.kinematics.singularity import distances
+from parallel_cal.kinematics.solvers import continuous
+from parallel_cal.model.model import new_model
 
 
 @pytest.fixture(scope="module")

@@ -5,12 +5,12 @@ from functools import cache
 import numpy as np
 import pytest
 
-from parallel_cal import solving
-from parallel_cal.errors import SolveError
-from parallel_cal.kinematics import Kinematics, Status
-from parallel_cal.mechanism import shelf_names
-from parallel_cal.model import new_model
-from parallel_cal.simulate import poses_in_workspace
+from parallel_cal.base.errors import SolveError
+from parallel_cal.kinematics import solving
+from parallel_cal.kinematics.kinematics import Kinematics, Status
+from parallel_cal.model.mechanism import poses_in_workspace
+from parallel_cal.model.model import new_model
+from parallel_cal.model.shelf import shelf_names
 
 ALL = set(shelf_names("mechanisms")) - {"serial"}  # it needs a chain of its own
 SPHERICAL = {"argos9", "argos_nominal"}

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from parallel_cal.dataset import Dataset
+from parallel_cal.recordings.dataset import Dataset
 
 JOINTS = ("joint1", "joint2", "joint3")
 

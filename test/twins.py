@@ -4,7 +4,7 @@ import numpy as np
 import virtual_robot as vr
 import virtual_stewart as vt
 
-from parallel_cal.model import new_model
+from parallel_cal.model.model import new_model
 
 
 def hexapod(seed=3):

@@ -23,12 +23,12 @@ from bench.tables.common import (
     error_table,
     factor,
 )
-from parallel_cal.accuracy import errors
-from parallel_cal.dataset import Dataset
-from parallel_cal.evidence import gather
-from parallel_cal.methods import implicit
-from parallel_cal.model import Model, new_model
-from parallel_cal.sensor import load_sensor
+from parallel_cal.identification.methods import implicit
+from parallel_cal.identification.observations import gather
+from parallel_cal.identification.prediction_errors import errors
+from parallel_cal.model.model import Model, new_model
+from parallel_cal.model.shelf import load_sensor
+from parallel_cal.recordings.dataset import Dataset
 
 POSES, REACH = 47, 0.6  # rad about each axis: as far as the virtual pantographs' motors go
 NOISE = vr.Noise(25 * ARCSECOND, 1.9 * UM, 2.7 * ARCMIN / np.sqrt(12))

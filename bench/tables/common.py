@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from parallel_cal.accuracy import Errors
-from parallel_cal.evidence import Evidence
-from parallel_cal.methods import forward, inverse
-from parallel_cal.methods.implicit import Estimate
-from parallel_cal.model import Model
+from parallel_cal.identification.methods import forward, inverse
+from parallel_cal.identification.methods.implicit import Estimate
+from parallel_cal.identification.observations import Evidence
+from parallel_cal.identification.prediction_errors import Errors
+from parallel_cal.model.model import Model
 
 MM, UM = 1e-3, 1e-6
 DEGREE = np.pi / 180

@@ -23,12 +23,12 @@ from bench.tables.common import (
     plain_forward,
     plain_inverse,
 )
-from parallel_cal.accuracy import errors
-from parallel_cal.errors import FitError
-from parallel_cal.evidence import Evidence, gather
-from parallel_cal.kinematics import Kinematics
-from parallel_cal.methods import implicit, semiparametric
-from parallel_cal.model import Model, new_model
+from parallel_cal.base.errors import FitError
+from parallel_cal.identification.methods import implicit, semiparametric
+from parallel_cal.identification.observations import Evidence, gather
+from parallel_cal.identification.prediction_errors import errors
+from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.model.model import Model, new_model
 
 POSES = 74
 SUBSETS = (8, 12, 16, 24, 32, 40, 48, 56, 64, 74)

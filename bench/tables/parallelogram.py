@@ -14,12 +14,12 @@ import virtual_paper as vp
 import virtual_robot as vr
 
 from bench.tables.common import DEGREE, MM, UM, distribution
-from parallel_cal.dataset import Dataset
-from parallel_cal.evidence import Evidence, gather
-from parallel_cal.kinematics import Kinematics
-from parallel_cal.methods import sensitivity
-from parallel_cal.model import Model, new_model
-from parallel_cal.solvers import ipr_compensation
+from parallel_cal.identification.methods import sensitivity
+from parallel_cal.identification.observations import Evidence, gather
+from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.kinematics.solvers import ipr_compensation
+from parallel_cal.model.model import Model, new_model
+from parallel_cal.recordings.dataset import Dataset
 
 NOISE = vr.Noise(joint=1e-9, position=3 * UM, orientation=0.003 * DEGREE)
 MEASURED = np.radians(np.arange(-45.0, 46.0, 5.0))[:, None]

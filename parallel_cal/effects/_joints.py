@@ -7,8 +7,8 @@ from typing import Any
 
 import casadi as ca
 
-from parallel_cal.effect import Seen
-from parallel_cal.mechanism import Mechanism
+from parallel_cal.model.effect import Seen
+from parallel_cal.model.mechanism import Mechanism
 
 
 def turning(mechanism: Mechanism) -> list[str]:

@@ -8,9 +8,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from parallel_cal.effect import Seen
-from parallel_cal.mechanism import POSE, Home, Mechanism
-from parallel_cal.parameters import Named, Parameter, ParameterTable
+from parallel_cal.model.effect import Seen
+from parallel_cal.model.mechanism import POSE, Home, Mechanism
+from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 
 PAYLOAD = "payload"
 LIFTED = 1e-6  # Nm or N, under 1 kg: below it nothing is lifted

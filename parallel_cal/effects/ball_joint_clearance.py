@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import casadi as ca
 
-from parallel_cal.effect import Effect, Seen
 from parallel_cal.effects._statics import lengthened, masses, needs_rods, rod_forces
-from parallel_cal.mechanism import Mechanism
-from parallel_cal.parameters import Named, Parameter
+from parallel_cal.model.effect import Effect, Seen
+from parallel_cal.model.mechanism import Mechanism
+from parallel_cal.model.parameters import Named, Parameter
 
 
 class BallJointClearance(Effect):

@@ -8,10 +8,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from parallel_cal.effect import Effect, Seen
 from parallel_cal.effects._joints import needs_turning, shifted, turning
-from parallel_cal.mechanism import Mechanism
-from parallel_cal.parameters import Named, Parameter
+from parallel_cal.model.effect import Effect, Seen
+from parallel_cal.model.mechanism import Mechanism
+from parallel_cal.model.parameters import Named, Parameter
 
 RATIOS = (3.0, 150.0)  # below them an encoder's harmonics, above them more than poses can follow
 

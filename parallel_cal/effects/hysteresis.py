@@ -7,10 +7,10 @@ from typing import Any
 
 import casadi as ca
 
-from parallel_cal.effect import Effect, Seen
 from parallel_cal.effects._joints import shifted
-from parallel_cal.mechanism import Mechanism
-from parallel_cal.parameters import Named, Parameter
+from parallel_cal.model.effect import Effect, Seen
+from parallel_cal.model.mechanism import Mechanism
+from parallel_cal.model.parameters import Named, Parameter
 
 LAG = {"rad": (0.3e-3, 3e-3), "m": (10e-6, 0.1e-3)}  # tolerance and what no real drive exceeds
 WIDTH = {"rad": 20e-3, "m": 0.3e-3}  # of travel, until most of the lag has built up

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import casadi as ca
 
-from parallel_cal.effect import Effect, Seen
 from parallel_cal.effects._statics import joint_forces, loaded, masses, needs_weight
-from parallel_cal.mechanism import Mechanism
-from parallel_cal.parameters import Named, Parameter
+from parallel_cal.model.effect import Effect, Seen
+from parallel_cal.model.mechanism import Mechanism
+from parallel_cal.model.parameters import Named, Parameter
 
 # unit: unit of the compliance, tolerance, and what no real drive exceeds
 SIZE = {"rad": ("rad/(N m)", 1e-3, 1e-2), "m": ("m/N", 1e-6, 1e-5)}

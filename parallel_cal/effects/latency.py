@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from parallel_cal.effect import Effect, Seen
 from parallel_cal.effects._joints import shifted
-from parallel_cal.mechanism import Mechanism
-from parallel_cal.parameters import Named, Parameter
+from parallel_cal.model.effect import Effect, Seen
+from parallel_cal.model.mechanism import Mechanism
+from parallel_cal.model.parameters import Named, Parameter
 
 
 class Latency(Effect):

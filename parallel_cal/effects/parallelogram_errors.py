@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-from parallel_cal.effect import Effect, Seen
-from parallel_cal.mechanism import Mechanism, load_mechanism
-from parallel_cal.parameters import Named, Parameter
-
-if TYPE_CHECKING:
-    from parallel_cal.model import Model
+from parallel_cal.model.effect import Effect, Seen
+from parallel_cal.model.mechanism import Mechanism
+from parallel_cal.model.parameters import Named, Parameter
+from parallel_cal.model.shelf import load_mechanism
 
 
 class ParallelogramErrors(Effect):
@@ -19,6 +15,7 @@ class ParallelogramErrors(Effect):
     back is the model file from before.
     """
 
+    widens = True
     physics = "Unequal rods and skew bars tilt a platform, bent pantographs shift its centre."
     source = "table 5.18: half bars and rods off by 0.02-0.1 mm, axes by 0.1-0.6 degrees"
     lookalikes = ("target_offset",)
@@ -37,6 +34,3 @@ class ParallelogramErrors(Effect):
 
     def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
         return seen
-
-    def added_to(self, model: Model) -> Model:
-        return model.widened()

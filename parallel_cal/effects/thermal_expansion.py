@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from parallel_cal.effect import Effect, Seen
-from parallel_cal.mechanism import Mechanism
-from parallel_cal.parameters import Named, Parameter
+from parallel_cal.model.effect import Effect, Seen
+from parallel_cal.model.mechanism import Mechanism
+from parallel_cal.model.parameters import Named, Parameter
 
 
 class ThermalExpansion(Effect):

@@ -8,11 +8,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from parallel_cal.mechanism import POSE, Home, Mechanism, Workspace
-from parallel_cal.mechanisms.delta54 import DEGREE, MM
-from parallel_cal.parameters import Named, Parameter, ParameterTable
-from parallel_cal.rotation import rot_x, rot_z
-from parallel_cal.solvers.closed_form import joint_angles
+from parallel_cal.base.rotation import rot_x, rot_z
+from parallel_cal.mechanisms._argos import orientations
+from parallel_cal.mechanisms._delta import DEGREE, MM
+from parallel_cal.model.closed_form import joint_angles
+from parallel_cal.model.mechanism import POSE, Home, Mechanism, Workspace
+from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 
 RADIUS = 110 * MM  # of the mock-up: {p} lies this far from all three ball centres
 
@@ -118,9 +119,7 @@ class Argos27(Mechanism):
 
     def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
         """The nominal model's four orientations about a centre at rest (section 6.7.2)."""
-        from parallel_cal.mechanisms.argos_nominal import ArgosNominal
-
-        return ArgosNominal().candidates(q, p)
+        return orientations(q, p)
 
     def joint_candidates(self, r: Any, R: Any, p: Named) -> list[tuple[Any, ...]]:
         """Both angles of every motor from G1, with the centre at rest (section 6.7.3)."""

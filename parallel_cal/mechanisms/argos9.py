@@ -7,16 +7,17 @@ from typing import Any
 
 import casadi as ca
 
-from parallel_cal.mechanism import Mechanism
+from parallel_cal.base.rotation import rot_x, rot_z
+from parallel_cal.mechanisms._argos import orientations
 from parallel_cal.mechanisms.argos27 import (
     RADIUS,
     Argos27,
     angle_parameters,
     widened,
 )
-from parallel_cal.parameters import Named, ParameterTable
-from parallel_cal.rotation import rot_x, rot_z
-from parallel_cal.solvers.closed_form import joint_angles
+from parallel_cal.model.closed_form import joint_angles
+from parallel_cal.model.mechanism import Mechanism
+from parallel_cal.model.parameters import Named, ParameterTable
 
 
 class Argos9(Mechanism):
@@ -55,9 +56,7 @@ class Argos9(Mechanism):
 
     def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
         """The nominal model's four orientations, which lie near four of this model's eight."""
-        from parallel_cal.mechanisms.argos_nominal import ArgosNominal
-
-        return ArgosNominal().candidates(q, p)
+        return orientations(q, p)
 
     def joint_candidates(self, r: Any, R: Any, p: Named) -> list[tuple[Any, ...]]:
         """Both angles of every motor (eqs 6.62-6.63)."""

@@ -8,10 +8,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from parallel_cal.errors import ModelError
-from parallel_cal.mechanism import Home, Mechanism, Workspace
-from parallel_cal.parameters import Named, Parameter, ParameterTable
-from parallel_cal.solvers.closed_form import three_spheres
+from parallel_cal.base.errors import ModelError
+from parallel_cal.model.closed_form import three_spheres
+from parallel_cal.model.mechanism import Home, Mechanism, Workspace
+from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 
 MM = 1e-3
 GEAR, RADIUS = 255 / 20, 75 * MM

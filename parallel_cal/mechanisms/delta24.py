@@ -7,11 +7,19 @@ from typing import Any
 
 import casadi as ca
 
-from parallel_cal.mechanism import Mechanism, Workspace
-from parallel_cal.mechanisms.delta54 import HOME, POSITION, Delta54, chain_parameters
-from parallel_cal.parameters import Named
-from parallel_cal.rotation import rot_x, rot_z
-from parallel_cal.solvers.closed_form import joint_angles, positions
+from parallel_cal.base.rotation import rot_x, rot_z
+from parallel_cal.mechanisms._delta import (
+    HOME,
+    JOINT_LIMITS,
+    JOINTS,
+    LENGTH,
+    POSITION,
+    WORKSPACE,
+    chain_parameters,
+)
+from parallel_cal.model.closed_form import joint_angles, positions
+from parallel_cal.model.mechanism import Mechanism
+from parallel_cal.model.parameters import Named
 
 BODIES = {"arms": ("*.La_?",), "rods": ("*.Lb",), "base": ("*.D_?",)}
 
@@ -19,16 +27,16 @@ BODIES = {"arms": ("*.La_?",), "rods": ("*.Lb",), "base": ("*.D_?",)}
 class Delta24(Mechanism):
     """Three arms and three rods that meet in one point: the platform stays parallel."""
 
-    joints = ("joint1", "joint2", "joint3")
+    joints = JOINTS
     moves = ("x", "y", "z")
     controls = ("x", "y", "z")
     parameters = chain_parameters({"position": POSITION})
     home = HOME
-    workspace = Workspace(low=Delta54.workspace.low, high=Delta54.workspace.high)
-    joint_limits = Delta54.joint_limits
-    length = Delta54.length
+    workspace = WORKSPACE
+    joint_limits = JOINT_LIMITS
+    length = LENGTH
     bodies = BODIES
-    parts = Delta54.parts
+    parts = ("arm", "rod")
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
         """Eq. 3.16 divided by 2 Lb: length error of each rod, in metres."""

@@ -16,11 +16,19 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from parallel_cal.mechanism import POSE, Mechanism, Workspace
-from parallel_cal.mechanisms.delta54 import DEGREE, HOME, MM, Delta54
-from parallel_cal.parameters import Named, Parameter, ParameterTable
-from parallel_cal.rotation import exponential, rot_x, rot_y, rot_z, rotation_matrix, rotation_vector
-from parallel_cal.solvers.closed_form import joint_angles, positions
+from parallel_cal.base.rotation import (
+    exponential,
+    rot_x,
+    rot_y,
+    rot_z,
+    rotation_matrix,
+    rotation_vector,
+)
+from parallel_cal.mechanisms._delta import DEGREE, HOME, MM
+from parallel_cal.mechanisms.delta54 import Delta54
+from parallel_cal.model.closed_form import joint_angles, positions
+from parallel_cal.model.mechanism import POSE, Mechanism, Workspace
+from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 
 # Eq. 10: direction of each motor axis u_i; here those of the thesis' mock-up.
 THETA = (-90 * DEGREE, 30 * DEGREE, 150 * DEGREE)

@@ -6,25 +6,23 @@ from collections.abc import Mapping
 from typing import Any
 
 import casadi as ca
-import numpy as np
 
-from parallel_cal.mechanism import POSE, Home, Mechanism, Workspace
-from parallel_cal.parameters import Named, Parameter, ParameterTable
-from parallel_cal.rotation import rot_x, rot_y, rot_z
+from parallel_cal.base.rotation import rot_x, rot_y, rot_z
+from parallel_cal.mechanisms._delta import (
+    DEGREE,
+    HOME,
+    JOINT_LIMITS,
+    JOINTS,
+    LENGTH,
+    MM,
+    POSITION,
+    WORKSPACE,
+    chain_parameters,
+)
+from parallel_cal.mechanisms.delta24 import Delta24
+from parallel_cal.model.mechanism import POSE, Mechanism
+from parallel_cal.model.parameters import Named
 
-MM, DEGREE = 1e-3, np.pi / 180
-
-# name: unit, nominal value (table 5.12), tolerance of a real robot (1 sigma).
-POSITION = {
-    "D_x": ("m", 76 * MM, 1 * MM),
-    "D_y": ("m", -16.5 * MM, 1 * MM),
-    "D_z": ("m", 0.0, 1 * MM),
-    "theta": ("rad", 0.0, 0.5 * DEGREE),
-    "alpha": ("rad", 90 * DEGREE, 0.5 * DEGREE),
-    "La_x": ("m", 119.963 * MM, 0.5 * MM),
-    "La_y": ("m", -3 * MM, 1 * MM),
-    "Lb": ("m", 240 * MM, 0.5 * MM),
-}
 PARALLELOGRAM = {  # set P1 (eq. 3.14): errors of the spatial parallelogram
     "dalpha": ("rad", 0.0, 0.5 * DEGREE),
     "dbeta": ("rad", 0.0, 0.5 * DEGREE),
@@ -42,23 +40,6 @@ PLATFORM = {  # set P2 (eq. 3.15): size of the platform, nearly unobservable, fi
 GROUPS = {"position": POSITION, "P1": PARALLELOGRAM, "P2": PLATFORM}
 # Of base and platform the chains feel the difference D: one body of one material.
 BODIES = {"arms": ("*.La_?",), "rods": ("*.Lb", "*.dLb"), "base": ("*.D_?", "*.b_?")}
-HOME = Home(joints=(30.65 * DEGREE,) * 3, position=(0.0, 0.0, 0.2))
-
-
-def chain_parameters(groups: dict[str, dict[str, tuple[str, float, float]]]) -> ParameterTable:
-    """The table of three equal chains, 120 degrees apart (theta is the thesis' vartheta)."""
-    return ParameterTable(
-        Parameter(
-            f"chain{i + 1}.{name}",
-            unit,
-            nominal + (i * 120 * DEGREE if name == "theta" else 0.0),
-            tolerance,
-            group,
-        )
-        for i in range(3)
-        for group, members in groups.items()
-        for name, (unit, nominal, tolerance) in members.items()
-    )
 
 
 def swapped(v: Any) -> Any:
@@ -70,15 +51,15 @@ def swapped(v: Any) -> Any:
 class Delta54(Mechanism):
     """Three arms, six rods of free length and orientation; all six coordinates move."""
 
-    joints = ("joint1", "joint2", "joint3")
+    joints = JOINTS
     moves = POSE
     controls = ("x", "y", "z")
     parameters = chain_parameters(GROUPS)
     fixed = tuple(f"*.{name}" for name in PLATFORM)
     home = HOME
-    workspace = Workspace(low=(-0.06, -0.06, 0.14), high=(0.06, 0.06, 0.26))
-    joint_limits = ((-30 * DEGREE, 135 * DEGREE),) * 3  # section 2.3.2: mechanical stops
-    length = 24 * MM
+    workspace = WORKSPACE
+    joint_limits = JOINT_LIMITS
+    length = LENGTH
     bodies = BODIES
     parts = ("arm", "rod")
 
@@ -134,14 +115,8 @@ class Delta54(Mechanism):
 
     def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
         """Model 24's two positions, platform parallel to the base (section 6.4.1)."""
-        return self._model24().candidates(q, p)
+        return Delta24().candidates(q, p)
 
     def joint_candidates(self, r: Any, R: Any, p: Named) -> list[tuple[Any, ...]]:
         """Model 24's two angles a joint (section 6.4.1)."""
-        return self._model24().joint_candidates(r, R, p)
-
-    @staticmethod
-    def _model24() -> Mechanism:
-        from parallel_cal.mechanisms.delta24 import Delta24
-
-        return Delta24()
+        return Delta24().joint_candidates(r, R, p)

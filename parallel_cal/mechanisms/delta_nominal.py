@@ -8,10 +8,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from parallel_cal.mechanism import Home, Mechanism, Workspace
+from parallel_cal.mechanisms._delta import DEGREE, MM
 from parallel_cal.mechanisms.delta24 import Delta24
-from parallel_cal.mechanisms.delta54 import DEGREE, MM
-from parallel_cal.parameters import Named, Parameter, ParameterTable
+from parallel_cal.model.mechanism import Home, Mechanism, Workspace
+from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 
 BODIES = {"arms": ("La",), "rods": ("Lb",), "base": ("R",)}
 

@@ -8,10 +8,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from parallel_cal.mechanism import POSE, Home, Mechanism, Workspace
-from parallel_cal.parameters import Named, Parameter, ParameterTable
-from parallel_cal.rotation import rot_x, rot_y, rot_z
-from parallel_cal.solvers.closed_form import positions
+from parallel_cal.base.rotation import rot_x, rot_y, rot_z
+from parallel_cal.model.closed_form import positions
+from parallel_cal.model.mechanism import POSE, Home, Mechanism, Workspace
+from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 
 MM, DEGREE = 1e-3, np.pi / 180
 OFFSET, ROD, LOW = 100 * MM, 250 * MM, 100 * MM  # rail to rod plane, rod, platform at home

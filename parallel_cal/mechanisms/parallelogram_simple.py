@@ -7,9 +7,9 @@ from typing import Any
 
 import casadi as ca
 
-from parallel_cal.mechanism import Mechanism
 from parallel_cal.mechanisms.parallelogram import NOMINAL, Parallelogram
-from parallel_cal.parameters import Named, Parameter, ParameterTable
+from parallel_cal.model.mechanism import Mechanism
+from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 
 BODIES = {"rods": ("l",), "platform": ("h",)}
 

@@ -7,9 +7,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from parallel_cal.mechanism import Home, Mechanism, Workspace
-from parallel_cal.parameters import Named, Parameter, ParameterTable
-from parallel_cal.rotation import rot_z
+from parallel_cal.base.rotation import rot_z
+from parallel_cal.model.mechanism import Home, Mechanism, Workspace
+from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 
 DEGREE = np.pi / 180
 BASE_RADIUS, PLATFORM_RADIUS, RETRACTED = 0.3, 0.08, 0.15  # m

@@ -12,10 +12,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from parallel_cal.mechanism import Home, Mechanism, Workspace
-from parallel_cal.parameters import Named, Parameter, ParameterTable
-from parallel_cal.rotation import rot_x, rot_z
-from parallel_cal.solvers.closed_form import joint_angles
+from parallel_cal.base.rotation import rot_x, rot_z
+from parallel_cal.model.closed_form import joint_angles
+from parallel_cal.model.mechanism import Home, Mechanism, Workspace
+from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 
 MM, DEGREE = 1e-3, np.pi / 180
 

@@ -7,9 +7,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from parallel_cal.mechanism import Workspace
 from parallel_cal.mechanisms.serial import DEGREE, Serial
-from parallel_cal.parameters import Named
+from parallel_cal.model.mechanism import Workspace
+from parallel_cal.model.parameters import Named
 
 HAYATI = ["theta", "a", "alpha", "beta"]
 # Table 3.7. {B} lies 0.25 m in front of the first axis, in the middle of what the arm reaches;

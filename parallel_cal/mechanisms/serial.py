@@ -11,10 +11,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from parallel_cal.errors import ModelError
-from parallel_cal.mechanism import POSE, Home, Mechanism, Workspace
-from parallel_cal.parameters import Named, Parameter, ParameterTable
-from parallel_cal.rotation import matrix_to_quaternion, rot_x, rot_y, rot_z
+from parallel_cal.base.errors import ModelError
+from parallel_cal.base.rotation import matrix_to_quaternion, rot_x, rot_y, rot_z
+from parallel_cal.model.mechanism import POSE, Home, Mechanism, Workspace
+from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 
 DEGREE = np.pi / 180
 UNITS = {"theta": "rad", "d": "m", "a": "m", "b": "m", "alpha": "rad", "beta": "rad"}

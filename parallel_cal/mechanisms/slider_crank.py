@@ -7,8 +7,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from parallel_cal.mechanism import Home, Mechanism, Workspace
-from parallel_cal.parameters import Named, Parameter, ParameterTable
+from parallel_cal.model.mechanism import Home, Mechanism, Workspace
+from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 
 MM, DEGREE = 1e-3, np.pi / 180
 A, B, X = 80 * MM, 50 * MM, 100 * MM  # eq. 5.8; the slider at home

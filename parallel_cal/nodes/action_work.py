@@ -12,9 +12,9 @@ from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
 
-from parallel_cal.errors import ParallelCalError
+from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.nodes.collector import Collection
-from parallel_cal.nodes.recalibration import Cancel, Cancelled, Outcome
+from parallel_cal.session.recalibration import Cancel, Cancelled, Outcome
 
 Work = Callable[[Callable[..., None], Cancel], Outcome]  # tells its feedback's fields in order
 Prepare = Callable[[Any], tuple[Work, Collection]]

@@ -20,8 +20,8 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState, Range, Temperature
 from std_msgs.msg import String
 
-from parallel_cal.errors import ParallelCalError
-from parallel_cal.modelfile import read_model
+from parallel_cal.base.errors import ParallelCalError
+from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.nodes import calibration_messages as messages
 from parallel_cal.nodes.action_work import in_words
 from parallel_cal.nodes.collector import Collection, Collector

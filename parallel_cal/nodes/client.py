@@ -17,7 +17,7 @@ from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.task import Future
 
-from parallel_cal.errors import ParallelCalError
+from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.nodes.parameters import LATCHED
 
 PATIENCE = 30.0  # s for anything that takes less than one on a quiet machine

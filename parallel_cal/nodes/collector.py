@@ -17,11 +17,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from parallel_cal.bag import stamp_of
-from parallel_cal.dataset import Dataset, load_dataset
-from parallel_cal.errors import DatasetError
-from parallel_cal.nodes.joining import joined
+from parallel_cal.base.errors import DatasetError
 from parallel_cal.nodes.session import CHANNELS, SCALARS, Session
+from parallel_cal.recordings.bag import stamp_of
+from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.recordings.joining import joined
+from parallel_cal.recordings.loading import load_dataset
 from parallel_cal.recordings.recording import Dropped
 from parallel_cal.recordings.samples import Options
 

@@ -10,11 +10,11 @@ import numpy as np
 from geometry_msgs.msg import Point, Pose, Quaternion
 from parallel_cal_msgs.msg import Condition, Solution
 
-from parallel_cal.commands.answers import parse_conditions
-from parallel_cal.errors import SolveError
-from parallel_cal.kinematics import Solutions, Status
-from parallel_cal.model import Model
-from parallel_cal.rotation import quaternion_to_matrix
+from parallel_cal.base.errors import SolveError
+from parallel_cal.base.rotation import quaternion_to_matrix
+from parallel_cal.kinematics.answers import parse_conditions
+from parallel_cal.kinematics.kinematics import Solutions, Status
+from parallel_cal.model.model import Model
 
 UNIT_LENGTH = 1e-3  # a quaternion this far from unit length is somebody's mistake
 

@@ -14,12 +14,12 @@ from parallel_cal_msgs.action import Diagnose, Identify
 from parallel_cal_msgs.msg import CollectionStatus, JointConfiguration, ModelStatus, Sample
 from parallel_cal_msgs.srv import AddEffect, ComputeFK, ListSamples, LoadSamples, RemoveSample
 
-from parallel_cal.bag import list_topics
-from parallel_cal.effect import CONDITIONS
+from parallel_cal.base.rotation import rotation_vector
+from parallel_cal.model.effect import CONDITIONS
 from parallel_cal.nodes.client import Client, NodeError, Process, own_domain
 from parallel_cal.nodes.conversions import pose_numbers
 from parallel_cal.nodes.requests import SOLVED
-from parallel_cal.rotation import rotation_vector
+from parallel_cal.recordings.bag import list_topics
 
 Feedback = Callable[[str, float], None]
 LONG = 120.0  # s, for what takes some even on a quiet machine

@@ -6,13 +6,13 @@ from collections.abc import Callable
 
 from parallel_cal_msgs.action import Diagnose
 
-from parallel_cal.diagnosis import diagnose
-from parallel_cal.errors import ParallelCalError
-from parallel_cal.modelfile import read_model
+from parallel_cal.base.errors import ParallelCalError
+from parallel_cal.diagnosis.diagnose import diagnose
+from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.nodes.action_work import Finished, Job, Prepare
 from parallel_cal.nodes.calibration_messages import json_text, number_samples
 from parallel_cal.nodes.collector import Collection
-from parallel_cal.nodes.recalibration import Cancel, Outcome, check_share
+from parallel_cal.session.recalibration import Cancel, Outcome, check_share
 
 
 def diagnose_job(prepare: Prepare, finished: Finished) -> Job:

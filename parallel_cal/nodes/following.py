@@ -6,9 +6,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from parallel_cal.errors import SolveError
-from parallel_cal.kinematics import Kinematics, Solutions, Status
-from parallel_cal.model import Model
+from parallel_cal.base.errors import SolveError
+from parallel_cal.kinematics.kinematics import Kinematics, Solutions, Status
+from parallel_cal.model.model import Model
 from parallel_cal.nodes.model_server import Served, in_words
 
 SAME_BRANCH = 1e-3  # rad or m: joints that solve the same pose on the same branch agree better

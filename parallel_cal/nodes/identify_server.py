@@ -9,7 +9,7 @@ from parallel_cal_msgs.action import Identify
 
 from parallel_cal.nodes.action_work import Finished, Job, Prepare
 from parallel_cal.nodes.calibration_messages import json_text
-from parallel_cal.nodes.recalibration import Outcome, Request
+from parallel_cal.session.recalibration import Outcome, Request
 
 
 def identify_job(prepare: Prepare, finished: Finished) -> Job:

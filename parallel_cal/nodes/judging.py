@@ -12,17 +12,17 @@ from rclpy.node import Node
 from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
-from parallel_cal.comparison import Comparison, compare
-from parallel_cal.errors import ModelFileError, ParallelCalError
-from parallel_cal.modelfile import read_model
+from parallel_cal.base.errors import ModelFileError, ParallelCalError
+from parallel_cal.diagnosis.comparison import Comparison, compare
+from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.nodes import calibration_messages as messages
 from parallel_cal.nodes.action_work import ActionWork, Say, Turn, Work, in_words, outcome_of
 from parallel_cal.nodes.collector import Collection
 from parallel_cal.nodes.diagnose_server import diagnose_job, examine
 from parallel_cal.nodes.identify_server import identify_job, request_of
 from parallel_cal.nodes.parameters import LATCHED, absolute
-from parallel_cal.nodes.recalibration import Outcome, Request, recalibrate
 from parallel_cal.nodes.run import in_front
+from parallel_cal.session.recalibration import Outcome, Request, recalibrate
 
 
 class Judging:

@@ -10,11 +10,11 @@ from threading import Lock, Thread
 
 import numpy as np
 
-from parallel_cal.errors import ModelFileError, ParallelCalError
-from parallel_cal.kinematics import Kinematics, Solutions, Status
-from parallel_cal.mechanism import Mechanism
-from parallel_cal.model import Model
-from parallel_cal.modelfile import model_hash, parse_model
+from parallel_cal.base.errors import ModelFileError, ParallelCalError
+from parallel_cal.kinematics.kinematics import Kinematics, Solutions, Status
+from parallel_cal.model.file.modelfile import model_hash, parse_model
+from parallel_cal.model.mechanism import Mechanism
+from parallel_cal.model.model import Model
 
 log = logging.getLogger(__name__)
 

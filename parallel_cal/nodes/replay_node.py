@@ -20,10 +20,10 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.utilities import remove_ros_args
 from std_srvs.srv import SetBool
 
-from parallel_cal.bag import RawMessage, list_topics, raw_messages
-from parallel_cal.errors import BagError, ParallelCalError
+from parallel_cal.base.errors import BagError, ParallelCalError
 from parallel_cal.nodes.parameters import Setting, declare
 from parallel_cal.nodes.run import ros
+from parallel_cal.recordings.bag import RawMessage, list_topics, raw_messages
 from parallel_cal.recordings.recording import TopicInfo
 
 PARAMETERS = {

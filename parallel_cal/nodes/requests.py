@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from parallel_cal_msgs.msg import SolutionSet
 
-from parallel_cal import solving
-from parallel_cal.errors import SolveError
-from parallel_cal.kinematics import Solutions, Status
+from parallel_cal.base.errors import SolveError
+from parallel_cal.kinematics import solving
+from parallel_cal.kinematics.kinematics import Solutions, Status
 from parallel_cal.nodes.conversions import (
     conditions_of,
     invalid_solution,

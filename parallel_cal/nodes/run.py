@@ -21,7 +21,7 @@ from rclpy.executors import (
 from rclpy.node import Node
 from rclpy.task import Task
 
-from parallel_cal.errors import ParallelCalError
+from parallel_cal.base.errors import ParallelCalError
 
 T = TypeVar("T")
 

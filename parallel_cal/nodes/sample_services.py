@@ -7,7 +7,7 @@ from typing import Any
 from parallel_cal_msgs.srv import ListSamples, LoadSamples, RemoveSample, SaveSamples
 from std_srvs.srv import Trigger
 
-from parallel_cal.errors import DatasetError
+from parallel_cal.base.errors import DatasetError
 from parallel_cal.nodes.calibration_messages import sample_messages
 from parallel_cal.nodes.collector import Collector
 from parallel_cal.nodes.parameters import absolute

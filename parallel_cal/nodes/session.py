@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from parallel_cal.bag import MESSAGE_ROWS as ROWS
-from parallel_cal.dataset import Dataset, dataset_from_recording
-from parallel_cal.errors import DatasetError, ParallelCalError
+from parallel_cal.base.errors import DatasetError, ParallelCalError
+from parallel_cal.recordings.bag import MESSAGE_ROWS as ROWS
 from parallel_cal.recordings.cleaning import assemble
+from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.recordings.loading import dataset_from_recording
 from parallel_cal.recordings.pairing import bracketed
 from parallel_cal.recordings.recording import Bools, Dropped, Raw, Recording, TopicInfo
 from parallel_cal.recordings.samples import Options, max_gap

@@ -20,14 +20,14 @@ from sensor_msgs.msg import JointState, Temperature
 from std_msgs.msg import Header
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from parallel_cal.errors import SolveError
-from parallel_cal.kinematics import Solutions, Status
+from parallel_cal.base.errors import SolveError
+from parallel_cal.kinematics.kinematics import Solutions, Status
+from parallel_cal.kinematics.solving import controlled_pose
 from parallel_cal.nodes.conversions import finite, matched_joints, pose_message, pose_numbers
 from parallel_cal.nodes.following import Memory, joints_for
 from parallel_cal.nodes.model_server import ModelServer, Served, in_words
 from parallel_cal.nodes.parameters import LATCHED, RELIABLE, SENSOR, overridable
 from parallel_cal.nodes.tally import Tally
-from parallel_cal.solving import controlled_pose
 
 QUIET = 5.0  # s between two lines of the log about refused messages
 

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from parallel_cal.errors import BagError
+from parallel_cal.base.errors import BagError
 from parallel_cal.recordings.recording import (
     COORDINATES,
     NO_POSES,

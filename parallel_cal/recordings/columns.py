@@ -7,9 +7,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationError
 
-from parallel_cal.effect import CONDITIONS
-from parallel_cal.modelfiles.modelschema import NoisePart, Part, sentence, suggestion
-from parallel_cal.modelfiles.yamltext import Document, parse_yaml
+from parallel_cal.model.effect import CONDITIONS
+from parallel_cal.model.file.schema import NoisePart, Part, sentence, suggestion
+from parallel_cal.model.file.yamltext import Document, parse_yaml
 from parallel_cal.recordings.samples import READING
 
 

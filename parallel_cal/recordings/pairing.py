@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from parallel_cal.errors import DatasetError
+from parallel_cal.base.errors import DatasetError
+from parallel_cal.base.rotation import quaternion_to_matrix
 from parallel_cal.recordings.recording import Array, Bools, Dropped, JointStream, Recording
 from parallel_cal.recordings.samples import Options, Sample, Samples, max_gap
-from parallel_cal.rotation import quaternion_to_matrix
 
 
 def paired_samples(recording: Recording, options: Options, tolerance: Array) -> Samples:

@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from parallel_cal.recordings.recording import Array, Recording, TextStream
 from parallel_cal.recordings.samples import READING, Sample
-
-if TYPE_CHECKING:
-    from parallel_cal.dataset import Dataset
 
 
 def held_words(stream: TextStream | None, start: float, end: float) -> list[str]:
@@ -41,17 +37,4 @@ def reading_columns(samples: Sequence[Sample]) -> dict[str, Array]:
     return {
         READING + channel: np.array([s.readings.get(channel, np.nan) for s in samples])
         for channel in channels
-    }
-
-
-def joined_conditions(parts: Sequence[Dataset]) -> dict[str, Array]:
-    """Conditions (N,) of several datasets as one: those that all have, and every reading, NaN
-    in the parts where its sensor read nothing."""
-    names = dict.fromkeys(name for part in parts for name in part.conditions)
-    return {
-        name: np.concatenate(
-            [part.conditions.get(name, np.full(len(part), np.nan)) for part in parts]
-        )
-        for name in names
-        if name.startswith(READING) or all(name in part.conditions for part in parts)
     }

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from parallel_cal.errors import DatasetError
+from parallel_cal.base.errors import DatasetError
+from parallel_cal.base.rotation import rotation_vector
 from parallel_cal.recordings.recording import Array, Bools
-from parallel_cal.rotation import rotation_vector
 
 Ids = NDArray[np.int64]
 

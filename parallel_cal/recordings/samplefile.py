@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from parallel_cal.errors import DatasetError
+from parallel_cal.base.errors import DatasetError
 from parallel_cal.recordings.recording import Dropped
 
 FILE_VERSION = 1

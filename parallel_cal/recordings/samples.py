@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from parallel_cal.errors import DatasetError
+from parallel_cal.base.errors import DatasetError
 from parallel_cal.recordings.recording import Array, Bools, Dropped, JointStream
 
 MODES = ("auto", "dwell", "continuous")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from parallel_cal.errors import DatasetError
+from parallel_cal.base.errors import DatasetError
 from parallel_cal.recordings.dwells import approach, still_tolerance
 from parallel_cal.recordings.pairing import paired_samples
 from parallel_cal.recordings.readings import reading_columns

@@ -5,16 +5,15 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from parallel_cal.errors import DatasetError
-from parallel_cal.recordings.readings import joined_conditions
+from parallel_cal.base.errors import DatasetError
+from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.recordings.recording import Array
 from parallel_cal.recordings.samplefile import PER_SAMPLE
-
-if TYPE_CHECKING:
-    from parallel_cal.dataset import Dataset
+from parallel_cal.recordings.samples import READING
 
 SAME = ("joint_names", "joint_sigma", "mode", "frame")
 
@@ -92,3 +91,16 @@ def _left_out(parts: Sequence[Dataset], shared: Sequence[str]) -> list[str]:
     lost = [(d.source, [c for c in d.conditions if c not in shared]) for d in parts]
     return [f"{', '.join(names)} of {source} is not used: not recorded in every session"
             for source, names in lost if names]  # fmt: skip
+
+
+def joined_conditions(parts: Sequence[Dataset]) -> dict[str, Array]:
+    """Conditions (N,) of several datasets as one: those that all have, and every reading, NaN
+    in the parts where its sensor read nothing."""
+    names = dict.fromkeys(name for part in parts for name in part.conditions)
+    return {
+        name: np.concatenate(
+            [part.conditions.get(name, np.full(len(part), np.nan)) for part in parts]
+        )
+        for name in names
+        if name.startswith(READING) or all(name in part.conditions for part in parts)
+    }

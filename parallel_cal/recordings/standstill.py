@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from parallel_cal.base.rotation import quaternion_to_matrix, rotation_vector
 from parallel_cal.recordings.dwells import (
     CEILING,
     Indices,
@@ -34,7 +35,6 @@ from parallel_cal.recordings.samples import (
     sample_sd,
     slope,
 )
-from parallel_cal.rotation import quaternion_to_matrix, rotation_vector
 
 
 @dataclass

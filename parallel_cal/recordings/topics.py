@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from parallel_cal.errors import BagError
+from parallel_cal.base.errors import BagError
 from parallel_cal.recordings.recording import TopicInfo, Topics
 
 Available = Sequence[TopicInfo]

@@ -7,16 +7,16 @@ from typing import Any
 
 import numpy as np
 
-from parallel_cal.accuracy import ERRORS
-from parallel_cal.diagnosing.fields import Field
-from parallel_cal.diagnosing.scene import Scene
-from parallel_cal.diagnosing.structure import regressors
-from parallel_cal.diagnosis import Diagnosis
-from parallel_cal.effect import CONDITIONS
-from parallel_cal.identification import Result
-from parallel_cal.identifying.doubts import finite_or_none
-from parallel_cal.mechanism import POSE
-from parallel_cal.planners.words import describe, direction_in_words
+from parallel_cal.diagnosis.diagnose import Diagnosis
+from parallel_cal.diagnosis.fields import Field
+from parallel_cal.diagnosis.scene import Scene
+from parallel_cal.diagnosis.structure import regressors
+from parallel_cal.identification.doubts import finite_or_none
+from parallel_cal.identification.fit import Result
+from parallel_cal.identification.prediction_errors import ERRORS
+from parallel_cal.model.effect import CONDITIONS
+from parallel_cal.model.mechanism import POSE
+from parallel_cal.model.words import describe, direction_in_words
 
 STRONG = 0.98  # correlation of two parameters that the data hardly tell apart
 

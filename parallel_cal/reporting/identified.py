@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
-from parallel_cal.accuracy import ERRORS
+from parallel_cal.identification.prediction_errors import ERRORS
 from parallel_cal.reporting import figures, spaces
 from parallel_cal.reporting.markup import Cell, Document, Plot, facts, items, paragraph, table
 from parallel_cal.reporting.readable import large, number, unit_of, with_unit

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from parallel_cal.comparison import Comparison
-from parallel_cal.model import Model
-from parallel_cal.modelfile import model_hash
+from parallel_cal.diagnosis.comparison import Comparison
+from parallel_cal.model.file.modelfile import model_hash
+from parallel_cal.model.model import Model
 from parallel_cal.reporting.contents import places, shown
 
 

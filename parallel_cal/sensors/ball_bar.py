@@ -7,9 +7,9 @@ from typing import Any
 
 import casadi as ca
 
-from parallel_cal.mechanism import Mechanism
-from parallel_cal.parameters import Named, Parameter
-from parallel_cal.sensor import Sensor, point_on_platform, point_parameters
+from parallel_cal.model.mechanism import Mechanism
+from parallel_cal.model.parameters import Named, Parameter
+from parallel_cal.model.sensor import Sensor, point_on_platform, point_parameters
 
 
 @dataclass(frozen=True)

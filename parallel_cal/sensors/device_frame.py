@@ -7,10 +7,10 @@ from typing import Any
 
 import casadi as ca
 
-from parallel_cal.mechanism import POSE, Mechanism
-from parallel_cal.parameters import Named, Parameter
-from parallel_cal.rotation import cayley, quaternion_to_matrix, rot_x, rot_y, rot_z
-from parallel_cal.sensor import Sensor
+from parallel_cal.base.rotation import cayley, quaternion_to_matrix, rot_x, rot_y, rot_z
+from parallel_cal.model.mechanism import POSE, Mechanism
+from parallel_cal.model.parameters import Named, Parameter
+from parallel_cal.model.sensor import Sensor
 
 NO_TURN = (0.0, 0.0, 0.0, 1.0)
 TOLERANCE = {"m": 2e-3, "rad": 0.035}

@@ -7,11 +7,11 @@ from typing import Any
 
 import casadi as ca
 
-from parallel_cal.errors import ModelError
-from parallel_cal.mechanism import Mechanism
-from parallel_cal.parameters import Named, Parameter
-from parallel_cal.rotation import cayley
-from parallel_cal.sensor import Sensor, point_on_platform, point_parameters
+from parallel_cal.base.errors import ModelError
+from parallel_cal.base.rotation import cayley
+from parallel_cal.model.mechanism import Mechanism
+from parallel_cal.model.parameters import Named, Parameter
+from parallel_cal.model.sensor import Sensor, point_on_platform, point_parameters
 
 MM, DEGREE = 1e-3, 0.017453292519943295
 

@@ -1,0 +1,166 @@
+"""Comparing, identifying, adding and removing effects."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from parallel_cal.cli.recordings import bag_progress, data_options
+from parallel_cal.diagnosis.comparison import compare as compared
+from parallel_cal.model.file.modelfile import model_hash, read_model, write_model
+from parallel_cal.model.model import Model
+from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.recordings.loading import load_sessions
+from parallel_cal.reporting import console
+from parallel_cal.session.steps import Step, added, fitted, removed
+
+ARCMIN = 60 * 180 / np.pi
+BEYOND_CHANCE = 0.05
+
+
+def fit(
+    model_file: Path,
+    bags: list[Path],
+    output: Path | None,
+    data: list[str],
+    as_json: bool,
+    **options: Any,
+) -> None:
+    model, dataset = model_and_data(model_file, bags, data)
+    _finish(fitted(model, dataset, progress=console.progress, **options), output, as_json)
+
+
+def add(
+    model_file: Path,
+    effect: str,
+    bags: list[Path],
+    output: Path | None,
+    force: bool,
+    data: list[str],
+    as_json: bool,
+    **options: Any,
+) -> None:
+    model, dataset = model_and_data(model_file, bags, data)
+    step = added(model, effect, dataset, force, progress=console.progress, **options)
+    _finish(step, output, as_json)
+
+
+def remove(
+    model_file: Path,
+    effect: str,
+    bags: list[Path],
+    output: Path | None,
+    force: bool,
+    data: list[str],
+    as_json: bool,
+    **options: Any,
+) -> None:
+    model, dataset = model_and_data(model_file, bags, data)
+    step = removed(model, effect, dataset, force, progress=console.progress, **options)
+    _finish(step, output, as_json)
+
+
+def model_and_data(model_file: Path, bags: list[Path], data: list[str]) -> tuple[Model, Dataset]:
+    model, options = read_model(model_file), data_options(data)
+    return model, load_sessions(bags, joints=model.joints, progress=bag_progress, **options)
+
+
+def _finish(step: Step, output: Path | None, as_json: bool) -> None:
+    """Write the model, then say what came out: a file that cannot be written is no success."""
+    document = step.document
+    if output is not None:
+        write_model(step.model, output)
+        document = document | {"output": str(output), "hash": model_hash(step.model)}
+    console.progress("", 1.0)
+    console.warn(step.warnings)
+    if as_json:
+        return console.emit(document)
+    _show_fit(document, step.model)
+
+
+def _show_fit(document: dict[str, Any], model: Model) -> None:
+    held = document["held_out"]
+    columns = {"before": document["before"], "after": document["after"]}
+    without = document.get("held_out_without_effect")  # judged like the new model
+    columns["left out, without it" if without else "left out, before"] = without or held["before"]
+    columns["left out, after"] = held["after"]
+    console.say(
+        f"{document['samples']} samples, {document['rank']} of {document['free']} free parameters "
+        f"identified, chi2/dof {console.number(document['chi2_per_dof'])}"
+    )
+    show_errors(columns, document["noise_floor"], model)
+    rows = []
+    for name, p in document["parameters"].items():
+        if not p["fixed"]:
+            value, unit = console.readable(p["value"], p["unit"], 4)
+            change = console.readable(p["value"] - p["nominal"], p["unit"], 4)[0]
+            sigma = console.readable(p["sigma"], p["unit"], 4)[0]
+            rows.append((name, value, change, sigma, unit))
+    console.table(("parameter", "value", "from nominal", "sigma", "unit"), rows)
+    if "output" in document:
+        console.say(f"written: {document['output']} (sha256 {document['hash'][:12]})")
+
+
+def show_errors(
+    columns: dict[str, dict[str, Any]], floor: dict[str, float | None], model: Model
+) -> None:
+    """Errors beside those of noise alone, where somebody knows the noise."""
+    if any(v is not None for v in floor.values()):
+        columns = columns | {"noise alone": floor}
+    redundant = model.structure.phi.shape[0] > len(model.mechanism.moved)
+    console.errors_table(columns, model.mechanism.joint_units, closure=redundant)
+
+
+def compare(
+    model_file: Path, bags: list[Path], joint_sigma: float | None, data: list[str], as_json: bool
+) -> None:
+    model, dataset = model_and_data(model_file, bags, data)
+    document = compared(model, dataset, joint_sigma).document()
+    console.progress("", 1.0)
+    console.warn(dataset.warnings)
+    if as_json:
+        return console.emit(document)
+    console.say(f"{document['samples']} samples")
+    show_errors({"error": document}, document["noise_floor"], model)
+    console.say("worst samples:")
+    _show_rows(document["rows"][:10], document["channels"])
+    _show_where(document["where"])
+
+
+def _show_rows(rows: list[dict[str, Any]], channels: list[str]) -> None:
+    header = ("sample", "time [s]", "at [mm]", "error [um]", "|error| [um]", "turned [arcmin]")
+    console.table(
+        header + tuple(f"{channel} [um]" for channel in channels),
+        [
+            (str(r["sample"]), console.number(r["time"], 1, 1),
+             " ".join(console.number(v, 1e3, 1) for v in r["position"]),
+             " ".join(console.number(v, 1e6, 0) for v in r["position_error"]),
+             console.number(r["position_norm"], 1e6, 0),
+             console.number(r["orientation_norm"], ARCMIN, 2),
+             *(console.number(v, 1e6, 0) for v in r["reading_error"]))
+            for r in rows
+        ],
+    )  # fmt: skip
+
+
+def _show_where(where: dict[str, Any]) -> None:
+    """What the errors go with, beyond chance, and whether neighbours err alike."""
+    rows = [
+        (a["name"], console.number(a["strength"], 1, 1), f"{a['p_value']:.2g}")
+        for a in where["along"][:5]
+        if a["p_value"] < BEYOND_CHANCE
+    ]
+    if rows:
+        console.say("errors go with:")
+        console.table(("along", "largest mean [sigma]", "p"), rows)
+    else:
+        console.say("errors go with nothing recorded, beyond chance")
+    worst = where["regions"][0]
+    console.say(
+        f"worst region: {worst['region']}, {console.number(worst['position_rms'], 1e6, 0)} um rms; "
+        f"structure: p = {where['structure']['p_value']:.2g}"
+    )
+    for row in where["odd_samples"][:5]:
+        console.say(f"odd: sample {row['sample']}, {row['sigmas']:.1f} sigmas")

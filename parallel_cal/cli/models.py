@@ -1,0 +1,156 @@
+"""Making a model file, and listing what there is to make one of."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+from parallel_cal.base.errors import ParallelCalError
+from parallel_cal.model.mechanism import Mechanism
+from parallel_cal.model.model import new_model
+from parallel_cal.model.sensor import Sensor
+from parallel_cal.model.shelf import (
+    load_class,
+    load_effect,
+    load_mechanism,
+    options_of,
+    shelf_names,
+)
+from parallel_cal.reporting import console
+
+
+def new(
+    mechanism: str, output: Path, options: list[str], sensors: list[str], as_json: bool
+) -> None:
+    """A nominal model file; an existing one is not overwritten."""
+    from parallel_cal.model.file.modelfile import model_hash, write_model
+
+    if output.exists():
+        raise ParallelCalError(f"{output}: exists already; remove it or give another name")
+    set_ups = [_sensor(item) for item in sensors]
+    model = new_model(_mechanism(mechanism, options), sensors=set_ups)
+    write_model(model, output)
+    document = {"file": str(output), "mechanism": mechanism, "hash": model_hash(model)}
+    if as_json:
+        return console.emit(document | {"parameters": len(model.table)})
+    console.say(f"{output}: {mechanism}, {len(model.table)} parameters at their nominal values")
+
+
+def _mechanism(name: str, options: list[str]) -> Mechanism:
+    """A mechanism with options KEY=VALUE, the value as in a model file (YAML)."""
+    from parallel_cal.model.file.yamltext import parse_yaml
+
+    given: dict[str, Any] = {}
+    for item in options:
+        key, equals, text = item.partition("=")
+        if not equals:
+            raise ParallelCalError(f"--option {item}: expected KEY=VALUE")
+        given[key] = parse_yaml(text, f"--option {key}").data
+    return load_mechanism(name, **given)
+
+
+def _sensor(item: str) -> Sensor:
+    """`probe: {height: 0.3}`: a sensor and its options as in a model file (YAML)."""
+    from parallel_cal.model.file.sensoroptions import read_sensor
+    from parallel_cal.model.file.yamltext import parse_yaml
+
+    document = parse_yaml(item, "--sensor")
+    data = {document.data: {}} if isinstance(document.data, str) else document.data
+    if isinstance(data, dict) and len(data) == 1:
+        [(name, options)] = data.items()
+        if isinstance(options, dict):
+            return read_sensor(document, (name,), name, options)
+    raise ParallelCalError(f"--sensor {item}: expected 'NAME' or 'NAME: {{KEY: VALUE, ...}}'")
+
+
+def mechanisms(as_json: bool) -> None:
+    rows = [_mechanism_row(name) for name in shelf_names("mechanisms")]
+    if as_json:
+        return console.emit({"mechanisms": rows})
+    header = ("mechanism", "joints", "parameters", "moves", "controls", "what")
+    console.table(
+        header,
+        [
+            (r["name"], str(len(r["joints"]) or "-"), str(r["parameters"] or "-"),
+             " ".join(r["moves"]), " ".join(r["controls"]), r["description"])
+            for r in rows
+        ],
+    )  # fmt: skip
+
+
+def _mechanism_row(name: str) -> dict[str, Any]:
+    cls: Any = load_class("mechanisms", name, Mechanism)
+    options = options_of(cls)
+    # One that cannot be built without options says so instead.
+    m = None if any("=" not in option for option in options) else cls()
+    return {
+        "name": name,
+        "joints": list(m.joints) if m else [],
+        "joint_units": list(m.joint_units) if m else [],
+        "parameters": len(m.parameters) if m else None,
+        "moves": list(m.moves if m else cls.moves),
+        "controls": list(m.controls if m else cls.controls),
+        "options": options,
+        "description": _sentence(sys.modules[cls.__module__].__doc__),
+    }
+
+
+def _sentence(doc: str | None) -> str:
+    return (doc or "").strip().split("\n\n")[0].replace("\n", " ")
+
+
+def effects(as_json: bool) -> None:
+    rows = [_effect_row(name) for name in shelf_names("effects")]
+    if as_json:
+        return console.emit({"effects": rows})
+    console.table(
+        ("effect", "needs", "what"),
+        [(r["name"], " ".join(r["needs"]) or "-", r["physics"]) for r in rows],
+    )
+    console.say("")
+    console.table(
+        ("effect", "resembles", "told apart by"),
+        [
+            (r["name"], ", ".join(r["lookalikes"]), r["separated_by"])
+            for r in rows
+            if r["lookalikes"]
+        ],
+    )
+
+
+def _effect_row(name: str) -> dict[str, Any]:
+    e = load_effect(name)
+    return {
+        "name": name,
+        "needs": list(e.needs),
+        "given": list(e.fixed),
+        "physics": e.physics,
+        "source": e.source,
+        "lookalikes": list(e.lookalikes),
+        "separated_by": e.separated_by,
+    }
+
+
+def sensors(as_json: bool) -> None:
+    rows = [_sensor_row(name) for name in shelf_names("sensors")]
+    if as_json:
+        return console.emit({"sensors": rows})
+    console.table(
+        ("sensor", "options", "what"),
+        [(r["name"], _without_defaults(r["options"]), r["physics"]) for r in rows],
+    )
+
+
+def _without_defaults(options: list[str]) -> str:
+    return ", ".join(option.partition("=")[0] for option in options)
+
+
+def _sensor_row(name: str) -> dict[str, Any]:
+    cls: Any = load_class("sensors", name, Sensor)
+    return {
+        "name": name,
+        "options": options_of(cls),
+        "physics": cls.physics,
+        "source": cls.source,
+    }

@@ -1,0 +1,70 @@
+"""The short-cut set-up: a Delta from loops of its own arms and rods."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from parallel_cal.cli.calibration import model_and_data
+from parallel_cal.model.file.modelfile import model_hash, write_model
+from parallel_cal.reporting import console
+from parallel_cal.short_cut.identify import short_cut
+from parallel_cal.short_cut.loop import loops_in
+
+ARCMIN = 60 * 180 / math.pi
+
+
+def run(
+    model_file: Path,
+    bags: list[Path],
+    output: Path | None,
+    data: list[str],
+    as_json: bool,
+    **options: Any,
+) -> None:
+    """Options as in short_cut.short_cut."""
+    robot, dataset = model_and_data(model_file, bags, data)
+    found = short_cut(robot, loops_in(dataset), **options)
+    document = found.document()
+    if output is not None:
+        write_model(found.model, output)
+        document |= {"output": str(output), "hash": model_hash(found.model)}
+    console.progress("", 1.0)
+    console.warn((*dataset.warnings, *found.warnings))
+    if as_json:
+        return console.emit(document)
+    _show(document)
+
+
+def _show(document: dict[str, Any]) -> None:
+    console.say(
+        f"{document['rank']} of {document['free']} free parameters identified, chi2/dof "
+        f"{console.number(document['chi2_per_dof'])}; rms error of each loop's second arm:"
+    )
+    header = ("loop", "samples", "seen of 9", "before [arcmin]", "after [arcmin]")
+    rows = [
+        (
+            k["loop"],
+            str(k["samples"]),
+            str(k["rank"]),
+            *(console.number(k[when]["orientation_rms"], ARCMIN) for when in ("before", "after")),
+        )
+        for k in document["loops"]
+    ]
+    console.table(header, rows)
+    _show_parameters(document["parameters"])
+    if "output" in document:
+        console.say(f"written: {document['output']} (sha256 {document['hash'][:12]})")
+
+
+def _show_parameters(parameters: Mapping[str, dict[str, Any]]) -> None:
+    rows = []
+    for name, p in parameters.items():
+        if not p["fixed"]:
+            value, unit = console.readable(p["value"], p["unit"])
+            sigma, _ = console.readable(p["sigma"], p["unit"])
+            moved = console.number(p["moved_tolerances"])
+            rows.append((name, value, sigma, unit, moved))
+    console.table(("parameter", "value", "sigma", "unit", "moved [tolerances]"), rows)

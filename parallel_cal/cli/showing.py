@@ -1,0 +1,36 @@
+"""To see it work: the demonstration and the benchmarks."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+
+from parallel_cal.base.errors import ParallelCalError
+from parallel_cal.reporting import console
+
+
+def demo(bag: Path | None, rate: float, keep: bool, as_json: bool) -> None:
+    try:
+        module = import_module("parallel_cal.nodes.demo")
+    except ModuleNotFoundError as error:
+        raise ParallelCalError(f"the demonstration needs {error.name}") from None
+    sys.exit(module.main(json=as_json, bag=bag, rate=rate, keep=keep))
+
+
+def bench(names: list[str]) -> None:
+    """Run the scripts one after another; the first that fails decides."""
+    folder = Path(__file__).resolve().parents[2] / "bench"
+    files = sorted(folder.glob("*.py"))
+    scripts = {f.stem: f for f in files if "__main__" in f.read_text(encoding="utf-8")}
+    if not scripts:
+        raise ParallelCalError(f"{folder}: no benchmarks; they come with the repository")
+    unknown = [name for name in names if name not in scripts]
+    if unknown:
+        raise ParallelCalError(f"no benchmark {', '.join(unknown)}; there are {', '.join(scripts)}")
+    for name in names or scripts:
+        console.note(f"{name} ...")
+        done = subprocess.run([sys.executable, str(scripts[name])], check=False)
+        if done.returncode:
+            raise ParallelCalError(f"{scripts[name]} failed (exit {done.returncode})")

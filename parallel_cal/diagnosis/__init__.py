@@ -1,0 +1,1 @@
+"""Where a model fails, which effect it lacks, and what to measure next."""

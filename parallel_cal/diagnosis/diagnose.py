@@ -1,0 +1,193 @@
+"""What is missing in a model: effects ranked by evidence, a verdict, what to measure next."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from parallel_cal.diagnosis.catalogue import Candidate, candidate, names_of
+from parallel_cal.diagnosis.entries import REFITTED, chi2_before, entries, placebo, rivals_of
+from parallel_cal.diagnosis.fields import Field, Reference, field, reference
+from parallel_cal.diagnosis.patterns import odd_samples
+from parallel_cal.diagnosis.scene import Progress
+from parallel_cal.diagnosis.search import (
+    SIGNIFICANT,
+    Chosen,
+    Refit,
+    Search,
+)
+from parallel_cal.diagnosis.separate import next_measurement
+from parallel_cal.diagnosis.statistics import holm
+from parallel_cal.diagnosis.structure import Structure, structure
+from parallel_cal.diagnosis.verdict import Verdict, judge, listed
+from parallel_cal.identification.fit import fit, single_threaded
+from parallel_cal.model.model import Model
+from parallel_cal.recordings.dataset import Dataset
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """A diagnosis with the inputs that made it.
+
+    `base` is the model identified without further effects, `best` with those chosen; `ranked` the
+    candidates of the base, best first; `left` the structure that remains in `best`.
+    """
+
+    model: Model
+    dataset: Dataset
+    base: Refit
+    best: Refit
+    ranked: tuple[Candidate, ...]
+    entries: tuple[Mapping[str, Any], ...]
+    placebo: Mapping[str, Any]
+    noise: Reference
+    verdict: Verdict
+    left: Structure
+    field: Field
+    odd: tuple[Mapping[str, Any], ...]
+    swaps: Mapping[str, list[str]]
+    next: Mapping[str, Any]
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Names of the effects found."""
+        return tuple(c.name for c in self.best.chosen)
+
+    def document(self) -> dict[str, Any]:
+        """The JSON document of `parallel-cal diagnose`; all values SI, None where not known."""
+        low, high = self.noise.band(self.base.fitted.estimate.dof)
+        return {
+            "verdict": self.verdict.word,
+            "summary": self.verdict.summary,
+            "effects": list(self.effects),
+            "share_explained": self.verdict.share,
+            "against": list(self.verdict.against),
+            "samples": len(self.dataset),
+            "baseline": self.base.document["held_out"]["after"],
+            "best": self.best.document["held_out"]["after"],
+            "chi2_per_dof": {
+                "baseline": self.base.fitted.estimate.chi2_per_dof,
+                "best": self.best.fitted.estimate.chi2_per_dof,
+                "band": [low, high if np.isfinite(high) else None],
+            },
+            "noise": {
+                "variance": self.noise.variance,
+                "source": self.noise.source,
+                "replicates": self.noise.replicates,
+                "replicates_dof": self.noise.replicates_dof,
+                "floor": self.best.document["noise_floor"],
+            },
+            "candidates": list(self.entries),
+            "placebo": dict(self.placebo),
+            "swaps": dict(self.swaps),
+            "structure": self.left.document(),
+            "odd_samples": list(self.odd),
+            "measure_next": self.next,
+            "warnings": list(self.best.document["warnings"]),
+            "dataset": {"source": self.dataset.source, "sha256": self.dataset.sha256},
+        }
+
+
+def diagnose(
+    model: Model,
+    dataset: Dataset,
+    *,
+    effects: Iterable[str] = (),
+    also: Iterable[str] = (),
+    hold_out: float = 0.25,
+    loss: str = "linear",
+    seed: int = 0,
+    progress: Progress | None = None,
+    **options: Any,
+) -> Diagnosis:
+    """What is missing in a model, judged on these data (see docs/judge_your_calibration.md).
+
+    The geometry is identified first; every effect of the catalogue (or only `effects`, and `also`
+    a user's own by Python path) is scored off the geometry, the best are refitted and judged at
+    poses left out. With a robust `loss`, samples that it gives less than half their weight are set
+    aside first, and named. Further options as in `identification.fit`. FitError where the
+    baseline itself cannot be identified.
+    """
+    report = progress or (lambda stage, fraction: None)
+    if loss != "linear":
+        first = fit(model, dataset, hold_out=0, loss=loss, **options)
+        dataset = dataset.excluding([d["sample"] for d in first.document()["down_weighted"]])
+    refit = partial(_refit, dataset=dataset, hold_out=hold_out, seed=seed, options=options)
+    with single_threaded():
+        search = Search(model, refit, report)
+        report("identifying the geometry", 0.0)
+        base = search.fit()
+        return _Diagnosing(model, dataset, search, base, names_of(model, also, effects), report)()
+
+
+def _refit(model: Model, dataset: Dataset, hold_out: float, seed: int, options: Any) -> Any:
+    return fit(model, dataset, hold_out=hold_out, seed=seed, **options)
+
+
+class _Diagnosing:
+    """One diagnosis under way: the catalogue ranked, effects searched, the rest described."""
+
+    def __init__(
+        self,
+        model: Model,
+        dataset: Dataset,
+        search: Search,
+        base: Refit,
+        names: list[str],
+        report: Progress,
+    ):
+        self._model, self._dataset, self._search = model, dataset, search
+        self._base, self._names, self._report = base, names, report
+        self._known: dict[tuple[Chosen, ...], list[Candidate]] = {}
+
+    def __call__(self) -> Diagnosis:
+        base, search = self._base, self._search
+        scene, ranked = base.scene, self._ranked(base)
+        best, against = search.forward(base, self._significant)
+        best = search.backward(best)
+        swaps = search.swaps(best, rivals_of(best, ranked))
+        there = best.scene
+        seen, found = field(scene), field(there)
+        noise, left = reference(scene, seen), structure(there, found)
+        names = listed([c.name for c in best.chosen], swaps)
+        before = chi2_before(base, best, ranked)
+        verdict = judge(base, best, before, noise, left, found.held, names)
+        self._report("weighing the evidence", 0.8)
+        rivals = {c.name: swaps.get(c.name, []) for c in best.chosen}
+        return Diagnosis(
+            model=self._model,
+            dataset=self._dataset,
+            base=base,
+            best=best,
+            ranked=tuple(ranked),
+            entries=tuple(entries(ranked, base, search, noise, against)),
+            placebo=placebo(scene, ranked),
+            noise=noise,
+            verdict=verdict,
+            left=left,
+            field=found,
+            odd=tuple(odd_samples(there, found)),
+            swaps=swaps,
+            next=next_measurement(best, rivals, ranked),
+        )
+
+    def _ranked(self, here: Refit) -> list[Candidate]:
+        """The catalogue beside a refit, best first; those that cannot be tested last."""
+        if here.chosen in self._known:
+            return self._known[here.chosen]
+        scene, found = here.scene, []
+        taken = {c.name for c in here.chosen}
+        for k, name in enumerate(n for n in self._names if n not in taken):
+            self._report(f"testing {name}", 0.1 + 0.3 * k / len(self._names))
+            found.append(candidate(scene, name))
+        self._known[here.chosen] = sorted(found, key=lambda c: (not c.testable, c.log_p))
+        return self._known[here.chosen]
+
+    def _significant(self, here: Refit) -> list[Candidate]:
+        ranked = [c for c in self._ranked(here) if c.testable]
+        adjusted = holm(np.array([c.p_value for c in ranked]))
+        return [c for c, p in zip(ranked, adjusted, strict=True) if p < SIGNIFICANT][:REFITTED]

@@ -1,0 +1,105 @@
+"""A fitted model and its data, linearised where the model puts the platform: what is left."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from parallel_cal.identification.linearisation import Linearisation
+from parallel_cal.identification.observability import RELATIVE_RANK
+from parallel_cal.identification.observations import Evidence, conditions
+from parallel_cal.identification.predictions import predicted
+from parallel_cal.model.model import Model
+from parallel_cal.recordings.dataset import Dataset
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What every candidate is held against, in noise units.
+
+    residual (n,) and basis (n, rank) of the geometry's columns, rows of a sample together;
+    x (N, nq+12) the configurations predicted from the joints. Regressors are taken there, never
+    at the measured pose: a noisy measurement would explain its own error. `whitener` (N, rows,
+    rows) turns rows of the closure into noise units.
+    """
+
+    model: Model
+    dataset: Dataset
+    evidence: Evidence
+    free: np.ndarray
+    x: np.ndarray
+    whitener: np.ndarray
+    residual: np.ndarray
+    basis: np.ndarray
+    rows: int
+    dof: int
+
+    @property
+    def chi2_per_dof(self) -> float:
+        return float(self.residual @ self.residual) / self.dof if self.dof > 0 else float("nan")
+
+    @cached_property
+    def group(self) -> np.ndarray:
+        """Number (N,) of the block that a sample belongs to: visits of one pose, or a stretch of
+        a continuous motion."""
+        if self.dataset.mode == "continuous":
+            return np.arange(len(self.x)) // max(1, len(self.x) // 40)
+        return np.unique(self.evidence.group, return_inverse=True)[1]
+
+    def off_geometry(self, columns: np.ndarray) -> np.ndarray:
+        """What of some columns (n, k) no change of the free parameters imitates."""
+        return np.asarray(columns - self.basis @ (self.basis.T @ columns))
+
+    @property
+    def sigmas(self) -> np.ndarray:
+        """Rms residual (N,) of each sample."""
+        blocks = self.by_sample(self.residual)
+        used = np.maximum(np.count_nonzero(blocks, axis=1), 1)
+        return np.asarray(np.sqrt(np.sum(blocks**2, axis=1) / used))
+
+    def by_sample(self, column: np.ndarray) -> np.ndarray:
+        """A column (n,) as (N, rows)."""
+        return column.reshape(-1, self.rows)
+
+
+def scene(model: Model, dataset: Dataset, evidence: Evidence, free: np.ndarray) -> Scene:
+    """The scene of a fitted model; the residual is what its free parameters leave."""
+    x = predicted(model, evidence)
+    linearise = Linearisation(model, evidence, free, True)
+    system, T = linearise(model.values, x), linearise.whiteners(model.values, x)
+    r = system.residual.reshape(-1)
+    J = system.jacobian.reshape(len(r), -1) * model.table.tolerance[free]
+    basis = orthonormal(J, RELATIVE_RANK)
+    left = r - basis @ (basis.T @ r)
+    used = np.any(J != 0, axis=1) if J.shape[1] else r != 0  # rows left by unmeasured coordinates
+    dof = int(np.count_nonzero(used)) - basis.shape[1]
+    rows = system.residual.shape[1]
+    return Scene(model, dataset, evidence, free, x, T, left, basis, rows, dof)
+
+
+def columns(extended: Model, here: Scene, new: np.ndarray) -> np.ndarray:
+    """d residual / d (new parameters, in tolerances), (n, n_new), of a model with one more effect
+    at zero; its mechanism and sensors are those of the scene. FitError where a condition lacks."""
+    return columns_at(extended, here, conditions(extended, here.dataset), new)
+
+
+def columns_at(extended: Model, here: Scene, a: np.ndarray, new: np.ndarray) -> np.ndarray:
+    """The same under given conditions a (N, n_conditions)."""
+    which = tuple(int(i) for i in np.flatnonzero(new))
+    by_v = extended.structure.columns(which)(here.x, a, extended.values)[0]
+    J = here.whitener @ by_v.reshape(len(here.x), len(which), here.rows).transpose(0, 2, 1)
+    return np.asarray(J.reshape(len(here.residual), -1) * extended.table.tolerance[new])
+
+
+def orthonormal(J: np.ndarray, least: float) -> np.ndarray:
+    """A basis of the columns' span, directions below `least` of the largest left out."""
+    if not J.shape[1] or not J.any():
+        return np.zeros((len(J), 0))
+    left, sizes, _ = np.linalg.svd(J, full_matrices=False)
+    return np.asarray(left[:, sizes > least * sizes[0]])
+
+
+Progress = Callable[[str, float], None]

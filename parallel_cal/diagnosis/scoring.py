@@ -1,0 +1,123 @@
+"""How much of the residual an effect would take away, before anything is refitted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from parallel_cal.diagnosis.scene import Scene
+
+VISIBLE = 3e-3  # of a unit column: what projection leaves below is numerical rubbish
+
+
+@dataclass(frozen=True)
+class Score:
+    """F test of one group of columns: g = U^T r, F = (g.g / q) / ((r.r - g.g) / (dof - q)).
+
+    `remaining` is the share of the columns that no geometry imitates, `size` the sigmas by which
+    the effect at its typical size moves the residuals, `U` (n, q) the directions it acts in.
+    """
+
+    F: float
+    log_p: float
+    q: int
+    remaining: float
+    size: float
+    U: np.ndarray
+
+    @property
+    def p_value(self) -> float:
+        return float(np.exp(self.log_p))
+
+
+def score(here: Scene, B: np.ndarray) -> Score:
+    """The F test of columns B (n, k), in tolerances."""
+    lengths = np.linalg.norm(B, axis=0)
+    B = B[:, lengths > 1e-9]
+    lengths = lengths[lengths > 1e-9]
+    if not len(lengths):
+        return Score(0.0, 0.0, 0, 0.0, 0.0, np.zeros((len(here.residual), 0)))
+    left = here.off_geometry(B / lengths)
+    # Twice: what a first projection of a nearly parallel column leaves is not quite orthogonal.
+    U, sizes, _ = np.linalg.svd(here.off_geometry(left), full_matrices=False)
+    U = U[:, sizes > VISIBLE]
+    remaining = float(np.sqrt(np.mean(np.sum(left**2, axis=0))))
+    size = float(np.sqrt(np.mean(np.sum((left * lengths) ** 2, axis=0))))
+    F, log_p = f_test(here.residual, U, here.dof)
+    return Score(F, log_p, U.shape[1], remaining, size, U)
+
+
+def f_test(r: np.ndarray, U: np.ndarray, dof: int) -> tuple[float, float]:
+    """F and the logarithm of its p-value for orthonormal U (n, q); (0, 0) where q = 0."""
+    q = U.shape[1]
+    if q == 0 or dof <= q:
+        return 0.0, 0.0
+    g = U.T @ r
+    taken, left = float(g @ g), float(r @ r) - float(g @ g)
+    F = (taken / q) / max(left / (dof - q), 1e-300)
+    return F, log_p_of(F, q, dof - q)
+
+
+def log_p_of(F: float, q: int, dof: int) -> float:
+    """log P(F' > F) with q and dof degrees of freedom, through the incomplete beta function."""
+    from scipy.special import betainc, gammaln
+
+    z = dof / (dof + q * F)
+    p = betainc(dof / 2, q / 2, z)
+    if p > 1e-290:
+        return float(np.log(p))
+    # The leading term of its series, where it underflows.
+    a, b = dof / 2, q / 2
+    return float(
+        a * np.log(z) + b * np.log1p(-z) - np.log(a) - (gammaln(a) + gammaln(b) - gammaln(a + b))
+    )
+
+
+def alike(one: np.ndarray, other: np.ndarray) -> float:
+    """Largest canonical correlation of two groups of directions (n, q) off the geometry."""
+    if not one.shape[1] or not other.shape[1]:
+        return 0.0
+    return float(np.linalg.norm(one.T @ other, 2))
+
+
+def resampled(
+    here: Scene, groups: list[np.ndarray], resamples: int = 200, seed: int = 0
+) -> np.ndarray:
+    """log p (resamples, k) of each group of directions when poses are drawn with replacement.
+
+    Poses, not rows: visits of one pose stay together. Everything is expressed in the full
+    data's bases first, so that a resample costs sums of small Gram matrices. Scenes of the same
+    poses with the same seed draw the same poses.
+    """
+    Z = np.column_stack([here.basis, *groups, here.residual])
+    blocks = Z.reshape(-1, here.rows, Z.shape[1])
+    names = np.unique(here.group)
+    gram = np.array([_gram(blocks[here.group == g]) for g in names])
+    p, ends = here.basis.shape[1], np.cumsum([here.basis.shape[1], *[g.shape[1] for g in groups]])
+    picks = np.random.default_rng(seed).integers(len(names), size=(resamples, len(names)))
+    count = np.array([np.bincount(row, minlength=len(names)) for row in picks], dtype=float)
+    return _log_ps(np.tensordot(count, gram, axes=1), p, ends, here.dof)
+
+
+def _gram(block: np.ndarray) -> np.ndarray:
+    rows = block.reshape(-1, block.shape[2])
+    return np.asarray(rows.T @ rows)
+
+
+def _log_ps(G: np.ndarray, p: int, ends: np.ndarray, dof: int) -> np.ndarray:
+    """log p (resamples, k) of every group from Gram matrices of [basis, groups, residual]."""
+    # Directions that a resample does not see are held by a grain of the identity.
+    grain = 1e-9 * np.maximum(np.trace(G[:, :p, :p], axis1=1, axis2=2) / max(p, 1), 1e-12)
+    A = G[:, :p, :p] + grain[:, None, None] * np.eye(p)
+    left = G[:, p:, p:] - G[:, p:, :p] @ np.linalg.solve(A, G[:, :p, p:])
+    rr, logs = left[:, -1, -1], np.zeros((len(G), len(ends) - 1))
+    for column, begin, end in zip(logs.T, ends[:-1] - p, ends[1:] - p, strict=True):
+        q = end - begin
+        if not q or dof <= q:
+            continue
+        M, g = left[:, begin:end, begin:end], left[:, begin:end, -1:]
+        taken = (g.transpose(0, 2, 1) @ np.linalg.pinv(M, rcond=1e-6, hermitian=True) @ g)[:, 0, 0]
+        F = taken / q / np.maximum((rr - taken) / (dof - q), 1e-300)
+        column[:] = [log_p_of(max(f, 0.0), q, dof - q) for f in F]
+    return logs

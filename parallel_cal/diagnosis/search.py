@@ -1,0 +1,200 @@
+"""Which effects together: forward by score, judged by leaving poses out, backward, swaps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from parallel_cal.base.errors import FitError
+from parallel_cal.diagnosis.catalogue import SHUFFLES, Candidate
+from parallel_cal.diagnosis.scene import Progress, Scene, scene
+from parallel_cal.diagnosis.scoring import log_p_of
+from parallel_cal.identification.fit import Result
+from parallel_cal.identification.prediction_errors import held_out_ratio
+from parallel_cal.model.model import Model
+
+SIGNIFICANT = 0.01  # over the whole catalogue (Holm)
+MOST = 4  # effects added in one diagnosis
+LIKE = 1.05  # of the held-out error: a swap within it tells as good a story ...
+APART = 5.0  # ... unless the data tell the two apart by as many sigmas
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """An effect with the settings of its fixed numbers, as pairs."""
+
+    name: str
+    fixed: tuple[tuple[str, float], ...] = ()
+
+    @classmethod
+    def of(cls, one: Candidate) -> Chosen:
+        return cls(one.name, tuple(sorted(one.settings.items())))
+
+    @property
+    def settings(self) -> dict[str, float]:
+        return dict(self.fixed)
+
+
+@dataclass(frozen=True)
+class Refit:
+    """A model identified anew with some effects, or why that failed."""
+
+    chosen: tuple[Chosen, ...]
+    result: Result | None
+    document: Mapping[str, Any]
+    reason: str = ""
+
+    @property
+    def fitted(self) -> Result:
+        """The identification; FitError where it failed."""
+        if self.result is None:
+            raise FitError(self.reason)
+        return self.result
+
+    @cached_property
+    def scene(self) -> Scene:
+        r = self.fitted
+        return scene(r.model, r.dataset, r.evidence, r.free)
+
+
+class Search:
+    """The refits of one diagnosis, each made once."""
+
+    def __init__(self, model: Model, refit: Callable[[Model], Result], progress: Progress):
+        self._model, self._refit, self._progress = model, refit, progress
+        self._known: dict[tuple[Chosen, ...], Refit] = {}
+
+    def fit(self, *chosen: Chosen) -> Refit:
+        """The baseline with these effects, identified on all poses and judged on those left out."""
+        if chosen not in self._known:
+            self._progress(f"refitting with {', '.join(c.name for c in chosen) or 'nothing'}", 0.5)
+            self._known[chosen] = self._fit(chosen)
+        return self._known[chosen]
+
+    def _fit(self, chosen: tuple[Chosen, ...]) -> Refit:
+        model = self._model
+        try:
+            for one in chosen:
+                model = model.with_effect(one.name, one.settings)
+            result = self._refit(model)
+        except FitError as error:
+            return Refit(chosen, None, {}, str(error))
+        return Refit(chosen, result, result.document())
+
+    def accepts(self, before: Refit, one: Candidate) -> tuple[Refit, str]:
+        """The refit with one more effect, and what stands against it (empty: nothing)."""
+        after = self.fit(*before.chosen, Chosen.of(one))
+        if after.result is None:
+            return after, after.reason
+        ratio = ratio_of(before, after)
+        if ratio is not None and (ratio >= 1 or not clearly_falls(before, after)):
+            return after, f"does not clearly lower the error at poses left out (factor {ratio:.3f})"
+        p = one.shuffled_p
+        if p is not None and p > 2 / (SHUFFLES + 1):
+            return after, "explains no more than its own condition shuffled between poses"
+        return after, ""
+
+    def forward(
+        self, start: Refit, rank: Callable[[Refit], list[Candidate]]
+    ) -> tuple[Refit, dict[str, str]]:
+        """Effects added one by one while one is significant and nothing stands against it."""
+        here = start
+        against: dict[str, str] = {}
+        while len(here.chosen) - len(start.chosen) < MOST:
+            found, refused = self._next(here, rank(here))
+            against |= refused
+            if found is None:
+                break
+            here = found
+        return here, against
+
+    def _next(self, here: Refit, ranked: list[Candidate]) -> tuple[Refit | None, dict[str, str]]:
+        against: dict[str, str] = {}
+        for one in ranked:
+            if one.name in {c.name for c in here.chosen}:
+                continue
+            after, reason = self.accepts(here, one)
+            if not reason:
+                return after, against
+            against[one.name] = reason
+        return None, against
+
+    def backward(self, here: Refit) -> Refit:
+        """Effects taken out again that those added later have made superfluous."""
+        for one in here.chosen:
+            if len(here.chosen) < 2:
+                break
+            without = self.fit(*(c for c in here.chosen if c != one))
+            if _superfluous(without, here):
+                here = without
+        return here
+
+    def swaps(self, here: Refit, rivals: Mapping[str, list[Candidate]]) -> dict[str, list[str]]:
+        """For each chosen effect those of its rivals that tell as good a story in its place."""
+        found: dict[str, list[str]] = {}
+        for i, one in enumerate(here.chosen):
+            for other in rivals.get(one.name, []):
+                swapped = list(here.chosen)
+                swapped[i] = Chosen.of(other)
+                if _as_good(here, self.fit(*swapped)):
+                    found.setdefault(one.name, []).append(other.name)
+        return found
+
+
+def _as_good(here: Refit, other: Refit) -> bool:
+    ratio = ratio_of(here, other)
+    if ratio is None or ratio >= LIKE:
+        return False
+    own, its = here.fitted.estimate, other.fitted.estimate
+    return its.chi2 - own.chi2 < APART**2 * max(own.chi2_per_dof, 1e-300)
+
+
+def ratio_of(before: Refit, after: Refit) -> float | None:
+    """Held-out error after over before; None where one is not known."""
+    if before.result is None or after.result is None:
+        return None
+    return held_out_ratio(before.document["held_out"]["after"], after.document["held_out"]["after"])
+
+
+def clearly_falls(before: Refit, after: Refit) -> bool:
+    """Whether the squared held-out errors fall by more than their mean's own uncertainty, poses
+    taken as a whole: a fall that half of the poses contradict is luck."""
+    old, new = (_squared(r.fitted) for r in (before, after))
+    known = np.isfinite(old) & np.isfinite(new)
+    if not known.any():
+        return True  # nothing to judge by
+    fall = np.bincount(before.scene.group[known], (old - new)[known])
+    return bool(fall.mean() > fall.std() / np.sqrt(len(fall)))
+
+
+def _squared(result: Result) -> np.ndarray:
+    """Squared held-out error (N,): of the pose in units of the device's noise; where none was
+    measured, of what sensors read, or of the joints."""
+    n, found = len(result.model.joints), result.held_out
+    variance = np.diagonal(result.evidence.S, axis1=1, axis2=2)
+    parts = [
+        np.sum(e**2, axis=1) / np.mean(variance[:, at], axis=1)
+        for e, at in ((found.position, slice(n, n + 3)), (found.orientation, slice(n + 3, n + 6)))
+    ]
+    if np.isfinite(parts).any():
+        return np.where(np.isnan(parts).all(axis=0), np.nan, np.nansum(parts, axis=0))
+    read = np.isfinite(found.reading).any(axis=1)
+    if read.any():
+        return np.where(read, np.nansum(found.reading**2, axis=1), np.nan)
+    return np.asarray(np.sum(found.joint**2, axis=1))
+
+
+def _superfluous(without: Refit, here: Refit) -> bool:
+    """Whether an effect explains nothing significant beside the others."""
+    if without.result is None or here.result is None:
+        return False
+    less, more = without.result.estimate, here.result.estimate
+    q = less.dof - more.dof
+    if q <= 0 or more.dof <= 0:
+        return False
+    F = max(less.chi2 - more.chi2, 0.0) / q / max(more.chi2_per_dof, 1e-300)
+    return log_p_of(F, q, more.dof) > np.log(SIGNIFICANT)

@@ -1,0 +1,136 @@
+"""Is anything left, and what does it look like: tests of structure, and a smooth map of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from parallel_cal.diagnosis.fields import Field
+from parallel_cal.diagnosis.scene import Scene
+from parallel_cal.diagnosis.statistics import averaged, morans_i, runs_test, smallest
+from parallel_cal.recordings.dataset import NUMBER
+
+LENGTHS = (0.15, 0.25, 0.4, 0.7, 1.2)  # of the map's smoothness, in standard deviations of place
+SIGNIFICANT = 0.01
+
+
+@dataclass(frozen=True)
+class Structure:
+    """p-values of neighbours alike (`moran`) and of too few changes of sign (`runs`), by what the
+    samples are ordered by; `map` a smooth picture of the residuals, which explains nothing."""
+
+    moran: dict[str, tuple[float, float]]
+    runs: dict[str, float]
+    map: SmoothMap
+
+    @property
+    def p_value(self) -> float:
+        """Of the most striking one, corrected for how many there are."""
+        return smallest([p for _, p in self.moran.values()] + list(self.runs.values()))
+
+    @property
+    def found(self) -> bool:
+        return self.p_value < SIGNIFICANT
+
+    def document(self) -> dict[str, Any]:
+        return {
+            "p_value": self.p_value,
+            "found": self.found,
+            "moran": {k: {"I": i, "p_value": p} for k, (i, p) in self.moran.items()},
+            "runs": dict(self.runs),
+            **self.map.document(),
+        }
+
+
+@dataclass(frozen=True)
+class SmoothMap:
+    """A smooth field fitted to the position (or orientation) residuals over the workspace.
+
+    length (m or rad) over which it changes; size: rms of the smooth part (m, or rad); share of
+    the residuals' variance that it predicts at poses left out; places (M, 3), field (M, 3).
+    """
+
+    kind: str
+    length: float
+    size: float
+    share: float
+    places: np.ndarray
+    field: np.ndarray
+
+    def document(self) -> dict[str, Any]:
+        seen = self.share > 0
+        return {
+            "kind": self.kind,
+            "length_scale": self.length if seen else None,
+            "size": self.size if seen else 0.0,
+            "share_predicted": self.share,
+            "note": "a picture of what is unexplained, no physical effect",
+        }
+
+
+def structure(here: Scene, found: Field) -> Structure:
+    """Tests over workspace and joint space, along time, every joint and every condition."""
+    n, z = len(here.model.joints), found.noise_units
+    joints, places = here.x[:, :n], here.x[:, n : n + 3]
+    group = here.evidence.group
+    moran = {"joint space": morans_i(z, joints, group)}
+    if np.ptp(places, axis=0).max() > 1e-9:
+        moran["workspace"] = morans_i(z, places, group)
+    varied = z[:, np.any(z != 0, axis=0)]
+    runs = {name: runs_test(varied[order]) for name, order in orders(here)}
+    return Structure(moran, runs, smooth_map(here, found))
+
+
+def orders(here: Scene) -> Iterator[tuple[str, np.ndarray]]:
+    """Sample orders worth a look: by time, each joint, and each condition that varies."""
+    for name, values in regressors(here):
+        if not name.startswith("direction.") and len(np.unique(values)) > 5:
+            yield name, np.argsort(values, kind="stable")
+
+
+def regressors(here: Scene) -> Iterator[tuple[str, np.ndarray]]:
+    """What residuals may depend on (N,), poses as predicted: time, joints, place, conditions."""
+    yield "time", np.asarray(here.dataset.time)
+    for k, name in enumerate([*here.model.joints, *"xyz"]):
+        if np.ptp(here.x[:, k]) > 1e-9:
+            yield name, here.x[:, k]
+    for name, values in here.dataset.conditions.items():
+        known = np.isfinite(values).all() and np.ptp(values) > 0 if len(values) else False
+        if known and not name.startswith(("time", NUMBER, "effort.", "reading.")):
+            yield name, np.asarray(values)
+
+
+def smooth_map(here: Scene, found: Field) -> SmoothMap:
+    """Kriging with the length scale that predicts left-out poses best.
+
+    f = K (K + s^2 I)^-1 e with K = exp(-d^2 / 2 l^2); leaving one pose out costs one division:
+    e_i - f_-i = (A e)_i / A_ii with A = (K + s^2 I)^-1.
+    """
+    n = len(here.model.joints)
+    position = bool(found.measured[:, :3].any())
+    kind, part = ("position", slice(0, 3)) if position else ("orientation", slice(3, 6))
+    group = here.evidence.group
+    e = averaged(found.pose[:, part], group)
+    coordinates = here.x[:, n : n + 3] if position else here.x[:, :n]
+    places = averaged(coordinates, group)
+    spread = np.maximum(places.std(axis=0), 1e-12)
+    apart = np.sum(((places[:, None] - places[None]) / spread) ** 2, axis=2)
+    best = max((_left_out(apart, e, l, s) for l in LENGTHS for s in (0.1, 0.3, 1.0, 3.0)),
+               key=lambda fit: fit[0])  # fmt: skip
+    share, length, smooth = best if e.any() else (0.0, *best[1:])
+    metres = length * float(np.sqrt(np.mean(spread**2)))
+    size = float(np.sqrt(np.mean(np.sum(smooth**2, axis=1))))
+    return SmoothMap(kind, metres, size, max(share, 0.0), places, smooth)
+
+
+def _left_out(
+    apart: np.ndarray, e: np.ndarray, length: float, noise: float
+) -> tuple[float, float, np.ndarray]:
+    """(share of variance predicted at poses left out, length, smoothed field)."""
+    K = np.exp(-apart / (2 * length**2))
+    A = np.linalg.inv(K + noise * np.eye(len(K)))
+    left = (A @ e) / np.diag(A)[:, None]
+    return 1 - float(np.sum(left**2)) / max(float(np.sum(e**2)), 1e-300), length, K @ (A @ e)

@@ -1,0 +1,79 @@
+"""What an identification may be asked: parameters, enough poses, plausible answers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from parallel_cal.base.errors import FitError
+from parallel_cal.identification.methods._estimate import Estimate
+from parallel_cal.identification.observations import Evidence
+from parallel_cal.identification.prior import Prior
+from parallel_cal.model.model import Model
+from parallel_cal.model.parameters import Parameter
+
+
+def chosen_parameters(
+    model: Model, free: Iterable[str], fix: Iterable[str], refit: Iterable[str]
+) -> tuple[np.ndarray, bool]:
+    """Which parameters are identified, and whether the others keep their covariance."""
+    refit, free, fix = tuple(refit), tuple(free), tuple(fix)
+    if refit and (free or fix):
+        raise FitError("refit names all that is identified: give it no free or fix patterns")
+    return (model.table.matching(refit), True) if refit else (free_mask(model, free, fix), False)
+
+
+def free_mask(model: Model, free: Iterable[str], fix: Iterable[str]) -> np.ndarray:
+    """Mask (n_parameters,) of what the model file, then the patterns, leave free."""
+    freed, fixed = model.table.matching(free), model.table.matching(fix)
+    own = ~np.asarray(model.fixed)
+    both, only_freed, only_fixed = freed & fixed, freed & ~fixed, fixed & ~freed
+    if both.any() and only_freed.any() == only_fixed.any():
+        names = [n for n, b in zip(model.table.names, both, strict=True) if b]
+        raise FitError(f"{', '.join(names)}: both freed and fixed; say which")
+    free_is_narrower = both.any() and not only_freed.any()
+    mask = (own & ~fixed) | freed if free_is_narrower else (own | freed) & ~fixed
+    if not mask.any():
+        raise FitError("no parameter is left free; give --free a pattern or fix fewer")
+    return np.asarray(mask)
+
+
+def check_enough(model: Model, evidence: Evidence, free: np.ndarray, prior: bool | Prior) -> None:
+    """A clear word before the numbers fail: too few poses, or all of them the same; with a
+    prior one equation is enough."""
+    poses, first = np.unique(evidence.group, return_index=True)
+    n = len(model.joints)
+    moved = [n + i for i in model.mechanism.moved]
+    given = evidence.measured[:, moved].sum(axis=1) + np.isfinite(evidence.reading).sum(axis=1)
+    equations = np.maximum(model.structure.phi.shape[0] - len(moved) + given, 0)[first]
+    carried, most = int(equations.sum()), max(int(equations.max(initial=0)), 1)
+    if carried < (1 if prior else free.sum()):
+        raise FitError(
+            f"{len(poses)} different poses give {carried} equations, but {int(free.sum())} "
+            f"parameters are free: measure at least {-(-int(free.sum()) // most)} different "
+            "poses (better twice as many), or fix parameters"
+        )
+
+
+def check_plausible(model: Model, estimate: Estimate, free: np.ndarray) -> None:
+    """A small residual bought with an absurd parameter is a failed fit, not a good one."""
+    for i, p in enumerate(model.table):
+        low, high = p.plausible_range()
+        value = model.values[i]
+        if free[i] and not low <= value <= high:
+            raise FitError(_implausible(p, float(value), estimate.chi2_per_dof))
+
+
+def _implausible(p: Parameter, value: float, chi2_per_dof: float) -> str:
+    low, high = p.plausible_range()
+    shown = f"{value:.6g}" if p.unit == "1" else f"{value:.6g} {p.unit}"
+    if p.group == "effect":  # what is wrong is the effect, not the file or the units
+        plausible = f"({low:.6g} to {high:.6g})"
+        return f"{p.name} would have to be {shown}, which is not plausible {plausible}"
+    return (
+        f"{p.name} went to {shown}, {(value - p.nominal) / p.tolerance:+.1f} tolerances from its "
+        f"nominal {p.nominal:.6g} (plausible {low:.6g} to {high:.6g}; chi2/dof "
+        f"{chi2_per_dof:.3g}): check units and mechanism, fix the parameter, use priors, or "
+        "correct nominal and tolerance in the model file"
+    )

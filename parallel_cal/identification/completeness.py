@@ -1,0 +1,158 @@
+"""How many parameters a complete model has (eqs 3.1-3.4), and whether a mechanism has them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from parallel_cal.base.errors import ModelError
+from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.model.mechanism import Mechanism
+from parallel_cal.model.model import Model, new_model
+
+INDEPENDENT = 1e-11  # of the largest singular value, every column brought to length 1
+CLOSED = 1e-11  # m: residual of a pose that counts as consistent
+PART_OF_TRAVEL = 0.15  # of each joint's range, to both sides of home
+FRAME_UNIT = 1e-3  # m, and rad at the mechanism's length: what a frame's error is counted in
+
+
+def serial(R: int, P: int) -> int:
+    """Eq. 3.1: R revolute and P prismatic joints, arbitrary base and platform frames."""
+    return 4 * R + 2 * P + 6
+
+
+def single_loop(R: int, P: int, SS: int, E: int) -> int:
+    """Eq. 3.2: one loop with SS rods between two balls and E encoders, one arbitrary frame."""
+    return 3 * R + P + SS + E + 6
+
+
+def multi_loop(R: int, P: int, SS: int, E: int, L: int, F: int = 2) -> int:
+    """Eq. 3.3: L loops, F arbitrarily located frames."""
+    return 3 * R + P + SS + E + 6 * L + 6 * (F - 1)
+
+
+def planar_or_spherical(R: int, S: int, E: int, L: int, F: int = 2) -> int:
+    """Eq. 3.4: the same in a plane or on a sphere, where prismatic joints do not count."""
+    return R + S + E + 3 * L + 3 * (F - 1)
+
+
+@dataclass(frozen=True)
+class Completeness:
+    """What a mechanism's parameters describe, counted at a robot with generic errors.
+
+    `rank`: independent parameters. `needed`: their number once both frames may lie anywhere,
+    C with F = 2. `coordinates`: what one frame adds, 6 in space, 3 in a plane or on a sphere.
+    """
+
+    parameters: int
+    rank: int
+    needed: int
+    coordinates: int
+    singular_values: np.ndarray
+
+    def complete(self, frames: int = 2) -> bool:
+        """Whether nothing is missing, with `frames` of {B} and {P} arbitrarily located (F)."""
+        return self.rank == self.needed - self.coordinates * (2 - frames)
+
+    @property
+    def redundant(self) -> int:
+        """Parameters too many."""
+        return self.parameters - self.rank
+
+
+def check(
+    mechanism: Mechanism,
+    poses: int = 0,
+    spread: float = 5.0,
+    without: Sequence[str] = (),
+    seed: int = 0,
+) -> Completeness:
+    """Rank of the identification Jacobian d phi / dp over poses that close exactly.
+
+    The robot is drawn `spread` tolerances around nominal: at the nominal robot some parameters
+    are felt nowhere (a Delta's platform does not tilt). `poses` 0: three a parameter. `without`
+    names parameters to leave out.
+    """
+    rng = np.random.default_rng(seed)
+    table = mechanism.parameters
+    values = table.nominal + spread * table.tolerance * rng.uniform(-1, 1, len(table))
+    model = new_model(mechanism).with_values(values)
+    x = closed_poses(model, poses or 3 * len(table), rng)
+    kept = ~table.matching(without) if without else slice(None)
+    own, frames = identification_jacobian(model, x)[:, kept], frame_jacobian(model, x)
+    sizes = np.linalg.svd(own, compute_uv=False)
+    needed = rank(np.hstack([own, frames]))
+    return Completeness(own.shape[1], rank(own), needed, len(mechanism.moves), sizes)
+
+
+def closed_poses(model: Model, n: int, rng: np.random.Generator) -> np.ndarray:
+    """n configurations (q, r, R9) that close, with the joints around home."""
+    kinematics, found = Kinematics(model), np.empty((0, len(model.joints) + 12))
+    for _ in range(20):
+        s = kinematics.direct(_joints(kinematics, n, rng))
+        closed = np.nan_to_num(s.residual, nan=np.inf) < CLOSED
+        rows = np.hstack([s.joints, s.position, s.rotation.reshape(-1, 9)])
+        found = np.vstack([found, rows[closed]])[:n]
+        if len(found) == n:
+            return found
+    raise ModelError(f"{model.mechanism.name}: only {len(found)} of {n} poses around home close")
+
+
+def _joints(kinematics: Kinematics, n: int, rng: np.random.Generator) -> np.ndarray:
+    """Joints (n, nq) drawn around home; those of redundant drives from drawn positions."""
+    m = kinematics.model.mechanism
+    if len(m.joints) > len(m.moves):
+        position = np.tile(m.home.position, (n, 1))
+        moved = [i for i in m.controlled if i < 3]
+        position[:, moved] = m.sample(n, rng)[:, : len(moved)]
+        return kinematics.inverse(position).joints
+    low, high = np.array(m.joint_limits).T
+    reach = PART_OF_TRAVEL * np.minimum(high - low, 2 * np.pi)
+    return np.array(m.home.joints) + reach * rng.uniform(-1, 1, (n, len(m.joints)))
+
+
+def identification_jacobian(model: Model, x: np.ndarray) -> np.ndarray:
+    """d phi / dp at configurations (n, nq + 12), stacked; a column is one tolerance."""
+    _, J_v = _blocks(model, x)
+    return _stacked(J_v * model.table.tolerance)
+
+
+def frame_jacobian(model: Model, x: np.ndarray) -> np.ndarray:
+    """d phi for small motions of {B} and of {P}, among the coordinates that move."""
+    J_x, n = _blocks(model, x)[0], len(model.joints)
+    r, R = x[:, n : n + 3], x[:, n + 3 :].reshape(-1, 3, 3)
+    lever = np.zeros((len(x), 3, 3))
+    for k, axis in enumerate(np.eye(3)):
+        lever[:, :, k] = np.cross(axis, r)
+    zero = np.zeros_like(R)
+    base = np.block([[np.broadcast_to(np.eye(3), R.shape), lever], [zero, zero + np.eye(3)]])
+    platform = np.block([[R, zero], [zero, R]])
+    moved, length = model.mechanism.moved, model.mechanism.length
+    unit = FRAME_UNIT * np.array([1, 1, 1, *(3 * [1 / length])])[moved]
+    columns = [J_x @ motion[:, :, moved] * unit for motion in (base, platform)]
+    return _stacked(np.concatenate(columns, axis=2))
+
+
+def rank(J: np.ndarray) -> int:
+    """Number of independent columns, each first brought to length 1 (0 up to rounding: none)."""
+    size = np.linalg.norm(J, axis=0)
+    felt = size > 1e-12 * size.max(initial=0.0)
+    scaled = J[:, felt] / size[felt]
+    values = np.linalg.svd(scaled, compute_uv=False)
+    return int(np.sum(values > INDEPENDENT * values[0])) if len(values) else 0
+
+
+def _blocks(model: Model, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """d phi / d(r, w) (N, rows, 6) and d phi / dp (N, rows, n_p)."""
+    s, n = model.structure, len(model.joints)
+    a = model.condition_rows(None, len(x))
+    _, J_x, J_v = s.closure_batch(x, a, model.values)
+    rows = s.phi.shape[0]
+    J_x, J_v = (J.reshape(len(x), -1, rows).transpose(0, 2, 1) for J in (J_x, J_v))
+    return J_x[:, :, n:], J_v
+
+
+def _stacked(J: np.ndarray) -> np.ndarray:
+    return J.reshape(-1, J.shape[2])

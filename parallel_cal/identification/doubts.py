@@ -1,0 +1,108 @@
+"""What is to be doubted about a fit, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from parallel_cal.identification.methods._estimate import Estimate
+from parallel_cal.identification.observations import SCATTER, Evidence
+from parallel_cal.model.model import Model
+from parallel_cal.model.words import direction_in_words
+from parallel_cal.recordings.dataset import Dataset
+
+FAR = 5.0  # tolerances: a parameter that moved further deserves a word
+HELD = 3.0  # of the noise: what the model holds at one value does move
+DOUBTED = 0.5  # a sample that a robust loss gives less weight than this is named
+
+
+def on_parameters(model: Model, estimate: Estimate, free: np.ndarray) -> list[str]:
+    """Parameters that went far, combinations that the data cannot tell."""
+    table = model.table
+    moved = (model.values - table.nominal) / table.tolerance
+    words = [
+        f"{p.name} moved {moved[i]:+.1f} tolerances from nominal"
+        for i, p in enumerate(table)
+        if free[i] and abs(moved[i]) > FAR
+    ]
+    unseen = estimate.spectrum.unidentifiable
+    words += [f"the data cannot tell {direction_in_words(c, model.mechanism)}" for c in unseen]
+    return words
+
+
+def on_noise(estimate: Estimate, evidence: Evidence) -> list[str]:
+    """Residuals beside the noise that was stated."""
+    if evidence.noise_assumed:
+        return [
+            "noise: assumed, so its proportions alone count: sigmas are from the residuals, and "
+            "whether more than noise is left cannot be known"
+        ]
+    low, high = chi2_band(estimate.dof)
+    if estimate.dof > 0 and not low <= estimate.chi2_per_dof <= high:
+        size = "larger" if estimate.chi2_per_dof > high else "smaller"
+        guessed = [kind for kind, source in evidence.noise_from.items() if source == SCATTER]
+        noise = "the stated noise"
+        if guessed:  # a robot that comes back shows more than its jitter at rest
+            which = " and ".join(guessed)
+            noise = f"the jitter within dwells, taken for the {which} noise that nobody stated"
+        return [
+            f"chi2/dof {estimate.chi2_per_dof:.2f} is outside {low:.2f}..{high:.2f}: the residuals "
+            f"are {size} than {noise}"
+        ]
+    return []
+
+
+def on_held(
+    model: Model, after: Mapping[str, float | None], noise: Mapping[str, float | None]
+) -> list[str]:
+    """What was measured to move, but the model holds at one value: chi2 does not see it."""
+    words = []
+    for kind, part in (("position", range(3)), ("orientation", range(3, 6))):
+        error, floor = after[f"{kind}_rms"], noise[f"{kind}_rms"]
+        still = not any(i in model.mechanism.moved for i in part)
+        if still and error is not None and floor is not None and error > HELD * floor:
+            words.append(
+                f"the {kind} is off by {error / floor:.0f} times its noise, but "
+                f"{model.mechanism.name} holds it at one value: a larger model may explain it"
+            )
+    return words
+
+
+def doubted(estimate: Estimate, dataset: Dataset) -> list[dict[str, Any]]:
+    """Samples that a robust loss gave less than half their weight, least trusted first."""
+    if estimate.weight is None:
+        return []
+    order = np.argsort(estimate.weight, kind="stable")
+    return [
+        {
+            "sample": int(dataset.numbers[i]),
+            "time": float(dataset.time[i]),
+            "weight": float(estimate.weight[i]),
+        }
+        for i in order
+        if estimate.weight[i] < DOUBTED
+    ]
+
+
+def on_samples(estimate: Estimate, dataset: Dataset, loss: str) -> list[str]:
+    """Samples that a robust loss mistrusts."""
+    words = [
+        f"{d['sample']} ({d['time']:.1f} s, weight {d['weight']:.2g})"
+        for d in doubted(estimate, dataset)
+    ]
+    return [f"samples down-weighted by loss {loss}: {', '.join(words)}"] if words else []
+
+
+def chi2_band(dof: int) -> tuple[float, float]:
+    """Where chi2/dof lies in 99 % of fits with a complete model (Wilson-Hilferty)."""
+    if dof <= 0:
+        return (0.0, float("inf"))
+    a = 2 / (9 * dof)
+    return tuple((1 - a + z * a**0.5) ** 3 for z in (-2.5758, 2.5758))  # type: ignore[return-value]
+
+
+def finite_or_none(value: float) -> float | None:
+    """A number as documents hold it: None where it is not known."""
+    return float(value) if np.isfinite(value) else None

@@ -1,0 +1,49 @@
+"""Which method identifies, and how: by its name, with a prior, with a robust loss."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from importlib import import_module
+
+import numpy as np
+
+from parallel_cal.base.errors import FitError
+from parallel_cal.identification.methods._estimate import Estimate
+from parallel_cal.identification.methods._robust import robust
+from parallel_cal.identification.observations import Evidence
+from parallel_cal.identification.prior import Prior
+from parallel_cal.model.model import Model
+from parallel_cal.model.shelf import shelf_names
+
+Estimator = Callable[[Model, Evidence, np.ndarray], Estimate]
+# These minimise residuals in noise units until they settle; what rests on such a minimum
+# (robust losses, partial re-calibration) makes no sense for the others.
+SETTLING = ("implicit", "forward", "inverse")
+SHELF = "identification.methods"
+
+
+def estimator(method: str, prior: bool | Prior = False, loss: str = "linear") -> Estimator:
+    """How to get an estimate from (model, evidence, free); FitError where it makes no sense."""
+    chosen = partial(method_named(method), prior=prior)
+    if loss == "linear":
+        return chosen
+    need_settling(method, f"the loss '{loss}'")
+    return partial(robust, chosen, loss=loss)
+
+
+def method_named(name: str) -> Callable[..., Estimate]:
+    """The `estimate` function of parallel_cal/identification/methods/<name>.py."""
+    names = shelf_names(SHELF)
+    if name not in names:
+        raise FitError(f"no method '{name}'; there are {', '.join(names)}")
+    return import_module(f"parallel_cal.{SHELF}.{name}").estimate  # type: ignore[no-any-return]
+
+
+def need_settling(method: str, wanted: str) -> None:
+    """FitError for a method that does not weigh samples by their noise, or does so only once."""
+    if method not in SETTLING:
+        raise FitError(
+            f"{wanted} needs a method that weighs samples until it settles, and '{method}' does "
+            f"not; use {' or '.join(SETTLING)}"
+        )

@@ -1,0 +1,186 @@
+"""The closure linearised at measured samples, in units of the noise it inherits.
+
+Rows inherit the noise W = J_h S J_h^T of the measured quantities h. Coordinates that were not
+measured are projected out: every measuring set-up is this one routine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from parallel_cal.base.rotation import rotation_matrix, rotation_vector
+from parallel_cal.identification.observations import Evidence
+from parallel_cal.identification.predictions import shown
+from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.model.model import Model
+
+BLOCK = 1024  # samples at a time: what is in work then stays in the processor's cache
+MANY = 50_000  # samples from which compiled code pays, even where the cache does not hold it yet
+
+Adjust = Callable[[np.ndarray], np.ndarray]
+
+
+@dataclass
+class System:
+    """Whitened residuals (N, rows) and Jacobian (N, rows, n_free) at one point, unmeasured
+    coordinates projected out; `adjusted`: the configurations after a step (n_free,)."""
+
+    residual: np.ndarray
+    jacobian: np.ndarray
+    adjusted: Adjust
+
+    @property
+    def chi2(self) -> float:
+        return float(np.vdot(self.residual, self.residual))
+
+    @property
+    def columns(self) -> np.ndarray:
+        """The Jacobian's rows of all samples in one matrix (N * rows, n_free)."""
+        return self.jacobian.reshape(-1, self.jacobian.shape[2])
+
+
+class Linearisation:
+    """The closure linearised at parameters and adjusted quantities, in noise units."""
+
+    def __init__(self, model: Model, evidence: Evidence, free: np.ndarray, weighted: bool):
+        self._evidence, self._model, self._weighted = evidence, model, weighted
+        self._free = None if np.all(free) else np.flatnonzero(free)  # no copy of all
+        s, self._n_free = model.structure, int(np.sum(free))
+        self._batch = s.rows_compiled if len(evidence) >= MANY else s.rows_batch
+        self._rows = model.structure.rows.shape[0]
+        closure = model.structure.phi.shape[0]
+        # A channel that was not read is an unknown of its own row, projected out as one.
+        self._unread = np.zeros((len(evidence), self._rows), dtype=bool)
+        self._unread[:, closure:] = np.isnan(evidence.reading)
+        self._read = np.nan_to_num(evidence.reading)
+        self._variance = np.zeros(self._rows)
+        self._variance[closure:] = model.structure.accuracy**2
+        self._n = len(model.joints)
+        moved = np.zeros(self._n + 6, dtype=bool)
+        moved[: self._n] = True
+        moved[[self._n + i for i in model.mechanism.moved]] = True
+        self._unknown = moved & ~evidence.measured
+        self._complete = not (self._unknown.any() or self._unread.any())
+
+    def start(self) -> np.ndarray:
+        """The measured configurations; where nothing of a pose was measured, the model's own."""
+        x, n = self._evidence.x.copy(), self._n
+        blind = self._unknown[:, [n + i for i in self._model.mechanism.moved]].all(axis=1)
+        if blind.any():
+            at = dict(zip(self._model.conditions, self._evidence.a[blind].T, strict=True))
+            pose = shown(self._model, Kinematics(self._model).direct(x[blind, :n], at))
+            columns = np.concatenate([pose.position, pose.rotation.reshape(-1, 9)], axis=1)
+            solved = np.isfinite(columns).all(axis=1)
+            x[np.flatnonzero(blind)[solved], n:] = columns[solved]
+        return x
+
+    def __call__(self, values: np.ndarray, x: np.ndarray) -> System:
+        """Residuals and Jacobian at parameters and adjusted configurations x (N, nq+12)."""
+        residual = np.empty((len(x), self._rows))
+        jacobian = np.empty((len(x), self._rows, self._n_free))
+        adjusts = []
+        for begin in range(0, len(x), BLOCK):
+            part = slice(begin, begin + BLOCK)
+            adjusts.append(self._block(values, x[part], part, residual[part], jacobian[part]))
+        return System(residual, jacobian, lambda step: np.concatenate([a(step) for a in adjusts]))
+
+    def _block(
+        self, values: np.ndarray, x: np.ndarray, part: slice, r: np.ndarray, A: np.ndarray
+    ) -> Adjust:
+        """Fill residuals r and Jacobian A of some samples; how a step adjusts these."""
+        phi, C, J = self.blocks(values, x, part)
+        away = self.away(x, part)
+        SC = self._covariance(part) @ C.transpose(0, 2, 1)
+        K = self._whitening(C @ SC + np.diag(self._variance))
+        r[:] = (K @ (phi[:, :, None] + C @ away[:, :, None]))[:, :, 0]
+        np.matmul(K, J, out=A)
+        free_of, explain = self._projection(K, C, part)
+
+        def corrections(white: np.ndarray) -> np.ndarray:
+            force = SC @ (K.transpose(0, 2, 1) @ white[:, :, None])
+            return away - force[:, :, 0] if self._weighted else away
+
+        if free_of is None:
+            return lambda step: moved(x, corrections(r + A @ step), self._n)
+        r_all, A_all = r.copy(), A.copy()
+        r[:], A[:] = (free_of @ r[:, :, None])[:, :, 0], free_of @ A
+        return lambda step: moved(x, explain(r_all + A_all @ step, corrections), self._n)
+
+    def whiteners(self, values: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """T (N, rows, rows) that turns rows into noise units, free of what was not measured."""
+        T = np.empty((len(x), self._rows, self._rows))
+        for begin in range(0, len(x), BLOCK):
+            part = slice(begin, begin + BLOCK)
+            C = self.blocks(values, x[part], part)[1]
+            W = C @ self._covariance(part) @ C.transpose(0, 2, 1)
+            K = self._whitening(W + np.diag(self._variance))
+            free_of = self._projection(K, C, part)[0]
+            T[part] = K if free_of is None else free_of @ K
+        return T
+
+    def blocks(
+        self, values: np.ndarray, x: np.ndarray, part: slice = slice(None)
+    ) -> tuple[np.ndarray, ...]:
+        """Rows minus readings (N, rows), derivatives by (q, r, w) and by free parameters."""
+        phi, C, J = self._batch(x, self._evidence.a[part], values)
+        phi[:, self._rows - self._read.shape[1] :] -= self._read[part]
+        C = C.reshape(len(x), -1, self._rows).transpose(0, 2, 1)
+        J = J.reshape(len(x), -1, self._rows)
+        if self._free is not None:
+            J = J.take(self._free, axis=1)  # indexing would put samples last: slow to multiply
+        return phi, C, J.transpose(0, 2, 1)
+
+    def _covariance(self, part: slice) -> np.ndarray:
+        """S of some samples, zero where not measured."""
+        seen = self._evidence.measured[part]
+        S = self._evidence.S[part]
+        return S if seen.all() else np.where(seen[:, :, None] & seen[:, None, :], S, 0.0)
+
+    def _whitening(self, W: np.ndarray) -> np.ndarray:
+        """K with K W K^T = 1, for the noise that the rows inherit."""
+        if not self._weighted:
+            return np.broadcast_to(np.eye(self._rows), W.shape)
+        tiny = 1e-14 * np.trace(W, axis1=1, axis2=2) / self._rows
+        return np.linalg.inv(np.linalg.cholesky(W + tiny[:, None, None] * np.eye(self._rows)))
+
+    def _projection(
+        self, K: np.ndarray, C: np.ndarray, part: slice
+    ) -> tuple[np.ndarray | None, Callable[..., np.ndarray]]:
+        """Projectors (N, rows, rows) onto what unmeasured coordinates, and channels not read,
+        cannot explain, and the change of all coordinates; None where all was measured."""
+        if self._complete:
+            return None, lambda *_: np.empty(0)
+        unknown, own = self._unknown[part], np.eye(self._rows) * self._unread[part, None, :]
+        U = K @ np.concatenate([C * unknown[:, None, :], own], axis=2)
+        inverse = np.linalg.pinv(U, rcond=1e-9)
+        left, sizes, _ = np.linalg.svd(U)
+        rank = np.sum(sizes > 1e-9 * np.maximum(sizes[:, :1], 1e-300), axis=1)
+        drop = np.arange(self._rows)[None, :] < rank[:, None]
+        # Rows of an orthonormal basis, those spanned by U zeroed: the rest is free of them.
+        free_of = np.where(drop[:, :, None], 0.0, left.transpose(0, 2, 1))
+
+        def explain(
+            white: np.ndarray, corrections: Callable[[np.ndarray], np.ndarray]
+        ) -> np.ndarray:
+            u = -inverse @ white[:, :, None]
+            rest = white + (U @ u)[:, :, 0]
+            return np.where(unknown, u[:, : unknown.shape[1], 0], corrections(rest))
+
+        return free_of, explain
+
+    def away(self, x: np.ndarray, part: slice = slice(None)) -> np.ndarray:
+        """Measured minus adjusted (q, r, w), (N, nq+6); zero where not measured."""
+        n, measured = self._n, self._evidence.x[part]
+        R = x[:, n + 3 :].reshape(-1, 3, 3)
+        turn = measured[:, n + 3 :].reshape(-1, 3, 3) @ R.transpose(0, 2, 1)
+        away = np.concatenate([measured[:, : n + 3] - x[:, : n + 3], rotation_vector(turn)], axis=1)
+        return np.where(self._evidence.measured[part], away, 0.0)
+
+
+def moved(x: np.ndarray, change: np.ndarray, n: int) -> np.ndarray:
+    """Configurations (N, n+12) of n joints after changes (N, n+6) of (q, r, w)."""
+    R = rotation_matrix(change[:, n + 3 :]) @ x[:, n + 3 :].reshape(-1, 3, 3)
+    return np.concatenate([x[:, : n + 3] + change[:, : n + 3], R.reshape(-1, 9)], axis=1)

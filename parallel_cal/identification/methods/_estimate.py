@@ -1,0 +1,89 @@
+"""What every method answers, and the step that the iterated ones share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from parallel_cal.identification.linearisation import System
+from parallel_cal.identification.observability import Spectrum, spectrum
+from parallel_cal.identification.prior import Knowledge, Prior
+from parallel_cal.model.model import Model
+
+STEP = 1e-8  # in tolerances: smaller steps change nothing a person can measure
+GAIN = 1e-10  # of chi2: steps that promise less have arrived, however long (weak directions)
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What a method found: values and covariance (all parameters, fixed ones at zero),
+    chi2 and its degrees of freedom, what the data can see, whitened residuals a sample,
+    and the samples' weights (N,) under a robust loss."""
+
+    values: np.ndarray
+    covariance: np.ndarray
+    lost: np.ndarray
+    chi2: float
+    dof: int
+    spectrum: Spectrum
+    residuals: np.ndarray
+    iterations: int
+    weight: np.ndarray | None = None
+
+    @property
+    def chi2_per_dof(self) -> float:
+        return self.chi2 / self.dof if self.dof > 0 else float("nan")
+
+    @property
+    def sigma(self) -> np.ndarray:
+        """Standard deviation of every parameter; infinite where the data cannot see it."""
+        return np.where(self.lost, np.inf, np.sqrt(np.diag(self.covariance)))
+
+
+class Normal:
+    """The normal equations at a point, scaled by tolerances, along their own directions."""
+
+    def __init__(self, system: System, values: np.ndarray, tolerance: np.ndarray, known: Knowledge):
+        J = system.columns
+        normal = (J.T @ J) * np.outer(tolerance, tolerance) + known.information
+        gradient = tolerance * (J.T @ system.residual.reshape(-1)) + known.gradient(values)
+        self._size, directions = np.linalg.eigh(normal)
+        self._tolerance, self._directions = tolerance, directions
+        self._along, self._chi2 = directions.T @ gradient, system.chi2
+
+    def step(self, damping: float) -> tuple[np.ndarray, float]:
+        """A damped Gauss-Newton step (n_free,), and the fall of chi2 that it promises."""
+        size = self._size
+        floor = max(1e-13 * size[-1], 1e-300)
+        # Directions the data cannot see keep their values: no walk along them.
+        damped = size + damping * np.maximum(size, 1e-6 * size[-1])  # weak directions wait
+        inverse = np.where(size > floor, 1 / np.maximum(damped, floor), 0.0)
+        step = -self._tolerance * (self._directions @ (inverse * self._along))
+        return step, float(np.sum(inverse * self._along**2))
+
+    @property
+    def arrived(self) -> bool:
+        """Whether there is nothing left to gain; a damped step may be short far from there."""
+        step, left = self.step(0.0)
+        short = np.max(np.abs(step / self._tolerance), initial=0.0) < STEP
+        return bool(short or left < GAIN * self._chi2)
+
+
+def concluded(
+    model: Model,
+    values: np.ndarray,
+    system: System,
+    free: np.ndarray,
+    prior: bool | Prior,
+    iterations: int,
+) -> Estimate:
+    """The estimate at parameters where a method has settled."""
+    J = system.columns
+    seen = spectrum(J, model.table, free, prior)
+    covariance = np.zeros((len(values), len(values)))
+    covariance[np.ix_(free, free)] = seen.covariance
+    lost = np.zeros(len(values), dtype=bool)
+    lost[free] = seen.lost
+    dof = int(np.count_nonzero(J.any(axis=1))) - seen.rank
+    return Estimate(values, covariance, lost, system.chi2, dof, seen, system.residual, iterations)

@@ -1,0 +1,99 @@
+"""The closure solved for some coordinates: what forward and inverse calibration compare."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from parallel_cal.base.errors import FitError
+from parallel_cal.identification.linearisation import Linearisation, moved
+from parallel_cal.identification.methods._descent import Predicted, need_measured
+from parallel_cal.identification.observations import Evidence
+from parallel_cal.model.mechanism import POSE
+from parallel_cal.model.model import Model
+
+SETTLED = 1e-12  # m: a Newton step below this changes nothing
+# Distance from singularities (smallest singular value), as a share of the best sample's: nearer
+# ones are left out. At direct ones two branches meet inside the workspace (5.3.4).
+NEAR_DIRECT, NEAR_INVERSE = 0.2, 1e-4
+
+
+class Prediction:
+    """Measured minus predicted `unknown` coordinates, given the others, in noise units.
+
+    With the closure's blocks C (d/d configuration) and J (d/d parameters) at the solution,
+    du = -C_u^-1 (C_g dg + J dv): noise S of (g, u) reaches the residual as T S T^T with
+    T = C_u^-1 C. Starting Newton's method at the measured u keeps the robot's branch.
+    Samples without a solution, or at a singularity, of the starting model are left out.
+    """
+
+    def __init__(self, model: Model, evidence: Evidence, free: np.ndarray, direct: bool):
+        m, n = model.mechanism, len(model.joints)
+        moving, joints = [n + i for i in m.moved], list(range(n))
+        passive = [n + i for i in m.passive]
+        self.unknown = np.array(moving if direct else joints + passive)
+        self.given = np.array(joints if direct else [n + i for i in m.controlled])
+        names = [*model.joints, *POSE]
+        self._near = NEAR_DIRECT if direct else NEAR_INVERSE
+        method = "forward" if direct else "inverse"
+        need_measured(evidence, self.given, [names[c] for c in self.given], method)
+        self._scale = model.structure.scale[self.unknown]
+        self._used = np.ones(len(evidence), dtype=bool)
+        self._at(model, evidence, free)
+        self._choose(model, evidence, free)
+
+    def _at(self, model: Model, evidence: Evidence, free: np.ndarray) -> None:
+        self._evidence = evidence
+        self._closure = Linearisation(model, evidence, free, True)
+        self._last = evidence.x.copy()
+
+    def _choose(self, model: Model, evidence: Evidence, free: np.ndarray) -> None:
+        _, C, _, ok = self.solved(model.values)
+        there = self._closure.blocks(model.values, evidence.x)[1]
+        # Judged where it was measured, too: a solution may lie across the singularity.
+        both = np.stack([C, there])[:, :, :, self.unknown] / self._scale
+        size = np.linalg.svd(both, compute_uv=False)[:, :, -1].min(axis=0)
+        self._used = ok & (size > self._near * size.max())
+        if not self._used.any():
+            raise FitError("the starting model solves no sample: is it of the right robot?")
+        self._at(model, evidence.select(self._used), free)
+
+    @property
+    def used(self) -> np.ndarray:
+        """Mask (N,) of the samples that take part."""
+        return self._used
+
+    def solved(self, values: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Configurations that close at the given coordinates, blocks C and J there, success."""
+        x = self._last.copy()
+        for _ in range(20):
+            phi, C, J = self._closure.blocks(values, x)
+            step = -np.einsum("nij,nj->ni", np.linalg.pinv(C[:, :, self.unknown]), phi)
+            size = np.abs(step * self._scale).max(axis=1)
+            if not np.nanmax(size) > SETTLED:
+                break
+            change = np.zeros((len(x), C.shape[2]))
+            change[:, self.unknown] = np.clip(step, -0.2 / self._scale, 0.2 / self._scale)
+            x = moved(x, change, C.shape[2] - 6)
+        return x, C, J, size < 1e-9
+
+    def __call__(self, values: np.ndarray) -> Predicted | None:
+        x, C, J, ok = self.solved(values)
+        if not ok.all():
+            return None
+        self._last = x
+        residual = self._closure.away(x)[:, self.unknown]
+        inverse = np.linalg.pinv(C[:, :, self.unknown])
+        # All that was measured takes part: its noise enters where a coordinate does not move, too.
+        T = inverse @ C * self._evidence.measured[:, None, :]
+        return self._white(residual, inverse @ J, T)
+
+    def _white(self, residual: np.ndarray, jacobian: np.ndarray, T: np.ndarray) -> Predicted:
+        """Rows of unmeasured coordinates are zero; the others in units of their noise."""
+        seen = self._evidence.measured[:, self.unknown]
+        W = T @ self._evidence.S @ T.transpose(0, 2, 1)
+        W = np.where(seen[:, :, None] & seen[:, None, :], W, 0.0)
+        W[:, range(W.shape[1]), range(W.shape[1])] += ~seen
+        rows = np.concatenate([residual[:, :, None], jacobian], axis=2) * seen[:, :, None]
+        L = np.linalg.cholesky(W)
+        white = np.linalg.solve(L, rows)
+        return Predicted(white[:, :, 0], white[:, :, 1:], raw=rows[:, :, 0], whitener=L)

@@ -1,0 +1,29 @@
+"""Forward calibration: measured poses minus solutions of the direct problem (5.3.4)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from parallel_cal.identification.methods._descent import minimise
+from parallel_cal.identification.methods._estimate import Estimate
+from parallel_cal.identification.methods._explicit import Prediction
+from parallel_cal.identification.observations import Evidence
+from parallel_cal.identification.prior import Prior
+from parallel_cal.model.model import Model
+
+
+def estimate(
+    model: Model,
+    evidence: Evidence,
+    free: np.ndarray,
+    prior: bool | Prior = False,
+    iterations: int = 50,
+) -> Estimate:
+    """Parameters that minimise the pose errors of eq. 5.22, in units of their noise.
+
+    Weights: covariance of the measured pose plus that of the joints carried through the direct
+    problem, so samples near a direct singularity count little (the thesis had to remove them).
+    Measured coordinates that move take part. FitError where it does not converge.
+    """
+    prediction = Prediction(model, evidence, free, direct=True)
+    return minimise(model, free, prior, prediction, iterations)

@@ -1,0 +1,30 @@
+"""Inverse calibration: measured joints minus solutions of the inverse problem (5.3.5)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from parallel_cal.identification.methods._descent import minimise
+from parallel_cal.identification.methods._estimate import Estimate
+from parallel_cal.identification.methods._explicit import Prediction
+from parallel_cal.identification.observations import Evidence
+from parallel_cal.identification.prior import Prior
+from parallel_cal.model.model import Model
+
+
+def estimate(
+    model: Model,
+    evidence: Evidence,
+    free: np.ndarray,
+    prior: bool | Prior = False,
+    iterations: int = 50,
+) -> Estimate:
+    """Parameters that minimise the joint errors of eq. 5.25, in units of their noise.
+
+    Weights: covariance of the joint readings plus that of the controlled coordinates carried
+    through the inverse problem. Passive coordinates (a Delta's orientation) follow from the
+    same problem; where measured, their errors count too. FitError where a controlled
+    coordinate was not measured, or it does not converge.
+    """
+    prediction = Prediction(model, evidence, free, direct=False)
+    return minimise(model, free, prior, prediction, iterations)

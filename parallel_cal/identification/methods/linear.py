@@ -1,0 +1,39 @@
+"""Linear calibration: the closure linearised once, at the starting parameters (5.3.6)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from parallel_cal.identification.linearisation import Linearisation
+from parallel_cal.identification.methods._descent import judged, spread
+from parallel_cal.identification.methods._estimate import Estimate, Normal, concluded
+from parallel_cal.identification.observations import Evidence
+from parallel_cal.identification.prior import Knowledge, Prior
+from parallel_cal.model.model import Model
+
+
+def estimate(
+    model: Model,
+    evidence: Evidence,
+    free: np.ndarray,
+    prior: bool | Prior = False,
+    weighted: bool = True,
+) -> Estimate:
+    """One Gauss-Newton step of implicit calibration: J dp = -f (eq. 5.29), by SVD.
+
+    Weights: the noise that the closure inherits at the measured quantities;
+    `weighted=False` is the thesis' equation. chi2 is that of the closure at the values found,
+    so it shows what the linearisation left out.
+    """
+    tolerance, known = model.table.tolerance[free], Knowledge(prior, model.table, free)
+    linearise = Linearisation(model, evidence, free, weighted)
+    system = linearise(np.array(model.values), linearise.start())
+    step, _ = Normal(system, model.values, tolerance, known).step(0.0)
+    values = np.array(model.values)
+    values[free] += step
+    if weighted:
+        found = linearise(values, system.adjusted(step))
+        return concluded(model, values, found, free, prior, 1)
+    J = system.columns * tolerance
+    influence = -np.linalg.pinv(J) * tolerance[:, None]
+    return judged(model, values, evidence, free, 1, spread(influence, model, values, evidence))

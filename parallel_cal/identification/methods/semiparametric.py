@@ -1,0 +1,182 @@
+"""Semiparametric calibration: independent linear factors instead of parameters (5.3.8).
+
+The closure, expanded by program (`_separation`, `_factors`), becomes M_0 + sum f_j M_j = 0 with
+one free number for each independent factor: 3 for the slider-crank, 36 for model 24. Its direct
+and inverse problems are those of any mechanism. It fits well and says nothing about parts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from parallel_cal.base.errors import FitError
+from parallel_cal.identification.linearisation import Linearisation
+from parallel_cal.identification.methods import implicit
+from parallel_cal.identification.methods._descent import judged, need_measured, spread
+from parallel_cal.identification.methods._estimate import Estimate
+from parallel_cal.identification.methods._factors import Row, separated
+from parallel_cal.identification.observations import Evidence
+from parallel_cal.identification.prior import Prior
+from parallel_cal.model.mechanism import Mechanism
+from parallel_cal.model.model import Model, new_model
+from parallel_cal.model.parameters import Named, Parameter, ParameterTable
+
+SETTLED = 1e-9  # tolerances: a step below this changes nothing
+
+
+class FactorMechanism(Mechanism):
+    """Another mechanism's closure with free factors; it starts and lives where that one does."""
+
+    def __init__(self, model: Model, rows: Sequence[Row]):
+        m = model.mechanism
+        self.rows, self.origin = tuple(rows), model
+        self.joints, self.joint_unit, self.periodic = m.joints, m.joint_unit, m.periodic
+        self.moves, self.controls = m.moves, m.controls
+        self.home, self.workspace, self.length = m.home, m.workspace, m.length
+        self.joint_limits = m.joint_limits
+        self.parameters = ParameterTable(_factor_table(model, rows))
+
+    def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
+        """Eq. 5.40 for every row, in metres."""
+        s = self.origin.structure
+        at = ca.vertcat(q, r, ca.vec(ca.SX(R).T))
+        rows = []
+        for i, row in enumerate(self.rows):
+            both = ca.vertcat(row.lead, row.monomials)
+            M = ca.Function("monomials", [s.configuration], [both])(at)
+            f = ca.vertcat(1, *[p[f"row{i + 1}.f{j + 1}"] for j in range(len(row))])
+            rows.append(row.scale * ca.dot(f, M))
+        return ca.vertcat(*rows)
+
+    def _as_named(self) -> Named:
+        m = self.origin.mechanism.parameters
+        return Named(m.names, ca.SX(ca.DM(self.origin.values[: len(m)])))
+
+    def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
+        """Where the parametric model would be."""
+        return self.origin.mechanism.candidates(q, self._as_named())
+
+    def joint_candidates(self, r: Any, R: Any, p: Named) -> list[tuple[Any, ...]]:
+        return self.origin.mechanism.joint_candidates(r, R, self._as_named())
+
+
+def _factor_table(model: Model, rows: Sequence[Row]) -> list[Parameter]:
+    """Factors at the model's numbers; their tolerance follows from the parameters'."""
+    table = []
+    for i, row in enumerate(rows):
+        J = np.array(row.jacobian(model.values))
+        tolerance = np.linalg.norm(J * model.table.tolerance, axis=1)
+        tolerance = np.maximum(tolerance, 1e-3 * tolerance.max(initial=1e-12))
+        for j, (f, t) in enumerate(zip(row.factors(model.values), tolerance, strict=True)):
+            table.append(Parameter(f"row{i + 1}.f{j + 1}", "1", float(f), float(t), "factor"))
+    return table
+
+
+@lru_cache(maxsize=16)
+def semiparametric(model: Model) -> Model:
+    """The model with its linear factors as parameters; FitError where it cannot be separated."""
+    factors = new_model(FactorMechanism(model, separated(model)))
+    return replace(factors, noise=model.noise, frames=model.frames)
+
+
+def identify(model: Model, evidence: Evidence, weighted: bool = True) -> Model:
+    """The semiparametric model that fits best (eq. 5.41): use it instead of the parameters.
+
+    `weighted=False` is the thesis' way, each row by SVD without a start; factors that the data
+    cannot see keep the value of the given model. Weighted by inherited noise, the linear
+    solution is refined as in implicit calibration; only then has it a covariance.
+    """
+    factors = semiparametric(model)
+    free = np.ones(len(factors.values), dtype=bool)
+    linear = factors.with_values(factors.values + _linear(factors, evidence))
+    if not weighted:
+        return linear
+    found = implicit.estimate(linear, evidence, free)
+    return linear.with_values(found.values, found.covariance)
+
+
+def _linear(factors: Model, evidence: Evidence) -> np.ndarray:
+    """The least-squares change of all factors at once: the closure is linear in them."""
+    tolerance = factors.table.tolerance
+    phi, J = closure_rows(factors, evidence)
+    step = np.linalg.lstsq(J * tolerance, -phi, rcond=1e-12)[0]
+    return np.asarray(tolerance * step)
+
+
+def closure_rows(model: Model, evidence: Evidence) -> tuple[np.ndarray, np.ndarray]:
+    """phi (N * rows,) and its derivative by all parameters, at the measured configurations."""
+    m, n = model.mechanism, len(model.joints)
+    need_measured(
+        evidence, np.array([n + i for i in m.moved]), list(m.moves), "semiparametric or cascaded"
+    )
+    free = np.ones(len(model.values), dtype=bool)
+    phi, _, J = Linearisation(model, evidence, free, False).blocks(model.values, evidence.x)
+    return phi.ravel(), J.reshape(-1, J.shape[2])
+
+
+def estimate(
+    model: Model,
+    evidence: Evidence,
+    free: np.ndarray,
+    prior: bool | Prior = False,
+    iterations: int = 20,
+) -> Estimate:
+    """Parameters whose factors come nearest to the best linear factors.
+
+    Exact where there are as many factors as parameters (slider-crank); else the factors' own
+    information weighs them, or the result would fit badly (footnote to 5.3.8). Unweighted in
+    the measured noise, as in the thesis; sigma is that of this method. FitError with a prior.
+    """
+    if prior:
+        raise FitError("semiparametric calibration takes no prior; use the implicit method")
+    factors = semiparametric(model)
+    step = _linear(factors, evidence)
+    _, M = closure_rows(factors, evidence)
+    triangle = np.asarray(np.linalg.qr(M, mode="r"))
+    return extracted(model, evidence, free, factors, factors.values + step, triangle, M, iterations)
+
+
+def extracted(
+    model: Model,
+    evidence: Evidence,
+    free: np.ndarray,
+    factors: Model,
+    target: np.ndarray,
+    weight: np.ndarray,
+    to_weight: np.ndarray,
+    iterations: int,
+) -> Estimate:
+    """Parameters that minimise |weight (f(p) - target)|, by Gauss-Newton; (5.35) in general.
+
+    `to_weight` (N * rows, n_factors): how closure errors reach target, as in a least-squares
+    solution target = -pinv(to_weight) errors.
+    """
+    mechanism = factors.mechanism
+    assert isinstance(mechanism, FactorMechanism)
+    values, tolerance = np.array(model.values), model.table.tolerance[free]
+    for _ in range(iterations):
+        f = np.concatenate([row.factors(values) for row in mechanism.rows])
+        J = np.vstack([np.array(row.jacobian(values)) for row in mechanism.rows])[:, free]
+        A = weight @ J * tolerance
+        step = np.linalg.lstsq(A, weight @ (target - f), rcond=1e-10)[0]
+        values[free] += tolerance * step
+        if np.abs(step).max() < SETTLED:
+            break
+    else:
+        raise FitError(
+            f"no parameters fit the linear factors in {iterations} iterations; use the implicit "
+            "method"
+        )
+    influence = (
+        -tolerance[:, None] * np.linalg.pinv(A, rcond=1e-10) @ weight @ np.linalg.pinv(to_weight)
+    )
+    # The factors' rows are not the model's: a root may have been squared away.
+    at_end = np.concatenate([row.factors(values) for row in mechanism.rows])
+    covariance = spread(influence, factors, at_end, evidence)
+    return judged(model, values, evidence, free, 0, covariance)

@@ -1,0 +1,90 @@
+"""Sensitivity-matrix calibration with base parameters (Savoure et al. 2006, eqs 17-26).
+
+dX = S dk with S = J_X^-1 J_k from the closure at the nominal parameters. Columns of S that depend
+on those before them are left out by a QR decomposition: the others are the base.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from parallel_cal.base.errors import FitError
+from parallel_cal.identification.methods._estimate import Estimate, concluded
+from parallel_cal.identification.methods._explicit import Prediction
+from parallel_cal.identification.observability import RELATIVE_RANK
+from parallel_cal.identification.observations import Evidence
+from parallel_cal.identification.prior import Prior
+from parallel_cal.model.model import Model
+
+
+@dataclass(frozen=True)
+class Base:
+    """Independent parameters, and what each of the others adds to them (eqs 70-72):
+    identified base_i = base_i + sum_k grouping[i, k] dropped_k."""
+
+    kept: tuple[str, ...]
+    dropped: tuple[str, ...]
+    grouping: np.ndarray
+
+
+def base_parameters(model: Model, evidence: Evidence, free: np.ndarray) -> Base:
+    """The base of the free parameters in these poses; earlier ones in the table come first."""
+    system = Prediction(model, evidence, free, direct=True)(model.values)
+    assert system is not None
+    columns, names = system.columns, np.array(model.table.names)[free]
+    kept = _independent(columns * model.table.tolerance[free])
+    grouping = np.linalg.lstsq(columns[:, kept], columns[:, ~kept], rcond=None)[0]
+    return Base(tuple(names[kept]), tuple(names[~kept]), np.where(
+        np.abs(grouping) > 1e-6, grouping, 0.0))  # fmt: skip
+
+
+def estimate(
+    model: Model,
+    evidence: Evidence,
+    free: np.ndarray,
+    prior: bool | Prior = False,
+    iterations: int = 1,
+) -> Estimate:
+    """Base parameters by the linear least squares of eq. 26; the others stay as they are.
+
+    Weights: pose noise plus joint noise carried through the direct problem (the paper's
+    equation has none, its metres and radians being of like size). One iteration is the paper;
+    more make it a forward calibration. sigma is infinite where only a combination is known.
+    FitError with a prior.
+    """
+    if prior:
+        raise FitError("sensitivity calibration takes no prior; use the implicit method")
+    prediction = Prediction(model, evidence, free, direct=True)
+    values, where = np.array(model.values), np.flatnonzero(free)
+    tolerance = model.table.tolerance[free]
+    for _ in range(iterations):
+        system = prediction(values)
+        assert system is not None
+        columns = system.columns * tolerance
+        kept = _independent(columns)
+        step = np.linalg.lstsq(columns[:, kept], -system.residual.ravel(), rcond=None)[0]
+        values[where[kept]] += tolerance[kept] * step
+    end = prediction(values)
+    assert end is not None
+    found = concluded(model, values, end, free, False, iterations)
+    covariance = np.zeros_like(found.covariance)
+    inverse = np.linalg.pinv(columns[:, kept].T @ columns[:, kept])
+    base = where[kept]
+    covariance[np.ix_(base, base)] = inverse * np.outer(tolerance[kept], tolerance[kept])
+    return replace(found, covariance=covariance)
+
+
+def _independent(columns: np.ndarray) -> np.ndarray:
+    """Mask of columns with a pivot of their own in a QR decomposition, in the given order."""
+    sizes = np.linalg.norm(columns, axis=0)
+    kept, Q = np.zeros(columns.shape[1], dtype=bool), np.zeros((len(columns), 0))
+    for j in range(columns.shape[1]):
+        left = columns[:, j]
+        for _ in range(2):
+            left = left - Q @ (Q.T @ left)
+        pivot = np.linalg.norm(left)
+        if pivot > RELATIVE_RANK * sizes.max():
+            kept[j], Q = True, np.column_stack([Q, left / pivot])
+    return kept

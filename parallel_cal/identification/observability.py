@@ -1,0 +1,74 @@
+"""What the data can see: rank, unidentifiable combinations by name, covariance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from parallel_cal.identification.prior import Knowledge, Prior
+from parallel_cal.model.parameters import ParameterTable
+
+RELATIVE_RANK = 1e-6  # of the largest singular value, columns in units of tolerance
+BLOCK = 2048
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """Singular values of the whitened Jacobian with columns in tolerances: a value s means
+    that moving one tolerance along that direction moves the residuals by s sigmas."""
+
+    singular_values: np.ndarray
+    rank: int
+    covariance: np.ndarray
+    lost: np.ndarray
+    unidentifiable: tuple[dict[str, float], ...]
+    weak: tuple[dict[str, float], ...]
+
+
+def spectrum(
+    J: np.ndarray, table: ParameterTable, free: np.ndarray, prior: bool | Prior
+) -> Spectrum:
+    """Rank and covariance of the free parameters from a whitened Jacobian (n, n_free).
+
+    `lost` marks parameters that take part in an unidentifiable direction: their sigma is
+    infinite, the covariance holds only what the data sees (enough to predict poses like the
+    measured ones). Weak directions are seen, but worse than the tolerance knows.
+    """
+    tolerance = table.tolerance[free]
+    names = [name for name, is_free in zip(table.names, free, strict=True) if is_free]
+    _, sizes, directions = np.linalg.svd(_triangle(J, tolerance))
+    rank = int(np.sum(sizes > RELATIVE_RANK * max(sizes[0], 1e-300))) if len(sizes) else 0
+    seen, unseen = directions[:rank], directions[rank:]
+    covariance = (seen.T / sizes[:rank] ** 2) @ seen
+    lost = np.sum(unseen**2, axis=0) > 1e-6
+    if prior:
+        information = (seen.T * sizes[:rank] ** 2) @ seen
+        covariance = np.linalg.inv(information + Knowledge(prior, table, free).information)
+        lost = np.zeros_like(lost)
+    weak = [d for d, s in zip(seen, sizes[:rank], strict=True) if s < 1]
+    return Spectrum(
+        sizes,
+        rank,
+        covariance * np.outer(tolerance, tolerance),
+        lost,
+        tuple(combination(d, names) for d in unseen),
+        tuple(combination(d, names) for d in weak),
+    )
+
+
+def combination(direction: np.ndarray, names: list[str]) -> dict[str, float]:
+    """The parameters that make up a direction, largest first, in tolerances."""
+    size = np.abs(direction) / max(np.abs(direction).max(), 1e-300)
+    order = np.argsort(-size, kind="stable")
+    sign = np.sign(direction[order[0]]) if len(order) else 1.0
+    return {names[i]: float(sign * direction[i]) for i in order if size[i] > 0.1}
+
+
+def _triangle(J: np.ndarray, tolerance: np.ndarray) -> np.ndarray:
+    """R of J tolerance = QR: the same singular values from a small matrix."""
+    R: np.ndarray = np.zeros((0, len(tolerance)))
+    for begin in range(0, len(J), BLOCK):  # a few rows at a time: no second copy of J
+        rows = np.concatenate([R, J[begin : begin + BLOCK] * tolerance])
+        R = np.asarray(np.linalg.qr(rows, mode="r")) if len(rows) > len(tolerance) else rows
+    return R

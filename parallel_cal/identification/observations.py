@@ -1,0 +1,203 @@
+"""A dataset as the methods see it: measured configurations with their covariance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from parallel_cal.base.errors import FitError
+from parallel_cal.base.rotation import rotation_matrix, rotation_vector
+from parallel_cal.model.model import Model
+from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.recordings.samples import READING
+
+ASSUMED = "assumed"  # whose a noise figure is that nobody measured
+GUESS = "(nobody knows? your guess, with noise.assumed: true)"
+SCATTER = "scatter within dwells"  # where noise comes from that nobody stated
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """N measured samples of one mechanism.
+
+    x (N, nq+12) configurations (q, r, R9); S (N, nq+6, nq+6) covariance of (q, r, w);
+    measured (N, nq+6) mask; a (N, n_conditions); group (N,) equal for replicates;
+    reading (N, n_channels) of the model's sensors (m), NaN where not read; `noise_from` says
+    for joint and pose whose figure S is.
+    """
+
+    x: np.ndarray
+    S: np.ndarray
+    measured: np.ndarray
+    a: np.ndarray
+    group: np.ndarray
+    reading: np.ndarray
+    noise_from: dict[str, str]
+
+    def __len__(self) -> int:
+        return len(self.x)
+
+    @property
+    def noise_assumed(self) -> bool:
+        """Whether nobody measured the noise: S weighs, but chi2 and sigma prove nothing."""
+        return ASSUMED in self.noise_from.values()
+
+    def select(self, index: np.ndarray) -> Evidence:
+        names = ("x", "S", "measured", "a", "group", "reading")
+        return replace(self, **{name: getattr(self, name)[index] for name in names})
+
+
+def gather(model: Model, dataset: Dataset, joint_sigma: float | None = None) -> Evidence:
+    """Evidence for a model: joints in its order, noise from options, recording or model file."""
+    order, reading = _joint_order(model, dataset), _readings(model, dataset)
+    x = np.concatenate([dataset.q[:, order], dataset.r, dataset.R.reshape(-1, 9)], axis=1)
+    measured = np.ones((len(x), len(order) + 6), dtype=bool)
+    measured[:, len(order) :] = dataset.measured
+    _fill_unmeasured(x, measured, model.mechanism.home.configuration, len(order))
+    joint, joint_from = _joint_sigma(model, dataset, joint_sigma, order)
+    pose, pose_from = _pose_covariance(model, dataset)
+    S = np.zeros((len(x), measured.shape[1], measured.shape[1]))
+    n = len(order)
+    S[:, range(n), range(n)] = joint**2
+    S[:, n:, n:] = pose
+    a = conditions(model, dataset)
+    noise_from = {"joint": joint_from, "pose": pose_from}
+    return Evidence(x, S, measured, a, np.asarray(dataset.pose_id), reading, noise_from)
+
+
+def _joint_order(model: Model, dataset: Dataset) -> list[int]:
+    missing = [j for j in model.joints if j not in dataset.joint_names]
+    if missing:
+        raise FitError(
+            f"{dataset.source}: no joint {', '.join(missing)}; it has "
+            f"{', '.join(dataset.joint_names)}. Rename the joints in the model file"
+        )
+    return [dataset.joint_names.index(j) for j in model.joints]
+
+
+def _fill_unmeasured(x: np.ndarray, measured: np.ndarray, home: np.ndarray, n: int) -> None:
+    """Unmeasured coordinates start at home (they are projected out, but must be finite)."""
+    for k in range(3):
+        gaps = ~measured[:, n + k]
+        x[gaps, n + k] = home[n + k]
+    R0 = home[n + 3 :].reshape(3, 3)
+    w = rotation_vector(x[:, n + 3 :].reshape(-1, 3, 3) @ R0.T)
+    R = rotation_matrix(np.where(measured[:, n + 3 :], w, 0.0)) @ R0
+    turned = ~measured[:, n + 3 :].all(axis=1)
+    x[turned, n + 3 :] = R.reshape(-1, 9)[turned]
+
+
+def _joint_sigma(
+    model: Model, dataset: Dataset, given: float | None, order: list[int]
+) -> tuple[np.ndarray, str]:
+    """Joint noise (nq,), and where it comes from: option, dataset, model file, scatter."""
+    if given is not None:
+        if not 0 < given < np.inf:
+            raise FitError(f"joint sigma {given} rad: expected a positive number")
+        return np.full(len(order), given), "option"
+    if dataset.joint_sigma is not None:
+        return np.asarray(dataset.joint_sigma, dtype=float)[order], "dataset"
+    if model.noise.joint is not None:
+        return np.full(len(order), model.noise.joint), _stated(model)
+    scatter = _pooled(dataset.scatter_q[:, order])
+    if not (scatter > 0).all():
+        raise FitError(
+            f"{dataset.source}: no figure for the joints' noise; give --joint-sigma (rad or m) or "
+            f"noise.joint in the model file {GUESS}"
+        )
+    return scatter, SCATTER
+
+
+def _stated(model: Model) -> str:
+    return ASSUMED if model.noise.assumed else "model file"
+
+
+def _pooled(scatter: np.ndarray) -> np.ndarray:
+    """Root mean square of each column where it is known, else NaN."""
+    known = np.isfinite(scatter)
+    total = np.sum(np.where(known, scatter, 0.0) ** 2, axis=0)
+    return np.sqrt(np.where(known.any(axis=0), total / np.maximum(known.sum(axis=0), 1), np.nan))
+
+
+def _pose_covariance(model: Model, dataset: Dataset) -> tuple[np.ndarray, str]:
+    """(N, 6, 6): the device's own, else the model file's, else the scatter within dwells."""
+    covariance = np.nan_to_num(np.array(dataset.pose_cov, dtype=float))
+    lacking = ~(np.diagonal(covariance, axis1=1, axis2=2) > 0)
+    wanted = np.any(lacking & dataset.measured, axis=0)
+    sigma, source = _fallback_pose_sigma(model, dataset, wanted)
+    for i in np.flatnonzero(lacking.any(axis=1)):
+        bad = lacking[i]
+        covariance[i][bad, :], covariance[i][:, bad] = 0.0, 0.0
+        covariance[i][bad, bad] = sigma[bad] ** 2
+    _check_definite(covariance, dataset)
+    return covariance, source if wanted.any() else "dataset"
+
+
+def _check_definite(covariance: np.ndarray, dataset: Dataset) -> None:
+    """FitError for a matrix that no noise can have."""
+    sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    seen = dataset.measured[:, :, None] & dataset.measured[:, None, :]
+    correlation = np.where(seen, covariance / (sigma[:, :, None] * sigma[:, None, :]), np.eye(6))
+    skew = np.abs(correlation - correlation.transpose(0, 2, 1)).max(axis=(1, 2))
+    least = np.linalg.eigvalsh(correlation)[:, 0]
+    for i in np.flatnonzero((skew > 1e-6) | (least < -1e-6)):
+        raise FitError(
+            f"{dataset.source}: sample {dataset.numbers[i]}: the pose's recorded covariance is not "
+            "symmetric, or says that a combination of coordinates has a negative variance; "
+            "correct what the device's driver fills in, or leave all but the diagonal at zero"
+        )
+
+
+def _fallback_pose_sigma(
+    model: Model, dataset: Dataset, wanted: np.ndarray
+) -> tuple[np.ndarray, str]:
+    """Sigma (6,) where the device states none, and whose it is; 1 where nothing is wanted."""
+    noise = model.noise
+    given = np.repeat([noise.position or np.nan, noise.orientation or np.nan], 3)
+    sigma = np.where(np.isfinite(given), given, _pooled(dataset.scatter_pose))
+    if not (sigma[wanted] > 0).all():
+        raise FitError(
+            f"{dataset.source}: no figure for the device's noise; record a covariance or give "
+            f"noise.position (m) and noise.orientation (rad) in the model file {GUESS}"
+        )
+    source = _stated(model) if np.isfinite(given[wanted]).any() else SCATTER
+    return np.where(sigma > 0, sigma, 1.0), source
+
+
+def conditions(model: Model, dataset: Dataset) -> np.ndarray:
+    """(N, n_conditions) as recorded; FitError where one that the effects need was not."""
+    missing = [c for c in model.conditions if c not in dataset.conditions]
+    if missing:
+        names = ", ".join(effect.name for effect in model.effects if effect.needs)
+        raise FitError(
+            f"{dataset.source}: {', '.join(missing)} was not recorded, but the model's effects "
+            f"({names}) need it"
+        )
+    columns: Any = [np.asarray(dataset.conditions[c], dtype=float) for c in model.conditions]
+    return np.stack(columns, axis=1) if columns else np.zeros((len(dataset.q), 0))
+
+
+def _readings(model: Model, dataset: Dataset) -> np.ndarray:
+    """(N, n_channels): the dataset's columns `reading.CHANNEL`, NaN where not read."""
+    channels, read = model.structure.channels, _read(dataset)
+    if missing := [c for c in channels if c not in read]:
+        raise FitError(
+            f"{dataset.source}: nothing was measured with {', '.join(missing)}, which the model's "
+            f"sensors expect (recorded: {', '.join(read) or 'no reading'}); measure it, or take "
+            "it out of the model"
+        )
+    if strange := [c for c in read if c not in channels]:
+        raise FitError(
+            f"{dataset.source}: readings of {', '.join(strange)}, but the model's sensors have "
+            f"{', '.join(channels) or 'no channel'}: describe the set-up in the model file"
+        )
+    columns = [dataset.conditions[READING + c] for c in channels]
+    return np.stack(columns, axis=1) if columns else np.zeros((len(dataset.q), 0))
+
+
+def _read(dataset: Dataset) -> list[str]:
+    """Channels with at least one reading."""
+    names = [k for k in dataset.conditions if k.startswith(READING)]
+    return [k.removeprefix(READING) for k in names if np.isfinite(dataset.conditions[k]).any()]

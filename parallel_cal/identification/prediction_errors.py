@@ -1,0 +1,166 @@
+"""How wrong a model is on measured samples: position, orientation and joint errors."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from parallel_cal.base.rotation import rotation_vector
+from parallel_cal.identification.observations import Evidence
+from parallel_cal.identification.predictions import condition_columns, shown
+from parallel_cal.kinematics.kinematics import Kinematics, Solutions, Status
+from parallel_cal.model.mechanism import Mechanism
+from parallel_cal.model.model import Model
+
+ERRORS = ("position", "orientation", "joint", "reading")
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Measured minus predicted (table 5.9): position (N, 3) m, orientation (N, 3) rad about
+    base axes from the direct problem, joint (N, nq) from the inverse, reading (N, n_channels) m
+    of the sensors beside the pose device from the direct problem; closure (N, n_rows) m at what
+    was measured; NaN where not known."""
+
+    position: np.ndarray
+    orientation: np.ndarray
+    joint: np.ndarray
+    reading: np.ndarray
+    closure: np.ndarray
+
+    def norms(self, kind: str) -> np.ndarray:
+        """(N,) norms over what is known of a sample, NaN where nothing is."""
+        part = getattr(self, kind)
+        known = np.isfinite(part)
+        norms = np.linalg.norm(np.where(known, part, 0.0), axis=1)
+        return np.where(known.any(axis=1), norms, np.nan)
+
+    def select(self, index: np.ndarray) -> Errors:
+        return Errors(*(part[index] for part in vars(self).values()))
+
+    def document(self) -> dict[str, float | None]:
+        """Mean and rms of the norms of each kind (table 5.15), and rms of the closure's rows:
+        with more of these than freedoms it is the one error that weighs all of them. None where
+        not measured."""
+        entries: dict[str, float | None] = {}
+        for kind in ERRORS:
+            norms = self.norms(kind)
+            norms = norms[np.isfinite(norms)]
+            entries[f"{kind}_mean"] = float(norms.mean()) if len(norms) else None
+            entries[f"{kind}_rms"] = _rms(norms)
+        entries["closure_rms"] = _rms(self.closure[np.isfinite(self.closure)])
+        return entries
+
+
+def _rms(values: np.ndarray) -> float | None:
+    return float(np.sqrt((values**2).mean())) if len(values) else None
+
+
+def errors(model: Model, evidence: Evidence) -> Errors:
+    """Both kinds of prediction at every sample: pose from joints, joints from pose."""
+    kinematics = Kinematics(model)
+    n, m = len(model.joints), model.mechanism
+    at = condition_columns(model, evidence)
+    x, measured = evidence.x, evidence.measured
+    rotation = x[:, n + 3 :].reshape(-1, 3, 3)
+    # The robot is solved in {B}; the device shows its poses in frames of its own.
+    reached = kinematics.direct(x[:, :n], at)
+    pose = shown(model, reached)
+    position, turned = model.structure.located(x[:, n:], model.values)
+    # In the assembly mode that was measured: an arm's wrist need not be flipped as at home.
+    joints = kinematics.inverse(position, turned.reshape(-1, 3, 3), at, reached)
+    given = measured[:, [n + i for i in m.controlled]].all(axis=1)
+    turn = rotation_vector(
+        rotation @ np.where(np.isfinite(pose.rotation), pose.rotation, np.eye(3)).transpose(0, 2, 1)
+    )
+    placed, orientation = (judged(m, measured[:, n:], part) for part in (range(3), range(3, 6)))
+    apart = np.where(measured[:, n : n + 3], x[:, n : n + 3] - pose.position, 0.0)
+    return Errors(
+        where_known(placed & _solved(pose), apart),
+        where_known(orientation & _solved(pose), np.where(measured[:, n + 3 :], turn, 0.0)),
+        where_known(given & _solved(joints), _unwound(m, x[:, :n] - joints.joints)),
+        _readings_apart(model, evidence, pose),
+        _closure(model, evidence),
+    )
+
+
+def _unwound(mechanism: Mechanism, difference: np.ndarray) -> np.ndarray:
+    """Joint errors without whole turns, which change nothing (a spool's do)."""
+    return difference - mechanism.turns * np.round(difference / (2 * np.pi))
+
+
+def _closure(model: Model, evidence: Evidence) -> np.ndarray:
+    """Rows of the closure (N, n_rows) at measured joints and pose; NaN where a coordinate that
+    the mechanism moves was not measured."""
+    phi = model.structure.rows_batch(evidence.x, evidence.a, model.values)[0]
+    return where_known(complete(model, evidence), phi[:, : model.structure.phi.shape[0]])
+
+
+def complete(model: Model, evidence: Evidence) -> np.ndarray:
+    moved = [len(model.joints) + i for i in model.mechanism.moved]
+    return np.asarray(evidence.measured[:, moved].all(axis=1))
+
+
+def reading_errors(model: Model, evidence: Evidence) -> np.ndarray:
+    """Read minus predicted (N, n_channels), m: what every sensor shows at the pose that the
+    model's direct problem puts the platform in; NaN where not read or not solved."""
+    n = len(model.joints)
+    pose = Kinematics(model).direct(evidence.x[:, :n], condition_columns(model, evidence))
+    return _readings_apart(model, evidence, shown(model, pose))
+
+
+def _readings_apart(model: Model, evidence: Evidence, pose: Solutions) -> np.ndarray:
+    """Read minus predicted (N, n_channels) where the pose device would show `pose`."""
+    n = len(model.joints)
+    x = np.concatenate([evidence.x[:, :n], pose.position, pose.rotation.reshape(-1, 9)], axis=1)
+    rows = model.structure.rows_batch(x, evidence.a, model.values)[0]
+    predicted = rows[:, model.structure.phi.shape[0] :]
+    return np.where(_solved(pose)[:, None], evidence.reading - predicted, np.nan)
+
+
+def judged(mechanism: Mechanism, measured: np.ndarray, part: range) -> np.ndarray:
+    """Samples (N,) whose position (or orientation) can be judged: every coordinate of it that
+    the mechanism moves was measured; where it moves none, all three were."""
+    moved = [i for i in part if i in mechanism.moved]
+    return np.asarray(measured[:, moved or list(part)].all(axis=1))
+
+
+def _solved(solutions: Solutions) -> np.ndarray:
+    return np.isin(solutions.status, (Status.CONVERGED, Status.OUTSIDE_LIMITS, Status.SINGULAR))
+
+
+def where_known(known: np.ndarray, difference: np.ndarray) -> np.ndarray:
+    return np.where(known[:, None], difference, np.nan)
+
+
+def improvement(
+    before: Mapping[str, float | None], after: Mapping[str, float | None]
+) -> dict[str, float | None]:
+    """Factors of improvement: sum of error norms before over after (table 5.9, eq. 5.20)."""
+    factors: dict[str, float | None] = {}
+    for kind in ERRORS:
+        a, b = before[f"{kind}_mean"], after[f"{kind}_mean"]
+        factors[kind] = a / b if a is not None and b else None
+    return factors
+
+
+def held_out_ratio(
+    before: Mapping[str, float | None], after: Mapping[str, float | None]
+) -> float | None:
+    """Error after over before, the geometric mean of what was measured of the pose; where
+    nothing was, of what other sensors read, or of the joints."""
+    ratios = [_ratio(before, after, f"{kind}_rms") for kind in ("position", "orientation")]
+    known = [r for r in ratios if r is not None]
+    others = [_ratio(before, after, f"{kind}_rms") for kind in ("reading", "joint")]
+    known = known or [r for r in others if r is not None][:1]
+    return math.exp(sum(math.log(r) for r in known) / len(known)) if known else None
+
+
+def _ratio(
+    before: Mapping[str, float | None], after: Mapping[str, float | None], key: str
+) -> float | None:
+    a, b = before.get(key), after.get(key)
+    return b / a if a and b else None

@@ -1,0 +1,1 @@
+"""The direct and inverse problem: solvers, solutions, singularities."""

@@ -1,0 +1,83 @@
+"""What the command line is given and gives back for the direct and inverse problem."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from parallel_cal.base.errors import ModelError, SolveError
+from parallel_cal.base.rotation import quaternion_to_matrix
+from parallel_cal.kinematics.kinematics import Kinematics, Solutions, Status
+from parallel_cal.model.effect import CONDITIONS
+from parallel_cal.model.model import Model
+
+
+def parse_conditions(model: Model, items: Iterable[str]) -> dict[str, float]:
+    """`temperature=25`, `direction.joint1=-1`; `direction=1` is for all joints (ModelError)."""
+    at: dict[str, float] = {}
+    for item in items:
+        name, _, text = item.partition("=")
+        try:
+            value = float(text)
+        except ValueError:
+            raise ModelError(f"condition '{item}': expected NAME=NUMBER") from None
+        at.update(dict.fromkeys(_columns(model, name), value))
+    return at
+
+
+def _columns(model: Model, name: str) -> list[str]:
+    kind, _, joint = name.partition(".")
+    if kind not in CONDITIONS or (joint and joint not in model.joints):
+        per_joint = [f"{c}.JOINT" if spec[2] else c for c, spec in CONDITIONS.items()]
+        raise ModelError(
+            f"no condition '{name}'; there are {', '.join(per_joint)}, "
+            f"with JOINT one of {', '.join(model.joints)}"
+        )
+    return [f"{kind}.{j}" for j in model.joints] if CONDITIONS[kind][2] and not joint else [name]
+
+
+def rotation_of(quaternion: Sequence[float]) -> np.ndarray:
+    """The matrix of a quaternion x y z w of any length; SolveError where it is none."""
+    q = np.array(quaternion, dtype=float)
+    if not np.isfinite(q).all() or np.linalg.norm(q) < 1e-9:
+        raise SolveError(f"orientation {q.tolist()}: expected a quaternion x y z w, not all zero")
+    return quaternion_to_matrix(q)
+
+
+def direct_covariances(model: Model, found: Solutions, at: Mapping[str, Any]) -> list[np.ndarray]:
+    """Covariance (6, 6) of each answered pose; ModelError where the model file has none."""
+    kinematics = _with_covariance(model)
+    return [kinematics.direct_covariance(s, at) for s in found]
+
+
+def inverse_covariances(model: Model, found: Solutions, at: Mapping[str, Any]) -> list[np.ndarray]:
+    """Covariance (nq, nq) of each answered joint set; ModelError likewise."""
+    kinematics = _with_covariance(model)
+    return [kinematics.inverse_covariance(s, at) for s in found]
+
+
+def _with_covariance(model: Model) -> Kinematics:
+    if model.covariance is None:
+        raise ModelError("the model file has no covariance: only an identified model knows it")
+    return Kinematics(model)
+
+
+def rows_of(solutions: Solutions) -> list[dict[str, Any]]:
+    """One dictionary a solution, as the command line's contract has it."""
+    return [
+        {
+            "position": s.position,
+            "quaternion": s.quaternion,
+            "joints": s.joints,
+            "residual": s.residual,
+            "status": status_text(s.status),
+        }
+        for s in solutions
+    ]
+
+
+def status_text(status: Any) -> str:
+    """`converged`, `unreachable`, ..."""
+    return Status(int(status)).text

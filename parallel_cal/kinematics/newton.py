@@ -1,0 +1,186 @@
+"""Newton's method on the closure (eq. 6.31), for any split into given and unknown."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from parallel_cal.base.compiled import dense
+from parallel_cal.base.rotation import cayley
+from parallel_cal.model.structure import Structure
+
+ITERATIONS = 2  # of third order, from model 24's solution; more follow only where needed
+INLINE_BELOW = 2000  # instructions of one step that are worth repeating in the function
+
+
+@dataclass(frozen=True)
+class NewtonFunctions:
+    """`tables`: v -> k, once a model. The others: (configuration, a, k) -> configuration,
+    last step (m), norm of phi (m), smallest pivot; `solve` starts at the mechanism's own
+    start, `refine` at the given configuration. `columns`: the unknown ones of (q, r, w)."""
+
+    tables: ca.Function
+    solve: ca.Function
+    refine: ca.Function
+    columns: list[int]
+
+
+@lru_cache(maxsize=64)
+def newton_functions(structure: Structure, problem: str) -> NewtonFunctions:
+    """Compiled-ready Newton iterations for `problem` = "direct" or "inverse".
+
+    Everything that depends on the parameters alone, and then on the given coordinates alone,
+    is computed once and not in every iteration: CasADi finds these parts of the expression.
+    """
+    s = structure
+    columns, given, start = split(s, problem)
+    J = s.jacobian_configuration[:, columns] / ca.repmat(ca.DM(s.scale[columns]).T, s.phi.shape[0])
+    order = row_order(s, J)
+    (phi, J), constants, symbols = _extracted([s.phi, J], ca.vertcat(given, s.v, s.a))
+    before = ca.vertcat(constants, start)
+    (before,), tables, table_symbols = _extracted([before], s.v)
+    residual = dense("residual", [s.configuration, symbols], [phi])
+    step = _step_function(s, residual, J, symbols, columns, order)
+    prepare = dense("prepare", [s.configuration, s.a, table_symbols], [before])
+    tables_function = dense("tables", [s.v], [tables])
+    iterate = _Iteration(prepare, step, residual, constants.shape[0])
+    solve = iterate.function(f"{problem}_solve", from_start=True)
+    refine = iterate.function(f"{problem}_refine", from_start=False)
+    return NewtonFunctions(tables_function, solve, refine, columns)
+
+
+def split(s: Structure, problem: str) -> tuple[list[int], Any, Any]:
+    """Unknown columns of (q, r, w); the given symbols; the start as a configuration."""
+    m, n = s.mechanism, len(s.mechanism.joints)
+    if problem == "direct":
+        r, R = m.start(s.q, s.geometry)
+        start = ca.vertcat(s.q, r, ca.vec(ca.SX(R).T))
+        return [n + i for i in m.moved], s.q, start
+    q = m.start_inverse(s.r, s.R, s.geometry)
+    given = [s.r[i] for i in range(3) if i not in m.passive]
+    if not any(i >= 3 for i in m.passive):
+        given.append(s.R9)
+    start = ca.vertcat(q, s.r, s.R9)
+    return list(range(n)) + [n + i for i in m.passive], ca.vertcat(*given), start
+
+
+def _extracted(expressions: list[Any], of: Any) -> tuple[list[Any], Any, Any]:
+    """The expressions with every part that depends on `of` alone replaced by a symbol.
+
+    Returns the rewritten expressions, the parts (column) and their symbols (column).
+    """
+    rewritten, symbols, parts = ca.extract_parametric(expressions, of, {})
+    of_names = {str(x) for x in ca.symvar(of)}
+    # Bare symbols of `of` stay where they stand: they are passed on as parts of their own.
+    bare = [x for x in ca.symvar(ca.veccat(*rewritten)) if str(x) in of_names]
+    symbol_column = ca.vertcat(*[ca.vec(x) for x in symbols], *bare)
+    part_column = ca.vertcat(*[ca.vec(x) for x in parts], *bare)
+    fresh = ca.SX.sym("c", symbol_column.shape[0])
+    rewritten = ca.substitute(rewritten, [symbol_column], [fresh])
+    return rewritten, part_column, fresh
+
+
+def _step_function(
+    s: Structure, residual: ca.Function, J: Any, symbols: Any, columns: list[int], order: list[int]
+) -> ca.Function:
+    """(configuration, constants) -> configuration after one iteration, last step, pivot.
+
+    One iteration is a Newton step and a second step with the same Jacobian: third order
+    (Traub) for little more than the price of one.
+    """
+    solver = Elimination(J.T @ J if J.shape[0] > J.shape[1] else J, order)
+
+    def stepped(x: Any) -> tuple[Any, Any]:
+        phi = residual(x, symbols)
+        scaled = solver(-(J.T @ phi if J.shape[0] > J.shape[1] else phi))
+        return moved(s, x, columns, scaled), scaled
+
+    once, _ = stepped(s.configuration)
+    twice, scaled = stepped(once)
+    return dense("step", [s.configuration, symbols], [twice, ca.norm_2(scaled), solver.pivot])
+
+
+def moved(s: Structure, x: Any, columns: list[int], scaled: Any) -> Any:
+    """The configuration after a change of its unknown coordinates, given in metres."""
+    change = ca.SX.zeros(len(s.scale))
+    change[columns] = scaled / ca.DM(s.scale[columns])
+    n = len(s.mechanism.joints)
+    R9 = x[n + 3 :]
+    if any(c >= n + 3 for c in columns):
+        R9 = ca.vec((cayley(change[n + 3 :]) @ ca.reshape(R9, 3, 3).T).T)
+    return ca.vertcat(x[: n + 3] + change[: n + 3], R9)
+
+
+def row_order(s: Structure, J: Any) -> list[int]:
+    """A fixed order of rows that eliminates well at home, for a robot off its nominal."""
+    off = s.table.nominal + s.table.tolerance * np.random.default_rng(0).standard_normal(
+        len(s.table)
+    )
+    m = s.mechanism
+    example = ca.Function("J", [s.configuration, s.v, s.a], [J])
+    A = np.array(example(m.home.configuration, off, 0))
+    if A.shape[0] > A.shape[1]:
+        A = A.T @ A
+    order = list(range(len(A)))
+    for k in range(len(A)):
+        best = k + int(np.argmax(np.abs(A[k:, k])))
+        A[[k, best]] = A[[best, k]]
+        order[k], order[best] = order[best], order[k]
+        A[k + 1 :] -= np.outer(A[k + 1 :, k] / A[k, k], A[k])
+    return order
+
+
+class Elimination:
+    """A^-1 b for several b, by elimination in a given row order, and the smallest pivot.
+
+    No exchange of rows at run time, so it stays one straight expression; Newton's method
+    corrects what that loses, and a small pivot sends the sample to the careful solver.
+    """
+
+    def __init__(self, A: Any, order: list[int]):
+        self._order = order
+        self._rows = [[A[i, j] for j in range(len(order))] for i in order]
+        self._eliminate()
+        self.pivot = ca.mmin(ca.fabs(ca.vertcat(*[row[i] for i, row in enumerate(self._rows)])))
+
+    def _eliminate(self) -> None:
+        """Upper triangle in place; the factors take the place of the zeros below it."""
+        M, n = self._rows, len(self._rows)
+        for k in range(n):
+            for i in range(k + 1, n):
+                M[i][k] = M[i][k] / M[k][k]
+                for j in range(k + 1, n):
+                    M[i][j] = M[i][j] - M[i][k] * M[k][j]
+
+    def __call__(self, b: Any) -> Any:
+        M, n = self._rows, len(self._rows)
+        y = [b[i] for i in self._order]
+        for i in range(n):
+            y[i] = y[i] - sum(M[i][k] * y[k] for k in range(i))
+        for i in reversed(range(n)):
+            y[i] = (y[i] - sum(M[i][k] * y[k] for k in range(i + 1, n))) / M[i][i]
+        return ca.vertcat(*y)
+
+
+@dataclass(frozen=True)
+class _Iteration:
+    prepare: ca.Function
+    step: ca.Function
+    residual: ca.Function
+    n_constants: int
+
+    def function(self, name: str, from_start: bool) -> ca.Function:
+        """A fixed number of iterations; inlined where short, else generated once as C."""
+        symbol = ca.SX if self.step.n_instructions() < INLINE_BELOW else ca.MX
+        given, a, k = (symbol.sym(f"i{i}", self.prepare.numel_in(i)) for i in range(3))
+        prepared = self.prepare(given, a, k)
+        constants = prepared[: self.n_constants]
+        x = prepared[self.n_constants :] if from_start else given
+        for _ in range(ITERATIONS):
+            x, length, pivot = self.step(x, constants)
+        residual = ca.norm_2(self.residual(x, constants))
+        return ca.Function(name, [given, a, k], [x, length, residual, pivot])

@@ -1,0 +1,131 @@
+"""One split into given and unknown coordinates with a model's numbers: the fast and careful way."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+
+from parallel_cal.base.compiled import Batch, Single, compiled
+from parallel_cal.base.rotation import rotation_matrix
+from parallel_cal.kinematics.newton import newton_functions
+from parallel_cal.kinematics.solutions import CLOSED, Solutions, Status
+from parallel_cal.model.model import Model
+
+
+class Problem:
+    """One split into given and unknown coordinates, with this model's numbers."""
+
+    def __init__(self, model: Model, name: str, compile: bool):
+        functions = newton_functions(model.structure, name)
+        ready = compiled if compile else (lambda f: f)
+        self._model, self._name = model, name
+        self._n = len(model.joints)
+        self.unknown_joints = name == "inverse"
+        self.k = Single(functions.tables)(model.values)[0]
+        self.one = Single(ready(functions.solve))
+        self._many = Batch(ready(functions.solve))
+        self._refine_function, self._ready = functions.refine, ready
+        self.columns = functions.columns
+        # More rows than unknowns (lines of a cable robot): the answer is the least-squares one,
+        # and what it leaves is in the residual, not in the status.
+        self._redundant = model.structure.phi.shape[0] > len(functions.columns)
+
+    def closed(self, residual: np.ndarray) -> np.ndarray:
+        """Whether settled samples are answers."""
+        return np.isfinite(residual) if self._redundant else residual < CLOSED
+
+    def many(
+        self, given: np.ndarray, rows: np.ndarray, begin: np.ndarray | None
+    ) -> list[np.ndarray]:
+        if begin is None:
+            return self._many(given, rows, self.k)
+        return self.refine(begin, rows)
+
+    def refine(self, begin: np.ndarray, rows: np.ndarray) -> list[np.ndarray]:
+        """Newton iterations from given configurations."""
+        return self._refine(begin, rows, self.k)
+
+    @cached_property
+    def refine_one(self) -> Single:
+        """`refine` for one configuration."""
+        return Single(self._ready(self._refine_function))
+
+    @cached_property
+    def _refine(self) -> Batch:
+        return Batch(self._ready(self._refine_function))
+
+    def begin(self, given: np.ndarray, start: Solutions) -> np.ndarray:
+        """`given`, with the unknown coordinates taken from `start`."""
+        begin, n = given.copy(), self._n
+        if self.unknown_joints:
+            begin[:, :n] = start.joints
+        from_start = self._model.mechanism.passive if self.unknown_joints else range(6)
+        for i in from_start:
+            if i < 3:
+                begin[:, n + i] = np.asarray(start.position)[..., i]
+        if any(i >= 3 for i in from_start):
+            begin[:, n + 3 :] = np.asarray(start.rotation).reshape(-1, 9)
+        return begin
+
+    # ------------------------------------------------------------------ the careful way
+
+    @cached_property
+    def _evaluate(self) -> Single:
+        return Single(self._model.structure.closure_configuration)
+
+    def _phi_and_jacobian(self, x: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        phi, J = self._evaluate(x, a, self._model.values)
+        J = J.reshape(-1, len(phi)).T[:, self.columns]
+        return phi, J / self._model.structure.scale[self.columns]
+
+    def smallest_singular_value(self, x: np.ndarray, a: np.ndarray) -> float:
+        """Of the closure's Jacobian in the unknowns, scaled to metres: 0 = singular."""
+        return float(np.linalg.svd(self._phi_and_jacobian(x, a)[1], compute_uv=False)[-1])
+
+    def careful(
+        self, x: np.ndarray, a: np.ndarray, given: np.ndarray
+    ) -> tuple[np.ndarray, float, Status]:
+        """Levenberg-Marquardt from where the fast way ended, then from home (C.4)."""
+        ends = []
+        for start in (x, given):
+            if not np.isfinite(start).all():
+                continue
+            ends.append(self._descend(start, a))
+            if ends[-1][2] == Status.CONVERGED:
+                return ends[-1]
+        return min(ends, key=lambda end: end[1])
+
+    def _descend(self, x: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, float, Status]:
+        phi, J = self._phi_and_jacobian(x, a)
+        damping, size = 1e-3, float(np.linalg.norm(phi))
+        for _ in range(100):
+            gradient, normal = J.T @ phi, J.T @ J
+            try:
+                step = -np.linalg.solve(normal + damping * np.eye(len(normal)), gradient)
+            except np.linalg.LinAlgError:  # a start that blew up
+                return x, size, Status.NOT_CONVERGED
+            if np.linalg.norm(step) < 1e-15:
+                break
+            candidate = self._moved(x, step)
+            new_phi, new_J = self._phi_and_jacobian(candidate, a)
+            new_size = float(np.linalg.norm(new_phi))
+            if new_size < size:
+                improved = size - new_size > 1e-14
+                x, phi, J, size, damping = candidate, new_phi, new_J, new_size, damping / 10
+                if not improved:
+                    break
+            else:
+                damping = max(damping * 10, 1e-12)
+                if damping > 1e12:
+                    break
+        flat = float(np.linalg.norm(J.T @ phi)) < 1e-6 * size
+        if size < CLOSED or (flat and self._redundant):
+            return x, size, Status.CONVERGED
+        return x, size, Status.UNREACHABLE if flat or size > 1e-6 else Status.NOT_CONVERGED
+
+    def _moved(self, x: np.ndarray, step: np.ndarray) -> np.ndarray:
+        n, change = self._n, np.zeros(self._n + 6)
+        change[self.columns] = step / self._model.structure.scale[self.columns]
+        R = rotation_matrix(change[n + 3 :]) @ x[n + 3 :].reshape(3, 3)
+        return np.concatenate([x[: n + 3] + change[: n + 3], R.ravel()])

@@ -1,0 +1,37 @@
+"""Given joints or poses as configurations, the unknown part at home."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from parallel_cal.base.errors import SolveError
+from parallel_cal.model.model import Model
+
+
+def joint_rows(model: Model, q: np.ndarray) -> np.ndarray:
+    """(N, nq + 12) configurations with joints (nq,) or (N, nq) and the platform at home."""
+    q = np.atleast_2d(np.asarray(q, dtype=float))
+    n = len(model.joints)
+    if q.shape[1] != n:
+        raise SolveError(
+            f"{q.shape[1]} joint values given, but {model.mechanism.name} has "
+            f"{n} joints: {', '.join(model.joints)}"
+        )
+    rows = np.empty((len(q), n + 12))
+    rows[:] = model.mechanism.home.configuration
+    rows[:, :n] = q
+    return rows
+
+
+def pose_rows(model: Model, position: np.ndarray, rotation: np.ndarray | None) -> np.ndarray:
+    """(N, nq + 12) configurations with the given poses and the joints at home."""
+    r = np.atleast_2d(np.asarray(position, dtype=float))
+    if r.shape[1] != 3:
+        raise SolveError(f"a position has 3 coordinates (m), {r.shape[1]} given")
+    n = len(model.joints)
+    rows = np.empty((len(r), n + 12))
+    rows[:] = model.mechanism.home.configuration
+    rows[:, n : n + 3] = r
+    if rotation is not None:
+        rows[:, n + 3 :] = np.asarray(rotation, dtype=float).reshape(-1, 9)
+    return rows

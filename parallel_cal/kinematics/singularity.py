@@ -1,0 +1,66 @@
+"""How far a configuration is from a direct or an inverse singularity (6.2.4)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from parallel_cal.kinematics.solutions import Solutions
+from parallel_cal.model.model import Model
+
+
+@dataclass(frozen=True)
+class Distances:
+    """Smallest scaled singular values (N,) of the closure's Jacobian in the pose (`direct`)
+    and in joints and passive coordinates (`inverse`), and the signs of their determinants.
+
+    Metres of closure error for a metre of motion: 0 is singular. In a direct singularity the
+    platform moves with locked joints, in an inverse one the joints with a locked platform. A
+    determinant that changes sign on the way between two poses means a singularity between.
+    """
+
+    direct: np.ndarray
+    inverse: np.ndarray
+    direct_sign: np.ndarray
+    inverse_sign: np.ndarray
+
+
+def distances(model: Model, solutions: Solutions, at: Mapping[str, Any] | None = None) -> Distances:
+    """Both distances of N solved configurations."""
+    direct, inverse = jacobians(model, solutions, at)
+    return Distances(smallest(direct), smallest(inverse), _sign(direct), _sign(inverse))
+
+
+def jacobians(
+    model: Model, solutions: Solutions, at: Mapping[str, Any] | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """d phi/d(pose) and d phi/d(joints, passive), columns in metres: (N, rows, unknowns)."""
+    s, m = model.structure, model.mechanism
+    n, rows = len(m.joints), s.phi.shape[0]
+    q, r = np.atleast_2d(solutions.joints), np.atleast_2d(solutions.position)
+    x = np.concatenate([q, r, np.reshape(solutions.rotation, (-1, 9))], axis=1)
+    C = s.closure_batch(x, model.condition_rows(at, len(x)), model.values)[1]
+    C = C.reshape(len(x), -1, rows).transpose(0, 2, 1) / s.scale
+    return C[:, :, [n + i for i in m.moved]], C[:, :, [*range(n), *(n + i for i in m.passive)]]
+
+
+def smallest(J: np.ndarray) -> np.ndarray:
+    """The smallest singular value of each Jacobian, NaN where it is not finite."""
+    finite = np.isfinite(J).all(axis=(1, 2))
+    sizes = np.full(len(J), np.nan)
+    if finite.any():
+        sizes[finite] = np.linalg.svd(J[finite], compute_uv=False)[:, -1]
+    return sizes
+
+
+def _sign(J: np.ndarray) -> np.ndarray:
+    """Of the determinant; 1 where there are more rows than unknowns."""
+    signs = np.ones(len(J))
+    if J.shape[1] == J.shape[2]:
+        finite = np.isfinite(J).all(axis=(1, 2))
+        signs[finite] = np.sign(np.linalg.det(J[finite]))
+        signs[~finite] = np.nan
+    return signs

@@ -1,0 +1,85 @@
+"""What a solved direct or inverse problem is: arrays of solutions, each with a status."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+
+from parallel_cal.base.rotation import matrix_to_quaternion
+
+CLOSED = 1e-10  # m: a closure residual below this is a solution
+SETTLED = 1e-10  # m: a last step below this leaves an error below rounding (third order)
+SINGULAR = 1e-4  # smallest scaled singular value: errors are amplified more than 10^4 times
+SUSPECT_PIVOT = 1e-2  # the cheap sign that a sample may be near a singularity
+
+
+class Status(IntEnum):
+    """What a solution is worth; the numbers are those of parallel_cal_msgs/Solution."""
+
+    CONVERGED = 0
+    UNREACHABLE = 1
+    SINGULAR = 2
+    OUTSIDE_LIMITS = 3
+    NOT_CONVERGED = 4
+    INVALID_INPUT = 5
+
+    @property
+    def text(self) -> str:
+        return self.name.lower()
+
+
+@dataclass(frozen=True)
+class Solutions:
+    """N solved configurations: joints (N, nq), position (N, 3) m, rotation (N, 3, 3),
+    residual (N,) m and status (N,). Indexing gives one, or a smaller set.
+
+    `count_complex` says how many complex solutions a complete search found (None: no such search);
+    `message` what a solver has to say about all of them together.
+    """
+
+    joints: np.ndarray
+    position: np.ndarray
+    rotation: np.ndarray
+    residual: np.ndarray
+    status: np.ndarray
+    count_complex: int | None = None
+    message: str | None = None
+
+    def __len__(self) -> int:
+        return len(self.joints)
+
+    def __getitem__(self, key: Any) -> Solutions:
+        q, r, R = self.joints[key], self.position[key], self.rotation[key]
+        return Solutions(q, r, R, self.residual[key], self.status[key])
+
+    def __iter__(self) -> Iterator[Solutions]:
+        return (self[i] for i in range(len(self)))
+
+    @property
+    def quaternion(self) -> np.ndarray:
+        """x y z w with w >= 0."""
+        return matrix_to_quaternion(self.rotation)
+
+    @property
+    def ok(self) -> np.ndarray:
+        return self.status == Status.CONVERGED
+
+
+def stacked(found: Sequence[Solutions]) -> Solutions:
+    """Single solutions as one set."""
+    return _combined(np.stack, found)
+
+
+def concatenated(found: Sequence[Solutions]) -> Solutions:
+    """Several sets as one."""
+    return _combined(np.concatenate, found)
+
+
+def _combined(combine: Callable[..., np.ndarray], found: Sequence[Solutions]) -> Solutions:
+    names = ("joints", "position", "rotation", "residual", "status")
+    q, r, R, residual, status = (combine([getattr(s, name) for s in found]) for name in names)
+    return Solutions(q, r, R, residual, status)

@@ -1,0 +1,147 @@
+"""All poses of one platform on six rods (6.2.4), by a homotopy from 40 stored ones.
+
+Each rod is a quadric in the dual quaternion of the pose (eq. 6.19); seven quadrics have 40
+proper zeros. The 40 of one generic platform are led to the platform asked for.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from parallel_cal.base.errors import SolveError
+from parallel_cal.kinematics.kinematics import Solutions, Status
+from parallel_cal.kinematics.solvers._quadrics import (
+    CERTAIN,
+    Tracker,
+    alpha,
+    distinct,
+    normalised,
+    refined,
+)
+from parallel_cal.kinematics.solvers._study import poses, quadrics
+
+START = Path(__file__).with_name("homotopy_start.json")
+COUNT = 40  # of a generic platform (Wampler, Husty, Raghavan)
+NEARLY_REAL = 1e-3  # imaginary part that a real zero, however ill-conditioned, stays below
+AT_INFINITY = 1e-13  # |e.e| of a zero that is no pose (e = 0 = g.g is a singular surface)
+
+
+@dataclass(frozen=True)
+class PoseSet:
+    """All poses of one platform: the complex ones, and the real ones among them.
+
+    position (k, 3) m and rotation (k, 3, 3) are complex; `certified` (k,) tells which passed
+    Smale's alpha test. `real` holds the real poses, certified to be real, residuals in m.
+    `retries` counts the times that the paths had to be followed anew.
+    """
+
+    position: np.ndarray
+    rotation: np.ndarray
+    certified: np.ndarray
+    real: Solutions
+    retries: int
+
+    @property
+    def count_complex(self) -> int:
+        return len(self.position)
+
+
+def all_poses(C: np.ndarray, B: np.ndarray, L: np.ndarray, retries: int = 2) -> PoseSet:
+    """Every pose with |P + R B_i - C_i| = L_i: C and B (6, 3), L (6,), in m.
+
+    Poses are counted where they are regular: at a singularity, or in a special geometry, where
+    some coincide or lie at infinity, there are fewer than 40.
+    """
+    C, B, L = _checked(C, B, L)
+    c, b = C.mean(axis=0), B.mean(axis=0)
+    unit = np.sqrt((((C - c) ** 2).sum() + ((B - b) ** 2).sum() + (L**2).sum()) / 6)
+    M = quadrics((C - c) / unit, (B - b) / unit, (L / unit) ** 2)
+    X, used = _zeros(M, retries)
+    size, _ = alpha(X, M) if len(X) else (np.empty(0), None)
+    position, rotation = poses(X)
+    real_position, real_rotation = poses(_real_zeros(X, M))
+
+    def back(r: np.ndarray, R: np.ndarray) -> np.ndarray:
+        return r * unit + c - R @ b
+
+    real = _rod_solutions(back(real_position, real_rotation), real_rotation, C, B, L)
+    return PoseSet(back(position, rotation), rotation, size < CERTAIN, real, used)
+
+
+@lru_cache(maxsize=1)
+def start_system() -> tuple[np.ndarray, np.ndarray]:
+    """The stored generic platform's quadrics (7, 8, 8) and their zeros (40, 8)."""
+    stored = json.loads(START.read_text())
+    C, B, squares, zeros = (_complex(stored[k]) for k in ("C", "B", "squares", "zeros"))
+    return quadrics(C, B, squares), zeros
+
+
+def _zeros(M: np.ndarray, retries: int) -> tuple[np.ndarray, int]:
+    """The distinct proper zeros of M, and how often its paths had to be followed again.
+
+    Again, another way and in shorter steps, until there are 40 or the next time adds none.
+    """
+    start, zeros = start_system()
+    found = np.empty((0, 8), dtype=complex)
+    for attempt in range(retries + 1):
+        gamma = np.exp(2j * np.pi * np.random.default_rng(attempt).random())
+        X, arrived = Tracker(start, M, gamma, 1e-5 * 0.1**attempt)(zeros)
+        before, found = len(found), np.concatenate([found, _proper(X[arrived], M)])
+        found = found[distinct(found)]
+        if len(found) >= COUNT or (attempt and len(found) == before and arrived.all()):
+            break
+    return found, attempt
+
+
+def _proper(X: np.ndarray, M: np.ndarray) -> np.ndarray:
+    """The refined zeros that are regular and have a finite pose."""
+    X = refined(X, M)
+    size, beta = alpha(X, M)
+    finite = np.abs((X[:, :4] ** 2).sum(axis=1)) > AT_INFINITY
+    return X[finite & (size < CERTAIN) & (beta < 1e-8)]
+
+
+def _real_zeros(X: np.ndarray, M: np.ndarray) -> np.ndarray:
+    """The real ones, each proved by Newton's method in real arithmetic from its real part."""
+    square = (X**2).sum(axis=1)
+    X = X * np.sqrt(square.conj() / np.abs(square))[:, None]
+    X = normalised(X.real[np.abs(X.imag).max(axis=1) < NEARLY_REAL])
+    if len(X) == 0:
+        return X
+    X = refined(X, M)
+    X = X[alpha(X, M)[0] < CERTAIN]
+    return X[distinct(X)]
+
+
+def _rod_solutions(
+    r: np.ndarray, R: np.ndarray, C: np.ndarray, B: np.ndarray, L: np.ndarray
+) -> Solutions:
+    rods = r[:, None, :] + np.einsum("kij,nj->kni", R, B) - C
+    residual = np.linalg.norm(np.linalg.norm(rods, axis=2) - L, axis=1)
+    status = np.full(len(r), Status.CONVERGED, dtype=np.int8)
+    return Solutions(np.empty((len(r), 0)), r, R, residual, status)
+
+
+def _checked(C: Any, B: Any, L: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    C, B, L = (np.asarray(a, dtype=float) for a in (C, B, L))
+    if (C.shape, B.shape, L.shape) != ((6, 3), (6, 3), (6,)):
+        raise SolveError(
+            f"a general pose problem has six base points (6, 3), platform points (6, 3) and "
+            f"lengths (6,); {C.shape}, {B.shape} and {L.shape} given"
+        )
+    if not all(np.isfinite(a).all() for a in (C, B, L)):
+        raise SolveError("a point or length of the general pose problem is not a finite number")
+    if not (np.ptp(C, axis=0).any() and np.ptp(B, axis=0).any()):
+        raise SolveError("all six rods meet in one point: the orientation is not determined")
+    return C, B, L
+
+
+def _complex(pairs: Any) -> np.ndarray:
+    """Stored (..., 2) real and imaginary parts."""
+    return np.asarray(pairs, dtype=float) @ np.array([1, 1j])

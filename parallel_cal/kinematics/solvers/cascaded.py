@@ -1,0 +1,170 @@
+"""Model 54 in half steps: position from G1, orientation from G2, in turn (6.4.2-6.4.4).
+
+For mechanisms whose first three closure rows are spheres in the position and whose last three
+give the orientation (Delta 54). Both halves come from the closure itself: G1 by the closed
+forms of chapter 6, G2 linearised about the orientation reached so far.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import lru_cache, partial
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from parallel_cal.base.compiled import dense
+from parallel_cal.base.errors import SolveError
+from parallel_cal.base.rotation import cayley, left_generators
+from parallel_cal.kinematics.kinematics import Solutions
+from parallel_cal.kinematics.rows import joint_rows, pose_rows
+from parallel_cal.kinematics.solvers._common import answers, at_least_one, nearest
+from parallel_cal.model.closed_form import joint_angles, positions
+from parallel_cal.model.effect import Seen
+from parallel_cal.model.mechanism import POSE
+from parallel_cal.model.model import Model
+from parallel_cal.model.parameters import Named
+from parallel_cal.model.structure import Structure
+
+HALF_STEPS = 3  # G1, G2, G1: one and a half iterations (6.4.5)
+TOLERANCE = 1e-6  # m: what such few steps are expected to reach
+PERFECT = "P1"  # the group of parameters that vanish in a perfect parallelogram
+SETTLING = 3  # passes that undo joint effects; each shrinks the rest by the effect's slope
+
+
+def direct(
+    model: Model,
+    q: np.ndarray,
+    at: Mapping[str, Any] | None = None,
+    half_steps: int = HALF_STEPS,
+    rough: bool = False,
+    tolerance: float = TOLERANCE,
+) -> Solutions:
+    """Poses for joints (nq,) or (N, nq) after some half steps; `rough` is eq. 6.33 instead."""
+    solve = direct_function(model.structure, 0 if rough else at_least_one(half_steps))
+    solutions = answers(model, solve, joint_rows(model, q), at, tolerance, "direct")
+    return solutions[0] if np.ndim(q) == 1 else solutions
+
+
+def inverse(
+    model: Model,
+    position: np.ndarray,
+    rotation: np.ndarray | None = None,
+    at: Mapping[str, Any] | None = None,
+    half_steps: int = HALF_STEPS,
+    rough: bool = False,
+    tolerance: float = TOLERANCE,
+) -> Solutions:
+    """Joints, and the orientation that follows, for positions (3,) or (N, 3)."""
+    solve = inverse_function(model.structure, 0 if rough else at_least_one(half_steps))
+    solutions = answers(model, solve, pose_rows(model, position, None), at, tolerance, "inverse")
+    return solutions[0] if np.ndim(position) == 1 else solutions
+
+
+@lru_cache(maxsize=32)
+def direct_function(s: Structure, half_steps: int) -> ca.Function:
+    """(configuration, a, v) -> configuration with the pose found; 0 half steps: eq. 6.33."""
+    ideal = _checked(s)
+    p = ideal.p if half_steps else _perfect(ideal.p, s)
+    turn, r, R = _orientation(s, ideal.q, p, ideal.p), s.r, ca.SX.eye(3)
+    for k in range(max(half_steps, 2)):
+        if k % 2:
+            R = turn(r, R)
+        else:
+            r = nearest(positions(s.mechanism, ideal.q, p, R), lambda x: ca.sumsqr(x - _home(s)))
+    return _function("cascaded_direct", s, s.q, r, R)
+
+
+@lru_cache(maxsize=32)
+def inverse_function(s: Structure, half_steps: int) -> ca.Function:
+    """The same for joints and orientation at a given position."""
+    if set(s.mechanism.joint_units) != {"rad"}:
+        raise SolveError(
+            f"the cascaded inverse problem needs joints that turn (eqs 6.36-6.37); those of "
+            f"{s.mechanism.name} slide: use --solver newton"
+        )
+    q, R = ca.SX(ca.DM(s.mechanism.home.joints)), ca.SX.eye(3)
+    for k in range(max(half_steps, 2)):
+        for _ in range(SETTLING if s.effects and k % 2 == 0 else 1):
+            ideal = _at_joints(_checked(s), s, q)
+            p = ideal.p if half_steps else _perfect(ideal.p, s)
+            if k % 2:
+                R = _orientation(s, ideal.q, p, ideal.p)(s.r, R)
+            else:
+                change = _joints(s, R, p) - ideal.q
+                q = q + ca.atan2(ca.sin(change), ca.cos(change))  # not by a whole turn
+    return _function("cascaded_inverse", s, q, s.r, R)
+
+
+def _joints(s: Structure, R: Any, p: Named) -> Any:
+    """Both angles of every joint from G1 (eqs 6.36-6.37), the ones nearer to home."""
+    both = joint_angles(s.mechanism, s.r, R, p)
+    homes = s.mechanism.home.joints
+    # 1 - cos compares angles on the circle
+    return ca.vertcat(
+        *[nearest(c, partial(lambda h, x: 1 - ca.cos(x - h), homes[i])) for i, c in enumerate(both)]
+    )
+
+
+def _orientation(s: Structure, q: Any, p: Named, complete: Named) -> Any:
+    """(r, R) -> R after one linear solution of G2 (eq. 6.39).
+
+    With p short of `complete`, the missing parameters enter to first order, at p: that drops
+    all products of small quantities, as eq. 6.33 does.
+    """
+    r, R9, missing = ca.SX.sym("r", 3), ca.SX.sym("R", 9), complete._vector - p._vector
+    R = ca.reshape(R9, 3, 3).T
+    v = ca.SX.sym("p", missing.shape[0])
+    rows = s.mechanism.closure(q, r, R, Named(p._names, v))[3:]
+    J = ca.jacobian(rows, R9) @ left_generators(R)
+    value = rows if complete is p else rows + ca.jtimes(rows, v, missing)
+    value, J = ca.substitute([value, J], [v], [p._vector])
+
+    def turned(r_now: Any, R_now: Any) -> Any:
+        here = [r_now, ca.densify(ca.vec(ca.SX(R_now).T))]
+        phi, slope = ca.substitute([value, J], [r, R9], here)
+        return cayley(-ca.inv_minor(slope) @ phi) @ R_now
+
+    return turned
+
+
+def _perfect(p: Named, s: Structure) -> Named:
+    """The geometry with perfect parallelograms: model 24's, for the first set of eq. 6.33."""
+    errors = {row.name: 0.0 for row in s.mechanism.parameters if row.group == PERFECT}
+    if not errors:
+        raise SolveError(f"mechanism {s.mechanism.name} has no rough model (no group {PERFECT})")
+    return p.replaced(errors)
+
+
+def _checked(s: Structure) -> Seen:
+    """What the mechanism sees, where cascading is possible; SolveError where it is not."""
+    ideal, pose = s.seen, ca.vertcat(s.r, s.R9)
+    rows = s.mechanism.closure(s.q, s.r, s.R, s.geometry)
+    halves = s.mechanism.moves == POSE and rows.shape[0] == 6 and len(s.q.nz) == 3
+    curvature = [ca.hessian(row, s.r)[0] for row in ca.vertsplit(rows)] if halves else []
+    spheres = all(c.sparsity().is_diag() for c in curvature[:3])
+    if not (halves and spheres and all(c.is_zero() for c in curvature[3:])):
+        raise SolveError(
+            f"the cascaded solver needs three closure rows that are spheres and three that give "
+            f"the orientation; {s.mechanism.name} is not like that: use --solver newton"
+        )
+    at_pose = ca.vertcat(ca.vec(ideal.r - s.r), ca.vec(ca.SX(ideal.R - s.R)))
+    if ca.depends_on(ca.vertcat(ideal.q, ideal.p._vector), pose) or not at_pose.is_zero():
+        raise SolveError("an effect depends on the pose: use --solver newton for this model")
+    return ideal
+
+
+def _at_joints(ideal: Seen, s: Structure, q: Any) -> Seen:
+    """What the mechanism sees at other joint readings."""
+    new_q, vector = ca.substitute([ideal.q, ca.SX(ideal.p._vector)], [s.q], [q])
+    return Seen(new_q, ideal.r, ideal.R, Named(ideal.p._names, vector))
+
+
+def _home(s: Structure) -> Any:
+    return ca.DM(s.mechanism.home.position)
+
+
+def _function(name: str, s: Structure, q: Any, r: Any, R: Any) -> ca.Function:
+    configuration = ca.vertcat(q, r, ca.vec(ca.SX(R).T))
+    return dense(name, [s.configuration, s.a, s.v], [configuration])

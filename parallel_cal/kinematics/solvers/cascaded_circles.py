@@ -1,0 +1,136 @@
+"""Model 27 of the Argos in half steps: orientation from G1, position from G2, in turn (6.7).
+
+The opposite of the Delta's cascade: with the centre known, G1 gives the orientation (by Newton's
+method) or the motors (in closed form); with those known, G2 is three spheres for the centre.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from parallel_cal.base.compiled import dense
+from parallel_cal.base.errors import SolveError
+from parallel_cal.base.rotation import cayley
+from parallel_cal.kinematics.rows import joint_rows, pose_rows
+from parallel_cal.kinematics.solutions import Solutions
+from parallel_cal.kinematics.solvers._common import answers, at_least_one, nearest
+from parallel_cal.model.closed_form import joint_angles, positions
+from parallel_cal.model.mechanism import POSE, Mechanism
+from parallel_cal.model.model import Model
+from parallel_cal.model.parameters import Named
+from parallel_cal.model.structure import Structure
+
+HALF_STEPS = 12  # G1 and G2 six times: some 10 nm for a robot within its tolerances
+NEWTON_STEPS = 2  # of G1 in one half step
+TOLERANCE = 1e-6  # m: what such few steps are expected to reach
+
+
+def direct(
+    model: Model,
+    q: np.ndarray,
+    at: Mapping[str, Any] | None = None,
+    half_steps: int = HALF_STEPS,
+    tolerance: float = TOLERANCE,
+) -> Solutions:
+    """Poses for joints (nq,) or (N, nq) after some half steps (6.7.2)."""
+    solve = direct_function(model.structure, at_least_one(half_steps))
+    solutions = answers(model, solve, joint_rows(model, q), at, tolerance, "direct")
+    return solutions[0] if np.ndim(q) == 1 else solutions
+
+
+def inverse(
+    model: Model,
+    position: np.ndarray,
+    rotation: np.ndarray | None = None,
+    at: Mapping[str, Any] | None = None,
+    half_steps: int = HALF_STEPS,
+    tolerance: float = TOLERANCE,
+) -> Solutions:
+    """Joints, and the position that follows, for rotations (3, 3) or (N, 3, 3) (6.7.3)."""
+    solve = inverse_function(model.structure, at_least_one(half_steps))
+    given = pose_rows(model, position, rotation)
+    solutions = answers(model, solve, given, at, tolerance, "inverse")
+    return solutions[0] if np.ndim(position) == 1 else solutions
+
+
+@lru_cache(maxsize=16)
+def direct_function(s: Structure, half_steps: int) -> ca.Function:
+    """(configuration, a, v) -> configuration with the pose found."""
+    ideal = _checked(s)
+    turn = _orientation(s.mechanism, ideal.q, ideal.p)
+    _, R = s.mechanism.start(ideal.q, ideal.p)
+    r = ca.SX(ca.DM(s.mechanism.home.position))
+    for k in range(half_steps):
+        if k % 2:
+            r = _centre(s.mechanism, ideal.q, R, ideal.p, r)
+        else:
+            for _ in range(NEWTON_STEPS):
+                R = turn(r, R)
+    return _function("circles_direct", s, s.q, r, R)
+
+
+@lru_cache(maxsize=16)
+def inverse_function(s: Structure, half_steps: int) -> ca.Function:
+    """The same for joints and position at a given orientation."""
+    ideal = _checked(s)
+    r, q = ca.SX(ca.DM(s.mechanism.home.position)), ca.SX(ca.DM(s.mechanism.home.joints))
+    for k in range(half_steps):
+        if k % 2:
+            r = _centre(s.mechanism, q, s.R, ideal.p, r)
+        else:
+            both = joint_angles(s.mechanism, r, s.R, ideal.p)
+            homes = s.mechanism.home.joints
+            q = ca.vertcat(*[_nearer(pair, h) for pair, h in zip(both, homes, strict=True)])
+    return _function("circles_inverse", s, q, r, s.R)
+
+
+def _orientation(mechanism: Mechanism, q: Any, p: Named) -> Any:
+    """(r, R) -> R after one Newton step on G1."""
+
+    def turned(r: Any, R: Any) -> Any:
+        w = ca.SX.sym("w", 3)
+        rows = mechanism.closure(q, r, R + ca.skew(w) @ R, p)[:3]
+        phi, slope = ca.substitute([rows, ca.jacobian(rows, w)], [w], [ca.DM.zeros(3)])
+        return cayley(-ca.inv_minor(slope) @ phi) @ R
+
+    return turned
+
+
+def _centre(mechanism: Mechanism, q: Any, R: Any, p: Named, r: Any) -> Any:
+    """The point common to G2's three spheres that is nearer to the centre reached so far."""
+    spheres: Any = _Spheres(mechanism)  # all that `positions` asks of a mechanism
+    return nearest(positions(spheres, q, p, R), lambda x: ca.sumsqr(x - r))
+
+
+class _Spheres:
+    """G2 first, where `positions` looks for spheres."""
+
+    def __init__(self, mechanism: Mechanism):
+        self._mechanism = mechanism
+
+    def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
+        return self._mechanism.closure(q, r, R, p)[3:]
+
+
+def _nearer(pair: Any, home: float) -> Any:
+    return nearest(pair, lambda x: 1 - ca.cos(x - home))
+
+
+def _checked(s: Structure) -> Any:
+    """What the mechanism sees; SolveError unless it is an Argos with effects on geometry alone."""
+    m = s.mechanism
+    if not hasattr(m, "circles") or m.moves != POSE:
+        raise SolveError(f"cascaded_circles is for argos27, not {m.name}; use --solver newton")
+    if s.effects:
+        raise SolveError("cascaded_circles knows no effects; use --solver newton")
+    return s.seen
+
+
+def _function(name: str, s: Structure, q: Any, r: Any, R: Any) -> ca.Function:
+    found = ca.vertcat(q, r, ca.vec(ca.SX(R).T))
+    return dense(name, [s.configuration, s.a, s.v], [found])

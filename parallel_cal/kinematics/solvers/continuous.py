@@ -1,0 +1,188 @@
+"""Keep the assembly mode along a trajectory, and say when it is about to be lost (6.2.4)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from parallel_cal.base.errors import SolveError
+from parallel_cal.base.rotation import rotation_matrix, rotation_vector
+from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.kinematics.singularity import distances
+from parallel_cal.kinematics.solutions import Solutions, Status, concatenated, stacked
+from parallel_cal.kinematics.solvers._common import kinematics_of, sample
+from parallel_cal.model.model import Model
+
+NEAR = 0.02  # scaled singular value below which the mode is called in danger
+AHEAD = 5  # points: danger is announced when the branch will end within so many
+SMALLEST = 2.0**-12  # of a way between two points: finer steps mean that the branch has ended
+SOLVED = (Status.CONVERGED, Status.OUTSIDE_LIMITS)
+# Driven joints leave the platform free in a direct singularity only. A commanded platform brings
+# the robot into either kind.
+ENDS = {"direct": ("direct",), "inverse": ("direct", "inverse")}
+
+# (k, t, here) -> the solution at t between points k - 1 and k, from one nearby
+Step = Callable[[int, float, Solutions | None], Solutions]
+
+
+@dataclass(frozen=True)
+class Track:
+    """Solutions along a trajectory on one branch; `distance` (N,) to the singularity that ends
+    it; `danger` the first point that is near one, `lost` the first that is beyond, or None."""
+
+    solutions: Solutions
+    distance: np.ndarray
+    danger: int | None
+    lost: int | None
+
+    @property
+    def message(self) -> str:
+        if self.lost == 0:
+            return "point 0 of the trajectory has no solution"
+        if self.lost is not None:
+            return f"the assembly mode is lost between points {self.lost - 1} and {self.lost}"
+        if self.danger is not None:
+            size = self.distance[self.danger]
+            return f"a singularity is near at point {self.danger} (distance {size:.2g})"
+        return "the assembly mode is kept"
+
+
+def direct(model: Model, q: np.ndarray, at: Mapping[str, Any] | None = None) -> Solutions:
+    """Poses along joints (N, nq), each on the branch of the one before; not converged where the
+    branch has ended."""
+    q = np.atleast_2d(q)
+    nowhere = np.full((len(q), 3), np.nan)
+    return _filled_up(follow_joints(kinematics_of(model), q, at), q, nowhere)
+
+
+def inverse(
+    model: Model,
+    position: np.ndarray,
+    rotation: np.ndarray | None = None,
+    at: Mapping[str, Any] | None = None,
+) -> Solutions:
+    """Joints along positions (N, 3) and rotations (N, 3, 3), likewise."""
+    r = np.atleast_2d(position)
+    nowhere = np.full((len(r), len(model.joints)), np.nan)
+    return _filled_up(follow_poses(kinematics_of(model), r, rotation, at), nowhere, r)
+
+
+def follow_joints(
+    kinematics: Kinematics, joints: np.ndarray, at: Mapping[str, Any] | None = None
+) -> Track:
+    """Poses for joints (N, nq), each on the branch of the one before."""
+    q = np.asarray(joints, dtype=float)
+
+    def solve(k: int, t: float, here: Solutions | None) -> Solutions:
+        return kinematics.direct(_between(q, k, t), sample(at, k), here)
+
+    return _follow(kinematics, len(q), "direct", at, solve)
+
+
+def follow_poses(
+    kinematics: Kinematics,
+    positions: np.ndarray,
+    rotations: np.ndarray | None = None,
+    at: Mapping[str, Any] | None = None,
+) -> Track:
+    """Joints for positions (N, 3) and rotations (N, 3, 3), each on the branch of the one before;
+    passive coordinates follow."""
+    r = np.asarray(positions, dtype=float)
+    R = None if rotations is None else np.reshape(rotations, (-1, 3, 3))
+
+    def solve(k: int, t: float, here: Solutions | None) -> Solutions:
+        kept = None if here is None else np.asarray(here.rotation)
+        turned = kept if R is None else _turned_between(R, k, t)
+        return kinematics.inverse(_between(r, k, t), turned, sample(at, k), here)
+
+    return _follow(kinematics, len(r), "inverse", at, solve)
+
+
+def _between(points: np.ndarray, k: int, t: float) -> np.ndarray:
+    """The point at t between points k - 1 and k; point 0 where k is 0."""
+    begin = points[max(k - 1, 0)]
+    return np.asarray(begin + t * (points[k] - begin))
+
+
+def _turned_between(R: np.ndarray, k: int, t: float) -> np.ndarray:
+    begin = R[max(k - 1, 0)]
+    return np.asarray(rotation_matrix(t * rotation_vector(R[k] @ begin.T)) @ begin)
+
+
+def _follow(
+    kinematics: Kinematics, count: int, kind: str, at: Mapping[str, Any] | None, solve: Step
+) -> Track:
+    if count == 0:
+        raise SolveError("a trajectory needs at least one point")
+    found = [solve(0, 0.0, None)]
+    lost = None if found[0].status in SOLVED else 0
+    while lost is None and len(found) < count:
+        k = len(found)
+        after = _walk(kinematics.model, k, found[-1], kind, sample(at, k), solve)
+        if after is None:
+            lost = k
+        else:
+            found.append(after)
+    solutions = stacked(found)
+    conditions = {name: np.resize(values, len(found)) for name, values in (at or {}).items()}
+    here = distances(kinematics.model, solutions, conditions)
+    distance = np.min([getattr(here, end) for end in ENDS[kind]], axis=0)
+    return Track(solutions, distance, _first_danger(distance), lost)
+
+
+def _first_danger(distance: np.ndarray) -> int | None:
+    """The first point near a singularity, or on the way to one.
+
+    Two branches meet like a square root, so distance^2 falls in a straight line to zero.
+    """
+    square = distance**2
+    ends = square + AHEAD * np.diff(square, prepend=square[:1]) <= 0
+    near = np.flatnonzero((distance < NEAR) | ends)
+    return int(near[0]) if len(near) else None
+
+
+def _walk(
+    model: Model, k: int, start: Solutions, kind: str, at: Mapping[str, Any] | None, solve: Step
+) -> Solutions | None:
+    """To point k in steps small enough to stay on the branch; None if it ends."""
+    here, way, step = start, 0.0, 1.0
+    while way < 1:
+        target = min(way + step, 1.0)
+        there = solve(k, target, here)
+        if _same_branch(model, here, there, kind, at):
+            here, way, step = there, target, 2 * step
+        else:
+            step /= 2
+            if step < SMALLEST:
+                return None
+    return here
+
+
+def _same_branch(
+    model: Model, here: Solutions, there: Solutions, kind: str, at: Mapping[str, Any] | None
+) -> bool:
+    """Solved, no determinant's sign changed, and the step no longer than what it led to."""
+    if there.status not in SOLVED:
+        return False
+    both = distances(model, stacked([here, there]), at)
+    signs = [getattr(both, f"{end}_sign") for end in ENDS[kind]]
+    if any(before != after for before, after in signs):
+        return False
+    moved = np.abs(there.position - here.position).max() / model.mechanism.length
+    turned = np.abs(there.rotation - here.rotation).max()
+    swung = np.abs(there.joints - here.joints).max()
+    # A jump to another branch is a finite one; a fair step is much shorter than that.
+    return bool(max(moved / 4, turned, swung / 2) < 0.25)
+
+
+def _filled_up(track: Track, joints: np.ndarray, positions: np.ndarray) -> Solutions:
+    """The track's solutions, then what is given and NaN for the points beyond its end."""
+    n = len(track.solutions)
+    beyond = len(joints) - n
+    nan = np.full((beyond, 3, 3), np.nan)
+    ended = np.full(beyond, Status.NOT_CONVERGED, dtype=np.int8)
+    rest = Solutions(joints[n:], positions[n:], nan, nan[:, 0, 0], ended)
+    return replace(concatenated([track.solutions, rest]), message=track.message)

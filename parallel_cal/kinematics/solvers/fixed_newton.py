@@ -1,0 +1,82 @@
+"""Newton's method with a chosen number of steps, with or without a new Jacobian each (6.4.1).
+
+Eq. 6.31 is one step with the Jacobian of the start. Without updating, a step costs one
+evaluation of the closure and converges linearly; with updating it converges quadratically.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from parallel_cal.base.compiled import dense
+from parallel_cal.base.errors import SolveError
+from parallel_cal.kinematics.kinematics import Solutions
+from parallel_cal.kinematics.newton import Elimination, moved, row_order, split
+from parallel_cal.kinematics.rows import joint_rows, pose_rows
+from parallel_cal.kinematics.solvers._common import answers, at_least_one
+from parallel_cal.model.model import Model
+from parallel_cal.model.structure import Structure
+
+STEPS = 5
+TOLERANCE = 1e-6  # m: what such few steps are expected to reach
+STARTS = ("mechanism", "home")  # model 24's solution for a Delta; the centre of the workspace
+
+
+def direct(
+    model: Model,
+    q: np.ndarray,
+    at: Mapping[str, Any] | None = None,
+    steps: int = STEPS,
+    update: bool = False,
+    start: str = "mechanism",
+    tolerance: float = TOLERANCE,
+) -> Solutions:
+    """Poses for joints (nq,) or (N, nq) after some steps."""
+    solve = newton_steps(model.structure, "direct", at_least_one(steps), update, start)
+    solutions = answers(model, solve, joint_rows(model, q), at, tolerance, "direct")
+    return solutions[0] if np.ndim(q) == 1 else solutions
+
+
+def inverse(
+    model: Model,
+    position: np.ndarray,
+    rotation: np.ndarray | None = None,
+    at: Mapping[str, Any] | None = None,
+    steps: int = STEPS,
+    update: bool = False,
+    start: str = "mechanism",
+    tolerance: float = TOLERANCE,
+) -> Solutions:
+    """Joints for positions (3,) or (N, 3) and rotations; passive coordinates follow."""
+    solve = newton_steps(model.structure, "inverse", at_least_one(steps), update, start)
+    given = pose_rows(model, position, rotation)
+    solutions = answers(model, solve, given, at, tolerance, "inverse")
+    return solutions[0] if np.ndim(position) == 1 else solutions
+
+
+@lru_cache(maxsize=32)
+def newton_steps(
+    s: Structure, problem: str, steps: int, update: bool = False, start: str = "mechanism"
+) -> ca.Function:
+    """(configuration, a, v) -> configuration after some steps of eq. 6.31."""
+    if start not in STARTS:
+        raise SolveError(f"no start '{start}'; there are {', '.join(STARTS)}")
+    columns, _, begin = split(s, problem)
+    # The rows that `answers` passes hold the given coordinates and home for all others.
+    x = begin if start == "mechanism" else s.configuration
+    J = s.jacobian_configuration[:, columns] / ca.repmat(ca.DM(s.scale[columns]).T, s.phi.shape[0])
+    if J.shape[0] != J.shape[1]:
+        raise SolveError(f"{s.mechanism.name}: more closure rows than unknowns; use newton")
+    order, inputs = row_order(s, J), [s.configuration, s.a, s.v]
+    phi, slope = dense("phi", inputs, [s.phi]), dense("slope", inputs, [J])
+    solver = Elimination(slope(x, s.a, s.v), order)
+    for k in range(steps):
+        if update and k:
+            solver = Elimination(slope(x, s.a, s.v), order)
+        x = moved(s, x, columns, solver(-phi(x, s.a, s.v)))
+    return dense(f"newton_{problem}", inputs, [x])

@@ -1,0 +1,144 @@
+"""Nominal solution corrected to first order in the parameter errors (Savoure et al., eqs 27-33).
+
+No iteration and no start: what a controller that knows the nominal closed form can add. The
+answer is wrong by a second-order amount; `residual` says how far the full model's closure is
+from zero there. Effects take part: they are parameter errors with nominal value zero. A fixed
+parameter is not an error but known (a tool's length): the nominal robot has its value.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from parallel_cal.base.errors import SolveError
+from parallel_cal.base.rotation import rotation_matrix
+from parallel_cal.kinematics.kinematics import CLOSED, Kinematics, Solutions, Status
+from parallel_cal.kinematics.solvers._common import judged
+from parallel_cal.model.model import Model
+
+
+def direct(model: Model, q: np.ndarray, at: Mapping[str, Any] | None = None) -> Solutions:
+    """The nominal pose moved by the predicted error dX (eq. 30)."""
+    nominal = _nominal(model).direct(np.atleast_2d(q), at)
+    dX = pose_error(model, nominal, at)
+    answer = _answer(model, nominal.joints, _moved(nominal, dX), nominal, at, "direct")
+    return _shaped(answer, q)
+
+
+def inverse(
+    model: Model,
+    position: np.ndarray,
+    rotation: np.ndarray | None = None,
+    at: Mapping[str, Any] | None = None,
+) -> Solutions:
+    """The nominal joints less what the predicted error asks for (eqs 29-33).
+
+    SolveError for a robot with more rows than freedoms: its joints need not agree on one error.
+    """
+    if model.structure.phi.shape[0] > len(model.mechanism.moved):
+        raise SolveError(
+            f"ipr_compensation corrects joints through the pose; {model.mechanism.name} has more "
+            f"closure rows than freedoms: use --solver newton"
+        )
+    nominal = _nominal(model).inverse(np.atleast_2d(position), rotation, at)  # (i)
+    dX = pose_error(model, nominal, at)  # (ii)
+    m = model.mechanism
+    dx = dX[:, m.controlled]  # (iii)
+    dq, follows = joint_correction(model, nominal, dx, at)  # (iv)
+    left = np.zeros_like(dX)
+    left[:, m.passive] = dX[:, m.passive] - follows
+    pose = _moved(nominal, left)
+    answer = _answer(model, nominal.joints - dq, pose, nominal, at, "inverse")  # (v)
+    return _shaped(answer, position)
+
+
+def pose_error(model: Model, nominal: Solutions, at: Mapping[str, Any] | None = None) -> np.ndarray:
+    """dX = S_C dk (eqs 22, 30) at nominal solutions: (N, 6), m and rad about base axes."""
+    _, J_x, J_v = _blocks(model, nominal, at)
+    dk = model.values - nominal_values(model)
+    dX, moved = np.zeros((len(nominal), 6)), model.mechanism.moved
+    dX[:, moved] = -_solved(J_x[:, :, moved], J_v @ dk)
+    return dX
+
+
+def joint_correction(
+    model: Model, nominal: Solutions, dx: np.ndarray, at: Mapping[str, Any] | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """dq = J_S dx (eq. 32), and the passive coordinates that follow a displacement dx."""
+    J_q, J_x, _ = _blocks(model, nominal, at)
+    m, n = model.mechanism, len(model.joints)
+    unknown = np.concatenate([J_q, J_x[:, :, m.passive]], axis=2)
+    given = (J_x[:, :, m.controlled] @ dx[..., None])[..., 0]
+    change = -_solved(unknown, given)
+    return change[:, :n], change[:, n:]
+
+
+@lru_cache(maxsize=16)
+def _nominal(model: Model) -> Kinematics:
+    return Kinematics(model.with_values(nominal_values(model)))
+
+
+def nominal_values(model: Model) -> np.ndarray:
+    """The parameters k of the robot before calibration."""
+    return np.where(model.fixed, model.values, model.table.nominal)
+
+
+def _blocks(
+    model: Model, s: Solutions, at: Mapping[str, Any] | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """d phi/dq, d phi/d(r, w), d phi/dk at the nominal parameters, (N, rows, columns)."""
+    structure, n = model.structure, len(model.joints)
+    x = np.hstack([s.joints, s.position, s.rotation.reshape(-1, 9)])
+    a = model.condition_rows(at, len(x))
+    _, J_x, J_v = structure.closure_batch(x, a, nominal_values(model))
+    shape = (len(x), -1, structure.phi.shape[0])
+    J_x, J_v = (J.reshape(shape).transpose(0, 2, 1) for J in (J_x, J_v))
+    return J_x[:, :, :n], J_x[:, :, n:], J_v
+
+
+def _solved(A: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Least squares A u = b for each sample; NaN where the nominal solution failed."""
+    u = np.full(A.shape[::2], np.nan)
+    good = np.isfinite(A).all(axis=(1, 2)) & np.isfinite(b).all(axis=1)
+    A, b = A[good], b[good][..., None]
+    try:
+        solved = np.linalg.solve(A, b) if A.shape[1] == A.shape[2] else np.linalg.pinv(A) @ b
+    except np.linalg.LinAlgError:  # one singular pose in the batch
+        solved = np.linalg.pinv(A) @ b
+    u[good] = solved[..., 0]
+    return u
+
+
+def _moved(s: Solutions, dX: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return s.position + dX[:, :3], rotation_matrix(dX[:, 3:]) @ s.rotation
+
+
+def _answer(
+    model: Model,
+    q: np.ndarray,
+    pose: tuple[np.ndarray, np.ndarray],
+    nominal: Solutions,
+    at: Mapping[str, Any] | None,
+    problem: str,
+) -> Solutions:
+    """Solutions with the full model's closure as residual; where nominal failed, its status.
+
+    Not converged where more than a tenth of the error is left: there it is not of first order.
+    """
+    before, solutions = (
+        judged(model, np.hstack([q, r, R.reshape(-1, 9)]), at, np.inf, problem)
+        for q, r, R in ((nominal.joints, nominal.position, nominal.rotation), (q, *pose))
+    )
+    left = solutions.residual > np.maximum(0.1 * before.residual, CLOSED)
+    solutions.status[left] = Status.NOT_CONVERGED
+    failed = (nominal.status != Status.CONVERGED) & (nominal.status != Status.OUTSIDE_LIMITS)
+    solutions.status[failed] = nominal.status[failed]
+    return solutions
+
+
+def _shaped(solutions: Solutions, like: np.ndarray) -> Solutions:
+    return solutions[0] if np.ndim(like) == 1 else solutions

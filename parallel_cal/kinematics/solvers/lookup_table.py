@@ -1,0 +1,185 @@
+"""Differences to the nominal solution, stored on a grid and interpolated (section 6.1).
+
+The calibrated solution is nominal solution + table. The table is filled once, with the exact
+solver; it holds for one set of conditions. Smooth interpolation (B-splines) needs far fewer
+points than linear interpolation, which is what a simple controller can do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from parallel_cal.base.errors import SolveError
+from parallel_cal.base.rotation import rotation_matrix, rotation_vector
+from parallel_cal.kinematics.kinematics import Kinematics, Solutions, Status
+from parallel_cal.kinematics.solvers._common import judged
+from parallel_cal.model.mechanism import Mechanism
+from parallel_cal.model.model import Model
+
+SIZE = 9  # grid points along each given coordinate
+EDGE = 0.02  # of each side: how far the grid reaches beyond the workspace
+
+
+@dataclass(frozen=True, eq=False)
+class LookUpTable:
+    """`axes`: grid values of each given coordinate; `values` (n1, n2, .., n_answers):
+    corrections to the nominal joints (inverse) or none (direct), then position (m) and rotation
+    (rad) of the pose; `nominal`: the solver that they correct."""
+
+    problem: str
+    axes: tuple[np.ndarray, ...]
+    values: np.ndarray
+    order: str
+    nominal: Kinematics
+
+    @property
+    def bytes(self) -> int:
+        """Memory of the stored corrections as 4-byte floats."""
+        return 4 * self.values.size
+
+    @cached_property
+    def interpolant(self) -> ca.Function:
+        """Given coordinates -> corrections; a CasADi function, so it can be generated as C."""
+        # CasADi wants the first axis to vary fastest, each point's answers side by side.
+        points = np.moveaxis(self.values, -1, 0).ravel(order="F")
+        kind = "linear" if self.order == "linear" else "bspline"
+        return ca.interpolant("table", kind, [list(a) for a in self.axes], points)
+
+    def corrections(self, given: np.ndarray) -> np.ndarray:
+        """(N, n_answers) at given coordinates (N, n); NaN outside the grid."""
+        found = np.array(self.interpolant(given.T)).T
+        low, high = (np.array([a[i] for a in self.axes]) for i in (0, -1))
+        found[~((given >= low) & (given <= high)).all(axis=1)] = np.nan
+        return found
+
+
+def direct(
+    model: Model,
+    q: np.ndarray,
+    at: Mapping[str, Any] | None = None,
+    size: int = SIZE,
+    order: str = "smooth",
+) -> Solutions:
+    """Nominal pose + table at joints q; status NOT_CONVERGED outside the table."""
+    table = table_for(model, "direct", at, size, order)
+    nominal = table.nominal.direct(np.atleast_2d(q), at)
+    return _shaped(_corrected(model, table, nominal, np.atleast_2d(q), at), q)
+
+
+def inverse(
+    model: Model,
+    position: np.ndarray,
+    rotation: np.ndarray | None = None,
+    at: Mapping[str, Any] | None = None,
+    size: int = SIZE,
+    order: str = "smooth",
+) -> Solutions:
+    """Nominal joints + table at the controlled coordinates; NOT_CONVERGED outside the table."""
+    table = table_for(model, "inverse", at, size, order)
+    nominal = table.nominal.inverse(np.atleast_2d(position), rotation, at)
+    given = _controlled(model.mechanism, nominal)
+    return _shaped(_corrected(model, table, nominal, given, at), position)
+
+
+def table_for(
+    model: Model, problem: str, at: Mapping[str, Any] | None, size: int, order: str
+) -> LookUpTable:
+    """The table of a model for one set of conditions, built at the first call and kept."""
+    if order not in ("linear", "smooth"):
+        raise SolveError(f"order='{order}'; expected 'linear' or 'smooth'")
+    least = 2 if order == "linear" else 4
+    if size < least:
+        raise SolveError(f"size={size}; order='{order}' needs at least {least} points an axis")
+    if any(np.ndim(v) for v in (at or {}).values()):
+        raise SolveError("a look-up table holds for one set of conditions; give single numbers")
+    conditions = tuple(sorted((k, float(v)) for k, v in (at or {}).items()))
+    return _built(model, problem, conditions, size, order)
+
+
+@lru_cache(maxsize=8)
+def _built(
+    model: Model, problem: str, conditions: tuple[tuple[str, float], ...], size: int, order: str
+) -> LookUpTable:
+    at = dict(conditions)
+    exact, nominal = Kinematics(model), Kinematics(model.with_values(model.table.nominal))
+    axes = _axes((exact, nominal), problem, size)
+    points = _grid(axes)
+    wanted, usual = (_solved_at(k, problem, points, at) for k in (exact, nominal))
+    pose = [
+        wanted.position - usual.position,
+        rotation_vector(wanted.rotation @ usual.rotation.swapaxes(1, 2)),
+    ]
+    parts = [wanted.joints - usual.joints, *pose] if problem == "inverse" else pose
+    values = np.hstack(parts)
+    failed = ~(_usable(wanted) & _usable(usual))
+    if failed.any():
+        raise SolveError(
+            f"the {problem} problem has no solution at {int(failed.sum())} of {len(points)} "
+            "points of the look-up table; make the model's workspace smaller"
+        )
+    shape = tuple(len(a) for a in axes)
+    return LookUpTable(problem, axes, values.reshape(*shape, -1), order, nominal)
+
+
+def _axes(robots: Sequence[Kinematics], problem: str, size: int) -> tuple[np.ndarray, ...]:
+    """A grid over the workspace, or over the joints that both robots reach it with."""
+    m = robots[0].model.mechanism
+    low, high = np.array(m.workspace.low), np.array(m.workspace.high)
+    if problem == "direct":
+        points = _grid([np.linspace(a, b, 5) for a, b in zip(low, high, strict=True)])
+        joints = np.vstack([_solved_at(k, "inverse", points, {}).joints for k in robots])
+        low, high = np.nanmin(joints, axis=0), np.nanmax(joints, axis=0)
+    edge = EDGE * (high - low)
+    return tuple(np.linspace(a, b, size) for a, b in zip(low - edge, high + edge, strict=True))
+
+
+def _grid(axes: Sequence[np.ndarray]) -> np.ndarray:
+    return np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, len(axes))
+
+
+def _solved_at(
+    kinematics: Kinematics, problem: str, points: np.ndarray, at: Mapping[str, Any]
+) -> Solutions:
+    """Solutions at grid points: joints, or controlled coordinates as `Workspace` has them."""
+    if problem == "direct":
+        return kinematics.direct(points, at)
+    return kinematics.inverse(*kinematics.model.mechanism.poses(points), at)
+
+
+def _controlled(mechanism: Mechanism, s: Solutions) -> np.ndarray:
+    """Controlled coordinates: position (m), rotation vector (rad)."""
+    return np.hstack([s.position, rotation_vector(s.rotation)])[:, mechanism.controlled]
+
+
+def _corrected(
+    model: Model,
+    table: LookUpTable,
+    nominal: Solutions,
+    given: np.ndarray,
+    at: Mapping[str, Any] | None,
+) -> Solutions:
+    """Nominal solutions with the table's corrections, and the closure's residual there."""
+    change, n = table.corrections(given), len(model.joints) if table.problem == "inverse" else 0
+    q = nominal.joints + change[:, :n] if n else nominal.joints
+    r = nominal.position + change[:, n : n + 3]
+    R = rotation_matrix(change[:, n + 3 :]) @ nominal.rotation
+    x = np.hstack([q, r, R.reshape(-1, 9)])
+    solutions = judged(model, x, at, np.inf, table.problem)
+    usable = _usable(nominal)
+    solutions.status[~usable] = nominal.status[~usable]
+    solutions.status[usable & np.isnan(change).any(axis=1)] = Status.NOT_CONVERGED
+    return solutions
+
+
+def _usable(s: Solutions) -> np.ndarray:
+    return (s.status == Status.CONVERGED) | (s.status == Status.OUTSIDE_LIMITS)
+
+
+def _shaped(solutions: Solutions, like: np.ndarray) -> Solutions:
+    return solutions[0] if np.ndim(like) == 1 else solutions

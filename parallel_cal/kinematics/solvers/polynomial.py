@@ -1,0 +1,97 @@
+"""General orientation problem (6.2.3) of a mechanism: every orientation, by one polynomial.
+
+For mechanisms whose three closure rows say that a platform's direction v_i keeps a given angle
+to a direction u_i of the base (Argos 9, section 6.6). Both follow from the closure itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from parallel_cal.base.compiled import Single, dense
+from parallel_cal.base.errors import SolveError
+from parallel_cal.kinematics.kinematics import Solutions
+from parallel_cal.kinematics.rows import joint_rows
+from parallel_cal.kinematics.solvers._common import (
+    configurations,
+    home_first,
+    judged,
+    on_home_branch,
+)
+from parallel_cal.kinematics.solvers._orientation import FORMS, angles, coefficients, orientations
+from parallel_cal.model.model import Model
+from parallel_cal.model.structure import Structure
+
+__all__ = ["FORMS", "angles", "coefficients", "direct", "direct_all", "inverse", "orientations"]
+
+ROTATIONS = ("rx", "ry", "rz")
+TOLERANCE = 1e-10  # m: a closure residual below this is a solution
+
+
+def direct_all(
+    model: Model,
+    q: np.ndarray,
+    at: Mapping[str, Any] | None = None,
+    form: str = "eigenvalue",
+) -> Solutions:
+    """All real orientations, at most eight, at joints q (nq,), the home branch first."""
+    u, v, c = circles(model, q, at)
+    R = orientations(u, v, c, form)
+    position = np.tile(model.mechanism.home.position, (len(R), 1))
+    found = judged(model, configurations(q, position, R), at, TOLERANCE, "direct")
+    return found[home_first(model, found, at)]
+
+
+def direct(
+    model: Model,
+    q: np.ndarray,
+    at: Mapping[str, Any] | None = None,
+    form: str = "eigenvalue",
+) -> Solutions:
+    """The orientation on the home branch for joints (nq,) or (N, nq); unreachable where none is."""
+    return on_home_branch(q, at, lambda row, conditions: direct_all(model, row, conditions, form))
+
+
+def inverse(
+    model: Model,
+    position: np.ndarray,
+    rotation: np.ndarray | None = None,
+    at: Mapping[str, Any] | None = None,
+) -> Solutions:
+    """Not offered: each joint follows from its own circle (eqs 6.62-6.63), in closed form."""
+    raise SolveError("the polynomial solves direct problems only; use --solver newton")
+
+
+def circles(
+    model: Model, q: np.ndarray, at: Mapping[str, Any] | None = None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """u (3, 3), v (3, 3) and c (3,) of u_i . R v_i = c_i at joints q, after the effects."""
+    given = joint_rows(model, q)[0]
+    slopes, rest = _circles(model.structure)(given, model.condition_rows(at, 1)[0], model.values)
+    # A row of dphi/dR is u v^T, the rest of phi is -c; here they come column by column.
+    left, sizes, right = np.linalg.svd(slopes.reshape(9, 3).T.reshape(3, 3, 3))
+    if (sizes[:, 1] > 1e-9 * sizes[:, 0]).any():
+        raise _unfit(model.structure)
+    return left[:, :, 0] * sizes[:, :1], right[:, 0], -rest
+
+
+@lru_cache(maxsize=16)
+def _circles(s: Structure) -> Single:
+    """(configuration, a, v) -> dphi/dR (3, 9) and the part of phi without R."""
+    slopes = ca.jacobian(s.phi, s.R9)
+    if s.mechanism.moves != ROTATIONS or s.phi.shape[0] != 3 or ca.depends_on(slopes, s.R9):
+        raise _unfit(s)
+    rest = ca.substitute(s.phi, s.R9, ca.DM.zeros(9))
+    return Single(dense("circles", [s.configuration, s.a, s.v], [slopes, rest]))
+
+
+def _unfit(s: Structure) -> SolveError:
+    return SolveError(
+        f"the polynomial solver needs three closure rows u . R v = c that fix the orientation; "
+        f"{s.mechanism.name} is not like that: use --solver newton"
+    )

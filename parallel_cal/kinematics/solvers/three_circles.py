@@ -1,0 +1,163 @@
+"""A triangle on three circles: every solution of the direct problem of Argos 27 (6.7.2).
+
+For mechanisms with a method `circles(q, p)`: each ball of the platform lies on a circle in space.
+With P_i(z) = C_i + a_i z + conj(a_i) / z and z = exp(i t), the three side lengths of the triangle
+are equations in z_1, z_2, z_3, quadratic in each. Their resultant in z_1 is a polynomial of degree
+16, as Nanua found; its coefficients come from its values on the unit circle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import lru_cache
+from itertools import product
+from typing import Any, cast
+
+import casadi as ca
+import numpy as np
+
+from parallel_cal.base.compiled import Single, dense
+from parallel_cal.base.errors import SolveError
+from parallel_cal.kinematics.rows import joint_rows
+from parallel_cal.kinematics.solutions import Solutions, Status, stacked
+from parallel_cal.kinematics.solvers._common import home_first, kinematics_of, on_home_branch
+from parallel_cal.model.model import Model
+from parallel_cal.model.structure import Structure
+
+DEGREE = 16
+SIDES = ((0, 1), (0, 2), (1, 2))
+SAMPLES = 64  # on the unit circle; more than the resultant's 17 coefficients need
+NEGLIGIBLE = 1e-12  # of the largest coefficient: the degree is lower in symmetric cases
+NEARLY_REAL = 1e-3  # distance from the unit circle at which Newton's method decides
+
+
+def direct_all(model: Model, q: np.ndarray, at: Mapping[str, Any] | None = None) -> Solutions:
+    """Every real pose at joints q (nq,), home branch first; `count_complex` is 16 in general."""
+    q = np.asarray(q, dtype=float)
+    C, u, radius, B = circles(model, q, at)
+    z, starts = balls(C, u, radius, B)
+    found: list[Solutions] = []
+    kinematics = kinematics_of(model)
+    for points in starts:
+        r, R = placed(B, points)
+        pose = kinematics.direct(q, at, Solutions(q, r, R, np.array(np.nan), np.array(0)))
+        known = any(np.abs(pose.rotation - f.rotation).max() < 1e-6 for f in found)
+        if pose.status in (Status.CONVERGED, Status.OUTSIDE_LIMITS) and not known:
+            found.append(pose)
+    if not found:
+        none = np.empty(0)
+        return Solutions(
+            np.empty((0, len(q))), np.empty((0, 3)), np.empty((0, 3, 3)), none, none, len(z)
+        )
+    poses = stacked(found)
+    return replace(poses[home_first(model, poses, at)], count_complex=len(z))
+
+
+def direct(model: Model, q: np.ndarray, at: Mapping[str, Any] | None = None) -> Solutions:
+    """The pose on the home branch for joints (nq,) or (N, nq); unreachable where none is real."""
+    return on_home_branch(q, at, lambda row, conditions: direct_all(model, row, conditions))
+
+
+def inverse(
+    model: Model,
+    position: np.ndarray,
+    rotation: np.ndarray | None = None,
+    at: Mapping[str, Any] | None = None,
+) -> Solutions:
+    """Not offered: this is a direct problem."""
+    raise SolveError("three_circles solves direct problems only; use --solver newton")
+
+
+def circles(
+    model: Model, q: np.ndarray, at: Mapping[str, Any] | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Centres, unit normals (3, 3), radii (3,) in {B} and balls (3, 3) in {P}, a row a chain."""
+    if not hasattr(model.mechanism, "circles"):
+        raise SolveError(
+            f"mechanism {model.mechanism.name} has no method `circles`; use --solver newton"
+        )
+    given = joint_rows(model, q)[0]
+    C, u, radius, B = _circles(model.structure)(given, model.condition_rows(at, 1)[0], model.values)
+    return C.reshape(3, 3), u.reshape(3, 3), radius, B.reshape(3, 3)
+
+
+@lru_cache(maxsize=16)
+def _circles(s: Structure) -> Single:
+    ideal, mechanism = s.seen, cast(Any, s.mechanism)  # `circles` is no duty of a mechanism
+    C, u, radius, B = zip(*mechanism.circles(ideal.q, ideal.p), strict=True)
+    outputs = [ca.horzcat(*C), ca.horzcat(*u), ca.vertcat(*radius), ca.horzcat(*B)]
+    return Single(dense("circles", [s.configuration, s.a, s.v], [ca.SX(o) for o in outputs]))
+
+
+def balls(
+    C: np.ndarray, u: np.ndarray, radius: np.ndarray, B: np.ndarray
+) -> tuple[np.ndarray, list[np.ndarray]]:
+    """All complex z_1 (up to 16), and for the nearly real ones the three balls (3, 3)."""
+    size = float(radius.mean())
+    terms = [_terms(*one) for one in zip(C / size, u, radius / size, strict=True)]
+    pairs = {(i, j): _side(terms[i], terms[j], (B[i] - B[j]) / size) for i, j in SIDES}
+    z = _roots(pairs)
+    near = [one / abs(one) for one in z if abs(np.log(abs(one))) < NEARLY_REAL]
+    return z, [point * size for one in near for point in _triangles(one, terms, pairs)]
+
+
+def _terms(C: np.ndarray, u: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
+    """Laurent coefficients (z^-1, z^0, z^1) of P and of P.P on a circle."""
+    first = np.cross(u, np.eye(3)[np.argmin(np.abs(u))])
+    first /= np.linalg.norm(first)
+    a = radius * (first - 1j * np.cross(u, first)) / 2
+    P = np.stack([a.conj(), C.astype(complex), a])
+    return P, np.array([2 * C @ a.conj(), C @ C + radius**2, 2 * C @ a])
+
+
+def _side(one: Any, other: Any, side: np.ndarray) -> np.ndarray:
+    """Coefficients (3, 3) of |P_i - P_j|^2 - side^2 in powers -1, 0, 1 of z_i and z_j."""
+    M = -2 * one[0] @ other[0].T
+    M[:, 1] += one[1]
+    M[1, :] += other[1]
+    M[1, 1] -= side @ side
+    return M
+
+
+def _roots(pairs: dict[tuple[int, int], np.ndarray]) -> np.ndarray:
+    """Zeros of the resultant in z_1."""
+    z = np.exp(2j * np.pi * np.arange(SAMPLES) / SAMPLES)
+    values = np.array([_resultant(one, pairs) for one in z])
+    half = DEGREE // 2
+    coefficients = np.roll(np.fft.fft(values) / SAMPLES, half)[: DEGREE + 1]
+    size = np.abs(coefficients).max()
+    significant = np.flatnonzero(np.abs(coefficients) > NEGLIGIBLE * size)
+    return np.roots(coefficients[significant[0] : significant[-1] + 1][::-1])
+
+
+def _resultant(z: complex, pairs: dict[tuple[int, int], np.ndarray]) -> complex:
+    """Poisson's formula: lead^4 lead^4 times the third equation at all pairs of roots."""
+    f, g = (_powers(z) @ pairs[0, j] for j in (1, 2))
+    roots = product(np.roots(f[::-1]), np.roots(g[::-1]))
+    third = [x * y * (_powers(x) @ pairs[1, 2] @ _powers(y)) for x, y in roots]
+    return complex(f[2] ** 4 * g[2] ** 4 * np.prod(third))
+
+
+def _powers(z: complex) -> np.ndarray:
+    return np.array([1 / z, 1, z])
+
+
+def _triangles(z: complex, terms: list[Any], pairs: dict[tuple[int, int], np.ndarray]) -> list[Any]:
+    """Balls on their circles that come near to closing the triangle, with z_1 given."""
+    second, third = (np.roots((_powers(z) @ pairs[0, j])[::-1]) for j in (1, 2))
+    choices = [(x / abs(x), y / abs(y)) for x, y in product(second, third)]
+    gaps = [abs(_powers(x) @ pairs[1, 2] @ _powers(y)) for x, y in choices]
+    best = sorted(range(len(gaps)), key=gaps.__getitem__)[:2]  # a double root has two near ones
+    return [
+        np.array([(_powers(w) @ t[0]).real for w, t in zip((z, *choices[k]), terms, strict=True)])
+        for k in best
+    ]
+
+
+def placed(B: np.ndarray, P: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The pose (r, R) that brings points B (n, 3) nearest to P (n, 3)."""
+    b, p = B - B.mean(axis=0), P - P.mean(axis=0)
+    left, _, right = np.linalg.svd(p.T @ b)
+    turn = left @ np.diag([1, 1, np.linalg.det(left @ right)]) @ right
+    return P.mean(axis=0) - turn @ B.mean(axis=0), turn

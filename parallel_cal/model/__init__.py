@@ -1,0 +1,1 @@
+"""A model: mechanism + effects + sensors + numbers, and the file that holds it."""

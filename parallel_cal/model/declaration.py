@@ -1,0 +1,68 @@
+"""What a mechanism's class may lack, miscount or misname: the errors of a user's own file."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from parallel_cal.base.errors import ModelError
+from parallel_cal.model.parameters import Parameter
+
+if TYPE_CHECKING:
+    from parallel_cal.model.mechanism import Mechanism
+
+PARTS = ("joints", "parameters", "home", "workspace", "joint_limits")
+SI = ("m", "rad", "s", "kg", "N", "K", "degC")
+
+
+def check(m: Mechanism) -> None:
+    """ModelError for the first thing that is wrong, whatever the closure says."""
+    if missing := [part for part in PARTS if not hasattr(m, part)]:
+        raise ModelError(f"the class has no {', '.join(missing)}")
+    _coordinates(m)
+    _counts(m)
+    _units(m)
+    numbers = [*m.parameters.nominal, *m.parameters.tolerance, *m.home.configuration]
+    if not np.isfinite(numbers).all():
+        raise ModelError("nominal values, tolerances and home must be finite numbers")
+    if not m.length > 0:
+        raise ModelError(f"length {m.length} m, by which it weighs angles; expected above 0")
+
+
+def _coordinates(m: Mechanism) -> None:
+    if not set(m.controlled) <= set(m.moved):
+        astray = [c for c in m.controls if c not in m.moves]
+        raise ModelError(f"controls {', '.join(astray)}, which it does not move")
+    if len(m.controls) > len(m.joints):
+        raise ModelError(f"controls {' '.join(m.controls)} with joints {', '.join(m.joints)} only")
+
+
+def _counts(m: Mechanism) -> None:
+    for key, found, members in (
+        ("joint_limits", m.joint_limits, m.joints),
+        ("home.joints", m.home.joints, m.joints),
+        ("workspace.low", m.workspace.low, m.controls),
+        ("workspace.high", m.workspace.high, m.controls),
+    ):
+        if len(found) != len(members):
+            each = f"{len(members)}, one for each of {', '.join(members)}"
+            raise ModelError(f"{key} has {len(found)} entries, expected {each}")
+
+
+def _units(m: Mechanism) -> None:
+    if not {*m.joint_units} <= {"rad", "m"}:
+        raise ModelError(f"joints in {', '.join(m.joint_units)}, expected rad or m")
+    check_parameters(m.parameters)
+
+
+def check_parameters(parameters: Iterable[Parameter]) -> None:
+    """SI units and tolerances above 0, of a mechanism's or an effect's numbers (ModelError)."""
+    for parameter in parameters:
+        if not parameter.tolerance > 0:
+            raise ModelError(f"{parameter.name}: tolerance {parameter.tolerance}, expected above 0")
+        if foreign := {*re.findall("[A-Za-z]+", parameter.unit)} - {*SI}:
+            expected = f"expected SI units ({', '.join(SI)})"
+            raise ModelError(f"{parameter.name} in {', '.join(foreign)}, {expected}")

@@ -1,0 +1,118 @@
+"""What an effect is: given what was measured, what does the ideal mechanism see?"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from math import isfinite
+from typing import Any, ClassVar
+
+from parallel_cal.base.errors import ModelError
+from parallel_cal.model.mechanism import Mechanism
+from parallel_cal.model.parameters import Named, Parameter, ParameterTable
+
+# Conditions of a sample: unit, the value that means "nothing special", one a joint or not.
+CONDITIONS: dict[str, tuple[str, float, bool]] = {
+    "time": ("s", 0.0, False),
+    "temperature": ("degC", 20.0, False),
+    "payload": ("kg", 0.0, False),
+    "direction": ("1", 0.0, True),
+    "velocity": ("rad/s", 0.0, True),
+    "travel": ("rad", 0.0, True),
+    "session": ("1", 0.0, False),
+}
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What the closure is given: joints q, position r, rotation R, geometry p."""
+
+    q: Any
+    r: Any
+    R: Any
+    p: Named
+
+    def with_q(self, q: Any) -> Seen:
+        return replace(self, q=q)
+
+    def with_pose(self, r: Any, R: Any) -> Seen:
+        return replace(self, r=r, R=R)
+
+    def with_p(self, changes: Mapping[str, Any]) -> Seen:
+        """The same, some of the geometric parameters changed."""
+        return replace(self, p=self.p.replaced(changes))
+
+
+class Effect(ABC):
+    """One physical effect; subclass it in a file of its own, whose name is its name."""
+
+    needs: ClassVar[tuple[str, ...]] = ()
+    fixed: ClassVar[tuple[str, ...]] = ()  # patterns of its numbers that are given, not identified
+    of_device: ClassVar[bool] = False  # an error of the measurement, which the robot must not learn
+    widens: ClassVar[bool] = False  # what it adds is the mechanism's next larger model
+    physics: ClassVar[str]
+    source: ClassVar[str]
+    lookalikes: ClassVar[tuple[str, ...]] = ()
+    separated_by: ClassVar[str] = ""
+
+    @abstractmethod
+    def parameters(self, mechanism: Mechanism) -> list[Parameter]:
+        """Its numbers, named without the effect's own name (`joint2.sin`); 0 = no effect."""
+
+    @abstractmethod
+    def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
+        """What the ideal mechanism sees; `e` its numbers, `at` the sample's conditions."""
+
+    def applies(self, mechanism: Mechanism) -> str:
+        """Empty where it makes sense, else why it does not (`no joint turns`)."""
+        return ""
+
+    def scan(self, mechanism: Mechanism) -> Iterable[Mapping[str, float]]:
+        """Settings of its fixed numbers that a search tries where nobody knows them."""
+        return ({},)
+
+    @property
+    def name(self) -> str:
+        return type(self).__module__.removeprefix("parallel_cal.effects.")
+
+    def known(self) -> list[str]:
+        """Patterns of its fixed numbers under their full names."""
+        return [f"{self.name}.{pattern}" for pattern in self.fixed]
+
+    def table(self, mechanism: Mechanism) -> ParameterTable:
+        """Its parameters under their full names (`encoder_eccentricity.joint2.sin`)."""
+        return ParameterTable(
+            Parameter(
+                f"{self.name}.{p.name}", p.unit, p.nominal, p.tolerance, "effect", p.low, p.high
+            )
+            for p in self.parameters(mechanism)
+        )
+
+    def conditions(self, mechanism: Mechanism) -> list[str]:
+        """The condition columns it needs: `direction` becomes one a joint."""
+        columns: list[str] = []
+        for need in self.needs:
+            if need not in CONDITIONS:
+                known = ", ".join(CONDITIONS)
+                raise ModelError(
+                    f"{self.name} needs '{need}', which nobody records; there are {known}"
+                )
+            per_joint = CONDITIONS[need][2]
+            columns += [f"{need}.{j}" for j in mechanism.joints] if per_joint else [need]
+        return columns
+
+
+def parse_effect(text: str) -> tuple[str, dict[str, float]]:
+    """`NAME[:param=value,...]` -> name and its numbers; ModelError where it is not that."""
+    name, _, numbers = text.partition(":")
+    given: dict[str, float] = {}
+    for item in filter(None, numbers.split(",")):
+        key, equals, value = item.partition("=")
+        try:
+            given[key.strip()] = float(value)
+        except ValueError:
+            equals = ""
+        if not (equals and key.strip() and isfinite(given[key.strip()])):
+            raise ModelError(f"effect '{text}': expected NAME:param=value,..., found '{item}'")
+    return name.strip(), given

@@ -1,0 +1,171 @@
+"""What the numbers and names in a model file may be; each check raises ModelFileError."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from parallel_cal.model.file.schema import CovariancePart, JointPart, suggestion
+from parallel_cal.model.file.yamltext import Document, Path
+from parallel_cal.model.parameters import Parameter, ParameterTable
+
+# A value off by one of these factors was probably pasted in another unit.
+FOREIGN = {
+    "m": (("mm", 1e-3), ("um", 1e-6), ("inch", 0.0254)),
+    "rad": (("degrees", math.pi / 180), ("mrad", 1e-3), ("arcmin", math.pi / 10800)),
+}
+WIDE = 50.0  # rad; limits beyond it, eight turns, are degrees
+
+
+def names(document: Document, path: Path, found: Iterable[str], expected: Iterable[str]) -> None:
+    """Every expected parameter, and no other."""
+    known = list(expected)
+    for name in found:
+        if name not in known:
+            raise document.error((*path, name), f"unknown parameter{suggestion(name, known)}")
+    missing = [name for name in known if name not in set(found)]
+    if missing:
+        raise document.error(path, f"parameters missing: {', '.join(missing)}")
+
+
+def unit(document: Document, path: Path, parameter: Parameter, found: str) -> None:
+    """Files hold SI units only."""
+    if found != parameter.unit:
+        raise document.error(
+            (*path, "unit"), f"'{found}' found, expected '{parameter.unit}' (files hold SI units)"
+        )
+
+
+def length(document: Document, path: Path, values: Sequence[object], n: int, what: str) -> None:
+    """A list of the right length."""
+    if len(values) != n:
+        raise document.error(path, f"{len(values)} values found, expected {n}, {what}")
+
+
+def joint(document: Document, name: str, expected: str, part: JointPart) -> None:
+    """A joint's name, unit and limits."""
+    path: Path = ("joints", name)
+    if not name or any(c.isspace() or c == "." for c in name):
+        raise document.error(path, f"the name {name!r} may hold neither spaces nor dots")
+    if part.unit != expected:
+        raise document.error((*path, "unit"), f"'{part.unit}' found, expected '{expected}'")
+    limits = [v for v in (part.low, part.high) if v is not None]
+    if len(limits) == 2 and limits[0] >= limits[1]:
+        raise document.error((*path, "low"), f"{limits[0]} is not below high, {limits[1]}")
+    if expected == "rad" and any(abs(v) > WIDE for v in limits):
+        raise document.error(path, f"limits {limits} rad: are these degrees?")
+
+
+def box(document: Document, low: Sequence[float], high: Sequence[float]) -> None:
+    """A workspace that is not inside out."""
+    for i, (a, b) in enumerate(zip(low, high, strict=True)):
+        if a > b:
+            raise document.error(("workspace", "low", i), f"{a} is above high, {b}")
+
+
+def gravity(document: Document, found: Sequence[float]) -> None:
+    """A direction in {B} and m/s^2, not a bare direction or mm/s^2; zero is weightless."""
+    size = math.hypot(*found)
+    if size and not 1.5 < size < 25.0:  # m/s^2: from the Moon to Jupiter
+        text = f"{[*found]} is {size:.6g} m/s^2 long, expected about 9.81 (zero: weightless)"
+        raise document.error(("gravity",), text)
+
+
+def number(document: Document, path: Path, parameter: Parameter, value: float) -> None:
+    """A value within ten tolerances of nominal and within what is physically possible."""
+    low, high = parameter.plausible_range()
+    if low <= value <= high:
+        return
+    expected = f"expected {low:.6g} to {high:.6g} {parameter.unit}"
+    text = f"{value!r} {parameter.unit} {_why(parameter, value)}; {expected}"
+    raise document.error((*path, "value"), text + _foreign_unit(parameter, value))
+
+
+def _why(parameter: Parameter, value: float) -> str:
+    if not parameter.low - parameter.tolerance <= value <= parameter.high + parameter.tolerance:
+        return "is physically impossible"
+    away = abs(value - parameter.nominal) / parameter.tolerance
+    return (
+        f"is {away:.3g} tolerances from its nominal {parameter.nominal:g} "
+        f"(1 tolerance = {parameter.tolerance:g} {parameter.unit})"
+    )
+
+
+def _foreign_unit(parameter: Parameter, value: float) -> str:
+    """A guess which other unit an implausible value is in."""
+    low, high = parameter.plausible_range()
+    for name, factor in FOREIGN.get(parameter.unit, ()):
+        if low <= value * factor <= high:
+            return f"; is it in {name}? That would be {value * factor:.6g} {parameter.unit}"
+    return ""
+
+
+class Hint:
+    """What stands at a parameter's keys, for errors about the file's shape."""
+
+    def __init__(self, document: Document, table: ParameterTable):
+        self._document, self._table = document, table
+
+    def __call__(self, path: Path) -> str:
+        name = self._parameter_name(path)
+        if name not in self._table.names:
+            return ""
+        parameter = self._table[name]
+        low, high = parameter.plausible_range()
+        texts = {
+            "value": f"; expected {low:.6g} to {high:.6g} {parameter.unit}",
+            "unit": f"; expected '{parameter.unit}'",
+        }
+        for key in ("nominal", "tolerance", "sigma"):
+            texts[key] = f" (in {parameter.unit})"
+        return texts.get(str(path[-1]), "")
+
+    def _parameter_name(self, path: Path) -> str:
+        if len(path) == 3 and path[0] == "parameters":
+            return str(path[1])
+        if len(path) == 5 and path[0] in ("effects", "sensors") and path[2] == "parameters":
+            return f"{self._document.data[path[0]][path[1]].get('name')}.{path[3]}"
+        return ""
+
+
+def covariance(
+    document: Document,
+    part: CovariancePart | None,
+    table: ParameterTable,
+    sigmas: Sequence[float | None],
+) -> np.ndarray | None:
+    """(n, n) from the lower triangle, or from the sigmas alone; None where there is neither."""
+    if part is None:
+        if all(sigma is None for sigma in sigmas):
+            return None
+        return np.diag([(sigma or 0.0) ** 2 for sigma in sigmas])
+    full = _triangle(document, part, table)
+    variance = np.diag(full)
+    if (variance < 0).any() or (full**2 > np.outer(variance, variance) * (1 + 1e-6)).any():
+        raise document.error(("covariance", "lower"), "no covariance: a correlation is above 1")
+    for parameter, sigma, own in zip(table, sigmas, np.sqrt(variance), strict=True):
+        if sigma is not None and not math.isclose(sigma, own, rel_tol=1e-6):
+            raise document.error(
+                ("covariance",),
+                f"sigma of {parameter.name} is {sigma}, the covariance says {own:.6g} "
+                f"{parameter.unit}; change both, or delete 'covariance'",
+            )
+    return full
+
+
+def _triangle(document: Document, part: CovariancePart, table: ParameterTable) -> np.ndarray:
+    """The full matrix of a lower triangle; zero where a parameter is not in it."""
+    path: Path = ("covariance", "lower")
+    unknown = [name for name in part.names if name not in table.names]
+    if unknown or len(set(part.names)) != len(part.names):
+        found = f"unknown: {', '.join(unknown)}" if unknown else "a name occurs twice"
+        raise document.error(("covariance", "names"), found)
+    length(document, path, part.lower, len(part.names), "one row for each name")
+    index = [table.index_of(name) for name in part.names]
+    full = np.zeros((len(table), len(table)))
+    for i, row in enumerate(part.lower):
+        length(document, (*path, i), row, i + 1, "the lower triangle with its diagonal")
+        full[index[i], index[: i + 1]] = full[index[: i + 1], index[i]] = row
+    return full

@@ -1,0 +1,48 @@
+"""The YAML model file: read with every number checked, written whole or not at all."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+from parallel_cal.base.errors import ModelFileError
+from parallel_cal.base.files import write_atomically
+from parallel_cal.model.file.writer import dump_model
+from parallel_cal.model.file.yamltext import parse_yaml
+from parallel_cal.model.model import Model
+
+__all__ = ["dump_model", "model_hash", "parse_model", "read_model", "write_model"]
+
+
+def read_model(path: str | Path) -> Model:
+    """The model in a file; ModelFileError names file, line, key, value and what is expected."""
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except OSError as error:
+        raise ModelFileError(f"{path}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise ModelFileError(f"{path}:1: not YAML: the file is not text (UTF-8)") from None
+    return parse_model(text, str(path))
+
+
+def parse_model(text: str, name: str = "model") -> Model:
+    """The model in a text; `name` stands for the file in errors (ModelFileError)."""
+    from parallel_cal.model.file.reader import Reader  # pydantic costs 50 ms
+
+    return Reader(parse_yaml(text, name)).model()
+
+
+def write_model(model: Model, path: str | Path) -> None:
+    """Write a model file in one step; ModelFileError for a model that could not be read back."""
+    text = dump_model(model)
+    parse_model(text, f"{path} (not written)")
+    try:
+        write_atomically(path, text)
+    except OSError as error:
+        raise ModelFileError(f"{path}: cannot be written: {error.strerror}") from None
+
+
+def model_hash(model: Model | str | bytes) -> str:
+    """sha256 (hex) of a model's file text: what `sha256sum` says of the written file."""
+    text = dump_model(model) if isinstance(model, Model) else model
+    return hashlib.sha256(text.encode() if isinstance(text, str) else text).hexdigest()

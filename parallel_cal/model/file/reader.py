@@ -1,0 +1,218 @@
+"""From the data of a model file to a model, each step trusting what the steps before checked."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from parallel_cal.base.errors import ModelError, ModelFileError
+from parallel_cal.model.effect import Effect
+from parallel_cal.model.file import checks
+from parallel_cal.model.file.schema import FilePart, NumberPart, suggestion, validated
+from parallel_cal.model.file.sensoroptions import own_numbers, read_sensor
+from parallel_cal.model.file.yamltext import Document, Path
+from parallel_cal.model.mechanism import Home, Mechanism, Workspace
+from parallel_cal.model.model import Model, Noise
+from parallel_cal.model.parameters import Parameter, ParameterTable
+from parallel_cal.model.sensor import Sensor
+from parallel_cal.model.shelf import load_effect, load_mechanism, shelf_names
+
+VERSION = 1
+
+
+class Reader:
+    """One document on its way to a model; any step may raise ModelFileError."""
+
+    def __init__(self, document: Document):
+        self._document = document
+        self._error = document.error
+
+    def model(self) -> Model:
+        self._check_version()
+        mechanism, effects, sensors = self._mechanism(), self._effects(), self._sensors()
+        hint = checks.Hint(self._document, _full_table(mechanism, effects, sensors))
+        file = validated(self._document, hint)
+        self._configure(mechanism, file)
+        entries = self._entries(file, mechanism, effects, sensors)
+        for path, parameter, entry in entries:
+            checks.number(self._document, path, parameter, entry.value)
+        table = _full_table(mechanism, effects, sensors)
+        sigmas = [entry.sigma for _, _, entry in entries]
+        model = Model(
+            mechanism,
+            tuple(effects),
+            np.array([entry.value for _, _, entry in entries]),
+            covariance=checks.covariance(self._document, file.covariance, table, sigmas),
+            fixed=np.array([entry.fixed for _, _, entry in entries], dtype=bool),
+            noise=Noise(**dict(file.noise)),
+            history=tuple(file.history),
+            frames=dict(file.frames),
+            sensors=tuple(sensors),
+        )
+        try:
+            model.structure.phi  # noqa: B018  (a user's closure is read here, not when it is needed)
+        except ModelError as error:
+            raise self._error(("mechanism",), str(error)) from None
+        return model
+
+    # ------------------------------------------------------------------ what the file is about
+
+    def _check_version(self) -> None:
+        data = self._document.data
+        if not isinstance(data, dict) or "parallel_cal" not in data:
+            raise self._error((), "not a model file: the key 'parallel_cal: 1' is missing")
+        version = data["parallel_cal"]
+        if version != VERSION or isinstance(version, bool):
+            raise self._error(
+                ("parallel_cal",),
+                f"version {version!r} found, expected {VERSION}: written by another release; "
+                "update parallel_cal or make the file anew",
+            )
+
+    def _mechanism(self) -> Mechanism:
+        entry = self._document.data.get("mechanism")
+        options = entry.get("options", {}) if isinstance(entry, dict) else {}
+        name = entry.get("name") if isinstance(entry, dict) else entry
+        known = shelf_names("mechanisms")
+        if not isinstance(name, str) or not isinstance(options, dict):
+            raise self._error(("mechanism",), f"{name!r} found, expected one of {', '.join(known)}")
+        try:
+            return load_mechanism(name, **options)
+        except ModelError as error:
+            raise self._unknown(("mechanism",), name, known, error) from None
+
+    def _effects(self) -> list[Effect]:
+        return self._loaded("effects", lambda path, name, entry: load_effect(name))
+
+    def _sensors(self) -> list[Sensor]:
+        return self._loaded("sensors", self._sensor)
+
+    def _sensor(self, path: Path, name: str, entry: dict[str, Any]) -> Sensor:
+        options = entry.get("options", {})
+        if not isinstance(options, dict):
+            raise self._error((*path, "options"), f"expected a mapping, found {options!r}")
+        return read_sensor(self._document, (*path, "options"), name, options)
+
+    def _loaded(self, key: str, load: Callable[[Path, str, dict[str, Any]], Any]) -> list[Any]:
+        """What the entries of a list name, each once, in their order."""
+        entries = self._document.data.get(key)
+        loaded: list[Any] = []
+        for i, entry in enumerate(entries if isinstance(entries, list) else []):
+            name = entry.get("name") if isinstance(entry, dict) else None
+            if not isinstance(name, str):  # the schema's business
+                continue
+            if any(part.name == name for part in loaded):
+                raise self._error((key, i, "name"), f"the {key[:-1]} '{name}' occurs twice")
+            try:
+                loaded.append(load((key, i), name, entry))
+            except ModelError as error:
+                raise self._unknown((key, i, "name"), name, shelf_names(key), error) from None
+        return loaded
+
+    def _unknown(
+        self, path: Path, name: str, known: list[str], error: ModelError
+    ) -> ModelFileError:
+        near = "" if name in known else suggestion(name, known)
+        return self._error(path, f"{error}{near if 'did you mean' in near else ''}")
+
+    # ------------------------------------------------------------------ this robot's mechanism
+
+    def _configure(self, mechanism: Mechanism, file: FilePart) -> None:
+        """Give the mechanism this robot's joints, home, workspace, nominal values, tolerances."""
+        self._set_joints(mechanism, file)
+        n, controls = len(mechanism.joints), mechanism.controls
+        if file.home is not None:
+            self._check_length(("home", "joints"), file.home.joints, n, "one for each joint")
+            if math.hypot(*file.home.quaternion) < 1e-9:
+                raise self._error(("home", "quaternion"), "all zeros, expected a rotation x y z w")
+            mechanism.home = Home(*(tuple(v) for _, v in file.home))
+        if file.workspace is not None:
+            for key, values in file.workspace:
+                what = f"one for each of {', '.join(controls)}"
+                self._check_length(("workspace", key), values, len(controls), what)
+            checks.box(self._document, file.workspace.low, file.workspace.high)
+            mechanism.workspace = Workspace(*(tuple(v) for _, v in file.workspace))
+        if file.gravity is not None:
+            checks.gravity(self._document, file.gravity)
+            x, y, z = file.gravity
+            mechanism.gravity = (x, y, z)
+        mechanism.parameters = self._own_table(mechanism, file)
+
+    def _set_joints(self, mechanism: Mechanism, file: FilePart) -> None:
+        """Names in messages and limits; the order is the mechanism's."""
+        names, own = tuple(file.joints), mechanism.joints
+        expected = f"{mechanism.name} has {len(own)}: {', '.join(own)}"
+        found = f"found {', '.join(names) or 'none'}; {expected}"
+        if len(names) != len(own):
+            raise self._error(("joints",), f"{len(names)} joints, {found}")
+        if names != own and set(names) == set(own):
+            raise self._error(("joints",), f"joints in another order, {found}")
+        for (name, joint), unit in zip(file.joints.items(), mechanism.joint_units, strict=True):
+            checks.joint(self._document, name, unit, joint)
+        mechanism.joints = names
+        mechanism.joint_limits = tuple(_limits(joint) for joint in file.joints.values())
+
+    def _own_table(self, mechanism: Mechanism, file: FilePart) -> ParameterTable:
+        names = mechanism.parameters.names
+        checks.names(self._document, ("parameters",), file.parameters, names)
+        own = []
+        for parameter in mechanism.parameters:
+            entry = file.parameters[parameter.name]
+            checks.unit(self._document, ("parameters", parameter.name), parameter, entry.unit)
+            own.append(replace(parameter, nominal=entry.nominal, tolerance=entry.tolerance))
+        return ParameterTable(own)
+
+    def _entries(
+        self,
+        file: FilePart,
+        mechanism: Mechanism,
+        effects: Sequence[Effect],
+        sensors: Sequence[Sensor],
+    ) -> list[tuple[Path, Parameter, Any]]:
+        """(key, parameter, entry) in the order of the parameter vector."""
+        found: list[tuple[Path, Parameter, Any]] = [
+            (("parameters", p.name), p, file.parameters[p.name]) for p in mechanism.parameters
+        ]
+        for i, (effect, entry) in enumerate(zip(effects, file.effects, strict=True)):
+            path: Path = ("effects", i, "parameters")
+            found += self._part(path, effect, effect.table(mechanism), entry.parameters)
+        for i, (sensor, given) in enumerate(zip(sensors, file.sensors, strict=True)):
+            table = sensor.table(mechanism)
+            numbers = given.parameters
+            numbers = own_numbers(sensor, table) if numbers is None else numbers
+            found += self._part(("sensors", i, "parameters"), sensor, table, numbers)
+        return found
+
+    def _part(
+        self,
+        path: Path,
+        part: Effect | Sensor,
+        table: ParameterTable,
+        numbers: Mapping[str, NumberPart],
+    ) -> Iterator[tuple[Path, Parameter, NumberPart]]:
+        """The parameters of an effect or a sensor, which the file has by their short names."""
+        short = {p.name.removeprefix(f"{part.name}."): p for p in table}
+        checks.names(self._document, path, numbers, short)
+        for name, parameter in short.items():
+            checks.unit(self._document, (*path, name), parameter, numbers[name].unit)
+            yield (*path, name), parameter, numbers[name]
+
+    def _check_length(self, path: Path, values: Sequence[Any], n: int, what: str) -> None:
+        checks.length(self._document, path, values, n, what)
+
+
+def _full_table(
+    mechanism: Mechanism, effects: Sequence[Effect], sensors: Sequence[Sensor]
+) -> ParameterTable:
+    parts: list[Effect | Sensor] = [*effects, *sensors]
+    tables = [part.table(mechanism) for part in parts]
+    return ParameterTable([*mechanism.parameters, *(p for table in tables for p in table)])
+
+
+def _limits(joint: Any) -> tuple[float, float]:
+    low = -math.inf if joint.low is None else joint.low
+    return low, math.inf if joint.high is None else joint.high

@@ -1,0 +1,210 @@
+"""The shape of a model file (pydantic); what its numbers may be is checked in modelfile.py."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, JsonValue, ValidationError
+
+from parallel_cal.model.file.yamltext import Document, Path
+
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
+Quaternion = Annotated[list[float], Field(min_length=4, max_length=4)]
+
+
+class Part(BaseModel):
+    """Strict: a number is a number, an unknown key is an error."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
+
+
+class MechanismPart(Part):
+    """Which mechanism, and what its file lets one choose (a number of legs)."""
+
+    name: str
+    options: dict[str, Any] = {}
+
+
+class JointPart(Part):
+    """One joint: its name in joint_states is the key; limits in its unit, none = endless."""
+
+    unit: str
+    low: float | None = None
+    high: float | None = None
+
+
+class HomePart(Part):
+    """A configuration of the assembly mode the robot works in (m, rad, x y z w)."""
+
+    joints: list[float]
+    position: Vector
+    quaternion: Quaternion
+
+
+class WorkspacePart(Part):
+    """The box of controlled coordinates that poses are drawn from (m, rad)."""
+
+    low: list[float]
+    high: list[float]
+
+
+class FramesPart(Part):
+    """Names of {B} and {P} in messages."""
+
+    base: str
+    platform: str
+
+
+class NoisePart(Part):
+    """Measurement noise, 1 sigma: rad or m, m, rad; null = not known."""
+
+    joint: NotNegative | None = None
+    position: NotNegative | None = None
+    orientation: NotNegative | None = None
+
+
+class ModelNoisePart(NoisePart):
+    """The noise a model is fitted with, and whether anybody measured it."""
+
+    assumed: bool = False
+
+
+class NumberPart(Part):
+    """One parameter of an effect; its nominal value and tolerance belong to the effect."""
+
+    value: float
+    unit: str
+    sigma: NotNegative | None = None
+    fixed: bool = False
+
+
+class ParameterPart(NumberPart):
+    """One parameter of the mechanism."""
+
+    nominal: float
+    tolerance: Positive
+
+
+class EffectPart(Part):
+    """One effect; the order in the file is the order in which they apply."""
+
+    name: str
+    parameters: dict[str, NumberPart]
+
+
+class SensorPart(Part):
+    """One measuring set-up beside the pose device: its fields, its parameters (none: nominal)."""
+
+    name: str
+    options: dict[str, Any] = {}
+    parameters: dict[str, NumberPart] | None = None
+
+
+class CovariancePart(Part):
+    """Covariance of the estimated parameters: names, and the lower triangle row by row."""
+
+    names: list[str]
+    lower: list[list[float]]
+
+
+def _named(value: Any) -> Any:
+    """`mechanism: delta54` is short for `mechanism: {name: delta54}`."""
+    return {"name": value} if isinstance(value, str) else value
+
+
+class FilePart(Part):
+    """A whole model file."""
+
+    parallel_cal: Literal[1]
+    mechanism: Annotated[MechanismPart, BeforeValidator(_named)]
+    joints: dict[str, JointPart]
+    home: HomePart | None = None
+    workspace: WorkspacePart | None = None
+    frames: FramesPart = FramesPart(base="base", platform="platform")
+    gravity: Vector | None = None
+    noise: ModelNoisePart = ModelNoisePart()
+    parameters: dict[str, ParameterPart]
+    effects: list[EffectPart] = []
+    sensors: list[SensorPart] = []
+    covariance: CovariancePart | None = None
+    history: list[dict[str, JsonValue]] = []
+
+
+# where a key may stand -> the keys known there; `*` is any name or number
+KNOWN: dict[Path, type[Part]] = {
+    (): FilePart,
+    ("mechanism",): MechanismPart,
+    ("joints", "*"): JointPart,
+    ("home",): HomePart,
+    ("workspace",): WorkspacePart,
+    ("frames",): FramesPart,
+    ("noise",): ModelNoisePart,
+    ("parameters", "*"): ParameterPart,
+    ("effects", "*"): EffectPart,
+    ("effects", "*", "parameters", "*"): NumberPart,
+    ("sensors", "*"): SensorPart,
+    ("sensors", "*", "parameters", "*"): NumberPart,
+    ("covariance",): CovariancePart,
+}
+
+EXPECTED = {
+    "float_type": "expected a number",
+    "finite_number": "expected a finite number",
+    "string_type": "expected text",
+    "bool_type": "expected true or false",
+    "list_type": "expected a list [..]",
+    "dict_type": "expected a mapping with keys",
+    "model_type": "expected a mapping with keys",
+    "greater_than": "expected a number above 0",
+    "greater_than_equal": "expected 0 or more",
+    "too_short": "too few values",
+    "too_long": "too many values",
+}
+
+
+def validated(document: Document, hint: Any) -> FilePart:
+    """The document as a checked structure; ModelFileError for the first thing wrong.
+
+    `hint(path)` says what the value at a path should be ("m, 0.066 to 0.086").
+    """
+    try:
+        return FilePart.model_validate(document.data)
+    except ValidationError as error:
+        first, *others = error.errors(include_url=False)
+        path = tuple(first["loc"])
+        more = f" (and {len(others)} more)" if others else ""
+        raise document.error(path, sentence(first, path) + hint(path) + more) from None
+
+
+def sentence(error: Any, path: Path) -> str:
+    """What is wrong with the value at a path, from pydantic's account of it."""
+    kind = error["type"]
+    if kind == "extra_forbidden":
+        return "unknown key" + suggestion(str(path[-1]), _known_at(path[:-1]))
+    if kind == "missing":
+        return "this key is missing"
+    value = error["input"]
+    if isinstance(value, (dict, list)):
+        value = f"{type(value).__name__} of {len(value)}"
+    return f"{EXPECTED.get(kind, error['msg'])}, found {value!r}"
+
+
+def _known_at(path: Path) -> list[str]:
+    for pattern, part in KNOWN.items():
+        if len(pattern) == len(path) and all(
+            a in ("*", b) for a, b in zip(pattern, path, strict=True)
+        ):
+            return list(part.model_fields)
+    return []
+
+
+def suggestion(word: str, known: list[str]) -> str:
+    """The nearest known words, or all of them where none is near and they are few."""
+    from difflib import get_close_matches
+
+    near = get_close_matches(word, known, n=1, cutoff=0.6)
+    if near:
+        return f"; did you mean '{near[0]}'?"
+    return f"; expected one of {', '.join(known[:24])}" if known else ""

@@ -1,0 +1,141 @@
+"""YAML text <-> plain data, with the line of every key and numbers that survive exactly.
+
+Scalars follow YAML 1.2 (`1e-5` is a number, `on` a word), whatever the parser underneath does.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from parallel_cal.base.errors import ModelFileError
+
+Path = tuple[str | int, ...]
+
+WORDS: dict[str, Any] = {"": None, "~": None, "null": None, "true": True, "false": False}
+NUMBER = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
+NOT_FINITE = re.compile(r"[-+]?\.?(inf|infinity|nan)", re.IGNORECASE)
+PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_./+-]*( [A-Za-z0-9_./+-]+)*")
+AMBIGUOUS = {"null", "true", "false", "yes", "no", "on", "off", "y", "n", "nan", "inf", "infinity"}
+
+
+@dataclass(frozen=True)
+class Document:
+    """Plain data of a YAML text and the line (from 1) of every key and list item."""
+
+    name: str
+    data: Any
+    lines: Mapping[Path, int]
+
+    def line(self, path: Path) -> int:
+        """The line of a key, or of the nearest thing around it."""
+        while path and path not in self.lines:
+            path = path[:-1]
+        return self.lines.get(path, 1)
+
+    def error(self, path: Path, text: str) -> ModelFileError:
+        """An error that names file, line and key."""
+        key = ".".join(str(part) for part in path)
+        where = f"{self.name}:{self.line(path)}: "
+        return ModelFileError(f"{where}{key}: {text}" if key else where + text)
+
+
+def parse_yaml(text: str, name: str) -> Document:
+    """The document in a text; ModelFileError where it is not YAML or a key occurs twice."""
+    import yaml
+
+    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+    try:
+        root = yaml.compose(text, Loader=loader)
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        line = mark.line + 1 if mark else 1
+        why = getattr(error, "problem", None) or str(error).replace("\n", " ")
+        raise ModelFileError(f"{name}:{line}: not YAML: {why}") from None
+    if root is None:
+        raise ModelFileError(f"{name}:1: the file is empty; make one with 'parallel-cal new'")
+    lines: dict[Path, int] = {}
+    return Document(name, _Builder(name, lines).value(root, ()), lines)
+
+
+class _Builder:
+    """Plain data from YAML nodes."""
+
+    def __init__(self, name: str, lines: dict[Path, int]):
+        self._name, self._lines = name, lines
+        self._seen: set[int] = set()
+
+    def value(self, node: Any, path: Path) -> Any:
+        self._lines.setdefault(path, node.start_mark.line + 1)
+        # An alias may contain itself; a model file has no use for one.
+        if id(node) in self._seen or not node.tag.startswith("tag:yaml.org,2002:"):
+            raise self._error(path, "YAML aliases (*name) and own tags (!name) are not allowed")
+        self._seen.add(id(node))
+        if node.id == "mapping":
+            return dict(self._items(node, path))
+        if node.id == "sequence":
+            return [self.value(item, (*path, i)) for i, item in enumerate(node.value)]
+        return _scalar(node)
+
+    def _items(self, node: Any, path: Path) -> Iterator[tuple[str, Any]]:
+        done: set[str] = set()
+        for key, item in node.value:
+            if key.id != "scalar":
+                raise self._error(path, "a key must be one word or number")
+            inside = (*path, key.value)
+            if key.value in done:
+                first = self._lines[inside]
+                self._lines[inside] = key.start_mark.line + 1
+                raise self._error(inside, f"the key occurs twice, first in line {first}")
+            done.add(key.value)
+            self._lines[inside] = key.start_mark.line + 1
+            yield key.value, self.value(item, inside)
+
+    def _error(self, path: Path, text: str) -> ModelFileError:
+        return Document(self._name, None, self._lines).error(path, text)
+
+
+def _scalar(node: Any) -> Any:
+    text = node.value
+    if node.style:  # quoted or a block; plain is None or '', depending on the loader
+        return text
+    if text.lower() in WORDS:
+        return WORDS[text.lower()]
+    if re.fullmatch(r"[-+]?[0-9]+", text):
+        return int(text)
+    if NUMBER.fullmatch(text):
+        return float(text)
+    if NOT_FINITE.fullmatch(text):
+        return float(text.replace(".", ""))
+    return text
+
+
+def flow(value: Any) -> str:
+    """A value on one line; floats as Python's repr, which reads back to the same bits."""
+    value = value.tolist() if hasattr(value, "tolist") else value
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{flow(str(k))}: {flow(v)}" for k, v in value.items()) + "}"
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return "[" + ", ".join(flow(v) for v in value) + "]"
+    if value is None or isinstance(value, bool):
+        return {None: "null", True: "true", False: "false"}[value]
+    if isinstance(value, float):
+        return _float(value)
+    return str(value) if isinstance(value, int) else _text(str(value))
+
+
+def _float(value: float) -> str:
+    if not math.isfinite(value):
+        raise ModelFileError(f"a model file cannot hold the number {value}")
+    text = repr(value)
+    # YAML 1.1 readers take `1e-05` for a word.
+    return text.replace("e", ".0e") if "e" in text and "." not in text else text
+
+
+def _text(text: str) -> str:
+    plain = PLAIN.fullmatch(text) and text.lower() not in AMBIGUOUS
+    return text if plain else json.dumps(text, ensure_ascii=False)

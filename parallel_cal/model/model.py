@@ -1,0 +1,193 @@
+"""A model: mechanism + ordered effects + numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from parallel_cal.base.errors import ModelError
+from parallel_cal.model.effect import Effect
+from parallel_cal.model.mechanism import Mechanism
+from parallel_cal.model.parameters import ParameterTable
+from parallel_cal.model.sensor import Sensor
+from parallel_cal.model.shelf import load_effect, load_mechanism
+from parallel_cal.model.structure import Structure, structure_of
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Measurement noise, 1 sigma: joint readings (rad or m), position (m), orientation (rad).
+
+    `assumed`: nobody measured it; only the ratios count, as weights.
+    """
+
+    joint: float | None = None
+    position: float | None = None
+    orientation: float | None = None
+    assumed: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """Mechanism, effects and numbers; immutable, so that it can be swapped while in use."""
+
+    mechanism: Mechanism
+    effects: tuple[Effect, ...]
+    values: np.ndarray
+    covariance: np.ndarray | None = None
+    fixed: np.ndarray = None  # type: ignore[assignment]  # the mechanism's own where not given
+    noise: Noise = Noise()
+    history: tuple[dict[str, Any], ...] = ()
+    frames: Mapping[str, str] = field(
+        default_factory=lambda: {"base": "base", "platform": "platform"}
+    )
+    sensors: tuple[Sensor, ...] = ()
+
+    def __post_init__(self) -> None:
+        values = np.array(self.values, dtype=float)
+        values.setflags(write=False)
+        object.__setattr__(self, "values", values)
+        if self.fixed is None:
+            parts = (*self.effects, *self.sensors)
+            pattern = [*self.mechanism.fixed, *(p for part in parts for p in part.known())]
+            mask = (
+                self.table.matching(pattern) if pattern else np.zeros(len(self.table), dtype=bool)
+            )
+            object.__setattr__(self, "fixed", mask)
+        if len(values) != len(self.table):
+            raise ModelError(f"{len(values)} values for {len(self.table)} parameters")
+
+    @cached_property
+    def structure(self) -> Structure:
+        return structure_of(self.mechanism, self.effects, self.sensors)
+
+    @property
+    def table(self) -> ParameterTable:
+        return self.structure.table
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        return self.mechanism.joints
+
+    @property
+    def conditions(self) -> tuple[str, ...]:
+        return self.structure.conditions
+
+    def with_values(self, values: np.ndarray, covariance: np.ndarray | None = None) -> Model:
+        return replace(self, values=values, covariance=covariance)
+
+    def value(self, name: str) -> float:
+        return float(self.values[self.table.index_of(name)])
+
+    def with_effect(self, name: str, settings: Mapping[str, float] | None = None) -> Model:
+        """The model with one more effect, at zero, behind those it has; `settings` are numbers
+        of it that are known, by short name (`{"ratio": 80.0}`)."""
+        if any(effect.name == name for effect in self.effects):
+            raise ModelError(f"the model already has the effect '{name}'")
+        effect = load_effect(name)
+        if reason := effect.applies(self.mechanism):
+            raise ModelError(f"'{name}' makes no sense for {self.mechanism.name}: {reason}")
+        more = self.widened() if effect.widens else self.with_effects((*self.effects, effect))
+        return more.with_settings(name, settings or {})
+
+    def with_settings(self, effect: str, settings: Mapping[str, float]) -> Model:
+        """The model with some numbers of an effect, by short name, held at these values."""
+        values, fixed = self.values.copy(), self.fixed.copy()
+        for key, value in settings.items():
+            i = self.table.index_of(f"{effect}.{key}")
+            values[i], fixed[i] = value, True
+        return replace(self, values=values, fixed=fixed)
+
+    def robot(self) -> Model:
+        """The robot alone, as its controller needs it: effects of the measuring device at zero."""
+        own = [f"{effect.name}.*" for effect in self.effects if effect.of_device]
+        if not own:
+            return self
+        device = self.table.matching(own)
+        return self.with_values(np.where(device, self.table.nominal, self.values), self.covariance)
+
+    def without_effect(self, name: str) -> Model:
+        """The model without one of its effects."""
+        kept = tuple(effect for effect in self.effects if effect.name != name)
+        if len(kept) == len(self.effects):
+            has = ", ".join(effect.name for effect in self.effects) or "none"
+            why = self._built_in(name)
+            raise ModelError(f"the model has no effect '{name}'; it has {has}{why}")
+        return self.with_effects(kept)
+
+    def _built_in(self, name: str) -> str:
+        """Why an effect that was added cannot be found: it made the mechanism another one."""
+        steps = [step.get("step") for step in self.history if step.get("effect") == name]
+        if steps[-1:] != ["add"]:
+            return ""
+        return f": it became the mechanism {self.mechanism.name}, go back to the file from before"
+
+    def with_effects(self, effects: tuple[Effect, ...]) -> Model:
+        """The model with these effects; numbers that it has already keep value and mask."""
+        table = structure_of(self.mechanism, effects, self.sensors).table
+        known = dict(zip(self.table.names, zip(self.values, self.fixed, strict=True), strict=True))
+        given = table.matching(pattern for effect in effects for pattern in effect.known())
+        fresh = zip(table.nominal, given, strict=True)
+        kept = [known.get(p.name, new) for p, new in zip(table, fresh, strict=True)]
+        values, fixed = (np.array(column) for column in zip(*kept, strict=True))
+        return replace(
+            self, effects=effects, values=values, fixed=fixed.astype(bool), covariance=None
+        )
+
+    def widened(self) -> Model:
+        """The same robot in the next larger model (delta24 -> delta54): equal poses.
+
+        Effects, sensors and whatever else both models name keep their values and masks.
+        """
+        m = self.mechanism
+        own = m.parameters
+        name, values = m.widen(own.mapping(self.values[: len(own)]))
+        larger = load_mechanism(name, **m.options)
+        _, nominal = m.widen(own.mapping(own.nominal))
+        larger.parameters = larger.parameters.with_nominal(nominal)
+        larger.joints, larger.joint_limits = m.joints, m.joint_limits
+        larger.home, larger.workspace, larger.gravity = m.home, m.workspace, m.gravity
+        effects = [effect.name for effect in self.effects]
+        wide = new_model(larger, effects=effects, sensors=self.sensors)
+        values = self.table.mapping(self.values) | values
+        return replace(self._taken_over(wide, values), covariance=None)
+
+    def _taken_over(self, wide: Model, values: Mapping[str, float]) -> Model:
+        """Another model with these values, and with this one's masks where names are the same."""
+        masks = dict(zip(self.table.names, self.fixed, strict=True))
+        names = wide.table.names
+        return replace(
+            self,
+            mechanism=wide.mechanism,
+            effects=wide.effects,
+            values=np.array([values.get(n, v) for n, v in zip(names, wide.values, strict=True)]),
+            fixed=np.array([masks.get(n, f) for n, f in zip(names, wide.fixed, strict=True)]),
+        )
+
+    def condition_rows(self, at: Mapping[str, Any] | None, n: int) -> np.ndarray:
+        """(n, n_conditions) from named scalars or (n,) columns; neutral where not given.
+
+        A condition of a joint that is not named is neutral too (direction 0: mid-play).
+        """
+        rows = np.empty((n, len(self.conditions)))
+        for k, neutral in enumerate(self.structure.neutral):
+            rows[:, k] = neutral if at is None else at.get(self.conditions[k], neutral)
+        return rows
+
+
+def new_model(
+    mechanism: Mechanism | str,
+    values: Mapping[str, float] | None = None,
+    effects: Sequence[str] = (),
+    sensors: Sequence[Sensor] = (),
+) -> Model:
+    """A model with nominal values, overwritten by the given ones."""
+    if isinstance(mechanism, str):
+        mechanism = load_mechanism(mechanism)
+    loaded = tuple(load_effect(name) for name in effects)
+    table = structure_of(mechanism, loaded, tuple(sensors)).table
+    return Model(mechanism, loaded, table.vector(values or {}), sensors=tuple(sensors))

@@ -1,0 +1,139 @@
+"""Named numbers with unit, nominal value and tolerance, and their one vector."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from parallel_cal.base.errors import ModelError
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number of a model: SI unit, nominal value, tolerance (1 sigma of a real robot).
+
+    `low` and `high` bound what is physically possible (a backlash is never negative).
+    """
+
+    name: str
+    unit: str
+    nominal: float
+    tolerance: float
+    group: str = "geometry"
+    low: float = -np.inf
+    high: float = np.inf
+
+    def plausible_range(self) -> tuple[float, float]:
+        """Ten tolerances around the nominal value, inside the physical bounds.
+
+        Noise may push an estimate slightly past a bound (a play of zero), so one tolerance
+        beyond it is still plausible.
+        """
+        reach, slack = 10 * self.tolerance, self.tolerance
+        low, high = self.low - slack, self.high + slack
+        return max(low, self.nominal - reach), min(high, self.nominal + reach)
+
+
+class ParameterTable(Sequence[Parameter]):
+    """An ordered table of parameters; its order is the order of the parameter vector."""
+
+    def __init__(self, parameters: Iterable[Parameter]):
+        self._parameters = tuple(parameters)
+        self._index = {p.name: i for i, p in enumerate(self._parameters)}
+        if len(self._index) != len(self._parameters):
+            raise ModelError(f"a parameter name occurs twice in {[p.name for p in self]}")
+
+    def __getitem__(self, key: Any) -> Any:
+        return self._parameters[self.index_of(key) if isinstance(key, str) else key]
+
+    def __len__(self) -> int:
+        return len(self._parameters)
+
+    def __add__(self, other: Iterable[Parameter]) -> ParameterTable:
+        return ParameterTable((*self._parameters, *other))
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        return tuple(p.name for p in self._parameters)
+
+    @cached_property
+    def nominal(self) -> np.ndarray:
+        return np.array([p.nominal for p in self._parameters], dtype=float)
+
+    @cached_property
+    def tolerance(self) -> np.ndarray:
+        return np.array([p.tolerance for p in self._parameters], dtype=float)
+
+    def index_of(self, name: str) -> int:
+        """Position of a parameter in the vector; ModelError for an unknown name."""
+        if name not in self._index:
+            raise ModelError(f"no parameter '{name}'; the model has {', '.join(self.names)}")
+        return self._index[name]
+
+    def matching(self, patterns: Iterable[str]) -> np.ndarray:
+        """Mask of the parameters whose name matches a shell pattern; each must match one."""
+        mask = np.zeros(len(self), dtype=bool)
+        for pattern in patterns:
+            hits = np.array([fnmatchcase(name, pattern) for name in self.names], dtype=bool)
+            if not hits.any():
+                raise ModelError(
+                    f"no parameter matches '{pattern}'; the model has {', '.join(self.names)}"
+                )
+            mask |= hits
+        return mask
+
+    def vector(self, values: Mapping[str, float]) -> np.ndarray:
+        """The parameter vector: nominal values, overwritten by the given ones."""
+        vector = self.nominal.copy()
+        for name, value in values.items():
+            vector[self.index_of(name)] = value
+        return vector
+
+    def with_nominal(self, nominal: Mapping[str, float]) -> ParameterTable:
+        """The same parameters around other nominal values, where given."""
+        return ParameterTable(replace(p, nominal=nominal.get(p.name, p.nominal)) for p in self)
+
+    def mapping(self, vector: Sequence[float] | np.ndarray) -> dict[str, float]:
+        return dict(zip(self.names, (float(v) for v in vector), strict=True))
+
+
+class Named:
+    """A vector read by name: `p["chain1"].Lb` and `p["chain1.Lb"]` are the same entry."""
+
+    def __init__(self, names: Sequence[str], vector: Any, prefix: str = ""):
+        self._names, self._vector, self._prefix = tuple(names), vector, prefix
+
+    def __getitem__(self, key: str) -> Any:
+        full = self._prefix + key
+        if full in self._names:
+            return self._vector[self._names.index(full)]
+        if any(name.startswith(full + ".") for name in self._names):
+            return Named(self._names, self._vector, full + ".")
+        raise ModelError(f"no entry '{full}'; there are {', '.join(self._names)}")
+
+    def __getattr__(self, key: str) -> Any:
+        if key.startswith("_"):
+            raise AttributeError(key)
+        return self[key]
+
+    def get(self, key: str, default: Any) -> Any:
+        """The entry, or `default` where there is none."""
+        return self[key] if self._prefix + key in self._names else default
+
+    def vector(self, *keys: str) -> Any:
+        """Several entries stacked as a column: `chain.vector("D_x", "D_y", "D_z")`."""
+        import casadi as ca
+
+        return ca.vertcat(*[self[key] for key in keys])
+
+    def replaced(self, changes: Mapping[str, Any]) -> Named:
+        """The same names with some entries changed (an effect edits a parameter this way)."""
+        import casadi as ca
+
+        entries = [changes.get(name, self._vector[i]) for i, name in enumerate(self._names)]
+        return Named(self._names, ca.vertcat(*entries), self._prefix)

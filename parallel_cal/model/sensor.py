@@ -1,0 +1,86 @@
+"""What a sensor is: what it shows at a pose, with unknown numbers of its own."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import fields, replace
+from typing import Any, ClassVar, cast
+
+import casadi as ca
+
+from parallel_cal.model.mechanism import Mechanism
+from parallel_cal.model.parameters import Named, Parameter, ParameterTable
+
+
+class Sensor(ABC):
+    """One measuring set-up (chapter 4); subclass it in a file of its own, whose name is its name.
+
+    A file is a frozen dataclass whose fields describe the set-up (nominal geometry, accuracy).
+    It adds rows `readings(pose) - what was read` to the closure, and its numbers to the model's.
+    A channel that was not read in a sample is an unknown there, and projected out like one.
+    """
+
+    physics: ClassVar[str]
+    source: ClassVar[str]
+    fixed: tuple[str, ...] = ()  # patterns of its own parameters that are known
+
+    @abstractmethod
+    def parameters(self, mechanism: Mechanism) -> list[Parameter]:
+        """Its numbers, named without the sensor's own name (`hole1.x`)."""
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """What it reads, one row each: the names in the recorded `constraint` topic."""
+        return ()
+
+    @property
+    def accuracy(self) -> float:
+        """Standard deviation of one reading (m)."""
+        return 0.0
+
+    def readings(self, r: Any, R: Any, s: Named) -> Any:
+        """What every channel shows at the pose (r, R) of {P} in {B}: a column, m."""
+        return ca.SX(0, 1)
+
+    def pose(self, r: Any, R: Any, s: Named) -> tuple[Any, Any]:
+        """The pose of {P} in {B} where the pose device shows (r, R)."""
+        return r, R
+
+    def shown(self, r: Any, R: Any, s: Named) -> tuple[Any, Any]:
+        """What the pose device shows where {P} is at (r, R) in {B}: the inverse of `pose`."""
+        return r, R
+
+    @property
+    def name(self) -> str:
+        return type(self).__module__.removeprefix("parallel_cal.sensors.")
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """The fields that describe this set-up, without those at their defaults."""
+        own = [(f.name, getattr(self, f.name), f.default) for f in fields(cast(Any, self))]
+        return {name: value for name, value, default in own if value != default}
+
+    def table(self, mechanism: Mechanism) -> ParameterTable:
+        """Its parameters under their full names (`plane_spheres.hole1.x`)."""
+        return ParameterTable(
+            replace(p, name=f"{self.name}.{p.name}", group="sensor")
+            for p in self.parameters(mechanism)
+        )
+
+    def known(self) -> list[str]:
+        """Patterns of its fixed parameters under their full names."""
+        return [f"{self.name}.{pattern}" for pattern in self.fixed]
+
+
+def point_on_platform(r: Any, R: Any, s: Named, name: str = "tip") -> Any:
+    """Where a point of the platform, given in {P} by three parameters, is in {B}."""
+    return r + R @ s.vector(*[f"{name}.{axis}" for axis in "xyz"])
+
+
+def point_parameters(
+    name: str, point: Sequence[float], tolerance: float, axes: str = "xyz"
+) -> list[Parameter]:
+    """Coordinates of a point (m)."""
+    pairs = zip(axes, point, strict=True)
+    return [Parameter(f"{name}.{axis}", "m", float(v), tolerance) for axis, v in pairs]

@@ -1,0 +1,91 @@
+"""The shelves: mechanisms, effects and sensors by file name, or a user's own by Python path."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from inspect import signature
+from typing import Any
+
+from parallel_cal.base.errors import ModelError, told
+from parallel_cal.model.declaration import check
+from parallel_cal.model.effect import Effect
+from parallel_cal.model.mechanism import Mechanism
+from parallel_cal.model.sensor import Sensor
+
+
+def load_mechanism(name: str, /, **options: Any) -> Mechanism:
+    """A mechanism by file name (`delta54`) or Python path (`my_pkg.my_robot`)."""
+    cls = load_class("mechanisms", name, Mechanism)
+    try:
+        signature(cls).bind(**options)
+    except TypeError as error:
+        takes = ", ".join(options_of(cls)) or "none"
+        raise ModelError(f"{name}: {error}; its options: {takes}") from None
+    try:
+        mechanism = cls(**options)
+        check(mechanism)
+    except Exception as error:
+        raise told(name, error) from error
+    mechanism.options = options
+    return mechanism
+
+
+def load_effect(name: str) -> Effect:
+    """An effect by file name (`backlash`) or Python path (`my_pkg.my_effect`)."""
+    cls = load_class("effects", name, Effect)
+    try:
+        return cls()
+    except Exception as error:
+        raise told(name, error) from error
+
+
+def load_sensor(name: str, **options: Any) -> Sensor:
+    """A sensor by file name (`plane_spheres`) or Python path, with its fields as options."""
+    try:
+        return load_class("sensors", name, Sensor)(**options)
+    except TypeError as error:
+        raise ModelError(f"sensor {name}: {error}") from None
+
+
+def load_class(shelf: str, name: str, base: type) -> type:
+    """The one subclass of `base` in parallel_cal/<shelf>/<name>.py or at a Python path."""
+    path = name if "." in name else f"parallel_cal.{shelf}.{name}"
+    try:
+        if path.startswith("."):  # a path of files
+            raise ModuleNotFoundError(name=path)
+        module = import_module(path)
+    except ModuleNotFoundError as error:
+        if error.name is None or not path.startswith(error.name):
+            raise told(path, error) from error
+        raise ModelError(
+            f"no {shelf.rstrip('s')} '{name}': expected one of {', '.join(shelf_names(shelf))}, "
+            f"or the Python path of your own (my_pkg.my_file)"
+        ) from None
+    except Exception as error:
+        raise told(path, error) from error
+    found = [c for c in vars(module).values() if _defined_here(c, base, module.__name__)]
+    if len(found) != 1:
+        raise ModelError(f"{path} defines {len(found)} subclasses of {base.__name__}, expected 1")
+    return found[0]
+
+
+def _defined_here(candidate: Any, base: type, module: str) -> bool:
+    return (
+        isinstance(candidate, type)
+        and issubclass(candidate, base)
+        and candidate.__module__ == module
+        and not candidate.__name__.startswith("_")
+    )
+
+
+def shelf_names(shelf: str) -> list[str]:
+    """The public names on a shelf: its file names."""
+    from pkgutil import iter_modules
+
+    package = import_module(f"parallel_cal.{shelf}")
+    return sorted(m.name for m in iter_modules(package.__path__) if not m.name.startswith("_"))
+
+
+def options_of(cls: type) -> list[str]:
+    """The options of a mechanism or sensor: `links`, or with its default `radius=0.1`."""
+    return [str(p.replace(annotation=p.empty)) for p in signature(cls).parameters.values()]

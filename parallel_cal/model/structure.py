@@ -1,0 +1,260 @@
+"""The functions that follow from a model's closure, whatever its numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property, lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from parallel_cal.base.compiled import Batch, compiled, dense
+from parallel_cal.base.errors import ModelError, told
+from parallel_cal.base.rotation import left_generators
+from parallel_cal.model.declaration import check_parameters
+from parallel_cal.model.effect import CONDITIONS, Effect, Seen
+from parallel_cal.model.mechanism import Mechanism
+from parallel_cal.model.parameters import Named, ParameterTable
+from parallel_cal.model.sensor import Sensor
+from parallel_cal.model.shelf import load_effect
+
+
+class Structure:
+    """The symbolic half of a model: everything but its numbers; shared and cached.
+
+    Symbols: q joints, r position, R9 rotation (row-major), v parameter vector, a conditions.
+    """
+
+    def __init__(
+        self, mechanism: Mechanism, effects: Sequence[Effect], sensors: Sequence[Sensor] = ()
+    ):
+        self.mechanism, self.effects = mechanism, tuple(effects)
+        self.sensors = tuple(sensors)
+        self.table = ParameterTable(mechanism.parameters)
+        tables = [part.table(mechanism) for part in effects]
+        for table in (*tables, *(sensor.table(mechanism) for sensor in sensors)):
+            self.table = self.table + table
+        check_parameters(self.table)
+        needed = [c for effect in effects for c in effect.conditions(mechanism)]
+        self.conditions = tuple(dict.fromkeys(needed))
+        self.q = ca.SX.sym("q", len(mechanism.joints))
+        self.r, self.R9 = ca.SX.sym("r", 3), ca.SX.sym("R", 9)
+        self.v = ca.SX.sym("v", len(self.table))
+        self.a = ca.SX.sym("a", len(self.conditions))
+
+    @cached_property
+    def neutral(self) -> list[float]:
+        """The value of each condition at which effects do nothing, or nothing is known."""
+        return [CONDITIONS[name.split(".")[0]][1] for name in self.conditions]
+
+    @property
+    def R(self) -> Any:
+        return ca.reshape(self.R9, 3, 3).T
+
+    @property
+    def configuration(self) -> Any:
+        """(q, r, R9) as one column: what the closure ties together."""
+        return ca.vertcat(self.q, self.r, self.R9)
+
+    @cached_property
+    def seen(self) -> Seen:
+        """Joints, pose and geometry after the effects."""
+        seen = Seen(self.q, self.r, self.R, self.geometry)
+        numbers, at = Named(self.table.names, self.v), Named(self.conditions, self.a)
+        for effect in self.effects:
+            try:
+                seen = self._whole(effect.ideal(seen, numbers[effect.name], at, self.mechanism))
+            except Exception as error:
+                raise told(effect.name, error) from error
+        return seen
+
+    def _whole(self, seen: Any) -> Seen:
+        """What an effect lets through, which must still be joints and a pose."""
+        if not isinstance(seen, Seen):
+            raise ModelError(f"ideal gives a {type(seen).__name__}, expected what it saw, edited")
+        found = [ca.SX(part).shape for part in (seen.q, seen.r, seen.R)]
+        expected = [self.q.shape, (3, 1), (3, 3)]
+        if found != expected:
+            raise ModelError(f"ideal gives q, r, R of shapes {found}, expected {expected}")
+        return seen
+
+    @cached_property
+    def phi(self) -> Any:
+        """The closure of the ideal mechanism at what the effects let it see."""
+        seen = self.seen
+        try:
+            phi = self.mechanism.closure(seen.q, seen.r, seen.R, seen.p)
+        except Exception as error:
+            raise told(self.mechanism.name, error) from error
+        return self._checked(phi)
+
+    def _checked(self, phi: Any) -> Any:
+        its, moved = f"{self.mechanism.name}: its closure", len(self.mechanism.moves)
+        try:
+            phi = ca.cse(ca.SX(phi))  # before it is differentiated: once, not once a slope
+        except NotImplementedError:
+            kind = type(phi).__name__
+            raise ModelError(f"{its} is a {kind}, expected casadi.vertcat of its rows") from None
+        if phi.shape[1] != 1 or phi.shape[0] < moved:
+            raise ModelError(
+                f"{its} has shape {phi.shape}, expected one column with at least {moved} rows, "
+                "one for each moved coordinate"
+            )
+        inputs = ca.vertcat(self.configuration, self.v, self.a)
+        if unknown := {str(s) for s in ca.symvar(phi)} - {str(s) for s in ca.symvar(inputs)}:
+            raise ModelError(f"{its} has free symbols {sorted(unknown)}")
+        home = [*self.mechanism.home.configuration, *self.table.nominal, *self.neutral]
+        rows = np.array(ca.Function("home", [inputs], [phi])(home)).ravel()
+        if bad := np.flatnonzero(~np.isfinite(rows)).tolist():
+            raise ModelError(f"{its} is no number in rows {bad} at home with nominal values")
+        return phi
+
+    @cached_property
+    def jacobian_pose(self) -> Any:
+        """d phi / d (r, w) with R <- exp(w) R, shape (rows, 6)."""
+        # Through a small left turn, not through R's nine entries: a third fewer operations.
+        w = ca.SX.sym("w", 3)
+        turned = ca.substitute(self.phi, self.R9, ca.vec((self.R + ca.skew(w) @ self.R).T))
+        by_turn = ca.substitute(ca.jacobian(turned, w), w, ca.DM.zeros(3))
+        return ca.horzcat(ca.jacobian(self.phi, self.r), by_turn)
+
+    @cached_property
+    def jacobian_configuration(self) -> Any:
+        """d phi / d (q, r, w), shape (rows, n_joints + 6)."""
+        return ca.horzcat(ca.jacobian(self.phi, self.q), self.jacobian_pose)
+
+    def _slopes(self, rows: Any) -> tuple[Any, Any]:
+        """d rows / d (q, r, w) and d rows / dv: in one, they share most of their operations."""
+        J, n = ca.jacobian(rows, ca.vertcat(self.configuration, self.v)), self.q.numel() + 3
+        return ca.horzcat(J[:, :n], J[:, n : n + 9] @ left_generators(self.R)), J[:, n + 9 :]
+
+    @cached_property
+    def closure(self) -> ca.Function:
+        """(configuration, a, v) -> phi, d phi/d(q, r, w), d phi/dv."""
+        inputs = (self.configuration, self.a, self.v)
+        return dense("closure", inputs, (self.phi, *self._slopes(self.phi)))
+
+    @cached_property
+    def closure_batch(self) -> Batch:
+        """`closure` on arrays of samples."""
+        return Batch(self.closure)
+
+    @cached_property
+    def placed(self) -> tuple[Any, Any]:
+        """The pose of {P} in {B} where the pose device shows (r, R)."""
+        r, R, numbers = self.r, self.R, Named(self.table.names, self.v)
+        for sensor in self._with_numbers:
+            r, R = sensor.pose(r, R, numbers[sensor.name])
+        return r, R
+
+    @cached_property
+    def shown(self) -> Batch:
+        """(r and R9 of {P} in {B}, v) -> r, R9 as the pose device shows them."""
+        r, R, numbers = self.r, self.R, Named(self.table.names, self.v)
+        for sensor in reversed(self._with_numbers):
+            r, R = sensor.shown(r, R, numbers[sensor.name])
+        return Batch(self._pose_function("shown", r, R))
+
+    @cached_property
+    def located(self) -> Batch:
+        """The inverse of `shown`: what the device shows, as a pose of {P} in {B}."""
+        return Batch(self._pose_function("located", *self.placed))
+
+    def _pose_function(self, name: str, r: Any, R: Any) -> ca.Function:
+        return dense(name, (ca.vertcat(self.r, self.R9), self.v), (r, ca.vec(ca.SX(R).T)))
+
+    @property
+    def _with_numbers(self) -> list[Sensor]:
+        return [s for s in self.sensors if len(s.table(self.mechanism))]
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """What the sensors read beside the pose, one row each."""
+        return tuple(c for sensor in self.sensors for c in sensor.channels)
+
+    @property
+    def accuracy(self) -> np.ndarray:
+        """Standard deviation of each channel (m)."""
+        return np.array([s.accuracy for s in self.sensors for _ in s.channels], dtype=float)
+
+    @cached_property
+    def rows(self) -> Any:
+        """What measurements are held against: the closure where the device puts the platform,
+        then what every channel shows there."""
+        r, R = self.placed
+        numbers = Named(self.table.names, self.v)
+        readings = [s.readings(r, R, numbers[s.name]) for s in self._with_numbers]
+        phi = ca.substitute([self.phi], [self.r, self.R9], [r, ca.vec(ca.SX(R).T)])[0]
+        return ca.vertcat(phi, *readings)
+
+    @cached_property
+    def rows_function(self) -> ca.Function:
+        """(configuration, a, v) -> rows, d rows/d(q, r, w), d rows/dv."""
+        if not self.sensors:
+            return self.closure
+        inputs = (self.configuration, self.a, self.v)
+        return dense("rows", inputs, (self.rows, *self._slopes(self.rows)))
+
+    @cached_property
+    def rows_batch(self) -> Batch:
+        """`rows_function` on arrays of samples."""
+        return Batch(self.rows_function) if self.sensors else self.closure_batch
+
+    @cached_property
+    def rows_compiled(self) -> Batch:
+        """The same as machine code: very many samples repay the second that compiling takes."""
+        return Batch(compiled(self.rows_function))
+
+    @lru_cache(maxsize=64)  # noqa: B019  (lives as long as the structure, which is cached itself)
+    def columns(self, which: tuple[int, ...]) -> Batch:
+        """(configuration, a, v) -> d rows/d(some of v), on arrays: what a new effect would do."""
+        inputs = (self.configuration, self.a, self.v)
+        by_v = ca.jacobian(self.rows, ca.vertcat(*[self.v[i] for i in which]))
+        return Batch(dense("columns", inputs, (by_v,)))
+
+    @cached_property
+    def closure_configuration(self) -> ca.Function:
+        """(configuration, a, v) -> phi, d phi/d(q, r, w): what a careful solver needs."""
+        inputs = (self.configuration, self.a, self.v)
+        return dense("closure_configuration", inputs, (self.phi, self.jacobian_configuration))
+
+    @property
+    def geometry(self) -> Named:
+        names = self.mechanism.parameters.names
+        return Named(names, self.v[: len(names)])
+
+    @cached_property
+    def candidates(self) -> ca.Function:
+        """(q, v) -> one column (r, R9) for each pose the direct problem may start from."""
+        poses = self.mechanism.candidates(self.q, self.geometry)
+        columns = [ca.vertcat(r, ca.vec(ca.SX(R).T)) for r, R in poses]
+        return dense("candidates", (self.q, self.v), [ca.horzcat(*columns)])
+
+    @cached_property
+    def joint_candidates(self) -> ca.Function:
+        """(r, R9, v) -> for each joint one column of the values it may start from."""
+        m = self.mechanism
+        choices = m.turned_home(m.joint_candidates(self.r, self.R, self.geometry))
+        return dense("joints", (self.r, self.R9, self.v), [ca.vertcat(*c) for c in choices])
+
+    @cached_property
+    def scale(self) -> np.ndarray:
+        """Metres a unit of each of (q, r, w) moves things: the mechanism's length for angles."""
+        m = self.mechanism
+        joints = [m.length if unit == "rad" else 1.0 for unit in m.joint_units]
+        return np.array(joints + [1.0] * 3 + [m.length] * 3)
+
+
+@lru_cache(maxsize=64)
+def _cached_structure(
+    mechanism: Mechanism, effects: tuple[str, ...], sensors: tuple[Sensor, ...]
+) -> Structure:
+    return Structure(mechanism, [load_effect(name) for name in effects], sensors)
+
+
+def structure_of(
+    mechanism: Mechanism, effects: tuple[Effect, ...], sensors: tuple[Sensor, ...] = ()
+) -> Structure:
+    """The structure of a mechanism with effects and sensors, derived once."""
+    return _cached_structure(mechanism, tuple(effect.name for effect in effects), sensors)

@@ -1,1 +1,0 @@
-"""What planned poses are chosen from, and what they are judged by."""

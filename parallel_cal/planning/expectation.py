@@ -1,0 +1,140 @@
+"""What a set of poses would tell about the parameters, known before anything is measured."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from parallel_cal.identification.methods.implicit import Linearisation
+from parallel_cal.identification.observability import Spectrum, spectrum
+from parallel_cal.identification.observations import Evidence
+from parallel_cal.kinematics.kinematics import Solutions
+from parallel_cal.model.model import Model
+from parallel_cal.model.words import direction_in_words
+from parallel_cal.planning.indices import Indices, indices, prediction_rms
+from parallel_cal.planning.posepool import Pool
+from parallel_cal.planning.selection import Problem
+
+# What is known beforehand where tolerances are no prior: next to nothing, every parameter to
+# 100 tolerances. It keeps the information invertible before there are poses enough.
+VAGUE = 1e-4
+
+
+@dataclass(frozen=True)
+class Expectation:
+    """What an identification from a set of poses would be worth, if model and noise are right.
+
+    sigma (n_free,) of the free parameters in their units, infinite where not identifiable;
+    rms errors of the pose at unseen places from the parameters' errors alone (m, rad); pose
+    (m) is both together, angles times the mechanism's length.
+    """
+
+    indices: Indices
+    sigma: np.ndarray
+    position_rms: float
+    orientation_rms: float
+    pose_rms: float
+
+
+class View:
+    """A pool and unseen poses, linearised: what every set of poses would tell."""
+
+    def __init__(
+        self,
+        model: Model,
+        free: np.ndarray,
+        prior: bool,
+        measured: np.ndarray,
+        pool: Pool,
+        unseen: Pool,
+    ):
+        self._model, self._free, self._prior, self._pool = model, free, prior, pool
+        tolerance = model.table.tolerance[free]
+        self._A = white_blocks(model, free, measured, pool.poses, pool.a)
+        self._scaled = self._A * tolerance
+        self._G = prediction_blocks(model, free, measured, unseen) * tolerance
+        self.rank = self._spectrum(np.arange(len(self._A))).rank
+
+    def rows(self, groups: np.ndarray) -> np.ndarray:
+        return np.asarray(self._pool.groups[groups].ravel())
+
+    def problem(self, criterion: str) -> Problem:
+        p = self._scaled.shape[2]
+        blocks = self._scaled[self._pool.groups.ravel()]
+        weight = np.eye(p) if criterion == "A" else self._weight(range(6))
+        before = np.eye(p) * (1.0 if self._prior else VAGUE)
+        blocks = blocks.reshape(len(self._pool.groups), -1, p)
+        return Problem(blocks, before, weight, criterion, self.rank)
+
+    def expectation(self, rows: np.ndarray) -> Expectation:
+        """Of the fit's own covariance: no vague knowledge in it."""
+        seen = self._spectrum(rows)
+        counted = indices(self._scaled[rows].reshape(-1, self._scaled.shape[2]), len(rows),
+                          self.rank)  # fmt: skip
+        sigma = np.where(seen.lost, np.inf, np.sqrt(np.diag(seen.covariance)))
+        blind = seen.rank < self.rank and not self._prior
+        scale = self._model.table.tolerance[self._free]
+        covariance = seen.covariance / np.outer(scale, scale)
+        errors = [
+            np.inf if blind else prediction_rms(covariance, self._weight(part))
+            for part in (range(3), range(3, 6), range(6))
+        ]
+        errors[1] /= self._model.mechanism.length
+        return Expectation(counted, sigma, *errors)
+
+    def warnings(self) -> list[str]:
+        """Directions that no pose of the pool can see, in words."""
+        if self._prior:
+            return []
+        seen, m = self._spectrum(np.arange(len(self._A))), self._model.mechanism
+        words = []
+        for parts in seen.unidentifiable:
+            them = "it" if len(parts) == 1 else "one of them"
+            words.append(f"no pose tells {direction_in_words(parts, m)}: keep {them} fixed")
+        return words
+
+    def _spectrum(self, rows: np.ndarray) -> Spectrum:
+        J = self._A[rows].reshape(-1, self._A.shape[2])
+        return spectrum(J, self._model.table, self._free, self._prior)
+
+    def _weight(self, part: range) -> np.ndarray:
+        G = self._G[:, list(part)]
+        return np.asarray(np.einsum("nij,nik->jk", G, G) / len(G))
+
+
+def white_blocks(
+    model: Model, free: np.ndarray, measured: np.ndarray, poses: Solutions, a: np.ndarray
+) -> np.ndarray:
+    """The whitened identification Jacobian (N, rows, n_free) at exact poses."""
+    evidence = as_evidence(model, measured, poses, a)
+    linearise = Linearisation(model, evidence, free, weighted=True)
+    return linearise(model.values, evidence.x).jacobian
+
+
+def prediction_blocks(
+    model: Model, free: np.ndarray, measured: np.ndarray, pool: Pool
+) -> np.ndarray:
+    """d(r, length w)/d(free parameters) (N, 6, n_free) with locked joints: -J_x^-1 J_v."""
+    evidence = as_evidence(model, measured, pool.poses, pool.a)
+    linearise = Linearisation(model, evidence, free, weighted=True)
+    rows = model.structure.phi.shape[0]
+    C, J = (block[:, :rows] for block in linearise.blocks(model.values, evidence.x)[1:])
+    n, moved = len(model.joints), model.mechanism.moved
+    G = np.zeros((len(C), 6, J.shape[2]))
+    G[:, moved] = -np.linalg.pinv(C[:, :, [n + i for i in moved]]) @ J
+    G[:, 3:] *= model.mechanism.length
+    return G
+
+
+def as_evidence(model: Model, measured: np.ndarray, poses: Solutions, a: np.ndarray) -> Evidence:
+    """Poses as if measured without error, with the model's noise."""
+    n, noise = len(model.joints), model.noise
+    x = np.concatenate([poses.joints, poses.position, poses.rotation.reshape(-1, 9)], axis=1)
+    sigma = [noise.joint or 0.0] * n + [noise.position or 0.0] * 3 + [noise.orientation or 0.0] * 3
+    S = np.broadcast_to(np.diag(np.square(sigma)), (len(x), n + 6, n + 6))
+    mask = np.broadcast_to(measured, (len(x), n + 6))
+    # Sensors beside the pose device are not planned with: their poses are bound to something.
+    unread = np.full((len(x), len(model.structure.channels)), np.nan)
+    source = {"joint": "model file", "pose": "model file"}
+    return Evidence(x, S, mask, a, np.arange(len(x)), unread, source)

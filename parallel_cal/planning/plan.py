@@ -1,0 +1,234 @@
+"""Which poses to measure: n of many candidates, chosen before anything is measured (5.3.9)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from parallel_cal.base.errors import FitError
+from parallel_cal.identification.checks import free_mask
+from parallel_cal.identification.fit import single_threaded
+from parallel_cal.kinematics.kinematics import Solutions
+from parallel_cal.model.model import Model
+from parallel_cal.planning.expectation import Expectation, View
+from parallel_cal.planning.posepool import Pool, given_pool, make_pool
+from parallel_cal.planning.selection import CRITERIA, LINEAR, Problem, anneal, exchange
+
+POOL, UNSEEN, RANDOM_SETS = 1000, 200, 21
+METHODS = ("exchange", "annealing")
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The poses to measure, with the inputs that made the choice.
+
+    `random` is the median of 21 random sets of the same size out of the same pool.
+    """
+
+    model: Model
+    poses: Solutions
+    a: np.ndarray
+    criterion: str
+    method: str
+    free: np.ndarray
+    expected: Expectation
+    random: Expectation
+    pool: int
+    seed: int
+    warnings: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.poses)
+
+    @property
+    def names(self) -> list[str]:
+        return [n for n, f in zip(self.model.table.names, self.free, strict=True) if f]
+
+    def document(self) -> dict[str, Any]:
+        """The JSON document of `parallel-cal plan`; SI, None where not known."""
+        return {
+            "poses": [self._pose(i) for i in range(len(self))],
+            "criterion": self.criterion,
+            "method": self.method,
+            "pool": self.pool,
+            "seed": self.seed,
+            "indices": self.expected.indices.document(),
+            "random": {**self.random.indices.document(), "expected": _errors(self.random)},
+            "expected": {**_errors(self.expected), "parameters": self._parameters()},
+            "noise": vars(self.model.noise),
+            "warnings": list(self.warnings),
+        }
+
+    def _pose(self, i: int) -> dict[str, Any]:
+        pose = self.poses[i]
+        row = {
+            "position": pose.position.tolist(),
+            "quaternion": pose.quaternion.tolist(),
+            "joints": pose.joints.tolist(),
+        }
+        at = dict(zip(self.model.conditions, self.a[i].tolist(), strict=True))
+        return {**row, "conditions": at} if at else row
+
+    def _parameters(self) -> dict[str, dict[str, Any]]:
+        table, sigma = self.model.table, self.expected.sigma
+        return {
+            name: {
+                "sigma": float(s) if np.isfinite(s) else None,
+                "sigma_tolerances": float(s / table[name].tolerance) if np.isfinite(s) else None,
+                "unit": table[name].unit,
+            }
+            for name, s in zip(self.names, sigma, strict=True)
+        }
+
+
+def _errors(e: Expectation) -> dict[str, float | None]:
+    values = {k: getattr(e, k) for k in ("position_rms", "orientation_rms", "pose_rms")}
+    return {k: float(v) if np.isfinite(v) else None for k, v in values.items()}
+
+
+def plan(
+    model: Model,
+    n: int,
+    *,
+    criterion: str = "prediction",
+    method: str | None = None,
+    pool: int | Solutions = POOL,
+    symmetric: bool = False,
+    free: Iterable[str] = (),
+    fix: Iterable[str] = (),
+    prior: bool = False,
+    seed: int = 0,
+    progress: Callable[[str, float], None] | None = None,
+) -> Plan:
+    """n poses from a pool (a number of draws, or given poses) by a criterion of 5.3.9.
+
+    `prediction` (mean pose variance over the workspace), `D`, `A`, `condition` or
+    `noise_amplification`; the last two by `annealing` only, else `exchange` is the default.
+    What has a noise figure in the model counts as measured. FitError where n poses cannot
+    carry the free parameters, the pool is too small, or there is no noise figure.
+    """
+    method = _checked_method(criterion, method)
+    measured = _measured(model)
+    mask = free_mask(model, free, fix)
+    _check_enough(model, n, mask, measured)
+    report = progress or (lambda stage, fraction: None)
+    rng = np.random.default_rng(seed)
+    with single_threaded():
+        if isinstance(pool, Solutions):
+            candidates = given_pool(model, pool, rng)
+        else:
+            candidates = make_pool(model, pool, rng, symmetric)
+        groups = _number_of_groups(n, candidates)
+        unseen = make_pool(model, UNSEEN, np.random.default_rng([seed, 1]), symmetric=False)
+        view = View(model, mask, prior, measured, candidates, unseen)
+        problem = view.problem(criterion)
+        report("choosing poses", 0.0)
+        if method == "exchange":
+            chosen = exchange(problem, groups, lambda f: report("choosing poses", f))
+        else:
+            chosen = anneal(problem, groups, rng, lambda f: report("choosing poses", f))
+        random = _typical(view, problem, groups, rng)
+        rows = view.rows(chosen)
+        expected = view.expectation(rows)
+    _check_seeing(expected, view.rank, prior)
+    return Plan(
+        model,
+        candidates.poses[rows],
+        candidates.a[rows],
+        criterion,
+        method,
+        mask,
+        expected,
+        random,
+        len(candidates.poses),
+        seed,
+        (*view.warnings(), *_not_counted(model)),
+    )
+
+
+def _measured(model: Model) -> np.ndarray:
+    """Mask (nq + 6,): joints, and what the device has a noise figure for."""
+    noise, channels = model.noise, model.structure.channels
+    given = [noise.position is not None, noise.orientation is not None]
+    if channels and not any(given):
+        raise FitError(
+            f"a plan chooses poses for a pose device; the model's set-up reads "
+            f"{', '.join(channels)} instead: spread the tip along the rim of the plate and of "
+            "each sphere, or take the sensors out of the model file and state noise.position"
+        )
+    if noise.joint is None or not any(given):
+        missing = "noise.joint" if noise.joint is None else "noise.position or noise.orientation"
+        raise FitError(
+            f"the model states no {missing}: a plan weighs measurements by their noise; give "
+            "noise (1 sigma, rad or m) in the model file"
+        )
+    return np.array([True] * len(model.joints) + [given[0]] * 3 + [given[1]] * 3)
+
+
+def _not_counted(model: Model) -> list[str]:
+    channels = ", ".join(model.structure.channels)
+    return [f"planned for the pose device alone, as if {channels} read nothing"] * bool(channels)
+
+
+def _checked_method(criterion: str, method: str | None) -> str:
+    if criterion not in CRITERIA:
+        raise FitError(f"no criterion '{criterion}'; there are {', '.join(CRITERIA)}")
+    if method is None:
+        method = "exchange" if criterion in LINEAR else "annealing"
+    if method not in METHODS:
+        raise FitError(f"no method '{method}'; there are {', '.join(METHODS)}")
+    if method == "exchange" and criterion not in LINEAR:
+        raise FitError(f"criterion '{criterion}' needs the method annealing")
+    return method
+
+
+def equations_per_pose(model: Model, measured: np.ndarray) -> int:
+    """Closure rows less the coordinates that were not measured."""
+    moved = [len(model.joints) + i for i in model.mechanism.moved]
+    return max(model.structure.phi.shape[0] - int((~measured[moved]).sum()), 0)
+
+
+def _check_enough(model: Model, n: int, free: np.ndarray, measured: np.ndarray) -> None:
+    each, wanted = equations_per_pose(model, measured), int(free.sum())
+    if each == 0:
+        raise FitError("what is measured gives no equation: state the noise of what else is")
+    if n * each < wanted:
+        least = -(-wanted // each)
+        raise FitError(
+            f"{n} poses give {n * each} equations, but {wanted} parameters are free: plan at "
+            f"least {least} poses (better {2 * least}), or fix parameters"
+        )
+
+
+def _check_seeing(expected: Expectation, rank: int, prior: bool) -> None:
+    """Equations enough, but not of every kind: even the best set would not be identified."""
+    seen = expected.indices
+    if seen.rank < rank and not prior:
+        raise FitError(
+            f"{seen.poses} poses see only {seen.rank} of the {rank} directions of the parameters "
+            "that the workspace shows: plan more, fix parameters, or use priors"
+        )
+
+
+def _number_of_groups(n: int, pool: Pool) -> int:
+    size = pool.groups.shape[1]
+    if n % size:
+        raise FitError(f"{n} poses are no symmetric sets of {size}: plan {n // size * size or size}"
+                       f" or {n // size * size + size}")  # fmt: skip
+    if n > len(pool.poses):
+        raise FitError(
+            f"{n} poses wanted, but only {len(pool.poses)} candidates are reachable, inside the "
+            "limits and away from singularities: take a larger pool"
+        )
+    return n // size
+
+
+def _typical(view: View, problem: Problem, groups: int, rng: np.random.Generator) -> Expectation:
+    """The median of random sets by the criterion."""
+    sets = [rng.permutation(len(problem.blocks))[:groups] for _ in range(RANDOM_SETS)]
+    costs = [problem.cost(problem.information(s)) for s in sets]
+    middle = sets[int(np.argsort(costs)[RANDOM_SETS // 2])]
+    return view.expectation(view.rows(middle))

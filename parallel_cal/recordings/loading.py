@@ -1,0 +1,175 @@
+"""Recordings and sample files -> Dataset, with what looks suspicious about them."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from parallel_cal.base.errors import DatasetError
+from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.recordings.recording import Array, Dropped, Progress, Recording, Topics
+from parallel_cal.recordings.replicates import replicate_ids
+from parallel_cal.recordings.samplefile import PER_SAMPLE, holds_samples
+from parallel_cal.recordings.samples import Options, Samples, per_joint
+from parallel_cal.recordings.sampling import conditions_of, samples_of
+from parallel_cal.recordings.sessions import joined
+
+METRES = 10.0  # positions typically further than this from the origin are taken for millimetres
+# name -> unit and what it is expected to be within; kelvin lie beyond
+PLAUSIBLE = {"temperature": ("degC", -60.0, 150.0), "payload": ("kg", 0.0, 1e5)}
+TURNS = 4.0 * np.pi  # joints that travel further are taken for degrees, or turn endlessly
+
+
+def load_dataset(
+    path: str | Path,
+    *,
+    topics: Topics | None = None,
+    joints: Sequence[str] | None = None,
+    measures: Sequence[str] | None = None,
+    stamps: str = "header",
+    progress: Progress | None = None,
+    **options: Any,
+) -> Dataset:
+    """Samples of a recording, or of a file written by `to_json`; further options as in Options.
+
+    `joints` are the model's joint names in its order. BagError or DatasetError when none can be
+    had.
+    """
+    if holds_samples(Path(path)):
+        return _in_order(Dataset.from_json(path), joints)
+    from parallel_cal.recordings.bag import read_bag
+
+    recording = read_bag(
+        path, topics, joints=joints, measures=measures, stamps=stamps, progress=progress
+    )
+    return dataset_from_recording(recording, make_options(**options))
+
+
+def load_sessions(
+    paths: Sequence[str | Path], *, exclude: Sequence[int] = (), **how: Any
+) -> Dataset:
+    """One Dataset of one or more recordings; of more than one, samples know their `session`.
+
+    `exclude` are numbers of samples to leave out, `how` as in `load_dataset`; DatasetError where
+    the recordings do not go together.
+    """
+    datasets = [load_dataset(path, **how) for path in paths]
+    dataset = joined(datasets) if len(datasets) > 1 else datasets[0]
+    return dataset.excluding(exclude)
+
+
+def make_options(**options: Any) -> Options:
+    """Options by name; DatasetError for an unknown one, naming those that exist."""
+    known = [item.name for item in dataclasses.fields(Options)]
+    unknown = sorted(set(options) - set(known))
+    if unknown:
+        raise DatasetError(f"unknown option {', '.join(unknown)}; known: {', '.join(known)}")
+    return Options(**options)
+
+
+def dataset_from_recording(recording: Recording, options: Options | None = None) -> Dataset:
+    """Make a Dataset; DatasetError when nothing is usable or positions look like millimetres."""
+    options = options or Options()
+    samples = samples_of(recording, options)
+    warnings = [*recording.notes, *samples.warnings]
+    _drop_millimetres(samples)
+    conditions = conditions_of(recording, samples, warnings)
+    dataset = _stack(recording, samples, conditions, options)
+    far = _position_suspicions(dataset)
+    if far and not options.assume_units:
+        raise DatasetError(f"{recording.source}: {far[0]}, or set assume_units")
+    warnings += far + _joint_suspicions(dataset) + _condition_suspicions(conditions)
+    return dataclasses.replace(dataset, warnings=tuple(warnings))
+
+
+def _drop_millimetres(samples: Samples) -> None:
+    """Drop the few poses that lie hundreds of times further out than the others."""
+    distance = np.array([np.linalg.norm(s.r) for s in samples.kept])
+    placed = distance[[s.measured[:3].any() for s in samples.kept]]
+    usual = float(np.quantile(placed, 0.75)) if len(placed) else 0.0
+    bad = (distance > 100.0 * usual) & (distance > 1.0)
+    for i in np.flatnonzero(bad):
+        detail = f"|r| = {distance[i]:.4g} m, others {usual:.3g} m"
+        time = samples.kept[i].time
+        samples.dropped.append(Dropped(time, "position looks like millimetres", detail))
+    samples.kept = [s for s, b in zip(samples.kept, bad, strict=True) if not b]
+
+
+def _position_suspicions(dataset: Dataset) -> list[str]:
+    """A sentence if the positions do not look like metres."""
+    distance = np.linalg.norm(dataset.r, axis=1)[dataset.measured[:, :3].any(axis=1)]
+    if not len(distance) or np.median(distance) <= METRES:
+        return []
+    return [
+        f"the measured position looks like millimetres: median |r| = {np.median(distance):.4g}; "
+        "expected metres. Publish metres (REP-103)"
+    ]
+
+
+def _joint_suspicions(dataset: Dataset) -> list[str]:
+    """A sentence for each joint that does not look like radians or metres."""
+    travel = np.ptp(dataset.q, axis=0) if len(dataset) else np.zeros(len(dataset.joint_names))
+    return [
+        f"{name} looks like degrees or millimetres: it travels {width:.4g}; expected rad or m "
+        "(fine if it turns endlessly)"
+        for name, width in zip(dataset.joint_names, travel, strict=True)
+        if width > TURNS
+    ]
+
+
+def _condition_suspicions(conditions: Mapping[str, Array]) -> list[str]:
+    """A sentence for each condition that can hardly be in its unit."""
+    return [
+        f"{name} does not look like {unit}: it goes from {values.min():.4g} to {values.max():.4g}; "
+        f"expected {low:g} to {high:g}"
+        for name, (unit, low, high) in PLAUSIBLE.items()
+        for values in [conditions.get(name, np.zeros(0))]
+        if len(values) and not (low <= values.min() and values.max() <= high)
+    ]
+
+
+def _stack(
+    recording: Recording, samples: Samples, conditions: dict[str, Array], options: Options
+) -> Dataset:
+    """The samples as one block of arrays."""
+    columns: dict[str, Any] = {
+        name: np.array([getattr(s, name) for s in samples.kept])
+        for name in PER_SAMPLE
+        if name != "pose_id"
+    }
+    names = recording.joints.names
+    sigma = options.joint_sigma
+    scatter = columns["scatter_q"]
+    ids = np.arange(len(samples.kept))  # a moving robot does not revisit poses in our sense
+    if samples.mode == "dwell":
+        q, r, R = (columns[name] for name in ("q", "r", "R"))
+        ids = replicate_ids(q, r, R, columns["measured"], scatter, options.replicate_tolerance)
+    dropped = sorted((*recording.dropped, *samples.dropped), key=lambda d: d.time)
+    return Dataset(
+        joint_names=names, **columns, conditions=conditions, pose_id=ids, mode=samples.mode,
+        joint_sigma=None if sigma is None else per_joint(sigma, names, "joint_sigma"),
+        dropped=tuple(dropped), source=recording.source, sha256=recording.sha256,
+        frame=recording.pose.frame,
+    )  # fmt: skip
+
+
+def _in_order(dataset: Dataset, joints: Sequence[str] | None) -> Dataset:
+    """The dataset with its joints in the wanted order; DatasetError when one is missing."""
+    if joints is None or tuple(joints) == dataset.joint_names:
+        return dataset
+    missing = [name for name in joints if name not in dataset.joint_names]
+    if missing:
+        raise DatasetError(
+            f"{dataset.source}: joints expected: {', '.join(joints)}; in the samples: "
+            f"{', '.join(dataset.joint_names)}; not found: {', '.join(missing)}"
+        )
+    order = [dataset.joint_names.index(name) for name in joints]
+    sigma = dataset.joint_sigma
+    return dataclasses.replace(
+        dataset, joint_names=tuple(joints), q=dataset.q[:, order],
+        scatter_q=dataset.scatter_q[:, order], joint_sigma=None if sigma is None else sigma[order],
+    )  # fmt: skip

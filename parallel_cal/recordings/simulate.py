@@ -1,0 +1,268 @@
+"""A session of a robot that does not exist: a model, some effects, poses, noise -> arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from parallel_cal.base.errors import SolveError
+from parallel_cal.base.rotation import rotation_matrix
+from parallel_cal.kinematics.kinematics import Kinematics, Status
+from parallel_cal.model.mechanism import poses_in_workspace
+from parallel_cal.model.model import Model, Noise
+
+MOVE, DWELL = 0.5, 1.0  # s at a time
+JOINT_RATE, POSES_EVERY = 100, 5  # Hz; the device reports at every fifth reading, 20 Hz
+JITTER = 0.2  # of the noise sigma anew in every message; the noise itself is one draw a dwell
+PAYLOADS, SAME_PAYLOAD = (0.0, 0.5), 5  # kg, changed after so many poses
+AIR, WARMING, PERIOD = 21.0, 3.0, 180.0  # degC, degC, s: the workshop's temperature is a wave
+ARCSEC = np.pi / 180 / 3600
+# Of instruments a model file says nothing about: those of the thesis (sections 2.3.2 and 4.2).
+TYPICAL = {"rad": 25 * ARCSEC, "m": 10e-6, "position": 10e-6, "orientation": 15 * ARCSEC}
+SOLVED = (Status.CONVERGED, Status.OUTSIDE_LIMITS, Status.SINGULAR)
+NEAR = 0.02  # of a joint's travel
+TRIES = 20  # draws a pose before the workspace counts as unreachable
+
+
+@dataclass(frozen=True)
+class Session:
+    """What the robot and the device would have published; times in s, SI units."""
+
+    joint_names: tuple[str, ...]
+    frames: tuple[str, str]
+    joint_time: np.ndarray
+    joints: np.ndarray
+    pose_time: np.ndarray
+    position: np.ndarray
+    rotation: np.ndarray
+    pose_variance: np.ndarray
+    slow_time: np.ndarray
+    temperature: np.ndarray
+    payload_time: np.ndarray
+    payload: np.ndarray
+
+
+def with_effects(model: Model, effects: Iterable[tuple[str, Mapping[str, float]]]) -> Model:
+    """The robot that has these effects too; a number that is not given is its tolerance."""
+    for name, given in effects:
+        if all(effect.name != name for effect in model.effects):
+            model = model.with_effect(name)
+        values = model.values.copy()
+        own = [i for i, p in enumerate(model.table) if p.name.startswith(f"{name}.")]
+        values[own] = model.table.tolerance[own]
+        for key, value in given.items():
+            values[_matching(model, name, key)] = value
+        model = model.with_values(values)
+    return model
+
+
+def _matching(model: Model, effect: str, key: str) -> np.ndarray:
+    """`width` means every joint's width, `joint1.width` one, `joint?.width` a pattern."""
+    names = model.table.names
+    tail = any(n.startswith(f"{effect}.") and n.endswith(f".{key}") for n in names)
+    exact = f"{effect}.{key}" in names
+    return model.table.matching([f"{effect}.{key}" if exact or not tail else f"{effect}.*.{key}"])
+
+
+def simulate(
+    model: Model,
+    poses: int,
+    seed: int = 0,
+    *,
+    replicates: int = 0,
+    quiet: bool = False,
+) -> Session:
+    """A session of the robot `model`: `poses` drawn in its workspace, some visited again.
+
+    Noise is the model's, or typical where it says nothing; `quiet` instruments state the same
+    accuracy and make no errors. SolveError where the workspace cannot be reached.
+    """
+    if poses < 1 or not 0 <= replicates <= poses:
+        raise SolveError(f"{replicates} replicates of {poses} poses: expected at most one each")
+    rng = np.random.default_rng(seed)
+    targets = _targets(model, poses, rng)
+    targets = _apart(np.vstack([targets, targets[rng.permutation(poses)[:replicates]]]))
+    motion = _motion(model, targets)
+    if model.structure.phi.shape[0] > len(model.mechanism.moves):
+        # More lines than coordinates: joints must fit each other under the very conditions.
+        motion = _motion(model, _fitting(model, targets, motion))
+    stated = stated_noise(model)
+    errors = _Errors(model, Noise() if quiet else stated, len(targets), rng)
+    return Session(
+        model.joints,
+        (model.frames["base"], model.frames["platform"]),
+        motion.time,
+        errors.of_joints(motion.joints, motion.dwell),
+        *_measured(model, motion, errors),
+        _pose_sigma(stated) ** 2,
+        *_slow_streams(motion),
+    )
+
+
+def _fitting(model: Model, targets: np.ndarray, motion: _Motion) -> np.ndarray:
+    """The joints (n, nq) of the same poses under the conditions at the end of each dwell."""
+    last = np.searchsorted(motion.dwell, np.arange(len(targets)), side="right") - 1
+    pose = Kinematics(model).direct(targets)
+    at = {key: column[last] for key, column in motion.at.items()}
+    return Kinematics(model).inverse(pose.position, pose.rotation, at).joints
+
+
+def _measured(
+    model: Model, motion: _Motion, errors: _Errors
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What the device reports: times (m,), positions (m, 3), rotations (m, 3, 3)."""
+    seen = slice(None, None, POSES_EVERY)
+    at = {key: column[seen] for key, column in motion.at.items()}
+    answer = Kinematics(model).direct(motion.joints[seen], at)
+    # On its straight way between two poses a robot may pass where it has no solution.
+    solved = np.isin(answer.status, SOLVED)
+    position, rotation = errors.of_pose(answer.position, answer.rotation, motion.dwell[seen])
+    return motion.time[seen][solved], position[solved], rotation[solved]
+
+
+def _slow_streams(motion: _Motion) -> tuple[np.ndarray, ...]:
+    """Times and values of the temperature (once a second) and of the payload (on change)."""
+    slow = np.arange(0.0, motion.time[-1], 1.0)
+    payload = motion.at["payload"]
+    changes = np.flatnonzero(np.diff(payload, prepend=np.nan) != 0)
+    return slow, _temperature(slow), motion.time[changes], payload[changes]
+
+
+def _apart(targets: np.ndarray) -> np.ndarray:
+    """The targets in an order in which two near ones do not follow each other: they would be
+    taken for one long rest."""
+    order = targets / np.maximum(np.ptp(targets, axis=0), 1e-12)
+    targets = targets.copy()
+    for k in range(1, len(order)):
+        far = np.abs(order[k:] - order[k - 1]).max(axis=1) > NEAR
+        other = k + int(np.argmax(far))  # k itself where it is far, or none is
+        for rows in (order, targets):
+            rows[[k, other]] = rows[[other, k]]
+    return targets
+
+
+def _targets(model: Model, n: int, rng: np.random.Generator) -> np.ndarray:
+    """Joints (n, nq) of poses in the workspace that the robot reaches within its limits."""
+    kinematics, found = Kinematics(model), np.empty((0, len(model.joints)))
+    for _ in range(TRIES):
+        r, R = poses_in_workspace(model.mechanism, n, rng)
+        joints = kinematics.inverse(r, R)
+        reached = joints.joints[joints.ok]
+        if len(reached):
+            reached = reached[kinematics.direct(reached).ok]
+        found = np.vstack([found, reached])
+        if len(found) >= n:
+            return np.asarray(found[:n])
+    low, high = model.mechanism.workspace.low, model.mechanism.workspace.high
+    raise SolveError(
+        f"only {len(found)} of {TRIES * n} poses between {low} and {high} (m, rad) are within "
+        "reach and joint limits; make the workspace in the model file smaller"
+    )
+
+
+@dataclass(frozen=True)
+class _Motion:
+    """Time (n,), joints (n, nq), conditions (n,), and which dwell each moment belongs to (n,)."""
+
+    time: np.ndarray
+    joints: np.ndarray
+    at: dict[str, np.ndarray]
+    dwell: np.ndarray
+
+
+def _motion(model: Model, targets: np.ndarray) -> _Motion:
+    """From home to each target (N, nq) in turn, joints in straight lines, a rest at each."""
+    stops = np.vstack([model.mechanism.home.joints, targets])
+    n = round(len(targets) * (MOVE + DWELL) * JOINT_RATE)
+    time = np.arange(n) / JOINT_RATE
+    dwell = np.arange(n) * len(targets) // n
+    part = np.clip((time - dwell * (MOVE + DWELL)) / MOVE, 0, 1)[:, None]
+    steps = np.diff(stops, axis=0)
+    joints = stops[dwell] + part * steps[dwell]
+    moving = part < 1
+    at = {"time": time, "temperature": _temperature(time)}
+    at["payload"] = np.array(PAYLOADS)[dwell // SAME_PAYLOAD % len(PAYLOADS)]
+    direction = _directions(steps)
+    travel = _before(steps, direction)[dwell] + part * steps[dwell]
+    for j, name in enumerate(model.joints):
+        at[f"direction.{name}"] = direction[dwell, j]
+        at[f"travel.{name}"] = travel[:, j]
+        at[f"velocity.{name}"] = np.where(moving[:, 0], steps[dwell, j] / MOVE, 0.0)
+    return _Motion(time, joints, at, dwell)
+
+
+def _directions(steps: np.ndarray) -> np.ndarray:
+    """Sign of each joint's last motion, which a joint that does not move keeps."""
+    signs = np.where(np.abs(steps) > 1e-9, np.sign(steps), 0.0)
+    for k in range(1, len(signs)):
+        signs[k] = np.where(signs[k] == 0, signs[k - 1], signs[k])
+    return signs
+
+
+def _before(steps: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    """How far each joint has come since its last reversal when a step (N, nq) begins."""
+    ways = np.zeros(steps.shape)
+    for k in range(1, len(steps)):
+        goes_on = direction[k] == direction[k - 1]
+        ways[k] = np.where(goes_on, ways[k - 1] + steps[k - 1], 0.0)
+    return ways
+
+
+def _temperature(time: np.ndarray) -> np.ndarray:
+    return np.asarray(AIR + WARMING * np.sin(2 * np.pi * time / PERIOD))
+
+
+class _Errors:
+    """Measurement errors: one draw a dwell, and a fifth of it anew in every message."""
+
+    def __init__(self, model: Model, noise: Noise, dwells: int, rng: np.random.Generator):
+        self.joint_sigma = np.full(len(model.joints), noise.joint or 0.0)
+        self.pose_sigma = _pose_sigma(noise)
+        self._rng = rng
+        self._joint = rng.standard_normal((dwells, len(self.joint_sigma)))
+        self._pose = rng.standard_normal((dwells, 6))
+
+    def of_joints(self, joints: np.ndarray, dwell: np.ndarray) -> np.ndarray:
+        return joints + self.joint_sigma * self._draws(self._joint, dwell)
+
+    def of_pose(
+        self, position: np.ndarray, rotation: np.ndarray, dwell: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        error = self.pose_sigma * self._draws(self._pose, dwell)
+        return position + error[:, :3], rotation_matrix(error[:, 3:]) @ rotation
+
+    def _draws(self, constant: np.ndarray, dwell: np.ndarray) -> np.ndarray:
+        return constant[dwell] + JITTER * self._rng.standard_normal((len(dwell), constant.shape[1]))
+
+
+def stated_noise(model: Model) -> Noise:
+    """The model's noise, completed by that of typical instruments."""
+    unit, own = model.mechanism.joint_unit, model.noise
+    return Noise(
+        TYPICAL[unit] if own.joint is None else own.joint,
+        TYPICAL["position"] if own.position is None else own.position,
+        TYPICAL["orientation"] if own.orientation is None else own.orientation,
+    )
+
+
+def _pose_sigma(noise: Noise) -> np.ndarray:
+    return np.repeat([noise.position or 0.0, noise.orientation or 0.0], 3)
+
+
+def document(session: Session, model: Model, poses: int, replicates: int) -> dict[str, Any]:
+    """What was simulated, for the command line: counts, duration in s, the effects' values."""
+    start = len(model.mechanism.parameters)
+    names: Sequence[str] = model.table.names[start:]
+    return {
+        "poses": poses,
+        "replicates": replicates,
+        "joint_messages": len(session.joint_time),
+        "pose_messages": len(session.pose_time),
+        "duration": float(session.joint_time[-1]),
+        "effects": [effect.name for effect in model.effects],
+        "effect_parameters": dict(zip(names, model.values[start:].tolist(), strict=True)),
+        "noise": vars(stated_noise(model)),
+    }

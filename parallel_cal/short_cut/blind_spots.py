@@ -1,0 +1,83 @@
+"""What a set of loops does not see of a Delta, in words (section 5.4.5)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from parallel_cal.identification.observability import RELATIVE_RANK, combination
+from parallel_cal.model.model import Model
+from parallel_cal.model.words import direction_in_words
+from parallel_cal.short_cut.loop import POINTS, RODS, Loop, parts_of
+
+
+def blind_spots(loops: Sequence[Loop], robot: Model, J: np.ndarray) -> tuple[str, ...]:
+    """Directions that the loops' whitened Jacobian J (n, n_free) does not see, by name."""
+    free = ~robot.fixed
+    scaled = J * robot.table.tolerance[free]
+    floor = RELATIVE_RANK * _largest(scaled)
+    words, blind = [], _null(scaled, floor)
+    for what, move in _moves(loops, robot).items():
+        lost = move @ _null(scaled @ move, floor)
+        if lost.shape[1]:
+            words.append(f"{what} ({_counted(lost.shape[1])})")
+            blind = _without(blind, lost)
+    names = [n for n, f in zip(robot.table.names, free, strict=True) if f]
+    return (*words, *(direction_in_words(combination(d, names), robot.mechanism) for d in blind.T))
+
+
+def _counted(n: int) -> str:
+    return f"{n} direction{'s' if n > 1 else ''}"
+
+
+def _moves(loops: Sequence[Loop], robot: Model) -> dict[str, np.ndarray]:
+    """Directions (n_free, k), in tolerances, that these loops might not see."""
+    free = ~robot.fixed
+    parts, by_p = parts_of(robot, robot.values)
+    by_p = by_p[:, free] * robot.table.tolerance[free]
+    points, lengths = parts[:POINTS].reshape(-1, 3), np.zeros(len(RODS))
+    rigid = [np.cross(axis, points) for axis in np.eye(3)]
+    rigid += [np.broadcast_to(axis, points.shape) for axis in np.eye(3)]
+    rods = [f"rod {k}" for k in RODS if k not in {loop.rod for loop in loops}]
+    balls = [f"ball {k}" for k in RODS if k not in {b for k in loops for b in (k.one, k.other)}]
+    moves = {
+        "the platform's bars, which are in no loop": _null(by_p, 1e-9 * _largest(by_p)),
+        "where the robot stands in {B}": _reached(
+            by_p, np.column_stack([np.append(move, lengths) for move in rigid])
+        ),
+        "the robot's size, as no length is known": _reached(by_p, parts[:, None]),
+    }
+    return moves | {f"{k}, which is in no loop": _reached(by_p, _of_part(k)) for k in rods + balls}
+
+
+def _of_part(name: str) -> np.ndarray:
+    """Unit changes (m, k) of one rod's length or of one ball's points."""
+    kind, _, number = name.partition(" ")
+    owner = np.append(np.arange(POINTS) // 3 % len(RODS), np.arange(len(RODS)))
+    is_rod = np.arange(len(owner)) >= POINTS
+    own = (owner == RODS.index(number)) & (is_rod == (kind == "rod"))
+    return np.eye(len(owner))[:, own]
+
+
+def _largest(M: np.ndarray) -> float:
+    return float(np.linalg.norm(M, 2))
+
+
+def _null(M: np.ndarray, floor: float) -> np.ndarray:
+    """Orthonormal directions (n, k) that M (m, n) shrinks below `floor`."""
+    _, sizes, directions = np.linalg.svd(M)
+    return directions[int(np.sum(sizes > floor)) :].T
+
+
+def _reached(by_p: np.ndarray, moved: np.ndarray) -> np.ndarray:
+    """Orthonormal directions of the parameters that move the parts within `moved` (m, k)."""
+    steps = np.linalg.lstsq(by_p, moved, rcond=1e-9)[0]
+    missed = moved - by_p @ steps
+    return np.linalg.qr(steps @ _null(missed, 1e-6 * _largest(moved)))[0]
+
+
+def _without(basis: np.ndarray, removed: np.ndarray) -> np.ndarray:
+    """An orthonormal basis of what of `basis` is square to `removed`."""
+    left, sizes, _ = np.linalg.svd(basis - removed @ (np.linalg.pinv(removed) @ basis))
+    return left[:, : int(np.sum(sizes > 0.5))]

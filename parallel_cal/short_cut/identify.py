@@ -1,0 +1,194 @@
+"""The short-cut set-up: a Delta identified from its own encoders (sections 4.2.7 and 5.4.5).
+
+The platform is taken off, and balls of two arms are tied by one of the robot's rods: an RSSR loop
+that two encoders see. Each loop is identified by `fit`; together they give model 54.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from parallel_cal.base.errors import FitError
+from parallel_cal.identification.doubts import chi2_band
+from parallel_cal.identification.fit import Result, fit, parameter_rows, single_threaded
+from parallel_cal.identification.observability import Spectrum, spectrum
+from parallel_cal.identification.prediction_errors import errors
+from parallel_cal.model.model import Model
+from parallel_cal.model.words import direction_in_words
+from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.short_cut.blind_spots import blind_spots
+from parallel_cal.short_cut.combining import closures, put_together
+from parallel_cal.short_cut.loop import Loop, loop_dataset, loop_model, recorded_home
+
+
+@dataclass(frozen=True)
+class LoopResult:
+    """One loop's identification, and how many of its nine numbers its data see."""
+
+    loop: Loop
+    fit: Result
+    rank: int
+
+
+@dataclass(frozen=True)
+class Combination:
+    """A Delta (model 54) with its covariance from loops: what no loop sees keeps its nominal
+    value and its tolerance, and `unseen` says in words what that is."""
+
+    model: Model
+    loops: tuple[LoopResult, ...]
+    chi2: float
+    dof: int
+    spectrum: Spectrum
+    unseen: tuple[str, ...]
+
+    @property
+    def chi2_per_dof(self) -> float:
+        return self.chi2 / self.dof if self.dof > 0 else float("nan")
+
+    def document(self) -> dict[str, Any]:
+        """The JSON document of `parallel-cal short-cut`; all values SI, None where not known.
+
+        A loop's errors before and after are those of the whole Delta's model: `orientation` is
+        the second arm's angle from the first's, `joint` the first's from the second's.
+        """
+        sigma = np.sqrt(np.diag(np.asarray(self.model.covariance)))
+        return {
+            "loops": [self._loop(found) for found in self.loops],
+            "parameters": parameter_rows(self.model, sigma, self.model.fixed),
+            "chi2_per_dof": self.chi2_per_dof if self.dof > 0 else None,
+            "chi2_band": list(chi2_band(self.dof)),
+            "dof": self.dof,
+            "rank": self.spectrum.rank,
+            "free": int(np.sum(~self.model.fixed)),
+            "unidentifiable": [{"text": what} for what in self.unseen],
+            "weak": [
+                {"text": direction_in_words(c, self.model.mechanism), "parameters": c}
+                for c in self.spectrum.weak
+            ],
+            "warnings": list(self.warnings),
+        }
+
+    def _loop(self, found: LoopResult) -> dict[str, Any]:
+        own = found.fit.document()
+        combined = loop_model(self.model, found.loop, found.fit.model.mechanism.home)
+        keys = ("samples", "before", "parameters", "chi2_per_dof", "noise_from", "dataset")
+        return {
+            "loop": str(found.loop),
+            "rank": found.rank,
+            **{key: own[key] for key in keys},
+            "after": errors(combined, found.fit.evidence).document(),
+        }
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the loops do not see, and whether they contradict each other."""
+        words = [f"the loops cannot tell {what}" for what in self.unseen]
+        low, high = chi2_band(self.dof)
+        if self.dof > 0 and not low <= self.chi2_per_dof <= high:
+            words.append(
+                f"chi2/dof {self.chi2_per_dof:.2f} of all loops is outside {low:.2f}..{high:.2f}: "
+                "they contradict each other (was an encoder set to zero in between?) or the noise "
+                "is not the stated one"
+            )
+        return tuple(words)
+
+
+def short_cut(
+    robot: Model,
+    recordings: Sequence[tuple[Loop, Dataset]],
+    *,
+    fix: Iterable[str] = (),
+    joint_sigma: float | None = None,
+    relinearise: bool = True,
+) -> Combination:
+    """Model 54 of a Delta (24 or 54) from recordings of its arms' readings in loops.
+
+    `fix` are patterns of what is known, like the lengths of two measured rods (`chain1.Lb`,
+    `chain1.dLb`): angles do not see the size. FitError where an arm is in no loop or a loop
+    cannot be identified.
+    """
+    robot = _model54(robot)
+    robot = replace(robot, fixed=robot.fixed | robot.table.matching(fix))
+    _check_arms([loop for loop, _ in recordings])
+    found = [identify(robot, loop, data, joint_sigma) for loop, data in recordings]
+    with single_threaded():
+        return combine(robot, found, relinearise)
+
+
+def _model54(robot: Model) -> Model:
+    name, extra = robot.mechanism.name, len(robot.effects) + len(robot.sensors)
+    if name not in ("delta24", "delta54") or extra:
+        raise FitError(
+            f"the model is {name} with {extra} effects and sensors; expected delta24 or delta54 "
+            "with neither: loops tell the geometry alone"
+        )
+    return robot.widened() if name == "delta24" else robot
+
+
+def _check_arms(loops: Sequence[Loop]) -> None:
+    missing = {0, 1, 2} - {arm for loop in loops for arm in loop.arms}
+    if missing:
+        names = ", ".join(str(arm + 1) for arm in sorted(missing))
+        raise FitError(f"no loop holds arm {names}: record it tied to another arm")
+
+
+def identify(
+    robot: Model,
+    loop: Loop,
+    dataset: Dataset,
+    joint_sigma: float | None = None,
+) -> LoopResult:
+    """One loop by the weighted implicit method, the Delta's tolerances as priors, its rod held."""
+    try:
+        data = loop_dataset(robot, loop, dataset, joint_sigma)
+        model = loop_model(robot, loop, recorded_home(data))
+        result = fit(model, data, prior=True, hold_out=0)
+    except FitError as error:
+        raise FitError(f"loop {loop}: {error}") from None
+    _, A = closures(result)(result.model.values)
+    seen = spectrum(A, model.table, np.ones(A.shape[1], dtype=bool), prior=False)
+    return LoopResult(loop, result, seen.rank)
+
+
+def combine(robot: Model, loops: Sequence[LoopResult], relinearise: bool = True) -> Combination:
+    """All loops as one Delta: covariance = (sum G^T A^T A G + T^-2)^-1, with A^T A the inverse of
+    a loop's covariance, G = d g/dp and T the tolerances. FitError where they do not go together.
+    """
+    found = put_together(robot, [(k.loop, k.fit) for k in loops], relinearise)
+    r, J, free = found.residual, found.jacobian, ~robot.fixed
+    seen = spectrum(J, robot.table, free, prior=True)
+    covariance = np.zeros((len(robot.table), len(robot.table)))
+    covariance[np.ix_(free, free)] = seen.covariance
+    model = robot.with_values(found.values, covariance)
+    _check_plausible(model)
+    model = replace(model, history=(*robot.history, _entry(loops)))
+    unseen = blind_spots([k.loop for k in loops], model, J)
+    return Combination(model, tuple(loops), float(r @ r), len(r) - seen.rank, seen, unseen)
+
+
+def _check_plausible(model: Model) -> None:
+    """Loops that are not what they are called pull dimensions out of all proportion."""
+    for p, value, fixed in zip(model.table, model.values, model.fixed, strict=True):
+        low, high = p.plausible_range()
+        if not (fixed or low <= value <= high):
+            raise FitError(
+                f"together the loops put {p.name} to {value:.6g} {p.unit} (plausible {low:.6g} to "
+                f"{high:.6g}), though each is plausible alone: is a ball or rod named wrongly, or "
+                "was an encoder set to zero in between?"
+            )
+
+
+def _entry(loops: Sequence[LoopResult]) -> dict[str, Any]:
+    """What the model file's history says of this step."""
+    datasets = [k.fit.dataset for k in loops]
+    return {
+        "step": "short-cut",
+        "loops": [str(k.loop) for k in loops],
+        "samples": sum(k.fit.samples for k in loops),
+        "dataset": [{"source": d.source, "sha256": d.sha256} for d in datasets],
+    }
