@@ -20,22 +20,22 @@ from datasets import measured
 
 from parallel_cal.identification.fit import fit, single_threaded
 from parallel_cal.identification.methods.implicit import Linearisation, estimate
-from parallel_cal.identification.observations import Evidence, gather
+from parallel_cal.identification.observations import Observations, observe
 from parallel_cal.mechanisms.delta24 import Delta24
 from parallel_cal.model.model import Model, new_model
 
 
-def scipy_fit(model: Model, evidence: Evidence, free: np.ndarray) -> np.ndarray:
+def scipy_fit(model: Model, observations: Observations, free: np.ndarray) -> np.ndarray:
     """The plain way: closure residuals, Jacobian by finite differences, in tolerances."""
     from scipy.optimize import least_squares
 
-    linearise = Linearisation(model, evidence, free, weighted=False)
+    linearise = Linearisation(model, observations, free, weighted=False)
     scale = model.table.tolerance[free]
 
     def residual(u: np.ndarray) -> np.ndarray:
         values = model.values.copy()
         values[free] += u * scale
-        return linearise.blocks(values, evidence.x)[0].ravel() * 1e5
+        return linearise.blocks(values, observations.x)[0].ravel() * 1e5
 
     found = least_squares(residual, np.zeros(int(free.sum())), method="lm", xtol=1e-12)
     return model.values[free] + found.x * scale
@@ -50,21 +50,23 @@ class FirstChain(Delta24):
         return self.rod(q[0], r, p["chain1"])
 
 
-def odr_fit(model: Model, evidence: Evidence, free: np.ndarray) -> np.ndarray:
+def odr_fit(model: Model, observations: Observations, free: np.ndarray) -> np.ndarray:
     """ODRPACK on the same row: it adjusts the chain's joint and x, y, z by itself."""
     from scipy import odr
 
     unit, used = model.table.tolerance[free], np.array([0, 3, 4, 5])
 
     def rod(b: np.ndarray, x: np.ndarray) -> np.ndarray:
-        rows = np.tile(evidence.x[:1], (x.shape[1], 1))
+        rows = np.tile(observations.x[:1], (x.shape[1], 1))
         rows[:, used] = x.T
         values = np.array(model.values)
         values[free] = b * unit
         conditions = np.zeros((len(rows), 0))
         return model.structure.closure_batch(rows, conditions, values)[0][:, 0] * 1e3
 
-    data = odr.Data(evidence.x[:, used].T, y=1, we=1e14, wd=1 / np.diag(evidence.S[0])[used])
+    data = odr.Data(
+        observations.x[:, used].T, y=1, we=1e14, wd=1 / np.diag(observations.S[0])[used]
+    )
     problem = odr.ODR(
         data, odr.Model(rod, implicit=True), beta0=model.values[free] / unit,
         maxit=1000, sstol=1e-15, partol=1e-15,
@@ -78,44 +80,50 @@ def beside_odr() -> list[Row]:
     small = new_model("delta24").table.names
     robot = vr.Delta({**vr.TABLE_5_12, **{name: vr.TABLE_5_18[name] for name in small}})
     model = new_model(FirstChain())
-    evidence, free = gather(model, measured(0, robot=robot)), model.table.matching(["chain1.*"])
-    ours, theirs = estimate(model, evidence, free).values[free], odr_fit(model, evidence, free)
+    observations, free = (
+        observe(model, measured(0, robot=robot)),
+        model.table.matching(["chain1.*"]),
+    )
+    ours, theirs = (
+        estimate(model, observations, free).values[free],
+        odr_fit(model, observations, free),
+    )
     large = np.abs(theirs) > 0.01  # the others are zero to within their sigma
     apart = np.abs(ours / theirs - 1)[large].max()
     assert apart < 1e-6
     return [
         Row("weighted implicit, one chain, 94 poses",
-            seconds_each(lambda: estimate(model, evidence, free), least=10)),
+            seconds_each(lambda: estimate(model, observations, free), least=10)),
         Row(f"ODRPACK's implicit ODR (estimates within {apart:.0e})",
-            seconds_each(lambda: odr_fit(model, evidence, free), least=1, repeats=3)),
+            seconds_each(lambda: odr_fit(model, observations, free), least=1, repeats=3)),
     ]  # fmt: skip
 
 
 def main() -> None:
     model, data = new_model("delta54", vr.TABLE_5_12), measured(0)
-    evidence, free = gather(model, data), ~model.fixed
+    observations, free = observe(model, data), ~model.fixed
     with single_threaded():
-        ours = estimate(model, evidence, free, weighted=False).values[free]
-        apart = (scipy_fit(model, evidence, free) - ours) / model.table.tolerance[free]
+        ours = estimate(model, observations, free, weighted=False).values[free]
+        apart = (scipy_fit(model, observations, free) - ours) / model.table.tolerance[free]
         assert np.abs(apart).max() < 5e-3  # as near as finite differences come
         rows = [
             Row(
                 "weighted fit, 42 parameters, 94 poses, with sigmas and rank",
-                seconds_each(lambda: estimate(model, evidence, free), least=10),
+                seconds_each(lambda: estimate(model, observations, free), least=10),
             ),
             Row(
                 "the same, 74 poses",
                 seconds_each(
-                    lambda: estimate(model, evidence.select(np.arange(74)), free), least=10
+                    lambda: estimate(model, observations.select(np.arange(74)), free), least=10
                 ),
             ),
             Row(
                 "unweighted fit (eq. 5.6)",
-                seconds_each(lambda: estimate(model, evidence, free, weighted=False), least=10),
+                seconds_each(lambda: estimate(model, observations, free, weighted=False), least=10),
             ),
             Row(
                 "scipy least_squares, finite differences",
-                seconds_each(lambda: scipy_fit(model, evidence, free), least=1, repeats=3),
+                seconds_each(lambda: scipy_fit(model, observations, free), least=1, repeats=3),
             ),
             Row(
                 "fit() as a whole: errors, 4 folds left out, noise floor",

@@ -16,7 +16,7 @@ from rich.table import Table
 from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.identification.fit import single_threaded
 from parallel_cal.identification.methods.implicit import estimate
-from parallel_cal.identification.observations import Evidence
+from parallel_cal.identification.observations import Observations
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.model import Model, new_model
 
@@ -25,7 +25,7 @@ COUNTS = (1_000, 10_000, 100_000)
 MEGABYTE = 2**20
 
 
-def measured(model: Model, n: int) -> Evidence:
+def measured(model: Model, n: int) -> Observations:
     """n noisy samples of a robot that strays from nominal by its tolerances."""
     rng = np.random.default_rng(0)
     off = model.table.tolerance * rng.standard_normal(len(model.values)) * ~model.fixed
@@ -34,25 +34,25 @@ def measured(model: Model, n: int) -> Evidence:
     e = SIGMA * rng.standard_normal((n, 9))
     turned = (rotation_matrix(e[:, 6:]) @ true.rotation).reshape(-1, 9)
     x = np.hstack([true.joints + e[:, :3], true.position + e[:, 3:6], turned])
-    return Evidence(
+    return Observations(
         x, np.tile(np.diag(SIGMA**2), (n, 1, 1)), np.ones((n, 9), bool), np.zeros((n, 0)),
         np.arange(n), np.zeros((n, 0)), {},
     )  # fmt: skip
 
 
-def seconds(model: Model, evidence: Evidence) -> float:
+def seconds(model: Model, observations: Observations) -> float:
     """Of the processor, the best of three: what else the machine does is not the fit's."""
     times = []
     for _ in range(3):
         begin = time.process_time()
-        estimate(model, evidence, ~model.fixed)
+        estimate(model, observations, ~model.fixed)
         times.append(time.process_time() - begin)
     return min(times)
 
 
-def peak(model: Model, evidence: Evidence) -> float:
+def peak(model: Model, observations: Observations) -> float:
     tracemalloc.start()
-    estimate(model, evidence, ~model.fixed)
+    estimate(model, observations, ~model.fixed)
     _, most = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     return most / MEGABYTE
@@ -65,8 +65,8 @@ def main() -> None:
         for name in ("delta24", "delta54"):
             model, first = new_model(name), 0.0
             for n in COUNTS:
-                evidence = measured(model, n)
-                spent, memory = seconds(model, evidence), peak(model, evidence)
+                observations = measured(model, n)
+                spent, memory = seconds(model, observations), peak(model, observations)
                 first = first or spent / n
                 table.add_row(
                     name, str(n), f"{spent:.3f}", f"{spent / n * 1e6:.1f}",

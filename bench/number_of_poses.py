@@ -25,7 +25,7 @@ from datasets import as_dataset
 from parallel_cal.base.errors import FitError
 from parallel_cal.identification.fit import single_threaded
 from parallel_cal.identification.methods.implicit import estimate
-from parallel_cal.identification.observations import gather
+from parallel_cal.identification.observations import observe
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.model import Model, Noise, new_model
 from parallel_cal.planning.plan import plan
@@ -82,7 +82,7 @@ def error(case: Case, q: np.ndarray, seed: int, unseen: tuple[np.ndarray, np.nda
     rows |= {"time": np.arange(len(q)), "pose_index": np.arange(len(q))}
     data = as_dataset(rows, NOISE, np.tile(case.measured, (len(q), 1)))
     try:
-        found = estimate(case.model, gather(case.model, data), ~case.model.fixed)
+        found = estimate(case.model, observe(case.model, data), ~case.model.fixed)
     except FitError:
         return np.inf
     pose = Kinematics(case.model.with_values(found.values)).direct(unseen[0])

@@ -22,7 +22,7 @@ from tied import dataset
 from parallel_cal.base.errors import FitError
 from parallel_cal.identification.fit import single_threaded
 from parallel_cal.identification.methods.implicit import Estimate, estimate
-from parallel_cal.identification.observations import gather
+from parallel_cal.identification.observations import observe
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.model import Model, new_model
 from parallel_cal.model.shelf import load_sensor
@@ -79,10 +79,10 @@ def one(case: Case, seed: int) -> tuple[float, float, bool, Estimate]:
     robot, model = vs.random_delta(seed, case.spread), model_of(case)
     free = ~model.fixed | (model.table.matching(case.free) if case.free else False)
     readings, ties = case.plate.session(robot, case.poses, seed)
-    evidence = gather(model, dataset(case.plate, readings, ties))
-    found = estimate(model, evidence, free, prior=case.prior)
+    observations = observe(model, dataset(case.plate, readings, ties))
+    found = estimate(model, observations, free, prior=case.prior)
     truth = model.table.vector({n: robot.parameters[n] for n in model.mechanism.parameters.names})
-    from_truth = estimate(model.with_values(truth), evidence, free, prior=case.prior)
+    from_truth = estimate(model.with_values(truth), observations, free, prior=case.prior)
     joints, where = vs.workspace(robot)
     before, after = (
         error(model.with_values(v), joints, where) for v in (model.values, found.values)
@@ -108,7 +108,7 @@ def with_device(robots: int) -> str:
             pose_cov=np.diag([1e-10] * 3 + [1.0] * 3),
             joint_sigma=[vs.Plate.joint] * 3,
         )
-        found = estimate(model, gather(model, data), ~model.fixed, prior=True)
+        found = estimate(model, observe(model, data), ~model.fixed, prior=True)
         after.append(error(model.with_values(found.values), *vs.workspace(robot)))
     return (
         f"{'a position device (10 um), 120 poses everywhere':56s} {'':10s} "

@@ -8,7 +8,7 @@ from test_mechanisms_against_virtual import CASES, Case, wanted
 from virtual_serial import Serial
 
 from parallel_cal.base.rotation import rotation_matrix
-from parallel_cal.identification.observations import Evidence
+from parallel_cal.identification.observations import Observations
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_mechanism
 
@@ -71,7 +71,7 @@ def evidence_of(poses, seed=None, sigma=SIGMA):
     x = np.hstack(
         [q + e[:, :n], r + e[:, n : n + 3], (rotation_matrix(e[:, n + 3 :]) @ R).reshape(-1, 9)]
     )
-    return Evidence(
+    return Observations(
         x,
         np.tile(np.diag(scale**2), (len(q), 1, 1)),
         np.ones((len(q), n + 6), bool),

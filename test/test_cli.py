@@ -128,7 +128,7 @@ def test_it_imports_heavy_things_only_where_they_are_used(command, heavy):
 def test_help_names_the_commands_that_exist_and_no_other():
     listed = re.findall(r"^  ([\w-]+) ", child("--help").stdout.split("Commands:")[1], flags=re.M)
     assert listed == [
-        "new", "mechanisms", "effects", "sensors", "direct", "inverse", "look", "import-csv",
+        "new", "mechanisms", "effects", "sensors", "direct", "inverse", "info", "import-csv",
         "simulate", "replay", "fit", "compare", "add", "remove", "diagnose", "report",
         "short-cut", "plan", "demo", "bench",
     ]  # fmt: skip
@@ -136,7 +136,7 @@ def test_help_names_the_commands_that_exist_and_no_other():
 
 def test_help_imports_nothing_heavy():
     code = (
-        "import sys; from parallel_cal import cli\n"
+        "import sys; from parallel_cal.cli import main\n"
         "print([m for m in ('numpy', 'casadi', 'pydantic', 'rosbags', 'rich.table') "
         "if m in sys.modules])"
     )

@@ -10,7 +10,7 @@ from parallel_cal.base import compiled
 from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.identification import linearisation
 from parallel_cal.identification.linearisation import Linearisation
-from parallel_cal.identification.observations import Evidence
+from parallel_cal.identification.observations import Observations
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.model import Structure, new_model
 
@@ -33,25 +33,25 @@ def configurations(model, n):
 
 
 def samples(model, n):
-    return Evidence(
+    return Observations(
         configurations(model, n), np.tile(1e-8 * np.eye(9), (n, 1, 1)), np.ones((n, 9), bool),
         np.zeros((n, 0)), np.arange(n), np.zeros((n, 0)), {},
     )  # fmt: skip
 
 
-def linearised(model, evidence):
-    return Linearisation(model, evidence, ~model.fixed, True)(model.values, evidence.x)
+def linearised(model, observations):
+    return Linearisation(model, observations, ~model.fixed, True)(model.values, observations.x)
 
 
 def test_very_many_samples_are_linearised_by_machine_code_with_the_same_result(
     tmp_path, monkeypatch
 ):
     model = new_model("delta24")
-    evidence = samples(model, 40)
-    before = linearised(model, evidence)
+    observations = samples(model, 40)
+    before = linearised(model, observations)
     assert not list(tmp_path.rglob("*.so"))
     monkeypatch.setattr(linearisation, "MANY", 40)
-    after = linearised(model, evidence)
+    after = linearised(model, observations)
     assert len(list(tmp_path.rglob("*.so"))) == 1
     np.testing.assert_allclose(after.residual, before.residual, rtol=1e-12)
     np.testing.assert_allclose(after.jacobian, before.jacobian, rtol=1e-12, atol=1e-9)

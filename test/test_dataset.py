@@ -26,7 +26,7 @@ from parallel_cal.base.errors import DatasetError
 from parallel_cal.recordings.bag import read_bag
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.dwells import approach, still_intervals, still_tolerance
-from parallel_cal.recordings.info import look, print_look
+from parallel_cal.recordings.info import info, print_info
 from parallel_cal.recordings.loading import dataset_from_recording, load_dataset, make_options
 from parallel_cal.recordings.recording import COORDINATES
 
@@ -408,7 +408,7 @@ def test_positions_in_millimetres_are_refused_unless_insisted_on(tmp_path):
     with pytest.raises(DatasetError, match=r"looks like millimetres: median \|r\| = .*metres"):
         load_dataset(bag)
     assert len(load_dataset(bag, assume_units=True)) == 5
-    assert any("millimetres" in warning for warning in look(bag)["warnings"])
+    assert any("millimetres" in warning for warning in info(bag)["warnings"])
 
 
 def test_one_pose_in_millimetres_among_good_ones_is_dropped(tmp_path):
@@ -605,7 +605,7 @@ def test_a_damaged_sample_file_is_refused_naming_file_and_key(robot, tmp_path):
 def test_look_tells_everything_as_json(tmp_path):
     wild = joint_state(0.5051, ROBOT.names, [np.nan, 0.0, 0.0])
     bag = write_bag(tmp_path / "bag", [*joint_states(ROBOT), *poses(ROBOT), wild])
-    document = json.loads(json.dumps(look(bag), allow_nan=False))
+    document = json.loads(json.dumps(info(bag), allow_nan=False))
     assert document["samples"] == 5
     assert document["poses"] == 4
     assert document["replicates"] == {"poses": 1, "samples": 2}
@@ -618,7 +618,7 @@ def test_look_tells_everything_as_json(tmp_path):
 
 def test_look_shows_a_recording_that_gives_no_sample(tmp_path):
     moving = Session(STOPS, dwell=0.0)
-    document = look(write_bag(tmp_path / "bag", joint_states(moving) + poses(moving)))
+    document = info(write_bag(tmp_path / "bag", joint_states(moving) + poses(moving)))
     assert document["samples"] == 0
     assert "mode='continuous'" in document["warnings"][-1]
 
@@ -629,7 +629,7 @@ def test_look_prints_units(tmp_path):
     console = Console(record=True, width=120, quiet=True)
     console.quiet = False
     with console.capture() as shown:
-        print_look(look(write_bag(tmp_path / "b", joint_states(ROBOT) + poses(ROBOT))), console)
+        print_info(info(write_bag(tmp_path / "b", joint_states(ROBOT) + poses(ROBOT))), console)
     for word in ("100.", "Hz", "5 samples (dwell) of 4 poses", " um", "arcmin", "deg"):
         assert word in shown.get()
 
@@ -641,14 +641,14 @@ def test_look_prints_when_and_what_was_dropped(tmp_path):
     bag = write_bag(tmp_path / "bag", [*joint_states(ROBOT), *poses(ROBOT), wild])
     console = Console(width=200)
     with console.capture() as shown:
-        print_look(look(bag), console)
+        print_info(info(bag), console)
     told = "dropped 1: joint reading is not finite; at 0.51 s: joint_states: 1 of 741 messages"
     assert told in shown.get()
 
 
 def test_look_leaves_out_the_samples_it_is_told_to(tmp_path):
     bag = write_bag(tmp_path / "bag", joint_states(ROBOT) + poses(ROBOT))
-    document = look(bag, exclude=[1])
+    document = info(bag, exclude=[1])
     assert document["samples"] == 4
     assert document["replicates"]["poses"] == 0
 

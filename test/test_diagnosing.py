@@ -10,14 +10,14 @@ from scipy import stats
 
 from parallel_cal.diagnosis.catalogue import candidate
 from parallel_cal.diagnosis.fields import field, reference
+from parallel_cal.diagnosis.lack_of_fit import lack_of_fit, smooth_map
 from parallel_cal.diagnosis.patterns import along, odd_samples, regions
 from parallel_cal.diagnosis.scene import columns, scene
-from parallel_cal.diagnosis.scoring import alike, f_test, log_p_of, score
+from parallel_cal.diagnosis.scoring import canonical_correlation, f_test, log_p_of, score
 from parallel_cal.diagnosis.statistics import holm, morans_i, runs_test
-from parallel_cal.diagnosis.structure import smooth_map, structure
 from parallel_cal.identification.fit import fit
 from parallel_cal.identification.linearisation import Linearisation
-from parallel_cal.identification.observations import gather
+from parallel_cal.identification.observations import observe
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.model import new_model
 
@@ -30,7 +30,7 @@ def here():
 
 def fitted_scene(data, model=None):
     result = fit(model or new_model("delta54"), data, hold_out=0)
-    return scene(result.model, data, result.evidence, result.free)
+    return scene(result.model, data, result.observations, result.free)
 
 
 # --------------------------------------------------------------------------------- statistics
@@ -107,7 +107,7 @@ def test_regressors_are_taken_where_the_model_puts_the_platform(here):
     """Guard against circularity: not at the measured pose, whose noise would explain itself."""
     pose = Kinematics(here.model).direct(here.x[:, :3])
     assert np.array_equal(here.x[:, 3:6], pose.position)
-    assert np.abs(here.evidence.x[:, 3:6] - pose.position).max() > 20e-6
+    assert np.abs(here.observations.x[:, 3:6] - pose.position).max() > 20e-6
 
 
 def test_the_residual_of_a_complete_model_is_noise_in_noise_units(here):
@@ -124,9 +124,9 @@ def test_columns_are_finite_differences_of_the_residuals(here):
     k = extended.table.index_of("backlash.joint2.width")
     values = extended.values.copy()
     values[k] += 1e-6
-    evidence = gather(extended, here.dataset)
+    observations = observe(extended, here.dataset)
     moved = [
-        Linearisation(extended, evidence, new, True)(v, here.x).residual.reshape(-1)
+        Linearisation(extended, observations, new, True)(v, here.x).residual.reshape(-1)
         for v in (extended.values, values)
     ]
     slope = (moved[1] - moved[0]) / 1e-6 * extended.table.tolerance[k]
@@ -143,8 +143,8 @@ def test_geometry_swallows_an_encoders_gain_but_not_its_play(here):
 def test_one_direction_named_twice_is_alike_and_two_are_not(here):
     play, again = (candidate(here, "backlash").score.U for _ in range(2))
     drift = candidate(here, "base_drift").score.U
-    assert alike(play, again) == pytest.approx(1)
-    assert alike(play, drift) < 0.7
+    assert canonical_correlation(play, again) == pytest.approx(1)
+    assert canonical_correlation(play, drift) < 0.7
 
 
 def test_random_columns_score_as_chance_has_it(here):
@@ -164,8 +164,8 @@ def test_a_noise_that_nobody_states_is_taken_from_replicates():
     data = measured(1)
     here = fitted_scene(data)
     guessed = dataclasses.replace(
-        here.evidence,
-        S=here.evidence.S / 4,
+        here.observations,
+        S=here.observations.S / 4,
         noise_from={"joint": "scatter within dwells", "pose": "scatter within dwells"},
     )
     there = scene(here.model, data, guessed, here.free)
@@ -182,7 +182,7 @@ def test_a_smooth_map_finds_the_size_and_the_scale_of_a_wave_and_nothing_in_nois
     data = measured(2, noise=quiet(), n_poses=150, n_replicates=0)
     wave = 100e-6 * np.sin(2 * np.pi * data.r[:, :1] / 0.12) * [0, 0, 1]
     here = fitted_scene(data)
-    pushed = dataclasses.replace(here.evidence)
+    pushed = dataclasses.replace(here.observations)
     pushed.x[:, 3:6] += wave
     there = scene(here.model, data, pushed, np.zeros_like(here.free))
     found = smooth_map(there, field(there))
@@ -191,8 +191,8 @@ def test_a_smooth_map_finds_the_size_and_the_scale_of_a_wave_and_nothing_in_nois
     assert 0.005 < found.length < 0.06
 
 
-def test_noise_has_no_structure(here):
-    left = structure(here, field(here))
+def test_noise_has_no_lack_of_fit(here):
+    left = lack_of_fit(here, field(here))
     assert not left.found
     assert left.map.share < 0.1
 

@@ -196,9 +196,9 @@ def test_too_few_poses_cannot_know():
 
 def test_a_random_group_ranks_among_the_effects_that_are_not_there(play):
     document = play[0].document()
-    placebo = document["placebo"]["random_group"]
-    assert placebo["p_value"] > 0.001
-    assert placebo["rank"] > 1
+    negative_control = document["negative_control"]["random_group"]
+    assert negative_control["p_value"] > 0.001
+    assert negative_control["rank"] > 1
 
 
 def test_orientation_that_the_model_holds_still_is_not_at_noise():

@@ -14,7 +14,7 @@ from twins import hexapod, joints_near_home
 from parallel_cal.identification.doubts import chi2_band
 from parallel_cal.identification.fit import fit
 from parallel_cal.identification.methods.implicit import estimate
-from parallel_cal.identification.observations import gather
+from parallel_cal.identification.observations import observe
 from parallel_cal.model.effect import Seen
 from parallel_cal.model.model import new_model
 from parallel_cal.model.parameters import Named
@@ -348,10 +348,10 @@ def test_a_gear_of_unknown_ratio_is_found_by_scanning_and_then_refined():
     name, true = "gear_transmission_error", 47.3
     data = measured(DELTA, [ve.GearRipple(true, RIPPLE, PHASE)], n=150)
     start = fit(new_model("delta54"), data, hold_out=0).model
-    evidence, scan = gather(start, data), list(load_effect(name).scan(start.mechanism))
+    observations, scan = observe(start, data), list(load_effect(name).scan(start.mechanism))
     tried = [start.with_effect(name, setting) for setting in scan]
     amplitudes = tried[0].table.matching([f"{name}.joint*"])
-    best = min(tried, key=lambda model: estimate(model, evidence, amplitudes).chi2)
+    best = min(tried, key=lambda model: estimate(model, observations, amplitudes).chi2)
     step = scan[1]["ratio"] - scan[0]["ratio"]
     assert abs(best.value(f"{name}.ratio") - true) < step
     found = fit(best, data, free=[f"{name}.ratio"])

@@ -12,9 +12,9 @@ from parallel_cal.base.errors import FitError
 from parallel_cal.diagnosis.comparison import compare
 from parallel_cal.identification.doubts import chi2_band
 from parallel_cal.identification.fit import fit, single_threaded
-from parallel_cal.identification.methods._estimate import Normal
+from parallel_cal.identification.methods._estimate import NormalEquations
 from parallel_cal.identification.methods.implicit import Linearisation, estimate
-from parallel_cal.identification.observations import gather
+from parallel_cal.identification.observations import observe
 from parallel_cal.identification.prior import Knowledge
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.model import new_model
@@ -129,8 +129,8 @@ def test_predicted_sigma_is_the_spread_over_200_noise_seeds(name, true, seen):
     found = []
     with single_threaded():
         for seed in range(200):
-            evidence = gather(model, as_dataset(redrawn(samples, seed), measured=mask))
-            found.append(estimate(model, evidence, free))
+            observations = observe(model, as_dataset(redrawn(samples, seed), measured=mask))
+            found.append(estimate(model, observations, free))
     spread = np.std([e.values[free] for e in found], axis=0, ddof=1)
     predicted = np.sqrt(np.mean([e.sigma[free] ** 2 for e in found], axis=0))
     ratio = spread / predicted
@@ -157,11 +157,11 @@ def uniform(p_values):
 def test_unweighted_chains_are_found_one_by_one():
     """Without weights a chain's parameters touch its own rows alone (5.2.1)."""
     model, data = new_model("delta54"), measured(6)
-    evidence, free = gather(model, data), ~model.fixed
-    together = estimate(model, evidence, free, weighted=False)
+    observations, free = observe(model, data), ~model.fixed
+    together = estimate(model, observations, free, weighted=False)
     for chain in ("chain1.*", "chain2.*", "chain3.*"):
         alone = free & model.table.matching([chain])
-        found = estimate(model, evidence, alone, weighted=False)
+        found = estimate(model, observations, alone, weighted=False)
         apart = (found.values - together.values)[alone] / model.table.tolerance[alone]
         assert np.abs(apart).max() < 1e-5
 
@@ -172,9 +172,9 @@ def test_weights_bring_smaller_errors_than_the_unweighted_merit_of_the_thesis():
     targets = model.mechanism.sample(100, np.random.default_rng(0))
     right = Kinematics(model.with_values(truth)).inverse(targets)
     for seed in range(10):
-        evidence = gather(model, measured(seed))
+        observations = observe(model, measured(seed))
         for weighted in error:
-            found = estimate(model, evidence, ~model.fixed, weighted=weighted)
+            found = estimate(model, observations, ~model.fixed, weighted=weighted)
             pose = Kinematics(model.with_values(found.values)).direct(right.joints)
             error[weighted] += np.linalg.norm(pose.position - targets, axis=1).mean()
     assert error[True] < error[False]
@@ -353,10 +353,10 @@ def test_a_fit_far_beyond_its_noise_settles_all_the_same():
     """Readings 10 mrad off at random, 500 sigmas: curvature counts as much as slopes."""
     model, data = new_model("delta24"), measured(0)
     off = 0.01 * np.random.default_rng(0).standard_normal(data.q.shape)
-    evidence = gather(model, replace(data, q=data.q + off))
-    found = estimate(model, evidence, ~model.fixed)
+    observations = observe(model, replace(data, q=data.q + off))
+    found = estimate(model, observations, ~model.fixed)
     assert found.iterations < 100
-    again = estimate(model.with_values(found.values), evidence, ~model.fixed)
+    again = estimate(model.with_values(found.values), observations, ~model.fixed)
     apart = (again.values - found.values)[~model.fixed] / found.sigma[~model.fixed]
     assert np.abs(apart).max() < 1e-2 * np.sqrt(found.chi2_per_dof)
 
@@ -364,11 +364,11 @@ def test_a_fit_far_beyond_its_noise_settles_all_the_same():
 def test_a_damped_step_is_not_taken_for_the_end():
     """Next to a curved valley's floor only short steps lower chi2; the end is far."""
     model, data = new_model("delta54"), measured(0)
-    evidence, free = gather(model, data), ~model.fixed
-    linearise = Linearisation(model, evidence, free, weighted=True)
+    observations, free = observe(model, data), ~model.fixed
+    linearise = Linearisation(model, observations, free, weighted=True)
     system = linearise(model.values, linearise.start())
     tolerance = model.table.tolerance[free]
-    normal = Normal(system, model.values, tolerance, Knowledge(False, model.table, free))
+    normal = NormalEquations(system, model.values, tolerance, Knowledge(False, model.table, free))
     step, promised = normal.step(1e12)
     assert np.abs(step / tolerance).max() < 1e-8
     assert promised < 1e-10 * system.chi2
@@ -384,13 +384,13 @@ def test_worst_sample_comes_first_in_a_comparison():
 
 def test_identification_jacobian_is_the_finite_difference_of_the_residuals():
     model, data = new_model("delta54").with_effect("backlash"), measured(0)
-    evidence, free = gather(model, data), np.ones(len(model.values), dtype=bool)
-    linearise = Linearisation(model, evidence, free, weighted=True)
-    phi, _, J = linearise.blocks(model.values, evidence.x)
+    observations, free = observe(model, data), np.ones(len(model.values), dtype=bool)
+    linearise = Linearisation(model, observations, free, weighted=True)
+    phi, _, J = linearise.blocks(model.values, observations.x)
     for k in range(len(model.values)):
         step = 1e-6
         moved = model.values + step * np.eye(len(model.values))[k]
-        difference = (linearise.blocks(moved, evidence.x)[0] - phi) / step
+        difference = (linearise.blocks(moved, observations.x)[0] - phi) / step
         assert np.abs(difference - J[:, :, k]).max() < 1e-4
 
 

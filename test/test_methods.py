@@ -20,7 +20,7 @@ from parallel_cal.identification.methods._factors import separated
 from parallel_cal.identification.methods._robust import robust
 from parallel_cal.identification.methods._separation import Separation
 from parallel_cal.identification.methods.sensitivity import base_parameters
-from parallel_cal.identification.observations import Evidence, gather
+from parallel_cal.identification.observations import Observations, observe
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.mechanisms.delta24 import Delta24
 from parallel_cal.model.model import new_model
@@ -39,7 +39,7 @@ def evidence_of(q, r, R, noise, seed=None):
     turned = rotation_matrix(e[:, n + 3 :]) @ R
     x = np.hstack([q + e[:, :n], r + e[:, n : n + 3], turned.reshape(-1, 9)])
     S = np.tile(np.diag(sigma**2), (len(q), 1, 1))
-    return Evidence(
+    return Observations(
         x,
         S,
         np.ones(S.shape[:2], bool),
@@ -89,7 +89,7 @@ def stewart_evidence(noise=NO_NOISE, seed=None, n=60, poses=0):
 
 
 def shown(name, noisy, seed=0):
-    """Model, truth (or None where the model is smaller than the robot) and evidence."""
+    """Model, truth (or None where the model is smaller than the robot) and observations."""
     model = new_model(name)
     if name == "slider_crank":
         found = crank_evidence(NOISE[name], seed) if noisy else crank_evidence()
@@ -101,9 +101,9 @@ def shown(name, noisy, seed=0):
         truth = {n: v for n, v in vr.TABLE_5_18.items() if n in model.table.names}
         robot = vr.Delta(_ideal(truth))
         data = measured_delta(seed, robot=robot, noise=vr.THESIS_NOISE if noisy else quiet(1e-9))
-        return model, model.table.vector(truth), gather(model, data)
+        return model, model.table.vector(truth), observe(model, data)
     data = measured_delta(seed, noise=vr.THESIS_NOISE if noisy else quiet(1e-9))
-    return model, model.table.vector(vr.TABLE_5_18), gather(model, data)
+    return model, model.table.vector(vr.TABLE_5_18), observe(model, data)
 
 
 def _ideal(truth):
@@ -136,25 +136,25 @@ EXPANDED = [(m, r) for m in ("semiparametric", "cascaded") for r in ("slider_cra
 @pytest.mark.parametrize("robot", ROBOTS)
 @pytest.mark.parametrize("method", ITERATED)
 def test_a_robot_without_noise_is_found_exactly(method, robot):
-    model, truth, evidence = shown(robot, noisy=False)
-    found = method_named(method)(model, evidence, ~model.fixed)
+    model, truth, observations = shown(robot, noisy=False)
+    found = method_named(method)(model, observations, ~model.fixed)
     assert np.abs(found.values - truth).max() < 1e-9
 
 
 @pytest.mark.parametrize(("method", "robot"), EXPANDED)
 def test_linear_factors_give_the_parameters_back_without_noise(method, robot):
-    model, truth, evidence = shown(robot, noisy=False)
-    found = method_named(method)(model, evidence, ~model.fixed)
+    model, truth, observations = shown(robot, noisy=False)
+    found = method_named(method)(model, observations, ~model.fixed)
     assert np.abs(found.values - truth).max() < 1e-9
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_what_linear_calibration_leaves_is_of_second_order(robot):
-    model, truth, evidence = shown(robot, noisy=False)
+    model, truth, observations = shown(robot, noisy=False)
     left = []
     for share in (1.0, 0.1):  # of the way from the truth to the nominal robot
         start = model.with_values(truth + share * (model.values - truth))
-        step = method_named("linear")(start, evidence, ~model.fixed).values - truth
+        step = method_named("linear")(start, observations, ~model.fixed).values - truth
         left.append(np.abs(step / model.table.tolerance)[~model.fixed].max())
     assert left[1] < 0.02 * left[0]
 
@@ -162,9 +162,9 @@ def test_what_linear_calibration_leaves_is_of_second_order(robot):
 @pytest.mark.parametrize("robot", ROBOTS)
 @pytest.mark.parametrize("method", ITERATED)
 def test_noisy_data_predict_unseen_poses(method, robot):
-    model, truth, evidence = shown(robot, noisy=True)
+    model, truth, observations = shown(robot, noisy=True)
     true = unseen(robot, truth)
-    found = method_named(method)(model, evidence, ~model.fixed)
+    found = method_named(method)(model, observations, ~model.fixed)
     before = position_error(model, true).mean()
     after = position_error(model.with_values(found.values), true).mean()
     assert after < before / 10
@@ -228,10 +228,10 @@ def euler_products(x, angles):
 
 def test_an_expanded_closure_is_the_closure():
     for robot in ("slider_crank", "delta24", "stewart42"):
-        model, truth, evidence = shown(robot, noisy=True)
+        model, truth, observations = shown(robot, noisy=True)
         factors = semiparametric.semiparametric(model.with_values(truth))
-        phi, _ = semiparametric.closure_rows(factors, evidence)
-        true, _ = semiparametric.closure_rows(model.with_values(truth), evidence)
+        phi, _ = semiparametric.closure_rows(factors, observations)
+        true, _ = semiparametric.closure_rows(model.with_values(truth), observations)
         assert np.abs(phi).max() < 1e-2  # (a Stewart leg's length is squared: another scale)
         assert np.corrcoef(phi, true)[0, 1] > 0.99
 
@@ -239,12 +239,12 @@ def test_an_expanded_closure_is_the_closure():
 @pytest.mark.parametrize("robot", ["slider_crank", "delta24", "stewart42"])
 @pytest.mark.parametrize("weighted", [True, False])
 def test_semiparametric_models_predict_unseen_poses(robot, weighted):
-    model, truth, evidence = shown(robot, noisy=False)
+    model, truth, observations = shown(robot, noisy=False)
     true = unseen(robot, truth)
-    found = semiparametric.identify(model, evidence, weighted=weighted)
+    found = semiparametric.identify(model, observations, weighted=weighted)
     assert position_error(found, true).max() < 1e-9
-    model, truth, evidence = shown(robot, noisy=True)
-    found = semiparametric.identify(model, evidence, weighted=weighted)
+    model, truth, observations = shown(robot, noisy=True)
+    found = semiparametric.identify(model, observations, weighted=weighted)
     assert position_error(found, true).mean() < position_error(model, true).mean() / 5
 
 
@@ -252,9 +252,9 @@ def test_sensitivity_matrix_finds_the_papers_six_base_parameters():
     model = new_model("parallelogram")
     q = np.radians(np.arange(-45, 46, 5.0))[:, None]
     pose = Kinematics(model).direct(q)
-    evidence = evidence_of(q, pose.position, pose.rotation, (1e-7, 3e-6, 5e-5))
+    observations = evidence_of(q, pose.position, pose.rotation, (1e-7, 3e-6, 5e-5))
     names = np.array(model.table.names)
-    base = base_parameters(model, evidence, names != "h")
+    base = base_parameters(model, observations, names != "h")
     assert len(base.kept) == 6
     assert {"q0", "l1", "l2", "a2_y"} <= set(base.kept)
     assert set(base.dropped) == {"b1_x", "b2_x", "b2_y"}
@@ -265,10 +265,10 @@ def test_sensitivity_matrix_finds_the_papers_six_base_parameters():
 
 
 def test_sensitivity_matrix_repeated_is_forward_calibration():
-    model, truth, evidence = shown("delta54", noisy=False)
-    found = method_named("sensitivity")(model, evidence, ~model.fixed, iterations=5)
+    model, truth, observations = shown("delta54", noisy=False)
+    found = method_named("sensitivity")(model, observations, ~model.fixed, iterations=5)
     assert np.abs(found.values - truth).max() < 1e-9
-    once = method_named("sensitivity")(model, evidence, ~model.fixed)
+    once = method_named("sensitivity")(model, observations, ~model.fixed)
     true = unseen("delta54", truth)
     error = position_error(model.with_values(once.values), true).mean()
     assert error < position_error(model, true).mean() / 10
@@ -296,21 +296,23 @@ def test_predicted_sigma_is_the_spread_over_200_draws(method):
 def test_weighted_implicit_calibration_is_orthogonal_distance_regression():
     """One chain of model 24 against ODRPACK's implicit fit: the same estimates."""
     odr = pytest.importorskip("scipy.odr")
-    model, _, evidence = shown("delta24", noisy=True)
+    model, _, observations = shown("delta24", noisy=True)
     free = model.table.matching(["chain1.*"])
     unit = model.table.tolerance[free]
     # One row of the closure is one chain: the others may not pass on its noise.
-    alone = implicit.estimate(_first_chain(), evidence, free)
+    alone = implicit.estimate(_first_chain(), observations, free)
     used = np.array([0, 3, 4, 5])  # its joint and x, y, z
 
     def rod(b, x):
-        rows = np.tile(evidence.x[:1], (x.shape[1], 1))
+        rows = np.tile(observations.x[:1], (x.shape[1], 1))
         rows[:, used] = x.T
         values = np.array(model.values)
         values[free] = b * unit
         return model.structure.closure_batch(rows, np.zeros((len(rows), 0)), values)[0][:, 0] * 1e3
 
-    data = odr.Data(evidence.x[:, used].T, y=1, we=1e14, wd=1 / np.diag(evidence.S[0])[used])
+    data = odr.Data(
+        observations.x[:, used].T, y=1, we=1e14, wd=1 / np.diag(observations.S[0])[used]
+    )
     fit = odr.ODR(
         data, odr.Model(rod, implicit=True), beta0=model.values[free] / unit,
         maxit=1000, sstol=1e-15, partol=1e-15,
@@ -341,9 +343,9 @@ OPTIMISERS = (
 
 
 def test_all_optimisers_of_annex_c_end_in_one_minimum():
-    model, evidence = new_model("slider_crank"), crank_evidence(NOISE["slider_crank"], 0, 0.033)
+    model, observations = new_model("slider_crank"), crank_evidence(NOISE["slider_crank"], 0, 0.033)
     unit = np.array([80 * MM, 80 * MM, 1.0])
-    problem = optimisers.closure_problem(model, evidence, unit, 2 * model.structure.v[1])
+    problem = optimisers.closure_problem(model, observations, unit, 2 * model.structure.v[1])
     ends = {n: getattr(optimisers, n)(problem, model.values / unit, 1e-12) for n in OPTIMISERS}
     best = ends["gauss_newton_svd"]
     for end in ends.values():
@@ -354,8 +356,8 @@ def test_all_optimisers_of_annex_c_end_in_one_minimum():
 
 
 def test_the_exact_hessian_is_the_slope_of_the_gradient():
-    model, evidence = new_model("slider_crank"), crank_evidence(NOISE["slider_crank"], 0)
-    problem = optimisers.closure_problem(model, evidence, np.array([0.08, 0.08, 1.0]))
+    model, observations = new_model("slider_crank"), crank_evidence(NOISE["slider_crank"], 0)
+    problem = optimisers.closure_problem(model, observations, np.array([0.08, 0.08, 1.0]))
     p, h = model.values / [0.08, 0.08, 1.0], 1e-6
     slope = [(problem.gradient(p + e) - problem.gradient(p - e)) / (2 * h) for e in h * np.eye(3)]
     assert np.array(slope) == pytest.approx(problem.hessian(p), rel=1e-6)
@@ -363,12 +365,12 @@ def test_the_exact_hessian_is_the_slope_of_the_gradient():
 
 @pytest.mark.parametrize("loss", ["huber", "cauchy"])
 def test_a_robust_loss_is_not_pulled_by_a_few_bad_samples(loss):
-    model, truth, evidence = shown("delta54", noisy=True)
+    model, truth, observations = shown("delta54", noisy=True)
     true = unseen("delta54", truth)
-    clean = implicit.estimate(model, evidence, ~model.fixed)
-    evidence.x[[3, 30, 60], 3:6] += 0.5 * MM
-    pulled = implicit.estimate(model, evidence, ~model.fixed)
-    held = robust(implicit.estimate, model, evidence, ~model.fixed, loss)
+    clean = implicit.estimate(model, observations, ~model.fixed)
+    observations.x[[3, 30, 60], 3:6] += 0.5 * MM
+    pulled = implicit.estimate(model, observations, ~model.fixed)
+    held = robust(implicit.estimate, model, observations, ~model.fixed, loss)
     errors = [
         position_error(model.with_values(e.values), true).mean() for e in (clean, held, pulled)
     ]
@@ -376,11 +378,11 @@ def test_a_robust_loss_is_not_pulled_by_a_few_bad_samples(loss):
 
 
 def test_what_a_method_cannot_do_is_a_clear_error():
-    model, _, evidence = shown("delta24", noisy=True)
-    evidence.measured[:, 3] = False
+    model, _, observations = shown("delta24", noisy=True)
+    observations.measured[:, 3] = False
     for method in ("inverse", "semiparametric", "cascaded"):
         with pytest.raises(FitError, match=r"needs x at every sample.*implicit"):
-            method_named(method)(model, evidence, ~model.fixed)
+            method_named(method)(model, observations, ~model.fixed)
     crank = new_model("slider_crank")
     for method in ("semiparametric", "cascaded"):
         with pytest.raises(FitError, match="takes no prior"):

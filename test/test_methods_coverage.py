@@ -31,10 +31,10 @@ SOME_THEN_ALL = [
 ]
 
 
-def identified(method, model, evidence, steps=1):
+def identified(method, model, observations, steps=1):
     with single_threaded():
         for _ in range(steps):
-            found = method_named(method)(model, evidence, ~model.fixed)
+            found = method_named(method)(model, observations, ~model.fixed)
             model = model.with_values(found.values)
     return model, found
 
@@ -50,8 +50,8 @@ def prediction_errors(model, poses):
 @pytest.mark.parametrize(("method", "robot"), PAIRS)
 def test_a_robot_is_found_again_without_noise(method, robot):
     model, truth, _ = strayed(robot)
-    evidence = evidence_of(true_poses(robot, 80, 1))
-    model, found = identified(method, model, evidence, 6 if method in ONE_STEP else 1)
+    observations = evidence_of(true_poses(robot, 80, 1))
+    model, found = identified(method, model, observations, 6 if method in ONE_STEP else 1)
     assert not found.lost.any()
     assert np.abs(found.values - truth).max() < 1e-9
     for error in prediction_errors(model, true_poses(robot, 30, 2)):

@@ -11,7 +11,7 @@ from parallel_cal.base.errors import FitError
 from parallel_cal.diagnosis.comparison import compare
 from parallel_cal.identification.fit import fit, single_threaded
 from parallel_cal.identification.methods.implicit import estimate
-from parallel_cal.identification.observations import gather
+from parallel_cal.identification.observations import observe
 from parallel_cal.identification.prior import Prior
 from parallel_cal.identification.refit import considered
 from parallel_cal.kinematics.kinematics import Kinematics
@@ -85,11 +85,11 @@ def test_the_sigma_of_refitted_parameters_is_their_spread_over_200_draws():
     others = model.table.matching(["chain?.Lb", "chain?.D_x"])
     with single_threaded():
         for seed in range(200):
-            start = estimate(model, gather(model, as_dataset(redrawn(first, seed))), free)
+            start = estimate(model, observe(model, as_dataset(redrawn(first, seed))), free)
             start = model.with_values(start.values, start.covariance)
-            evidence = gather(model, few(1000 + seed))
-            again = estimate(start, evidence, offsets)
-            found.append(considered(start, evidence, offsets, again))
+            observations = observe(model, few(1000 + seed))
+            again = estimate(start, observations, offsets)
+            found.append(considered(start, observations, offsets, again))
     values = np.array([e.values for e in found])
     covariance = np.mean([e.covariance for e in found], axis=0)
     spread = np.cov(values.T)

@@ -13,14 +13,14 @@ from bench.tables.argos import session, with_device
 from parallel_cal.identification.doubts import chi2_band
 from parallel_cal.identification.fit import single_threaded
 from parallel_cal.identification.methods.implicit import estimate
-from parallel_cal.identification.observations import gather
+from parallel_cal.identification.observations import observe
 
 
 def found(seed, prior, start=None):
     model = with_device("argos27")
-    evidence = gather(model, session(va.Argos(va.TABLE_5_25), seed, position=True))
+    observations = observe(model, session(va.Argos(va.TABLE_5_25), seed, position=True))
     with single_threaded():
-        return estimate(start or model, evidence, ~model.fixed, prior), model, evidence
+        return estimate(start or model, observations, ~model.fixed, prior), model, observations
 
 
 @pytest.mark.parametrize("prior", [False, True])

@@ -13,7 +13,7 @@ from parallel_cal.base.errors import FitError
 from parallel_cal.cli import main as cli
 from parallel_cal.identification.fit import single_threaded
 from parallel_cal.identification.methods.implicit import estimate
-from parallel_cal.identification.observations import gather
+from parallel_cal.identification.observations import observe
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.kinematics.singularity import distances
 from parallel_cal.model.model import Noise, new_model
@@ -21,7 +21,7 @@ from parallel_cal.model.words import describe, direction_in_words
 from parallel_cal.planning.indices import indices, prediction_rms
 from parallel_cal.planning.plan import plan
 from parallel_cal.planning.posepool import clear, make_pool
-from parallel_cal.planning.selection import Problem, anneal, exchange
+from parallel_cal.planning.selection import Choice, anneal, exchange
 
 FULL = Noise(vr.THESIS_NOISE.joint, vr.THESIS_NOISE.position, vr.THESIS_NOISE.orientation)
 NOMINAL = str(Path(__file__).parents[1] / "config" / "delta_mockup_nominal.yaml")
@@ -79,7 +79,7 @@ def test_prediction_error_is_the_propagated_covariance():
 
 def small_problem(criterion, seed=0):
     A = np.random.default_rng(seed).normal(size=(12, 2, 3))
-    return Problem(A, 1e-4 * np.eye(3), np.diag([1.0, 2.0, 0.5]), criterion, 3)
+    return Choice(A, 1e-4 * np.eye(3), np.diag([1.0, 2.0, 0.5]), criterion, 3)
 
 
 def best_cost(problem, n):
@@ -122,9 +122,9 @@ def prediction_error(model, q, seed):
     dq, dr, w = vr.THESIS_NOISE.draw(np.random.default_rng(seed), len(q))
     n = np.arange(len(q))
     rows = {"q": q + dq, "r": r + dr, "R": vr.turn(w) @ R, "time": n, "pose_index": n}
-    evidence = gather(model, as_dataset(rows | {"direction": np.zeros_like(q)}))
+    observations = observe(model, as_dataset(rows | {"direction": np.zeros_like(q)}))
     with single_threaded():
-        found = estimate(model, evidence, ~model.fixed)
+        found = estimate(model, observations, ~model.fixed)
     targets = model.mechanism.sample(100, np.random.default_rng(1000))
     joints = Kinematics(model).inverse(targets).joints
     pose = Kinematics(model.with_values(found.values)).direct(joints)

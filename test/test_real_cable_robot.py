@@ -16,7 +16,7 @@ from parallel_cal.base.errors import FitError
 from parallel_cal.cli import main as cli
 from parallel_cal.identification.fit import fit
 from parallel_cal.identification.methods.implicit import estimate
-from parallel_cal.identification.observations import gather
+from parallel_cal.identification.observations import observe
 from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.model.model import Noise
 from parallel_cal.recordings.loading import load_dataset
@@ -68,10 +68,10 @@ def line_errors(model, dataset, index=slice(None)):
 
 def left_out(model, dataset, **how):
     """Line errors (37, 4) at each pose, of a fit that did not see it."""
-    evidence, free = gather(model, dataset), ~model.fixed
+    observations, free = observe(model, dataset), ~model.fixed
     found = []
     for i in range(len(dataset)):
-        rest = estimate(model, evidence.select(np.arange(len(dataset)) != i), free, **how)
+        rest = estimate(model, observations.select(np.arange(len(dataset)) != i), free, **how)
         found.append(line_errors(model.with_values(rest.values), dataset, [i])[0])
     return np.array(found)
 
@@ -85,7 +85,7 @@ def test_unweighted_line_errors_are_those_of_the_independent_computation(
 ):
     for effect in effects:
         model = model.with_effect(effect)
-    found = estimate(model, gather(model, dataset), ~model.fixed, weighted=False)
+    found = estimate(model, observe(model, dataset), ~model.fixed, weighted=False)
     model = model.with_values(found.values)
     assert rms(line_errors(model, dataset)) == pytest.approx(expected[0], abs=1e-6)
     assert rms(left_out(model, dataset, weighted=False)) == pytest.approx(expected[1], abs=1e-6)
@@ -150,12 +150,12 @@ def test_assumed_noise_claims_nothing_but_proportions(model, dataset):
 def test_nobody_knows_the_noise_so_it_must_be_stated_or_assumed(model, dataset):
     silent = replace(model, noise=Noise())
     with pytest.raises(FitError, match=r"joints' noise; .*your guess, with noise.assumed: true"):
-        gather(silent, dataset)
+        observe(silent, dataset)
     with pytest.raises(FitError, match=r"device's noise; .*your guess, with noise.assumed: true"):
-        gather(silent, dataset, joint_sigma=0.35)
-    assert gather(model, dataset).noise_assumed
+        observe(silent, dataset, joint_sigma=0.35)
+    assert observe(model, dataset).noise_assumed
     stated = replace(model, noise=replace(model.noise, assumed=False))
-    assert not gather(stated, dataset).noise_assumed
+    assert not observe(stated, dataset).noise_assumed
 
 
 def test_only_the_ratio_of_assumed_figures_moves_the_estimates(model, dataset):

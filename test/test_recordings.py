@@ -99,7 +99,7 @@ def test_argos_measures_orientations_only():
 
 @pytest.mark.parametrize("name", RECORDINGS)
 def test_the_noise_is_stated_and_not_guessed(name):
-    noise, found = truth(name)["noise"], refitted(name).evidence
+    noise, found = truth(name)["noise"], refitted(name).observations
     n = len(baseline(name).joints)
     sigma = np.sqrt(np.diagonal(found.S[0]))
     assert found.noise_from["joint"] == "model file"

@@ -13,7 +13,7 @@ from parallel_cal.identification.doubts import chi2_band
 from parallel_cal.identification.fit import fit, single_threaded
 from parallel_cal.identification.linearisation import Linearisation, moved
 from parallel_cal.identification.methods.implicit import estimate
-from parallel_cal.identification.observations import gather
+from parallel_cal.identification.observations import observe
 from parallel_cal.identification.prediction_errors import reading_errors
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.model import new_model
@@ -41,10 +41,10 @@ def workspace_error(model, robot):
     return np.linalg.norm(Kinematics(model).direct(joints).position - where, axis=1).mean()
 
 
-def check_jacobian(model, evidence):
+def check_jacobian(model, observations):
     """The rows' Jacobians are finite differences of the rows."""
     free, step = np.ones(len(model.values), dtype=bool), 1e-6
-    linearise = Linearisation(model, evidence, free, weighted=True)
+    linearise = Linearisation(model, observations, free, weighted=True)
     x = linearise.start()
     phi, C, J = linearise.blocks(model.values, x)
     for k, column in enumerate(np.eye(len(model.values))):
@@ -80,7 +80,7 @@ def test_the_workspace_error_is_the_one_that_the_covariance_predicts():
     for seed in range(8):
         robot, data = on_the_plate(seed)
         with single_threaded():
-            found = estimate(model, gather(model, data), ~model.fixed, prior=True)
+            found = estimate(model, observe(model, data), ~model.fixed, prior=True)
         fitted = model.with_values(found.values, found.covariance)
         joints, where = vs.workspace(robot, 20)
         kinematics = Kinematics(fitted)
@@ -94,11 +94,11 @@ def test_no_start_leads_into_another_minimum():
     """The thesis' hundreds of minima: from the truth and from twelve wrong robots, one answer."""
     robot, data = on_the_plate(5)
     model = new_model("delta24", sensors=[plate_sensor()])
-    evidence, found = gather(model, data), []
+    observations, found = observe(model, data), []
     starts = [model.values, *(start_at(model, vs.random_delta(100 + k, 1.5)) for k in range(12))]
     with single_threaded():
         for values in [start_at(model, robot), *starts]:
-            found.append(estimate(model.with_values(values), evidence, ~model.fixed).values)
+            found.append(estimate(model.with_values(values), observations, ~model.fixed).values)
     apart = np.abs(np.array(found) - found[0]) / model.table.tolerance
     assert apart.max() < 1e-3
 
@@ -107,7 +107,7 @@ def test_what_the_plate_shows_falls_from_millimetres_to_the_noise_on_poses_not_f
     robot, data = on_the_plate(0)
     model = new_model("delta24", sensors=[plate_sensor()])
     result = fit(model, data, prior=True, hold_out=0)
-    unseen = gather(model, dataset(PLATE, *PLATE.session(robot, 30, seed=77)))
+    unseen = observe(model, dataset(PLATE, *PLATE.session(robot, 30, seed=77)))
     before, after = (np.nanstd(reading_errors(m, unseen), axis=0) for m in (model, result.model))
     assert before.shape == (3,)
     assert before.min() > 0.2e-3
@@ -125,7 +125,7 @@ def test_of_a_hundred_random_robots_none_is_trapped():
     with single_threaded():
         for seed in range(100):
             robot, data = on_the_plate(seed)
-            found = estimate(model, gather(model, data), ~model.fixed, prior=True)
+            found = estimate(model, observe(model, data), ~model.fixed, prior=True)
             errors.append(workspace_error(model.with_values(found.values), robot))
     assert np.median(errors) < 30e-6
     assert np.max(errors) < 60e-6
@@ -157,7 +157,7 @@ def test_the_plates_pose_in_an_arbitrary_base_is_six_more_unknowns_that_nothing_
 def test_rows_of_a_tied_tip_have_exact_jacobians():
     _, data = on_the_plate(0, 4)
     model = new_model("delta24", sensors=[plate_sensor(tip=(1e-3, 2e-3, 5e-3))])
-    check_jacobian(model, gather(model, data))
+    check_jacobian(model, observe(model, data))
 
 
 def test_a_forgotten_plane_an_unknown_hole_and_too_few_poses_are_clear_errors():
@@ -426,7 +426,7 @@ def test_rows_in_unknown_frames_have_exact_jacobians(mechanism):
         data = argos_session(argos_device(), 6, spherical=mechanism == "argos9")
         model = new_model(mechanism, sensors=[argos_frames(True)])
     values = model.values + 0.3 * model.table.tolerance
-    check_jacobian(model.with_values(values), gather(model, data))
+    check_jacobian(model.with_values(values), observe(model, data))
 
 
 def test_what_a_device_shows_and_where_the_platform_is_are_inverse():

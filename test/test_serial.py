@@ -9,7 +9,7 @@ import yaml
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.identification import completeness
-from parallel_cal.identification.observations import gather
+from parallel_cal.identification.observations import observe
 from parallel_cal.identification.prediction_errors import errors
 from parallel_cal.kinematics.kinematics import Kinematics, Status
 from parallel_cal.model.file.modelfile import read_model, write_model
@@ -259,7 +259,7 @@ def test_a_wrist_that_was_flipped_when_measured_is_no_joint_error():
         pose_cov=accuracy,
         joint_sigma=[1e-4] * 6,
     )
-    assert np.abs(errors(model, gather(model, data)).joint).max() < 1e-9
+    assert np.abs(errors(model, observe(model, data)).joint).max() < 1e-9
 
 
 DOCS = (Path(__file__).parents[1] / "docs/serial_arm.md").read_text(encoding="utf-8")

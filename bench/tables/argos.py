@@ -24,7 +24,7 @@ from bench.tables.common import (
     factor,
 )
 from parallel_cal.identification.methods import implicit
-from parallel_cal.identification.observations import gather
+from parallel_cal.identification.observations import observe
 from parallel_cal.identification.prediction_errors import errors
 from parallel_cal.model.model import Model, new_model
 from parallel_cal.model.shelf import load_sensor
@@ -93,7 +93,7 @@ def study(name: str, draws: int) -> dict[str, Any]:
     aligned with the nominal robot already (six frame and three gimbal numbers identified)."""
     model, robot = with_device(name), va.Argos(ROBOTS[name])
     own = np.array([n in ROBOTS[name] for n in model.table.names])
-    evidences = [gather(model, session(robot, s, name == "argos27")) for s in range(draws)]
+    evidences = [observe(model, session(robot, s, name == "argos27")) for s in range(draws)]
     found = [implicit.estimate(model, e, ~model.fixed) for e in evidences]
     aligned = model.with_values(implicit.estimate(model, evidences[0], ~own).values)
     before = errors(aligned, evidences[0])
@@ -132,9 +132,9 @@ def left_with_nine(size: float) -> dict[str, Any]:
 
 def left(model: Model, data: Dataset) -> dict[str, Any]:
     """Errors after unweighted implicit calibration, as in the thesis."""
-    evidence = gather(model, data)
-    found = implicit.estimate(model, evidence, ~model.fixed, weighted=False)
-    return error_table(errors(model.with_values(found.values), evidence))
+    observations = observe(model, data)
+    found = implicit.estimate(model, observations, ~model.fixed, weighted=False)
+    return error_table(errors(model.with_values(found.values), observations))
 
 
 def parameters(model: Model, own: np.ndarray, found: np.ndarray) -> dict[str, Any]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from parallel_cal.identification.methods import forward, inverse
 from parallel_cal.identification.methods.implicit import Estimate
-from parallel_cal.identification.observations import Evidence
+from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prediction_errors import Errors
 from parallel_cal.model.model import Model
 
@@ -53,20 +53,20 @@ def factor(before: Errors, after: Errors, kind: str) -> float:
     return float(before.norms(kind).sum() / after.norms(kind).sum())
 
 
-def with_noise(evidence: Evidence, joint: float, pose: float) -> Evidence:
+def with_noise(observations: Observations, joint: float, pose: float) -> Observations:
     """The same samples, believed to have this noise in every joint and pose coordinate."""
-    S = np.diag([joint**2] * (evidence.S.shape[1] - 6) + [pose**2] * 6)
-    return replace(evidence, S=np.tile(S, (len(evidence), 1, 1)))
+    S = np.diag([joint**2] * (observations.S.shape[1] - 6) + [pose**2] * 6)
+    return replace(observations, S=np.tile(S, (len(observations), 1, 1)))
 
 
-def plain_forward(model: Model, evidence: Evidence, free: np.ndarray) -> Estimate:
+def plain_forward(model: Model, observations: Observations, free: np.ndarray) -> Estimate:
     """Forward calibration as in 5.3.4: pose errors count alike, whatever the joints' noise."""
-    return forward.estimate(model, with_noise(evidence, 1e-12, 1e-5), free)
+    return forward.estimate(model, with_noise(observations, 1e-12, 1e-5), free)
 
 
-def plain_inverse(model: Model, evidence: Evidence, free: np.ndarray) -> Estimate:
+def plain_inverse(model: Model, observations: Observations, free: np.ndarray) -> Estimate:
     """Inverse calibration as in 5.3.5: joint errors count alike."""
-    return inverse.estimate(model, with_noise(evidence, 1e-5, 1e-12), free)
+    return inverse.estimate(model, with_noise(observations, 1e-5, 1e-12), free)
 
 
 def text(value: float, digits: int = 3, most: int = 4) -> str:

@@ -25,7 +25,7 @@ from bench.tables.common import (
 )
 from parallel_cal.base.errors import FitError
 from parallel_cal.identification.methods import implicit, semiparametric
-from parallel_cal.identification.observations import Evidence, gather
+from parallel_cal.identification.observations import Observations, observe
 from parallel_cal.identification.prediction_errors import errors
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.model import Model, new_model
@@ -79,9 +79,9 @@ class Session:
     def __init__(self, pose_seed: int = 0):
         self._samples = vr.dwell_samples(n_poses=POSES, n_replicates=0, pose_seed=pose_seed)
 
-    def evidence(self, model: Model, seed: int, loud: float = 1.0) -> Evidence:
+    def observations(self, model: Model, seed: int, loud: float = 1.0) -> Observations:
         noise = quiet(loud)
-        return gather(model, as_dataset(redrawn(self._samples, seed, noise), noise))
+        return observe(model, as_dataset(redrawn(self._samples, seed, noise), noise))
 
     def first(self, n: int) -> np.ndarray:
         """Samples of n poses that fill the cube evenly: any first n of the lattice do."""
@@ -109,7 +109,7 @@ def numbers(draws: int = 100) -> dict[str, Any]:
 
 def estimates(session: Session, model: Model, draws: int) -> np.ndarray:
     """Estimates of weighted implicit calibration (draws, n_parameters)."""
-    each = (session.evidence(model, seed) for seed in range(draws))
+    each = (session.observations(model, seed) for seed in range(draws))
     return np.array([implicit.estimate(model, e, ~model.fixed).values for e in each])
 
 
@@ -140,9 +140,12 @@ def error_tables(session: Session, model: Model) -> dict[str, Any]:
     """Tables 5.15 and 5.20 for draw 0: errors before and after implicit calibration."""
     tables = {}
     for name, loud in (("thesis' noise", 1.0), ("loud", LOUD)):
-        evidence = session.evidence(model, 0, loud)
-        found = implicit.estimate(model, evidence, ~model.fixed)
-        before, after = errors(model, evidence), errors(model.with_values(found.values), evidence)
+        observations = session.observations(model, 0, loud)
+        found = implicit.estimate(model, observations, ~model.fixed)
+        before, after = (
+            errors(model, observations),
+            errors(model.with_values(found.values), observations),
+        )
         tables[name] = {
             "before": error_table(before),
             "after": error_table(after),
@@ -156,7 +159,7 @@ def method_table(session: Session, model: Model, draws: int, loud: float = 1.0) 
     """Table 5.16: iterations and factors of improvement of each method."""
     rows: dict[str, Any] = {}
     for name in TABLE_5_16:
-        each = [_improved(session.evidence(model, s, loud), model, name) for s in range(draws)]
+        each = [_improved(session.observations(model, s, loud), model, name) for s in range(draws)]
         steps, position, joint = np.array(each).T
         rows[name] = {
             "iterations": distribution(steps),
@@ -166,17 +169,17 @@ def method_table(session: Session, model: Model, draws: int, loud: float = 1.0) 
     return rows
 
 
-def _improved(evidence: Evidence, model: Model, method: str) -> tuple[float, float, float]:
-    found, steps = identified(model, evidence, method)
-    before, after = errors(model, evidence), errors(found, evidence)
+def _improved(observations: Observations, model: Model, method: str) -> tuple[float, float, float]:
+    found, steps = identified(model, observations, method)
+    before, after = errors(model, observations), errors(found, observations)
     return steps, factor(before, after, "position"), factor(before, after, "joint")
 
 
-def identified(model: Model, evidence: Evidence, method: str) -> tuple[Model, int]:
+def identified(model: Model, observations: Observations, method: str) -> tuple[Model, int]:
     """The better model (with linear factors for parameters if semiparametric), iterations."""
     if method == "semiparametric":
-        return semiparametric.identify(model, evidence, weighted=False), 0
-    found = METHODS[method](model, evidence, ~model.fixed)
+        return semiparametric.identify(model, observations, weighted=False), 0
+    found = METHODS[method](model, observations, ~model.fixed)
     return model.with_values(found.values), found.iterations
 
 
@@ -187,9 +190,9 @@ def halves(session: Session, model: Model, draws: int) -> dict[str, Any]:
     for name in ("implicit", "semiparametric"):
         sample = []
         for seed in range(draws):
-            evidence = session.evidence(model, seed)
-            found, _ = identified(model, evidence.select(even), name)
-            sample.append(errors(found, evidence.select(odd)).norms("position").mean() / UM)
+            observations = session.observations(model, seed)
+            found, _ = identified(model, observations.select(even), name)
+            sample.append(errors(found, observations.select(odd)).norms("position").mean() / UM)
         rows[name] = distribution(np.array(sample))
     return rows
 
@@ -208,7 +211,7 @@ def figure_5_17(session: Session, model: Model, draws: int) -> dict[str, Any]:
     q = Kinematics(model).inverse(targets).joints
     unseen = q, vr.MOCK_UP.forward(q)[0]
     rows = {n: [_judged(session, model, n, s, unseen) for s in range(draws)] for n in SUBSETS}
-    before = errors(model, session.evidence(model, 0)).norms("position").mean()
+    before = errors(model, session.observations(model, 0)).norms("position").mean()
     return {
         "poses": list(SUBSETS),
         "before_um": before / UM,
@@ -223,11 +226,11 @@ def figure_5_17(session: Session, model: Model, draws: int) -> dict[str, Any]:
 def _judged(
     session: Session, model: Model, n: int, seed: int, unseen: tuple[np.ndarray, np.ndarray]
 ) -> tuple[float, float]:
-    evidence = session.evidence(model, seed)
+    observations = session.observations(model, seed)
     try:
-        found, _ = identified(model, evidence.select(session.first(n)), "implicit")
+        found, _ = identified(model, observations.select(session.first(n)), "implicit")
     except FitError:
         return np.inf, np.inf
     apart = Kinematics(found).direct(unseen[0]).position - unseen[1]
-    here = errors(found, evidence).norms("position").mean()
+    here = errors(found, observations).norms("position").mean()
     return here / UM, np.linalg.norm(apart, axis=1).mean() / UM

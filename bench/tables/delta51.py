@@ -12,7 +12,7 @@ from bench.tables import parallelogram
 from bench.tables.common import MM, UM, distribution
 from bench.tables.parallelogram import WHOLE, dataset, label
 from parallel_cal.identification.methods import implicit, sensitivity
-from parallel_cal.identification.observations import gather
+from parallel_cal.identification.observations import observe
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.kinematics.solvers import ipr_compensation
 from parallel_cal.model.model import Model, new_model
@@ -44,10 +44,10 @@ def study(robots: int, size: float) -> dict[str, Any]:
 
 def _identified(measured: Dataset) -> dict[str, Model]:
     """By one linear step (eq. 26), and by weighted implicit calibration."""
-    evidence = gather(NOMINAL, measured)
+    observations = observe(NOMINAL, measured)
     methods = {"improved": sensitivity.estimate, "exact": implicit.estimate}
     return {
-        name: NOMINAL.with_values(method(NOMINAL, evidence, ~NOMINAL.fixed).values)
+        name: NOMINAL.with_values(method(NOMINAL, observations, ~NOMINAL.fixed).values)
         for name, method in methods.items()
     }
 
@@ -84,7 +84,7 @@ def _classical(measured: Dataset, tip: np.ndarray) -> Model:
         measured=np.tile([True] * 3 + [False] * 3, (len(r), 1)), pose_cov=measured.pose_cov,
         joint_sigma=measured.joint_sigma, pose_id=measured.pose_id, source="tips",
     )  # fmt: skip
-    found = sensitivity.estimate(model, gather(model, flat), ~model.fixed, iterations=5)
+    found = sensitivity.estimate(model, observe(model, flat), ~model.fixed, iterations=5)
     return model.with_values(found.values)
 
 

@@ -15,7 +15,7 @@ import virtual_robot as vr
 
 from bench.tables.common import DEGREE, MM, UM, distribution
 from parallel_cal.identification.methods import sensitivity
-from parallel_cal.identification.observations import Evidence, gather
+from parallel_cal.identification.observations import Observations, observe
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.kinematics.solvers import ipr_compensation
 from parallel_cal.model.model import Model, new_model
@@ -57,16 +57,16 @@ def dataset(
     )  # fmt: skip
 
 
-def complete(h: float, seed: int) -> tuple[Model, Evidence]:
+def complete(h: float, seed: int) -> tuple[Model, Observations]:
     model = new_model("parallelogram", {"h": h})
-    return model, gather(model, measure(h, seed, WHOLE))
+    return model, observe(model, measure(h, seed, WHOLE))
 
 
 def rank_analysis() -> dict[str, Any]:
     """Base parameters of all nine by QR decomposition, and what the others add to them."""
-    model, evidence = complete(100 * MM, 0)
+    model, observations = complete(100 * MM, 0)
     free = np.array([name != "h" for name in model.table.names])
-    base = sensitivity.base_parameters(model, evidence, free)
+    base = sensitivity.base_parameters(model, observations, free)
     sums = {
         name: {k: float(v) for k, v in zip(base.kept, column, strict=True) if abs(v) > 1e-3}
         for name, column in zip(base.dropped, base.grouping.T, strict=True)
@@ -76,24 +76,26 @@ def rank_analysis() -> dict[str, Any]:
 
 def improved(h: float, seed: int) -> Model:
     """Eq. 26, one step, six base parameters."""
-    model, evidence = complete(h, seed)
-    return model.with_values(sensitivity.estimate(model, evidence, ~model.fixed).values)
+    model, observations = complete(h, seed)
+    return model.with_values(sensitivity.estimate(model, observations, ~model.fixed).values)
 
 
 def classical(h: float, seed: int) -> Model:
     """One bar, q0 and l from x alone (eqs 34, 38, 74)."""
     model = new_model("parallelogram_simple", {"h": h})
-    evidence = gather(model, measure(h, seed, ONLY_X))
-    return model.with_values(sensitivity.estimate(model, evidence, ~model.fixed).values)
+    observations = observe(model, measure(h, seed, ONLY_X))
+    return model.with_values(sensitivity.estimate(model, observations, ~model.fixed).values)
 
 
 def identified_errors(draws: int) -> dict[str, Any]:
     """Identified minus nominal (mm, degrees): one linear step, and the fit repeated to its end."""
     found: dict[str, list[np.ndarray]] = {"linear": [], "iterated": []}
     for seed in range(draws):
-        model, evidence = complete(100 * MM, seed)
+        model, observations = complete(100 * MM, seed)
         for name, steps in (("linear", 1), ("iterated", 10)):
-            values = sensitivity.estimate(model, evidence, ~model.fixed, iterations=steps).values
+            values = sensitivity.estimate(
+                model, observations, ~model.fixed, iterations=steps
+            ).values
             found[name].append(values - model.values)
     rows = {}
     for name, expected in BASE.items():

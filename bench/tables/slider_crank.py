@@ -26,18 +26,20 @@ from bench.tables.common import (
 from parallel_cal.identification.methods import _optimisers as optimisers
 from parallel_cal.identification.methods import cascaded, implicit, linear, semiparametric
 from parallel_cal.identification.methods.implicit import Estimate
-from parallel_cal.identification.observations import Evidence
+from parallel_cal.identification.observations import Observations
 from parallel_cal.model.model import Model, new_model
 
 TRUTH = np.array([80.2 * MM, 50.1 * MM, 1 * DEGREE])  # a, b, q0 (eq. 5.13)
 SIGMA_X, SIGMA_Q = 0.02 * MM, 2 * ARCMIN  # eq. 5.14
 POINTS, FIRST, LAST = 30, 33 * MM, 127 * MM
 AWAY = np.array([i for i in range(POINTS) if not 7 <= i <= 12])  # without points 8 to 13 (5.3.4)
-Method = Callable[[Model, Evidence, np.ndarray], Estimate]
+Method = Callable[[Model, Observations, np.ndarray], Estimate]
 
 METHODS: dict[str, Method] = {
     "implicit": partial(implicit.estimate, weighted=False),
-    "forward": lambda model, evidence, free: plain_forward(model, evidence.select(AWAY), free),
+    "forward": lambda model, observations, free: plain_forward(
+        model, observations.select(AWAY), free
+    ),
     "inverse": plain_inverse,
     "linear": partial(linear.estimate, weighted=False),
     "cascaded": cascaded.estimate,
@@ -91,12 +93,12 @@ def measured(seed: int) -> tuple[np.ndarray, np.ndarray]:
     return q, x + SIGMA_X * rng.standard_normal(POINTS)
 
 
-def as_evidence(q: np.ndarray, x: np.ndarray) -> Evidence:
+def as_observations(q: np.ndarray, x: np.ndarray) -> Observations:
     n = len(q)
     rows = np.hstack([q[:, None], x[:, None], np.zeros((n, 2)), np.tile(np.eye(3).ravel(), (n, 1))])
     S = np.tile(np.diag([SIGMA_Q**2] + [SIGMA_X**2] * 6), (n, 1, 1))
     none = np.zeros((n, 0))
-    return Evidence(rows, S, np.ones((n, 7), dtype=bool), none, np.arange(n), none, {})
+    return Observations(rows, S, np.ones((n, 7), dtype=bool), none, np.arange(n), none, {})
 
 
 def numbers(draws: int = 1000) -> dict[str, Any]:
@@ -116,7 +118,7 @@ def numbers(draws: int = 1000) -> dict[str, Any]:
 
 def one(model: Model, method: Method, q: np.ndarray, x: np.ndarray) -> np.ndarray:
     """Estimate; truth minus estimate (um, um, arcsec); Q (mm^4); F^Pos and F^Joint (table 5.9)."""
-    found = method(model, as_evidence(q, x), np.ones(3, dtype=bool)).values
+    found = method(model, as_observations(q, x), np.ones(3, dtype=bool)).values
     error = (TRUTH - found) / [UM, UM, ARCSECOND]
     sums = [
         np.array([position_errors(v, q, x).sum(), np.abs(q - joints_of(x, v)).sum()])
@@ -138,7 +140,7 @@ def optimiser_table(model: Model, data: list[tuple[np.ndarray, np.ndarray]]) -> 
     unit, twice_b = np.array([80 * MM, 80 * MM, 1.0]), 2 * model.structure.v[1]
     counts: dict[str, list[float]] = {name: [] for name in TABLE_5_7}
     for q, x in data:
-        problem = optimisers.closure_problem(model, as_evidence(q, x), unit, twice_b)
+        problem = optimisers.closure_problem(model, as_observations(q, x), unit, twice_b)
         for name, steps in counts.items():
             end = getattr(optimisers, name)(problem, model.values / unit, epsilon=1e-4)
             steps.append(end.iterations)

@@ -192,12 +192,13 @@ def inverse(
 # ------------------------------------------------------------------------------- recordings
 
 
+@app.command(name="look", hidden=True)
 @app.command()
-def look(bag: Bag, data: Data = None, as_json: Json = False) -> None:
+def info(bag: Bag, data: Data = None, as_json: Json = False) -> None:
     """Show what a recording holds: topics, samples, what was dropped and why, noise."""
     from parallel_cal.cli import recordings
 
-    recordings.look(bag, data or [], as_json)
+    recordings.info(bag, data or [], as_json)
 
 
 @app.command(name="import-csv")
@@ -389,7 +390,7 @@ def report(
     data: Data = None,
     as_json: Json = False,
 ) -> None:
-    """Write the diagnosis as one page to read offline: errors, arrows, evidence, parameters."""
+    """Write the diagnosis as one page to read offline: errors, arrows, observations, parameters."""
     from parallel_cal.cli import reporting
 
     if output is None and not as_json:

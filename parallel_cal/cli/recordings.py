@@ -18,16 +18,16 @@ from parallel_cal.recordings.samples import Options
 from parallel_cal.reporting import console
 
 
-def look(bag: Path, data: list[str], as_json: bool) -> None:
+def info(bag: Path, data: list[str], as_json: bool) -> None:
     from parallel_cal.recordings import info as looking
 
     options = data_options(data)
-    document = looking.look(bag, progress=bag_progress, **options)
+    document = looking.info(bag, progress=bag_progress, **options)
     if as_json:
         return console.emit(document)
     from rich.console import Console
 
-    looking.print_look(document, Console())
+    looking.print_info(document, Console())
 
 
 def simulate(

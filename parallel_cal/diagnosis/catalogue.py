@@ -158,6 +158,6 @@ def _untestable(missing: tuple[str, ...]) -> str:
 def _wider(here: Scene, name: str, effect: Effect, wide: Model) -> Candidate:
     """A larger model's further parameters, in a scene of its own: its rows differ."""
     new = new_numbers(here.model, wide)
-    evidence = replace(here.evidence, a=conditions(wide, here.dataset))
-    there = scene(wide, here.dataset, evidence, ~np.asarray(wide.fixed) & ~new)
+    observations = replace(here.observations, a=conditions(wide, here.dataset))
+    there = scene(wide, here.dataset, observations, ~np.asarray(wide.fixed) & ~new)
     return Candidate(name, effect, score=score(there, columns(wide, there, new)), there=there)

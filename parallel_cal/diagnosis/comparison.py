@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.diagnosis.fields import Field, field, reference
+from parallel_cal.diagnosis.lack_of_fit import lack_of_fit
 from parallel_cal.diagnosis.patterns import along, odd_samples, regions
 from parallel_cal.diagnosis.scene import Scene, scene
-from parallel_cal.diagnosis.structure import structure
 from parallel_cal.identification.doubts import finite_or_none
 from parallel_cal.identification.fit import single_threaded
 from parallel_cal.identification.noise_floor import noise_floor
-from parallel_cal.identification.observations import Evidence, gather
+from parallel_cal.identification.observations import Observations, observe
 from parallel_cal.identification.prediction_errors import ERRORS, Errors, errors
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
@@ -27,7 +27,7 @@ class Comparison:
 
     model: Model
     dataset: Dataset
-    evidence: Evidence
+    observations: Observations
     errors: Errors
     noise: dict[str, float | None]
 
@@ -36,7 +36,7 @@ class Comparison:
         return {
             **self.errors.document(),
             "noise_floor": self.noise,
-            "samples": len(self.evidence),
+            "samples": len(self.observations),
             "channels": list(self.model.structure.channels),
             "rows": [self._row(i) for i in self._worst_first()],
             "where": self._where(),
@@ -46,7 +46,7 @@ class Comparison:
     def scene(self) -> Scene:
         """The model linearised at its own predictions, nothing of it free."""
         return scene(
-            self.model, self.dataset, self.evidence, np.zeros(len(self.model.values), bool)
+            self.model, self.dataset, self.observations, np.zeros(len(self.model.values), bool)
         )
 
     @cached_property
@@ -54,12 +54,12 @@ class Comparison:
         return field(self.scene)
 
     def _where(self) -> dict[str, Any]:
-        """Structure over workspace, joints and conditions; odd samples; replicates."""
+        """LackOfFit over workspace, joints and conditions; odd samples; replicates."""
         known = reference(self.scene, self.field)
         return {
             "along": along(self.scene, self.field),
             "regions": regions(self.scene, self.field),
-            "structure": structure(self.scene, self.field).document(),
+            "structure": lack_of_fit(self.scene, self.field).document(),
             "odd_samples": odd_samples(self.scene, self.field),
             "chi2_per_dof": finite_or_none(self.scene.chi2_per_dof),
             "replicates": {"variance": known.replicates, "dof": known.replicates_dof},
@@ -73,12 +73,12 @@ class Comparison:
     def _row(self, i: int) -> dict[str, Any]:
         n = len(self.model.joints)
         parts = {kind: getattr(self.errors, kind)[i] for kind in ERRORS}
-        measured = self.evidence.measured[i, n : n + 3]
-        position = np.where(measured, self.evidence.x[i, n : n + 3], np.nan)
+        measured = self.observations.measured[i, n : n + 3]
+        position = np.where(measured, self.observations.x[i, n : n + 3], np.nan)
         return {
             "sample": int(self.dataset.numbers[i]),
             "time": float(self.dataset.time[i]),
-            "joints": self.evidence.x[i, :n].tolist(),
+            "joints": self.observations.x[i, :n].tolist(),
             "position": [finite_or_none(v) for v in position],
             **{f"{k}_error": [finite_or_none(v) for v in part] for k, part in parts.items()},
             "sigmas": finite_or_none(self.scene.sigmas[i]),
@@ -88,8 +88,12 @@ class Comparison:
 
 def compare(model: Model, dataset: Dataset, joint_sigma: float | None = None) -> Comparison:
     """Predictions of a model beside what was measured, fitting nothing."""
-    evidence = gather(model, dataset, joint_sigma)
+    observations = observe(model, dataset, joint_sigma)
     with single_threaded():
         return Comparison(
-            model, dataset, evidence, errors(model, evidence), noise_floor(model, evidence)
+            model,
+            dataset,
+            observations,
+            errors(model, observations),
+            noise_floor(model, observations),
         )

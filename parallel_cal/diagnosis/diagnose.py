@@ -1,4 +1,4 @@
-"""What is missing in a model: effects ranked by evidence, a verdict, what to measure next."""
+"""What is missing in a model: effects ranked by observations, a verdict, what to measure next."""
 
 from __future__ import annotations
 
@@ -10,19 +10,25 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.diagnosis.catalogue import Candidate, candidate, names_of
-from parallel_cal.diagnosis.entries import REFITTED, chi2_before, entries, placebo, rivals_of
+from parallel_cal.diagnosis.entries import (
+    REFITTED,
+    chi2_before,
+    entries,
+    negative_control,
+    rivals_of,
+)
 from parallel_cal.diagnosis.fields import Field, Reference, field, reference
+from parallel_cal.diagnosis.lack_of_fit import LackOfFit, lack_of_fit
 from parallel_cal.diagnosis.patterns import odd_samples
 from parallel_cal.diagnosis.scene import Progress
 from parallel_cal.diagnosis.search import (
     SIGNIFICANT,
     Chosen,
-    Refit,
     Search,
+    Trial,
 )
 from parallel_cal.diagnosis.separate import next_measurement
 from parallel_cal.diagnosis.statistics import holm
-from parallel_cal.diagnosis.structure import Structure, structure
 from parallel_cal.diagnosis.verdict import Verdict, judge, listed
 from parallel_cal.identification.fit import fit, single_threaded
 from parallel_cal.model.model import Model
@@ -39,14 +45,14 @@ class Diagnosis:
 
     model: Model
     dataset: Dataset
-    base: Refit
-    best: Refit
+    base: Trial
+    best: Trial
     ranked: tuple[Candidate, ...]
     entries: tuple[Mapping[str, Any], ...]
-    placebo: Mapping[str, Any]
+    negative_control: Mapping[str, Any]
     noise: Reference
     verdict: Verdict
-    left: Structure
+    left: LackOfFit
     field: Field
     odd: tuple[Mapping[str, Any], ...]
     swaps: Mapping[str, list[str]]
@@ -82,7 +88,7 @@ class Diagnosis:
                 "floor": self.best.document["noise_floor"],
             },
             "candidates": list(self.entries),
-            "placebo": dict(self.placebo),
+            "negative_control": dict(self.negative_control),
             "swaps": dict(self.swaps),
             "structure": self.left.document(),
             "odd_samples": list(self.odd),
@@ -136,7 +142,7 @@ class _Diagnosing:
         model: Model,
         dataset: Dataset,
         search: Search,
-        base: Refit,
+        base: Trial,
         names: list[str],
         report: Progress,
     ):
@@ -152,11 +158,11 @@ class _Diagnosing:
         swaps = search.swaps(best, rivals_of(best, ranked))
         there = best.scene
         seen, found = field(scene), field(there)
-        noise, left = reference(scene, seen), structure(there, found)
+        noise, left = reference(scene, seen), lack_of_fit(there, found)
         names = listed([c.name for c in best.chosen], swaps)
         before = chi2_before(base, best, ranked)
         verdict = judge(base, best, before, noise, left, found.held, names)
-        self._report("weighing the evidence", 0.8)
+        self._report("weighing the observations", 0.8)
         rivals = {c.name: swaps.get(c.name, []) for c in best.chosen}
         return Diagnosis(
             model=self._model,
@@ -165,7 +171,7 @@ class _Diagnosing:
             best=best,
             ranked=tuple(ranked),
             entries=tuple(entries(ranked, base, search, noise, against)),
-            placebo=placebo(scene, ranked),
+            negative_control=negative_control(scene, ranked),
             noise=noise,
             verdict=verdict,
             left=left,
@@ -175,7 +181,7 @@ class _Diagnosing:
             next=next_measurement(best, rivals, ranked),
         )
 
-    def _ranked(self, here: Refit) -> list[Candidate]:
+    def _ranked(self, here: Trial) -> list[Candidate]:
         """The catalogue beside a refit, best first; those that cannot be tested last."""
         if here.chosen in self._known:
             return self._known[here.chosen]
@@ -187,7 +193,7 @@ class _Diagnosing:
         self._known[here.chosen] = sorted(found, key=lambda c: (not c.testable, c.log_p))
         return self._known[here.chosen]
 
-    def _significant(self, here: Refit) -> list[Candidate]:
+    def _significant(self, here: Trial) -> list[Candidate]:
         ranked = [c for c in self._ranked(here) if c.testable]
         adjusted = holm(np.array([c.p_value for c in ranked]))
         return [c for c, p in zip(ranked, adjusted, strict=True) if p < SIGNIFICANT][:REFITTED]

@@ -10,8 +10,8 @@ import numpy as np
 from parallel_cal.diagnosis.catalogue import Candidate
 from parallel_cal.diagnosis.fields import Reference
 from parallel_cal.diagnosis.scene import Scene
-from parallel_cal.diagnosis.scoring import alike, resampled, score
-from parallel_cal.diagnosis.search import Chosen, Refit, Search, ratio_of
+from parallel_cal.diagnosis.scoring import canonical_correlation, resampled, score
+from parallel_cal.diagnosis.search import Chosen, Search, Trial, ratio_of
 from parallel_cal.diagnosis.statistics import holm
 from parallel_cal.diagnosis.verdict import share_explained
 
@@ -22,12 +22,12 @@ REFITTED = 5  # best candidates that are identified and judged at poses left out
 
 def entries(
     ranked: list[Candidate],
-    base: Refit,
+    base: Trial,
     search: Search,
     noise: Reference,
     against: Mapping[str, str],
 ) -> list[dict[str, Any]]:
-    """One row a candidate: evidence for the testable, a reason for the others."""
+    """One row a candidate: observations for the testable, a reason for the others."""
     tested = [c for c in ranked if c.testable]
     raised = holm(np.array([c.p_value for c in tested]))
     adjusted = dict(zip([c.name for c in tested], raised.tolist(), strict=True))
@@ -45,7 +45,7 @@ def entries(
     return rows
 
 
-def _judged(one: Candidate, base: Refit, search: Search, noise: Reference) -> dict[str, Any]:
+def _judged(one: Candidate, base: Trial, search: Search, noise: Reference) -> dict[str, Any]:
     """What a refit with this effect alone says."""
     after = search.fit(Chosen.of(one))
     if after.result is None:
@@ -67,14 +67,14 @@ def _judged(one: Candidate, base: Refit, search: Search, noise: Reference) -> di
     }
 
 
-def chi2_before(base: Refit, after: Refit, ranked: list[Candidate]) -> float:
+def chi2_before(base: Trial, after: Trial, ranked: list[Candidate]) -> float:
     """chi2/dof of the base, on the rows of the model after: a larger model has more of them."""
     taken = {c.name for c in after.chosen}
     wider = [c.there for c in ranked if c.name in taken and c.there is not base.scene]
     return next((s.chi2_per_dof for s in wider if s is not None), base.scene.chi2_per_dof)
 
 
-def _freed(name: str, base: Refit, after: Refit) -> bool:
+def _freed(name: str, base: Trial, after: Trial) -> bool:
     return bool(
         base.document["parameters"][name]["fixed"]
         and not after.document["parameters"][name]["fixed"]
@@ -114,10 +114,10 @@ def confused(one: Candidate, other: Candidate) -> bool:
         return False
     if one.there is not other.there:  # a larger model's rows are others
         return False
-    return alike(one.score.U, other.score.U) > ALIKE
+    return canonical_correlation(one.score.U, other.score.U) > ALIKE
 
 
-def rivals_of(best: Refit, ranked: list[Candidate]) -> dict[str, list[Candidate]]:
+def rivals_of(best: Trial, ranked: list[Candidate]) -> dict[str, list[Candidate]]:
     """For each chosen effect the candidates that the data confuse it with, all not chosen."""
     taken = {c.name for c in best.chosen}
     return {
@@ -142,7 +142,7 @@ def first_picks(tested: list[Candidate]) -> dict[str, float]:
     return {c.name: float(w) for c, w in zip(seen, wins, strict=True)}
 
 
-def placebo(here: Scene, ranked: list[Candidate]) -> dict[str, Any]:
+def negative_control(here: Scene, ranked: list[Candidate]) -> dict[str, Any]:
     """What no effect is: where a group of random columns ranks, and how often copies of each
     effect's own condition, shuffled between samples, score as well as the condition itself."""
     draw = np.random.default_rng(0).standard_normal((len(here.residual), 6))

@@ -33,13 +33,13 @@ class Field:
 def field(here: Scene) -> Field:
     """The field of a scene; without any pose measured, `noise_units` are the closure's own."""
     n = len(here.model.joints)
-    evidence, x = here.evidence, here.x
-    seen, moved = evidence.measured[:, n:], _moved(here)
+    observations, x = here.observations, here.x
+    seen, moved = observations.measured[:, n:], _moved(here)
     measured = seen & moved
-    R, Rp = (a[:, n + 3 :].reshape(-1, 3, 3) for a in (evidence.x, x))
+    R, Rp = (a[:, n + 3 :].reshape(-1, 3, 3) for a in (observations.x, x))
     turn = rotation_vector(R @ Rp.transpose(0, 2, 1))
-    pose = np.concatenate([evidence.x[:, n : n + 3] - x[:, n : n + 3], turn], axis=1)
-    variance = np.diagonal(evidence.S, axis1=1, axis2=2)[:, n:]
+    pose = np.concatenate([observations.x[:, n : n + 3] - x[:, n : n + 3], turn], axis=1)
+    variance = np.diagonal(observations.S, axis1=1, axis2=2)[:, n:]
     fixed = (pose**2 / np.where(variance > 0, variance, 1.0))[seen & ~moved]
     held = float(np.sqrt(fixed.mean())) if fixed.size else 0.0
     pose = np.where(measured, pose, 0.0)
@@ -57,9 +57,9 @@ def _moved(here: Scene) -> np.ndarray:
 def _in_noise_units(here: Scene, pose: np.ndarray, measured: np.ndarray) -> np.ndarray:
     """L^-1 e with L L^T the covariance of measured minus predicted pose, (N, 6), 0 where not
     measured."""
-    n, moved, S = len(here.model.joints), here.model.mechanism.moved, here.evidence.S
+    n, moved, S = len(here.model.joints), here.model.mechanism.moved, here.observations.S
     linearise = Linearisation(
-        here.model, here.evidence, np.zeros(len(here.model.values), dtype=bool), True
+        here.model, here.observations, np.zeros(len(here.model.values), dtype=bool), True
     )
     C = linearise.blocks(here.model.values, here.x)[1][:, : here.model.structure.phi.shape[0]]
     to_pose = np.zeros((len(C), 6, n))
@@ -75,7 +75,7 @@ def _in_noise_units(here: Scene, pose: np.ndarray, measured: np.ndarray) -> np.n
 class Reference:
     """The noise to judge by, which must not come from the fit itself.
 
-    `variance` in units of the evidence's noise, None where nobody knows; `source` in words;
+    `variance` in units of the observations's noise, None where nobody knows; `source` in words;
     `replicates` the same from visits of one pose, with its degrees of freedom.
     """
 
@@ -100,7 +100,7 @@ class Reference:
 def reference(here: Scene, found: Field) -> Reference:
     """Stated noise counts; where it was only guessed from jitter, replicates take its place."""
     variance, dof = _pure_error(found, here)
-    words = set(here.evidence.noise_from.values())
+    words = set(here.observations.noise_from.values())
     if words <= set(STATED):
         return Reference(1.0, None, f"stated ({', '.join(sorted(words))})", variance, dof)
     if variance is not None and dof >= ENOUGH:
@@ -113,7 +113,9 @@ def _pure_error(found: Field, here: Scene) -> tuple[float | None, int]:
     # Without a pose nothing tells replicates from neighbours.
     if here.dataset.mode == "continuous" or not found.measured.any():
         return None, 0
-    names, inverse, count = np.unique(here.evidence.group, return_inverse=True, return_counts=True)
+    names, inverse, count = np.unique(
+        here.observations.group, return_inverse=True, return_counts=True
+    )
     z = found.noise_units
     sums = np.zeros((len(names), z.shape[1]))
     np.add.at(sums, inverse, z)

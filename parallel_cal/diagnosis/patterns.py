@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.diagnosis.fields import Field
+from parallel_cal.diagnosis.lack_of_fit import regressors
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.statistics import normal_below, runs_test
-from parallel_cal.diagnosis.structure import regressors
 
 WINDOW = 15  # samples of the rolling mean
 GROSS = 1e-3  # chance of one such sample in a whole data set

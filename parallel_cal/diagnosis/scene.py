@@ -10,7 +10,7 @@ import numpy as np
 
 from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.observability import RELATIVE_RANK
-from parallel_cal.identification.observations import Evidence, conditions
+from parallel_cal.identification.observations import Observations, conditions
 from parallel_cal.identification.predictions import predicted
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
@@ -28,7 +28,7 @@ class Scene:
 
     model: Model
     dataset: Dataset
-    evidence: Evidence
+    observations: Observations
     free: np.ndarray
     x: np.ndarray
     whitener: np.ndarray
@@ -47,7 +47,7 @@ class Scene:
         a continuous motion."""
         if self.dataset.mode == "continuous":
             return np.arange(len(self.x)) // max(1, len(self.x) // 40)
-        return np.unique(self.evidence.group, return_inverse=True)[1]
+        return np.unique(self.observations.group, return_inverse=True)[1]
 
     def off_geometry(self, columns: np.ndarray) -> np.ndarray:
         """What of some columns (n, k) no change of the free parameters imitates."""
@@ -65,10 +65,10 @@ class Scene:
         return column.reshape(-1, self.rows)
 
 
-def scene(model: Model, dataset: Dataset, evidence: Evidence, free: np.ndarray) -> Scene:
+def scene(model: Model, dataset: Dataset, observations: Observations, free: np.ndarray) -> Scene:
     """The scene of a fitted model; the residual is what its free parameters leave."""
-    x = predicted(model, evidence)
-    linearise = Linearisation(model, evidence, free, True)
+    x = predicted(model, observations)
+    linearise = Linearisation(model, observations, free, True)
     system, T = linearise(model.values, x), linearise.whiteners(model.values, x)
     r = system.residual.reshape(-1)
     J = system.jacobian.reshape(len(r), -1) * model.table.tolerance[free]
@@ -77,7 +77,7 @@ def scene(model: Model, dataset: Dataset, evidence: Evidence, free: np.ndarray) 
     used = np.any(J != 0, axis=1) if J.shape[1] else r != 0  # rows left by unmeasured coordinates
     dof = int(np.count_nonzero(used)) - basis.shape[1]
     rows = system.residual.shape[1]
-    return Scene(model, dataset, evidence, free, x, T, left, basis, rows, dof)
+    return Scene(model, dataset, observations, free, x, T, left, basis, rows, dof)
 
 
 def columns(extended: Model, here: Scene, new: np.ndarray) -> np.ndarray:

@@ -74,7 +74,7 @@ def log_p_of(F: float, q: int, dof: int) -> float:
     )
 
 
-def alike(one: np.ndarray, other: np.ndarray) -> float:
+def canonical_correlation(one: np.ndarray, other: np.ndarray) -> float:
     """Largest canonical correlation of two groups of directions (n, q) off the geometry."""
     if not one.shape[1] or not other.shape[1]:
         return 0.0

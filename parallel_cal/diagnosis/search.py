@@ -40,7 +40,7 @@ class Chosen:
 
 
 @dataclass(frozen=True)
-class Refit:
+class Trial:
     """A model identified anew with some effects, or why that failed."""
 
     chosen: tuple[Chosen, ...]
@@ -58,7 +58,7 @@ class Refit:
     @cached_property
     def scene(self) -> Scene:
         r = self.fitted
-        return scene(r.model, r.dataset, r.evidence, r.free)
+        return scene(r.model, r.dataset, r.observations, r.free)
 
 
 class Search:
@@ -66,26 +66,26 @@ class Search:
 
     def __init__(self, model: Model, refit: Callable[[Model], Result], progress: Progress):
         self._model, self._refit, self._progress = model, refit, progress
-        self._known: dict[tuple[Chosen, ...], Refit] = {}
+        self._known: dict[tuple[Chosen, ...], Trial] = {}
 
-    def fit(self, *chosen: Chosen) -> Refit:
+    def fit(self, *chosen: Chosen) -> Trial:
         """The baseline with these effects, identified on all poses and judged on those left out."""
         if chosen not in self._known:
             self._progress(f"refitting with {', '.join(c.name for c in chosen) or 'nothing'}", 0.5)
             self._known[chosen] = self._fit(chosen)
         return self._known[chosen]
 
-    def _fit(self, chosen: tuple[Chosen, ...]) -> Refit:
+    def _fit(self, chosen: tuple[Chosen, ...]) -> Trial:
         model = self._model
         try:
             for one in chosen:
                 model = model.with_effect(one.name, one.settings)
             result = self._refit(model)
         except FitError as error:
-            return Refit(chosen, None, {}, str(error))
-        return Refit(chosen, result, result.document())
+            return Trial(chosen, None, {}, str(error))
+        return Trial(chosen, result, result.document())
 
-    def accepts(self, before: Refit, one: Candidate) -> tuple[Refit, str]:
+    def accepts(self, before: Trial, one: Candidate) -> tuple[Trial, str]:
         """The refit with one more effect, and what stands against it (empty: nothing)."""
         after = self.fit(*before.chosen, Chosen.of(one))
         if after.result is None:
@@ -99,8 +99,8 @@ class Search:
         return after, ""
 
     def forward(
-        self, start: Refit, rank: Callable[[Refit], list[Candidate]]
-    ) -> tuple[Refit, dict[str, str]]:
+        self, start: Trial, rank: Callable[[Trial], list[Candidate]]
+    ) -> tuple[Trial, dict[str, str]]:
         """Effects added one by one while one is significant and nothing stands against it."""
         here = start
         against: dict[str, str] = {}
@@ -112,7 +112,7 @@ class Search:
             here = found
         return here, against
 
-    def _next(self, here: Refit, ranked: list[Candidate]) -> tuple[Refit | None, dict[str, str]]:
+    def _next(self, here: Trial, ranked: list[Candidate]) -> tuple[Trial | None, dict[str, str]]:
         against: dict[str, str] = {}
         for one in ranked:
             if one.name in {c.name for c in here.chosen}:
@@ -123,7 +123,7 @@ class Search:
             against[one.name] = reason
         return None, against
 
-    def backward(self, here: Refit) -> Refit:
+    def backward(self, here: Trial) -> Trial:
         """Effects taken out again that those added later have made superfluous."""
         for one in here.chosen:
             if len(here.chosen) < 2:
@@ -133,7 +133,7 @@ class Search:
                 here = without
         return here
 
-    def swaps(self, here: Refit, rivals: Mapping[str, list[Candidate]]) -> dict[str, list[str]]:
+    def swaps(self, here: Trial, rivals: Mapping[str, list[Candidate]]) -> dict[str, list[str]]:
         """For each chosen effect those of its rivals that tell as good a story in its place."""
         found: dict[str, list[str]] = {}
         for i, one in enumerate(here.chosen):
@@ -145,7 +145,7 @@ class Search:
         return found
 
 
-def _as_good(here: Refit, other: Refit) -> bool:
+def _as_good(here: Trial, other: Trial) -> bool:
     ratio = ratio_of(here, other)
     if ratio is None or ratio >= LIKE:
         return False
@@ -153,14 +153,14 @@ def _as_good(here: Refit, other: Refit) -> bool:
     return its.chi2 - own.chi2 < APART**2 * max(own.chi2_per_dof, 1e-300)
 
 
-def ratio_of(before: Refit, after: Refit) -> float | None:
+def ratio_of(before: Trial, after: Trial) -> float | None:
     """Held-out error after over before; None where one is not known."""
     if before.result is None or after.result is None:
         return None
     return held_out_ratio(before.document["held_out"]["after"], after.document["held_out"]["after"])
 
 
-def clearly_falls(before: Refit, after: Refit) -> bool:
+def clearly_falls(before: Trial, after: Trial) -> bool:
     """Whether the squared held-out errors fall by more than their mean's own uncertainty, poses
     taken as a whole: a fall that half of the poses contradict is luck."""
     old, new = (_squared(r.fitted) for r in (before, after))
@@ -175,7 +175,7 @@ def _squared(result: Result) -> np.ndarray:
     """Squared held-out error (N,): of the pose in units of the device's noise; where none was
     measured, of what sensors read, or of the joints."""
     n, found = len(result.model.joints), result.held_out
-    variance = np.diagonal(result.evidence.S, axis1=1, axis2=2)
+    variance = np.diagonal(result.observations.S, axis1=1, axis2=2)
     parts = [
         np.sum(e**2, axis=1) / np.mean(variance[:, at], axis=1)
         for e, at in ((found.position, slice(n, n + 3)), (found.orientation, slice(n + 3, n + 6)))
@@ -188,7 +188,7 @@ def _squared(result: Result) -> np.ndarray:
     return np.asarray(np.sum(found.joint**2, axis=1))
 
 
-def _superfluous(without: Refit, here: Refit) -> bool:
+def _superfluous(without: Trial, here: Trial) -> bool:
     """Whether an effect explains nothing significant beside the others."""
     if without.result is None or here.result is None:
         return False

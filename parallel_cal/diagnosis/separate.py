@@ -10,21 +10,21 @@ import numpy as np
 
 from parallel_cal.base.errors import FitError, ModelError
 from parallel_cal.diagnosis.catalogue import Candidate
-from parallel_cal.diagnosis.search import Chosen, Refit
+from parallel_cal.diagnosis.search import Chosen, Trial
 from parallel_cal.identification.linearisation import Linearisation
-from parallel_cal.identification.observations import Evidence, conditions
+from parallel_cal.identification.observations import Observations, conditions
 from parallel_cal.model.effect import CONDITIONS
 from parallel_cal.model.model import Model, Noise
 from parallel_cal.model.shelf import load_effect
 from parallel_cal.planning.expectation import VAGUE, white_blocks
 from parallel_cal.planning.posepool import make_pool
-from parallel_cal.planning.selection import Problem, exchange
+from parallel_cal.planning.selection import Choice, exchange
 
 POOL, POSES = 300, 20
 
 
 def next_measurement(
-    best: Refit, rivals: Mapping[str, list[str]], ranked: Sequence[Candidate], seed: int = 0
+    best: Trial, rivals: Mapping[str, list[str]], ranked: Sequence[Candidate], seed: int = 0
 ) -> dict[str, Any]:
     """What would settle the diagnosis: conditions to record, advice, and planned poses.
 
@@ -46,7 +46,7 @@ def next_measurement(
 
 
 def separating(
-    best: Refit, effect: str, rival: Chosen, seed: int = 0, poses: int = POSES
+    best: Trial, effect: str, rival: Chosen, seed: int = 0, poses: int = POSES
 ) -> dict[str, Any] | None:
     """Poses, each under its circumstances, that best tell an effect as identified from a rival.
 
@@ -59,15 +59,15 @@ def separating(
         model = best.fitted.model.with_effect(rival.name, rival.settings)
         if model.mechanism is not best.fitted.model.mechanism:
             return None
-        evidence = replace(best.fitted.evidence, a=conditions(model, best.fitted.dataset))
-        model = replace(model, noise=_noise(model, evidence))
+        observations = replace(best.fitted.observations, a=conditions(model, best.fitted.dataset))
+        model = replace(model, noise=_noise(model, observations))
         rng = np.random.default_rng(seed)
         pool = make_pool(model, POOL, rng, symmetric=False)
     except (FitError, ModelError):
         return None
     a = circumstances(model, best.fitted.dataset.conditions, len(pool.poses), rng)
-    free, measured = ~np.asarray(model.fixed), np.asarray(evidence.measured.any(axis=0))
-    so_far = Linearisation(model, evidence, free, True)(model.values, best.scene.x).jacobian
+    free, measured = ~np.asarray(model.fixed), np.asarray(observations.measured.any(axis=0))
+    so_far = Linearisation(model, observations, free, True)(model.values, best.scene.x).jacobian
     ahead = white_blocks(model, free, measured, pool.poses, a)
     so_far, ahead = (_with_signal(J, model, free, effect) for J in (so_far, ahead))
     size = ahead.shape[2]
@@ -75,7 +75,7 @@ def separating(
     before = known.T @ known + VAGUE * np.eye(size)
     amplitude = np.zeros((size, size))
     amplitude[-1, -1] = 1.0
-    problem = Problem(ahead, before, amplitude, "A", size)
+    problem = Choice(ahead, before, amplitude, "A", size)
     chosen = exchange(problem, min(poses, len(ahead)), lambda fraction: None)
     now, then = (_sigmas(M) for M in (before, problem.information(chosen)))
     return {
@@ -123,11 +123,11 @@ def _levels(name: str, recorded: np.ndarray | None) -> list[float]:
     return around.get(kind, [low, (low + high) / 2, high])
 
 
-def _noise(model: Model, evidence: Evidence) -> Noise:
+def _noise(model: Model, observations: Observations) -> Noise:
     """Typical noise of the data, for a planner that wants one figure a kind."""
     n = len(model.joints)
-    variance = np.median(np.diagonal(evidence.S, axis1=1, axis2=2), axis=0)
-    seen: np.ndarray = np.any(evidence.measured, axis=0)
+    variance = np.median(np.diagonal(observations.S, axis1=1, axis2=2), axis=0)
+    seen: np.ndarray = np.any(observations.measured, axis=0)
 
     def typical(part: slice) -> float | None:
         known = variance[part][seen[part]]

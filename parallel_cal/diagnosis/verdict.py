@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from parallel_cal.diagnosis.fields import Reference
-from parallel_cal.diagnosis.search import Refit
-from parallel_cal.diagnosis.structure import Structure
+from parallel_cal.diagnosis.lack_of_fit import LackOfFit
+from parallel_cal.diagnosis.search import Trial
 from parallel_cal.identification.methods.implicit import Estimate
 
 EXPLAINED = 0.7  # of the variance beyond the noise
@@ -39,7 +39,7 @@ def share_explained(before: float, after: float, noise: float | None) -> float |
 
 
 def judge(
-    base: Refit, here: Refit, before: float, known: Reference, left: Structure, held: float,
+    base: Trial, here: Trial, before: float, known: Reference, left: LackOfFit, held: float,
     names: str,
 ) -> Verdict:  # fmt: skip
     """The verdict on a search that started from `base` and ended at `here`.
@@ -75,7 +75,7 @@ def judge(
 
 
 def _guards(
-    share: float | None, after: Estimate, noise: float, high: float, left: Structure
+    share: float | None, after: Estimate, noise: float, high: float, left: LackOfFit
 ) -> list[str]:
     """What keeps found effects from being the whole explanation."""
     against, chi2 = [], after.chi2_per_dof
@@ -90,7 +90,7 @@ def _guards(
     return against
 
 
-def _nothing_found(chi2: float, high: float, errors: str, left: Structure) -> Verdict:
+def _nothing_found(chi2: float, high: float, errors: str, left: LackOfFit) -> Verdict:
     if chi2 <= high:
         more = " Neighbouring residuals are alike, though: look at the map." if left.found else ""
         words = f"the model explains the measurements down to their noise ({errors}): stop looking."
@@ -103,7 +103,7 @@ def _nothing_found(chi2: float, high: float, errors: str, left: Structure) -> Ve
     )
 
 
-def _size(left: Structure, before: str = ",") -> str:
+def _size(left: LackOfFit, before: str = ",") -> str:
     m = left.map
     if m.share <= 0:
         return ""
@@ -123,7 +123,7 @@ def _few(dof: int) -> str:
     return f"{dof} degrees of freedom are too few to judge by: measure more poses"
 
 
-def _blind(names: str, errors: str, left: Structure) -> str:
+def _blind(names: str, errors: str, left: LackOfFit) -> str:
     rest = " and structure remains" if left.found else ""
     found = f"{names} helps" if names else "nothing in the catalogue helps"
     return (
@@ -132,7 +132,7 @@ def _blind(names: str, errors: str, left: Structure) -> str:
     )
 
 
-def _errors(base: Refit, here: Refit) -> str:
+def _errors(base: Trial, here: Trial) -> str:
     """Held-out errors before and after, as a person reads them."""
     b, a = (r.document["held_out"]["after"] for r in (base, here))
     parts = []

@@ -8,7 +8,7 @@ import numpy as np
 
 from parallel_cal.base.errors import FitError
 from parallel_cal.identification.methods._estimate import Estimate
-from parallel_cal.identification.observations import Evidence
+from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prior import Prior
 from parallel_cal.model.model import Model
 from parallel_cal.model.parameters import Parameter
@@ -39,13 +39,17 @@ def free_mask(model: Model, free: Iterable[str], fix: Iterable[str]) -> np.ndarr
     return np.asarray(mask)
 
 
-def check_enough(model: Model, evidence: Evidence, free: np.ndarray, prior: bool | Prior) -> None:
+def check_enough(
+    model: Model, observations: Observations, free: np.ndarray, prior: bool | Prior
+) -> None:
     """A clear word before the numbers fail: too few poses, or all of them the same; with a
     prior one equation is enough."""
-    poses, first = np.unique(evidence.group, return_index=True)
+    poses, first = np.unique(observations.group, return_index=True)
     n = len(model.joints)
     moved = [n + i for i in model.mechanism.moved]
-    given = evidence.measured[:, moved].sum(axis=1) + np.isfinite(evidence.reading).sum(axis=1)
+    given = observations.measured[:, moved].sum(axis=1) + np.isfinite(observations.reading).sum(
+        axis=1
+    )
     equations = np.maximum(model.structure.phi.shape[0] - len(moved) + given, 0)[first]
     carried, most = int(equations.sum()), max(int(equations.max(initial=0)), 1)
     if carried < (1 if prior else free.sum()):

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.identification.methods._estimate import Estimate
-from parallel_cal.identification.observations import SCATTER, Evidence
+from parallel_cal.identification.observations import SCATTER, Observations
 from parallel_cal.model.model import Model
 from parallel_cal.model.words import direction_in_words
 from parallel_cal.recordings.dataset import Dataset
@@ -32,9 +32,9 @@ def on_parameters(model: Model, estimate: Estimate, free: np.ndarray) -> list[st
     return words
 
 
-def on_noise(estimate: Estimate, evidence: Evidence) -> list[str]:
+def on_noise(estimate: Estimate, observations: Observations) -> list[str]:
     """Residuals beside the noise that was stated."""
-    if evidence.noise_assumed:
+    if observations.noise_assumed:
         return [
             "noise: assumed, so its proportions alone count: sigmas are from the residuals, and "
             "whether more than noise is left cannot be known"
@@ -42,7 +42,7 @@ def on_noise(estimate: Estimate, evidence: Evidence) -> list[str]:
     low, high = chi2_band(estimate.dof)
     if estimate.dof > 0 and not low <= estimate.chi2_per_dof <= high:
         size = "larger" if estimate.chi2_per_dof > high else "smaller"
-        guessed = [kind for kind, source in evidence.noise_from.items() if source == SCATTER]
+        guessed = [kind for kind, source in observations.noise_from.items() if source == SCATTER]
         noise = "the stated noise"
         if guessed:  # a robot that comes back shows more than its jitter at rest
             which = " and ".join(guessed)

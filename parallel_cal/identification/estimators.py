@@ -11,12 +11,12 @@ import numpy as np
 from parallel_cal.base.errors import FitError
 from parallel_cal.identification.methods._estimate import Estimate
 from parallel_cal.identification.methods._robust import robust
-from parallel_cal.identification.observations import Evidence
+from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prior import Prior
 from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import shelf_names
 
-Estimator = Callable[[Model, Evidence, np.ndarray], Estimate]
+Estimator = Callable[[Model, Observations, np.ndarray], Estimate]
 # These minimise residuals in noise units until they settle; what rests on such a minimum
 # (robust losses, partial re-calibration) makes no sense for the others.
 SETTLING = ("implicit", "forward", "inverse")
@@ -24,7 +24,7 @@ SHELF = "identification.methods"
 
 
 def estimator(method: str, prior: bool | Prior = False, loss: str = "linear") -> Estimator:
-    """How to get an estimate from (model, evidence, free); FitError where it makes no sense."""
+    """How to get an estimate from (model, observations, free); FitError where it makes no sense."""
     chosen = partial(method_named(method), prior=prior)
     if loss == "linear":
         return chosen

@@ -22,7 +22,7 @@ from parallel_cal.identification.doubts import (
 from parallel_cal.identification.estimators import Estimator, estimator, need_settling
 from parallel_cal.identification.methods.implicit import Estimate
 from parallel_cal.identification.noise_floor import noise_floor
-from parallel_cal.identification.observations import Evidence, gather
+from parallel_cal.identification.observations import Observations, observe
 from parallel_cal.identification.prediction_errors import Errors, errors, improvement
 from parallel_cal.identification.prior import Prior
 from parallel_cal.identification.refit import considered
@@ -49,7 +49,7 @@ class Result:
     after: Errors
     held_out: Errors
     noise: dict[str, float | None]
-    evidence: Evidence
+    observations: Observations
     dataset: Dataset
     method: str
     loss: str = "linear"
@@ -58,7 +58,7 @@ class Result:
 
     @property
     def samples(self) -> int:
-        return len(self.evidence)
+        return len(self.observations)
 
     def document(self) -> dict[str, Any]:
         """The JSON document of `parallel-cal fit`; all values SI, None where not known."""
@@ -86,7 +86,7 @@ class Result:
                 for c in self.estimate.spectrum.weak
             ],
             "noise_floor": self.noise,
-            "noise_from": self.evidence.noise_from,
+            "noise_from": self.observations.noise_from,
             "method": self.method,
             "loss": self.loss,
             "refit": list(self.refit),
@@ -98,7 +98,7 @@ class Result:
 
     def _band(self) -> list[float | None]:
         """Where chi2/dof of a complete model lies; nowhere where nobody knows the noise."""
-        assumed = self.evidence.noise_assumed
+        assumed = self.observations.noise_assumed
         return [None, None] if assumed else list(chi2_band(self.estimate.dof))
 
     def _held_out_before(self) -> dict[str, float | None]:
@@ -156,24 +156,24 @@ def fit(
     estimate_with = estimator(method, prior, loss)
     if partial:
         need_settling(method, "a partial re-calibration")
-    evidence = gather(model, dataset, joint_sigma)
-    check_enough(model, evidence, mask, prior)
+    observations = observe(model, dataset, joint_sigma)
+    check_enough(model, observations, mask, prior)
     report("errors before", 0.0)
-    before = errors(model, evidence)
+    before = errors(model, observations)
     report("identifying", 0.1)
     with single_threaded():
-        estimate = estimate_with(model, evidence, mask)
-        if evidence.noise_assumed:
+        estimate = estimate_with(model, observations, mask)
+        if observations.noise_assumed:
             estimate = scaled(estimate)
         if partial:
-            estimate = considered(model, evidence, mask, estimate)
+            estimate = considered(model, observations, mask, estimate)
         fitted = model.with_values(estimate.values, estimate.covariance)
         check_plausible(fitted, estimate, mask)
-        after = errors(fitted, evidence)
+        after = errors(fitted, observations)
         held_out = _held_out(
-            model, dataset, evidence, mask, hold_out, seed, prior, estimate_with, report
+            model, dataset, observations, mask, hold_out, seed, prior, estimate_with, report
         )
-    noise = noise_floor(fitted, evidence)
+    noise = noise_floor(fitted, observations)
     return Result(
         model=replace(fitted, fixed=model.fixed if partial else ~mask),
         start=model,
@@ -183,7 +183,7 @@ def fit(
         after=after,
         held_out=held_out,
         noise=noise,
-        evidence=evidence,
+        observations=observations,
         dataset=dataset,
         method=method,
         loss=loss,
@@ -191,7 +191,7 @@ def fit(
         warnings=(
             *dataset.warnings,
             *on_parameters(fitted, estimate, mask),
-            *on_noise(estimate, evidence),
+            *on_noise(estimate, observations),
             *on_held(fitted, after.document(), noise),
             *on_samples(estimate, dataset, loss),
         ),
@@ -216,7 +216,7 @@ def single_threaded() -> Any:
 def _held_out(
     model: Model,
     dataset: Dataset,
-    evidence: Evidence,
+    observations: Observations,
     free: np.ndarray,
     fraction: float,
     seed: int,
@@ -228,16 +228,16 @@ def _held_out(
     joined = {"position": 3, "orientation": 3, "joint": len(model.joints)}
     joined["reading"] = len(model.structure.channels)
     joined["closure"] = model.structure.phi.shape[0]
-    parts = {kind: np.full((len(evidence), size), np.nan) for kind, size in joined.items()}
+    parts = {kind: np.full((len(observations), size), np.nan) for kind, size in joined.items()}
     folds = dataset.folds(fraction, seed) if fraction > 0 else []
     for k, (train, test) in enumerate(folds):
         report("leaving poses out", 0.2 + 0.8 * k / len(folds))
         try:
-            check_enough(model, evidence.select(train), free, prior)
+            check_enough(model, observations.select(train), free, prior)
         except FitError:
             continue
-        found = estimate_with(model, evidence.select(train), free)
-        judged = errors(model.with_values(found.values), evidence.select(test))
+        found = estimate_with(model, observations.select(train), free)
+        judged = errors(model.with_values(found.values), observations.select(test))
         for kind, array in parts.items():
             array[test] = getattr(judged, kind)
     return Errors(**parts)

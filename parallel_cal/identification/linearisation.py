@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from parallel_cal.base.rotation import rotation_matrix, rotation_vector
-from parallel_cal.identification.observations import Evidence
+from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.predictions import shown
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.model import Model
@@ -45,32 +45,32 @@ class System:
 class Linearisation:
     """The closure linearised at parameters and adjusted quantities, in noise units."""
 
-    def __init__(self, model: Model, evidence: Evidence, free: np.ndarray, weighted: bool):
-        self._evidence, self._model, self._weighted = evidence, model, weighted
+    def __init__(self, model: Model, observations: Observations, free: np.ndarray, weighted: bool):
+        self._observations, self._model, self._weighted = observations, model, weighted
         self._free = None if np.all(free) else np.flatnonzero(free)  # no copy of all
         s, self._n_free = model.structure, int(np.sum(free))
-        self._batch = s.rows_compiled if len(evidence) >= MANY else s.rows_batch
+        self._batch = s.rows_compiled if len(observations) >= MANY else s.rows_batch
         self._rows = model.structure.rows.shape[0]
         closure = model.structure.phi.shape[0]
         # A channel that was not read is an unknown of its own row, projected out as one.
-        self._unread = np.zeros((len(evidence), self._rows), dtype=bool)
-        self._unread[:, closure:] = np.isnan(evidence.reading)
-        self._read = np.nan_to_num(evidence.reading)
+        self._unread = np.zeros((len(observations), self._rows), dtype=bool)
+        self._unread[:, closure:] = np.isnan(observations.reading)
+        self._read = np.nan_to_num(observations.reading)
         self._variance = np.zeros(self._rows)
-        self._variance[closure:] = model.structure.accuracy**2
+        self._variance[closure:] = model.structure.standard_uncertainty**2
         self._n = len(model.joints)
         moved = np.zeros(self._n + 6, dtype=bool)
         moved[: self._n] = True
         moved[[self._n + i for i in model.mechanism.moved]] = True
-        self._unknown = moved & ~evidence.measured
+        self._unknown = moved & ~observations.measured
         self._complete = not (self._unknown.any() or self._unread.any())
 
     def start(self) -> np.ndarray:
         """The measured configurations; where nothing of a pose was measured, the model's own."""
-        x, n = self._evidence.x.copy(), self._n
+        x, n = self._observations.x.copy(), self._n
         blind = self._unknown[:, [n + i for i in self._model.mechanism.moved]].all(axis=1)
         if blind.any():
-            at = dict(zip(self._model.conditions, self._evidence.a[blind].T, strict=True))
+            at = dict(zip(self._model.conditions, self._observations.a[blind].T, strict=True))
             pose = shown(self._model, Kinematics(self._model).direct(x[blind, :n], at))
             columns = np.concatenate([pose.position, pose.rotation.reshape(-1, 9)], axis=1)
             solved = np.isfinite(columns).all(axis=1)
@@ -125,7 +125,7 @@ class Linearisation:
         self, values: np.ndarray, x: np.ndarray, part: slice = slice(None)
     ) -> tuple[np.ndarray, ...]:
         """Rows minus readings (N, rows), derivatives by (q, r, w) and by free parameters."""
-        phi, C, J = self._batch(x, self._evidence.a[part], values)
+        phi, C, J = self._batch(x, self._observations.a[part], values)
         phi[:, self._rows - self._read.shape[1] :] -= self._read[part]
         C = C.reshape(len(x), -1, self._rows).transpose(0, 2, 1)
         J = J.reshape(len(x), -1, self._rows)
@@ -135,8 +135,8 @@ class Linearisation:
 
     def _covariance(self, part: slice) -> np.ndarray:
         """S of some samples, zero where not measured."""
-        seen = self._evidence.measured[part]
-        S = self._evidence.S[part]
+        seen = self._observations.measured[part]
+        S = self._observations.S[part]
         return S if seen.all() else np.where(seen[:, :, None] & seen[:, None, :], S, 0.0)
 
     def _whitening(self, W: np.ndarray) -> np.ndarray:
@@ -173,11 +173,11 @@ class Linearisation:
 
     def away(self, x: np.ndarray, part: slice = slice(None)) -> np.ndarray:
         """Measured minus adjusted (q, r, w), (N, nq+6); zero where not measured."""
-        n, measured = self._n, self._evidence.x[part]
+        n, measured = self._n, self._observations.x[part]
         R = x[:, n + 3 :].reshape(-1, 3, 3)
         turn = measured[:, n + 3 :].reshape(-1, 3, 3) @ R.transpose(0, 2, 1)
         away = np.concatenate([measured[:, : n + 3] - x[:, : n + 3], rotation_vector(turn)], axis=1)
-        return np.where(self._evidence.measured[part], away, 0.0)
+        return np.where(self._observations.measured[part], away, 0.0)
 
 
 def moved(x: np.ndarray, change: np.ndarray, n: int) -> np.ndarray:

@@ -5,46 +5,50 @@ from __future__ import annotations
 import numpy as np
 
 from parallel_cal.identification.linearisation import Linearisation
-from parallel_cal.identification.observations import Evidence
-from parallel_cal.identification.prediction_errors import Errors, complete, judged, where_known
+from parallel_cal.identification.observations import Observations
+from parallel_cal.identification.prediction_errors import Errors, complete, judgeable, where_known
 from parallel_cal.model.model import Model
 
 
-def noise_floor(model: Model, evidence: Evidence, seed: int = 0) -> dict[str, float | None]:
+def noise_floor(model: Model, observations: Observations, seed: int = 0) -> dict[str, float | None]:
     """The errors a perfect model of this robot would show: measurement noise alone.
 
     Joint noise reaches the pose and what sensors show there through the direct problem, pose
     noise the joints through the inverse; means of norms by 64 draws a sample with a fixed seed.
     None where the noise was only assumed.
     """
-    if evidence.noise_assumed:
+    if observations.noise_assumed:
         return Errors(*[np.empty((0, 1))] * 5).document()
     n, m = len(model.joints), model.mechanism
     closure = model.structure.phi.shape[0]
-    rows = _row_jacobians(model, evidence)
+    rows = _row_jacobians(model, observations)
     C, shown_by = rows[:, :closure], rows[:, closure:]
     moved = [n + i for i in m.moved]
     solved_for = [*range(n), *[n + i for i in m.passive]]
     given = [n + i for i in m.controlled]
     rng = np.random.default_rng(seed)
-    draws = rng.standard_normal((64, *evidence.S.shape[:2]))
-    noise = np.einsum("nij,dnj->dni", np.linalg.cholesky(evidence.S + 1e-30 * np.eye(n + 6)), draws)
+    draws = rng.standard_normal((64, *observations.S.shape[:2]))
+    noise = np.einsum(
+        "nij,dnj->dni", np.linalg.cholesky(observations.S + 1e-30 * np.eye(n + 6)), draws
+    )
     to_pose = -np.linalg.pinv(C[:, :, moved]) @ C[:, :, :n]
     to_joint = -(np.linalg.pinv(C[:, :, solved_for]) @ C[:, :, given])[:, :n]
     pose = noise[:, :, n:].copy()
     pose[:, :, m.moved] -= np.einsum("nij,dnj->dni", to_pose, noise[:, :, :n])
     joint = noise[:, :, :n] - np.einsum("nij,dnj->dni", to_joint, noise[:, :, given])
     by_joint = shown_by[:, :, :n] + shown_by[:, :, moved] @ to_pose
-    read = model.structure.accuracy * rng.standard_normal((*draws.shape[:2], shown_by.shape[1]))
+    read = model.structure.standard_uncertainty * rng.standard_normal(
+        (*draws.shape[:2], shown_by.shape[1])
+    )
     read -= np.einsum("nij,dnj->dni", by_joint, noise[:, :, :n])
-    read = np.where(np.isfinite(evidence.reading), read, np.nan)
-    measured = np.broadcast_to(evidence.measured, (len(draws), *evidence.measured.shape))
+    read = np.where(np.isfinite(observations.reading), read, np.nan)
+    measured = np.broadcast_to(observations.measured, (len(draws), *observations.measured.shape))
     each = (pose[:, :, :3], pose[:, :, 3:], joint, read)
-    flat = [a.reshape(len(draws) * len(evidence), a.shape[-1]) for a in each]
+    flat = [a.reshape(len(draws) * len(observations), a.shape[-1]) for a in each]
     mask = measured.reshape(-1, n + 6)
-    known = [judged(m, mask[:, n:], part) for part in (range(3), range(3, 6))]
+    known = [judgeable(m, mask[:, n:], part) for part in (range(3), range(3, 6))]
     known.append(np.all(mask[:, given], axis=1))
-    gaps = np.einsum("nij,dnj->dni", C, noise)[:, complete(model, evidence)]
+    gaps = np.einsum("nij,dnj->dni", C, noise)[:, complete(model, observations)]
     kept = [mask[:, n : n + 3], mask[:, n + 3 :], np.ones_like(flat[2], dtype=bool)]
     parts = [
         where_known(k, np.where(c, a, 0.0)) for k, c, a in zip(known, kept, flat[:3], strict=True)
@@ -52,7 +56,7 @@ def noise_floor(model: Model, evidence: Evidence, seed: int = 0) -> dict[str, fl
     return Errors(*[*parts, flat[3], gaps]).document()
 
 
-def _row_jacobians(model: Model, evidence: Evidence) -> np.ndarray:
+def _row_jacobians(model: Model, observations: Observations) -> np.ndarray:
     """d rows / d (q, r, w) of closure and readings (N, n_rows, nq + 6), where the platform is."""
-    linearise = Linearisation(model, evidence, np.zeros(len(model.values), dtype=bool), True)
+    linearise = Linearisation(model, observations, np.zeros(len(model.values), dtype=bool), True)
     return np.asarray(linearise.blocks(model.values, linearise.start())[1])

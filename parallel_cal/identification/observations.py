@@ -19,7 +19,7 @@ SCATTER = "scatter within dwells"  # where noise comes from that nobody stated
 
 
 @dataclass(frozen=True)
-class Evidence:
+class Observations:
     """N measured samples of one mechanism.
 
     x (N, nq+12) configurations (q, r, R9); S (N, nq+6, nq+6) covariance of (q, r, w);
@@ -44,13 +44,13 @@ class Evidence:
         """Whether nobody measured the noise: S weighs, but chi2 and sigma prove nothing."""
         return ASSUMED in self.noise_from.values()
 
-    def select(self, index: np.ndarray) -> Evidence:
+    def select(self, index: np.ndarray) -> Observations:
         names = ("x", "S", "measured", "a", "group", "reading")
         return replace(self, **{name: getattr(self, name)[index] for name in names})
 
 
-def gather(model: Model, dataset: Dataset, joint_sigma: float | None = None) -> Evidence:
-    """Evidence for a model: joints in its order, noise from options, recording or model file."""
+def observe(model: Model, dataset: Dataset, joint_sigma: float | None = None) -> Observations:
+    """What a dataset says of a model: joints in its order, noise from option, recording or file."""
     order, reading = _joint_order(model, dataset), _readings(model, dataset)
     x = np.concatenate([dataset.q[:, order], dataset.r, dataset.R.reshape(-1, 9)], axis=1)
     measured = np.ones((len(x), len(order) + 6), dtype=bool)
@@ -64,7 +64,7 @@ def gather(model: Model, dataset: Dataset, joint_sigma: float | None = None) -> 
     S[:, n:, n:] = pose
     a = conditions(model, dataset)
     noise_from = {"joint": joint_from, "pose": pose_from}
-    return Evidence(x, S, measured, a, np.asarray(dataset.pose_id), reading, noise_from)
+    return Observations(x, S, measured, a, np.asarray(dataset.pose_id), reading, noise_from)
 
 
 def _joint_order(model: Model, dataset: Dataset) -> list[int]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from parallel_cal.base.rotation import rotation_vector
-from parallel_cal.identification.observations import Evidence
+from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.predictions import condition_columns, shown
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions, Status
 from parallel_cal.model.mechanism import Mechanism
@@ -59,12 +59,12 @@ def _rms(values: np.ndarray) -> float | None:
     return float(np.sqrt((values**2).mean())) if len(values) else None
 
 
-def errors(model: Model, evidence: Evidence) -> Errors:
+def errors(model: Model, observations: Observations) -> Errors:
     """Both kinds of prediction at every sample: pose from joints, joints from pose."""
     kinematics = Kinematics(model)
     n, m = len(model.joints), model.mechanism
-    at = condition_columns(model, evidence)
-    x, measured = evidence.x, evidence.measured
+    at = condition_columns(model, observations)
+    x, measured = observations.x, observations.measured
     rotation = x[:, n + 3 :].reshape(-1, 3, 3)
     # The robot is solved in {B}; the device shows its poses in frames of its own.
     reached = kinematics.direct(x[:, :n], at)
@@ -76,14 +76,14 @@ def errors(model: Model, evidence: Evidence) -> Errors:
     turn = rotation_vector(
         rotation @ np.where(np.isfinite(pose.rotation), pose.rotation, np.eye(3)).transpose(0, 2, 1)
     )
-    placed, orientation = (judged(m, measured[:, n:], part) for part in (range(3), range(3, 6)))
+    placed, orientation = (judgeable(m, measured[:, n:], part) for part in (range(3), range(3, 6)))
     apart = np.where(measured[:, n : n + 3], x[:, n : n + 3] - pose.position, 0.0)
     return Errors(
         where_known(placed & _solved(pose), apart),
         where_known(orientation & _solved(pose), np.where(measured[:, n + 3 :], turn, 0.0)),
         where_known(given & _solved(joints), _unwound(m, x[:, :n] - joints.joints)),
-        _readings_apart(model, evidence, pose),
-        _closure(model, evidence),
+        _readings_apart(model, observations, pose),
+        _closure(model, observations),
     )
 
 
@@ -92,36 +92,36 @@ def _unwound(mechanism: Mechanism, difference: np.ndarray) -> np.ndarray:
     return difference - mechanism.turns * np.round(difference / (2 * np.pi))
 
 
-def _closure(model: Model, evidence: Evidence) -> np.ndarray:
+def _closure(model: Model, observations: Observations) -> np.ndarray:
     """Rows of the closure (N, n_rows) at measured joints and pose; NaN where a coordinate that
     the mechanism moves was not measured."""
-    phi = model.structure.rows_batch(evidence.x, evidence.a, model.values)[0]
-    return where_known(complete(model, evidence), phi[:, : model.structure.phi.shape[0]])
+    phi = model.structure.rows_batch(observations.x, observations.a, model.values)[0]
+    return where_known(complete(model, observations), phi[:, : model.structure.phi.shape[0]])
 
 
-def complete(model: Model, evidence: Evidence) -> np.ndarray:
+def complete(model: Model, observations: Observations) -> np.ndarray:
     moved = [len(model.joints) + i for i in model.mechanism.moved]
-    return np.asarray(evidence.measured[:, moved].all(axis=1))
+    return np.asarray(observations.measured[:, moved].all(axis=1))
 
 
-def reading_errors(model: Model, evidence: Evidence) -> np.ndarray:
+def reading_errors(model: Model, observations: Observations) -> np.ndarray:
     """Read minus predicted (N, n_channels), m: what every sensor shows at the pose that the
     model's direct problem puts the platform in; NaN where not read or not solved."""
     n = len(model.joints)
-    pose = Kinematics(model).direct(evidence.x[:, :n], condition_columns(model, evidence))
-    return _readings_apart(model, evidence, shown(model, pose))
+    pose = Kinematics(model).direct(observations.x[:, :n], condition_columns(model, observations))
+    return _readings_apart(model, observations, shown(model, pose))
 
 
-def _readings_apart(model: Model, evidence: Evidence, pose: Solutions) -> np.ndarray:
+def _readings_apart(model: Model, observations: Observations, pose: Solutions) -> np.ndarray:
     """Read minus predicted (N, n_channels) where the pose device would show `pose`."""
     n = len(model.joints)
-    x = np.concatenate([evidence.x[:, :n], pose.position, pose.rotation.reshape(-1, 9)], axis=1)
-    rows = model.structure.rows_batch(x, evidence.a, model.values)[0]
+    x = np.concatenate([observations.x[:, :n], pose.position, pose.rotation.reshape(-1, 9)], axis=1)
+    rows = model.structure.rows_batch(x, observations.a, model.values)[0]
     predicted = rows[:, model.structure.phi.shape[0] :]
-    return np.where(_solved(pose)[:, None], evidence.reading - predicted, np.nan)
+    return np.where(_solved(pose)[:, None], observations.reading - predicted, np.nan)
 
 
-def judged(mechanism: Mechanism, measured: np.ndarray, part: range) -> np.ndarray:
+def judgeable(mechanism: Mechanism, measured: np.ndarray, part: range) -> np.ndarray:
     """Samples (N,) whose position (or orientation) can be judged: every coordinate of it that
     the mechanism moves was measured; where it moves none, all three were."""
     moved = [i for i in part if i in mechanism.moved]

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from parallel_cal.identification.observations import Evidence
+from parallel_cal.identification.observations import Observations
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions
 from parallel_cal.model.model import Model
 
@@ -19,15 +19,15 @@ def shown(model: Model, solutions: Solutions) -> Solutions:
     return replace(solutions, position=r, rotation=R9.reshape(-1, 3, 3))
 
 
-def condition_columns(model: Model, evidence: Evidence) -> dict[str, Any]:
-    return {name: evidence.a[:, k] for k, name in enumerate(model.conditions)}
+def condition_columns(model: Model, observations: Observations) -> dict[str, Any]:
+    return {name: observations.a[:, k] for k, name in enumerate(model.conditions)}
 
 
-def predicted(model: Model, evidence: Evidence) -> np.ndarray:
+def predicted(model: Model, observations: Observations) -> np.ndarray:
     """Configurations (N, nq+12) with the pose as the model predicts it from the joints, shown as
     the device shows it; where that cannot be solved, as measured."""
     n = len(model.joints)
-    joints = evidence.x[:, :n]
-    pose = shown(model, Kinematics(model).direct(joints, condition_columns(model, evidence)))
+    joints = observations.x[:, :n]
+    pose = shown(model, Kinematics(model).direct(joints, condition_columns(model, observations)))
     x = np.concatenate([joints, pose.position, pose.rotation.reshape(-1, 9)], axis=1)
-    return np.where(np.isfinite(x).all(axis=1)[:, None], x, evidence.x)
+    return np.where(np.isfinite(x).all(axis=1)[:, None], x, observations.x)

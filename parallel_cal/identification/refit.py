@@ -14,11 +14,13 @@ from parallel_cal.base.errors import FitError
 from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.methods._estimate import Estimate
 from parallel_cal.identification.methods._robust import reweighted
-from parallel_cal.identification.observations import Evidence
+from parallel_cal.identification.observations import Observations
 from parallel_cal.model.model import Model
 
 
-def considered(model: Model, evidence: Evidence, free: np.ndarray, found: Estimate) -> Estimate:
+def considered(
+    model: Model, observations: Observations, free: np.ndarray, found: Estimate
+) -> Estimate:
     """The estimate with the model's own covariance of the parameters that were kept.
 
     dp = G do with G = -P_pp J_p^T J_o: an error do of the others moves the refitted ones, so
@@ -28,7 +30,7 @@ def considered(model: Model, evidence: Evidence, free: np.ndarray, found: Estima
     """
     before = _known(model)
     others = ~free & (np.diag(before) > 0)
-    J = _jacobian(model, reweighted(evidence, found.weight), free | others, found.values)
+    J = _jacobian(model, reweighted(observations, found.weight), free | others, found.values)
     P_pp, P_oo = found.covariance[np.ix_(free, free)], before[np.ix_(others, others)]
     in_p = free[free | others]
     G = -found.spectrum.covariance @ J[:, in_p].T @ J[:, ~in_p]
@@ -49,7 +51,9 @@ def _known(model: Model) -> np.ndarray:
     return np.asarray(model.covariance)
 
 
-def _jacobian(model: Model, evidence: Evidence, free: np.ndarray, values: np.ndarray) -> np.ndarray:
-    linearise = Linearisation(model, evidence, free, weighted=True)
+def _jacobian(
+    model: Model, observations: Observations, free: np.ndarray, values: np.ndarray
+) -> np.ndarray:
+    linearise = Linearisation(model, observations, free, weighted=True)
     system = linearise(values, linearise.start())
     return linearise(values, system.adjusted(np.zeros(int(free.sum())))).columns

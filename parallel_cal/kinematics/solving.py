@@ -15,7 +15,7 @@ from parallel_cal.base.errors import SolveError
 from parallel_cal.base.rotation import quaternion_to_matrix
 from parallel_cal.kinematics.kinematics import CLOSED, Kinematics, Solutions, Status
 from parallel_cal.kinematics.solutions import concatenated
-from parallel_cal.kinematics.solvers._common import home_first, judged, sample
+from parallel_cal.kinematics.solvers._common import home_first, sample, with_status
 from parallel_cal.model.mechanism import poses_in_workspace
 from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import shelf_names
@@ -239,7 +239,7 @@ def _off_within(model: Model, at: Conditions, problem: str) -> float:
 
 def _judged(model: Model, found: list[Candidate], at: Conditions, problem: str) -> Solutions:
     rows = np.array([np.concatenate([q, r, R.ravel()]) for q, r, R in found])
-    return judged(model, rows, at, CLOSED, problem)
+    return with_status(model, rows, at, CLOSED, problem)
 
 
 def _unsolved(model: Model, q: np.ndarray | None, r: np.ndarray | None) -> Solutions:

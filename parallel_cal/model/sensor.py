@@ -16,7 +16,7 @@ from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 class Sensor(ABC):
     """One measuring set-up (chapter 4); subclass it in a file of its own, whose name is its name.
 
-    A file is a frozen dataclass whose fields describe the set-up (nominal geometry, accuracy).
+    A file is a frozen dataclass whose fields describe the set-up (nominal geometry, uncertainty).
     It adds rows `readings(pose) - what was read` to the closure, and its numbers to the model's.
     A channel that was not read in a sample is an unknown there, and projected out like one.
     """
@@ -35,7 +35,7 @@ class Sensor(ABC):
         return ()
 
     @property
-    def accuracy(self) -> float:
+    def standard_uncertainty(self) -> float:
         """Standard deviation of one reading (m)."""
         return 0.0
 

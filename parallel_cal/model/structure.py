@@ -174,9 +174,11 @@ class Structure:
         return tuple(c for sensor in self.sensors for c in sensor.channels)
 
     @property
-    def accuracy(self) -> np.ndarray:
+    def standard_uncertainty(self) -> np.ndarray:
         """Standard deviation of each channel (m)."""
-        return np.array([s.accuracy for s in self.sensors for _ in s.channels], dtype=float)
+        return np.array(
+            [s.standard_uncertainty for s in self.sensors for _ in s.channels], dtype=float
+        )
 
     @cached_property
     def rows(self) -> Any:

@@ -14,7 +14,7 @@ from std_msgs.msg import ColorRGBA, Header, String
 from visualization_msgs.msg import Marker, MarkerArray
 
 from parallel_cal.base.rotation import matrix_to_quaternion
-from parallel_cal.identification.observations import Evidence
+from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prediction_errors import Errors
 from parallel_cal.nodes.collector import Collection
 from parallel_cal.nodes.conversions import pose_message
@@ -82,13 +82,13 @@ def dropped_message(dropped: Iterable[Dropped]) -> String:
 
 
 def residual_markers(
-    evidence: Evidence, errors: Errors, ids: Any, frame: str, scale: float
+    observations: Observations, errors: Errors, ids: Any, frame: str, scale: float
 ) -> MarkerArray:
     """Arrows from each measured position along measured minus predicted, `scale` times as long."""
-    n = evidence.x.shape[1] - 12
+    n = observations.x.shape[1] - 12
     position, extent = (
-        evidence.x[:, n : n + 3],
-        float(np.ptp(evidence.x[:, n : n + 3], axis=0).max()),
+        observations.x[:, n : n + 3],
+        float(np.ptp(observations.x[:, n : n + 3], axis=0).max()),
     )
     markers = [Marker(action=Marker.DELETEALL, header=Header(frame_id=frame), ns="residuals")]
     for i in np.flatnonzero(np.isfinite(errors.position).all(axis=1)):

@@ -84,7 +84,7 @@ class Judging:
         frame, scale = collection.dataset.frame, self._parameter("arrow_scale")
         ids = collection.ids
         self._arrows.publish(
-            messages.residual_markers(found.evidence, found.errors, ids, frame, scale)
+            messages.residual_markers(found.observations, found.errors, ids, frame, scale)
         )
 
     def _publish_result(self, kind: str, outcome: Outcome) -> None:

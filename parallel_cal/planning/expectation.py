@@ -8,13 +8,13 @@ import numpy as np
 
 from parallel_cal.identification.methods.implicit import Linearisation
 from parallel_cal.identification.observability import Spectrum, spectrum
-from parallel_cal.identification.observations import Evidence
+from parallel_cal.identification.observations import Observations
 from parallel_cal.kinematics.kinematics import Solutions
 from parallel_cal.model.model import Model
 from parallel_cal.model.words import direction_in_words
 from parallel_cal.planning.indices import Indices, indices, prediction_rms
 from parallel_cal.planning.posepool import Pool
-from parallel_cal.planning.selection import Problem
+from parallel_cal.planning.selection import Choice
 
 # What is known beforehand where tolerances are no prior: next to nothing, every parameter to
 # 100 tolerances. It keeps the information invertible before there are poses enough.
@@ -59,13 +59,13 @@ class View:
     def rows(self, groups: np.ndarray) -> np.ndarray:
         return np.asarray(self._pool.groups[groups].ravel())
 
-    def problem(self, criterion: str) -> Problem:
+    def problem(self, criterion: str) -> Choice:
         p = self._scaled.shape[2]
         blocks = self._scaled[self._pool.groups.ravel()]
         weight = np.eye(p) if criterion == "A" else self._weight(range(6))
         before = np.eye(p) * (1.0 if self._prior else VAGUE)
         blocks = blocks.reshape(len(self._pool.groups), -1, p)
-        return Problem(blocks, before, weight, criterion, self.rank)
+        return Choice(blocks, before, weight, criterion, self.rank)
 
     def expectation(self, rows: np.ndarray) -> Expectation:
         """Of the fit's own covariance: no vague knowledge in it."""
@@ -107,19 +107,19 @@ def white_blocks(
     model: Model, free: np.ndarray, measured: np.ndarray, poses: Solutions, a: np.ndarray
 ) -> np.ndarray:
     """The whitened identification Jacobian (N, rows, n_free) at exact poses."""
-    evidence = as_evidence(model, measured, poses, a)
-    linearise = Linearisation(model, evidence, free, weighted=True)
-    return linearise(model.values, evidence.x).jacobian
+    observations = as_observations(model, measured, poses, a)
+    linearise = Linearisation(model, observations, free, weighted=True)
+    return linearise(model.values, observations.x).jacobian
 
 
 def prediction_blocks(
     model: Model, free: np.ndarray, measured: np.ndarray, pool: Pool
 ) -> np.ndarray:
     """d(r, length w)/d(free parameters) (N, 6, n_free) with locked joints: -J_x^-1 J_v."""
-    evidence = as_evidence(model, measured, pool.poses, pool.a)
-    linearise = Linearisation(model, evidence, free, weighted=True)
+    observations = as_observations(model, measured, pool.poses, pool.a)
+    linearise = Linearisation(model, observations, free, weighted=True)
     rows = model.structure.phi.shape[0]
-    C, J = (block[:, :rows] for block in linearise.blocks(model.values, evidence.x)[1:])
+    C, J = (block[:, :rows] for block in linearise.blocks(model.values, observations.x)[1:])
     n, moved = len(model.joints), model.mechanism.moved
     G = np.zeros((len(C), 6, J.shape[2]))
     G[:, moved] = -np.linalg.pinv(C[:, :, [n + i for i in moved]]) @ J
@@ -127,7 +127,9 @@ def prediction_blocks(
     return G
 
 
-def as_evidence(model: Model, measured: np.ndarray, poses: Solutions, a: np.ndarray) -> Evidence:
+def as_observations(
+    model: Model, measured: np.ndarray, poses: Solutions, a: np.ndarray
+) -> Observations:
     """Poses as if measured without error, with the model's noise."""
     n, noise = len(model.joints), model.noise
     x = np.concatenate([poses.joints, poses.position, poses.rotation.reshape(-1, 9)], axis=1)
@@ -137,4 +139,4 @@ def as_evidence(model: Model, measured: np.ndarray, poses: Solutions, a: np.ndar
     # Sensors beside the pose device are not planned with: their poses are bound to something.
     unread = np.full((len(x), len(model.structure.channels)), np.nan)
     source = {"joint": "model file", "pose": "model file"}
-    return Evidence(x, S, mask, a, np.arange(len(x)), unread, source)
+    return Observations(x, S, mask, a, np.arange(len(x)), unread, source)

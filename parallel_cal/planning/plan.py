@@ -15,7 +15,7 @@ from parallel_cal.kinematics.kinematics import Solutions
 from parallel_cal.model.model import Model
 from parallel_cal.planning.expectation import Expectation, View
 from parallel_cal.planning.posepool import Pool, given_pool, make_pool
-from parallel_cal.planning.selection import CRITERIA, LINEAR, Problem, anneal, exchange
+from parallel_cal.planning.selection import CRITERIA, LINEAR, Choice, anneal, exchange
 
 POOL, UNSEEN, RANDOM_SETS = 1000, 200, 21
 METHODS = ("exchange", "annealing")
@@ -226,7 +226,7 @@ def _number_of_groups(n: int, pool: Pool) -> int:
     return n // size
 
 
-def _typical(view: View, problem: Problem, groups: int, rng: np.random.Generator) -> Expectation:
+def _typical(view: View, problem: Choice, groups: int, rng: np.random.Generator) -> Expectation:
     """The median of random sets by the criterion."""
     sets = [rng.permutation(len(problem.blocks))[:groups] for _ in range(RANDOM_SETS)]
     costs = [problem.cost(problem.information(s)) for s in sets]

@@ -23,7 +23,7 @@ Report = Callable[[float], None]
 
 
 @dataclass(frozen=True)
-class Problem:
+class Choice:
     """Blocks (K, rows, p), information known beforehand (p, p), weight W (p, p), criterion;
     `rank`: the directions that count in a spectral criterion."""
 
@@ -48,7 +48,7 @@ class Problem:
         return float(np.log(s[0]) - power * np.log(s[-1])) / 2
 
 
-def exchange(problem: Problem, n: int, report: Report) -> np.ndarray:
+def exchange(problem: Choice, n: int, report: Report) -> np.ndarray:
     """Groups (n,) by adding the best one n times, then replacing one by a better one until
     none is (Fedorov): every step costs one pass over the candidates."""
     chosen: list[int] = []
@@ -64,7 +64,7 @@ def exchange(problem: Problem, n: int, report: Report) -> np.ndarray:
     return np.sort(np.array(chosen))
 
 
-def _sweep(problem: Problem, chosen: list[int]) -> bool:
+def _sweep(problem: Choice, chosen: list[int]) -> bool:
     """Each chosen group in turn gives way to the best other one; whether anything changed."""
     changed = False
     for i, old in enumerate(list(chosen)):
@@ -78,11 +78,11 @@ def _sweep(problem: Problem, chosen: list[int]) -> bool:
     return changed
 
 
-def _square(problem: Problem, k: int) -> np.ndarray:
+def _square(problem: Choice, k: int) -> np.ndarray:
     return np.asarray(problem.blocks[k].T @ problem.blocks[k])
 
 
-def _gains(problem: Problem, V: np.ndarray, taken: list[int]) -> np.ndarray:
+def _gains(problem: Choice, V: np.ndarray, taken: list[int]) -> np.ndarray:
     """How much each candidate (K,) improves the criterion, V the inverse of M without it.
 
     det(M + A^T A) = det M det(I + A V A^T); V falls by V A^T (I + A V A^T)^-1 A V.
@@ -101,7 +101,7 @@ def _gains(problem: Problem, V: np.ndarray, taken: list[int]) -> np.ndarray:
 
 
 def anneal(
-    problem: Problem, n: int, rng: np.random.Generator, report: Report, steps: int = 20000
+    problem: Choice, n: int, rng: np.random.Generator, report: Report, steps: int = 20000
 ) -> np.ndarray:
     """Groups (n,) by simulated annealing (Zhuang 94): random exchanges from a random set,
     worse ones accepted with probability exp(-rise / T), T falling to nothing."""
@@ -127,7 +127,7 @@ def anneal(
 
 
 def _first_temperature(
-    problem: Problem, order: np.ndarray, n: int, rng: np.random.Generator
+    problem: Choice, order: np.ndarray, n: int, rng: np.random.Generator
 ) -> float:
     """The typical rise of a random exchange: at first nearly everything is accepted."""
     costs: list[Any] = []

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 ARCMIN = np.pi / 180 / 60
 
 
-def look(
+def info(
     path: str | Path,
     *,
     topics: Topics | None = None,
@@ -40,7 +40,7 @@ def look(
     that cannot be read is a BagError.
     """
     if holds_samples(Path(path)):
-        return look_at(Dataset.from_json(path).excluding(exclude))
+        return info_of(Dataset.from_json(path).excluding(exclude))
     recording = read_bag(
         path, topics, joints=joints, measures=measures, stamps=stamps, progress=progress
     )
@@ -54,7 +54,7 @@ def look(
     return document | _dataset_part(dataset.excluding(exclude))
 
 
-def look_at(dataset: Dataset) -> dict[str, Any]:
+def info_of(dataset: Dataset) -> dict[str, Any]:
     """The same of samples that are no recording (any more): no topics, no duration."""
     return {
         "source": dataset.source,
@@ -205,7 +205,7 @@ def _listed(dropped: Sequence[Dropped]) -> list[dict[str, Any]]:
 # ---- for people --------------------------------------------------------------------------------
 
 
-def print_look(document: dict[str, Any], console: Console) -> None:
+def print_info(document: dict[str, Any], console: Console) -> None:
     """Print the document as short tables, in units for people."""
     duration = document["duration"]
     kind = "samples" if duration is None else f"{duration:.1f} s"

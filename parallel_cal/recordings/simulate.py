@@ -28,7 +28,7 @@ TRIES = 20  # draws a pose before the workspace counts as unreachable
 
 
 @dataclass(frozen=True)
-class Session:
+class Simulation:
     """What the robot and the device would have published; times in s, SI units."""
 
     joint_names: tuple[str, ...]
@@ -74,7 +74,7 @@ def simulate(
     *,
     replicates: int = 0,
     quiet: bool = False,
-) -> Session:
+) -> Simulation:
     """A session of the robot `model`: `poses` drawn in its workspace, some visited again.
 
     Noise is the model's, or typical where it says nothing; `quiet` instruments state the same
@@ -91,7 +91,7 @@ def simulate(
         motion = _motion(model, _fitting(model, targets, motion))
     stated = stated_noise(model)
     errors = _Errors(model, Noise() if quiet else stated, len(targets), rng)
-    return Session(
+    return Simulation(
         model.joints,
         (model.frames["base"], model.frames["platform"]),
         motion.time,
@@ -252,7 +252,7 @@ def _pose_sigma(noise: Noise) -> np.ndarray:
     return np.repeat([noise.position or 0.0, noise.orientation or 0.0], 3)
 
 
-def document(session: Session, model: Model, poses: int, replicates: int) -> dict[str, Any]:
+def document(session: Simulation, model: Model, poses: int, replicates: int) -> dict[str, Any]:
     """What was simulated, for the command line: counts, duration in s, the effects' values."""
     start = len(model.mechanism.parameters)
     names: Sequence[str] = model.table.names[start:]

@@ -15,7 +15,7 @@ from parallel_cal.base.errors import BagError
 from parallel_cal.base.rotation import matrix_to_quaternion
 
 if TYPE_CHECKING:
-    from parallel_cal.recordings.simulate import Session
+    from parallel_cal.recordings.simulate import Simulation
 
 START = 1_767_225_600_000_000_000  # 2026-01-01 00:00:00 UTC, in ns: equal seeds, equal files
 STORAGES = ("mcap", "sqlite3")
@@ -28,7 +28,7 @@ TYPES = {
 LATCHED = ("payload",)
 
 
-def write_bag(session: Session, path: str | Path, storage: str = "mcap") -> None:
+def write_bag(session: Simulation, path: str | Path, storage: str = "mcap") -> None:
     """Write a session as a rosbag2 folder, whole or not at all; BagError where one stands."""
     target = Path(path)
     if storage not in STORAGES:
@@ -45,7 +45,7 @@ def write_bag(session: Session, path: str | Path, storage: str = "mcap") -> None
         raise BagError(f"{target}: cannot be written: {error.strerror or error}") from None
 
 
-def _write(session: Session, folder: Path, storage: str) -> None:
+def _write(session: Simulation, folder: Path, storage: str) -> None:
     from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
     messages = _Messages()
@@ -93,7 +93,7 @@ class _Messages:
 
         return get_typestore(Stores.ROS2_JAZZY)
 
-    def of(self, session: Session) -> Iterator[tuple[int, str, Any]]:
+    def of(self, session: Simulation) -> Iterator[tuple[int, str, Any]]:
         """(stamp in ns, topic, message), topic by topic."""
         base, platform = session.frames
         for time, mass in zip(_stamps(session.payload_time), session.payload, strict=True):

@@ -9,8 +9,8 @@ import numpy as np
 
 from parallel_cal.diagnosis.diagnose import Diagnosis
 from parallel_cal.diagnosis.fields import Field
+from parallel_cal.diagnosis.lack_of_fit import regressors
 from parallel_cal.diagnosis.scene import Scene
-from parallel_cal.diagnosis.structure import regressors
 from parallel_cal.identification.doubts import finite_or_none
 from parallel_cal.identification.fit import Result
 from parallel_cal.identification.prediction_errors import ERRORS
@@ -136,7 +136,7 @@ def samples(found: Diagnosis) -> list[dict[str, Any]]:
         {
             "sample": int(number),
             "time": finite_or_none(data.time[i]),
-            "joints": best.evidence.x[i, : len(best.model.joints)].tolist(),
+            "joints": best.observations.x[i, : len(best.model.joints)].tolist(),
             "position": [finite_or_none(v) for v in _measured(found, i)],
             "now": _norms(found.base.fitted, i) | {"sigmas": float(sigmas[0][i])},
             "found": _norms(best, i) | {"sigmas": float(sigmas[1][i])} if found.effects else None,

@@ -27,11 +27,11 @@ def candidates(document: Document) -> str:
     found = document["diagnosis"]
     tested = [c for c in found["candidates"] if c["p_adjusted"] is not None]
     rest = [(c["effect"], c["reason"]) for c in found["candidates"] if c["p_adjusted"] is None]
-    placebo = found["placebo"]["random_group"]
+    control = found["negative_control"]["random_group"]
     note = (
         "Effects are scored off the geometry and the best refitted; p for having looked at all of "
-        f"them. Placebo: a group of random columns would come out as number {placebo['rank']} "
-        f"(p = {probability(placebo['p_value'])})."
+        f"them. Negative control: random columns would come out as number {control['rank']} "
+        f"(p = {probability(control['p_value'])})."
     )
     told = [f"{name} fits no better than {', '.join(o)}" for name, o in found["swaps"].items()]
     told += [f"Against it: {text}" for text in found["against"]]

@@ -64,7 +64,7 @@ class Report:
             "model_sha256": model_hash(model),
             "dataset": {"source": data.source, "sha256": data.sha256, "samples": len(data)},
             "dropped": len(data.dropped),
-            "noise_from": dict(self.diagnosis.base.fitted.evidence.noise_from),
+            "noise_from": dict(self.diagnosis.base.fitted.observations.noise_from),
             "options": dict(self.options),
         }
 

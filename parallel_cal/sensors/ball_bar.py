@@ -30,7 +30,7 @@ class BallBar(Sensor):
         return ("ball_bar",)
 
     @property
-    def accuracy(self) -> float:
+    def standard_uncertainty(self) -> float:
         return self.sigma
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:

@@ -49,7 +49,7 @@ class PlaneSpheres(Sensor):
         return ("plane", *(f"sphere{i + 1}" for i in range(len(self.holes))))
 
     @property
-    def accuracy(self) -> float:
+    def standard_uncertainty(self) -> float:
         return self.sigma
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:

@@ -30,7 +30,7 @@ class Probe(Sensor):
         return ("probe",)
 
     @property
-    def accuracy(self) -> float:
+    def standard_uncertainty(self) -> float:
         return self.sigma
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:

@@ -10,7 +10,7 @@ from typing import Any
 
 from parallel_cal.base.errors import FitError, ParallelCalError
 from parallel_cal.identification.fit import Progress
-from parallel_cal.identification.observations import gather
+from parallel_cal.identification.observations import observe
 from parallel_cal.identification.prediction_errors import errors, held_out_ratio
 from parallel_cal.model.file.modelfile import model_hash, read_model, write_model
 from parallel_cal.model.model import Model
@@ -119,7 +119,7 @@ def check_share(hold_out: float) -> None:
 
 
 def _position_error(model: Model, dataset: Dataset, joint_sigma: float | None) -> float:
-    table = errors(model, gather(model, dataset, joint_sigma)).document()
+    table = errors(model, observe(model, dataset, joint_sigma)).document()
     return _or_nan(table["position_mean"])
 
 

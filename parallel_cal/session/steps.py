@@ -63,7 +63,7 @@ def added(model: Model, effect: str, dataset: Dataset, force: bool = False, **op
 
 def _searched(base: Result, name: str) -> Mapping[str, float]:
     """The settings of an effect that fit best to what the model without it leaves."""
-    here = scene(base.model, base.dataset, base.evidence, base.free)
+    here = scene(base.model, base.dataset, base.observations, base.free)
     return candidate(here, name).settings
 
 

@@ -54,7 +54,7 @@ def put_together(robot: Model, loops: Sequence[tuple[Loop, Result]], relinearise
 def closures(result: Result) -> Rows:
     """A loop's whitened closures (N,) and their Jacobian (N, 9) as functions of its numbers."""
     every = np.ones(len(result.model.values), dtype=bool)
-    linearise = Linearisation(result.model, result.evidence, every, weighted=True)
+    linearise = Linearisation(result.model, result.observations, every, weighted=True)
 
     def rows(g: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         x = linearise.start()

@@ -20,9 +20,9 @@ from parallel_cal.identification.prediction_errors import errors
 from parallel_cal.model.model import Model
 from parallel_cal.model.words import direction_in_words
 from parallel_cal.recordings.dataset import Dataset
-from parallel_cal.short_cut.blind_spots import blind_spots
 from parallel_cal.short_cut.combining import closures, put_together
 from parallel_cal.short_cut.loop import Loop, loop_dataset, loop_model, recorded_home
+from parallel_cal.short_cut.unidentifiable import blind_spots
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class Combination:
             "loop": str(found.loop),
             "rank": found.rank,
             **{key: own[key] for key in keys},
-            "after": errors(combined, found.fit.evidence).document(),
+            "after": errors(combined, found.fit.observations).document(),
         }
 
     @property

@@ -15,7 +15,7 @@ import numpy as np
 from parallel_cal.base.compiled import Single, dense
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.rotation import matrix_to_quaternion, rotation_matrix
-from parallel_cal.identification.observations import gather
+from parallel_cal.identification.observations import observe
 from parallel_cal.mechanisms.rssr import Circle, Rssr, numbers_of
 from parallel_cal.model.mechanism import Home, Mechanism, Workspace
 from parallel_cal.model.model import Model, new_model
@@ -136,8 +136,8 @@ def loop_dataset(
     robot: Model, loop: Loop, dataset: Dataset, joint_sigma: float | None = None
 ) -> Dataset:
     """Joint readings as the loop sees them: the second encoder is its pose, turned about z."""
-    evidence, (i, o) = gather(robot, dataset, joint_sigma), loop.arms
-    q, sigma = evidence.x, np.sqrt(np.diagonal(evidence.S, axis1=1, axis2=2))
+    observations, (i, o) = observe(robot, dataset, joint_sigma), loop.arms
+    q, sigma = observations.x, np.sqrt(np.diagonal(observations.S, axis1=1, axis2=2))
     turn = np.zeros((len(q), 3))
     turn[:, 2] = q[:, o]
     return Dataset.from_arrays(

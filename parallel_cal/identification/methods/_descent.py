@@ -9,8 +9,14 @@ import numpy as np
 
 from parallel_cal.base.errors import FitError
 from parallel_cal.identification.linearisation import Linearisation, System
-from parallel_cal.identification.methods._estimate import GAIN, STEP, Estimate, Normal, concluded
-from parallel_cal.identification.observations import Evidence
+from parallel_cal.identification.methods._estimate import (
+    GAIN,
+    STEP,
+    Estimate,
+    NormalEquations,
+    concluded,
+)
+from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prior import Knowledge, Prior
 from parallel_cal.model.model import Model
 
@@ -45,7 +51,7 @@ def minimise(
     if system is None:
         raise FitError("the starting model has no solution at some samples: start nearer")
     for k in range(iterations):
-        step, promised = Normal(system, values, tolerance, known).step(damping)
+        step, promised = NormalEquations(system, values, tolerance, known).step(damping)
         trial = values.copy()
         trial[free] += step
         tried = linearise(trial)
@@ -72,10 +78,10 @@ def _better(
     return new <= old * (1 + 1e-9)
 
 
-def judged(
+def concluded_at(
     model: Model,
     values: np.ndarray,
-    evidence: Evidence,
+    observations: Observations,
     free: np.ndarray,
     iterations: int,
     covariance: np.ndarray | None = None,
@@ -84,7 +90,7 @@ def judged(
 
     `covariance` (n_free, n_free), that of the method, replaces that of the weighted optimum.
     """
-    linearise = Linearisation(model, evidence, free, True)
+    linearise = Linearisation(model, observations, free, True)
     system = linearise(values, linearise.start())
     found = concluded(model, values, system, free, False, iterations)
     if covariance is None:
@@ -95,23 +101,27 @@ def judged(
 
 
 def spread(
-    influence: np.ndarray, model: Model, values: np.ndarray, evidence: Evidence
+    influence: np.ndarray, model: Model, values: np.ndarray, observations: Observations
 ) -> np.ndarray:
     """Covariance of estimates that the errors of a closure's rows move by influence
     (n_free, N * rows): influence W influence^T with W = C S C^T, the noise of these rows."""
     none = np.zeros(len(values), dtype=bool)
-    _, C, _ = Linearisation(model, evidence, none, True).blocks(values, evidence.x)
-    W = C @ evidence.S @ C.transpose(0, 2, 1)
+    _, C, _ = Linearisation(model, observations, none, True).blocks(values, observations.x)
+    W = C @ observations.S @ C.transpose(0, 2, 1)
     parts = influence.reshape(len(influence), *W.shape[:2])
     return np.asarray(np.einsum("anr,nrs,bns->ab", parts, W, parts, optimize=True))
 
 
-def need_measured(evidence: Evidence, columns: np.ndarray, names: list[str], method: str) -> None:
+def need_measured(
+    observations: Observations, columns: np.ndarray, names: list[str], method: str
+) -> None:
     """FitError where a coordinate that the method starts from was not measured, or where more
     than poses was (channels of other sensors)."""
-    if evidence.reading.shape[1]:
+    if observations.reading.shape[1]:
         raise FitError(f"{method} calibration knows poses only; use the implicit method")
-    missing = [n for n, c in zip(names, columns, strict=True) if not evidence.measured[:, c].all()]
+    missing = [
+        n for n, c in zip(names, columns, strict=True) if not observations.measured[:, c].all()
+    ]
     if missing:
         raise FitError(
             f"{method} calibration needs {', '.join(missing)} at every sample; where they were "

@@ -41,7 +41,7 @@ class Estimate:
         return np.where(self.lost, np.inf, np.sqrt(np.diag(self.covariance)))
 
 
-class Normal:
+class NormalEquations:
     """The normal equations at a point, scaled by tolerances, along their own directions."""
 
     def __init__(self, system: System, values: np.ndarray, tolerance: np.ndarray, known: Knowledge):

@@ -7,7 +7,7 @@ import numpy as np
 from parallel_cal.base.errors import FitError
 from parallel_cal.identification.linearisation import Linearisation, moved
 from parallel_cal.identification.methods._descent import Predicted, need_measured
-from parallel_cal.identification.observations import Evidence
+from parallel_cal.identification.observations import Observations
 from parallel_cal.model.mechanism import POSE
 from parallel_cal.model.model import Model
 
@@ -26,7 +26,7 @@ class Prediction:
     Samples without a solution, or at a singularity, of the starting model are left out.
     """
 
-    def __init__(self, model: Model, evidence: Evidence, free: np.ndarray, direct: bool):
+    def __init__(self, model: Model, observations: Observations, free: np.ndarray, direct: bool):
         m, n = model.mechanism, len(model.joints)
         moving, joints = [n + i for i in m.moved], list(range(n))
         passive = [n + i for i in m.passive]
@@ -35,27 +35,27 @@ class Prediction:
         names = [*model.joints, *POSE]
         self._near = NEAR_DIRECT if direct else NEAR_INVERSE
         method = "forward" if direct else "inverse"
-        need_measured(evidence, self.given, [names[c] for c in self.given], method)
+        need_measured(observations, self.given, [names[c] for c in self.given], method)
         self._scale = model.structure.scale[self.unknown]
-        self._used = np.ones(len(evidence), dtype=bool)
-        self._at(model, evidence, free)
-        self._choose(model, evidence, free)
+        self._used = np.ones(len(observations), dtype=bool)
+        self._at(model, observations, free)
+        self._choose(model, observations, free)
 
-    def _at(self, model: Model, evidence: Evidence, free: np.ndarray) -> None:
-        self._evidence = evidence
-        self._closure = Linearisation(model, evidence, free, True)
-        self._last = evidence.x.copy()
+    def _at(self, model: Model, observations: Observations, free: np.ndarray) -> None:
+        self._observations = observations
+        self._closure = Linearisation(model, observations, free, True)
+        self._last = observations.x.copy()
 
-    def _choose(self, model: Model, evidence: Evidence, free: np.ndarray) -> None:
+    def _choose(self, model: Model, observations: Observations, free: np.ndarray) -> None:
         _, C, _, ok = self.solved(model.values)
-        there = self._closure.blocks(model.values, evidence.x)[1]
+        there = self._closure.blocks(model.values, observations.x)[1]
         # Judged where it was measured, too: a solution may lie across the singularity.
         both = np.stack([C, there])[:, :, :, self.unknown] / self._scale
         size = np.linalg.svd(both, compute_uv=False)[:, :, -1].min(axis=0)
         self._used = ok & (size > self._near * size.max())
         if not self._used.any():
             raise FitError("the starting model solves no sample: is it of the right robot?")
-        self._at(model, evidence.select(self._used), free)
+        self._at(model, observations.select(self._used), free)
 
     @property
     def used(self) -> np.ndarray:
@@ -84,13 +84,13 @@ class Prediction:
         residual = self._closure.away(x)[:, self.unknown]
         inverse = np.linalg.pinv(C[:, :, self.unknown])
         # All that was measured takes part: its noise enters where a coordinate does not move, too.
-        T = inverse @ C * self._evidence.measured[:, None, :]
+        T = inverse @ C * self._observations.measured[:, None, :]
         return self._white(residual, inverse @ J, T)
 
     def _white(self, residual: np.ndarray, jacobian: np.ndarray, T: np.ndarray) -> Predicted:
         """Rows of unmeasured coordinates are zero; the others in units of their noise."""
-        seen = self._evidence.measured[:, self.unknown]
-        W = T @ self._evidence.S @ T.transpose(0, 2, 1)
+        seen = self._observations.measured[:, self.unknown]
+        W = T @ self._observations.S @ T.transpose(0, 2, 1)
         W = np.where(seen[:, :, None] & seen[:, None, :], W, 0.0)
         W[:, range(W.shape[1]), range(W.shape[1])] += ~seen
         rows = np.concatenate([residual[:, :, None], jacobian], axis=2) * seen[:, :, None]

@@ -14,7 +14,7 @@ import numpy as np
 
 from parallel_cal.base.compiled import Batch, dense
 from parallel_cal.base.errors import FitError
-from parallel_cal.identification.observations import Evidence
+from parallel_cal.identification.observations import Observations
 from parallel_cal.model.model import Model
 
 
@@ -47,7 +47,7 @@ Step = Callable[[LeastSquares, np.ndarray], np.ndarray]
 
 
 def gauss_newton_normal(problem: LeastSquares, p: np.ndarray, epsilon: float = 1e-9) -> Descent:
-    """Normal equations (C.17)."""
+    """NormalEquations equations (C.17)."""
 
     def step(s: LeastSquares, p: np.ndarray) -> np.ndarray:
         J = s.jacobian(p)
@@ -116,7 +116,7 @@ def _repeat(problem: LeastSquares, p: np.ndarray, step: Step, epsilon: float) ->
 
 
 def closure_problem(
-    model: Model, evidence: Evidence, unit: np.ndarray, factor: float = 1.0
+    model: Model, observations: Observations, unit: np.ndarray, factor: float = 1.0
 ) -> LeastSquares:
     """The closure's merit (eq. 5.6) in parameters p * unit; derivatives by CasADi.
 
@@ -132,7 +132,7 @@ def closure_problem(
     rows, n = phi.numel(), len(unit)
 
     def evaluate(batch: Batch, p: np.ndarray) -> np.ndarray:
-        return batch(evidence.x, evidence.a, p * unit)[0]
+        return batch(observations.x, observations.a, p * unit)[0]
 
     def jacobian(p: np.ndarray) -> np.ndarray:
         flat = evaluate(j, p).reshape(-1, n, rows).transpose(0, 2, 1)

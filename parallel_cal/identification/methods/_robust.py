@@ -9,7 +9,7 @@ import numpy as np
 
 from parallel_cal.base.errors import FitError
 from parallel_cal.identification.methods._estimate import Estimate
-from parallel_cal.identification.observations import Evidence
+from parallel_cal.identification.observations import Observations
 from parallel_cal.model.model import Model
 
 # Weights of scipy's losses for a sample whose rms residual is t sigmas; the constants keep 95 %
@@ -25,7 +25,7 @@ LOSSES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
 def robust(
     estimator: Callable[..., Estimate],
     model: Model,
-    evidence: Evidence,
+    observations: Observations,
     free: np.ndarray,
     loss: str = "huber",
     iterations: int = 30,
@@ -39,16 +39,16 @@ def robust(
     """
     if loss not in LOSSES:
         raise FitError(f"no loss '{loss}'; there are linear, {', '.join(LOSSES)}")
-    weight = np.ones(len(evidence))
+    weight = np.ones(len(observations))
     for _ in range(iterations):
-        found = estimator(model, reweighted(evidence, weight), free)
+        found = estimator(model, reweighted(observations, weight), free)
         if len(found.residuals) != len(weight):
             raise FitError(
                 f"loss '{loss}' needs every sample, but this method leaves out those near "
                 "singularities; use the implicit method"
             )
         plain = found.residuals / np.sqrt(weight)[:, None]
-        unit = _scale(plain) if evidence.noise_assumed else 1.0
+        unit = _scale(plain) if observations.noise_assumed else 1.0
         before, weight = weight, LOSSES[loss](_sizes(plain) / unit)
         model = model.with_values(found.values)
         if np.abs(weight - before).max() < 1e-6:
@@ -56,9 +56,13 @@ def robust(
     return replace(found, weight=before)
 
 
-def reweighted(evidence: Evidence, weight: np.ndarray | None) -> Evidence:
+def reweighted(observations: Observations, weight: np.ndarray | None) -> Observations:
     """Samples whose noise is that of their weight (N,)."""
-    return evidence if weight is None else replace(evidence, S=evidence.S / weight[:, None, None])
+    return (
+        observations
+        if weight is None
+        else replace(observations, S=observations.S / weight[:, None, None])
+    )
 
 
 def _scale(residuals: np.ndarray) -> float:

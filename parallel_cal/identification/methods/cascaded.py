@@ -1,7 +1,7 @@
 """Cascaded calibration: sub-models that are linear in their unknowns, one after another (5.3.7).
 
 The closure's linear factors come by program (`_factors`). Differences of samples hold no
-constant factor, where squares of parameters gather: they give the other factors (eq. 5.33; the
+constant factor, where squares of parameters observe: they give the other factors (eq. 5.33; the
 print forgets that cos q_N and cos q_j differ), these the constant (eq. 5.34), all the parameters.
 """
 
@@ -17,14 +17,14 @@ from parallel_cal.identification.methods.semiparametric import (
     extracted,
     semiparametric,
 )
-from parallel_cal.identification.observations import Evidence
+from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prior import Prior
 from parallel_cal.model.model import Model
 
 
 def estimate(
     model: Model,
-    evidence: Evidence,
+    observations: Observations,
     free: np.ndarray,
     prior: bool | Prior = False,
     iterations: int = 20,
@@ -38,16 +38,16 @@ def estimate(
     if prior:
         raise FitError("cascaded calibration takes no prior; use the implicit method")
     factors = semiparametric(model)
-    phi, M = closure_rows(factors, evidence)
+    phi, M = closure_rows(factors, observations)
     constant = _constants(factors)
-    inverse = _two_steps(M, constant, len(evidence))
+    inverse = _two_steps(M, constant, len(observations))
     target = factors.values - inverse @ phi
     # What both steps saw: differences, then each row's mean, in which the constants stand.
-    first = np.linalg.qr(_differences(M, len(evidence)), mode="r")
+    first = np.linalg.qr(_differences(M, len(observations)), mode="r")
     mean = M[:, constant] / np.linalg.norm(M[:, constant], axis=0)
     weight = np.vstack([first, mean.T @ M])
     return extracted(
-        model, evidence, free, factors, target, weight, np.linalg.pinv(inverse), iterations
+        model, observations, free, factors, target, weight, np.linalg.pinv(inverse), iterations
     )
 
 

@@ -7,14 +7,14 @@ import numpy as np
 from parallel_cal.identification.methods._descent import minimise
 from parallel_cal.identification.methods._estimate import Estimate
 from parallel_cal.identification.methods._explicit import Prediction
-from parallel_cal.identification.observations import Evidence
+from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prior import Prior
 from parallel_cal.model.model import Model
 
 
 def estimate(
     model: Model,
-    evidence: Evidence,
+    observations: Observations,
     free: np.ndarray,
     prior: bool | Prior = False,
     iterations: int = 50,
@@ -25,5 +25,5 @@ def estimate(
     problem, so samples near a direct singularity count little (the thesis had to remove them).
     Measured coordinates that move take part. FitError where it does not converge.
     """
-    prediction = Prediction(model, evidence, free, direct=True)
+    prediction = Prediction(model, observations, free, direct=True)
     return minimise(model, free, prior, prediction, iterations)

@@ -12,9 +12,9 @@ import numpy as np
 
 from parallel_cal.base.errors import FitError
 from parallel_cal.identification.linearisation import Linearisation, System
-from parallel_cal.identification.methods._estimate import Estimate, Normal, concluded
+from parallel_cal.identification.methods._estimate import Estimate, NormalEquations, concluded
 from parallel_cal.identification.observability import Spectrum, spectrum
-from parallel_cal.identification.observations import Evidence
+from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prior import Knowledge, Prior
 from parallel_cal.model.model import Model
 from parallel_cal.model.words import direction_in_words
@@ -30,13 +30,13 @@ class _Point:
 
     values: np.ndarray
     system: System
-    normal: Normal
+    normal: NormalEquations
     cost: float
 
 
 def estimate(
     model: Model,
-    evidence: Evidence,
+    observations: Observations,
     free: np.ndarray,
     prior: bool | Prior = False,
     weighted: bool = True,
@@ -50,11 +50,11 @@ def estimate(
     it does not converge.
     """
     tolerance, known = model.table.tolerance[free], Knowledge(prior, model.table, free)
-    linearise = Linearisation(model, evidence, free, weighted)
+    linearise = Linearisation(model, observations, free, weighted)
 
     def at(values: np.ndarray, x: np.ndarray) -> _Point:
         system = linearise(values, x)
-        normal = Normal(system, values, tolerance, known)
+        normal = NormalEquations(system, values, tolerance, known)
         return _Point(values, system, normal, system.chi2 + known.cost(values))
 
     def ahead(point: _Point, damping: float) -> tuple[_Point, float]:
@@ -83,7 +83,7 @@ def estimate(
             break
     raise FitError(
         f"identification did not converge in {iterations} iterations "
-        f"(chi2 {here.system.chi2:.3g} of {len(evidence)} samples): "
+        f"(chi2 {here.system.chi2:.3g} of {len(observations)} samples): "
         f"{_why(model, spectrum(here.system.columns, model.table, free, prior), prior)}"
     )
 

@@ -7,14 +7,14 @@ import numpy as np
 from parallel_cal.identification.methods._descent import minimise
 from parallel_cal.identification.methods._estimate import Estimate
 from parallel_cal.identification.methods._explicit import Prediction
-from parallel_cal.identification.observations import Evidence
+from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prior import Prior
 from parallel_cal.model.model import Model
 
 
 def estimate(
     model: Model,
-    evidence: Evidence,
+    observations: Observations,
     free: np.ndarray,
     prior: bool | Prior = False,
     iterations: int = 50,
@@ -26,5 +26,5 @@ def estimate(
     same problem; where measured, their errors count too. FitError where a controlled
     coordinate was not measured, or it does not converge.
     """
-    prediction = Prediction(model, evidence, free, direct=False)
+    prediction = Prediction(model, observations, free, direct=False)
     return minimise(model, free, prior, prediction, iterations)

@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from parallel_cal.identification.linearisation import Linearisation
-from parallel_cal.identification.methods._descent import judged, spread
-from parallel_cal.identification.methods._estimate import Estimate, Normal, concluded
-from parallel_cal.identification.observations import Evidence
+from parallel_cal.identification.methods._descent import concluded_at, spread
+from parallel_cal.identification.methods._estimate import Estimate, NormalEquations, concluded
+from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prior import Knowledge, Prior
 from parallel_cal.model.model import Model
 
 
 def estimate(
     model: Model,
-    evidence: Evidence,
+    observations: Observations,
     free: np.ndarray,
     prior: bool | Prior = False,
     weighted: bool = True,
@@ -26,9 +26,9 @@ def estimate(
     so it shows what the linearisation left out.
     """
     tolerance, known = model.table.tolerance[free], Knowledge(prior, model.table, free)
-    linearise = Linearisation(model, evidence, free, weighted)
+    linearise = Linearisation(model, observations, free, weighted)
     system = linearise(np.array(model.values), linearise.start())
-    step, _ = Normal(system, model.values, tolerance, known).step(0.0)
+    step, _ = NormalEquations(system, model.values, tolerance, known).step(0.0)
     values = np.array(model.values)
     values[free] += step
     if weighted:
@@ -36,4 +36,6 @@ def estimate(
         return concluded(model, values, found, free, prior, 1)
     J = system.columns * tolerance
     influence = -np.linalg.pinv(J) * tolerance[:, None]
-    return judged(model, values, evidence, free, 1, spread(influence, model, values, evidence))
+    return concluded_at(
+        model, values, observations, free, 1, spread(influence, model, values, observations)
+    )

@@ -18,10 +18,10 @@ import numpy as np
 from parallel_cal.base.errors import FitError
 from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.methods import implicit
-from parallel_cal.identification.methods._descent import judged, need_measured, spread
+from parallel_cal.identification.methods._descent import concluded_at, need_measured, spread
 from parallel_cal.identification.methods._estimate import Estimate
 from parallel_cal.identification.methods._factors import Row, separated
-from parallel_cal.identification.observations import Evidence
+from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prior import Prior
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.model import Model, new_model
@@ -85,7 +85,7 @@ def semiparametric(model: Model) -> Model:
     return replace(factors, noise=model.noise, frames=model.frames)
 
 
-def identify(model: Model, evidence: Evidence, weighted: bool = True) -> Model:
+def identify(model: Model, observations: Observations, weighted: bool = True) -> Model:
     """The semiparametric model that fits best (eq. 5.41): use it instead of the parameters.
 
     `weighted=False` is the thesis' way, each row by SVD without a start; factors that the data
@@ -94,35 +94,38 @@ def identify(model: Model, evidence: Evidence, weighted: bool = True) -> Model:
     """
     factors = semiparametric(model)
     free = np.ones(len(factors.values), dtype=bool)
-    linear = factors.with_values(factors.values + _linear(factors, evidence))
+    linear = factors.with_values(factors.values + _linear(factors, observations))
     if not weighted:
         return linear
-    found = implicit.estimate(linear, evidence, free)
+    found = implicit.estimate(linear, observations, free)
     return linear.with_values(found.values, found.covariance)
 
 
-def _linear(factors: Model, evidence: Evidence) -> np.ndarray:
+def _linear(factors: Model, observations: Observations) -> np.ndarray:
     """The least-squares change of all factors at once: the closure is linear in them."""
     tolerance = factors.table.tolerance
-    phi, J = closure_rows(factors, evidence)
+    phi, J = closure_rows(factors, observations)
     step = np.linalg.lstsq(J * tolerance, -phi, rcond=1e-12)[0]
     return np.asarray(tolerance * step)
 
 
-def closure_rows(model: Model, evidence: Evidence) -> tuple[np.ndarray, np.ndarray]:
+def closure_rows(model: Model, observations: Observations) -> tuple[np.ndarray, np.ndarray]:
     """phi (N * rows,) and its derivative by all parameters, at the measured configurations."""
     m, n = model.mechanism, len(model.joints)
     need_measured(
-        evidence, np.array([n + i for i in m.moved]), list(m.moves), "semiparametric or cascaded"
+        observations,
+        np.array([n + i for i in m.moved]),
+        list(m.moves),
+        "semiparametric or cascaded",
     )
     free = np.ones(len(model.values), dtype=bool)
-    phi, _, J = Linearisation(model, evidence, free, False).blocks(model.values, evidence.x)
+    phi, _, J = Linearisation(model, observations, free, False).blocks(model.values, observations.x)
     return phi.ravel(), J.reshape(-1, J.shape[2])
 
 
 def estimate(
     model: Model,
-    evidence: Evidence,
+    observations: Observations,
     free: np.ndarray,
     prior: bool | Prior = False,
     iterations: int = 20,
@@ -136,15 +139,17 @@ def estimate(
     if prior:
         raise FitError("semiparametric calibration takes no prior; use the implicit method")
     factors = semiparametric(model)
-    step = _linear(factors, evidence)
-    _, M = closure_rows(factors, evidence)
+    step = _linear(factors, observations)
+    _, M = closure_rows(factors, observations)
     triangle = np.asarray(np.linalg.qr(M, mode="r"))
-    return extracted(model, evidence, free, factors, factors.values + step, triangle, M, iterations)
+    return extracted(
+        model, observations, free, factors, factors.values + step, triangle, M, iterations
+    )
 
 
 def extracted(
     model: Model,
-    evidence: Evidence,
+    observations: Observations,
     free: np.ndarray,
     factors: Model,
     target: np.ndarray,
@@ -178,5 +183,5 @@ def extracted(
     )
     # The factors' rows are not the model's: a root may have been squared away.
     at_end = np.concatenate([row.factors(values) for row in mechanism.rows])
-    covariance = spread(influence, factors, at_end, evidence)
-    return judged(model, values, evidence, free, 0, covariance)
+    covariance = spread(influence, factors, at_end, observations)
+    return concluded_at(model, values, observations, free, 0, covariance)

@@ -14,7 +14,7 @@ from parallel_cal.base.errors import FitError
 from parallel_cal.identification.methods._estimate import Estimate, concluded
 from parallel_cal.identification.methods._explicit import Prediction
 from parallel_cal.identification.observability import RELATIVE_RANK
-from parallel_cal.identification.observations import Evidence
+from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prior import Prior
 from parallel_cal.model.model import Model
 
@@ -29,9 +29,9 @@ class Base:
     grouping: np.ndarray
 
 
-def base_parameters(model: Model, evidence: Evidence, free: np.ndarray) -> Base:
+def base_parameters(model: Model, observations: Observations, free: np.ndarray) -> Base:
     """The base of the free parameters in these poses; earlier ones in the table come first."""
-    system = Prediction(model, evidence, free, direct=True)(model.values)
+    system = Prediction(model, observations, free, direct=True)(model.values)
     assert system is not None
     columns, names = system.columns, np.array(model.table.names)[free]
     kept = _independent(columns * model.table.tolerance[free])
@@ -42,7 +42,7 @@ def base_parameters(model: Model, evidence: Evidence, free: np.ndarray) -> Base:
 
 def estimate(
     model: Model,
-    evidence: Evidence,
+    observations: Observations,
     free: np.ndarray,
     prior: bool | Prior = False,
     iterations: int = 1,
@@ -56,7 +56,7 @@ def estimate(
     """
     if prior:
         raise FitError("sensitivity calibration takes no prior; use the implicit method")
-    prediction = Prediction(model, evidence, free, direct=True)
+    prediction = Prediction(model, observations, free, direct=True)
     values, where = np.array(model.values), np.flatnonzero(free)
     tolerance = model.table.tolerance[free]
     for _ in range(iterations):

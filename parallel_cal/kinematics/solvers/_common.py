@@ -56,12 +56,12 @@ def answers(
     Converged means a residual below `tolerance` (m): a fixed number of steps is as good as it is.
     """
     (x,) = Batch(solve)(given, model.condition_rows(at, len(given)), model.values)
-    solutions = judged(model, x, at, tolerance, problem)
+    solutions = with_status(model, x, at, tolerance, problem)
     solutions.status[~np.isfinite(given).all(axis=1)] = Status.INVALID_INPUT
     return solutions
 
 
-def judged(
+def with_status(
     model: Model, x: np.ndarray, at: Mapping[str, Any] | None, tolerance: float, problem: str
 ) -> Solutions:
     """Configurations (N, nq + 12) as solutions of the direct or the inverse problem, with the

@@ -17,7 +17,7 @@ import numpy as np
 from parallel_cal.base.errors import SolveError
 from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.kinematics.kinematics import CLOSED, Kinematics, Solutions, Status
-from parallel_cal.kinematics.solvers._common import judged
+from parallel_cal.kinematics.solvers._common import with_status
 from parallel_cal.model.model import Model
 
 
@@ -130,7 +130,7 @@ def _answer(
     Not converged where more than a tenth of the error is left: there it is not of first order.
     """
     before, solutions = (
-        judged(model, np.hstack([q, r, R.reshape(-1, 9)]), at, np.inf, problem)
+        with_status(model, np.hstack([q, r, R.reshape(-1, 9)]), at, np.inf, problem)
         for q, r, R in ((nominal.joints, nominal.position, nominal.rotation), (q, *pose))
     )
     left = solutions.residual > np.maximum(0.1 * before.residual, CLOSED)

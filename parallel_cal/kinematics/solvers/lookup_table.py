@@ -18,7 +18,7 @@ import numpy as np
 from parallel_cal.base.errors import SolveError
 from parallel_cal.base.rotation import rotation_matrix, rotation_vector
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions, Status
-from parallel_cal.kinematics.solvers._common import judged
+from parallel_cal.kinematics.solvers._common import with_status
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.model import Model
 
@@ -170,7 +170,7 @@ def _corrected(
     r = nominal.position + change[:, n : n + 3]
     R = rotation_matrix(change[:, n + 3 :]) @ nominal.rotation
     x = np.hstack([q, r, R.reshape(-1, 9)])
-    solutions = judged(model, x, at, np.inf, table.problem)
+    solutions = with_status(model, x, at, np.inf, table.problem)
     usable = _usable(nominal)
     solutions.status[~usable] = nominal.status[~usable]
     solutions.status[usable & np.isnan(change).any(axis=1)] = Status.NOT_CONVERGED

@@ -20,8 +20,8 @@ from parallel_cal.kinematics.rows import joint_rows
 from parallel_cal.kinematics.solvers._common import (
     configurations,
     home_first,
-    judged,
     on_home_branch,
+    with_status,
 )
 from parallel_cal.kinematics.solvers._orientation import FORMS, angles, coefficients, orientations
 from parallel_cal.model.model import Model
@@ -43,7 +43,7 @@ def direct_all(
     u, v, c = circles(model, q, at)
     R = orientations(u, v, c, form)
     position = np.tile(model.mechanism.home.position, (len(R), 1))
-    found = judged(model, configurations(q, position, R), at, TOLERANCE, "direct")
+    found = with_status(model, configurations(q, position, R), at, TOLERANCE, "direct")
     return found[home_first(model, found, at)]
 
 

@@ -18,7 +18,7 @@ SIGNIFICANT = 0.01
 
 
 @dataclass(frozen=True)
-class Structure:
+class LackOfFit:
     """p-values of neighbours alike (`moran`) and of too few changes of sign (`runs`), by what the
     samples are ordered by; `map` a smooth picture of the residuals, which explains nothing."""
 
@@ -71,17 +71,17 @@ class SmoothMap:
         }
 
 
-def structure(here: Scene, found: Field) -> Structure:
+def lack_of_fit(here: Scene, found: Field) -> LackOfFit:
     """Tests over workspace and joint space, along time, every joint and every condition."""
     n, z = len(here.model.joints), found.noise_units
     joints, places = here.x[:, :n], here.x[:, n : n + 3]
-    group = here.evidence.group
+    group = here.observations.group
     moran = {"joint space": morans_i(z, joints, group)}
     if np.ptp(places, axis=0).max() > 1e-9:
         moran["workspace"] = morans_i(z, places, group)
     varied = z[:, np.any(z != 0, axis=0)]
     runs = {name: runs_test(varied[order]) for name, order in orders(here)}
-    return Structure(moran, runs, smooth_map(here, found))
+    return LackOfFit(moran, runs, smooth_map(here, found))
 
 
 def orders(here: Scene) -> Iterator[tuple[str, np.ndarray]]:
@@ -112,7 +112,7 @@ def smooth_map(here: Scene, found: Field) -> SmoothMap:
     n = len(here.model.joints)
     position = bool(found.measured[:, :3].any())
     kind, part = ("position", slice(0, 3)) if position else ("orientation", slice(3, 6))
-    group = here.evidence.group
+    group = here.observations.group
     e = averaged(found.pose[:, part], group)
     coordinates = here.x[:, n : n + 3] if position else here.x[:, :n]
     places = averaged(coordinates, group)
