@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from functools import cached_property
 
 import numpy as np
 
@@ -16,6 +17,40 @@ from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.model import Model
 
 ERRORS = ("position", "orientation", "joint", "reading")
+
+
+@dataclass(frozen=True)
+class Summary:
+    """Mean and rms of the norms of each kind of error (table 5.15), SI, None where not measured;
+    the rms of the closure's rows, with more of these than freedoms, is the one that weighs all."""
+
+    position_mean: float | None = None
+    position_rms: float | None = None
+    orientation_mean: float | None = None
+    orientation_rms: float | None = None
+    joint_mean: float | None = None
+    joint_rms: float | None = None
+    reading_mean: float | None = None
+    reading_rms: float | None = None
+    closure_rms: float | None = None
+
+    def mean(self, kind: str) -> float | None:
+        """The mean norm of one of ERRORS."""
+        value: float | None = getattr(self, f"{kind}_mean")
+        return value
+
+    def rms(self, kind: str) -> float | None:
+        """The rms norm of one of ERRORS."""
+        value: float | None = getattr(self, f"{kind}_rms")
+        return value
+
+    @property
+    def known(self) -> bool:
+        """Whether anything was measured."""
+        return any(value is not None for value in vars(self).values())
+
+    def document(self) -> dict[str, float | None]:
+        return dict(vars(self))
 
 
 @dataclass(frozen=True)
@@ -39,20 +74,23 @@ class Errors:
         return np.where(known.any(axis=1), norms, np.nan)
 
     def select(self, index: np.ndarray) -> Errors:
-        return Errors(*(part[index] for part in vars(self).values()))
+        return Errors(*(getattr(self, part.name)[index] for part in fields(self)))
 
-    def document(self) -> dict[str, float | None]:
-        """Mean and rms of the norms of each kind (table 5.15), and rms of the closure's rows:
-        with more of these than freedoms it is the one error that weighs all of them. None where
-        not measured."""
+    @cached_property
+    def summary(self) -> Summary:
+        """Mean and rms of the norms of each kind, None where not measured."""
         entries: dict[str, float | None] = {}
         for kind in ERRORS:
             norms = self.norms(kind)
             norms = norms[np.isfinite(norms)]
             entries[f"{kind}_mean"] = float(norms.mean()) if len(norms) else None
             entries[f"{kind}_rms"] = _rms(norms)
-        entries["closure_rms"] = _rms(self.closure[np.isfinite(self.closure)])
-        return entries
+        closure = _rms(self.closure[np.isfinite(self.closure)])
+        return Summary(**entries, closure_rms=closure)
+
+    def document(self) -> dict[str, float | None]:
+        """`summary` as documents hold it."""
+        return self.summary.document()
 
 
 def _rms(values: np.ndarray) -> float | None:
