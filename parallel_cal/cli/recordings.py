@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 from parallel_cal.base.errors import ParallelCalError
-from parallel_cal.model.effect import parse_effect
 from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.recordings.recording import Topics
 from parallel_cal.recordings.samples import Options
@@ -44,17 +43,23 @@ def simulate(
     from parallel_cal.recordings import simulate as simulation
     from parallel_cal.recordings.writer import write_bag
 
-    wanted = [parse_effect(spec) for spec in specs]
-    robot = simulation.with_effects(read_model(model_file), wanted)
+    session = simulation.simulate(
+        read_model(model_file),
+        poses,
+        seed,
+        effects=specs,
+        replicates=replicates,
+        quiet=noise_off,
+    )
+    robot = session.model
     stated = simulation.stated_noise(robot)
     if robot.noise.joint is None:
         console.note(
             f"{model_file} states no joint noise: {stated.joint:.3g} {robot.mechanism.joint_unit} "
             f"is taken; identify with --joint-sigma {stated.joint:.3g}"
         )
-    session = simulation.simulate(robot, poses, seed, replicates=replicates, quiet=noise_off)
     write_bag(session, output, storage)
-    document = simulation.document(session, robot, poses, replicates)
+    document = simulation.document(session, poses, replicates)
     if as_json:
         return console.emit({"bag": str(output), "seed": seed, **document})
     console.say(

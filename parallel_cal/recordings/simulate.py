@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from parallel_cal.base.errors import SolveError
-from parallel_cal.base.rotation import rotation_matrix
+from parallel_cal.base.rotation import matrix_to_quaternion, rotation_matrix
 from parallel_cal.kinematics.kinematics import Kinematics, Status
+from parallel_cal.model.effect import parse_effect
 from parallel_cal.model.mechanism import poses_in_workspace
 from parallel_cal.model.model import Model, Noise
+from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.recordings.joining import fingerprint
+from parallel_cal.recordings.loading import dataset_from_recording
+from parallel_cal.recordings.recording import JointStream, PoseStream, Recording, ScalarStream
 
 MOVE, DWELL = 0.5, 1.0  # s at a time
 JOINT_RATE, POSES_EVERY = 100, 5  # Hz; the device reports at every fifth reading, 20 Hz
@@ -29,8 +34,9 @@ TRIES = 20  # draws a pose before the workspace counts as unreachable
 
 @dataclass(frozen=True)
 class Simulation:
-    """What the robot and the device would have published; times in s, SI units."""
+    """What the robot `model` and the device would have published; times in s, SI units."""
 
+    model: Model
     joint_names: tuple[str, ...]
     frames: tuple[str, str]
     joint_time: np.ndarray
@@ -43,6 +49,26 @@ class Simulation:
     temperature: np.ndarray
     payload_time: np.ndarray
     payload: np.ndarray
+
+    def dataset(self) -> Dataset:
+        """Its samples, as of a recording of it (`write_bag`)."""
+        n = len(self.pose_time)
+        joints = JointStream(
+            "joint_states", self.joint_names, self.joint_time, self.joints,
+            np.full_like(self.joints, np.nan),
+        )  # fmt: skip
+        poses = PoseStream(
+            "measured_pose", "", self.frames[0], self.pose_time, self.position,
+            matrix_to_quaternion(self.rotation), np.ones((n, 6), bool),
+            np.tile(np.diag(self.pose_variance), (n, 1, 1)),
+        )  # fmt: skip
+        recording = Recording(
+            "simulated", "", 0, (), joints, poses,
+            ScalarStream("temperature", self.slow_time, self.temperature),
+            ScalarStream("payload", self.payload_time, self.payload),
+        )  # fmt: skip
+        samples = dataset_from_recording(recording)
+        return replace(samples, sha256=fingerprint(samples))
 
 
 def with_effects(model: Model, effects: Iterable[tuple[str, Mapping[str, float]]]) -> Model:
@@ -72,16 +98,19 @@ def simulate(
     poses: int,
     seed: int = 0,
     *,
+    effects: Iterable[str] = (),
     replicates: int = 0,
     quiet: bool = False,
 ) -> Simulation:
     """A session of the robot `model`: `poses` drawn in its workspace, some visited again.
 
-    Noise is the model's, or typical where it says nothing; `quiet` instruments state the same
-    accuracy and make no errors. SolveError where the workspace cannot be reached.
+    `effects` are hidden ones that it has, too, NAME[:param=value,...]. Noise is the model's, or
+    typical where it says nothing; `quiet` instruments state the same accuracy and make no errors.
+    SolveError where the workspace cannot be reached.
     """
     if poses < 1 or not 0 <= replicates <= poses:
         raise SolveError(f"{replicates} replicates of {poses} poses: expected at most one each")
+    model = with_effects(model, map(parse_effect, effects))
     rng = np.random.default_rng(seed)
     targets = _targets(model, poses, rng)
     targets = _apart(np.vstack([targets, targets[rng.permutation(poses)[:replicates]]]))
@@ -92,6 +121,7 @@ def simulate(
     stated = stated_noise(model)
     errors = _Errors(model, Noise() if quiet else stated, len(targets), rng)
     return Simulation(
+        model,
         model.joints,
         (model.frames["base"], model.frames["platform"]),
         motion.time,
@@ -252,8 +282,9 @@ def _pose_sigma(noise: Noise) -> np.ndarray:
     return np.repeat([noise.position or 0.0, noise.orientation or 0.0], 3)
 
 
-def document(session: Simulation, model: Model, poses: int, replicates: int) -> dict[str, Any]:
+def document(session: Simulation, poses: int, replicates: int) -> dict[str, Any]:
     """What was simulated, for the command line: counts, duration in s, the effects' values."""
+    model = session.model
     start = len(model.mechanism.parameters)
     names: Sequence[str] = model.table.names[start:]
     return {
