@@ -145,8 +145,8 @@ def first_picks(tested: list[Candidate]) -> dict[str, float]:
 def negative_control(here: Scene, ranked: list[Candidate]) -> dict[str, Any]:
     """What no effect is: where a group of random columns ranks, and how often copies of each
     effect's own condition, shuffled between samples, score as well as the condition itself."""
-    draw = np.random.default_rng(0).standard_normal((len(here.residual), 6))
-    random = score(here, draw * (here.residual != 0)[:, None])
+    draw = np.random.default_rng(0).standard_normal((len(here.x), here.rows, 6))
+    random = score(here, (here.whitener @ draw).reshape(-1, 6))
     better = sum(c.score is not None and c.log_p < random.log_p for c in ranked)
     shuffled = {c.name: p for c in ranked if c.testable and (p := c.shuffled_p) is not None}
     return {"random_group": {"p_value": random.p_value, "rank": better + 1}, "shuffled": shuffled}

@@ -23,7 +23,8 @@ class Scene:
     residual (n,) and basis (n, rank) of the geometry's columns, rows of a sample together;
     x (N, nq+12) the configurations predicted from the joints. Regressors are taken there, never
     at the measured pose: a noisy measurement would explain its own error. `whitener` (N, rows,
-    rows) turns rows of the closure into noise units.
+    rows) turns rows of the closure into noise units, free of what was not measured;
+    `informative` (N,) is how many independent ones that leaves of each sample.
     """
 
     model: Model
@@ -32,6 +33,7 @@ class Scene:
     free: np.ndarray
     x: np.ndarray
     whitener: np.ndarray
+    informative: np.ndarray
     residual: np.ndarray
     basis: np.ndarray
     rows: int
@@ -56,9 +58,8 @@ class Scene:
     @property
     def sigmas(self) -> np.ndarray:
         """Rms residual (N,) of each sample."""
-        blocks = self.by_sample(self.residual)
-        used = np.maximum(np.count_nonzero(blocks, axis=1), 1)
-        return np.asarray(np.sqrt(np.sum(blocks**2, axis=1) / used))
+        squares = np.sum(self.by_sample(self.residual) ** 2, axis=1)
+        return np.asarray(np.sqrt(squares / np.maximum(self.informative, 1)))
 
     def by_sample(self, column: np.ndarray) -> np.ndarray:
         """A column (n,) as (N, rows)."""
@@ -74,10 +75,11 @@ def scene(model: Model, dataset: Dataset, observations: Observations, free: np.n
     J = system.jacobian.reshape(len(r), -1) * model.table.tolerance[free]
     basis = orthonormal(J, RELATIVE_RANK)
     left = r - basis @ (basis.T @ r)
-    used = np.any(J != 0, axis=1) if J.shape[1] else r != 0  # rows left by unmeasured coordinates
-    dof = int(np.count_nonzero(used)) - basis.shape[1]
+    dof = int(system.informative.sum()) - basis.shape[1]
     rows = system.residual.shape[1]
-    return Scene(model, dataset, observations, free, x, T, left, basis, rows, dof)
+    return Scene(
+        model, dataset, observations, free, x, T, system.informative, left, basis, rows, dof
+    )
 
 
 def columns(extended: Model, here: Scene, new: np.ndarray) -> np.ndarray:

@@ -26,10 +26,12 @@ Adjust = Callable[[np.ndarray], np.ndarray]
 @dataclass
 class System:
     """Whitened residuals (N, rows) and Jacobian (N, rows, n_free) at one point, unmeasured
-    coordinates projected out; `adjusted`: the configurations after a step (n_free,)."""
+    coordinates projected out; `informative` (N,): how many independent rows that leaves;
+    `adjusted`: the configurations after a step (n_free,)."""
 
     residual: np.ndarray
     jacobian: np.ndarray
+    informative: np.ndarray
     adjusted: Adjust
 
     @property
@@ -81,16 +83,26 @@ class Linearisation:
         """Residuals and Jacobian at parameters and adjusted configurations x (N, nq+12)."""
         residual = np.empty((len(x), self._rows))
         jacobian = np.empty((len(x), self._rows, self._n_free))
-        adjusts = []
+        informative, adjusts = np.full(len(x), self._rows), []
         for begin in range(0, len(x), BLOCK):
             part = slice(begin, begin + BLOCK)
-            adjusts.append(self._block(values, x[part], part, residual[part], jacobian[part]))
-        return System(residual, jacobian, lambda step: np.concatenate([a(step) for a in adjusts]))
+            filled = residual[part], jacobian[part], informative[part]
+            adjusts.append(self._block(values, x[part], part, *filled))
+        return System(
+            residual, jacobian, informative, lambda step: np.concatenate([a(step) for a in adjusts])
+        )
 
     def _block(
-        self, values: np.ndarray, x: np.ndarray, part: slice, r: np.ndarray, A: np.ndarray
+        self,
+        values: np.ndarray,
+        x: np.ndarray,
+        part: slice,
+        r: np.ndarray,
+        A: np.ndarray,
+        informative: np.ndarray,
     ) -> Adjust:
-        """Fill residuals r and Jacobian A of some samples; how a step adjusts these."""
+        """Fill residuals r, Jacobian A and the rows' number of some samples; how a step adjusts
+        these."""
         phi, C, J = self.blocks(values, x, part)
         away = self.away(x, part)
         SC = self._covariance(part) @ C.transpose(0, 2, 1)
@@ -107,6 +119,7 @@ class Linearisation:
             return lambda step: moved(x, corrections(r + A @ step), self._n)
         r_all, A_all = r.copy(), A.copy()
         r[:], A[:] = (free_of @ r[:, :, None])[:, :, 0], free_of @ A
+        informative[:] = np.rint(np.trace(free_of, axis1=1, axis2=2))
         return lambda step: moved(x, explain(r_all + A_all @ step, corrections), self._n)
 
     def whiteners(self, values: np.ndarray, x: np.ndarray) -> np.ndarray:
@@ -155,12 +168,13 @@ class Linearisation:
             return None, lambda *_: np.empty(0)
         unknown, own = self._unknown[part], np.eye(self._rows) * self._unread[part, None, :]
         U = K @ np.concatenate([C * unknown[:, None, :], own], axis=2)
-        inverse = np.linalg.pinv(U, rcond=1e-9)
-        left, sizes, _ = np.linalg.svd(U)
-        rank = np.sum(sizes > 1e-9 * np.maximum(sizes[:, :1], 1e-300), axis=1)
-        drop = np.arange(self._rows)[None, :] < rank[:, None]
-        # Rows of an orthonormal basis, those spanned by U zeroed: the rest is free of them.
-        free_of = np.where(drop[:, :, None], 0.0, left.transpose(0, 2, 1))
+        left, sizes, right = np.linalg.svd(U, full_matrices=False)
+        spanned = sizes > 1e-9 * np.maximum(sizes[:, :1], 1e-300)
+        left = left * spanned[:, None, :]
+        inverse = right.transpose(0, 2, 1) * (spanned / np.maximum(sizes, 1e-300))[:, None, :]
+        inverse = inverse @ left.transpose(0, 2, 1)
+        # The projector itself, not a basis of what is left: rounding turns a basis at will.
+        free_of = np.eye(self._rows) - left @ left.transpose(0, 2, 1)
 
         def explain(
             white: np.ndarray, corrections: Callable[[np.ndarray], np.ndarray]

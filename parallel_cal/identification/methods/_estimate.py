@@ -18,8 +18,8 @@ GAIN = 1e-10  # of chi2: steps that promise less have arrived, however long (wea
 @dataclass(frozen=True)
 class Estimate:
     """What a method found: values and covariance (all parameters, fixed ones at zero),
-    chi2 and its degrees of freedom, what the data can see, whitened residuals a sample,
-    and the samples' weights (N,) under a robust loss."""
+    chi2 and its degrees of freedom, what the data can see, whitened residuals a sample with
+    the number (N,) of independent ones, and the samples' weights (N,) under a robust loss."""
 
     values: np.ndarray
     covariance: np.ndarray
@@ -28,6 +28,7 @@ class Estimate:
     dof: int
     spectrum: Spectrum
     residuals: np.ndarray
+    informative: np.ndarray
     iterations: int
     weight: np.ndarray | None = None
 
@@ -85,5 +86,15 @@ def concluded(
     covariance[np.ix_(free, free)] = seen.covariance
     lost = np.zeros(len(values), dtype=bool)
     lost[free] = seen.lost
-    dof = int(np.count_nonzero(J.any(axis=1))) - seen.rank
-    return Estimate(values, covariance, lost, system.chi2, dof, seen, system.residual, iterations)
+    dof = int(system.informative.sum()) - seen.rank
+    return Estimate(
+        values,
+        covariance,
+        lost,
+        system.chi2,
+        dof,
+        seen,
+        system.residual,
+        system.informative,
+        iterations,
+    )

@@ -96,4 +96,5 @@ class Prediction:
         rows = np.concatenate([residual[:, :, None], jacobian], axis=2) * seen[:, :, None]
         L = np.linalg.cholesky(W)
         white = np.linalg.solve(L, rows)
-        return Predicted(white[:, :, 0], white[:, :, 1:], raw=rows[:, :, 0], whitener=L)
+        residual, jacobian = white[:, :, 0], white[:, :, 1:]
+        return Predicted(residual, jacobian, seen.sum(axis=1), raw=rows[:, :, 0], whitener=L)

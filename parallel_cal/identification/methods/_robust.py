@@ -48,8 +48,9 @@ def robust(
                 "singularities; use the implicit method"
             )
         plain = found.residuals / np.sqrt(weight)[:, None]
-        unit = _scale(plain) if observations.noise_assumed else 1.0
-        before, weight = weight, LOSSES[loss](_sizes(plain) / unit)
+        sizes = _sizes(plain, found.informative)
+        unit = _scale(sizes, found.informative) if observations.noise_assumed else 1.0
+        before, weight = weight, LOSSES[loss](sizes / unit)
         model = model.with_values(found.values)
         if np.abs(weight - before).max() < 1e-6:
             break
@@ -65,12 +66,14 @@ def reweighted(observations: Observations, weight: np.ndarray | None) -> Observa
     )
 
 
-def _scale(residuals: np.ndarray) -> float:
-    """Sigma of most of the measured rows, by their median deviation, where nobody knows it."""
-    return max(1.4826 * float(np.median(np.abs(residuals[residuals != 0]))), 1e-300)
+def _scale(sizes: np.ndarray, informative: np.ndarray) -> float:
+    """Sigma of most samples, by their sizes' median, where nobody knows it: with k rows that of
+    chi2 / k is (1 - 2 / 9k)^3 (Wilson-Hilferty)."""
+    k = informative[informative > 0]
+    usual = sizes[informative > 0] / (1 - 2 / (9 * k)) ** 1.5
+    return max(float(np.median(usual)), 1e-300)
 
 
-def _sizes(residuals: np.ndarray) -> np.ndarray:
-    """Rms of the rows that were measured, a sample."""
-    count = np.count_nonzero(residuals, axis=1)
-    return np.asarray(np.sqrt(np.sum(residuals**2, axis=1) / np.maximum(count, 1)))
+def _sizes(residuals: np.ndarray, informative: np.ndarray) -> np.ndarray:
+    """Rms of the rows that are free of what was not measured, a sample."""
+    return np.asarray(np.sqrt(np.sum(residuals**2, axis=1) / np.maximum(informative, 1)))
