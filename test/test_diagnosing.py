@@ -8,6 +8,7 @@ import virtual_robot as vr
 from datasets import measured, quiet
 from scipy import stats
 
+from parallel_cal.base.confidence import CHANCE, SIGMAS
 from parallel_cal.diagnosis.catalogue import candidate
 from parallel_cal.diagnosis.fields import field, reference
 from parallel_cal.diagnosis.lack_of_fit import lack_of_fit, smooth_map
@@ -75,6 +76,10 @@ def test_visits_of_one_pose_do_not_pass_for_alike_neighbours():
     field = np.repeat(rng.normal(size=(30, 3)), 4, axis=0)
     assert morans_i(field, places, np.repeat(np.arange(30), 4))[1] > 0.05
     assert morans_i(field, places, np.arange(120))[1] < 0.01  # what would go wrong
+
+
+def test_bands_hold_what_is_no_more_than_chance():
+    assert 2 * stats.norm.sf(SIGMAS) == pytest.approx(CHANCE, rel=1e-3)
 
 
 @pytest.mark.parametrize(("F", "q", "dof"), [(0.3, 3, 40), (1.0, 1, 7), (12.0, 6, 300)])

@@ -11,15 +11,12 @@ import numpy as np
 from parallel_cal.base.errors import ModelError
 from parallel_cal.diagnosis.scene import Scene, columns, columns_at, scene
 from parallel_cal.diagnosis.scoring import Score, score
+from parallel_cal.diagnosis.thresholds import SHUFFLES, VISIBLE_SIGMAS, WORTH_REFINING
 from parallel_cal.identification.observations import conditions
 from parallel_cal.model.effect import Effect
 from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import load_effect, shelf_names
 from parallel_cal.recordings.dataset import Dataset
-
-SHUFFLES = 39  # a condition must beat all of them, but for one by chance
-WORTH_REFINING = np.log(1e-3)
-VISIBLE_SIGMAS = 0.1  # of all residuals, at typical size: ten times that is the most plausible
 
 
 @dataclass(frozen=True)

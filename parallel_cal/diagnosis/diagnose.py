@@ -11,7 +11,6 @@ import numpy as np
 
 from parallel_cal.diagnosis.catalogue import Candidate, candidate, names_of
 from parallel_cal.diagnosis.entries import (
-    REFITTED,
     chi2_before,
     entries,
     negative_control,
@@ -22,13 +21,13 @@ from parallel_cal.diagnosis.lack_of_fit import LackOfFit, lack_of_fit
 from parallel_cal.diagnosis.patterns import odd_samples
 from parallel_cal.diagnosis.scene import Progress
 from parallel_cal.diagnosis.search import (
-    SIGNIFICANT,
     Chosen,
     Search,
     Trial,
 )
 from parallel_cal.diagnosis.separate import next_measurement
 from parallel_cal.diagnosis.statistics import holm
+from parallel_cal.diagnosis.thresholds import REFITTED, SIGNIFICANT
 from parallel_cal.diagnosis.verdict import Verdict, judge, listed
 from parallel_cal.identification.fit import fit, single_threaded
 from parallel_cal.model.model import Model

@@ -13,11 +13,8 @@ from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.scoring import canonical_correlation, resampled, score
 from parallel_cal.diagnosis.search import Chosen, Search, Trial, ratio_of
 from parallel_cal.diagnosis.statistics import holm
+from parallel_cal.diagnosis.thresholds import ALIKE, REFITTED, RESAMPLES
 from parallel_cal.diagnosis.verdict import share_explained
-
-ALIKE = 0.9  # canonical correlation above which two effects are one entry
-RESAMPLES = 200
-REFITTED = 5  # best candidates that are identified and judged at poses left out
 
 
 def entries(

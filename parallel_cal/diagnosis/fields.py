@@ -6,13 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from parallel_cal.base.confidence import CHANCE
 from parallel_cal.base.rotation import rotation_vector
 from parallel_cal.diagnosis.scene import Scene
+from parallel_cal.diagnosis.thresholds import ENOUGH_REPLICATES
 from parallel_cal.identification.doubts import chi2_band
 from parallel_cal.identification.linearisation import Linearisation
 
 STATED = ("option", "dataset", "model file")
-ENOUGH = 8  # degrees of freedom from replicates: with fewer the noise is known to 25 % at best
 
 
 @dataclass(frozen=True)
@@ -93,7 +94,7 @@ class Reference:
             return (0.0, float("inf"))
         if self.dof is None:
             return chi2_band(dof)
-        low, high = (float(fdtri(dof, self.dof, p)) for p in (0.005, 0.995))
+        low, high = (float(fdtri(dof, self.dof, p)) for p in (CHANCE / 2, 1 - CHANCE / 2))
         return low * self.variance, high * self.variance
 
 
@@ -103,7 +104,7 @@ def reference(here: Scene, found: Field) -> Reference:
     words = set(here.observations.noise_from.values())
     if words <= set(STATED):
         return Reference(1.0, None, f"stated ({', '.join(sorted(words))})", variance, dof)
-    if variance is not None and dof >= ENOUGH:
+    if variance is not None and dof >= ENOUGH_REPLICATES:
         return Reference(variance, dof, f"replicates ({dof} degrees of freedom)", variance, dof)
     return Reference(None, None, f"unknown ({', '.join(sorted(words))})", variance, dof)
 

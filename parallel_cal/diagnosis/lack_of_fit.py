@@ -11,10 +11,8 @@ import numpy as np
 from parallel_cal.diagnosis.fields import Field
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.statistics import averaged, morans_i, runs_test, smallest
+from parallel_cal.diagnosis.thresholds import LENGTHS, LEVELS, ROUGHNESS, SIGNIFICANT
 from parallel_cal.recordings.dataset import NUMBER
-
-LENGTHS = (0.15, 0.25, 0.4, 0.7, 1.2)  # of the map's smoothness, in standard deviations of place
-SIGNIFICANT = 0.01
 
 
 @dataclass(frozen=True)
@@ -87,7 +85,7 @@ def lack_of_fit(here: Scene, found: Field) -> LackOfFit:
 def orders(here: Scene) -> Iterator[tuple[str, np.ndarray]]:
     """Sample orders worth a look: by time, each joint, and each condition that varies."""
     for name, values in regressors(here):
-        if not name.startswith("direction.") and len(np.unique(values)) > 5:
+        if not name.startswith("direction.") and len(np.unique(values)) > LEVELS:
             yield name, np.argsort(values, kind="stable")
 
 
@@ -118,7 +116,7 @@ def smooth_map(here: Scene, found: Field) -> SmoothMap:
     places = averaged(coordinates, group)
     spread = np.maximum(places.std(axis=0), 1e-12)
     apart = np.sum(((places[:, None] - places[None]) / spread) ** 2, axis=2)
-    best = max((_left_out(apart, e, l, s) for l in LENGTHS for s in (0.1, 0.3, 1.0, 3.0)),
+    best = max((_left_out(apart, e, l, s) for l in LENGTHS for s in ROUGHNESS),
                key=lambda fit: fit[0])  # fmt: skip
     share, length, smooth = best if e.any() else (0.0, *best[1:])
     metres = length * float(np.sqrt(np.mean(spread**2)))

@@ -6,13 +6,12 @@ from typing import Any
 
 import numpy as np
 
+from parallel_cal.base.confidence import SIGMAS
 from parallel_cal.diagnosis.fields import Field
 from parallel_cal.diagnosis.lack_of_fit import regressors
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.statistics import normal_below, runs_test
-
-WINDOW = 15  # samples of the rolling mean
-GROSS = 1e-3  # chance of one such sample in a whole data set
+from parallel_cal.diagnosis.thresholds import GROSS, INFLUENTIAL, LEVELS, WINDOW
 
 
 def along(here: Scene, found: Field) -> list[dict[str, Any]]:
@@ -29,7 +28,7 @@ def along(here: Scene, found: Field) -> list[dict[str, Any]]:
 def _along(name: str, values: np.ndarray, z: np.ndarray) -> dict[str, Any]:
     order = np.argsort(values, kind="stable")
     levels = np.unique(values)
-    if len(levels) <= 5:  # as direction or payload: a mean for each level, nothing rolls
+    if len(levels) <= LEVELS:  # as direction or payload: a mean for each level, nothing rolls
         means = np.array([z[values == level].mean(axis=0) for level in levels])
         count = np.array([np.count_nonzero(values == level) for level in levels])
         at = levels
@@ -43,7 +42,7 @@ def _along(name: str, values: np.ndarray, z: np.ndarray) -> dict[str, Any]:
         "name": name,
         "at": at.tolist(),
         "mean": means.tolist(),
-        "band": (2.576 / np.sqrt(count)).tolist(),
+        "band": (SIGMAS / np.sqrt(count)).tolist(),
         "strength": float(strength.max(initial=0.0)),
         "p_value": min(1.0, 2 * strength.size * normal_below(-float(strength.max(initial=0.0)))),
         "runs_p_value": runs_test(z[order]),
@@ -103,7 +102,7 @@ def odd_samples(here: Scene, found: Field) -> list[dict[str, Any]]:
     leverage = leverages(here)
     p = chdtrc(k, squared / max(scale, 1e-300)) * len(blocks)
     cook = squared * leverage / max(here.basis.shape[1] * here.chi2_per_dof, 1e-300)
-    odd = np.flatnonzero((p < GROSS) | (cook > 1))
+    odd = np.flatnonzero((p < GROSS) | (cook > INFLUENTIAL))
     rows = [
         {
             "sample": int(here.dataset.numbers[i]),

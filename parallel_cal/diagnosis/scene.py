@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from parallel_cal.diagnosis.thresholds import BLOCKS
 from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.observability import RELATIVE_RANK
 from parallel_cal.identification.observations import Observations, conditions
@@ -48,7 +49,7 @@ class Scene:
         """Number (N,) of the block that a sample belongs to: visits of one pose, or a stretch of
         a continuous motion."""
         if self.dataset.mode == "continuous":
-            return np.arange(len(self.x)) // max(1, len(self.x) // 40)
+            return np.arange(len(self.x)) // max(1, len(self.x) // BLOCKS)
         return np.unique(self.observations.group, return_inverse=True)[1]
 
     def off_geometry(self, columns: np.ndarray) -> np.ndarray:

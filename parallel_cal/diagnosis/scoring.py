@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from parallel_cal.diagnosis.scene import Scene
-
-VISIBLE = 3e-3  # of a unit column: what projection leaves below is numerical rubbish
+from parallel_cal.diagnosis.thresholds import RESAMPLES, VISIBLE_COLUMN
 
 
 @dataclass(frozen=True)
@@ -41,7 +40,7 @@ def score(here: Scene, B: np.ndarray) -> Score:
     left = here.off_geometry(B / lengths)
     # Twice: what a first projection of a nearly parallel column leaves is not quite orthogonal.
     U, sizes, _ = np.linalg.svd(here.off_geometry(left), full_matrices=False)
-    U = U[:, sizes > VISIBLE]
+    U = U[:, sizes > VISIBLE_COLUMN]
     remaining = float(np.sqrt(np.mean(np.sum(left**2, axis=0))))
     size = float(np.sqrt(np.mean(np.sum((left * lengths) ** 2, axis=0))))
     F, log_p = f_test(here.residual, U, here.dof)
@@ -82,7 +81,7 @@ def canonical_correlation(one: np.ndarray, other: np.ndarray) -> float:
 
 
 def resampled(
-    here: Scene, groups: list[np.ndarray], resamples: int = 200, seed: int = 0
+    here: Scene, groups: list[np.ndarray], resamples: int = RESAMPLES, seed: int = 0
 ) -> np.ndarray:
     """log p (resamples, k) of each group of directions when poses are drawn with replacement.
 

@@ -10,17 +10,20 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.base.errors import FitError
-from parallel_cal.diagnosis.catalogue import SHUFFLES, Candidate
+from parallel_cal.diagnosis.catalogue import Candidate
 from parallel_cal.diagnosis.scene import Progress, Scene, scene
 from parallel_cal.diagnosis.scoring import log_p_of
+from parallel_cal.diagnosis.thresholds import (
+    APART,
+    AS_GOOD,
+    LIKE,
+    MOST_EFFECTS,
+    SHUFFLES,
+    SIGNIFICANT,
+)
 from parallel_cal.identification.fit import Result
 from parallel_cal.identification.prediction_errors import held_out_ratio
 from parallel_cal.model.model import Model
-
-SIGNIFICANT = 0.01  # over the whole catalogue (Holm)
-MOST = 4  # effects added in one diagnosis
-LIKE = 1.05  # of the held-out error: a swap within it tells as good a story ...
-APART = 5.0  # ... unless the data tell the two apart by as many sigmas
 
 
 @dataclass(frozen=True)
@@ -94,7 +97,7 @@ class Search:
         if ratio is not None and (ratio >= 1 or not clearly_falls(before, after)):
             return after, f"does not clearly lower the error at poses left out (factor {ratio:.3f})"
         p = one.shuffled_p
-        if p is not None and p > 2 / (SHUFFLES + 1):
+        if p is not None and p > (1 + AS_GOOD) / (SHUFFLES + 1):
             return after, "explains no more than its own condition shuffled between poses"
         return after, ""
 
@@ -104,7 +107,7 @@ class Search:
         """Effects added one by one while one is significant and nothing stands against it."""
         here = start
         against: dict[str, str] = {}
-        while len(here.chosen) - len(start.chosen) < MOST:
+        while len(here.chosen) - len(start.chosen) < MOST_EFFECTS:
             found, refused = self._next(here, rank(here))
             against |= refused
             if found is None:

@@ -11,6 +11,7 @@ import numpy as np
 from parallel_cal.base.errors import FitError, ModelError
 from parallel_cal.diagnosis.catalogue import Candidate
 from parallel_cal.diagnosis.search import Chosen, Trial
+from parallel_cal.diagnosis.thresholds import POOL, POSES
 from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.observations import Observations, conditions
 from parallel_cal.model.effect import CONDITIONS
@@ -19,8 +20,6 @@ from parallel_cal.model.shelf import load_effect
 from parallel_cal.planning.expectation import VAGUE, white_blocks
 from parallel_cal.planning.posepool import make_pool
 from parallel_cal.planning.selection import Choice, exchange
-
-POOL, POSES = 300, 20
 
 
 def next_measurement(

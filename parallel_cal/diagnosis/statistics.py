@@ -6,8 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-NEIGHBOURS = 7
-PERMUTATIONS = 999
+from parallel_cal.diagnosis.thresholds import FEWEST_SIGNS, NEIGHBOURS, PERMUTATIONS
 
 
 def holm(p_values: np.ndarray) -> np.ndarray:
@@ -68,7 +67,7 @@ def runs_test(series: np.ndarray) -> float:
         sign = column > np.median(column)
         n1, n2 = int(sign.sum()), int((~sign).sum())
         n = n1 + n2
-        if min(n1, n2) < 5:
+        if min(n1, n2) < FEWEST_SIGNS:
             continue
         expected = 1 + 2 * n1 * n2 / n
         excess += 1 + np.count_nonzero(sign[1:] != sign[:-1]) - expected

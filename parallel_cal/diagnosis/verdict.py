@@ -8,16 +8,14 @@ from dataclasses import dataclass
 from parallel_cal.diagnosis.fields import Reference
 from parallel_cal.diagnosis.lack_of_fit import LackOfFit
 from parallel_cal.diagnosis.search import Trial
+from parallel_cal.diagnosis.thresholds import EXPLAINED, FEWEST_DOF, HELD_STILL, LUCK
 from parallel_cal.identification.methods.implicit import Estimate
 
-EXPLAINED = 0.7  # of the variance beyond the noise
-HELD_STILL = 2.0  # sigmas rms of coordinates that a model holds: it lacks freedoms
 UNITS = (  # of errors as a person reads them, and the factor from SI
     ("position", 1e6, "um"),
     ("orientation", 3437.75, "arcmin"),
     ("reading", 1e6, "um"),
 )
-FEW = 10  # degrees of freedom: below, nothing can be said
 
 
 @dataclass(frozen=True)
@@ -50,7 +48,7 @@ def judge(
     after = here.fitted.estimate
     share = share_explained(before, after.chi2_per_dof, known.variance)
     errors = _errors(base, here)
-    if after.dof < FEW:
+    if after.dof < FEWEST_DOF:
         return Verdict("cannot_know", _few(after.dof), None)
     if known.variance is None:
         return Verdict("cannot_know", _blind(names, errors, left), share)
@@ -80,7 +78,7 @@ def _guards(
     """What keeps found effects from being the whole explanation."""
     against, chi2 = [], after.chi2_per_dof
     # A small excess is mostly the luck of the draw: its share says nothing within two sigmas.
-    beyond_luck = chi2 > noise * (1 + 2 * (2 / after.dof) ** 0.5)
+    beyond_luck = chi2 > noise * (1 + LUCK * (2 / after.dof) ** 0.5)
     if share is not None and share < EXPLAINED and beyond_luck:
         against.append(f"only {max(share, 0):.0%} of the variance beyond the noise is explained")
     if chi2 > high:

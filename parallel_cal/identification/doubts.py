@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from parallel_cal.base.confidence import SIGMAS
 from parallel_cal.identification.methods._estimate import Estimate
 from parallel_cal.identification.observations import SCATTER, Observations
 from parallel_cal.model.model import Model
@@ -100,7 +101,7 @@ def chi2_band(dof: int) -> tuple[float, float]:
     if dof <= 0:
         return (0.0, float("inf"))
     a = 2 / (9 * dof)
-    return tuple((1 - a + z * a**0.5) ** 3 for z in (-2.5758, 2.5758))  # type: ignore[return-value]
+    return tuple((1 - a + z * a**0.5) ** 3 for z in (-SIGMAS, SIGMAS))  # type: ignore[return-value]
 
 
 def finite_or_none(value: float) -> float | None:

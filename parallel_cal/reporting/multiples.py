@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from parallel_cal.diagnosis.thresholds import LEVELS
 from parallel_cal.reporting.figures import QUIET, Spec, thinned
 from parallel_cal.reporting.readable import large
 
@@ -16,7 +17,6 @@ COMPONENTS = {
     "rz": "#cc79a7",
 }  # fmt: skip
 POINTS, STEPS = 400, 150  # of a panel's residuals, of a rolling mean
-LEVELS = 5  # a quantity with so few values has means, nothing rolls
 
 
 def multiples(document: Mapping[str, Any]) -> Iterator[tuple[str, float, Spec]]:

@@ -1,0 +1,43 @@
+"""Every number that decides something in a diagnosis, with its meaning."""
+
+from math import log
+
+from parallel_cal.base.confidence import CHANCE
+
+# What is no chance
+SIGNIFICANT = CHANCE  # p-value: of an effect over the whole catalogue (Holm), of structure
+GROSS = 1e-3  # p-value of an outlier, over the whole data set
+INFLUENTIAL = 1.0  # Cook's distance: without the sample, estimates move by about their sigma
+LUCK = 2.0  # sigmas of chi2/dof: within them an excess over the noise says nothing
+
+# What the data can show at all
+VISIBLE_COLUMN = 3e-3  # of a unit column: what projection leaves below is numerical rubbish
+VISIBLE_SIGMAS = 0.1  # of all residuals, at typical size: ten times that is the most plausible
+FEWEST_DOF = 10  # degrees of freedom: below, nothing can be said
+ENOUGH_REPLICATES = 8  # degrees of freedom: with fewer the noise is known to 25 % at best
+HELD_STILL = 2.0  # sigmas rms of coordinates that a model holds: it lacks freedoms
+
+# Which effects are looked at, and taken
+MOST_EFFECTS = 4  # added in one diagnosis
+REFITTED = 5  # best candidates that are identified and judged at poses left out
+WORTH_REFINING = log(1e-3)  # log p: a scanned setting is refined between its neighbours
+SHUFFLES = 39  # copies with the condition shuffled between samples ...
+AS_GOOD = 1  # ... of which so many may score as well, by chance
+EXPLAINED = 0.7  # of the variance beyond the noise
+
+# Which effects cannot be told from each other
+ALIKE = 0.9  # canonical correlation above which two effects are one entry
+LIKE = 1.05  # of the held-out error: a swap within it tells as good a story ...
+APART = 5.0  # ... unless the data tell the two apart by as many sigmas
+
+# How tests and pictures of what is left are made
+NEIGHBOURS = 7  # of a sample, in Moran's I
+PERMUTATIONS = 999  # of the samples, for its p-value
+RESAMPLES = 200  # of the poses, for who is picked first
+FEWEST_SIGNS = 5  # on either side of the median, for a runs test
+WINDOW = 15  # samples of a rolling mean
+LEVELS = 5  # a quantity with so few values has a mean for each, and nothing rolls
+LENGTHS = (0.15, 0.25, 0.4, 0.7, 1.2)  # of the map's smoothness, in standard deviations of place
+ROUGHNESS = (0.1, 0.3, 1.0, 3.0)  # of the map: noise over smooth part, in variances
+BLOCKS = 40  # stretches into which a continuous motion is cut, as if each were a pose
+POOL, POSES = 300, 20  # reachable poses to choose from, and chosen, to tell two effects apart
