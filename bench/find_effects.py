@@ -79,8 +79,8 @@ def _called(found: Diagnosis, kind: vf.Kind) -> bool:
 
 def _over_noise(found: Diagnosis) -> float:
     """Held-out RMS over the noise floor, the geometric mean of position and orientation."""
-    after, floor = found.best.document["held_out"]["after"], found.best.document["noise_floor"]
-    ratios = [after[k] / floor[k] for k in ("position_rms", "orientation_rms")]
+    after, floor = found.best.fitted.held_out.summary, found.best.fitted.noise
+    ratios = [after.rms(k) / floor.rms(k) for k in ("position", "orientation")]
     return float(np.exp(np.mean(np.log(ratios))))
 
 

@@ -74,8 +74,8 @@ def test_its_document_is_the_contracts(play):
 def test_what_it_proposes_add_accepts(play):
     _, data = play
     step = added(MODEL, "backlash", data)
-    held = step.document["held_out"]["after"]
-    assert held["position_rms"] < step.document["held_out_without_effect"]["position_rms"]
+    held = step.document()["held_out"]["after"]
+    assert held["position_rms"] < step.document()["held_out_without_effect"]["position_rms"]
     assert step.model.history[-1]["effect"] == "backlash"
 
 
@@ -88,9 +88,9 @@ def test_each_kind_of_physics_is_called_by_its_name(name):
     called = {n for e in found.effects for n in (e, *found.swaps.get(e, []))}
     assert called & set(kind.names)
     assert found.verdict.word == "explained"
-    after, floor = (found.best.document[k] for k in ("held_out", "noise_floor"))
+    after, floor = found.best.fitted.held_out.summary, found.best.fitted.noise
     # A complete model of 42 numbers does as well on poses it has not seen: 5 % over the noise.
-    assert after["after"]["position_rms"] < 1.12 * floor["position_rms"]
+    assert after.position_rms < 1.12 * floor.position_rms
 
 
 def test_two_at_once_are_both_found():
@@ -116,7 +116,7 @@ def test_an_unknown_gear_ratio_is_found_and_add_finds_it_too():
     assert any(best["settings"]["ratio"] == pytest.approx(r, abs=0.3) for r in (37.3, 18.65))
     assert best["tried"] > 50
     step = added(MODEL, "gear_transmission_error", data)
-    ratio = step.document["parameters"]["gear_transmission_error.ratio"]["value"]
+    ratio = step.document()["parameters"]["gear_transmission_error.ratio"]["value"]
     assert ratio == pytest.approx(best["settings"]["ratio"], rel=1e-6)
 
 

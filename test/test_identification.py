@@ -49,7 +49,7 @@ def test_chi2_of_a_complete_model_is_one(clean):
 def test_noise_floor_is_what_the_true_model_shows():
     data = measured(2)
     truth = compare(new_model("delta54", vr.TABLE_5_18), data)
-    floor, shown = truth.noise, truth.errors.document()
+    floor, shown = truth.noise.document(), truth.errors.document()
     for key in ("position_mean", "position_rms", "orientation_rms", "joint_rms"):
         assert shown[key] == pytest.approx(floor[key], rel=0.15)
 

@@ -11,7 +11,7 @@ import virtual_setups as vs
 
 from parallel_cal.base.errors import BagError, DatasetError
 from parallel_cal.cli import main as cli
-from parallel_cal.identification.prediction_errors import held_out_ratio
+from parallel_cal.identification.prediction_errors import Summary, held_out_ratio
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.recordings.bag import list_topics, read_bag
@@ -250,8 +250,7 @@ def test_comparing_shows_the_readings_worst_first(plate_bag, plate_model, run, c
 
 def test_steps_are_judged_by_readings_only_where_no_pose_was_measured():
     def table(**known):
-        kinds = ("position", "orientation", "reading", "joint")
-        return {f"{kind}_rms": known.get(kind) for kind in kinds}
+        return Summary(**{f"{kind}_rms": value for kind, value in known.items()})
 
     before, after = table(reading=4e-5, joint=1e-4), table(reading=1e-5, joint=3e-4)
     assert held_out_ratio(before, after) == pytest.approx(0.25)

@@ -69,7 +69,7 @@ def model_and_data(model_file: Path, bags: list[Path], data: list[str]) -> tuple
 
 def _finish(step: Step, output: Path | None, as_json: bool) -> None:
     """Write the model, then say what came out: a file that cannot be written is no success."""
-    document = step.document
+    document = step.document()
     if output is not None:
         write_model(step.model, output)
         document = document | {"output": str(output), "hash": model_hash(step.model)}

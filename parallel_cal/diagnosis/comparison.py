@@ -16,7 +16,7 @@ from parallel_cal.identification.doubts import finite_or_none
 from parallel_cal.identification.fit import single_threaded
 from parallel_cal.identification.noise_floor import noise_floor
 from parallel_cal.identification.observations import Observations, observe
-from parallel_cal.identification.prediction_errors import ERRORS, Errors, errors
+from parallel_cal.identification.prediction_errors import ERRORS, Errors, Summary, errors
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
 
@@ -29,13 +29,13 @@ class Comparison:
     dataset: Dataset
     observations: Observations
     errors: Errors
-    noise: dict[str, float | None]
+    noise: Summary
 
     def document(self) -> dict[str, Any]:
         """E, one row a sample, worst first, and where the model fails."""
         return {
             **self.errors.document(),
-            "noise_floor": self.noise,
+            "noise_floor": self.noise.document(),
             "samples": len(self.observations),
             "channels": list(self.model.structure.channels),
             "rows": [self._row(i) for i in self._worst_first()],

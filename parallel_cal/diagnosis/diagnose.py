@@ -72,8 +72,8 @@ class Diagnosis:
             "share_explained": self.verdict.share,
             "against": list(self.verdict.against),
             "samples": len(self.dataset),
-            "baseline": self.base.document["held_out"]["after"],
-            "best": self.best.document["held_out"]["after"],
+            "baseline": self.base.fitted.held_out.document(),
+            "best": self.best.fitted.held_out.document(),
             "chi2_per_dof": {
                 "baseline": self.base.fitted.estimate.chi2_per_dof,
                 "best": self.best.fitted.estimate.chi2_per_dof,
@@ -84,7 +84,7 @@ class Diagnosis:
                 "source": self.noise.source,
                 "replicates": self.noise.replicates,
                 "replicates_dof": self.noise.replicates_dof,
-                "floor": self.best.document["noise_floor"],
+                "floor": self.best.fitted.noise.document(),
             },
             "candidates": list(self.entries),
             "negative_control": dict(self.negative_control),
@@ -92,7 +92,7 @@ class Diagnosis:
             "structure": self.left.document(),
             "odd_samples": list(self.odd),
             "measure_next": self.next,
-            "warnings": list(self.best.document["warnings"]),
+            "warnings": list(self.best.fitted.warnings),
             "dataset": {"source": self.dataset.source, "sha256": self.dataset.sha256},
         }
 
@@ -120,7 +120,7 @@ def diagnose(
     report = progress or (lambda stage, fraction: None)
     if loss != "linear":
         first = fit(model, dataset, hold_out=0, loss=loss, **options)
-        dataset = dataset.excluding([d["sample"] for d in first.document()["down_weighted"]])
+        dataset = dataset.excluding([d.sample for d in first.down_weighted])
     refit = partial(_refit, dataset=dataset, hold_out=hold_out, seed=seed, options=options)
     with single_threaded():
         search = Search(model, refit, report)

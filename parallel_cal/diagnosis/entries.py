@@ -15,6 +15,7 @@ from parallel_cal.diagnosis.search import Chosen, Search, Trial, ratio_of
 from parallel_cal.diagnosis.statistics import holm
 from parallel_cal.diagnosis.thresholds import ALIKE, REFITTED, RESAMPLES
 from parallel_cal.diagnosis.verdict import share_explained
+from parallel_cal.identification.fit import Result
 
 
 def entries(
@@ -47,15 +48,15 @@ def _judged(one: Candidate, base: Trial, search: Search, noise: Reference) -> di
     after = search.fit(Chosen.of(one))
     if after.result is None:
         return {"reason": after.reason}
-    chi2 = after.fitted.estimate.chi2_per_dof
+    chi2 = after.result.estimate.chi2_per_dof
     own = {
         name.removeprefix(f"{one.name}."): p
-        for name, p in after.document["parameters"].items()
-        if name not in base.document["parameters"] or _freed(name, base, after)
+        for name, p in after.result.parameters().items()
+        if _new(name, base.fitted, after.result)
     }
     return {
-        "holdout_before": base.document["held_out"]["after"],
-        "holdout_after": after.document["held_out"]["after"],
+        "holdout_before": base.fitted.held_out.document(),
+        "holdout_after": after.result.held_out.document(),
         "holdout_ratio": ratio_of(base, after),
         "chi2_per_dof": chi2,
         "share_explained": share_explained(chi2_before(base, after, [one]), chi2, noise.variance),
@@ -71,11 +72,12 @@ def chi2_before(base: Trial, after: Trial, ranked: list[Candidate]) -> float:
     return next((s.chi2_per_dof for s in wider if s is not None), base.scene.chi2_per_dof)
 
 
-def _freed(name: str, base: Trial, after: Trial) -> bool:
-    return bool(
-        base.document["parameters"][name]["fixed"]
-        and not after.document["parameters"][name]["fixed"]
-    )
+def _new(name: str, base: Result, after: Result) -> bool:
+    """Whether a parameter is one that the base has not, or does not identify."""
+    known, table = base.model.table, after.model.table
+    if name not in known.names:
+        return True
+    return bool(after.free[table.index_of(name)] and not base.free[known.index_of(name)])
 
 
 def _row(one: Candidate, rank: int, ranked: list[Candidate]) -> dict[str, Any]:

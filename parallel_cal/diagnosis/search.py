@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -48,7 +47,6 @@ class Trial:
 
     chosen: tuple[Chosen, ...]
     result: Result | None
-    document: Mapping[str, Any]
     reason: str = ""
 
     @property
@@ -85,8 +83,8 @@ class Search:
                 model = model.with_effect(one.name, one.settings)
             result = self._refit(model)
         except FitError as error:
-            return Trial(chosen, None, {}, str(error))
-        return Trial(chosen, result, result.document())
+            return Trial(chosen, None, str(error))
+        return Trial(chosen, result)
 
     def accepts(self, before: Trial, one: Candidate) -> tuple[Trial, str]:
         """The refit with one more effect, and what stands against it (empty: nothing)."""
@@ -160,7 +158,7 @@ def ratio_of(before: Trial, after: Trial) -> float | None:
     """Held-out error after over before; None where one is not known."""
     if before.result is None or after.result is None:
         return None
-    return held_out_ratio(before.document["held_out"]["after"], after.document["held_out"]["after"])
+    return held_out_ratio(before.result.held_out.summary, after.result.held_out.summary)
 
 
 def clearly_falls(before: Trial, after: Trial) -> bool:

@@ -132,10 +132,10 @@ def _blind(names: str, errors: str, left: LackOfFit) -> str:
 
 def _errors(base: Trial, here: Trial) -> str:
     """Held-out errors before and after, as a person reads them."""
-    b, a = (r.document["held_out"]["after"] for r in (base, here))
+    b, a = (r.fitted.held_out.summary for r in (base, here))
     parts = []
     for kind, factor, unit in UNITS:
-        before, after = (e.get(f"{kind}_rms") for e in (b, a))
+        before, after = b.rms(kind), a.rms(kind)
         if before is not None and after is not None:
             now = f"{_digits(after * factor)} {unit}"
             parts.append(f"{_digits(before * factor)} to {now}" if here.chosen else now)

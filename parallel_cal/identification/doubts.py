@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
 from parallel_cal.base.confidence import SIGMAS
 from parallel_cal.identification.methods._estimate import Estimate
 from parallel_cal.identification.observations import SCATTER, Observations
+from parallel_cal.identification.prediction_errors import Summary
 from parallel_cal.model.model import Model
 from parallel_cal.model.words import direction_in_words
 from parallel_cal.recordings.dataset import Dataset
@@ -55,13 +55,11 @@ def on_noise(estimate: Estimate, observations: Observations) -> list[str]:
     return []
 
 
-def on_held(
-    model: Model, after: Mapping[str, float | None], noise: Mapping[str, float | None]
-) -> list[str]:
+def on_held(model: Model, after: Summary, noise: Summary) -> list[str]:
     """What was measured to move, but the model holds at one value: chi2 does not see it."""
     words = []
     for kind, part in (("position", range(3)), ("orientation", range(3, 6))):
-        error, floor = after[f"{kind}_rms"], noise[f"{kind}_rms"]
+        error, floor = after.rms(kind), noise.rms(kind)
         still = not any(i in model.mechanism.moved for i in part)
         if still and error is not None and floor is not None and error > HELD * floor:
             words.append(
@@ -71,27 +69,31 @@ def on_held(
     return words
 
 
-def doubted(estimate: Estimate, dataset: Dataset) -> list[dict[str, Any]]:
+@dataclass(frozen=True)
+class Doubted:
+    """A sample that a robust loss mistrusts: its number, when it was, and its weight."""
+
+    sample: int
+    time: float
+    weight: float
+
+
+def doubted(estimate: Estimate, dataset: Dataset) -> tuple[Doubted, ...]:
     """Samples that a robust loss gave less than half their weight, least trusted first."""
     if estimate.weight is None:
-        return []
+        return ()
     order = np.argsort(estimate.weight, kind="stable")
-    return [
-        {
-            "sample": int(dataset.numbers[i]),
-            "time": float(dataset.time[i]),
-            "weight": float(estimate.weight[i]),
-        }
+    return tuple(
+        Doubted(int(dataset.numbers[i]), float(dataset.time[i]), float(estimate.weight[i]))
         for i in order
         if estimate.weight[i] < DOUBTED
-    ]
+    )
 
 
 def on_samples(estimate: Estimate, dataset: Dataset, loss: str) -> list[str]:
     """Samples that a robust loss mistrusts."""
     words = [
-        f"{d['sample']} ({d['time']:.1f} s, weight {d['weight']:.2g})"
-        for d in doubted(estimate, dataset)
+        f"{d.sample} ({d.time:.1f} s, weight {d.weight:.2g})" for d in doubted(estimate, dataset)
     ]
     return [f"samples down-weighted by loss {loss}: {', '.join(words)}"] if words else []
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy as np
 from parallel_cal.base.errors import FitError
 from parallel_cal.identification.checks import check_enough, check_plausible, chosen_parameters
 from parallel_cal.identification.doubts import (
+    Doubted,
     chi2_band,
     doubted,
     finite_or_none,
@@ -23,7 +25,7 @@ from parallel_cal.identification.estimators import Estimator, estimator, need_se
 from parallel_cal.identification.methods.implicit import Estimate
 from parallel_cal.identification.noise_floor import noise_floor
 from parallel_cal.identification.observations import Observations, observe
-from parallel_cal.identification.prediction_errors import Errors, errors, improvement
+from parallel_cal.identification.prediction_errors import Errors, Summary, errors, improvement
 from parallel_cal.identification.prior import Prior
 from parallel_cal.identification.refit import considered
 from parallel_cal.model.model import Model
@@ -48,7 +50,7 @@ class Result:
     before: Errors
     after: Errors
     held_out: Errors
-    noise: dict[str, float | None]
+    noise: Summary
     observations: Observations
     dataset: Dataset
     method: str
@@ -60,18 +62,30 @@ class Result:
     def samples(self) -> int:
         return len(self.observations)
 
+    @cached_property
+    def held_out_before(self) -> Errors:
+        """Errors of the model before at the poses that `held_out` judges."""
+        kinds = ("position", "orientation", "reading")
+        judged = np.any([np.isfinite(self.held_out.norms(kind)) for kind in kinds], axis=0)
+        return self.before.select(judged)
+
+    @property
+    def down_weighted(self) -> tuple[Doubted, ...]:
+        """Samples that a robust loss gave less than half their weight."""
+        return doubted(self.estimate, self.dataset)
+
     def document(self) -> dict[str, Any]:
         """The JSON document of `parallel-cal fit`; all values SI, None where not known."""
-        before, after = self.before.document(), self.after.document()
-        held = {"before": self._held_out_before(), "after": self.held_out.document()}
+        before, after = self.before.summary, self.after.summary
+        held_before, held_after = self.held_out_before.summary, self.held_out.summary
         return {
             "samples": self.samples,
-            "parameters": parameter_rows(self.model, self.estimate.sigma, ~self.free),
-            "before": before,
-            "after": after,
-            "held_out": held,
+            "parameters": self.parameters(),
+            "before": before.document(),
+            "after": after.document(),
+            "held_out": {"before": held_before.document(), "after": held_after.document()},
             "improvement": improvement(before, after),
-            "improvement_held_out": improvement(held["before"], held["after"]),
+            "improvement_held_out": improvement(held_before, held_after),
             "chi2_per_dof": finite_or_none(self.estimate.chi2_per_dof),
             "chi2_band": self._band(),
             "dof": self.estimate.dof,
@@ -85,12 +99,12 @@ class Result:
                 {"text": direction_in_words(c, self.model.mechanism), "parameters": c}
                 for c in self.estimate.spectrum.weak
             ],
-            "noise_floor": self.noise,
+            "noise_floor": self.noise.document(),
             "noise_from": self.observations.noise_from,
             "method": self.method,
             "loss": self.loss,
             "refit": list(self.refit),
-            "down_weighted": doubted(self.estimate, self.dataset),
+            "down_weighted": [asdict(d) for d in self.down_weighted],
             "iterations": self.estimate.iterations,
             "warnings": list(self.warnings),
             "dataset": {"source": self.dataset.source, "sha256": self.dataset.sha256},
@@ -101,10 +115,9 @@ class Result:
         assumed = self.observations.noise_assumed
         return [None, None] if assumed else list(chi2_band(self.estimate.dof))
 
-    def _held_out_before(self) -> dict[str, float | None]:
-        kinds = ("position", "orientation", "reading")
-        judged = np.any([np.isfinite(self.held_out.norms(kind)) for kind in kinds], axis=0)
-        return self.before.select(judged).document()
+    def parameters(self) -> dict[str, dict[str, Any]]:
+        """Every parameter by name, as documents hold it."""
+        return parameter_rows(self.model, self.estimate.sigma, ~self.free)
 
     def correlations(self) -> np.ndarray:
         """Correlation matrix (n_free, n_free) of the free parameters."""
@@ -192,7 +205,7 @@ def fit(
             *dataset.warnings,
             *on_parameters(fitted, estimate, mask),
             *on_noise(estimate, observations),
-            *on_held(fitted, after.document(), noise),
+            *on_held(fitted, after.summary, noise),
             *on_samples(estimate, dataset, loss),
         ),
     )

@@ -6,11 +6,17 @@ import numpy as np
 
 from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.observations import Observations
-from parallel_cal.identification.prediction_errors import Errors, complete, judgeable, where_known
+from parallel_cal.identification.prediction_errors import (
+    Errors,
+    Summary,
+    complete,
+    judgeable,
+    where_known,
+)
 from parallel_cal.model.model import Model
 
 
-def noise_floor(model: Model, observations: Observations, seed: int = 0) -> dict[str, float | None]:
+def noise_floor(model: Model, observations: Observations, seed: int = 0) -> Summary:
     """The errors a perfect model of this robot would show: measurement noise alone.
 
     Joint noise reaches the pose and what sensors show there through the direct problem, pose
@@ -18,7 +24,7 @@ def noise_floor(model: Model, observations: Observations, seed: int = 0) -> dict
     None where the noise was only assumed.
     """
     if observations.noise_assumed:
-        return Errors(*[np.empty((0, 1))] * 5).document()
+        return Summary()
     n, m = len(model.joints), model.mechanism
     closure = model.structure.phi.shape[0]
     rows = _row_jacobians(model, observations)
@@ -53,7 +59,7 @@ def noise_floor(model: Model, observations: Observations, seed: int = 0) -> dict
     parts = [
         where_known(k, np.where(c, a, 0.0)) for k, c, a in zip(known, kept, flat[:3], strict=True)
     ]
-    return Errors(*[*parts, flat[3], gaps]).document()
+    return Errors(parts[0], parts[1], parts[2], flat[3], gaps).summary
 
 
 def _row_jacobians(model: Model, observations: Observations) -> np.ndarray:

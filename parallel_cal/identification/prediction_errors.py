@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
 
@@ -174,31 +173,22 @@ def where_known(known: np.ndarray, difference: np.ndarray) -> np.ndarray:
     return np.where(known[:, None], difference, np.nan)
 
 
-def improvement(
-    before: Mapping[str, float | None], after: Mapping[str, float | None]
-) -> dict[str, float | None]:
+def improvement(before: Summary, after: Summary) -> dict[str, float | None]:
     """Factors of improvement: sum of error norms before over after (table 5.9, eq. 5.20)."""
     factors: dict[str, float | None] = {}
     for kind in ERRORS:
-        a, b = before[f"{kind}_mean"], after[f"{kind}_mean"]
+        a, b = before.mean(kind), after.mean(kind)
         factors[kind] = a / b if a is not None and b else None
     return factors
 
 
-def held_out_ratio(
-    before: Mapping[str, float | None], after: Mapping[str, float | None]
-) -> float | None:
+def held_out_ratio(before: Summary, after: Summary) -> float | None:
     """Error after over before, the geometric mean of what was measured of the pose; where
     nothing was, of what other sensors read, or of the joints."""
-    ratios = [_ratio(before, after, f"{kind}_rms") for kind in ("position", "orientation")]
-    known = [r for r in ratios if r is not None]
-    others = [_ratio(before, after, f"{kind}_rms") for kind in ("reading", "joint")]
-    known = known or [r for r in others if r is not None][:1]
+
+    def ratios(*kinds: str) -> list[float]:
+        pairs = [(before.rms(kind), after.rms(kind)) for kind in kinds]
+        return [b / a for a, b in pairs if a and b]
+
+    known = ratios("position", "orientation") or ratios("reading", "joint")[:1]
     return math.exp(sum(math.log(r) for r in known) / len(known)) if known else None
-
-
-def _ratio(
-    before: Mapping[str, float | None], after: Mapping[str, float | None], key: str
-) -> float | None:
-    a, b = before.get(key), after.get(key)
-    return b / a if a and b else None

@@ -23,13 +23,13 @@ STRONG = 0.98  # correlation of two parameters that the data hardly tell apart
 
 def errors(found: Diagnosis) -> dict[str, Any]:
     """E at poses left out: before any calibration, now, with the effects found; noise alone."""
-    base, best = found.base.document, found.best.document
+    base, best = found.base.fitted, found.best.fitted
     steps = _judged(found)
     return {
-        "before": steps[0]["held_out"]["before"] if steps else base["held_out"]["before"],
-        "now": base["held_out"]["after"],
-        "found": best["held_out"]["after"] if found.effects else None,
-        "noise": best["noise_floor"],
+        "before": steps[0]["held_out"]["before"] if steps else base.held_out_before.document(),
+        "now": base.held_out.document(),
+        "found": best.held_out.document() if found.effects else None,
+        "noise": best.noise.document(),
     }
 
 
@@ -164,7 +164,7 @@ def parameters(result: Result) -> dict[str, dict[str, Any]]:
             "words": describe(name, result.model.mechanism),
             "sigma_tolerances": None if p["sigma"] is None else p["sigma"] / tolerance[name],
         }
-        for name, p in result.document()["parameters"].items()
+        for name, p in result.parameters().items()
     }
 
 

@@ -25,7 +25,7 @@ def _side(one: Comparison) -> dict[str, Any]:
         "effects": [effect.name for effect in one.model.effects],
         "model_sha256": model_hash(one.model),
         "errors": one.errors.document(),
-        "noise": one.noise,
+        "noise": one.noise.document(),
         "chi2_per_dof": one.scene.chi2_per_dof,
         "place": places(one.scene, kind).tolist(),
         "residual": one.field.pose[:, part].tolist(),

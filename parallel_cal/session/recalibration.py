@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from threading import Lock
 from typing import Any
 
 from parallel_cal.base.errors import FitError, ParallelCalError
-from parallel_cal.identification.fit import Progress
+from parallel_cal.identification.fit import Progress, Result
 from parallel_cal.identification.observations import observe
-from parallel_cal.identification.prediction_errors import errors, held_out_ratio
+from parallel_cal.identification.prediction_errors import Summary, errors, held_out_ratio
 from parallel_cal.model.file.modelfile import model_hash, read_model, write_model
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.session.steps import Step, added, fitted
 
 Tell = Callable[[str, float, float], None]  # stage, fraction, mean position error so far in m
-Table = Mapping[str, float | None]
 UNITS = {
     "position": (1e6, "um"),
     "orientation": (1e6, "urad"),
@@ -105,7 +104,7 @@ def recalibrate(
         model = read_model(request.model_file)
         position_error = _position_error(model, dataset, request.joint_sigma)
         step = _step(request, model, dataset, report)
-        position_error = _or_nan(step.document["after"]["position_mean"])
+        position_error = _or_nan(step.result.after.summary.position_mean)
         report("judging", 1.0)
         return _written(request, step, cancel)
     except ParallelCalError as error:
@@ -119,8 +118,7 @@ def check_share(hold_out: float) -> None:
 
 
 def _position_error(model: Model, dataset: Dataset, joint_sigma: float | None) -> float:
-    table = errors(model, observe(model, dataset, joint_sigma)).document()
-    return _or_nan(table["position_mean"])
+    return _or_nan(errors(model, observe(model, dataset, joint_sigma)).summary.position_mean)
 
 
 def _or_nan(value: float | None) -> float:
@@ -136,35 +134,35 @@ def _step(request: Request, model: Model, dataset: Dataset, report: Progress) ->
         "joint_sigma": request.joint_sigma,
         "progress": report,
     }
-    if request.effect:  # judged below, with the document at hand
+    if request.effect:  # judged below
         return added(model, request.effect, dataset, force=True, **options)
     return fitted(model, dataset, **options)
 
 
 def _written(request: Request, step: Step, cancel: Cancel) -> Outcome:
-    reason = refusal(step.document, request.hold_out, bool(request.effect))
+    reason, document = refusal(step, request.hold_out), step.document()
     if reason and not request.force:
         message = f"{reason}; nothing was written (force writes it all the same)"
-        return Outcome(False, message, step.document, model=step.model)
+        return Outcome(False, message, document, model=step.model)
     cancel.commit()
     write_model(step.model, request.output_file)
     although = f" by force although {reason}" if reason else ""
-    message = f"{summary(step.document)}; written to {request.output_file}{although}"
-    return Outcome(True, message, step.document, model_hash(step.model), step.model)
+    message = f"{summary(step.result)}; written to {request.output_file}{although}"
+    return Outcome(True, message, document, model_hash(step.model), step.model)
 
 
-def refusal(document: Mapping[str, Any], hold_out: float, effect: bool) -> str:
+def refusal(step: Step, hold_out: float) -> str:
     """Why the new model must not replace the old one; empty when it may.
 
     Judged at poses that the fit did not see: against the model before, or, for an added effect,
     against the same identification without it. Without a held-out check, at the samples used.
     """
-    before, after, where = sides(document)
+    before, after, where = sides(step.result)
     if hold_out > 0 and where != HELD_OUT:
         return "the error at poses left out is not known: too few poses to leave some out"
     what = "before"
-    if effect and where == HELD_OUT:
-        before, what = document["held_out_without_effect"], "without the effect"
+    if step.rival is not None and where == HELD_OUT:
+        before, what = step.rival.held_out.summary, "without the effect"
     ratio = held_out_ratio(before, after)
     if ratio is not None and ratio < 1:
         return ""
@@ -174,24 +172,23 @@ def refusal(document: Mapping[str, Any], hold_out: float, effect: bool) -> str:
 HELD_OUT, AT_SAMPLES = "at poses left out", "at the samples used"
 
 
-def sides(document: Mapping[str, Any]) -> tuple[Table, Table, str]:
+def sides(result: Result) -> tuple[Summary, Summary, str]:
     """The errors that count, before and after, and where they were taken."""
-    held = document["held_out"]
-    if any(value is not None for value in held["after"].values()):
-        return held["before"], held["after"], HELD_OUT
-    return document["before"], document["after"], AT_SAMPLES
+    if result.held_out.summary.known:
+        return result.held_out_before.summary, result.held_out.summary, HELD_OUT
+    return result.before.summary, result.after.summary, AT_SAMPLES
 
 
-def summary(document: Mapping[str, Any]) -> str:
+def summary(result: Result) -> str:
     """One sentence: the error before and after, and where it was taken."""
-    before, after, where = sides(document)
+    before, after, where = sides(result)
     return f"mean error {where} {in_words(before)} -> {in_words(after)}"
 
 
-def in_words(errors: Table) -> str:
+def in_words(errors: Summary) -> str:
     """The mean error of the first kind that was measured, with its unit."""
     for kind, (scale, unit) in UNITS.items():
-        value = errors[f"{kind}_mean"]
+        value = errors.mean(kind)
         if value is not None:
             return f"{value * scale:.3g} {unit}"
     return "unknown"

@@ -20,22 +20,33 @@ NEGLIGIBLE = 1.01  # a removal may raise the held-out error by a hundredth
 
 @dataclass(frozen=True)
 class Step:
-    """What a step leaves: the model to be written, the document to be shown, words of warning."""
+    """What a step (`fit`, `add`, `remove`) leaves: the model to be written, with the step in its
+    history, and words of warning. `rival` is the identification on the same data that an effect
+    must beat: without the one added, with the one removed."""
 
+    name: str
     model: Model
-    document: dict[str, Any]
+    result: Result
     warnings: tuple[str, ...]
+    rival: Result | None = None
+
+    def document(self) -> dict[str, Any]:
+        """The result's, with the errors of what the step had to beat."""
+        document = self.result.document()
+        if self.rival is not None:
+            key = {"add": "held_out_without_effect", "remove": "held_out_with_effect"}[self.name]
+            document[key] = self.rival.held_out.document()
+        return document
 
 
 def fitted(model: Model, dataset: Dataset, **options: Any) -> Step:
     """Identify the model's free parameters; options as in identification.fit (FitError)."""
     result = fit(model, dataset, **options)
-    document = result.document()
-    ratio = held_out_ratio(document["held_out"]["before"], document["held_out"]["after"])
+    ratio = held_out_ratio(result.held_out_before.summary, result.held_out.summary)
     words = result.warnings
     if ratio is not None and ratio >= 1:
         words += (f"the error at poses left out did not fall (factor {ratio:.3f})",)
-    return _step("fit", result, document, words)
+    return _step("fit", result, words)
 
 
 def added(model: Model, effect: str, dataset: Dataset, force: bool = False, **options: Any) -> Step:
@@ -48,17 +59,14 @@ def added(model: Model, effect: str, dataset: Dataset, force: bool = False, **op
     """
     name, settings = parse_effect(effect)
     base = fit(model, dataset, **options)
-    without = base.document()["held_out"]["after"]
     model.with_effect(name)  # a wrong name is better said before a search
     result = fit(model.with_effect(name, settings or _searched(base, name)), dataset, **options)
-    document = result.document()
-    document["held_out_without_effect"] = without
-    ratio = held_out_ratio(without, document["held_out"]["after"])
+    ratio = held_out_ratio(base.held_out.summary, result.held_out.summary)
     words = _gate(
         ratio, 1.0, force,
         f"'{name}' does not lower the error at poses left out", "add it",
     )  # fmt: skip
-    return _step("add", result, document, (*result.warnings, *words), name)
+    return _step("add", result, (*result.warnings, *words), name, base)
 
 
 def _searched(base: Result, name: str) -> Mapping[str, float]:
@@ -72,16 +80,14 @@ def removed(
 ) -> Step:
     """Identify anew without one of the effects; FitError when that costs accuracy."""
     smaller = model.without_effect(effect)
-    with_it = fit(model, dataset, **options).document()
+    with_it = fit(model, dataset, **options)
     result = fit(smaller, dataset, **options)
-    document = result.document()
-    document["held_out_with_effect"] = with_it["held_out"]["after"]
-    ratio = held_out_ratio(with_it["held_out"]["after"], document["held_out"]["after"])
+    ratio = held_out_ratio(with_it.held_out.summary, result.held_out.summary)
     words = _gate(
         ratio, NEGLIGIBLE, force,
         f"without '{effect}' the error at poses left out rises", "remove it",
     )  # fmt: skip
-    return _step("remove", result, document, (*result.warnings, *words), effect)
+    return _step("remove", result, (*result.warnings, *words), effect, with_it)
 
 
 def _gate(ratio: float | None, limit: float, force: bool, what: str, do: str) -> tuple[str, ...]:
@@ -97,24 +103,25 @@ def _gate(ratio: float | None, limit: float, force: bool, what: str, do: str) ->
 def _step(
     name: str,
     result: Result,
-    document: dict[str, Any],
     warnings: tuple[str, ...],
     effect: str | None = None,
+    rival: Result | None = None,
 ) -> Step:
     """The step's model with one more entry in its history: no date, so that it is repeatable."""
     entry: dict[str, Any] = {"step": name}
     if effect is not None:
         entry["effect"] = effect
+    document = result.document()
     entry |= {key: document[key] for key in ("method", "samples", "dataset")}
-    entry |= _unusual(document)
+    entry |= _unusual(result)
     entry |= {key: document[key] for key in ("before", "after", "held_out", "chi2_per_dof")}
     model = replace(result.model, history=(*result.model.history, entry))
-    return Step(model, document, warnings)
+    return Step(name, model, result, warnings, rival)
 
 
-def _unusual(document: Mapping[str, Any]) -> dict[str, Any]:
+def _unusual(result: Result) -> dict[str, Any]:
     """What was not plain least squares of all free parameters on all samples."""
-    loss = document["loss"] if document["loss"] != "linear" else None
-    samples = [row["sample"] for row in document["down_weighted"]]
-    how = {"loss": loss, "refit": document["refit"], "down_weighted": samples}
+    loss = result.loss if result.loss != "linear" else None
+    samples = [doubted.sample for doubted in result.down_weighted]
+    how = {"loss": loss, "refit": list(result.refit), "down_weighted": samples}
     return {key: value for key, value in how.items() if value}
