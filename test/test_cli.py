@@ -217,6 +217,12 @@ def test_inverse_undoes_direct(document):
     assert turned["joints"] == pytest.approx(back["joints"], abs=1e-9)
 
 
+def test_fk_and_ik_are_other_names_of_direct_and_inverse(document):
+    joints, position = ("--joints", "-0.1", "0.5", "6e-1"), ("--position", "-0.01", "0", "0.2")
+    assert document("fk", IDENTIFIED, *joints) == document("direct", IDENTIFIED, *joints)
+    assert document("ik", IDENTIFIED, *position) == document("inverse", IDENTIFIED, *position)
+
+
 def test_an_orientation_that_follows_from_the_position_does_not_choose_the_branch(run, document):
     flipped = ("inverse", IDENTIFIED, "--position", 0.03, 0.02, 0.17, "--orientation", 0, 0, 1, 0)
     expected = document(*flipped[:6])

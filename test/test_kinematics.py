@@ -67,6 +67,12 @@ def test_single_and_batch_calls_answer_the_same(mock_up):
     assert all(np.array_equal(b.joints, s.joints) for b, s in zip(batch, singles, strict=True))
 
 
+def test_fk_and_ik_are_other_names_of_direct_and_inverse(mock_up):
+    joints = mock_up.ik([0.01, 0.02, 0.2]).joints
+    assert np.array_equal(joints, mock_up.inverse([0.01, 0.02, 0.2]).joints)
+    assert mock_up.fk(joints).position == pytest.approx([0.01, 0.02, 0.2])
+
+
 def test_a_start_keeps_its_assembly_mode(mock_up):
     everything = mock_up.inverse_all([0.01, 0.02, 0.2])
     other = everything[len(everything) - 1]

@@ -143,6 +143,7 @@ def sensors(as_json: Json = False) -> None:
 # ------------------------------------------------------------------------------- kinematics
 
 
+@app.command(name="fk", hidden=True)
 @app.command()
 def direct(
     model: ModelFile,
@@ -163,6 +164,7 @@ def direct(
     kinematics.direct(model, values, at or [], every, solver, covariance, table, output, as_json)
 
 
+@app.command(name="ik", hidden=True)
 @app.command()
 def inverse(
     model: ModelFile,

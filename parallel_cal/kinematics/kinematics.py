@@ -53,6 +53,8 @@ class Kinematics:
         given = pose_rows(self.model, position, rotation)
         return self._solve(self._inverse, given, position, at, start)
 
+    fk, ik = direct, inverse  # as much of the field calls them
+
     def direct_all(self, q: np.ndarray, at: Mapping[str, Any] | None = None) -> Solutions:
         """Every pose for joints (nq,), home branch first: all that exist where the platform hangs
         on six rods (6.2.4), has three balls on circles (6.7.2) or on great circles (6.2.3), else
