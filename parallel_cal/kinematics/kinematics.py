@@ -175,7 +175,7 @@ class Kinematics:
         q = x[:, :n]
         outside = ~((q >= self._limits[:, 0]) & (q <= self._limits[:, 1])).all(axis=1)
         status[outside & (status == Status.CONVERGED)] = Status.OUTSIDE_LIMITS
-        return Solutions(q, x[:, n : n + 3], x[:, n + 3 :].reshape(-1, 3, 3), residual, status)
+        return Solutions.of(x, residual, status)
 
     def _carefully(
         self, problem: Problem, x: np.ndarray, row: np.ndarray, given: np.ndarray
@@ -235,8 +235,7 @@ class Kinematics:
         answer_size: int,
         joint_sigma: float,
     ) -> np.ndarray:
-        n = self._n
-        x = np.concatenate([solution.joints, solution.position, solution.rotation.ravel()])
+        n, x = self._n, solution.configuration.rows
         J_x, J_v = self._blocks(x, self.model.condition_rows(at, 1)[0])
         unknown = J_x[:, [c + n for c in columns]]
         spread = np.zeros((len(J_x), len(J_x)))

@@ -7,9 +7,9 @@ from functools import cached_property
 import numpy as np
 
 from parallel_cal.base.compiled import Batch, Single, compiled
-from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.kinematics.newton import newton_functions
 from parallel_cal.kinematics.solutions import CLOSED, Solutions, Status
+from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model
 
 
@@ -65,7 +65,7 @@ class Problem:
             if i < 3:
                 begin[:, n + i] = np.asarray(start.position)[..., i]
         if any(i >= 3 for i in from_start):
-            begin[:, n + 3 :] = np.asarray(start.rotation).reshape(-1, 9)
+            Configuration.from_rows(begin).R[:] = start.rotation
         return begin
 
     # ------------------------------------------------------------------ the careful way
@@ -125,7 +125,6 @@ class Problem:
         return x, size, Status.UNREACHABLE if flat or size > 1e-6 else Status.NOT_CONVERGED
 
     def _moved(self, x: np.ndarray, step: np.ndarray) -> np.ndarray:
-        n, change = self._n, np.zeros(self._n + 6)
+        change = np.zeros(self._n + 6)
         change[self.columns] = step / self._model.structure.scale[self.columns]
-        R = rotation_matrix(change[n + 3 :]) @ x[n + 3 :].reshape(3, 3)
-        return np.concatenate([x[: n + 3] + change[: n + 3], R.ravel()])
+        return Configuration.from_rows(x).moved(change).rows

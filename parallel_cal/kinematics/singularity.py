@@ -40,8 +40,7 @@ def jacobians(
     """d phi/d(pose) and d phi/d(joints, passive), columns in metres: (N, rows, unknowns)."""
     s, m = model.structure, model.mechanism
     n, rows = len(m.joints), s.phi.shape[0]
-    q, r = np.atleast_2d(solutions.joints), np.atleast_2d(solutions.position)
-    x = np.concatenate([q, r, np.reshape(solutions.rotation, (-1, 9))], axis=1)
+    x = np.atleast_2d(solutions.configuration.rows)
     C = s.closure_batch(x, model.condition_rows(at, len(x)), model.values)[1]
     C = C.reshape(len(x), -1, rows).transpose(0, 2, 1) / s.scale
     return C[:, :, [n + i for i in m.moved]], C[:, :, [*range(n), *(n + i for i in m.passive)]]

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.base.rotation import matrix_to_quaternion
+from parallel_cal.model.configuration import Configuration
 
 CLOSED = 1e-10  # m: a closure residual below this is a solution
 SETTLED = 1e-10  # m: a last step below this leaves an error below rounding (third order)
@@ -49,6 +50,12 @@ class Solutions:
     count_complex: int | None = None
     message: str | None = None
 
+    @classmethod
+    def of(cls, rows: np.ndarray, residual: np.ndarray, status: np.ndarray) -> Solutions:
+        """Solved configurations (N, nq + 12), or one."""
+        x = Configuration.from_rows(rows)
+        return cls(x.q, x.r, x.R, residual, status)
+
     def __len__(self) -> int:
         return len(self.joints)
 
@@ -58,6 +65,10 @@ class Solutions:
 
     def __iter__(self) -> Iterator[Solutions]:
         return (self[i] for i in range(len(self)))
+
+    @property
+    def configuration(self) -> Configuration:
+        return Configuration(self.joints, self.position, self.rotation)
 
     @property
     def quaternion(self) -> np.ndarray:

@@ -13,6 +13,7 @@ import numpy as np
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.rotation import quaternion_to_matrix, rotation_matrix, rotation_vector
+from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.parameters import Named, ParameterTable
 
 POSE = ("x", "y", "z", "rx", "ry", "rz")
@@ -33,8 +34,8 @@ class Home:
     @cached_property
     def configuration(self) -> np.ndarray:
         """(q, r, R row-major) as one read-only vector."""
-        R = quaternion_to_matrix(self.quaternion)
-        row = np.array([*self.joints, *self.position, *R.ravel()])
+        q, r = np.array(self.joints, dtype=float), np.array(self.position, dtype=float)
+        row = Configuration(q, r, quaternion_to_matrix(self.quaternion)).rows
         row.setflags(write=False)
         return row
 

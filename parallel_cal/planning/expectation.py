@@ -131,8 +131,7 @@ def as_observations(
     model: Model, measured: np.ndarray, poses: Solutions, a: np.ndarray
 ) -> Observations:
     """Poses as if measured without error, with the model's noise."""
-    n, noise = len(model.joints), model.noise
-    x = np.concatenate([poses.joints, poses.position, poses.rotation.reshape(-1, 9)], axis=1)
+    n, noise, x = len(model.joints), model.noise, poses.configuration.rows
     sigma = [noise.joint or 0.0] * n + [noise.position or 0.0] * 3 + [noise.orientation or 0.0] * 3
     S = np.broadcast_to(np.diag(np.square(sigma)), (len(x), n + 6, n + 6))
     mask = np.broadcast_to(measured, (len(x), n + 6))

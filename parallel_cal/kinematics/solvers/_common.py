@@ -38,11 +38,6 @@ def kinematics_of(model: Model) -> Kinematics:
     return Kinematics(model)
 
 
-def configurations(q: np.ndarray, r: np.ndarray, R: np.ndarray) -> np.ndarray:
-    """(k, nq + 12): one set of joints with k poses."""
-    return np.hstack([np.tile(q, (len(r), 1)), r, R.reshape(-1, 9)])
-
-
 def answers(
     model: Model,
     solve: ca.Function,
@@ -74,8 +69,7 @@ def with_status(
     status = np.where(inside, Status.CONVERGED, Status.OUTSIDE_LIMITS).astype(np.int8)
     status[residual >= tolerance] = Status.NOT_CONVERGED
     status[~np.isfinite(residual)] = Status.UNREACHABLE
-    R = x[:, n + 3 :].reshape(-1, 3, 3)
-    solutions = Solutions(x[:, :n], x[:, n : n + 3], R, residual, status)
+    solutions = Solutions.of(x, residual, status)
     near = smallest(jacobians(model, solutions, at)[problem == "inverse"]) < SINGULAR
     status[near & (residual < tolerance)] = Status.SINGULAR
     return solutions

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.base.errors import SolveError
-from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.kinematics.kinematics import CLOSED, Kinematics, Solutions, Status
 from parallel_cal.kinematics.solvers._common import with_status
+from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model
 
 
@@ -25,7 +25,9 @@ def direct(model: Model, q: np.ndarray, at: Mapping[str, Any] | None = None) -> 
     """The nominal pose moved by the predicted error dX (eq. 30)."""
     nominal = _nominal(model).direct(np.atleast_2d(q), at)
     dX = pose_error(model, nominal, at)
-    answer = _answer(model, nominal.joints, _moved(nominal, dX), nominal, at, "direct")
+    still = np.zeros_like(nominal.joints)
+    x = nominal.configuration.moved(np.hstack([still, dX]))
+    answer = _answer(model, x, nominal, at, "direct")
     return _shaped(answer, q)
 
 
@@ -51,8 +53,8 @@ def inverse(
     dq, follows = joint_correction(model, nominal, dx, at)  # (iv)
     left = np.zeros_like(dX)
     left[:, m.passive] = dX[:, m.passive] - follows
-    pose = _moved(nominal, left)
-    answer = _answer(model, nominal.joints - dq, pose, nominal, at, "inverse")  # (v)
+    x = nominal.configuration.moved(np.hstack([-dq, left]))
+    answer = _answer(model, x, nominal, at, "inverse")  # (v)
     return _shaped(answer, position)
 
 
@@ -92,7 +94,7 @@ def _blocks(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """d phi/dq, d phi/d(r, w), d phi/dk at the nominal parameters, (N, rows, columns)."""
     structure, n = model.structure, len(model.joints)
-    x = np.hstack([s.joints, s.position, s.rotation.reshape(-1, 9)])
+    x = s.configuration.rows
     a = model.condition_rows(at, len(x))
     _, J_x, J_v = structure.closure_batch(x, a, nominal_values(model))
     shape = (len(x), -1, structure.phi.shape[0])
@@ -113,14 +115,9 @@ def _solved(A: np.ndarray, b: np.ndarray) -> np.ndarray:
     return u
 
 
-def _moved(s: Solutions, dX: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    return s.position + dX[:, :3], rotation_matrix(dX[:, 3:]) @ s.rotation
-
-
 def _answer(
     model: Model,
-    q: np.ndarray,
-    pose: tuple[np.ndarray, np.ndarray],
+    x: Configuration,
     nominal: Solutions,
     at: Mapping[str, Any] | None,
     problem: str,
@@ -130,8 +127,7 @@ def _answer(
     Not converged where more than a tenth of the error is left: there it is not of first order.
     """
     before, solutions = (
-        with_status(model, np.hstack([q, r, R.reshape(-1, 9)]), at, np.inf, problem)
-        for q, r, R in ((nominal.joints, nominal.position, nominal.rotation), (q, *pose))
+        with_status(model, each.rows, at, np.inf, problem) for each in (nominal.configuration, x)
     )
     left = solutions.residual > np.maximum(0.1 * before.residual, CLOSED)
     solutions.status[left] = Status.NOT_CONVERGED

@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 
 from parallel_cal.base.errors import SolveError
-from parallel_cal.base.rotation import rotation_matrix, rotation_vector
+from parallel_cal.base.rotation import rotation_vector
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions, Status
 from parallel_cal.kinematics.solvers._common import with_status
 from parallel_cal.model.mechanism import Mechanism
@@ -111,12 +111,9 @@ def _built(
     axes = _axes((exact, nominal), problem, size)
     points = _grid(axes)
     wanted, usual = (_solved_at(k, problem, points, at) for k in (exact, nominal))
-    pose = [
-        wanted.position - usual.position,
-        rotation_vector(wanted.rotation @ usual.rotation.swapaxes(1, 2)),
-    ]
-    parts = [wanted.joints - usual.joints, *pose] if problem == "inverse" else pose
-    values = np.hstack(parts)
+    values = wanted.configuration.change_from(usual.configuration)
+    if problem == "direct":
+        values = values[:, len(model.joints) :]
     failed = ~(_usable(wanted) & _usable(usual))
     if failed.any():
         raise SolveError(
@@ -165,12 +162,10 @@ def _corrected(
     at: Mapping[str, Any] | None,
 ) -> Solutions:
     """Nominal solutions with the table's corrections, and the closure's residual there."""
-    change, n = table.corrections(given), len(model.joints) if table.problem == "inverse" else 0
-    q = nominal.joints + change[:, :n] if n else nominal.joints
-    r = nominal.position + change[:, n : n + 3]
-    R = rotation_matrix(change[:, n + 3 :]) @ nominal.rotation
-    x = np.hstack([q, r, R.reshape(-1, 9)])
-    solutions = with_status(model, x, at, np.inf, table.problem)
+    change = table.corrections(given)
+    still = np.zeros((len(given), len(model.joints) if table.problem == "direct" else 0))
+    x = nominal.configuration.moved(np.hstack([still, change]))
+    solutions = with_status(model, x.rows, at, np.inf, table.problem)
     usable = _usable(nominal)
     solutions.status[~usable] = nominal.status[~usable]
     solutions.status[usable & np.isnan(change).any(axis=1)] = Status.NOT_CONVERGED

@@ -18,12 +18,12 @@ from parallel_cal.base.errors import SolveError
 from parallel_cal.kinematics.kinematics import Solutions
 from parallel_cal.kinematics.rows import joint_rows
 from parallel_cal.kinematics.solvers._common import (
-    configurations,
     home_first,
     on_home_branch,
     with_status,
 )
 from parallel_cal.kinematics.solvers._orientation import FORMS, angles, coefficients, orientations
+from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model
 from parallel_cal.model.structure import Structure
 
@@ -42,8 +42,8 @@ def direct_all(
     """All real orientations, at most eight, at joints q (nq,), the home branch first."""
     u, v, c = circles(model, q, at)
     R = orientations(u, v, c, form)
-    position = np.tile(model.mechanism.home.position, (len(R), 1))
-    found = with_status(model, configurations(q, position, R), at, TOLERANCE, "direct")
+    x = Configuration(np.asarray(q), np.array(model.mechanism.home.position), R).rows
+    found = with_status(model, x, at, TOLERANCE, "direct")
     return found[home_first(model, found, at)]
 
 
