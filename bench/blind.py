@@ -1,0 +1,223 @@
+"""The blind study: data sets drawn by seed, the tool called as a user calls it, judged by truth.
+
+Robots, sessions, physics and noise come from the independent virtual robots. A case is `fit`,
+`diagnose`, and, where it names something, `add` on the command line; the truth is the error of
+the served robot at poses that nobody measured, before and after. Usage:
+`PYTHONPATH=. python bench/blind.py [--draws N] [--jobs N] [--see WHAT] [FAMILY ...]`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import io
+import json
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "test"))
+
+import findings
+import virtual_blind as vb
+import virtual_findings as vf
+import virtual_robot as vr
+
+SEES = {"pose": "111111", "position": "111000", "orientation": "000111"}
+
+
+@dataclass(frozen=True)
+class Case:
+    """One data set: who hides, how large (sigmas of the residual), what the device sees."""
+
+    family: str
+    seed: int
+    kinds: tuple[str, ...] = ()
+    size: float = 0.0
+    device: str = ""
+    noise: str = ""
+    sees: str = "pose"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What the tool said, and the true error (m, rms) of the robot without and with it."""
+
+    case: Case
+    verdict: str
+    named: tuple[str, ...]
+    before: float
+    after: float
+    error: str = ""
+
+    @property
+    def right(self) -> bool:
+        """Whether everything hidden was named, alone or in an `A or B`, and nothing else."""
+        wanted = [set(vf.KINDS[k].names) for k in self.case.kinds]
+        called = [set(name.split(" or ")) for name in self.named]
+        return len(called) == len(wanted) and all(any(w & c for c in called) for w in wanted)
+
+
+def families(draws: int) -> dict[str, Callable[[str], Iterator[Case]]]:
+    """Name -> the cases of a family, for what the device sees."""
+
+    def null(sees: str) -> Iterator[Case]:
+        yield from (Case("null", s, sees=sees) for s in range(10 * draws))
+
+    def single(sees: str) -> Iterator[Case]:
+        for kind in vf.KINDS:
+            for size in (0.4, 0.8, 2.0):
+                yield from (Case("single", s, (kind,), size, sees=sees) for s in range(draws))
+
+    def pairs(sees: str) -> Iterator[Case]:
+        for pair in combinations(vf.KINDS, 2):
+            yield from (Case("pairs", s, pair, 0.8, sees=sees) for s in range(max(draws // 3, 1)))
+
+    def outside(sees: str) -> Iterator[Case]:
+        for name in vf.OUTSIDE:
+            yield from (Case("outside", s, (), 1.5, name, sees=sees) for s in range(draws))
+
+    def device(sees: str) -> Iterator[Case]:
+        for name in vb.DEVICE:
+            yield from (Case("device", s, (), 1.5, name, sees=sees) for s in range(draws))
+
+    def noise(sees: str) -> Iterator[Case]:
+        for name in vb.NOISE:
+            yield from (Case("noise", s, noise=name, sees=sees) for s in range(draws))
+
+    return {f.__name__: f for f in (null, single, pairs, outside, device, noise)}
+
+
+def session(case: Case) -> tuple[Any, list[vr.Effect], vr.Noise]:
+    day, rng = vf.session(case.seed), np.random.default_rng(case.seed)
+    kinds = [vf.KINDS[k] for k in case.kinds]
+    noise = min((k.noise for k in kinds), key=lambda n: n.position, default=vr.THESIS_NOISE)
+    effects = [findings.sized(k.make, k.size, case.size, day, noise, case.seed) for k in kinds]
+    if case.device:
+        noise = vf.FINE if case.device in vb.DEVICE else noise
+        make = (vb.DEVICE | vf.OUTSIDE)[case.device]
+        first = 2e-5 if case.device in vb.DEVICE else 0.5e-3
+        effects.append(findings.sized(make, first, case.size, day, noise, rng.integers(1 << 20)))
+    return day, effects, noise
+
+
+def measured(case: Case, day: Any, effects: list[vr.Effect], noise: vr.Noise) -> Any:
+    """The session as the device tells it, as samples of the package."""
+    quiet = vf.samples(day, effects, findings.quiet(0.0), 0)
+    draw = vb.NOISE.get(case.noise, vb.white)
+    units = draw(len(quiet["q"]), quiet["r"], np.random.default_rng([case.seed, 5]))
+    q, r, w = vb.draw(noise, units)
+    seen = quiet | {"q": quiet["q"] + q, "r": quiet["r"] + r, "R": vr.turn(w) @ quiet["R"]}
+    data = findings.dataset(seen, noise)
+    mask = np.tile(np.array(list(SEES[case.sees])) == "1", (len(data), 1))
+    return replace(
+        data,
+        measured=mask,
+        r=np.where(mask[:, :3], data.r, 0.0),
+        R=np.where(mask[:, 3:].all(axis=1)[:, None, None], data.R, np.eye(3)),
+    )
+
+
+def true_error(model_file: Path, effects: list[vr.Effect], day: Any, seed: int) -> float:
+    """Rms position error (m) of the served robot at unseen poses under unseen circumstances."""
+    from parallel_cal.kinematics.kinematics import Kinematics
+    from parallel_cal.model.file.modelfile import read_model
+
+    other = vf.session(seed + 10_000, 80, 0)
+    at = other.at(other.arrive + other.dwell / 2)
+    at = replace(at, time=at.time * day.end / other.end)
+    own = [e for e in effects if type(e).device is vr.Effect.device]  # what is the robot's
+    _, r, _ = vr.truth(vr.MOCK_UP, own, other.reading, at)
+    ways = np.diff(other.reading, axis=0, prepend=other.home[None])
+    names = ("joint1", "joint2", "joint3")
+    conditions = {f"direction.{j}": at.direction[:, i] for i, j in enumerate(names)}
+    conditions |= {f"travel.{j}": findings.travel(ways[:, i]) for i, j in enumerate(names)}
+    conditions |= {"temperature": at.temperature, "payload": at.payload, "time": at.time}
+    found = Kinematics(read_model(model_file).robot()).direct(other.reading, conditions)
+    return float(np.sqrt(np.mean(np.sum((found.position - r) ** 2, axis=1))))
+
+
+def called(*arguments: object) -> Any:
+    """The command line's JSON document; RuntimeError with its one line of an error."""
+    from parallel_cal.cli.main import main
+
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        try:
+            main([*map(str, arguments), "--json"])
+        except SystemExit as ended:
+            if ended.code:
+                raise RuntimeError(err.getvalue().strip().splitlines()[-1]) from None
+    return json.loads(out.getvalue())
+
+
+def run(case: Case) -> Outcome:
+    day, effects, noise = session(case)
+    with tempfile.TemporaryDirectory() as folder:
+        data, model = Path(folder) / "data.json", Path(folder) / "model.yaml"
+        measured(case, day, effects, noise).to_json(data)
+        called("new", "delta54", "-o", model)
+        try:
+            called("fit", model, data, "-o", model)
+            before = true_error(model, effects, day, case.seed)
+            found = called("diagnose", model, data)
+        except RuntimeError as error:
+            return Outcome(case, "error", (), np.nan, np.nan, str(error))
+        swaps = found["swaps"]
+        named = tuple(" or ".join([n, *swaps.get(n, [])]) for n in found["effects"])
+        refused = ""
+        for name in found["effects"]:
+            try:
+                called("add", model, name, data, "-o", model)
+            except RuntimeError as error:
+                refused = str(error)
+        after = true_error(model, effects, day, case.seed)
+    return Outcome(case, found["verdict"], named, before, after, refused)
+
+
+def table(outcomes: list[Outcome]) -> None:
+    """A row for each kind of case: right names, verdicts, what the robot gained or lost."""
+    groups: dict[str, list[Outcome]] = {}
+    for o in outcomes:
+        c = o.case
+        what = " + ".join(c.kinds) or c.device or c.noise or "nothing"
+        groups.setdefault(f"{c.family}: {what} {c.size:g} ({c.sees})", []).append(o)
+    for name, some in groups.items():
+        verdicts = dict(Counter(o.verdict for o in some))
+        worse = sum(o.after > o.before * 1.1 + 1e-6 for o in some)
+        before, after = (
+            1e6 * np.nanmedian([getattr(o, side) for o in some]) for side in ("before", "after")
+        )
+        names = dict(Counter(n for o in some for n in o.named).most_common(4))
+        print(
+            f"{name}: right {sum(o.right for o in some)} of {len(some)}; {verdicts}; true error "
+            f"{before:.1f} -> {after:.1f} um, worse in {worse}; {names}"
+        )
+        for error in sorted({o.error for o in some if o.error})[:2]:
+            print(f"    {error[:160]}")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--draws", type=int, default=5)
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--see", choices=SEES, default="pose")
+    parser.add_argument("family", nargs="*")
+    given = parser.parse_args()
+    for name, cases in families(given.draws).items():
+        if not given.family or name in given.family:
+            with ProcessPoolExecutor(given.jobs) as pool:
+                table(list(pool.map(partial(run), cases(given.see))))
+
+
+if __name__ == "__main__":
+    main()
