@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from parallel_cal.base.errors import DatasetError
-from parallel_cal.nodes.session import CHANNELS, SCALARS, Session
+from parallel_cal.nodes.inbox import CHANNELS, SCALARS, Inbox
 from parallel_cal.recordings.bag import stamp_of
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.joining import joined
@@ -26,8 +26,9 @@ from parallel_cal.recordings.loading import load_dataset
 from parallel_cal.recordings.recording import Dropped
 from parallel_cal.recordings.samples import Options
 
-# A quarter of an hour at 100 Hz; then samples stay and messages go: memory has a bound.
-LONGEST_SESSION = 100_000
+# Joint states in an inbox, a quarter of an hour at 100 Hz; then samples stay and messages go:
+# memory has a bound.
+LONGEST = 100_000
 
 
 @dataclass(frozen=True)
@@ -63,12 +64,12 @@ class Collector:
         self.auto = auto
         if (joints, options) != (self.joints, self.options):
             self.joints, self.options = joints, options
-            for session in self._sessions:
-                session.forget()
+            for inbox in self._inboxes:
+                inbox.forget()
 
     def _restart(self) -> None:
-        self._sessions = [Session(self._topics, self._numbers)]
-        self._at = dict.fromkeys(CHANNELS, self._sessions[0])
+        self._inboxes = [Inbox(self._topics, self._numbers)]
+        self._at = dict.fromkeys(CHANNELS, self._inboxes[0])
         self._words: list[tuple[int, Any]] = []
 
     # ------------------------------------------------------------------ messages in
@@ -82,41 +83,41 @@ class Collector:
             return
         stamp = stamp_of(message)
         if self._at[channel].jumps_back(channel, stamp):
-            self._at[channel] = self._session_after(self._at[channel])
+            self._at[channel] = self._inbox_after(self._at[channel])
         if channel == "joint_states":
             for log, word in self._words:
                 self._at[channel].add("constraint", 0, log, word)
             self._words.clear()
         self._at[channel].add(channel, stamp, log_ns, message)
 
-    def _session_after(self, session: Session) -> Session:
-        """Every stream changes to a new clock at its own time, but all to the same session."""
-        if session is self._sessions[-1]:
-            self._sessions.append(Session(self._topics, self._numbers))
-        return self._sessions[self._sessions.index(session) + 1]
+    def _inbox_after(self, inbox: Inbox) -> Inbox:
+        """Every stream changes to a new clock at its own time, but all to the same inbox."""
+        if inbox is self._inboxes[-1]:
+            self._inboxes.append(Inbox(self._topics, self._numbers))
+        return self._inboxes[self._inboxes.index(inbox) + 1]
 
     def refresh(self) -> bool:
         """Make samples of what came in; True if anything did."""
-        changed = [s.refresh(self.joints, self.options) for s in self._sessions]
+        changed = [s.refresh(self.joints, self.options) for s in self._inboxes]
         live = self._at["joint_states"]
-        if len(live.raws["joint_states"].stamp) > LONGEST_SESSION:
+        if len(live.raws["joint_states"].stamp) > LONGEST:
             self._begin_another(live)
         heard = [c for c in (self._pose_channel(), "distance") if self.received[c]]
         in_use = [self._at[channel] for channel in ("joint_states", *heard)]
-        first = min(self._sessions.index(s) for s in in_use)
-        for session in self._sessions[:first]:
-            session.close()
+        first = min(self._inboxes.index(s) for s in in_use)
+        for inbox in self._inboxes[:first]:
+            inbox.close()
         return any(changed)
 
-    def _begin_another(self, live: Session) -> None:
-        """A new session in the middle of a motion, so that no dwell is cut; with the last
+    def _begin_another(self, live: Inbox) -> None:
+        """A new inbox in the middle of a motion, so that no dwell is cut; with the last
         temperature, payload and constraint."""
         resting = live.dataset is not None and _is_current(live, self.options)
-        if resting and len(live.raws["joint_states"].stamp) < 2 * LONGEST_SESSION:
+        if resting and len(live.raws["joint_states"].stamp) < 2 * LONGEST:
             return
-        new = Session(self._topics, self._numbers)
+        new = Inbox(self._topics, self._numbers)
         new.inherit(live, [*SCALARS, "constraint"])
-        self._sessions.append(new)
+        self._inboxes.append(new)
         self._at = dict.fromkeys(CHANNELS, new)
 
     def _pose_channel(self) -> str:
@@ -128,13 +129,13 @@ class Collector:
     def collection(self) -> Collection:
         """The samples in use; DatasetError says why there is none."""
         parts, ids, stamps = [], [], []
-        for session in self._sessions:
-            mask = session.kept(self.auto)
-            if session.dataset is not None and mask.any():
-                part = session.dataset if mask.all() else session.dataset.select(mask)
-                parts.append((part, session.start_ns))
-                ids.append(session.ids[mask])
-                stamps.append((part.time * 1e9).astype(np.int64) + session.start_ns)
+        for inbox in self._inboxes:
+            mask = inbox.kept(self.auto)
+            if inbox.dataset is not None and mask.any():
+                part = inbox.dataset if mask.all() else inbox.dataset.select(mask)
+                parts.append((part, inbox.start_ns))
+                ids.append(inbox.ids[mask])
+                stamps.append((part.time * 1e9).astype(np.int64) + inbox.start_ns)
         if not parts:
             raise DatasetError(self._why_empty())
         dataset = joined(parts, self.options.replicate_tolerance)
@@ -149,7 +150,7 @@ class Collector:
         return f"no samples yet; messages received: {heard}{choice}"
 
     def __len__(self) -> int:
-        return sum(int(session.kept(self.auto).sum()) for session in self._sessions)
+        return sum(int(inbox.kept(self.auto).sum()) for inbox in self._inboxes)
 
     @property
     def trouble(self) -> str:
@@ -158,33 +159,33 @@ class Collector:
 
     @property
     def paired(self) -> int:
-        return self._past_paired + sum(s.paired for s in self._sessions)
+        return self._past_paired + sum(s.paired for s in self._inboxes)
 
     @property
     def dropped_poses(self) -> int:
-        return self._past_dropped + sum(s.dropped for s in self._sessions)
+        return self._past_dropped + sum(s.dropped for s in self._inboxes)
 
     def dropped(self) -> list[Dropped]:
         """Everything that was received and is not used, with the reason."""
-        return [d for session in self._sessions for d in session.reasons()]
+        return [d for inbox in self._inboxes for d in inbox.reasons()]
 
     # ------------------------------------------------------------------ what a person wants
 
     def take(self) -> int:
         """Take the dwell going on; its number. DatasetError says why there is none."""
         self.refresh()
-        session = self._at["joint_states"]
-        number = session.current(self.options)
-        session.removed = [i for i in session.removed if i != number]
-        if number not in session.taken:
-            session.taken.append(number)
+        inbox = self._at["joint_states"]
+        number = inbox.current(self.options)
+        inbox.removed = [i for i in inbox.removed if i != number]
+        if number not in inbox.taken:
+            inbox.taken.append(number)
         return number
 
     def remove(self, number: int) -> None:
         """Leave a sample out; DatasetError for a number that is not in the collection."""
-        for session in self._sessions:
-            if number in session.ids[session.kept(self.auto)]:
-                session.removed.append(number)
+        for inbox in self._inboxes:
+            if number in inbox.ids[inbox.kept(self.auto)]:
+                inbox.removed.append(number)
                 return
         raise DatasetError(f"no sample {number} in the collection; list_samples shows them")
 
@@ -208,12 +209,12 @@ class Collector:
         """Replace the collection by the samples of a file or a bag; on failure keep it."""
         dataset = load_dataset(path, joints=self.joints)
         self.clear()
-        self._sessions.insert(0, Session.loaded(dataset, self._numbers))
+        self._inboxes.insert(0, Inbox.loaded(dataset, self._numbers))
         return len(dataset)
 
 
-def _is_current(session: Session, options: Options) -> bool:
+def _is_current(inbox: Inbox, options: Options) -> bool:
     try:
-        return bool(session.current(options))
+        return bool(inbox.current(options))
     except DatasetError:
         return False

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from parallel_cal.base.errors import DatasetError, ParallelCalError
 from parallel_cal.recordings.bag import MESSAGE_ROWS as ROWS
-from parallel_cal.recordings.cleaning import assemble
+from parallel_cal.recordings.cleaning import CLOCK_JUMP, assemble
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.loading import dataset_from_recording
 from parallel_cal.recordings.pairing import bracketed
@@ -36,11 +36,10 @@ CHANNELS = {
     "distance": DISTANCE[0],
 }
 SCALARS = ("temperature", "payload")
-CLOCK_JUMP = 1_000_000_000  # ns; a stamp further back than this starts another session
 NEAR = 1e-6  # s; middles of one and the same sample never move more when its span is zero
 
 
-class Session:
+class Inbox:
     """Raw messages of one clock and the samples they come to, each with a number that stays.
 
     More messages may refine a sample (the robot still rests), but its number is found again by
@@ -60,13 +59,13 @@ class Session:
         self._numbers, self._seen = numbers, 0
 
     @classmethod
-    def loaded(cls, dataset: Dataset, numbers: Iterator[int]) -> Session:
-        """A finished session with the samples of a file."""
-        session = cls({}, numbers)
-        session._adopt(dataset, 0)
-        session.taken = session.ids.tolist()
-        session.closed = True
-        return session
+    def loaded(cls, dataset: Dataset, numbers: Iterator[int]) -> Inbox:
+        """A finished inbox with the samples of a file."""
+        inbox = cls({}, numbers)
+        inbox._adopt(dataset, 0)
+        inbox.taken = inbox.ids.tolist()
+        inbox.closed = True
+        return inbox
 
     def jumps_back(self, channel: str, stamp: int) -> bool:
         """True for a stamp of another clock: a bag played again, a simulation reset."""
@@ -91,8 +90,8 @@ class Session:
         pose, position = self.raws["measured_pose"], self.raws["measured_position"]
         return pose if pose.stamp or not position.stamp else position
 
-    def inherit(self, other: Session, channels: Iterable[str]) -> None:
-        """Begin with the last message of another session: it may not be said again."""
+    def inherit(self, other: Inbox, channels: Iterable[str]) -> None:
+        """Begin with the last message of another inbox: it may not be said again."""
         for channel in channels:
             for part in ("log", "stamp", "rows"):
                 setattr(self.raws[channel], part, getattr(other.raws[channel], part)[-1:])
