@@ -165,7 +165,7 @@ def test_a_long_session_lets_messages_go_and_keeps_samples(messages, offline, mo
     collector = Collector()
     for k in range(0, len(messages), 200):
         feed(collector, messages[k : k + 200])
-    held = sum(len(s.raws["joint_states"].rows) for s in collector._sessions)
+    held = sum(len(s.raws["joint_states"].rows) for s in collector._inboxes)
     assert held < 9000
     dataset = collector.collection().dataset
     assert len(dataset) == 94
@@ -270,11 +270,11 @@ def test_sessions_on_different_spheres_keep_the_readings_of_both(tied):
     one, other = Collector(), Collector()
     feed(one, tied[:third])
     feed(other, [m for m in tied if m[0] == "constraint"][:2] + tied[third + 40 : 2 * third])
-    parts = [(c.collection().dataset, k * 10**12) for k, c in enumerate((one, other), start=1)]
-    both = joined(parts)
+    parts = [c.collection().dataset for c in (one, other)]
+    both = joined(parts, [10**12, 2 * 10**12])
     assert {"reading.plane", "reading.sphere1"} <= both.conditions.keys()
     assert not both.warnings
-    assert both.sha256 != joined(parts[::-1]).sha256
+    assert both.sha256 != joined(parts[::-1], [10**12, 2 * 10**12]).sha256
 
 
 def test_neither_poses_nor_a_constraint_is_said(tied):

@@ -15,8 +15,8 @@ from parallel_cal.identification.fit import fit
 from parallel_cal.model.effect import parse_effect
 from parallel_cal.model.model import new_model
 from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.recordings.joining import joined
 from parallel_cal.recordings.loading import load_dataset, load_sessions
-from parallel_cal.recordings.sessions import joined
 from parallel_cal.recordings.simulate import simulate, with_effects
 from parallel_cal.recordings.travel import travel
 from parallel_cal.recordings.writer import write_bag
@@ -139,6 +139,19 @@ def test_the_same_recording_does_not_count_twice(two):
     twice = replace(two[0], sha256="a"), replace(two[1], sha256="a")
     with pytest.raises(DatasetError, match="the second: the same recording as virtual robot;"):
         joined(twice)
+
+
+def test_parts_of_one_collection_keep_the_time_between_them(two):
+    """Samples of a file first: nobody knows when they were taken; 100 s lie between the others."""
+    parts = [*two, replace(two[0], sha256="")]
+    all_three = joined(parts, [0, 10**12, 10**12 + 100 * 10**9])
+    end = two[0].time.max()
+    began = all_three.time[::35] - [d.time[0] for d in parts]
+    np.testing.assert_allclose(began, [0, end, end + 100])
+    assert "session" not in all_three.conditions
+    again = all_three.pose_id[70:]
+    np.testing.assert_array_equal(again, all_three.pose_id[:35])
+    assert len(all_three.sha256) == 64
 
 
 def test_homing_anew_between_two_recordings_is_found(two, tmp_path):

@@ -16,10 +16,10 @@ from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.recordings.bag import list_topics, read_bag
 from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.recordings.joining import joined
 from parallel_cal.recordings.loading import dataset_from_recording, load_dataset
 from parallel_cal.recordings.recording import Topics
 from parallel_cal.recordings.samples import Options
-from parallel_cal.recordings.sessions import joined
 from parallel_cal.recordings.topics import choose_topics
 
 STOPS = [[0.1, 0.2, 0.3], [0.4, 0.1, 0.2], [0.2, 0.5, 0.1], [0.3, 0.3, 0.5]]

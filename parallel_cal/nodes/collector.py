@@ -21,7 +21,7 @@ from parallel_cal.base.errors import DatasetError
 from parallel_cal.nodes.inbox import CHANNELS, SCALARS, Inbox
 from parallel_cal.recordings.bag import stamp_of
 from parallel_cal.recordings.dataset import Dataset
-from parallel_cal.recordings.joining import joined
+from parallel_cal.recordings.joining import fingerprint, joined
 from parallel_cal.recordings.loading import load_dataset
 from parallel_cal.recordings.recording import Dropped
 from parallel_cal.recordings.samples import Options
@@ -128,18 +128,25 @@ class Collector:
 
     def collection(self) -> Collection:
         """The samples in use; DatasetError says why there is none."""
-        parts, ids, stamps = [], [], []
+        parts, starts, ids, stamps = [], [], [], []
         for inbox in self._inboxes:
             mask = inbox.kept(self.auto)
             if inbox.dataset is not None and mask.any():
                 part = inbox.dataset if mask.all() else inbox.dataset.select(mask)
-                parts.append((part, inbox.start_ns))
+                parts.append(part)
+                starts.append(inbox.start_ns)
                 ids.append(inbox.ids[mask])
                 stamps.append((part.time * 1e9).astype(np.int64) + inbox.start_ns)
         if not parts:
             raise DatasetError(self._why_empty())
-        dataset = joined(parts, self.options.replicate_tolerance)
-        dataset = dataclasses.replace(dataset, dropped=tuple(self.dropped()))
+        together = parts[0]
+        if len(parts) > 1:
+            together = joined(parts, starts, self.options.replicate_tolerance)
+        dataset = dataclasses.replace(
+            together,
+            sha256=together.sha256 or fingerprint(together),
+            dropped=tuple(self.dropped()),
+        )
         return Collection(dataset, np.concatenate(ids), np.concatenate(stamps))
 
     def _why_empty(self) -> str:

@@ -11,32 +11,55 @@ import numpy as np
 
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.recordings.recording import Array
 from parallel_cal.recordings.replicates import replicate_ids
 from parallel_cal.recordings.samplefile import PER_SAMPLE
 from parallel_cal.recordings.samples import READING
-from parallel_cal.recordings.sessions import joined_conditions
+
+ONE_ROBOT = ("joint_names",)
+ONE_SETUP = (*ONE_ROBOT, "joint_sigma", "mode", "frame")
 
 
-def joined(parts: Sequence[tuple[Dataset, int]], tolerance: float | None = None) -> Dataset:
-    """One dataset of (dataset, start in ns) parts, times from the first start, replicates anew.
+def joined(
+    datasets: Sequence[Dataset],
+    starts: Sequence[int] | None = None,
+    tolerance: float | None = None,
+) -> Dataset:
+    """One dataset of all samples, times (also of what was dropped) from the first one's start.
 
-    Samples of a file do not know when they were taken (start 0): the next part follows them. A
-    condition that a part lacks is left out with a warning, a sensor's reading is NaN there;
-    DatasetError for different joints.
+    Without `starts` each is a session, `session` 0, 1, ... among its samples' conditions: time goes
+    on from one to the next, whatever lay between, and poses are replicates within a session only.
+    With `starts` (ns, 0 where unknown: the next follows its samples) they are parts of one session
+    and replicates are looked for anew, within `tolerance`. A condition that one lacks is left out
+    with a warning, a sensor's reading is NaN there. DatasetError where they do not go together, or
+    a recording comes twice.
     """
-    first, start = parts[0]
-    if len(parts) == 1:
-        return first if first.sha256 else dataclasses.replace(first, sha256=fingerprint(first))
-    datasets, end = [first], float(first.time.max())
-    for part, its_start in parts[1:]:
-        if part.joint_names != first.joint_names:
-            raise DatasetError(
-                f"samples of different joints cannot be joined: {', '.join(first.joint_names)} "
-                f"and {', '.join(part.joint_names)}. Clear the collection first"
-            )
-        shift = (its_start - start) * 1e-9 if start else end
-        datasets.append(_later(part, shift))
-    return _stacked(datasets, tolerance)
+    _check_different(datasets)
+    _check_alike(datasets, ONE_SETUP if starts is None else ONE_ROBOT)
+    times = _times(datasets) if starts is None else _since(starts, datasets[0])
+    parts = [_later(d, time) for d, time in zip(datasets, times, strict=True)]
+    if starts is None:
+        firsts = np.cumsum([0, *[int(d.pose_id.max(initial=-1)) + 1 for d in parts[:-1]]])
+        parts = [_session(d, k, firsts[k]) for k, d in enumerate(parts)]
+    columns: dict[str, Any] = {
+        name: np.concatenate([getattr(d, name) for d in parts]) for name in PER_SAMPLE
+    }
+    if starts is not None:
+        q, r, R, measured, scatter = (columns[n] for n in ("q", "r", "R", "measured", "scatter_q"))
+        columns["pose_id"] = replicate_ids(q, r, R, measured, scatter, tolerance)
+    shared = _joined_conditions(parts)
+    warnings = [*(w for d in parts for w in d.warnings), *_left_out(parts, shared)]
+    together = dataclasses.replace(
+        parts[0],
+        **columns,
+        conditions=shared,
+        dropped=tuple(dropped for d in parts for dropped in d.dropped),
+        warnings=tuple(dict.fromkeys(warnings)),
+        source=", ".join(dict.fromkeys(d.source for d in parts)),
+    )
+    hashes = [d.sha256 for d in parts]
+    of_hashes = hashlib.sha256("".join(hashes).encode()).hexdigest()
+    return dataclasses.replace(together, sha256=of_hashes if all(hashes) else fingerprint(together))
 
 
 def fingerprint(dataset: Dataset) -> str:
@@ -49,28 +72,70 @@ def fingerprint(dataset: Dataset) -> str:
     return digest.hexdigest()
 
 
-def _later(dataset: Dataset, shift: float) -> Dataset:
-    conditions = {k: v + shift if k == "time" else v for k, v in dataset.conditions.items()}
-    return dataclasses.replace(dataset, time=dataset.time + shift, conditions=conditions)
+def _check_different(datasets: Sequence[Dataset]) -> None:
+    known: dict[str, str] = {}
+    for dataset in datasets:
+        if dataset.sha256 and dataset.sha256 in known:
+            raise DatasetError(
+                f"{dataset.source}: the same recording as {known[dataset.sha256]}; give it once, "
+                "or the result would look surer than it is"
+            )
+        known[dataset.sha256] = dataset.source
 
 
-def _stacked(datasets: list[Dataset], tolerance: float | None) -> Dataset:
-    first = datasets[0]
-    columns: dict[str, Any] = {
-        name: np.concatenate([getattr(d, name) for d in datasets]) for name in PER_SAMPLE
+def _check_alike(datasets: Sequence[Dataset], names: Sequence[str]) -> None:
+    for other in datasets[1:]:
+        for name in names:
+            one, two = getattr(datasets[0], name), getattr(other, name)
+            if not np.array_equal(one, two):
+                raise DatasetError(
+                    f"{other.source}: {name} is {two}, but {one} in {datasets[0].source}; "
+                    "only recordings of one robot and one set-up can be taken together"
+                )
+
+
+def _times(datasets: Sequence[Dataset]) -> Array:
+    """When each session begins (s): at the end of the last sample of the one before."""
+    lengths = [float(np.max(d.time + d.duration / 2, initial=0.0)) for d in datasets]
+    return np.cumsum([0.0, *lengths[:-1]])
+
+
+def _since(starts: Sequence[int], first: Dataset) -> Array:
+    """When each part begins, in s since the first; samples of a file do not know their start."""
+    if starts[0]:
+        return np.array([(start - starts[0]) * 1e-9 for start in starts])
+    end = float(first.time.max())
+    return np.array([0.0, *[end + (start - starts[1]) * 1e-9 for start in starts[1:]]])
+
+
+def _later(dataset: Dataset, start: float) -> Dataset:
+    time = dataset.time + start
+    late = tuple(dataclasses.replace(d, time=d.time + start) for d in dataset.dropped)
+    conditions = {**dataset.conditions, "time": time}
+    return dataclasses.replace(dataset, time=time, dropped=late, conditions=conditions)
+
+
+def _session(dataset: Dataset, number: int, first: int) -> Dataset:
+    """The samples of one session, their pose numbers behind those before it."""
+    known = {**dataset.conditions, "session": np.full(len(dataset), float(number))}
+    return dataclasses.replace(dataset, pose_id=dataset.pose_id + first, conditions=known)
+
+
+def _joined_conditions(parts: Sequence[Dataset]) -> dict[str, Array]:
+    """Conditions (N,) of several datasets as one: those that all have, and every reading, NaN
+    in the parts where its sensor read nothing."""
+    names = dict.fromkeys(name for part in parts for name in part.conditions)
+    return {
+        name: np.concatenate(
+            [part.conditions.get(name, np.full(len(part), np.nan)) for part in parts]
+        )
+        for name in names
+        if name.startswith(READING) or all(name in part.conditions for part in parts)
     }
-    shared = joined_conditions(datasets)
-    lacking = sorted({c for d in datasets for c in d.conditions} - set(shared))
-    warnings = [w for d in datasets for w in d.warnings]
-    if lacking:
-        warnings.append(f"not known for all samples, left out: {', '.join(lacking)}")
-    q, r, R, measured, scatter = (columns[n] for n in ("q", "r", "R", "measured", "scatter_q"))
-    columns["pose_id"] = replicate_ids(q, r, R, measured, scatter, tolerance)
-    together = dataclasses.replace(
-        first,
-        **columns,
-        conditions=shared,
-        warnings=tuple(dict.fromkeys(warnings)),
-        source=" + ".join(dict.fromkeys(d.source for d in datasets)),
-    )
-    return dataclasses.replace(together, sha256=fingerprint(together))
+
+
+def _left_out(parts: Sequence[Dataset], shared: dict[str, Array]) -> list[str]:
+    """A sentence for each part's conditions that the others do not have."""
+    lost = [(d.source, [c for c in d.conditions if c not in shared]) for d in parts]
+    return [f"{', '.join(names)} of {source} is not used: not recorded in every session"
+            for source, names in lost if names]  # fmt: skip

@@ -11,12 +11,12 @@ import numpy as np
 
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.recordings.joining import joined
 from parallel_cal.recordings.recording import Array, Dropped, Progress, Recording, Topics
 from parallel_cal.recordings.replicates import replicate_ids
 from parallel_cal.recordings.samplefile import PER_SAMPLE, holds_samples
 from parallel_cal.recordings.samples import Options, Samples, per_joint
 from parallel_cal.recordings.sampling import conditions_of, samples_of
-from parallel_cal.recordings.sessions import joined
 
 METRES = 10.0  # positions typically further than this from the origin are taken for millimetres
 # name -> unit and what it is expected to be within; kelvin lie beyond
