@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from parallel_cal.base.errors import DatasetError
+from parallel_cal.base.files import write_atomically
 from parallel_cal.recordings.recording import Array, Bools, Dropped
 from parallel_cal.recordings.replicates import (
     ReplicateNoise,
@@ -25,7 +27,6 @@ from parallel_cal.recordings.samplefile import (
     plain,
     read_document,
     restored,
-    write_atomically,
 )
 from parallel_cal.recordings.samples import mean_rotation
 
@@ -166,7 +167,7 @@ class Dataset:
         document: dict[str, Any] = {"parallel_cal_samples": FILE_VERSION}
         for item in dataclasses.fields(self):
             document[item.name] = plain(getattr(self, item.name))
-        write_atomically(Path(path), document)
+        write_atomically(path, json.dumps(document, allow_nan=False))
 
     @classmethod
     def from_json(cls, path: str | Path) -> Dataset:

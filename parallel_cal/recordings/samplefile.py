@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import os
-import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -78,16 +76,3 @@ def restored(name: str, document: dict[str, Any]) -> Any:
     if name == "dropped":
         return tuple(Dropped(**item) for item in value)
     return tuple(value) if isinstance(value, list) else value
-
-
-def write_atomically(path: Path, document: dict[str, Any]) -> None:
-    """Write a JSON file beside its place, then move it there: a reader never sees half of it."""
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as stream:
-            json.dump(document, stream, allow_nan=False)
-        Path(name).chmod(0o644)
-        os.replace(name, path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
