@@ -31,7 +31,8 @@ remains, the text says why. `make tables` computes this page; the numbers, with 
 def page(document: dict[str, Any]) -> str:
     """docs/tables.md for the numbers in docs/tables.json."""
     sections = [group(f"{name}_page").section(document[name]) for name in GROUPS]
-    return "\n\n".join([INTRODUCTION.strip(), *sections]) + "\n"
+    errata = Path(__file__).with_name("errata.md").read_text(encoding="utf-8")
+    return "\n\n".join([INTRODUCTION.strip(), *sections, errata.strip()]) + "\n"
 
 
 def group(name: str) -> Any:
