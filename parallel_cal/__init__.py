@@ -13,6 +13,7 @@ __version__ = "0.1.0"
 _HOME = {
     "Dataset": "recordings.dataset",
     "Effect": "model.effect",
+    "Home": "model.mechanism",
     "Kinematics": "kinematics.kinematics",
     "Mechanism": "model.mechanism",
     "Model": "model.model",
@@ -21,6 +22,7 @@ _HOME = {
     "ParallelCalError": "base.errors",
     "Sensor": "model.sensor",
     "Status": "kinematics.solutions",
+    "Workspace": "model.mechanism",
     "add": "session.steps:added",
     "compare": "diagnosis.comparison",
     "diagnose": "diagnosis.diagnose",

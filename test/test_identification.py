@@ -280,7 +280,7 @@ def test_masks_that_contradict_each_other_or_leave_nothing_are_errors():
 
 def test_missing_joints_conditions_methods_and_noise_are_clear_errors():
     model, data = new_model("delta54"), measured(0)
-    with pytest.raises(FitError, match=r"no method 'magic'; there are .*implicit"):
+    with pytest.raises(FitError, match=r"no method 'magic': expected one of .*implicit"):
         fit(model, data, method="magic")
     renamed = Dataset.from_arrays(("a", "b", "c"), data.q, data.r, data.R, pose_cov=data.pose_cov)
     with pytest.raises(FitError, match="no joint joint1, joint2, joint3; it has a, b, c"):

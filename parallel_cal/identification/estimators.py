@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from importlib import import_module
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from parallel_cal.identification.methods._robust import robust
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prior import Prior
 from parallel_cal.model.model import Model
-from parallel_cal.model.shelf import shelf_names
+from parallel_cal.model.shelf import load_module, own
 
 Estimator = Callable[[Model, Observations, np.ndarray], Estimate]
 # These minimise residuals in noise units until they settle; what rests on such a minimum
@@ -33,11 +32,12 @@ def estimator(method: str, prior: bool | Prior = False, loss: str = "linear") ->
 
 
 def method_named(name: str) -> Callable[..., Estimate]:
-    """The `estimate` function of parallel_cal/identification/methods/<name>.py."""
-    names = shelf_names(SHELF)
-    if name not in names:
-        raise FitError(f"no method '{name}'; there are {', '.join(names)}")
-    return import_module(f"parallel_cal.{SHELF}.{name}").estimate  # type: ignore[no-any-return]
+    """The `estimate` function of parallel_cal/identification/methods/<name>.py, or of the file at
+    a Python path."""
+    function = getattr(load_module(SHELF, name, FitError), "estimate", None)
+    if function is None:
+        raise FitError(f"{name} is no method: it has no estimate(model, observations, free, prior)")
+    return own(name, function)
 
 
 def need_settling(method: str, wanted: str) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import partial
-from importlib import import_module
 from inspect import signature
 from itertools import product
 from typing import Any
@@ -18,11 +17,12 @@ from parallel_cal.kinematics.solutions import concatenated
 from parallel_cal.kinematics.solvers._common import home_first, sample, with_status
 from parallel_cal.model.mechanism import poses_in_workspace
 from parallel_cal.model.model import Model
-from parallel_cal.model.shelf import shelf_names
+from parallel_cal.model.shelf import load_module, own, shelf_names
 
 Conditions = Mapping[str, Any]
 Candidate = tuple[np.ndarray, np.ndarray, np.ndarray]  # joints, position, rotation
 Solver = tuple[Callable[..., Solutions], Callable[..., Solutions]]
+SHELF = "kinematics.solvers"
 
 
 def direct(
@@ -63,19 +63,21 @@ def controlled_pose(
 
 
 def _solver(text: str) -> Solver:
-    """A solver by `NAME[:option=value,...]`: Newton's method, the closed form, or a file on the
-    shelf solvers/."""
+    """A solver by `NAME[:option=value,...]`: Newton's method, the closed form, a file on the
+    shelf solvers/, or the file at a Python path."""
     name, _, given = text.partition(":")
     if name in SOLVERS:
         if given:
             raise SolveError(f"{name} has no options, '{given}' given")
         return SOLVERS[name]
-    if name not in shelf_names("kinematics.solvers") or not _is_solver(name):
-        others = [
-            n for n in shelf_names("kinematics.solvers") if n not in SOLVERS and _is_solver(n)
-        ]
-        raise SolveError(f"no solver '{name}'; there are {', '.join([*SOLVERS, *others])}")
-    module = import_module(f"parallel_cal.kinematics.solvers.{name}")
+    if "." not in name and not (name in shelf_names(SHELF) and _is_solver(name)):
+        known = [*SOLVERS, *filter(_is_solver, sorted({*shelf_names(SHELF)} - {*SOLVERS}))]
+        raise SolveError(
+            f"no solver '{name}'; there are {', '.join(known)}, or the Python path of your own"
+        )
+    module = load_module(SHELF, name, SolveError)
+    if not _is_solver(name):
+        raise SolveError(f"{name} is no solver: it has no direct(model, q, at)")
     return partial(_shelf_direct, module, given), partial(_shelf_inverse, module, given)
 
 
@@ -104,14 +106,14 @@ def _like(default: Any, text: str) -> Any:
 
 def _is_solver(name: str) -> bool:
     """Whether a file offers `direct(model, q, at)` and `inverse(model, position, rotation, at)`."""
-    function = getattr(import_module(f"parallel_cal.kinematics.solvers.{name}"), "direct", None)
+    function = getattr(load_module(SHELF, name, SolveError), "direct", None)
     return function is not None and next(iter(signature(function).parameters)) == "model"
 
 
 def _shelf_direct(
     module: Any, given: str, model: Model, q: np.ndarray, at: Conditions, every: bool
 ) -> Any:
-    solve = _all_of(module, "direct_all") if every else module.direct
+    solve = _one_of(module, "direct", every)
     options = _options(solve, given)
     if not every:
         return solve(model, np.atleast_2d(q), at, **options)
@@ -128,7 +130,7 @@ def _shelf_inverse(
     at: Conditions,
     every: bool,
 ) -> Any:
-    solve = _all_of(module, "inverse_all") if every else module.inverse
+    solve = _one_of(module, "inverse", every)
     options = _options(solve, given)
     if every:
         found = solve(model, r, R, at, **options)
@@ -137,12 +139,15 @@ def _shelf_inverse(
     return solve(model, np.atleast_2d(r), turned, at, **options)
 
 
-def _all_of(module: Any, name: str) -> Callable[..., Solutions]:
-    """A solver's function that finds every solution; SolveError where it has none."""
-    if not hasattr(module, name):
-        short = module.__name__.rsplit(".", 1)[-1]
+def _one_of(module: Any, problem: str, every: bool) -> Callable[..., Solutions]:
+    """A solver's function for one solution or `every`; SolveError where it has none."""
+    short = module.__name__.removeprefix(f"parallel_cal.{SHELF}.")
+    wanted = f"{problem}_all" if every else problem
+    if hasattr(module, wanted):
+        return own(short, getattr(module, wanted))
+    if every:
         raise SolveError(f"{short} finds one solution; --all needs another solver, newton")
-    return getattr(module, name)
+    raise SolveError(f"{short} does not solve the {problem} problem; use newton")
 
 
 # ---------------------------------------------------------------------------------- newton

@@ -1,12 +1,15 @@
-"""The shelves: mechanisms, effects and sensors by file name, or a user's own by Python path."""
+"""The shelves: what is on them by file name, or a user's own by Python path."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import wraps
 from importlib import import_module
 from inspect import signature
+from types import ModuleType
 from typing import Any
 
-from parallel_cal.base.errors import ModelError, told
+from parallel_cal.base.errors import ModelError, ParallelCalError, told
 from parallel_cal.model.declaration import check
 from parallel_cal.model.effect import Effect
 from parallel_cal.model.mechanism import Mechanism
@@ -49,24 +52,31 @@ def load_sensor(name: str, **options: Any) -> Sensor:
 
 def load_class(shelf: str, name: str, base: type) -> type:
     """The one subclass of `base` in parallel_cal/<shelf>/<name>.py or at a Python path."""
-    path = name if "." in name else f"parallel_cal.{shelf}.{name}"
-    try:
-        if path.startswith("."):  # a path of files
-            raise ModuleNotFoundError(name=path)
-        module = import_module(path)
-    except ModuleNotFoundError as error:
-        if error.name is None or not path.startswith(error.name):
-            raise told(path, error) from error
-        raise ModelError(
-            f"no {shelf.rstrip('s')} '{name}': expected one of {', '.join(shelf_names(shelf))}, "
-            f"or the Python path of your own (my_pkg.my_file)"
-        ) from None
-    except Exception as error:
-        raise told(path, error) from error
+    module = load_module(shelf, name)
     found = [c for c in vars(module).values() if _defined_here(c, base, module.__name__)]
     if len(found) != 1:
-        raise ModelError(f"{path} defines {len(found)} subclasses of {base.__name__}, expected 1")
+        raise ModelError(
+            f"{module.__name__} defines {len(found)} subclasses of {base.__name__}, expected 1"
+        )
     return found[0]
+
+
+def load_module(shelf: str, name: str, error: type[ParallelCalError] = ModelError) -> ModuleType:
+    """parallel_cal/<shelf>/<name>.py, or the file at a Python path; an `error` for neither."""
+    path = name if "." in name else f"parallel_cal.{shelf}.{name}"
+    try:
+        if path.startswith(".") or name.startswith("_"):  # a path of files; no public name
+            raise ModuleNotFoundError(name=path)
+        return import_module(path)
+    except ModuleNotFoundError as missing:
+        if missing.name is None or not path.startswith(missing.name):
+            raise told(path, missing) from missing
+        raise error(
+            f"no {shelf.split('.')[-1].rstrip('s')} '{name}': expected one of "
+            f"{', '.join(shelf_names(shelf))}, or the Python path of your own (my_pkg.my_file)"
+        ) from None
+    except Exception as raised:
+        raise told(path, raised) from raised
 
 
 def _defined_here(candidate: Any, base: type, module: str) -> bool:
@@ -76,6 +86,23 @@ def _defined_here(candidate: Any, base: type, module: str) -> bool:
         and candidate.__module__ == module
         and not candidate.__name__.startswith("_")
     )
+
+
+def own(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+    """A function of a user's own file: whatever it raises is told in one line that says where."""
+    if "." not in name:
+        return function
+
+    @wraps(function)
+    def call(*arguments: Any, **options: Any) -> Any:
+        try:
+            return function(*arguments, **options)
+        except ParallelCalError:
+            raise
+        except Exception as error:
+            raise told(name, error) from error
+
+    return call
 
 
 def shelf_names(shelf: str) -> list[str]:
