@@ -158,9 +158,10 @@ def test_a_file_written_in_place_or_removed_and_made_again_is_seen(watched):
     assert seen(changed)
 
 
-def test_a_folder_made_anew_and_everything_after_it_is_seen(watched):
+def test_a_folder_that_is_gone_and_made_anew_and_everything_after_it_is_seen(watched):
     file, changed, _ = watched
     shutil.rmtree(file.parent)
+    assert seen(changed)
     assert not changed.acquire(timeout=3 * DEBOUNCE)
     file.parent.mkdir()
     shutil.copy(IDENTIFIED, file)

@@ -209,6 +209,30 @@ def test_writing_through_a_link_keeps_the_link(tmp_path):
     assert read_model(real).value("chain1.Lb") == 0.2401
 
 
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[" * 30_000 + "]" * 30_000, "m:1: nested more than 30 levels deep"),
+        ("{a: " * 15_000, "m:1: nested more than 30 levels deep"),
+        ("".join(" " * k + "a:\n" for k in range(400)), "m:31: nested more than 30 levels deep"),
+        ("parallel_cal: " + "9" * 5000, "m:1: parallel_cal: a whole number of 5000 digits"),
+    ],
+)
+def test_a_text_that_would_break_a_parser_is_refused_before_it_does(text, words):
+    with pytest.raises(ModelFileError, match=re.escape(words)):
+        parse_model(text, "m")
+
+
+def test_what_is_no_plain_file_of_a_sane_size_is_not_waited_for(tmp_path):
+    pipe, large = tmp_path / "pipe", tmp_path / "large"
+    os.mkfifo(pipe)
+    large.write_bytes(b"#" * ((16 << 20) + 1))
+    for path, words in ((pipe, "not a regular file"), ("/dev/zero", "not a regular file"),
+                        (large, "more than 16 MB"), (tmp_path, "Is a directory")):  # fmt: skip
+        with pytest.raises(ModelFileError, match=f"cannot be read: .*{words}"):
+            read_model(path)
+
+
 def test_a_failed_write_leaves_the_old_file_and_no_other(tmp_path, monkeypatch):
     path = tmp_path / "m.yaml"
     write_model(new_model("delta24"), path)

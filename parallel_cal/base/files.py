@@ -1,13 +1,35 @@
-"""Writing a file whole or not at all."""
+"""Files: read when they are plain and of a sane size, written whole or not at all."""
 
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import stat
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+
+MEGABYTE = 1 << 20
+
+
+def read_text(path: str | Path, most: int = 16 * MEGABYTE, encoding: str = "utf-8") -> str:
+    """The text of a regular file of at most `most` bytes.
+
+    A pipe or a device would be waited for, or never end: OSError for one, and for a file that is
+    too large; UnicodeDecodeError where it is no text.
+    """
+    # Opened before it is looked at, so that nobody exchanges it between; a pipe opens at once.
+    handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    with os.fdopen(handle, "rb") as stream:
+        state = os.fstat(handle)
+        if not stat.S_ISREG(state.st_mode):
+            raise OSError(errno.EINVAL, "it is not a regular file", str(path))
+        content = stream.read(most + 1)
+    if len(content) > most:
+        words = f"it has more than {most // MEGABYTE} MB"
+        raise OSError(errno.EFBIG, words, str(path))
+    return content.decode(encoding)
 
 
 def write_atomically(path: str | Path, text: str) -> None:

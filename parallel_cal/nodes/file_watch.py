@@ -45,10 +45,10 @@ class FileWatch:
                 self._changed()
 
     def _settled(self) -> bool:
-        """Whether the file is another one than known, and the same as at the last look."""
+        """Whether the file is another one than known, or gone, and the same as at the last look."""
         with self._lock:
             before, self._seen = self._seen, _state(self._path)
-            if self._seen is None or self._seen != before or self._seen == self._known:
+            if self._seen != before or self._seen == self._known:
                 return False
             self._known = self._seen
             return True

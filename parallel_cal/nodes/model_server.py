@@ -12,7 +12,7 @@ import numpy as np
 
 from parallel_cal.base.errors import ModelFileError, ParallelCalError
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions, Status
-from parallel_cal.model.file.modelfile import model_hash, parse_model
+from parallel_cal.model.file.modelfile import model_hash, model_text, parse_model
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.model import Model
 
@@ -66,7 +66,7 @@ class ModelServer:
     def _load(self, path: str | Path) -> str:
         if not str(path):
             raise ModelFileError("no model file: set the parameter model_file or call load_model")
-        text = _text(Path(path))
+        text = model_text(path)
         served, before = Served(*_tested(text, path), model_hash(text), str(path)), self.current
         if before is not None and before.hash == served.hash:
             self._exchange_for(replace(before, path=served.path))
@@ -155,15 +155,6 @@ def _require_solved(found: Solutions, problem: str, r: np.ndarray) -> None:
 def in_words(status: int | np.ndarray) -> str:
     """`outside limits`, ..."""
     return Status(int(status)).text.replace("_", " ")
-
-
-def _text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise ModelFileError(f"{path}: cannot be read: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise ModelFileError(f"{path}:1: not YAML: the file is not text (UTF-8)") from None
 
 
 def _reason(error: Exception) -> str:

@@ -6,23 +6,27 @@ import hashlib
 from pathlib import Path
 
 from parallel_cal.base.errors import ModelFileError
-from parallel_cal.base.files import write_atomically
+from parallel_cal.base.files import read_text, write_atomically
 from parallel_cal.model.file.writer import dump_model
 from parallel_cal.model.file.yamltext import parse_yaml
 from parallel_cal.model.model import Model
 
-__all__ = ["dump_model", "model_hash", "parse_model", "read_model", "write_model"]
+__all__ = ["dump_model", "model_hash", "model_text", "parse_model", "read_model", "write_model"]
 
 
 def read_model(path: str | Path) -> Model:
     """The model in a file; ModelFileError names file, line, key, value and what is expected."""
+    return parse_model(model_text(path), str(path))
+
+
+def model_text(path: str | Path) -> str:
+    """The text of a model file; ModelFileError where it cannot be read or is none."""
     try:
-        text = Path(path).read_text(encoding="utf-8")
+        return read_text(path)
     except OSError as error:
         raise ModelFileError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:
         raise ModelFileError(f"{path}:1: not YAML: the file is not text (UTF-8)") from None
-    return parse_model(text, str(path))
 
 
 def parse_model(text: str, name: str = "model") -> Model:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,8 +18,11 @@ Path = tuple[str | int, ...]
 
 WORDS: dict[str, Any] = {"": None, "~": None, "null": None, "true": True, "false": False}
 NUMBER = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
+WHOLE = re.compile(r"[-+]?[0-9]+")
 NOT_FINITE = re.compile(r"[-+]?\.?(inf|infinity|nan)", re.IGNORECASE)
 PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_./+-]*( [A-Za-z0-9_./+-]+)*")
+DEEPEST = 30  # levels; a model file has six, and parsers go down by recursion
+DIGITS = 18  # of a whole number: what 64 bits hold
 AMBIGUOUS = {"null", "true", "false", "yes", "no", "on", "off", "y", "n", "nan", "inf", "infinity"}
 
 
@@ -50,6 +53,7 @@ def parse_yaml(text: str, name: str) -> Document:
 
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
     try:
+        _check_depth(yaml.parse(text, Loader=loader), name)
         root = yaml.compose(text, Loader=loader)
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
@@ -60,6 +64,18 @@ def parse_yaml(text: str, name: str) -> Document:
         raise ModelFileError(f"{name}:1: the file is empty; make one with 'parallel-cal new'")
     lines: dict[Path, int] = {}
     return Document(name, _Builder(name, lines).value(root, ()), lines)
+
+
+def _check_depth(events: Iterable[Any], name: str) -> None:
+    """ModelFileError before anything recurses; events come one by one."""
+    depth = 0
+    for event in events:
+        kind = type(event).__name__
+        depth += kind.endswith(("MappingStartEvent", "SequenceStartEvent"))
+        depth -= kind.endswith(("MappingEndEvent", "SequenceEndEvent"))
+        if depth > DEEPEST:
+            line = event.start_mark.line + 1
+            raise ModelFileError(f"{name}:{line}: nested more than {DEEPEST} levels deep")
 
 
 class _Builder:
@@ -79,6 +95,8 @@ class _Builder:
             return dict(self._items(node, path))
         if node.id == "sequence":
             return [self.value(item, (*path, i)) for i, item in enumerate(node.value)]
+        if len(node.value) > DIGITS and not node.style and WHOLE.fullmatch(node.value):
+            raise self._error(path, f"a whole number of {len(node.value)} digits is none")
         return _scalar(node)
 
     def _items(self, node: Any, path: Path) -> Iterator[tuple[str, Any]]:
@@ -105,7 +123,7 @@ def _scalar(node: Any) -> Any:
         return text
     if text.lower() in WORDS:
         return WORDS[text.lower()]
-    if re.fullmatch(r"[-+]?[0-9]+", text):
+    if WHOLE.fullmatch(text):
         return int(text)
     if NUMBER.fullmatch(text):
         return float(text)
