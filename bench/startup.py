@@ -17,9 +17,7 @@ COMMANDS = (["--help"], ["mechanisms", "--json"], ["effects", "--json"])
 
 def main() -> None:
     rows = [_row(name, ["-c", code]) for name, code in CODE.items()]
-    rows += [
-        _row(f"parallel-cal {' '.join(c)}", ["-m", "parallel_cal.cli.main", *c]) for c in COMMANDS
-    ]
+    rows += [_row(f"parallel-cal {' '.join(c)}", ["-m", "parallel_cal.cli", *c]) for c in COMMANDS]
     show("start-up, to the end of the process", rows)
 
 

@@ -87,7 +87,7 @@ def fails(result, *words, code=1):
 
 def child(*arguments):
     return subprocess.run(
-        [sys.executable, "-m", "parallel_cal.cli.main", *arguments],
+        [sys.executable, "-m", "parallel_cal.cli", *arguments],
         env={**os.environ, "PYTHONPATH": str(ROOT)},
         capture_output=True,
         text=True,
@@ -550,7 +550,6 @@ def test_ctrl_c_ends_without_a_traceback(run, monkeypatch):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(loading, "load_dataset", pressed)
-    monkeypatch.setattr("parallel_cal.cli.calibration.load_sessions", pressed)
     code, out, err = run("fit", NOMINAL, BAG)
     assert code != 0
     assert out == ""

@@ -2,73 +2,116 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
+import typer
 
+from parallel_cal.cli.arguments import (
+    Bags,
+    Data,
+    EffectName,
+    Force,
+    JointSigma,
+    Json,
+    Method,
+    ModelFile,
+    OptionalOut,
+    Options,
+    patterns,
+    with_options,
+)
 from parallel_cal.cli.recordings import bag_progress, data_options
-from parallel_cal.diagnosis.comparison import compare as compared
-from parallel_cal.model.file.modelfile import model_hash, read_model, write_model
-from parallel_cal.model.model import Model
-from parallel_cal.recordings.dataset import Dataset
-from parallel_cal.recordings.loading import load_sessions
 from parallel_cal.reporting import console
-from parallel_cal.session.steps import Step, added, fitted, removed
 
-ARCMIN = 60 * 180 / np.pi
+if TYPE_CHECKING:
+    from parallel_cal.model.model import Model
+    from parallel_cal.recordings.dataset import Dataset
+    from parallel_cal.session.steps import Step
+
+ARCMIN = 60 * 180 / math.pi
 BEYOND_CHANCE = 0.05
 
 
+@with_options
 def fit(
-    model_file: Path,
-    bags: list[Path],
-    output: Path | None,
-    data: list[str],
-    as_json: bool,
-    **options: Any,
+    model: ModelFile,
+    bags: Bags,
+    *,
+    output: OptionalOut = None,
+    method: Method = "implicit",
+    options: Options,
+    refit: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="identify parameters like PATTERN alone, keep the rest with its covariance"
+        ),
+    ] = None,
+    data: Data = None,
+    as_json: Json = False,
 ) -> None:
-    model, dataset = model_and_data(model_file, bags, data)
-    _finish(fitted(model, dataset, progress=console.progress, **options), output, as_json)
+    """Identify the model's free parameters; show errors before, after and at poses left out."""
+    from parallel_cal.session.steps import fitted
+
+    options |= {"method": method, "refit": patterns(refit), "progress": console.progress}
+    _finish(fitted(*model_and_data(model, bags, data), **options), output, as_json)
 
 
+@with_options
 def add(
-    model_file: Path,
-    effect: str,
-    bags: list[Path],
-    output: Path | None,
-    force: bool,
-    data: list[str],
-    as_json: bool,
-    **options: Any,
+    model: ModelFile,
+    effect: EffectName,
+    bags: Bags,
+    *,
+    output: OptionalOut = None,
+    force: Force = False,
+    method: Method = "implicit",
+    options: Options,
+    data: Data = None,
+    as_json: Json = False,
 ) -> None:
-    model, dataset = model_and_data(model_file, bags, data)
-    step = added(model, effect, dataset, force, progress=console.progress, **options)
-    _finish(step, output, as_json)
+    """Add an effect and identify anew; refused when the error at poses left out does not fall."""
+    from parallel_cal.session.steps import added
+
+    start, dataset = model_and_data(model, bags, data)
+    options |= {"method": method, "progress": console.progress}
+    _finish(added(start, effect, dataset, force, **options), output, as_json)
 
 
+@with_options
 def remove(
-    model_file: Path,
-    effect: str,
-    bags: list[Path],
-    output: Path | None,
-    force: bool,
-    data: list[str],
-    as_json: bool,
-    **options: Any,
+    model: ModelFile,
+    effect: EffectName,
+    bags: Bags,
+    *,
+    output: OptionalOut = None,
+    force: Force = False,
+    method: Method = "implicit",
+    options: Options,
+    data: Data = None,
+    as_json: Json = False,
 ) -> None:
-    model, dataset = model_and_data(model_file, bags, data)
-    step = removed(model, effect, dataset, force, progress=console.progress, **options)
-    _finish(step, output, as_json)
+    """Remove an effect and identify anew; refused when the error at poses left out rises."""
+    from parallel_cal.session.steps import removed
+
+    start, dataset = model_and_data(model, bags, data)
+    options |= {"method": method, "progress": console.progress}
+    _finish(removed(start, effect, dataset, force, **options), output, as_json)
 
 
-def model_and_data(model_file: Path, bags: list[Path], data: list[str]) -> tuple[Model, Dataset]:
-    model, options = read_model(model_file), data_options(data)
+def model_and_data(path: Path, bags: list[Path], data: list[str] | None) -> tuple[Model, Dataset]:
+    from parallel_cal.model.file.modelfile import read_model
+    from parallel_cal.recordings.loading import load_sessions
+
+    model, options = read_model(path), data_options(data)
     return model, load_sessions(bags, joints=model.joints, progress=bag_progress, **options)
 
 
 def _finish(step: Step, output: Path | None, as_json: bool) -> None:
     """Write the model, then say what came out: a file that cannot be written is no success."""
+    from parallel_cal.model.file.modelfile import model_hash, write_model
+
     document = step.document()
     if output is not None:
         write_model(step.model, output)
@@ -114,16 +157,23 @@ def show_errors(
 
 
 def compare(
-    model_file: Path, bags: list[Path], joint_sigma: float | None, data: list[str], as_json: bool
+    model: ModelFile,
+    bags: Bags,
+    joint_sigma: JointSigma = None,
+    data: Data = None,
+    as_json: Json = False,
 ) -> None:
-    model, dataset = model_and_data(model_file, bags, data)
-    document = compared(model, dataset, joint_sigma).document()
+    """Errors of a model at every sample of a recording, worst first; fits nothing."""
+    from parallel_cal.diagnosis import comparison
+
+    judged, dataset = model_and_data(model, bags, data)
+    document = comparison.compare(judged, dataset, joint_sigma).document()
     console.progress("", 1.0)
     console.warn(dataset.warnings)
     if as_json:
         return console.emit(document)
     console.say(f"{document['samples']} samples")
-    show_errors({"error": document}, document["noise_floor"], model)
+    show_errors({"error": document}, document["noise_floor"], judged)
     console.say("worst samples:")
     _show_rows(document["rows"][:10], document["channels"])
     _show_where(document["where"])

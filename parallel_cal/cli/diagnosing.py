@@ -2,21 +2,41 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
+from parallel_cal.cli.arguments import (
+    Also,
+    Bags,
+    Data,
+    Json,
+    ModelFile,
+    Options,
+    Tested,
+    with_options,
+)
 from parallel_cal.cli.calibration import model_and_data, show_errors
-from parallel_cal.diagnosis.diagnose import diagnose as diagnosed
 from parallel_cal.reporting import console
 
 SHOWN = 8  # candidates that a person reads
 
 
+@with_options
 def diagnose(
-    model_file: Path, bags: list[Path], data: list[str], as_json: bool, **options: Any
+    model: ModelFile,
+    bags: Bags,
+    *,
+    effect: Tested = None,
+    also: Also = None,
+    options: Options,
+    data: Data = None,
+    as_json: Json = False,
 ) -> None:
-    model, dataset = model_and_data(model_file, bags, data)
-    document = diagnosed(model, dataset, progress=console.progress, **options).document()
+    """Say which physical effect the model lacks, how sure that is, and what to measure next."""
+    from parallel_cal.diagnosis import diagnose as diagnosis
+
+    judged, dataset = model_and_data(model, bags, data)
+    options |= {"effects": effect or (), "also": also or (), "progress": console.progress}
+    document = diagnosis.diagnose(judged, dataset, **options).document()
     console.progress("", 1.0)
     console.warn(document["warnings"])
     if as_json:
@@ -26,7 +46,7 @@ def diagnose(
         "left out, as it is": document["baseline"],
         "left out, with it": document["best"],
     }
-    show_errors(columns, document["noise"]["floor"], model)
+    show_errors(columns, document["noise"]["floor"], judged)
     _show_candidates(document["candidates"])
     _show_odd(document["odd_samples"])
     _show_next(document["measure_next"])

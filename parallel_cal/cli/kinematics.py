@@ -2,74 +2,134 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
+import typer
 
 from parallel_cal.base.errors import ParallelCalError
-from parallel_cal.base.files import write_atomically
-from parallel_cal.cli.tables import counts, direct_table, inverse_table
-from parallel_cal.kinematics import answers, solving
-from parallel_cal.kinematics.kinematics import Solutions
-from parallel_cal.model.file.modelfile import read_model
-from parallel_cal.model.mechanism import POSE
-from parallel_cal.model.model import Model
+from parallel_cal.cli.arguments import Json, ModelFile
 from parallel_cal.reporting import console
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from parallel_cal.kinematics.kinematics import Solutions
+    from parallel_cal.model.model import Model
+
+At = Annotated[
+    list[str] | None, typer.Option("--at", help="conditions, NAME=VALUE (temperature=25)")
+]
+Every = Annotated[bool, typer.Option("--all", help="all solutions, not only the home branch")]
+Covariance = Annotated[
+    bool, typer.Option("--covariance", help="with the uncertainty carried from the fit")
+]
+Solver = Annotated[
+    str, typer.Option(help="newton, closed_form, or a file of solvers/: NAME[:option=value,...]")
+]
+Input = Annotated[Path | None, typer.Option("--input", help="CSV table of many problems")]
+Output = Annotated[Path | None, typer.Option("--output", help="CSV table of the answers")]
 
 
 def direct(
-    model_file: Path,
-    joints: list[float] | None,
-    at: list[str],
-    every: bool,
-    solver: str,
-    covariance: bool,
-    table: Path | None,
-    output: Path | None,
-    as_json: bool,
+    model: ModelFile,
+    joints: Annotated[str | None, typer.Option(metavar="A B C", help="joints (rad or m)")] = None,
+    at: At = None,
+    every: Every = False,
+    solver: Solver = "newton",
+    covariance: Covariance = False,
+    table: Input = None,
+    output: Output = None,
+    as_json: Json = False,
 ) -> None:
-    model, conditions = _model_and_conditions(model_file, at)
+    """Pose for given joints (forward kinematics)."""
+    q = _numbers(joints, "--joints")
+    _one_of(q, table, "--joints", output, every or covariance)
+    import numpy as np
+
+    from parallel_cal.cli.tables import direct_table
+    from parallel_cal.kinematics import answers, solving
+
+    robot, conditions = _robot_and_conditions(model, at)
     if table is not None:
-        return _many(*direct_table(model, table, conditions, solver), output, as_json)
-    q = np.array(joints)
-    if len(q) != len(model.joints):
+        return _many(*direct_table(robot, table, conditions, solver), output, as_json)
+    if q is not None and len(q) != len(robot.joints):
         raise ParallelCalError(
-            f"--joints: {len(q)} values given, {model.mechanism.name} has {len(model.joints)} "
-            f"joints: {', '.join(model.joints)}"
+            f"--joints: {len(q)} values given, {robot.mechanism.name} has {len(robot.joints)} "
+            f"joints: {', '.join(robot.joints)}"
         )
-    found = solving.direct(model, q, conditions, every, solver)
-    known = answers.direct_covariances(model, found, conditions) if covariance else None
-    _one(found, model, known, _pose_sigma, as_json)
+    found = solving.direct(robot, np.array(q), conditions, every, solver)
+    known = answers.direct_covariances(robot, found, conditions) if covariance else None
+    _one(found, robot, known, _pose_sigma, as_json)
 
 
 def inverse(
-    model_file: Path,
-    position: list[float] | None,
-    quaternion: list[float] | None,
-    at: list[str],
-    every: bool,
-    solver: str,
-    covariance: bool,
-    table: Path | None,
-    output: Path | None,
-    as_json: bool,
+    model: ModelFile,
+    position: Annotated[str | None, typer.Option(metavar="X Y Z", help="position (m)")] = None,
+    orientation: Annotated[
+        str | None, typer.Option(metavar="QX QY QZ QW", help="orientation (quaternion)")
+    ] = None,
+    at: At = None,
+    every: Every = False,
+    solver: Solver = "newton",
+    covariance: Covariance = False,
+    table: Input = None,
+    output: Output = None,
+    as_json: Json = False,
 ) -> None:
-    model, conditions = _model_and_conditions(model_file, at)
+    """Joints for a given pose (inverse kinematics)."""
+    place = _numbers(position, "--position", 3)
+    quaternion = _numbers(orientation, "--orientation", 4)
+    _one_of(place or quaternion, table, "--position", output, every or covariance)
+    import numpy as np
+
+    from parallel_cal.cli.tables import inverse_table
+    from parallel_cal.kinematics import answers, solving
+
+    robot, conditions = _robot_and_conditions(model, at)
     if table is not None:
-        return _many(*inverse_table(model, table, conditions, solver), output, as_json)
-    r = np.array(model.mechanism.home.position if position is None else position)
+        return _many(*inverse_table(robot, table, conditions, solver), output, as_json)
+    r = np.array(robot.mechanism.home.position if place is None else place)
     R = None if quaternion is None else answers.rotation_of(quaternion)
-    _warn_of_unused(model, {"position": position, "orientation": quaternion})
-    found = solving.inverse(model, r, R, conditions, every, solver)
-    known = answers.inverse_covariances(model, found, conditions) if covariance else None
-    _one(found, model, known, partial(_joint_sigma, model), as_json)
+    _warn_of_unused(robot, {"position": place, "orientation": quaternion})
+    found = solving.inverse(robot, r, R, conditions, every, solver)
+    known = answers.inverse_covariances(robot, found, conditions) if covariance else None
+    _one(found, robot, known, partial(_joint_sigma, robot), as_json)
 
 
-def _model_and_conditions(model_file: Path, at: list[str]) -> tuple[Model, dict[str, float]]:
-    model = read_model(model_file).robot()
-    conditions = answers.parse_conditions(model, at)
+def _numbers(text: str | None, option: str, n: int | None = None) -> list[float] | None:
+    """`0.1 -0.2` or `0.1,-0.2` as numbers; wrong usage where it is not that."""
+    if text is None:
+        return None
+    try:
+        values = [float(word) for word in text.replace(",", " ").split()]
+    except ValueError:
+        raise typer.BadParameter(f"{option}: expected numbers, found '{text}'") from None
+    if n is not None and len(values) != n:
+        raise typer.BadParameter(f"{option}: expected {n} numbers, found {len(values)}")
+    return values
+
+
+def _one_of(
+    values: list[float] | None, table: Path | None, option: str, output: Path | None, more: bool
+) -> None:
+    if (values is None) == (table is None):
+        raise typer.BadParameter(f"give either {option} or --input")
+    if table is not None and more:
+        raise typer.BadParameter("--all and --covariance are for one problem, not for --input")
+    if table is None and output is not None:
+        raise typer.BadParameter("--output goes with --input; one problem's answer is printed")
+
+
+def _robot_and_conditions(path: Path, at: list[str] | None) -> tuple[Model, dict[str, float]]:
+    from parallel_cal.kinematics.answers import parse_conditions
+    from parallel_cal.model.file.modelfile import read_model
+
+    model = read_model(path).robot()
+    conditions = parse_conditions(model, at or [])
     unused = [name for name in conditions if name not in model.conditions]
     if unused:
         console.warn([f"no effect of the model depends on {', '.join(unused)}"])
@@ -78,6 +138,8 @@ def _model_and_conditions(model_file: Path, at: list[str]) -> tuple[Model, dict[
 
 def _warn_of_unused(model: Model, given: dict[str, list[float] | None]) -> None:
     """A Delta's orientation, for example, follows from its position."""
+    from parallel_cal.model.mechanism import POSE
+
     axes = {"position": {*POSE[:3]}, "orientation": {*POSE[3:]}}
     console.warn(
         f"{model.mechanism.name} does not control its {kind}: the given one is not used"
@@ -93,7 +155,9 @@ def _one(
     words: Callable[[np.ndarray], str],
     as_json: bool,
 ) -> None:
-    rows = answers.rows_of(solutions)
+    from parallel_cal.kinematics.answers import rows_of
+
+    rows = rows_of(solutions)
     if covariances is not None:
         for row, covariance in zip(rows, covariances, strict=True):
             row["covariance"] = covariance
@@ -108,17 +172,16 @@ def _one(
         [
             (r["status"], console.vector(r["position"], 1e3, 4),
              console.vector(r["quaternion"], 1, 7), console.vector(r["joints"], factor, 5),
-             f"{r['residual']:.1e}" if np.isfinite(r["residual"]) else "-")
+             f"{r['residual']:.1e}" if math.isfinite(r["residual"]) else "-")
             for r in rows
         ],
     )  # fmt: skip
     for covariance in covariances or []:
-        sigma = np.sqrt(np.diag(covariance))
-        console.say(f"1 sigma from the fit: {words(sigma)}")
+        console.say(f"1 sigma from the fit: {words(covariance.diagonal() ** 0.5)}")
 
 
 def _pose_sigma(sigma: np.ndarray) -> str:
-    turned = console.vector(sigma[3:], 60 * 180 / np.pi, 3)
+    turned = console.vector(sigma[3:], 60 * 180 / math.pi, 3)
     return f"position {console.vector(sigma[:3], 1e6, 1)} um, orientation {turned} arcmin"
 
 
@@ -133,6 +196,10 @@ def _joint_unit(model: Model) -> tuple[str, float]:
 
 
 def _many(text: str, found: Solutions, output: Path | None, as_json: bool) -> None:
+    from parallel_cal.base.files import write_atomically
+    from parallel_cal.cli.tables import counts
+    from parallel_cal.kinematics.answers import rows_of
+
     if output is not None:
         write_atomically(output, text)
     statuses = counts(found)
@@ -140,7 +207,7 @@ def _many(text: str, found: Solutions, output: Path | None, as_json: bool) -> No
     said = {} if found.message is None else {"message": found.message}
     summary = "; ".join([summary, *said.values()])
     if as_json and output is None:
-        console.emit({"solutions": answers.rows_of(found), **said})
+        console.emit({"solutions": rows_of(found), **said})
     elif as_json:
         console.emit({"output": str(output), "rows": len(found), "statuses": statuses, **said})
     elif output is None:

@@ -3,33 +3,39 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
 
 from parallel_cal.base.errors import ParallelCalError
-from parallel_cal.model.mechanism import Mechanism
-from parallel_cal.model.model import new_model
-from parallel_cal.model.sensor import Sensor
-from parallel_cal.model.shelf import (
-    load_class,
-    load_effect,
-    load_mechanism,
-    options_of,
-    shelf_names,
-)
+from parallel_cal.cli.arguments import Json, Out
 from parallel_cal.reporting import console
+
+if TYPE_CHECKING:
+    from parallel_cal.model.mechanism import Mechanism
+    from parallel_cal.model.sensor import Sensor
 
 
 def new(
-    mechanism: str, output: Path, options: list[str], sensors: list[str], as_json: bool
+    mechanism: Annotated[str, typer.Argument(help="see 'parallel-cal mechanisms'")],
+    output: Out,
+    option: Annotated[
+        list[str] | None, typer.Option(metavar="KEY=VALUE", help="option of the mechanism")
+    ] = None,
+    sensor: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME: {KEY: VALUE}", help="measuring set-up, 'probe: {height: 0.3}'"),
+    ] = None,
+    as_json: Json = False,
 ) -> None:
-    """A nominal model file; an existing one is not overwritten."""
+    """Write a model file with a mechanism's nominal values."""
     from parallel_cal.model.file.modelfile import model_hash, write_model
+    from parallel_cal.model.model import new_model
 
     if output.exists():
         raise ParallelCalError(f"{output}: exists already; remove it or give another name")
-    set_ups = [_sensor(item) for item in sensors]
-    model = new_model(_mechanism(mechanism, options), sensors=set_ups)
+    set_ups = [_sensor(item) for item in sensor or []]
+    model = new_model(_mechanism(mechanism, option or []), sensors=set_ups)
     write_model(model, output)
     document = {"file": str(output), "mechanism": mechanism, "hash": model_hash(model)}
     if as_json:
@@ -40,6 +46,7 @@ def new(
 def _mechanism(name: str, options: list[str]) -> Mechanism:
     """A mechanism with options KEY=VALUE, the value as in a model file (YAML)."""
     from parallel_cal.model.file.yamltext import parse_yaml
+    from parallel_cal.model.shelf import load_mechanism
 
     given: dict[str, Any] = {}
     for item in options:
@@ -64,7 +71,10 @@ def _sensor(item: str) -> Sensor:
     raise ParallelCalError(f"--sensor {item}: expected 'NAME' or 'NAME: {{KEY: VALUE, ...}}'")
 
 
-def mechanisms(as_json: bool) -> None:
+def mechanisms(as_json: Json = False) -> None:
+    """List the mechanisms: joints, coordinates, parameters."""
+    from parallel_cal.model.shelf import shelf_names
+
     rows = [_mechanism_row(name) for name in shelf_names("mechanisms")]
     if as_json:
         return console.emit({"mechanisms": rows})
@@ -80,6 +90,9 @@ def mechanisms(as_json: bool) -> None:
 
 
 def _mechanism_row(name: str) -> dict[str, Any]:
+    from parallel_cal.model.mechanism import Mechanism
+    from parallel_cal.model.shelf import load_class, options_of
+
     cls: Any = load_class("mechanisms", name, Mechanism)
     options = options_of(cls)
     # One that cannot be built without options says so instead.
@@ -100,7 +113,10 @@ def _sentence(doc: str | None) -> str:
     return (doc or "").strip().split("\n\n")[0].replace("\n", " ")
 
 
-def effects(as_json: bool) -> None:
+def effects(as_json: Json = False) -> None:
+    """List the physical effects: what they are, what they need, what they resemble."""
+    from parallel_cal.model.shelf import shelf_names
+
     rows = [_effect_row(name) for name in shelf_names("effects")]
     if as_json:
         return console.emit({"effects": rows})
@@ -120,6 +136,8 @@ def effects(as_json: bool) -> None:
 
 
 def _effect_row(name: str) -> dict[str, Any]:
+    from parallel_cal.model.shelf import load_effect
+
     e = load_effect(name)
     return {
         "name": name,
@@ -132,7 +150,10 @@ def _effect_row(name: str) -> dict[str, Any]:
     }
 
 
-def sensors(as_json: bool) -> None:
+def sensors(as_json: Json = False) -> None:
+    """List the measuring set-ups beside the pose device: what they are, their options."""
+    from parallel_cal.model.shelf import shelf_names
+
     rows = [_sensor_row(name) for name in shelf_names("sensors")]
     if as_json:
         return console.emit({"sensors": rows})
@@ -147,6 +168,9 @@ def _without_defaults(options: list[str]) -> str:
 
 
 def _sensor_row(name: str) -> dict[str, Any]:
+    from parallel_cal.model.sensor import Sensor
+    from parallel_cal.model.shelf import load_class, options_of
+
     cls: Any = load_class("sensors", name, Sensor)
     return {
         "name": name,

@@ -2,31 +2,55 @@
 
 from __future__ import annotations
 
-import csv
-import io
+import math
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
+import typer
 
-from parallel_cal.base.files import write_atomically
-from parallel_cal.cli.tables import POSITION, QUATERNION
-from parallel_cal.model.file.modelfile import read_model
-from parallel_cal.model.model import Model, Noise
-from parallel_cal.model.words import describe
-from parallel_cal.planning.indices import NAMES
-from parallel_cal.planning.plan import Plan
-from parallel_cal.planning.plan import plan as planned
+from parallel_cal.cli.arguments import Fix, Free, Json, ModelFile, Prior, patterns
 from parallel_cal.reporting import console
 
-ARCMIN = 60 * 180 / np.pi
+if TYPE_CHECKING:
+    from parallel_cal.model.model import Model
+    from parallel_cal.planning.plan import Plan
+
+ARCMIN = 60 * 180 / math.pi
 
 
-def plan(model_file: Path, poses: int, output: Path | None, as_json: bool, **options: Any) -> None:
-    """Plan, write the poses where wanted, show or emit the document."""
-    model = with_noise(read_model(model_file), str(model_file))
-    found = planned(model, poses, progress=console.progress, **options)
+def plan(
+    model: ModelFile,
+    poses: Annotated[int, typer.Option(min=1, help="how many to measure")],
+    criterion: Annotated[
+        str, typer.Option(help="prediction, D, A, condition or noise_amplification")
+    ] = "prediction",
+    method: Annotated[
+        str | None, typer.Option(help="exchange or annealing; none: what suits the criterion")
+    ] = None,
+    pool: Annotated[int, typer.Option(min=1, help="candidates drawn in the workspace")] = 1000,
+    symmetric: Annotated[
+        bool, typer.Option("--symmetric", help="sets of three, a third of a turn about z apart")
+    ] = False,
+    free: Free = None,
+    fix: Fix = None,
+    prior: Prior = False,
+    seed: Annotated[int, typer.Option(min=0, help="of the candidates")] = 0,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="poses as .csv, or the whole as .yaml")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Choose the poses to measure: what they will tell, beside random ones."""
+    from parallel_cal.base.files import write_atomically
+    from parallel_cal.model.file.modelfile import read_model
+    from parallel_cal.planning import plan as planning
+
+    found = planning.plan(
+        with_noise(read_model(model), str(model)), poses, criterion=criterion, method=method,
+        pool=pool, symmetric=symmetric, free=patterns(free), fix=patterns(fix), prior=prior,
+        seed=seed, progress=console.progress,
+    )  # fmt: skip
     console.progress("", 1.0)
     document = found.document()
     console.warn(found.warnings)
@@ -42,6 +66,7 @@ def plan(model_file: Path, poses: int, output: Path | None, as_json: bool, **opt
 
 def with_noise(model: Model, source: str) -> Model:
     """The model with typical noise where its file says nothing of joints or of the device."""
+    from parallel_cal.model.model import Noise
     from parallel_cal.recordings.simulate import stated_noise
 
     own, stated = model.noise, stated_noise(model)
@@ -60,9 +85,15 @@ def with_noise(model: Model, source: str) -> Model:
 
 def as_file(found: Plan, suffix: str) -> str:
     """The poses as CSV (m, rad), or with everything else as YAML or JSON, by the file's name."""
-    if suffix.lower() in (".yaml", ".yml", ".json"):
-        import json
+    import csv
+    import io
+    import json
 
+    import numpy as np
+
+    from parallel_cal.cli.tables import POSITION, QUATERNION
+
+    if suffix.lower() in (".yaml", ".yml", ".json"):
         # JSON is YAML.
         return json.dumps(console.plain(found.document()), indent=1) + "\n"
     out = io.StringIO()
@@ -74,6 +105,10 @@ def as_file(found: Plan, suffix: str) -> str:
 
 
 def _show(found: Plan, document: dict[str, Any]) -> None:
+    import numpy as np
+
+    from parallel_cal.planning.indices import NAMES
+
     model = found.model
     units = model.mechanism.joint_units
     joints = [f"{name} [{unit}]" for name, unit in zip(model.joints, units, strict=True)]
@@ -101,8 +136,10 @@ def _show(found: Plan, document: dict[str, Any]) -> None:
 
 def _show_parameters(found: Plan, parameters: dict[str, dict[str, Any]], worst: int = 5) -> None:
     """The parameters that will be known worst, in tolerances."""
+    from parallel_cal.model.words import describe
+
     sigmas = {k: v["sigma_tolerances"] for k, v in parameters.items()}
-    order = sorted(sigmas, key=lambda k: -(np.inf if sigmas[k] is None else sigmas[k]))
+    order = sorted(sigmas, key=lambda k: -(math.inf if sigmas[k] is None else sigmas[k]))
     told = [
         f"{describe(name, found.model.mechanism)} ({name}) {_short(sigmas[name])}"
         for name in order[:worst]

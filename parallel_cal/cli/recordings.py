@@ -1,4 +1,4 @@
-"""Recordings: looking at one, making one up, playing one back."""
+"""Recordings: looking at one, making one of a table or up, playing one back."""
 
 from __future__ import annotations
 
@@ -8,54 +8,82 @@ import sys
 from dataclasses import fields
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+import typer
 
 from parallel_cal.base.errors import ParallelCalError
-from parallel_cal.model.file.modelfile import read_model
-from parallel_cal.recordings.recording import Topics
-from parallel_cal.recordings.samples import Options
+from parallel_cal.cli.arguments import Data, Json, ModelFile, Out
 from parallel_cal.reporting import console
 
 
-def info(bag: Path, data: list[str], as_json: bool) -> None:
+def info(
+    bag: Annotated[Path, typer.Argument(help="rosbag2 folder or file, or saved samples (.json)")],
+    data: Data = None,
+    as_json: Json = False,
+) -> None:
+    """Show what a recording holds: topics, samples, what was dropped and why, noise."""
     from parallel_cal.recordings import info as looking
 
-    options = data_options(data)
-    document = looking.info(bag, progress=bag_progress, **options)
+    _show_info(looking.info(bag, progress=bag_progress, **data_options(data)), as_json)
+
+
+def _show_info(document: dict[str, Any], as_json: bool) -> None:
     if as_json:
         return console.emit(document)
     from rich.console import Console
 
-    looking.print_info(document, Console())
+    from parallel_cal.recordings.info import print_info
+
+    print_info(document, Console())
+
+
+def import_csv(
+    table: Annotated[Path, typer.Argument(metavar="TABLE.csv", help="one sample a line")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="samples to write (.json)")],
+    columns: Annotated[Path, typer.Option(help="column map: which column is what (YAML)")],
+    as_json: Json = False,
+) -> None:
+    """Make samples of a CSV table, for every command that takes a recording."""
+    from parallel_cal.recordings import csv_import
+    from parallel_cal.recordings.info import info_of
+
+    dataset = csv_import.import_csv(table, columns)
+    dataset.to_json(output)
+    document = info_of(dataset)
+    _show_info(document | {"output": str(output)} if as_json else document, as_json)
+    if not as_json:
+        console.say(f"written: {output}")
 
 
 def simulate(
-    model_file: Path,
-    output: Path,
-    specs: list[str],
-    poses: int,
-    seed: int,
-    replicates: int,
-    noise_off: bool,
-    storage: str,
-    as_json: bool,
+    model: ModelFile,
+    output: Out,
+    effect: Annotated[
+        list[str] | None, typer.Option(metavar="NAME[:PARAM=VALUE,...]", help="hidden effect")
+    ] = None,
+    poses: Annotated[int, typer.Option(min=1, help="different poses")] = 74,
+    seed: Annotated[int, typer.Option(min=0, help="of poses and noise")] = 0,
+    replicates: Annotated[int, typer.Option(min=0, help="poses that are visited again")] = 0,
+    noise_off: Annotated[bool, typer.Option("--noise-off", help="perfect instruments")] = False,
+    storage: Annotated[str, typer.Option(help="mcap or sqlite3")] = "mcap",
+    as_json: Json = False,
 ) -> None:
+    """Record a robot that does not exist: the model, some hidden effects, noise."""
+    if replicates > poses:
+        raise typer.BadParameter(f"{replicates} replicates of {poses} poses")
+    from parallel_cal.model.file.modelfile import read_model
     from parallel_cal.recordings import simulate as simulation
     from parallel_cal.recordings.writer import write_bag
 
     session = simulation.simulate(
-        read_model(model_file),
-        poses,
-        seed,
-        effects=specs,
-        replicates=replicates,
-        quiet=noise_off,
+        read_model(model), poses, seed, effects=effect or (), replicates=replicates, quiet=noise_off
     )
     robot = session.model
     stated = simulation.stated_noise(robot)
     if robot.noise.joint is None:
         console.note(
-            f"{model_file} states no joint noise: {stated.joint:.3g} {robot.mechanism.joint_unit} "
+            f"{model} states no joint noise: {stated.joint:.3g} {robot.mechanism.joint_unit} "
             f"is taken; identify with --joint-sigma {stated.joint:.3g}"
         )
     write_bag(session, output, storage)
@@ -68,8 +96,11 @@ def simulate(
     )
 
 
-def replay(bag: Path, rate: float) -> None:
-    """Run replay_node on a recording; its exit status becomes ours."""
+def replay(
+    bag: Annotated[Path, typer.Argument(help="rosbag2 folder or file")],
+    rate: Annotated[float, typer.Option(min=0.001, help="times real time")] = 1.0,
+) -> None:
+    """Publish a recording on its topics, as the robot and the device did (needs ROS 2)."""
     from parallel_cal.recordings.bag import list_topics
 
     missing = [m for m in ("rclpy", "parallel_cal.nodes.replay_node") if find_spec(m) is None]
@@ -90,13 +121,16 @@ def bag_progress(fraction: float, text: str) -> None:
     console.progress(text, fraction)
 
 
-def data_options(items: list[str]) -> dict[str, Any]:
+def data_options(items: list[str] | None) -> dict[str, Any]:
     """`--data KEY=VALUE` as the options of load_dataset: topics, measures, stamps, mode, ..."""
+    from parallel_cal.recordings.recording import Topics
+    from parallel_cal.recordings.samples import Options
+
     channels = [f.name for f in fields(Topics)]
     numbers = [f.name for f in fields(Options)]
     options: dict[str, Any] = {}
     topics: dict[str, str] = {}
-    for item in items:
+    for item in items or []:
         key, equals, value = item.partition("=")
         known = (*channels, "measures", "stamps", "exclude", *numbers)
         if not equals or key not in known:

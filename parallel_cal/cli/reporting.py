@@ -4,35 +4,58 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+import typer
 
 from parallel_cal.base.errors import ParallelCalError
-from parallel_cal.base.files import write_atomically
+from parallel_cal.cli.arguments import (
+    Also,
+    Bags,
+    Data,
+    Json,
+    ModelFile,
+    Options,
+    Tested,
+    with_options,
+)
 from parallel_cal.cli.calibration import model_and_data
-from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.reporting import console
-from parallel_cal.reporting.page import page
-from parallel_cal.reporting.report import report as reported
 
 PAGE, DOCUMENT = (".html", ".htm"), (".json",)
 
 
+@with_options
 def report(
-    model_file: Path,
-    bags: list[Path],
-    output: Path | None,
-    against: Path | None,
-    data: list[str],
-    as_json: bool,
-    **options: Any,
+    model: ModelFile,
+    bags: Bags,
+    *,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="page (.html) or document (.json)")
+    ] = None,
+    against: Annotated[
+        Path | None,
+        typer.Option(metavar="OTHER.yaml", help="another model, side by side on the same data"),
+    ] = None,
+    effect: Tested = None,
+    also: Also = None,
+    options: Options,
+    data: Data = None,
+    as_json: Json = False,
 ) -> None:
-    """Diagnose, write the page or the document, and say where it is."""
+    """Write the diagnosis as one page to read offline: errors, arrows, observations, parameters."""
+    if output is None and not as_json:
+        raise typer.BadParameter("give -o R.html (or .json), or --json")
     if output is not None:
         _check_writable(output)  # before seconds are spent
+    from parallel_cal.base.files import write_atomically
+    from parallel_cal.model.file.modelfile import read_model
+    from parallel_cal.reporting import report as reports
+
     other = None if against is None else read_model(against)
-    model, dataset = model_and_data(model_file, bags, data)
-    made = reported(model, dataset, against=other, progress=console.progress, **options)
-    document = console.plain(made.document())
+    judged, dataset = model_and_data(model, bags, data)
+    options |= {"effects": effect or (), "also": also or (), "progress": console.progress}
+    document = console.plain(reports.report(judged, dataset, against=other, **options).document())
     if output is not None:
         console.progress("writing the report", 0.95)
         write_atomically(output, _text(document, output.suffix))
@@ -56,5 +79,7 @@ def _check_writable(output: Path) -> None:
 
 def _text(document: dict[str, Any], suffix: str) -> str:
     if suffix.lower() in PAGE:
+        from parallel_cal.reporting.page import page
+
         return page(document)
     return json.dumps(document, indent=1, allow_nan=False) + "\n"

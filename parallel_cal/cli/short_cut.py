@@ -4,29 +4,46 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
+from parallel_cal.cli.arguments import (
+    Bags,
+    Data,
+    Fix,
+    JointSigma,
+    Json,
+    ModelFile,
+    OptionalOut,
+    patterns,
+)
 from parallel_cal.cli.calibration import model_and_data
-from parallel_cal.model.file.modelfile import model_hash, write_model
 from parallel_cal.reporting import console
-from parallel_cal.short_cut.identify import short_cut
-from parallel_cal.short_cut.loop import loops_in
 
 ARCMIN = 60 * 180 / math.pi
 
 
-def run(
-    model_file: Path,
-    bags: list[Path],
-    output: Path | None,
-    data: list[str],
-    as_json: bool,
-    **options: Any,
+def short_cut(
+    model: ModelFile,
+    bags: Bags,
+    output: OptionalOut = None,
+    fix: Fix = None,
+    joint_sigma: JointSigma = None,
+    data: Data = None,
+    as_json: Json = False,
 ) -> None:
-    """Options as in short_cut.short_cut."""
-    robot, dataset = model_and_data(model_file, bags, data)
-    found = short_cut(robot, loops_in(dataset), **options)
+    """Identify a Delta without a device, from loops of two of its arms and one of its rods.
+
+    The topic `constraint` names the loop that is tied: 12:21:11 is the second ball of arm 1 tied to
+    the first of arm 2 by the first rod of chain 1. Angles do not see the size: --fix what was
+    measured, such as chain1.Lb chain1.dLb.
+    """
+    from parallel_cal.model.file.modelfile import model_hash, write_model
+    from parallel_cal.short_cut import identify
+    from parallel_cal.short_cut.loop import loops_in
+
+    robot, dataset = model_and_data(model, bags, data)
+    loops = loops_in(dataset)
+    found = identify.short_cut(robot, loops, fix=patterns(fix), joint_sigma=joint_sigma)
     document = found.document()
     if output is not None:
         write_model(found.model, output)

@@ -6,12 +6,22 @@ import subprocess
 import sys
 from importlib import import_module
 from pathlib import Path
+from typing import Annotated
+
+import typer
 
 from parallel_cal.base.errors import ParallelCalError
+from parallel_cal.cli.arguments import Json
 from parallel_cal.reporting import console
 
 
-def demo(bag: Path | None, rate: float, keep: bool, as_json: bool) -> None:
+def demo(
+    bag: Annotated[Path | None, typer.Option(help="another recording")] = None,
+    rate: Annotated[float, typer.Option(min=0.001, help="times real time")] = 20.0,
+    keep: Annotated[bool, typer.Option("--keep", help="leave the files it makes")] = False,
+    as_json: Json = False,
+) -> None:
+    """Calibrate a virtual robot from beginning to end (needs ROS 2)."""
     try:
         module = import_module("parallel_cal.nodes.demo")
     except ModuleNotFoundError as error:
@@ -19,14 +29,16 @@ def demo(bag: Path | None, rate: float, keep: bool, as_json: bool) -> None:
     sys.exit(module.main(json=as_json, bag=bag, rate=rate, keep=keep))
 
 
-def bench(names: list[str]) -> None:
-    """Run the scripts one after another; the first that fails decides."""
+def bench(
+    names: Annotated[list[str] | None, typer.Argument(help="which ones; none: all")] = None,
+) -> None:
+    """Run the measurements of speed and accuracy in bench/ (needs the repository)."""
     folder = Path(__file__).resolve().parents[2] / "bench"
     files = sorted(folder.glob("*.py"))
     scripts = {f.stem: f for f in files if "__main__" in f.read_text(encoding="utf-8")}
     if not scripts:
         raise ParallelCalError(f"{folder}: no benchmarks; they come with the repository")
-    unknown = [name for name in names if name not in scripts]
+    unknown = [name for name in names or [] if name not in scripts]
     if unknown:
         raise ParallelCalError(f"no benchmark {', '.join(unknown)}; there are {', '.join(scripts)}")
     for name in names or scripts:
