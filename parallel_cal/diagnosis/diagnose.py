@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -29,7 +28,8 @@ from parallel_cal.diagnosis.separate import next_measurement
 from parallel_cal.diagnosis.statistics import holm
 from parallel_cal.diagnosis.thresholds import REFITTED, SIGNIFICANT
 from parallel_cal.diagnosis.verdict import Verdict, judge, listed
-from parallel_cal.identification.fit import fit, single_threaded
+from parallel_cal.identification.fit import Result, fit, single_threaded
+from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
 
@@ -103,34 +103,33 @@ def diagnose(
     *,
     effects: Iterable[str] = (),
     also: Iterable[str] = (),
-    hold_out: float = 0.25,
-    loss: str = "linear",
-    seed: int = 0,
+    options: FitOptions | None = None,
     progress: Progress | None = None,
-    **options: Any,
+    **changes: Any,
 ) -> Diagnosis:
     """What is missing in a model, judged on these data (see docs/judge_your_calibration.md).
 
     The geometry is identified first; every effect of the catalogue (or only `effects`, and `also`
     a user's own by Python path) is scored off the geometry, the best are refitted and judged at
     poses left out. With a robust `loss`, samples that it gives less than half their weight are set
-    aside first, and named. Further options as in `identification.fit`. FitError where the
+    aside first, and named. `changes` are options by name, as of `fit`. FitError where the
     baseline itself cannot be identified.
     """
     report = progress or (lambda stage, fraction: None)
-    if loss != "linear":
-        first = fit(model, dataset, hold_out=0, loss=loss, **options)
+    options = replace(options or FitOptions(), **changes)
+    if options.loss != "linear":
+        first = fit(model, dataset, options, hold_out=0)
         dataset = dataset.excluding([d.sample for d in first.down_weighted])
-    refit = partial(_refit, dataset=dataset, hold_out=hold_out, seed=seed, options=options)
+    plain = replace(options, loss="linear")
+
+    def refit(model: Model) -> Result:
+        return fit(model, dataset, plain)
+
     with single_threaded():
         search = Search(model, refit, report)
         report("identifying the geometry", 0.0)
         base = search.fit()
         return _Diagnosing(model, dataset, search, base, names_of(model, also, effects), report)()
-
-
-def _refit(model: Model, dataset: Dataset, hold_out: float, seed: int, options: Any) -> Any:
-    return fit(model, dataset, hold_out=hold_out, seed=seed, **options)
 
 
 class _Diagnosing:

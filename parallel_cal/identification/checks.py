@@ -9,19 +9,19 @@ import numpy as np
 from parallel_cal.base.errors import FitError
 from parallel_cal.identification.methods._estimate import Estimate
 from parallel_cal.identification.observations import Observations
+from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.prior import Prior
 from parallel_cal.model.model import Model
 from parallel_cal.model.parameters import Parameter
 
 
-def chosen_parameters(
-    model: Model, free: Iterable[str], fix: Iterable[str], refit: Iterable[str]
-) -> tuple[np.ndarray, bool]:
+def chosen_parameters(model: Model, options: FitOptions) -> tuple[np.ndarray, bool]:
     """Which parameters are identified, and whether the others keep their covariance."""
-    refit, free, fix = tuple(refit), tuple(free), tuple(fix)
-    if refit and (free or fix):
+    if not options.refit:
+        return free_mask(model, options.free, options.fix), False
+    if options.free or options.fix:
         raise FitError("refit names all that is identified: give it no free or fix patterns")
-    return (model.table.matching(refit), True) if refit else (free_mask(model, free, fix), False)
+    return model.table.matching(options.refit), True
 
 
 def free_mask(model: Model, free: Iterable[str], fix: Iterable[str]) -> np.ndarray:
@@ -42,8 +42,14 @@ def free_mask(model: Model, free: Iterable[str], fix: Iterable[str]) -> np.ndarr
 def check_enough(
     model: Model, observations: Observations, free: np.ndarray, prior: bool | Prior
 ) -> None:
-    """A clear word before the numbers fail: too few poses, or all of them the same; with a
-    prior one equation is enough."""
+    """A clear word before the numbers fail: FitError where poses are too few."""
+    if words := lacking(model, observations, free, prior):
+        raise FitError(words)
+
+
+def lacking(model: Model, observations: Observations, free: np.ndarray, prior: bool | Prior) -> str:
+    """What is said where poses are too few, or all of them the same; empty where they are enough.
+    With a prior one equation is enough."""
     poses, first = np.unique(observations.group, return_index=True)
     n = len(model.joints)
     moved = [n + i for i in model.mechanism.moved]
@@ -52,12 +58,13 @@ def check_enough(
     )
     equations = np.maximum(model.structure.phi.shape[0] - len(moved) + given, 0)[first]
     carried, most = int(equations.sum()), max(int(equations.max(initial=0)), 1)
-    if carried < (1 if prior else free.sum()):
-        raise FitError(
-            f"{len(poses)} different poses give {carried} equations, but {int(free.sum())} "
-            f"parameters are free: measure at least {-(-int(free.sum()) // most)} different "
-            "poses (better twice as many), or fix parameters"
-        )
+    if carried >= (1 if prior else free.sum()):
+        return ""
+    return (
+        f"{len(poses)} different poses give {carried} equations, but {int(free.sum())} "
+        f"parameters are free: measure at least {-(-int(free.sum()) // most)} different "
+        "poses (better twice as many), or fix parameters"
+    )
 
 
 def check_plausible(model: Model, estimate: Estimate, free: np.ndarray) -> None:

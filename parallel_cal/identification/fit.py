@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from parallel_cal.base.errors import FitError
-from parallel_cal.identification.checks import check_enough, check_plausible, chosen_parameters
+from parallel_cal.identification.checks import (
+    check_enough,
+    check_plausible,
+    chosen_parameters,
+    lacking,
+)
 from parallel_cal.identification.doubts import (
     Doubted,
     chi2_band,
@@ -21,18 +25,20 @@ from parallel_cal.identification.doubts import (
     on_parameters,
     on_samples,
 )
-from parallel_cal.identification.estimators import Estimator, estimator, need_settling
+from parallel_cal.identification.estimators import estimator, need_settling
 from parallel_cal.identification.methods.implicit import Estimate
 from parallel_cal.identification.noise_floor import noise_floor
 from parallel_cal.identification.observations import Observations, observe
+from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.prediction_errors import Errors, Summary, errors, improvement
-from parallel_cal.identification.prior import Prior
 from parallel_cal.identification.refit import considered
 from parallel_cal.model.model import Model
 from parallel_cal.model.words import direction_in_words
 from parallel_cal.recordings.dataset import Dataset
 
 Progress = Callable[[str, float], None]
+Folds = list[tuple[np.ndarray, np.ndarray]]  # indices of the samples seen, and of those left out
+Judged = Callable[[np.ndarray, np.ndarray], Errors | None]
 
 
 @dataclass(frozen=True)
@@ -45,6 +51,7 @@ class Result:
 
     model: Model
     start: Model
+    options: FitOptions
     estimate: Estimate
     free: np.ndarray
     before: Errors
@@ -53,8 +60,6 @@ class Result:
     noise: Summary
     observations: Observations
     dataset: Dataset
-    method: str
-    loss: str = "linear"
     refit: tuple[str, ...] = ()
     warnings: tuple[str, ...] = field(default=())
 
@@ -101,8 +106,8 @@ class Result:
             ],
             "noise_floor": self.noise.document(),
             "noise_from": self.observations.noise_from,
-            "method": self.method,
-            "loss": self.loss,
+            "method": self.options.method,
+            "loss": self.options.loss,
             "refit": list(self.refit),
             "down_weighted": [asdict(d) for d in self.down_weighted],
             "iterations": self.estimate.iterations,
@@ -144,33 +149,32 @@ def parameter_rows(model: Model, sigma: np.ndarray, fixed: np.ndarray) -> dict[s
 def fit(
     model: Model,
     dataset: Dataset,
-    *,
-    method: str = "implicit",
-    free: Iterable[str] = (),
-    fix: Iterable[str] = (),
-    refit: Iterable[str] = (),
-    hold_out: float = 0.25,
-    joint_sigma: float | None = None,
-    prior: bool | Prior = False,
-    loss: str = "linear",
-    seed: int = 0,
+    options: FitOptions | None = None,
     progress: Progress | None = None,
+    **changes: Any,
 ) -> Result:
     """Identify a model's free parameters; errors at poses that the fit did not see.
 
-    `free` and `fix` are name patterns (`chain1.*`) that change what the model file says; where
-    one set lies inside the other the narrower wins (`fix=["*"], free=["chain1.Lb"]`). `refit`
-    identifies these alone and keeps the others with the model's covariance (re-homing, warming
-    up: a few poses are enough). `prior` is True (tolerances) or a Prior; `loss` one of scipy's
-    (`huber`): samples that it mistrusts are named. FitError where the data cannot carry it.
+    `changes` are options by name: `fit(model, dataset, hold_out=0.1)`. FitError where the data
+    cannot carry it.
     """
+    options = replace(options or FitOptions(), **changes)
     report = progress or (lambda stage, fraction: None)
-    mask, partial = chosen_parameters(model, free, fix, refit)
-    estimate_with = estimator(method, prior, loss)
+    mask, partial = chosen_parameters(model, options)
+    estimate_with = estimator(options.method, options.prior, options.loss)
     if partial:
-        need_settling(method, "a partial re-calibration")
-    observations = observe(model, dataset, joint_sigma)
-    check_enough(model, observations, mask, prior)
+        need_settling(options.method, "a partial re-calibration")
+    observations = observe(model, dataset, options.joint_sigma)
+    check_enough(model, observations, mask, options.prior)
+
+    def judged(train: np.ndarray, test: np.ndarray) -> Errors | None:
+        """Errors at poses that the fit did not see; None where the others are too few."""
+        kept = observations.select(train)
+        if lacking(model, kept, mask, options.prior):
+            return None
+        found = estimate_with(model, kept, mask)
+        return errors(model.with_values(found.values), observations.select(test))
+
     report("errors before", 0.0)
     before = errors(model, observations)
     report("identifying", 0.1)
@@ -183,13 +187,13 @@ def fit(
         fitted = model.with_values(estimate.values, estimate.covariance)
         check_plausible(fitted, estimate, mask)
         after = errors(fitted, observations)
-        held_out = _held_out(
-            model, dataset, observations, mask, hold_out, seed, prior, estimate_with, report
-        )
+        folds = dataset.folds(options.hold_out, options.seed) if options.hold_out > 0 else []
+        held_out = _held_out(folds, judged, after, report)
     noise = noise_floor(fitted, observations)
     return Result(
         model=replace(fitted, fixed=model.fixed if partial else ~mask),
         start=model,
+        options=options,
         estimate=estimate,
         free=mask,
         before=before,
@@ -198,17 +202,26 @@ def fit(
         noise=noise,
         observations=observations,
         dataset=dataset,
-        method=method,
-        loss=loss,
         refit=tuple(n for n, m in zip(model.table.names, mask, strict=True) if partial and m),
         warnings=(
             *dataset.warnings,
             *on_parameters(fitted, estimate, mask),
             *on_noise(estimate, observations),
             *on_held(fitted, after.summary, noise),
-            *on_samples(estimate, dataset, loss),
+            *on_samples(estimate, dataset, options.loss),
         ),
     )
+
+
+def _held_out(folds: Folds, judged: Judged, like: Errors, report: Progress) -> Errors:
+    """Errors at every pose of fits that left it out; NaN where leaving out is not possible."""
+    parts = {name: np.full_like(array, np.nan) for name, array in like.parts().items()}
+    for k, (train, test) in enumerate(folds):
+        report("leaving poses out", 0.2 + 0.8 * k / len(folds))
+        if (unseen := judged(train, test)) is not None:
+            for name, array in unseen.parts().items():
+                parts[name][test] = array
+    return Errors(**parts)
 
 
 def scaled(estimate: Estimate) -> Estimate:
@@ -224,33 +237,3 @@ def single_threaded() -> Any:
     from threadpoolctl import threadpool_limits
 
     return threadpool_limits(limits=1)
-
-
-def _held_out(
-    model: Model,
-    dataset: Dataset,
-    observations: Observations,
-    free: np.ndarray,
-    fraction: float,
-    seed: int,
-    prior: bool | Prior,
-    estimate_with: Estimator,
-    report: Progress,
-) -> Errors:
-    """Errors at every pose of fits that left it out; NaN where leaving out is not possible."""
-    joined = {"position": 3, "orientation": 3, "joint": len(model.joints)}
-    joined["reading"] = len(model.structure.channels)
-    joined["closure"] = model.structure.phi.shape[0]
-    parts = {kind: np.full((len(observations), size), np.nan) for kind, size in joined.items()}
-    folds = dataset.folds(fraction, seed) if fraction > 0 else []
-    for k, (train, test) in enumerate(folds):
-        report("leaving poses out", 0.2 + 0.8 * k / len(folds))
-        try:
-            check_enough(model, observations.select(train), free, prior)
-        except FitError:
-            continue
-        found = estimate_with(model, observations.select(train), free)
-        judged = errors(model.with_values(found.values), observations.select(test))
-        for kind, array in parts.items():
-            array[test] = getattr(judged, kind)
-    return Errors(**parts)

@@ -73,7 +73,11 @@ class Errors:
         return np.where(known.any(axis=1), norms, np.nan)
 
     def select(self, index: np.ndarray) -> Errors:
-        return Errors(*(getattr(self, part.name)[index] for part in fields(self)))
+        return Errors(**{name: array[index] for name, array in self.parts().items()})
+
+    def parts(self) -> dict[str, np.ndarray]:
+        """The arrays by name."""
+        return {part.name: getattr(self, part.name) for part in fields(self)}
 
     @cached_property
     def summary(self) -> Summary:

@@ -121,7 +121,7 @@ def _step(
 
 def _unusual(result: Result) -> dict[str, Any]:
     """What was not plain least squares of all free parameters on all samples."""
-    loss = result.loss if result.loss != "linear" else None
+    loss = result.options.loss if result.options.loss != "linear" else None
     samples = [doubted.sample for doubted in result.down_weighted]
     how = {"loss": loss, "refit": list(result.refit), "down_weighted": samples}
     return {key: value for key, value in how.items() if value}

@@ -1,0 +1,32 @@
+"""How a model is identified: what a caller may choose."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from parallel_cal.identification.prior import Prior
+
+
+@dataclass(frozen=True)
+class FitOptions:
+    """What a fit may be asked.
+
+    `free` and `fix` are name patterns (`chain1.*`) that change what the model file says; where
+    one set lies inside the other the narrower wins (`fix=["*"], free=["chain1.Lb"]`). `refit`
+    identifies these alone and keeps the others with the model's covariance (re-homing, warming
+    up: a few poses are enough). `hold_out` is the share of the poses left out in turn (0: none),
+    drawn by `seed`; `joint_sigma` (rad or m) replaces what recording and model file say. `prior`
+    is True (tolerances) or a Prior; `loss` one of scipy's (`huber`): samples that it mistrusts
+    are named.
+    """
+
+    method: str = "implicit"
+    free: Sequence[str] = ()
+    fix: Sequence[str] = ()
+    refit: Sequence[str] = ()
+    hold_out: float = 0.25
+    joint_sigma: float | None = None
+    prior: bool | Prior = False
+    loss: str = "linear"
+    seed: int = 0
