@@ -11,6 +11,7 @@ import shlex
 import shutil
 from contextlib import redirect_stderr, redirect_stdout
 from functools import cache
+from importlib.util import module_from_spec, spec_from_file_location
 from io import StringIO
 from pathlib import Path
 
@@ -126,3 +127,14 @@ def test_links_of_the_documents_lead_somewhere():
     for page in (*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), ROOT / "bags" / "README.md"):
         for link in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8")):
             assert os.path.exists(page.parent / link), f"{page.name}: {link}"
+
+
+def test_the_picture_of_the_rooms_is_that_of_the_code():
+    file = ROOT / "docs" / "rooms.py"
+    rooms = module_from_spec(spec := spec_from_file_location("rooms", file))
+    spec.loader.exec_module(rooms)
+    assert rooms.PICTURE.read_text(encoding="utf-8") == rooms.picture(), "python docs/rooms.py"
+    shown = rooms.imported()
+    assert all((a, b) in rooms.arrows() for a, b in [("model", "base"), ("cli", "session")])
+    assert ("cli", "base") not in rooms.arrows()  # it follows from others
+    assert "base" in shown["cli"]
