@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.base.compiled import Single
+from parallel_cal.base.errors import SolveError
 from parallel_cal.kinematics.problem import Problem
 from parallel_cal.kinematics.rows import joint_rows, pose_rows
 from parallel_cal.kinematics.solutions import (
@@ -79,7 +80,15 @@ class Kinematics:
         rotation: np.ndarray | None = None,
         at: Mapping[str, Any] | None = None,
     ) -> Solutions:
-        """Every distinct joint set found for a pose, from all candidates; home branch first."""
+        """Every distinct joint set found for a pose, from all candidates; home branch first.
+
+        SolveError for a redundant arm: infinitely many are none.
+        """
+        if len(self._inverse.columns) > self.model.structure.phi.shape[0]:
+            raise SolveError(
+                f"{self._n} joints reach a pose in infinitely many ways; without --all the answer "
+                "is the one nearest to home"
+            )
         given = pose_rows(self.model, position, rotation)[0]
         starts = self._joint_candidates(given)
         first = self.inverse(position, rotation, at)

@@ -90,18 +90,28 @@ def _step_function(
     """(configuration, constants) -> configuration after one iteration, last step, pivot.
 
     One iteration is a Newton step and a second step with the same Jacobian: third order
-    (Traub) for little more than the price of one.
+    (Traub) for little more than the price of one. With more rows than unknowns it is the
+    least-squares step, with fewer (a redundant arm) the shortest one that closes the rows.
     """
-    solver = Elimination(J.T @ J if J.shape[0] > J.shape[1] else J, order)
+    solver = Elimination(_square(J), order)
 
     def stepped(x: Any) -> tuple[Any, Any]:
         phi = residual(x, symbols)
-        scaled = solver(-(J.T @ phi if J.shape[0] > J.shape[1] else phi))
+        if J.shape[0] < J.shape[1]:
+            scaled = J.T @ solver(-phi)
+        else:
+            scaled = solver(-(J.T @ phi if J.shape[0] > J.shape[1] else phi))
         return moved(s, x, columns, scaled), scaled
 
     once, _ = stepped(s.configuration)
     twice, scaled = stepped(once)
     return dense("step", [s.configuration, symbols], [twice, ca.norm_2(scaled), solver.pivot])
+
+
+def _square(J: Any) -> Any:
+    """What a step with a Jacobian of any shape has to invert."""
+    rows, unknowns = J.shape
+    return J if rows == unknowns else J.T @ J if rows > unknowns else J @ J.T
 
 
 def moved(s: Structure, x: Any, columns: list[int], scaled: Any) -> Any:
@@ -122,9 +132,7 @@ def row_order(s: Structure, J: Any) -> list[int]:
     )
     m = s.mechanism
     example = ca.Function("J", [s.configuration, s.v, s.a], [J])
-    A = np.array(example(m.home.configuration, off, 0))
-    if A.shape[0] > A.shape[1]:
-        A = A.T @ A
+    A = _square(np.array(example(m.home.configuration, off, 0)))
     order = list(range(len(A)))
     for k in range(len(A)):
         best = k + int(np.argmax(np.abs(A[k:, k])))

@@ -1,0 +1,74 @@
+"""What noise is like that is not white: correlated in time, or larger in some places."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from parallel_cal.diagnosis.thresholds import PERMUTATIONS, SIGNIFICANT
+
+
+@dataclass(frozen=True)
+class NoiseShape:
+    """How residuals depart from white noise.
+
+    `correlation` of neighbours in time and the time `memory` (s) in which it falls to 1/e;
+    `growth`: rms in the outer third of the workspace over that in the inner third; each with the
+    p-value of as much by chance, from permutations of the samples.
+    """
+
+    correlation: float
+    correlation_p: float
+    memory: float
+    growth: float
+    growth_p: float
+
+    @property
+    def correlated(self) -> bool:
+        return self.correlation_p < SIGNIFICANT
+
+    @property
+    def grows(self) -> bool:
+        return self.growth_p < SIGNIFICANT
+
+    @property
+    def words(self) -> list[str]:
+        """What a person should know of it; nothing where it is white."""
+        words = []
+        if self.correlated:
+            words.append(f"noise is correlated over {self.memory:.2g} s")
+        if self.grows:
+            words.append(f"noise is {self.growth:.1f} times larger far from the centre")
+        return words
+
+
+def noise_shape(z: np.ndarray, time: np.ndarray, places: np.ndarray, seed: int = 0) -> NoiseShape:
+    """The shape of residuals z (N, k) in noise units, taken at times (N,) s and places (N, 3) m."""
+    z = z[:, np.any(z != 0, axis=0)]
+    if len(z) < 9 or not z.any():
+        return NoiseShape(0.0, 1.0, 0.0, 1.0, 1.0)
+    rng = np.random.default_rng(seed)
+    order = np.argsort(time, kind="stable")
+    size = np.mean(z**2, axis=1)
+    away = np.linalg.norm(places - places.mean(axis=0), axis=1)
+    inner, outer = (
+        np.argsort(away)[part] for part in (slice(len(z) // 3), slice(-len(z) // 3, None))
+    )
+
+    def correlation(rows: np.ndarray) -> float:
+        return float(np.sum(rows[1:] * rows[:-1]) / np.sum(rows**2))
+
+    def growth(sizes: np.ndarray) -> float:
+        return float(np.sqrt(sizes[outer].mean() / max(sizes[inner].mean(), 1e-300)))
+
+    seen = correlation(z[order]), growth(size)
+    drawn = [
+        (correlation(z[k]), growth(size[k]))
+        for k in (rng.permutation(len(z)) for _ in range(PERMUTATIONS))
+    ]
+    as_much = (np.array(drawn) >= np.array(seen)).sum(axis=0)
+    p = (1 + as_much) / (1 + PERMUTATIONS)
+    step = float(np.median(np.diff(time[order])))
+    memory = -step / np.log(np.clip(seen[0], 1e-3, 1 - 1e-3))
+    return NoiseShape(seen[0], float(p[0]), float(memory), seen[1], float(p[1]))
