@@ -9,6 +9,8 @@ from typing import Annotated, Any
 
 import typer
 
+from parallel_cal.identification.options import FitOptions
+
 ModelFile = Annotated[Path, typer.Argument(metavar="MODEL.yaml", help="model file")]
 Bags = Annotated[
     list[Path],
@@ -52,7 +54,6 @@ Prior = Annotated[bool, typer.Option("--prior", help="use tolerances as prior kn
 Loss = Annotated[
     str, typer.Option(help="linear, or robust to bad samples: huber, soft_l1, cauchy, arctan")
 ]
-Options = dict[str, Any]
 
 
 def patterns(given: list[str] | None) -> tuple[str, ...]:
@@ -61,7 +62,7 @@ def patterns(given: list[str] | None) -> tuple[str, ...]:
 
 
 def with_options(command: Callable[..., None]) -> Callable[..., None]:
-    """A command whose argument `options` is given as the options of an identification."""
+    """A command whose argument `options`, a FitOptions, people give as options."""
 
     def with_all(
         *,
@@ -73,10 +74,10 @@ def with_options(command: Callable[..., None]) -> Callable[..., None]:
         loss: Loss = "linear",
         **others: Any,
     ) -> None:
-        options: Options = {
-            "hold_out": hold_out, "joint_sigma": joint_sigma, "free": patterns(free),
-            "fix": patterns(fix), "prior": prior, "loss": loss,
-        }  # fmt: skip
+        options = FitOptions(
+            hold_out=hold_out, joint_sigma=joint_sigma, free=patterns(free), fix=patterns(fix),
+            prior=prior, loss=loss,
+        )  # fmt: skip
         command(**others, options=options)
 
     *these, _ = signature(with_all, eval_str=True).parameters.values()

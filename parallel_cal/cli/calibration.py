@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -18,11 +19,11 @@ from parallel_cal.cli.arguments import (
     Method,
     ModelFile,
     OptionalOut,
-    Options,
     patterns,
     with_options,
 )
 from parallel_cal.cli.recordings import bag_progress, data_options
+from parallel_cal.identification.options import FitOptions
 from parallel_cal.reporting import console
 
 if TYPE_CHECKING:
@@ -41,7 +42,7 @@ def fit(
     *,
     output: OptionalOut = None,
     method: Method = "implicit",
-    options: Options,
+    options: FitOptions,
     refit: Annotated[
         list[str] | None,
         typer.Option(
@@ -54,8 +55,10 @@ def fit(
     """Identify the model's free parameters; show errors before, after and at poses left out."""
     from parallel_cal.session.steps import fitted
 
-    options |= {"method": method, "refit": patterns(refit), "progress": console.progress}
-    _finish(fitted(*model_and_data(model, bags, data), **options), output, as_json)
+    asked = replace(options, method=method, refit=patterns(refit))
+    start, dataset = model_and_data(model, bags, data)
+    step = fitted(start, dataset, options=asked, progress=console.progress)
+    _finish(step, output, as_json)
 
 
 @with_options
@@ -67,7 +70,7 @@ def add(
     output: OptionalOut = None,
     force: Force = False,
     method: Method = "implicit",
-    options: Options,
+    options: FitOptions,
     data: Data = None,
     as_json: Json = False,
 ) -> None:
@@ -75,8 +78,9 @@ def add(
     from parallel_cal.session.steps import added
 
     start, dataset = model_and_data(model, bags, data)
-    options |= {"method": method, "progress": console.progress}
-    _finish(added(start, effect, dataset, force, **options), output, as_json)
+    asked = replace(options, method=method)
+    step = added(start, effect, dataset, force, options=asked, progress=console.progress)
+    _finish(step, output, as_json)
 
 
 @with_options
@@ -88,7 +92,7 @@ def remove(
     output: OptionalOut = None,
     force: Force = False,
     method: Method = "implicit",
-    options: Options,
+    options: FitOptions,
     data: Data = None,
     as_json: Json = False,
 ) -> None:
@@ -96,8 +100,9 @@ def remove(
     from parallel_cal.session.steps import removed
 
     start, dataset = model_and_data(model, bags, data)
-    options |= {"method": method, "progress": console.progress}
-    _finish(removed(start, effect, dataset, force, **options), output, as_json)
+    asked = replace(options, method=method)
+    step = removed(start, effect, dataset, force, options=asked, progress=console.progress)
+    _finish(step, output, as_json)
 
 
 def model_and_data(path: Path, bags: list[Path], data: list[str] | None) -> tuple[Model, Dataset]:

@@ -10,11 +10,11 @@ from parallel_cal.cli.arguments import (
     Data,
     Json,
     ModelFile,
-    Options,
     Tested,
     with_options,
 )
 from parallel_cal.cli.calibration import model_and_data, show_errors
+from parallel_cal.identification.options import FitOptions
 from parallel_cal.reporting import console
 
 SHOWN = 8  # candidates that a person reads
@@ -27,7 +27,7 @@ def diagnose(
     *,
     effect: Tested = None,
     also: Also = None,
-    options: Options,
+    options: FitOptions,
     data: Data = None,
     as_json: Json = False,
 ) -> None:
@@ -35,8 +35,10 @@ def diagnose(
     from parallel_cal.diagnosis import diagnose as diagnosis
 
     judged, dataset = model_and_data(model, bags, data)
-    options |= {"effects": effect or (), "also": also or (), "progress": console.progress}
-    document = diagnosis.diagnose(judged, dataset, **options).document()
+    document = diagnosis.diagnose(
+        judged, dataset, effects=effect or (), also=also or (), options=options,
+        progress=console.progress,
+    ).document()  # fmt: skip
     console.progress("", 1.0)
     console.warn(document["warnings"])
     if as_json:

@@ -15,11 +15,11 @@ from parallel_cal.cli.arguments import (
     Data,
     Json,
     ModelFile,
-    Options,
     Tested,
     with_options,
 )
 from parallel_cal.cli.calibration import model_and_data
+from parallel_cal.identification.options import FitOptions
 from parallel_cal.reporting import console
 
 PAGE, DOCUMENT = (".html", ".htm"), (".json",)
@@ -39,7 +39,7 @@ def report(
     ] = None,
     effect: Tested = None,
     also: Also = None,
-    options: Options,
+    options: FitOptions,
     data: Data = None,
     as_json: Json = False,
 ) -> None:
@@ -54,8 +54,10 @@ def report(
 
     other = None if against is None else read_model(against)
     judged, dataset = model_and_data(model, bags, data)
-    options |= {"effects": effect or (), "also": also or (), "progress": console.progress}
-    document = console.plain(reports.report(judged, dataset, against=other, **options).document())
+    asked = {**vars(options), "effects": effect or (), "also": also or ()}
+    del asked["refit"]  # which a diagnosis does not have
+    made = reports.report(judged, dataset, against=other, progress=console.progress, **asked)
+    document = console.plain(made.document())
     if output is not None:
         console.progress("writing the report", 0.95)
         write_atomically(output, _text(document, output.suffix))

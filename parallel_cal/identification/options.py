@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from parallel_cal.identification.prior import Prior
+if TYPE_CHECKING:  # the command line shows its help without numpy
+    from parallel_cal.identification.prior import Prior
 
 
 @dataclass(frozen=True)
