@@ -498,7 +498,7 @@ def test_add_is_refused_where_the_error_at_poses_left_out_does_not_fall(
     document, run, tmp_path, clean
 ):
     out = tmp_path / "out.yaml"
-    fails(run("add", NOMINAL, "backlash", clean, "-o", out), "does not lower", "--force")
+    fails(run("add", NOMINAL, "backlash", clean, "-o", out), "does not fall", "--force")
     assert not out.exists()
 
 

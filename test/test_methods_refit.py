@@ -192,13 +192,15 @@ def test_the_history_says_what_was_refitted_with_which_loss_and_mistrusted(calib
     spoilt = few(0)
     wrong = np.array(spoilt.r)
     wrong[2] += 3 * MM
-    step = fitted(calibrated, replace(spoilt, r=wrong), refit=[OFFSETS], loss="cauchy", hold_out=0)
+    step = fitted(
+        calibrated, replace(spoilt, r=wrong), refit=[OFFSETS], loss="cauchy", hold_out=0, force=True
+    )
     write_model(step.model, tmp_path / "model.yaml")
     entry = read_model(tmp_path / "model.yaml").history[-1]
     assert entry["loss"] == "cauchy"
     assert entry["refit"] == [f"chain{i}.La_y" for i in (1, 2, 3)]
     assert entry["down_weighted"] == [2]
-    plain = fitted(calibrated, measured(1), hold_out=0).model.history[-1]
+    plain = fitted(calibrated, measured(1), hold_out=0, force=True).model.history[-1]
     assert not {"loss", "refit", "down_weighted"} & plain.keys()
 
 

@@ -41,6 +41,7 @@ def fit(
     bags: Bags,
     *,
     output: OptionalOut = None,
+    force: Force = False,
     method: Method = "implicit",
     options: FitOptions,
     refit: Annotated[
@@ -52,12 +53,14 @@ def fit(
     data: Data = None,
     as_json: Json = False,
 ) -> None:
-    """Identify the model's free parameters; show errors before, after and at poses left out."""
+    """Identify the model's free parameters; show errors before, after and at poses left out,
+    where they must fall for the model to be written."""
     from parallel_cal.session.steps import fitted
 
     asked = replace(options, method=method, refit=patterns(refit))
     start, dataset = model_and_data(model, bags, data)
-    step = fitted(start, dataset, options=asked, progress=console.progress)
+    force = force or output is None  # where nothing is written nothing is refused
+    step = fitted(start, dataset, force, options=asked, progress=console.progress)
     _finish(step, output, as_json)
 
 

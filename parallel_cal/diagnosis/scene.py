@@ -8,10 +8,9 @@ from functools import cached_property
 
 import numpy as np
 
-from parallel_cal.diagnosis.thresholds import BLOCKS
 from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.observability import RELATIVE_RANK
-from parallel_cal.identification.observations import Observations, conditions
+from parallel_cal.identification.observations import Observations, blocks, conditions
 from parallel_cal.identification.predictions import predicted
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
@@ -46,11 +45,8 @@ class Scene:
 
     @cached_property
     def group(self) -> np.ndarray:
-        """Number (N,) of the block that a sample belongs to: visits of one pose, or a stretch of
-        a continuous motion."""
-        if self.dataset.mode == "continuous":
-            return np.arange(len(self.x)) // max(1, len(self.x) // BLOCKS)
-        return np.unique(self.observations.group, return_inverse=True)[1]
+        """Number (N,) of the block that a sample belongs to."""
+        return blocks(self.dataset)
 
     def off_geometry(self, columns: np.ndarray) -> np.ndarray:
         """What of some columns (n, k) no change of the free parameters imitates."""

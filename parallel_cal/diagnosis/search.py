@@ -20,6 +20,7 @@ from parallel_cal.diagnosis.thresholds import (
     SHUFFLES,
     SIGNIFICANT,
 )
+from parallel_cal.identification.acceptance import acceptance
 from parallel_cal.identification.fit import Result
 from parallel_cal.identification.prediction_errors import held_out_ratio
 from parallel_cal.model.model import Model
@@ -91,9 +92,9 @@ class Search:
         after = self.fit(*before.chosen, Chosen.of(one))
         if after.result is None:
             return after, after.reason
-        ratio = ratio_of(before, after)
-        if ratio is not None and (ratio >= 1 or not clearly_falls(before, after)):
-            return after, f"does not clearly lower the error at poses left out (factor {ratio:.3f})"
+        judgement = acceptance(after.result, before.fitted)
+        if judgement.judged and judgement.against:  # else the verdict says that nothing is proven
+            return after, judgement.against
         p = one.shuffled_p
         if p is not None and p > (1 + AS_GOOD) / (SHUFFLES + 1):
             return after, "explains no more than its own condition shuffled between poses"
@@ -159,34 +160,6 @@ def ratio_of(before: Trial, after: Trial) -> float | None:
     if before.result is None or after.result is None:
         return None
     return held_out_ratio(before.result.held_out.summary, after.result.held_out.summary)
-
-
-def clearly_falls(before: Trial, after: Trial) -> bool:
-    """Whether the squared held-out errors fall by more than their mean's own uncertainty, poses
-    taken as a whole: a fall that half of the poses contradict is luck."""
-    old, new = (_squared(r.fitted) for r in (before, after))
-    known = np.isfinite(old) & np.isfinite(new)
-    if not known.any():
-        return True  # nothing to judge by
-    fall = np.bincount(before.scene.group[known], (old - new)[known])
-    return bool(fall.mean() > fall.std() / np.sqrt(len(fall)))
-
-
-def _squared(result: Result) -> np.ndarray:
-    """Squared held-out error (N,): of the pose in units of the device's noise; where none was
-    measured, of what sensors read, or of the joints."""
-    n, found = len(result.model.joints), result.held_out
-    variance = np.diagonal(result.observations.S, axis1=1, axis2=2)
-    parts = [
-        np.sum(e**2, axis=1) / np.mean(variance[:, at], axis=1)
-        for e, at in ((found.position, slice(n, n + 3)), (found.orientation, slice(n + 3, n + 6)))
-    ]
-    if np.isfinite(parts).any():
-        return np.where(np.isnan(parts).all(axis=0), np.nan, np.nansum(parts, axis=0))
-    read = np.isfinite(found.reading).any(axis=1)
-    if read.any():
-        return np.where(read, np.nansum(found.reading**2, axis=1), np.nan)
-    return np.asarray(np.sum(found.joint**2, axis=1))
 
 
 def _superfluous(without: Trial, here: Trial) -> bool:

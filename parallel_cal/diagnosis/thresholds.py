@@ -39,5 +39,4 @@ WINDOW = 15  # samples of a rolling mean
 LEVELS = 5  # a quantity with so few values has a mean for each, and nothing rolls
 LENGTHS = (0.15, 0.25, 0.4, 0.7, 1.2)  # of the map's smoothness, in standard deviations of place
 ROUGHNESS = (0.1, 0.3, 1.0, 3.0)  # of the map: noise over smooth part, in variances
-BLOCKS = 40  # stretches into which a continuous motion is cut, as if each were a pose
 POOL, POSES = 300, 20  # reachable poses to choose from, and chosen, to tell two effects apart

@@ -9,13 +9,8 @@ from parallel_cal.diagnosis.fields import Reference
 from parallel_cal.diagnosis.lack_of_fit import LackOfFit
 from parallel_cal.diagnosis.search import Trial
 from parallel_cal.diagnosis.thresholds import EXPLAINED, FEWEST_DOF, HELD_STILL, LUCK
+from parallel_cal.identification.acceptance import acceptance, in_words
 from parallel_cal.identification.methods.implicit import Estimate
-
-UNITS = (  # of errors as a person reads them, and the factor from SI
-    ("position", 1e6, "um"),
-    ("orientation", 3437.75, "arcmin"),
-    ("reading", 1e6, "um"),
-)
 
 
 @dataclass(frozen=True)
@@ -47,9 +42,14 @@ def judge(
     """
     after = here.fitted.estimate
     share = share_explained(before, after.chi2_per_dof, known.variance)
-    errors = _errors(base, here)
+    judgement = acceptance(here.fitted, base.fitted)
+    now = f"error {judgement.where} {in_words(judgement.after)}"
+    errors = judgement.errors if here.chosen else now
     if after.dof < FEWEST_DOF:
         return Verdict("cannot_know", _few(after.dof), None)
+    if here.chosen and not judgement.judged:
+        words = f"{names} fits better ({errors}), but cannot be judged at unseen poses"
+        return Verdict("cannot_know", f"{words}: {judgement.against}", share)
     if known.variance is None:
         return Verdict("cannot_know", _blind(names, errors, left), share)
     high = known.band(after.dof)[1]
@@ -128,22 +128,6 @@ def _blind(names: str, errors: str, left: LackOfFit) -> str:
         f"{found} ({errors}){rest}; whether that is all cannot be known without a noise figure: "
         "state noise in the model file, or visit poses again"
     )
-
-
-def _errors(base: Trial, here: Trial) -> str:
-    """Held-out errors before and after, as a person reads them."""
-    b, a = (r.fitted.held_out.summary for r in (base, here))
-    parts = []
-    for kind, factor, unit in UNITS:
-        before, after = b.rms(kind), a.rms(kind)
-        if before is not None and after is not None:
-            now = f"{_digits(after * factor)} {unit}"
-            parts.append(f"{_digits(before * factor)} to {now}" if here.chosen else now)
-    return f"error at poses left out {', '.join(parts) or 'not known'}"
-
-
-def _digits(value: float) -> str:
-    return f"{value:.0f}" if value >= 100 else f"{value:.3g}"
 
 
 def listed(names: Sequence[str], rivals: dict[str, list[str]]) -> str:

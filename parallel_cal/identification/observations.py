@@ -15,6 +15,7 @@ from parallel_cal.recordings.samples import READING
 
 ASSUMED = "assumed"  # whose a noise figure is that nobody measured
 GUESS = "(nobody knows? your guess, with noise.assumed: true)"
+BLOCKS = 40  # stretches into which a continuous motion is cut, as if each were a pose
 SCATTER = "scatter within dwells"  # where noise comes from that nobody stated
 
 
@@ -47,6 +48,14 @@ class Observations:
     def select(self, index: np.ndarray) -> Observations:
         names = ("x", "S", "measured", "a", "group", "reading")
         return replace(self, **{name: getattr(self, name)[index] for name in names})
+
+
+def blocks(dataset: Dataset) -> np.ndarray:
+    """Number (N,) of the block that a sample belongs to: visits of one pose, or a stretch of a
+    continuous motion."""
+    if dataset.mode == "continuous":
+        return np.arange(len(dataset)) // max(1, len(dataset) // BLOCKS)
+    return np.unique(dataset.pose_id, return_inverse=True)[1]
 
 
 def observe(model: Model, dataset: Dataset, joint_sigma: float | None = None) -> Observations:

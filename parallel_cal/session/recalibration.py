@@ -9,21 +9,15 @@ from threading import Lock
 from typing import Any
 
 from parallel_cal.base.errors import FitError, ParallelCalError
-from parallel_cal.identification.fit import Progress, Result
+from parallel_cal.identification.fit import Progress
 from parallel_cal.identification.observations import observe
-from parallel_cal.identification.prediction_errors import Summary, errors, held_out_ratio
+from parallel_cal.identification.prediction_errors import errors
 from parallel_cal.model.file.modelfile import model_hash, read_model, write_model
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.session.steps import Step, added, fitted
 
 Tell = Callable[[str, float, float], None]  # stage, fraction, mean position error so far in m
-UNITS = {
-    "position": (1e6, "um"),
-    "orientation": (1e6, "urad"),
-    "reading": (1e6, "um"),
-    "joint": (1e6, "urad"),
-}
 
 
 class Cancelled(Exception):
@@ -59,7 +53,7 @@ class Request:
     """What to identify, and where the better model goes.
 
     `free` names parameters to identify in addition to those that the model leaves free; with
-    `hold_out` 0 the new model is judged at the samples used.
+    `hold_out` 0 nothing proves that the new model is better, and only `force` writes it.
     """
 
     model_file: str
@@ -134,61 +128,18 @@ def _step(request: Request, model: Model, dataset: Dataset, report: Progress) ->
         "joint_sigma": request.joint_sigma,
         "progress": report,
     }
-    if request.effect:  # judged below
+    if request.effect:  # whether it may be written is judged later, as a message
         return added(model, request.effect, dataset, force=True, **options)
-    return fitted(model, dataset, **options)
+    return fitted(model, dataset, force=True, **options)
 
 
 def _written(request: Request, step: Step, cancel: Cancel) -> Outcome:
-    reason, document = refusal(step, request.hold_out), step.document()
+    reason, document = step.acceptance.against, step.document()
     if reason and not request.force:
         message = f"{reason}; nothing was written (force writes it all the same)"
         return Outcome(False, message, document, model=step.model)
     cancel.commit()
     write_model(step.model, request.output_file)
     although = f" by force although {reason}" if reason else ""
-    message = f"{summary(step.result)}; written to {request.output_file}{although}"
+    message = f"{step.acceptance.errors}; written to {request.output_file}{although}"
     return Outcome(True, message, document, model_hash(step.model), step.model)
-
-
-def refusal(step: Step, hold_out: float) -> str:
-    """Why the new model must not replace the old one; empty when it may.
-
-    Judged at poses that the fit did not see: against the model before, or, for an added effect,
-    against the same identification without it. Without a held-out check, at the samples used.
-    """
-    before, after, where = sides(step.result)
-    if hold_out > 0 and where != HELD_OUT:
-        return "the error at poses left out is not known: too few poses to leave some out"
-    what = "before"
-    if step.rival is not None and where == HELD_OUT:
-        before, what = step.rival.held_out.summary, "without the effect"
-    ratio = held_out_ratio(before, after)
-    if ratio is not None and ratio < 1:
-        return ""
-    return f"the error {where} does not fall: {in_words(before)} {what}, {in_words(after)} now"
-
-
-HELD_OUT, AT_SAMPLES = "at poses left out", "at the samples used"
-
-
-def sides(result: Result) -> tuple[Summary, Summary, str]:
-    """The errors that count, before and after, and where they were taken."""
-    if result.held_out.summary.known:
-        return result.held_out_before.summary, result.held_out.summary, HELD_OUT
-    return result.before.summary, result.after.summary, AT_SAMPLES
-
-
-def summary(result: Result) -> str:
-    """One sentence: the error before and after, and where it was taken."""
-    before, after, where = sides(result)
-    return f"mean error {where} {in_words(before)} -> {in_words(after)}"
-
-
-def in_words(errors: Summary) -> str:
-    """The mean error of the first kind that was measured, with its unit."""
-    for kind, (scale, unit) in UNITS.items():
-        value = errors.mean(kind)
-        if value is not None:
-            return f"{value * scale:.3g} {unit}"
-    return "unknown"

@@ -9,44 +9,47 @@ from typing import Any
 from parallel_cal.base.errors import FitError
 from parallel_cal.diagnosis.catalogue import candidate
 from parallel_cal.diagnosis.scene import scene
+from parallel_cal.identification.acceptance import Acceptance, acceptance
 from parallel_cal.identification.fit import Result, fit
-from parallel_cal.identification.prediction_errors import held_out_ratio
 from parallel_cal.model.effect import parse_effect
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
 
-NEGLIGIBLE = 1.01  # a removal may raise the held-out error by a hundredth
+NEGLIGIBLE = 0.01  # of the error: what a removal may cost
 
 
 @dataclass(frozen=True)
 class Step:
     """What a step (`fit`, `add`, `remove`) leaves: the model to be written, with the step in its
-    history, and words of warning. `rival` is the identification on the same data that an effect
-    must beat: without the one added, with the one removed."""
+    history, and whether it may replace the old one. `rival` is the identification of the same
+    samples that an effect is held against: without the one added, with the one removed."""
 
     name: str
     model: Model
     result: Result
-    warnings: tuple[str, ...]
+    acceptance: Acceptance
     rival: Result | None = None
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """The fit's, and what speaks against the new model where it was taken by force."""
+        against = self.acceptance.against
+        return (*self.result.warnings, against) if against else self.result.warnings
 
     def document(self) -> dict[str, Any]:
         """The result's, with the errors of what the step had to beat."""
-        document = self.result.document()
+        document = self.result.document() | {"acceptance": self.acceptance.document()}
         if self.rival is not None:
             key = {"add": "held_out_without_effect", "remove": "held_out_with_effect"}[self.name]
             document[key] = self.rival.held_out.document()
         return document
 
 
-def fitted(model: Model, dataset: Dataset, **options: Any) -> Step:
-    """Identify the model's free parameters; options as in identification.fit (FitError)."""
+def fitted(model: Model, dataset: Dataset, force: bool = False, **options: Any) -> Step:
+    """Identify the model's free parameters; options as in `identification.fit`. FitError when
+    that does not help at poses left out."""
     result = fit(model, dataset, **options)
-    ratio = held_out_ratio(result.held_out_before.summary, result.held_out.summary)
-    words = result.warnings
-    if ratio is not None and ratio >= 1:
-        words += (f"the error at poses left out did not fall (factor {ratio:.3f})",)
-    return _step("fit", result, words)
+    return _step("fit", result, _judged(acceptance(result), force))
 
 
 def added(model: Model, effect: str, dataset: Dataset, force: bool = False, **options: Any) -> Step:
@@ -61,12 +64,9 @@ def added(model: Model, effect: str, dataset: Dataset, force: bool = False, **op
     base = fit(model, dataset, **options)
     model.with_effect(name)  # a wrong name is better said before a search
     result = fit(model.with_effect(name, settings or _searched(base, name)), dataset, **options)
-    ratio = held_out_ratio(base.held_out.summary, result.held_out.summary)
-    words = _gate(
-        ratio, 1.0, force,
-        f"'{name}' does not lower the error at poses left out", "add it",
-    )  # fmt: skip
-    return _step("add", result, (*result.warnings, *words), name, base)
+    return _step(
+        "add", result, _judged(acceptance(result, base, f" with '{name}'"), force), base, name
+    )
 
 
 def _searched(base: Result, name: str) -> Mapping[str, float]:
@@ -82,30 +82,23 @@ def removed(
     smaller = model.without_effect(effect)
     with_it = fit(model, dataset, **options)
     result = fit(smaller, dataset, **options)
-    ratio = held_out_ratio(with_it.held_out.summary, result.held_out.summary)
-    words = _gate(
-        ratio, NEGLIGIBLE, force,
-        f"without '{effect}' the error at poses left out rises", "remove it",
-    )  # fmt: skip
-    return _step("remove", result, (*result.warnings, *words), effect, with_it)
+    found = acceptance(result, with_it, f" without '{effect}'", NEGLIGIBLE)
+    return _step("remove", result, _judged(found, force), with_it, effect)
 
 
-def _gate(ratio: float | None, limit: float, force: bool, what: str, do: str) -> tuple[str, ...]:
-    """A refusal, or with `force` a warning; nothing where the step is good."""
-    if ratio is not None and ratio < limit:
-        return ()
-    text = f"{what} ({'too few poses to tell' if ratio is None else f'factor {ratio:.3f}'})"
-    if force:
-        return (text,)
-    raise FitError(f"{text}; nothing was written. --force to {do} all the same")
+def _judged(found: Acceptance, force: bool) -> Acceptance:
+    """The same; FitError where something speaks against the new model, and nobody insists."""
+    if found.against and not force:
+        raise FitError(f"{found.against}; nothing was written. --force to write it all the same")
+    return found
 
 
 def _step(
     name: str,
     result: Result,
-    warnings: tuple[str, ...],
-    effect: str | None = None,
+    found: Acceptance,
     rival: Result | None = None,
+    effect: str | None = None,
 ) -> Step:
     """The step's model with one more entry in its history: no date, so that it is repeatable."""
     entry: dict[str, Any] = {"step": name}
@@ -114,9 +107,11 @@ def _step(
     document = result.document()
     entry |= {key: document[key] for key in ("method", "samples", "dataset")}
     entry |= _unusual(result)
+    if found.against:
+        entry["forced"] = found.against
     entry |= {key: document[key] for key in ("before", "after", "held_out", "chi2_per_dof")}
     model = replace(result.model, history=(*result.model.history, entry))
-    return Step(name, model, result, warnings, rival)
+    return Step(name, model, result, found, rival)
 
 
 def _unusual(result: Result) -> dict[str, Any]:

@@ -1,0 +1,123 @@
+"""May a new model replace the old one? One rule for command line, node and search.
+
+What counts are errors at poses that the fits did not see. Where no pose was left out nothing is
+proven, however well the samples used are met: a larger model always meets them better.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from parallel_cal.identification.fit import Result
+from parallel_cal.identification.observations import blocks
+from parallel_cal.identification.prediction_errors import Errors, Summary, held_out_ratio
+
+UNITS = (  # of errors as a person reads them, and the factor from SI
+    ("position", 1e6, "um"),
+    ("orientation", 3437.75, "arcmin"),
+    ("reading", 1e6, "um"),
+)
+
+
+@dataclass(frozen=True)
+class Acceptance:
+    """Errors before and after, at poses left out (`judged`), else at the samples used.
+
+    `against` says in one sentence why the new model must not replace the old one; it is empty
+    where it may.
+    """
+
+    before: Summary
+    after: Summary
+    judged: bool
+    against: str = ""
+
+    @property
+    def errors(self) -> str:
+        """`error at poses left out 37.6 to 32.2 um, 0.457 to 0.457 arcmin`."""
+        return f"error {self.where} {in_words(self.after, self.before)}"
+
+    @property
+    def where(self) -> str:
+        return "at poses left out" if self.judged else "at the samples used"
+
+    def document(self) -> dict[str, Any]:
+        return {"accepted": not self.against, "judged": self.judged, "against": self.against}
+
+
+def acceptance(
+    new: Result, old: Result | None = None, change: str = "", rise: float = 0.0
+) -> Acceptance:
+    """Whether the error at poses left out falls, by more than its own uncertainty.
+
+    `old` is the identification of the same samples that the new model must beat: without the
+    effect added, or with the one removed; without it, the model before `new`. `change` names what
+    was changed (" with 'backlash'"). A share `rise` above 0 is for what makes a model smaller: its
+    error may be larger by so much.
+    """
+    before, after = (new.before if old is None else old.held_out), new.held_out
+    squares = np.array([_squared(new, before), _squared(new, after)])
+    known = np.isfinite(squares).all(axis=0)
+    if not known.any():
+        used = (new.before if old is None else old.after).summary
+        return Acceptance(used, new.after.summary, False, _unproven(new))
+    then, now = before.select(known).summary, after.select(known).summary
+    ratio = held_out_ratio(then, now)
+    clearly = rise > 0 or _clearly(squares[0] - squares[1], known, blocks(new.dataset))
+    if ratio is not None and ratio < 1 + rise and clearly:
+        return Acceptance(then, now, True)
+    falls = ratio is not None and ratio < 1
+    verb = "falls by no more than its own uncertainty" if falls else "does not fall"
+    factor = "" if ratio is None else f"; factor {ratio:.3f}"
+    return Acceptance(
+        then, now, True,
+        f"the error at poses left out {'rises' if rise else verb}{change} "
+        f"({in_words(now, then)}{factor})",
+    )  # fmt: skip
+
+
+def _unproven(new: Result) -> str:
+    why = "too few poses to leave some out" if new.options.hold_out else "no pose was left out"
+    return f"{why}, so nothing proves that the new model is better"
+
+
+def _clearly(fall: np.ndarray, known: np.ndarray, group: np.ndarray) -> bool:
+    """Whether squared errors fall by more than their mean's own uncertainty, poses taken as a
+    whole: a fall that half of the poses contradict is luck."""
+    by_pose = np.bincount(group[known], fall[known])
+    return bool(by_pose.mean() > by_pose.std() / np.sqrt(len(by_pose)))
+
+
+def _squared(result: Result, found: Errors) -> np.ndarray:
+    """Squared error (N,): of the pose in units of the device's noise; where none was measured, of
+    what sensors read, or of the joints."""
+    n = len(result.model.joints)
+    variance = np.diagonal(result.observations.S, axis1=1, axis2=2)
+    parts = [
+        np.sum(e**2, axis=1) / np.mean(variance[:, at], axis=1)
+        for e, at in ((found.position, slice(n, n + 3)), (found.orientation, slice(n + 3, n + 6)))
+    ]
+    if np.isfinite(parts).any():
+        return np.where(np.isnan(parts).all(axis=0), np.nan, np.nansum(parts, axis=0))
+    read = np.isfinite(found.reading).any(axis=1)
+    if read.any():
+        return np.where(read, np.nansum(found.reading**2, axis=1), np.nan)
+    return np.asarray(np.sum(found.joint**2, axis=1))
+
+
+def in_words(after: Summary, before: Summary | None = None) -> str:
+    """Rms errors as a person reads them, with what they were before."""
+    parts = []
+    for kind, factor, unit in UNITS:
+        now, then = after.rms(kind), before.rms(kind) if before else None
+        if now is not None:
+            was = "" if then is None else f"{_digits(then * factor)} to "
+            parts.append(f"{was}{_digits(now * factor)} {unit}")
+    return ", ".join(parts) or "not known"
+
+
+def _digits(value: float) -> str:
+    return f"{value:.0f}" if value >= 100 else f"{value:.3g}"
