@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
 import sys
 from dataclasses import fields
 from importlib.util import find_spec
@@ -101,6 +99,9 @@ def replay(
     rate: Annotated[float, typer.Option(min=0.001, help="times real time")] = 1.0,
 ) -> None:
     """Publish a recording on its topics, as the robot and the device did (needs ROS 2)."""
+    import json
+    import subprocess
+
     from parallel_cal.recordings.bag import list_topics
 
     missing = [m for m in ("rclpy", "parallel_cal.nodes.replay_node") if find_spec(m) is None]

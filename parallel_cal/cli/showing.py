@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 from importlib import import_module
 from pathlib import Path
@@ -33,6 +32,8 @@ def bench(
     names: Annotated[list[str] | None, typer.Argument(help="which ones; none: all")] = None,
 ) -> None:
     """Run the measurements of speed and accuracy in bench/ (needs the repository)."""
+    import subprocess
+
     folder = Path(__file__).resolve().parents[2] / "bench"
     files = sorted(folder.glob("*.py"))
     scripts = {f.stem: f for f in files if "__main__" in f.read_text(encoding="utf-8")}
