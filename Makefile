@@ -10,9 +10,8 @@ export UV_SYSTEM_CERTS ?= 1
 ifdef PIP_INDEX_URL
 export UV_DEFAULT_INDEX ?= $(PIP_INDEX_URL)
 endif
-# Nodes under test talk to this machine only, and not to another run's.
+# Nodes under test talk to this machine only.
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
-export ROS_DOMAIN_ID ?= $(shell echo $$(($$$$ % 100 + 1)))
 
 .PHONY: venv demo test check lint types slow bags bench tables clean
 
