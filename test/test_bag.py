@@ -28,7 +28,7 @@ from bag_writing import (
 
 from parallel_cal.base.errors import BagError
 from parallel_cal.recordings.bag import read_bag
-from parallel_cal.recordings.recording import Topics
+from parallel_cal.recordings.options import ReadOptions
 
 MOVES = Session([[0.1, 0.2, 0.3], [0.4, 0.0, 0.5]])
 
@@ -51,8 +51,8 @@ def test_channels_come_as_arrays_on_one_clock(tmp_path):
     np.testing.assert_allclose(recording.joints.time, MOVES.time, atol=1e-9)
     np.testing.assert_allclose(recording.pose.time[:2], [0.004, 0.054], atol=1e-9)
     np.testing.assert_allclose(recording.pose.quaternion[0], [0, 0, 0.6, 0.8])
-    assert recording.temperature.value.tolist() == [21.0, 23.0]
-    assert recording.payload.value.tolist() == [0.2]
+    assert recording.conditions["temperature"].value.tolist() == [21.0, 23.0]
+    assert recording.conditions["payload"].value.tolist() == [0.2]
     assert recording.start_ns == START
     assert recording.pose.frame == "base"
     assert recording.dropped == recording.notes == ()
@@ -166,7 +166,7 @@ def test_a_commanded_pose_is_never_taken_for_a_measurement(tmp_path):
 def test_a_topic_that_was_asked_for_by_name_is_not_replaced(tmp_path):
     bag = write_bag(tmp_path / "b", joint_states(MOVES) + poses(MOVES))
     with pytest.raises(BagError, match="'/tracker'"):
-        read_bag(bag, Topics(measured_pose="/tracker"))
+        read_bag(bag, ReadOptions(topics={"measured_pose": "/tracker"}))
 
 
 def test_a_leading_slash_does_not_matter(tmp_path):
@@ -177,7 +177,7 @@ def test_a_leading_slash_does_not_matter(tmp_path):
 def test_an_empty_name_switches_a_condition_off(tmp_path):
     messages = [*joint_states(MOVES), *poses(MOVES), temperature(0.5, 20.0)]
     bag = write_bag(tmp_path / "b", messages)
-    assert read_bag(bag, Topics(temperature="")).temperature is None
+    assert not read_bag(bag, ReadOptions(topics={"temperature": ""})).conditions
 
 
 def test_a_topic_of_the_wrong_type_is_refused_naming_both(tmp_path):
@@ -189,7 +189,7 @@ def test_a_topic_of_the_wrong_type_is_refused_naming_both(tmp_path):
 def test_unknown_joints_are_refused_naming_both_lists(tmp_path):
     bag = write_bag(tmp_path / "b", joint_states(MOVES) + poses(MOVES))
     with pytest.raises(BagError) as error:
-        read_bag(bag, joints=("joint1", "elbow"))
+        read_bag(bag, ReadOptions(joints=("joint1", "elbow")))
     assert "expected: joint1, elbow" in str(error.value)
     assert "recorded: joint1, joint2, joint3" in str(error.value)
     assert "not found: elbow" in str(error.value)
@@ -197,7 +197,7 @@ def test_unknown_joints_are_refused_naming_both_lists(tmp_path):
 
 def test_joints_are_matched_by_name_not_by_place(tmp_path):
     bag = write_bag(tmp_path / "b", joint_states(MOVES, order=[2, 0, 1]) + poses(MOVES))
-    recording = read_bag(bag, joints=("joint1", "joint2", "joint3"))
+    recording = read_bag(bag, ReadOptions(joints=("joint1", "joint2", "joint3")))
     np.testing.assert_array_equal(recording.joints.position, MOVES.q)
 
 
@@ -209,7 +209,7 @@ def test_the_order_of_joints_may_change_between_messages(tmp_path):
 
 def test_extra_joints_are_ignored_and_reported(tmp_path):
     bag = write_bag(tmp_path / "b", joint_states(MOVES) + poses(MOVES))
-    recording = read_bag(bag, joints=("joint3", "joint1"))
+    recording = read_bag(bag, ReadOptions(joints=("joint3", "joint1")))
     np.testing.assert_array_equal(recording.joints.position, MOVES.q[:, [2, 0]])
     assert recording.notes == ("joint_states: joints ignored: joint2",)
 
@@ -290,7 +290,7 @@ def test_a_zero_quaternion_is_dropped_and_a_stream_of_them_refused(tmp_path):
     zeros = write_bag(tmp_path / "b", joint_states(MOVES) + poses(MOVES, quaternion=(0, 0, 0, 0)))
     with pytest.raises(BagError, match=r"quaternion is zero.*measures=x,y,z"):
         read_bag(zeros)
-    assert not read_bag(zeros, measures=("x", "y", "z")).pose.measured[:, 3:].any()
+    assert not read_bag(zeros, ReadOptions(measures=("x", "y", "z"))).pose.measured[:, 3:].any()
 
 
 def test_a_quaternion_of_wrong_length_is_dropped(tmp_path):
@@ -333,7 +333,9 @@ def test_clocks_that_differ_can_be_read_by_log_time(tmp_path):
     bag = write_bag(tmp_path / "b", joint_states(MOVES) + old)
     with pytest.raises(BagError, match="never overlap"):
         read_bag(bag)
-    np.testing.assert_allclose(read_bag(bag, stamps="log").pose.time, [0.1, 0.2], atol=1e-9)
+    np.testing.assert_allclose(
+        read_bag(bag, ReadOptions(stamps="log")).pose.time, [0.1, 0.2], atol=1e-9
+    )
 
 
 def test_a_variance_above_1000_means_not_measured(tmp_path):
@@ -416,7 +418,7 @@ def test_a_temperature_from_another_day_is_ignored_with_a_note(tmp_path):
         temperature(9.1e4, 20.0),
     ]
     recording = read_bag(write_bag(tmp_path / "b", messages))
-    assert recording.temperature is None
+    assert "temperature" not in recording.conditions
     assert "do not overlap" in recording.notes[0]
 
 

@@ -26,9 +26,11 @@ from parallel_cal.base.errors import DatasetError
 from parallel_cal.recordings.bag import read_bag
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.dwells import approach, still_intervals, still_tolerance
-from parallel_cal.recordings.info import info, print_info
-from parallel_cal.recordings.loading import dataset_from_recording, load_dataset, make_options
+from parallel_cal.recordings.info import info
+from parallel_cal.recordings.loading import dataset_from_recording, load_dataset
+from parallel_cal.recordings.options import ReadOptions
 from parallel_cal.recordings.recording import COORDINATES
+from parallel_cal.reporting.recorded import print_info
 
 BAGS = Path(__file__).parent.parent / "bags"
 STOPS = [[0.1, 0.2, 0.3], [0.4, 0.0, 0.5], [0.2, 0.3, 0.1], [0.4, 0.0, 0.5], [0.0, 0.1, 0.2]]
@@ -648,7 +650,7 @@ def test_look_prints_when_and_what_was_dropped(tmp_path):
 
 def test_look_leaves_out_the_samples_it_is_told_to(tmp_path):
     bag = write_bag(tmp_path / "bag", joint_states(ROBOT) + poses(ROBOT))
-    document = info(bag, exclude=[1])
+    document = info(bag, ReadOptions(exclude=[1]))
     assert document["samples"] == 4
     assert document["replicates"]["poses"] == 0
 
@@ -662,7 +664,7 @@ def test_shipped_recordings_give_their_94_dwells_directions_and_replicates(name)
         pytest.skip(f"bags/{name} not generated")
     truth = yaml.safe_load((BAGS / "truth" / f"{name}.yaml").read_text())
     dwells = truth["dwells_arrive_leave_pose_direction"]
-    dataset = dataset_from_recording(read_bag(BAGS / name), make_options())
+    dataset = dataset_from_recording(read_bag(BAGS / name))
     assert len(dataset) == len(dwells) == 94
     assert dataset.dropped == dataset.warnings == ()
     found = np.stack([dataset.conditions[f"direction.joint{j}"] for j in (1, 2, 3)], axis=1)

@@ -18,8 +18,7 @@ from parallel_cal.recordings.bag import list_topics, read_bag
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.joining import joined
 from parallel_cal.recordings.loading import dataset_from_recording, load_dataset
-from parallel_cal.recordings.recording import Topics
-from parallel_cal.recordings.samples import Options
+from parallel_cal.recordings.options import SampleOptions
 from parallel_cal.recordings.topics import choose_topics
 
 STOPS = [[0.1, 0.2, 0.3], [0.4, 0.1, 0.2], [0.2, 0.5, 0.1], [0.3, 0.3, 0.5]]
@@ -151,12 +150,12 @@ def test_joints_stamped_by_another_clock_than_the_recorders_keep_their_constrain
 def test_the_topics_can_be_named_and_are_never_guessed(tmp_path):
     held = [bw.text(0.0, "plane", "/plate/tie")]
     path = bag_of(tmp_path, bw.joint_states(moves()), held)
-    named = load_dataset(path, topics=Topics(constraint="plate/tie"))
+    named = load_dataset(path, topics={"constraint": "plate/tie"})
     assert column(named, PLANE) == [0.0] * 4
     with pytest.raises(BagError, match=r"measured_pose.*without a pose device.*'constraint'"):
         load_dataset(path)
     with pytest.raises(BagError, match=r"no messages on topic '/tie' \(constraint\)"):
-        load_dataset(path, topics=Topics(constraint="/tie"))
+        load_dataset(path, topics={"constraint": "/tie"})
 
 
 def test_a_pose_that_nobody_named_is_not_taken_beside_a_constraint(tmp_path):
@@ -165,7 +164,7 @@ def test_a_pose_that_nobody_named_is_not_taken_beside_a_constraint(tmp_path):
     held = [bw.tie(-0.1, "plane")]
     path = bag_of(tmp_path, bw.joint_states(moves()), own, held)
     assert not load_dataset(path).measured.any()
-    named = load_dataset(path, topics=Topics(measured_pose="driver/tool_pose"))
+    named = load_dataset(path, topics={"measured_pose": "driver/tool_pose"})
     assert named.measured.all()
 
 
@@ -174,13 +173,13 @@ def test_a_pose_device_that_said_nothing_is_no_hindrance(tmp_path):
     silent = [bw.pose(0.1, (0, 0, 0))]
     path = bag_of(tmp_path, bw.joint_states(moves()), held, silent)
     topics = [replace(t, count=0) if t.name == "measured_pose" else t for t in list_topics(path)[0]]
-    assert set(choose_topics(topics, Topics(), [])) == {"joints", "constraint"}
+    assert set(choose_topics(topics, {}, [])) == {"joint_states", "constraint"}
 
 
 def test_a_constraint_belongs_to_dwells(tmp_path):
     path = bag_of(tmp_path, bw.joint_states(moves()), [bw.tie(0.0, "plane")])
     with pytest.raises(DatasetError, match=r"use mode='dwell', or leave their topics out"):
-        dataset_from_recording(read_bag(path), Options(mode="continuous"))
+        dataset_from_recording(read_bag(path), SampleOptions(mode="continuous"))
 
 
 def test_readings_survive_saving_and_joining(tmp_path):

@@ -113,7 +113,7 @@ def model_and_data(path: Path, bags: list[Path], data: list[str] | None) -> tupl
     from parallel_cal.recordings.loading import load_sessions
 
     model, options = read_model(path), data_options(data)
-    return model, load_sessions(bags, joints=model.joints, progress=bag_progress, **options)
+    return model, load_sessions(bags, options, bag_progress, joints=model.joints)
 
 
 def _finish(step: Step, output: Path | None, as_json: bool) -> None:

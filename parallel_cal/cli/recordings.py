@@ -6,13 +6,16 @@ import sys
 from dataclasses import fields
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.cli.arguments import Data, Json, ModelFile, Out
 from parallel_cal.reporting import console
+
+if TYPE_CHECKING:
+    from parallel_cal.recordings.options import ReadOptions
 
 
 def info(
@@ -23,7 +26,7 @@ def info(
     """Show what a recording holds: topics, samples, what was dropped and why, noise."""
     from parallel_cal.recordings import info as looking
 
-    _show_info(looking.info(bag, progress=bag_progress, **data_options(data)), as_json)
+    _show_info(looking.info(bag, data_options(data), bag_progress), as_json)
 
 
 def _show_info(document: dict[str, Any], as_json: bool) -> None:
@@ -31,7 +34,7 @@ def _show_info(document: dict[str, Any], as_json: bool) -> None:
         return console.emit(document)
     from rich.console import Console
 
-    from parallel_cal.recordings.info import print_info
+    from parallel_cal.reporting.recorded import print_info
 
     print_info(document, Console())
 
@@ -122,29 +125,28 @@ def bag_progress(fraction: float, text: str) -> None:
     console.progress(text, fraction)
 
 
-def data_options(items: list[str] | None) -> dict[str, Any]:
-    """`--data KEY=VALUE` as the options of load_dataset: topics, measures, stamps, mode, ..."""
-    from parallel_cal.recordings.recording import Topics
-    from parallel_cal.recordings.samples import Options
+def data_options(items: list[str] | None) -> ReadOptions:
+    """`--data KEY=VALUE` as options: a channel's topic, measures, stamps, mode, ..."""
+    from parallel_cal.recordings.channels import CHANNELS
+    from parallel_cal.recordings.options import ReadOptions
 
-    channels = [f.name for f in fields(Topics)]
-    numbers = [f.name for f in fields(Options)]
+    others = [f.name for f in fields(ReadOptions) if f.name not in ("topics", "joints")]
+    known = (*CHANNELS, *others)
     options: dict[str, Any] = {}
     topics: dict[str, str] = {}
     for item in items or []:
         key, equals, value = item.partition("=")
-        known = (*channels, "measures", "stamps", "exclude", *numbers)
         if not equals or key not in known:
             raise ParallelCalError(
                 f"--data {item}: expected KEY=VALUE, KEY one of {', '.join(known)}"
             )
-        if key in channels:
+        if key in CHANNELS:
             topics[key] = value
         elif key == "exclude":
             options[key] = _sample_numbers(value)
         else:
             options[key] = value.split(",") if key == "measures" else _value(value)
-    return options | ({"topics": Topics(**topics)} if topics else {})
+    return ReadOptions(topics=topics, **options)
 
 
 def _sample_numbers(text: str) -> list[int]:

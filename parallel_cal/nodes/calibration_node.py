@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import geometry_msgs.msg
-from geometry_msgs.msg import InertiaStamped, PointStamped
 from parallel_cal_msgs.msg import CollectionStatus
 from parallel_cal_msgs.srv import Compare
 from rcl_interfaces.msg import SetParametersResult
@@ -17,7 +16,6 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
-from sensor_msgs.msg import JointState, Range, Temperature
 from std_msgs.msg import String
 
 from parallel_cal.base.errors import ParallelCalError
@@ -25,6 +23,7 @@ from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.nodes import calibration_messages as messages
 from parallel_cal.nodes.action_work import in_words
 from parallel_cal.nodes.collector import Collection, Collector
+from parallel_cal.nodes.conversions import message_class
 from parallel_cal.nodes.judging import Judging
 from parallel_cal.nodes.parameters import (
     ACCEPTED,
@@ -37,8 +36,9 @@ from parallel_cal.nodes.parameters import (
 )
 from parallel_cal.nodes.run import every, foreign_publishers, run
 from parallel_cal.nodes.sample_services import SERVICES
+from parallel_cal.recordings.channels import CHANNELS
+from parallel_cal.recordings.options import MODES, SampleOptions
 from parallel_cal.recordings.recording import Dropped
-from parallel_cal.recordings.samples import MODES, Options
 
 POSE_TYPES = ("PoseWithCovarianceStamped", "PoseStamped")
 # Reliable, and deep enough for minutes of a 1 kHz stream while this process is busy.
@@ -90,10 +90,10 @@ class CalibrationNode(Node):
     def _auto(self) -> bool:
         return bool(self._parameter("auto_collect"))
 
-    def _options(self) -> Options:
+    def _options(self) -> SampleOptions:
         names = ("mode", "min_dwell", "trim_start", "trim_end")
         tolerance = self._parameter("still_tolerance") or None
-        return Options(**{n: self._parameter(n) for n in names}, still_tolerance=tolerance)
+        return SampleOptions(**{n: self._parameter(n) for n in names}, still_tolerance=tolerance)
 
     def _joints(self) -> tuple[str, ...] | None:
         """The model's joints, read again when the file changes; None while it cannot be read."""
@@ -123,22 +123,16 @@ class CalibrationNode(Node):
     # ------------------------------------------------------------------ collecting
 
     def _subscribe(self) -> None:
-        streams = {
-            "joint_states": JointState,
-            "measured_pose": getattr(geometry_msgs.msg, self._parameter("pose_type")),
-            "measured_position": PointStamped,
-            "temperature": Temperature,
-            "payload": InertiaStamped,
-            "constraint": String,
-            "distance": Range,
-        }
-        for channel, type in streams.items():
-            self._listen(channel, type, STREAM, overridable())
-        # A payload or constraint is often said once, latched; the stream above would miss it, while
-        # a latched subscription alone would not match a publisher that does not latch.
         quiet = SubscriptionEventCallbacks(use_default_callbacks=False)
-        for channel in ("payload", "constraint"):
-            self._listen(channel, streams[channel], LATCHED, event_callbacks=quiet)
+        for name, channel in CHANNELS.items():
+            type = message_class(channel.types[0])
+            if name == "measured_pose":
+                type = getattr(geometry_msgs.msg, self._parameter("pose_type"))
+            self._listen(name, type, STREAM, overridable())
+            if channel.latched:
+                # Often said once; the stream above would miss it, while a latched subscription
+                # alone would not match a publisher that does not latch.
+                self._listen(name, type, LATCHED, event_callbacks=quiet)
 
     def _listen(self, channel: str, type: Any, qos: QoSProfile, overrides: Any = None,
                 **more: Any) -> None:  # fmt: skip

@@ -18,13 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from parallel_cal.base.errors import DatasetError
-from parallel_cal.nodes.inbox import CHANNELS, SCALARS, Inbox
-from parallel_cal.recordings.bag import stamp_of
+from parallel_cal.nodes.inbox import Inbox
+from parallel_cal.recordings.channels import CHANNELS, named, stamp_of
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.joining import fingerprint, joined
 from parallel_cal.recordings.loading import load_dataset
+from parallel_cal.recordings.options import SampleOptions
 from parallel_cal.recordings.recording import Dropped
-from parallel_cal.recordings.samples import Options
 
 # Joint states in an inbox, a quarter of an hour at 100 Hz; then samples stay and messages go:
 # memory has a bound.
@@ -49,17 +49,17 @@ class Collector:
     def __init__(
         self,
         joints: Sequence[str] | None = None,
-        options: Options | None = None,
+        options: SampleOptions | None = None,
         topics: Mapping[str, str] | None = None,
         auto: bool = True,
     ):
-        self.joints, self.options, self.auto = joints, options or Options(), auto
+        self.joints, self.options, self.auto = joints, options or SampleOptions(), auto
         self.received: Counter[str] = Counter()
         self._topics, self._numbers = dict(topics or {}), count(1)
         self._past_paired = self._past_dropped = 0
         self._restart()
 
-    def configure(self, joints: Sequence[str] | None, options: Options, auto: bool) -> None:
+    def configure(self, joints: Sequence[str] | None, options: SampleOptions, auto: bool) -> None:
         """Change joints or options; samples still made of messages are made anew."""
         self.auto = auto
         if (joints, options) != (self.joints, self.options):
@@ -70,23 +70,23 @@ class Collector:
     def _restart(self) -> None:
         self._inboxes = [Inbox(self._topics, self._numbers)]
         self._at = dict.fromkeys(CHANNELS, self._inboxes[0])
-        self._words: list[tuple[int, Any]] = []
+        self._words: list[tuple[str, int, Any]] = []
 
     # ------------------------------------------------------------------ messages in
 
     def receive(self, channel: str, message: Any, log_ns: int) -> None:
         """Buffer one message of a channel; `log_ns`, when it was received, serves where its header
-        has no stamp. A constraint has no header at all: it goes with the next joint state."""
+        has no stamp. Words have no header at all: they go with the next joint state."""
         self.received[channel] += 1
-        if channel == "constraint":
-            self._words.append((log_ns, message))
+        if CHANNELS[channel].kind == "words":
+            self._words.append((channel, log_ns, message))
             return
         stamp = stamp_of(message)
         if self._at[channel].jumps_back(channel, stamp):
             self._at[channel] = self._inbox_after(self._at[channel])
         if channel == "joint_states":
-            for log, word in self._words:
-                self._at[channel].add("constraint", 0, log, word)
+            for name, log, word in self._words:
+                self._at[channel].add(name, 0, log, word)
             self._words.clear()
         self._at[channel].add(channel, stamp, log_ns, message)
 
@@ -102,7 +102,7 @@ class Collector:
         live = self._at["joint_states"]
         if len(live.raws["joint_states"].stamp) > LONGEST:
             self._begin_another(live)
-        heard = [c for c in (self._pose_channel(), "distance") if self.received[c]]
+        heard = [c for c in (self._pose_channel(), *named("readings")) if self.received[c]]
         in_use = [self._at[channel] for channel in ("joint_states", *heard)]
         first = min(self._inboxes.index(s) for s in in_use)
         for inbox in self._inboxes[:first]:
@@ -111,12 +111,12 @@ class Collector:
 
     def _begin_another(self, live: Inbox) -> None:
         """A new inbox in the middle of a motion, so that no dwell is cut; with the last
-        temperature, payload and constraint."""
+        conditions and constraint."""
         resting = live.dataset is not None and _is_current(live, self.options)
         if resting and len(live.raws["joint_states"].stamp) < 2 * LONGEST:
             return
         new = Inbox(self._topics, self._numbers)
-        new.inherit(live, [*SCALARS, "constraint"])
+        new.inherit(live, named("condition", "words"))
         self._inboxes.append(new)
         self._at = dict.fromkeys(CHANNELS, new)
 
@@ -220,7 +220,7 @@ class Collector:
         return len(dataset)
 
 
-def _is_current(inbox: Inbox, options: Options) -> bool:
+def _is_current(inbox: Inbox, options: SampleOptions) -> bool:
     try:
         return bool(inbox.current(options))
     except DatasetError:

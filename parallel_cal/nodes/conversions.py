@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Iterable, Sequence
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,13 @@ ADVICE: dict[int, str] = {
     Status.NOT_CONVERGED: "the solver gave up; a solution may exist",
     Status.INVALID_INPUT: "the input holds a value that is not finite",
 }
+
+
+def message_class(type: str) -> Any:
+    """The class of `sensor_msgs/msg/JointState`; ImportError or AttributeError where there is
+    none."""
+    package, _, name = type.split("/")
+    return getattr(import_module(f"{package}.msg"), name)
 
 
 def joint_order(names: Sequence[str], joints: Sequence[str]) -> list[int]:

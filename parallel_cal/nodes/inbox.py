@@ -9,33 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from parallel_cal.base.errors import DatasetError, ParallelCalError
-from parallel_cal.recordings.bag import MESSAGE_ROWS as ROWS
-from parallel_cal.recordings.cleaning import CLOCK_JUMP, assemble
+from parallel_cal.recordings.channels import CHANNELS, named
+from parallel_cal.recordings.cleaning import assemble
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.loading import dataset_from_recording
+from parallel_cal.recordings.options import ReadOptions, SampleOptions
 from parallel_cal.recordings.pairing import bracketed
 from parallel_cal.recordings.recording import Bools, Dropped, Raw, Recording, TopicInfo
-from parallel_cal.recordings.samples import Options, max_gap
-from parallel_cal.recordings.topics import (
-    CONSTRAINT,
-    DISTANCE,
-    JOINTS,
-    PAYLOAD,
-    POINTS,
-    POSES,
-    TEMPERATURE,
-)
+from parallel_cal.recordings.samples import max_gap
+from parallel_cal.recordings.sieve import CLOCK_JUMP
 
-CHANNELS = {
-    "joint_states": JOINTS[0],
-    "measured_pose": POSES[0],
-    "measured_position": POINTS[0],
-    "temperature": TEMPERATURE[0],
-    "payload": PAYLOAD[0],
-    "constraint": CONSTRAINT[0],
-    "distance": DISTANCE[0],
-}
-SCALARS = ("temperature", "payload")
 NEAR = 1e-6  # s; middles of one and the same sample never move more when its span is zero
 
 
@@ -47,7 +30,7 @@ class Inbox:
     """
 
     def __init__(self, topics: Mapping[str, str], numbers: Iterator[int]):
-        self.raws = {c: Raw(topics.get(c, c), type) for c, type in CHANNELS.items()}
+        self.raws = {n: Raw(topics.get(n, n), c.types[0]) for n, c in CHANNELS.items()}
         self.dataset: Dataset | None = None
         self.ids: NDArray[np.int64] = np.zeros(0, np.int64)
         self.removed: list[int] = []
@@ -75,11 +58,10 @@ class Inbox:
     def add(self, channel: str, stamp: int, log: int, message: Any) -> None:
         """Append one message; times in ns."""
         raw = self.raws[channel]
-        if channel in SCALARS and raw.stamp[-1:] == [stamp]:
+        kind = CHANNELS[channel]
+        if kind.kind == "condition" and raw.stamp[-1:] == [stamp]:
             return  # a latched message is heard twice, see calibration_node
-        row = ROWS[_type(raw, message)](message)
-        if channel == "joint_states":  # rclpy gives array.array, which takes no list as index
-            row = (row[0], np.asarray(row[1], float), np.asarray(row[2], float))
+        row = kind.decode(message)
         raw.log.append(log)
         raw.stamp.append(stamp)
         raw.rows.append(row)
@@ -87,7 +69,7 @@ class Inbox:
     @property
     def poses(self) -> Raw:
         """The device's messages: full poses where there are any, else positions."""
-        pose, position = self.raws["measured_pose"], self.raws["measured_position"]
+        pose, position = (self.raws[name] for name in named("poses"))
         return pose if pose.stamp or not position.stamp else position
 
     def inherit(self, other: Inbox, channels: Iterable[str]) -> None:
@@ -98,7 +80,7 @@ class Inbox:
 
     def _silent(self) -> list[str]:
         """Topics without which there are no samples, and that nothing came in on."""
-        measured = (self.poses, self.raws["constraint"], self.raws["distance"])
+        measured = (self.poses, *(self.raws[name] for name in named("words", "readings")))
         silent = [] if self.raws["joint_states"].stamp else [self.raws["joint_states"].topic]
         if not any(raw.stamp for raw in measured):
             silent.append(" or ".join(raw.topic for raw in measured))
@@ -108,7 +90,7 @@ class Inbox:
         """Look at all messages again at the next refresh."""
         self._seen = 0
 
-    def refresh(self, joints: Sequence[str] | None, options: Options) -> bool:
+    def refresh(self, joints: Sequence[str] | None, options: SampleOptions) -> bool:
         """Make the samples anew if anything came in; True if so."""
         count = sum(len(raw.stamp) for raw in self.raws.values())
         if self.closed or count == self._seen:
@@ -120,7 +102,7 @@ class Inbox:
             self._make_samples(joints, options)
         return True
 
-    def _make_samples(self, joints: Sequence[str] | None, options: Options) -> None:
+    def _make_samples(self, joints: Sequence[str] | None, options: SampleOptions) -> None:
         try:
             recording = self._recording(joints)
             self._count(recording, options)
@@ -131,15 +113,11 @@ class Inbox:
             self.trouble = f"internal error: {error!r}"
 
     def _recording(self, joints: Sequence[str] | None) -> Recording:
-        found = [TopicInfo(r.topic, r.type, len(r.stamp)) for r in self.raws.values() if r.stamp]
-        return assemble(
-            self.raws["joint_states"], self.poses if self.poses.stamp else None,
-            temperature=self.raws["temperature"], payload=self.raws["payload"],
-            constraint=self.raws["constraint"], distance=self.raws["distance"],
-            joint_names=joints, source="live", topics=tuple(found),
-        )  # fmt: skip
+        heard = {name: raw for name, raw in self.raws.items() if raw.stamp}
+        topics = tuple(TopicInfo(r.topic, r.type, len(r.stamp)) for r in heard.values())
+        return assemble(heard, ReadOptions(joints=joints), source="live", topics=topics)
 
-    def _count(self, recording: Recording, options: Options) -> None:
+    def _count(self, recording: Recording, options: SampleOptions) -> None:
         """Measurements that found their joint state, and those that never will."""
         joints, time = recording.joints, recording.pose.time
         found = bracketed(joints, time, max_gap(joints, options))
@@ -170,7 +148,7 @@ class Inbox:
         wanted = np.ones(len(self.ids), bool) if auto else np.isin(self.ids, self.taken)
         return (wanted | np.isin(self.ids, self.taken)) & ~np.isin(self.ids, self.removed)
 
-    def current(self, options: Options) -> int:
+    def current(self, options: SampleOptions) -> int:
         """Number of the dwell going on, or just over; DatasetError says why there is none."""
         joints = self.raws["joint_states"].stamp
         if self.dataset is None or not joints or not len(self.ids):
@@ -201,12 +179,6 @@ class Inbox:
         self.closed = True
         for raw in self.raws.values():
             raw.log, raw.stamp, raw.rows = [], [], []
-
-
-def _type(raw: Raw, message: Any) -> str:
-    """The channel's type; of poses there are two, told apart by what they hold."""
-    bare = raw.type == POSES[0] and not hasattr(message.pose, "covariance")
-    return POSES[1] if bare else raw.type
 
 
 def _nearest(known: NDArray[np.float64], time: NDArray[np.float64]) -> list[int]:

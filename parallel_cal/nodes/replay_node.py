@@ -7,7 +7,6 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from importlib import import_module
 from pathlib import Path
 from threading import Event, Thread
 from typing import Any
@@ -21,6 +20,7 @@ from rclpy.utilities import remove_ros_args
 from std_srvs.srv import SetBool
 
 from parallel_cal.base.errors import BagError, ParallelCalError
+from parallel_cal.nodes.conversions import message_class
 from parallel_cal.nodes.parameters import Setting, declare
 from parallel_cal.nodes.run import ros
 from parallel_cal.recordings.bag import RawMessage, list_topics, raw_messages
@@ -68,9 +68,8 @@ class ReplayNode(Node):
 
     def _sender(self, topic: TopicInfo) -> Any:
         """Names are relative, so that a namespace and remapping work as with any node."""
-        package, _, name = topic.type.split("/")
         try:
-            message = getattr(import_module(f"{package}.msg"), name)
+            message = message_class(topic.type)
         except (ImportError, AttributeError):
             raise BagError(
                 f"{self.bag}: {topic.name} has the type {topic.type}, which is not installed here; "

@@ -6,7 +6,6 @@ from functools import partial
 from typing import Any
 
 from geometry_msgs.msg import (
-    InertiaStamped,
     PoseStamped,
     PoseWithCovariance,
     PoseWithCovarianceStamped,
@@ -16,18 +15,25 @@ from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
-from sensor_msgs.msg import JointState, Temperature
+from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from parallel_cal.base.errors import SolveError
 from parallel_cal.kinematics.kinematics import Solutions, Status
 from parallel_cal.kinematics.solving import controlled_pose
-from parallel_cal.nodes.conversions import finite, matched_joints, pose_message, pose_numbers
+from parallel_cal.nodes.conversions import (
+    finite,
+    matched_joints,
+    message_class,
+    pose_message,
+    pose_numbers,
+)
 from parallel_cal.nodes.following import Memory, joints_for
 from parallel_cal.nodes.model_server import ModelServer, Served, in_words
 from parallel_cal.nodes.parameters import LATCHED, RELIABLE, SENSOR, overridable
 from parallel_cal.nodes.tally import Tally
+from parallel_cal.recordings.channels import CHANNELS, named
 
 QUIET = 5.0  # s between two lines of the log about refused messages
 
@@ -45,9 +51,11 @@ class Streams:
         self._command = self._publisher(JointTrajectory, "joint_command")
         self._subscribe(JointState, "joint_states", SENSOR, self._on_joints)
         self._subscribe(PoseStamped, "target_pose", RELIABLE, self._on_target)
-        self._subscribe(Temperature, "temperature", SENSOR, self._on_temperature)
-        self._subscribe(InertiaStamped, "payload", SENSOR, self._on_payload)
-        self._subscribe_latched(InertiaStamped, "payload", self._on_payload)
+        for name in named("condition"):
+            channel, take = CHANNELS[name], partial(self._on_condition, name)
+            self._subscribe(message_class(channel.types[0]), name, SENSOR, take)
+            if channel.latched:
+                self._subscribe_latched(message_class(channel.types[0]), name, take)
 
     def _publisher(self, type: Any, topic: str) -> Any:
         options = overridable()
@@ -96,11 +104,8 @@ class Streams:
 
     # ------------------------------------------------------------------ conditions
 
-    def _on_temperature(self, message: Temperature) -> None:
-        self._memory.heard["temperature"] = finite(message.temperature)
-
-    def _on_payload(self, message: InertiaStamped) -> None:
-        self._memory.heard["payload"] = finite(message.inertia.m)
+    def _on_condition(self, name: str, message: Any) -> None:
+        self._memory.heard[name] = finite(*CHANNELS[name].decode(message))
 
     # ------------------------------------------------------------------ poses
 

@@ -3,61 +3,36 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from parallel_cal.base.errors import BagError, ParallelCalError
+from parallel_cal.recordings.channels import CHANNELS, Channel, stamp_of
 from parallel_cal.recordings.cleaning import assemble
-from parallel_cal.recordings.recording import Progress, Raw, Recording, TopicInfo, Topics
-from parallel_cal.recordings.topics import (
-    CONSTRAINT,
-    DISTANCE,
-    JOINTS,
-    PAYLOAD,
-    POINTS,
-    POSES,
-    TEMPERATURE,
-    choose_topics,
-)
+from parallel_cal.recordings.options import ReadOptions
+from parallel_cal.recordings.recording import Progress, Raw, Recording, TopicInfo
+from parallel_cal.recordings.topics import choose_topics
 
 DATA_FILES = (".mcap", ".db3", ".zstd")
 
 
 def read_bag(
-    path: str | Path,
-    topics: Topics | None = None,
-    *,
-    joints: Sequence[str] | None = None,
-    measures: Sequence[str] | None = None,
-    stamps: str = "header",
-    progress: Progress | None = None,
+    path: str | Path, options: ReadOptions | None = None, progress: Progress | None = None
 ) -> Recording:
-    """Read joint states, poses, what holds the tip, distances, temperature and payload of a bag.
+    """Read what the channels of a bag say.
 
-    `joints` gives the joints' names in the model's order (default: as recorded), `measures` the
-    coordinates the device really measures (default: what the messages say), `stamps` is "header"
-    or "log". Single bad messages are dropped and counted; an unusable stream is a BagError.
+    Single bad messages are dropped and counted; an unusable stream is a BagError.
     """
-    if stamps not in ("header", "log"):
-        raise BagError(f"stamps='{stamps}' unknown; expected 'header' or 'log'")
-    notes: list[str] = []
-    path = Path(path)
+    options, path, notes = options or ReadOptions(), Path(path), list[str]()
     try:
         with _Bag(path, notes) as bag:
-            chosen = choose_topics(bag.topics, topics or Topics(), notes)
+            chosen = choose_topics(bag.topics, options.topics, notes)
             raws = _read_messages(bag, chosen, progress)
         return assemble(
-            raws["joints"],
-            raws.get("pose"),
-            temperature=raws.get("temperature"),
-            payload=raws.get("payload"),
-            constraint=raws.get("constraint"),
-            distance=raws.get("distance"),
-            joint_names=joints,
-            measures=measures,
-            stamps=stamps,
+            raws,
+            options,
             source=str(path),
             sha256=data_hash(path),
             topics=bag.topics,
@@ -187,11 +162,11 @@ def _read_messages(
     # the standard types as Jazzy defines them: a bag's odd custom definitions cannot get in the way
     store = get_typestore(Stores.ROS2_JAZZY)
     raws = {channel: Raw(topic.name, topic.type) for channel, topic in chosen.items()}
-    targets = {(raw.topic, raw.type): raw for raw in raws.values()}
+    targets = {(raw.topic, raw.type): (CHANNELS[c], raw) for c, raw in raws.items()}
     connections = [c for c in bag.reader.connections if (c.topic, c.msgtype) in targets]
     total = max(1, sum(c.msgcount for c in connections))
     for i, (connection, log, data) in enumerate(bag.messages(connections)):
-        _decode(targets[connection.topic, connection.msgtype], log, data, store)
+        _decode(*targets[connection.topic, connection.msgtype], log, data, store)
         if progress and i % 2000 == 0:
             progress(i / total, f"reading {bag.path.name}")
     if progress:
@@ -199,56 +174,14 @@ def _read_messages(
     return raws
 
 
-def _decode(raw: Raw, log: int, data: bytes, store: Any) -> None:
+def _decode(channel: Channel, raw: Raw, log: int, data: bytes, store: Any) -> None:
     """Append one message's time and content to its topic."""
     try:
         message = store.deserialize_cdr(data, raw.type)
-        row = MESSAGE_ROWS[raw.type](message)
+        row = channel.decode(message)
     except Exception:  # bytes that are no message fail in any way; they are counted
         raw.undecodable += 1
         return
     raw.log.append(log)
     raw.stamp.append(stamp_of(message))
     raw.rows.append(row)
-
-
-def stamp_of(message: Any) -> int:
-    """The time in a message's header in ns; 0 where it has no header."""
-    if not hasattr(message, "header"):
-        return 0
-    stamp = message.header.stamp
-    return int(stamp.sec * 1_000_000_000 + stamp.nanosec)
-
-
-def _joint_row(message: Any) -> tuple:
-    return tuple(message.name), message.position, message.effort
-
-
-def _pose_row(message: Any) -> tuple:
-    return _frame_and_pose(message, message.pose, None)
-
-
-def _covariant_row(message: Any) -> tuple:
-    return _frame_and_pose(message, message.pose.pose, message.pose.covariance)
-
-
-def _frame_and_pose(message: Any, pose: Any, covariance: Any) -> tuple:
-    p, o = pose.position, pose.orientation
-    return message.header.frame_id, (p.x, p.y, p.z), (o.x, o.y, o.z, o.w), covariance
-
-
-def _point_row(message: Any) -> tuple:
-    p = message.point
-    return message.header.frame_id, (p.x, p.y, p.z), None, None
-
-
-MESSAGE_ROWS: dict[str, Callable[[Any], tuple]] = {
-    JOINTS[0]: _joint_row,
-    POSES[0]: _covariant_row,
-    POSES[1]: _pose_row,
-    POINTS[0]: _point_row,
-    TEMPERATURE[0]: lambda message: (message.temperature,),
-    PAYLOAD[0]: lambda message: (message.inertia.m,),
-    CONSTRAINT[0]: lambda message: (message.data,),
-    DISTANCE[0]: lambda message: (message.header.frame_id, message.range),
-}

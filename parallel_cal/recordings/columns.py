@@ -10,6 +10,7 @@ from pydantic import Field, ValidationError
 from parallel_cal.model.effect import CONDITIONS
 from parallel_cal.model.file.schema import NoisePart, Part, sentence, suggestion
 from parallel_cal.model.file.yamltext import Document, parse_yaml
+from parallel_cal.recordings.channels import named
 from parallel_cal.recordings.samples import READING
 
 
@@ -61,7 +62,7 @@ def read_column_map(path: Path) -> ColumnMap:
     if not found.position and not found.orientation:
         raise document.error((), "neither position nor orientation: say what was measured")
     for name in found.conditions:
-        if name.split(".")[0] not in (*CONDITIONS, READING.rstrip(".")):
+        if name.split(".")[0] not in (*CONDITIONS, *named("condition"), READING.rstrip(".")):
             raise document.error(("conditions", name), f"unknown condition; {_conditions()}")
     return found
 
@@ -76,4 +77,5 @@ def _invalid(document: Document, error: Any) -> Exception:
 
 def _conditions() -> str:
     names = [f"{name}.JOINT" if given[2] else name for name, given in CONDITIONS.items()]
-    return f"expected one of {', '.join([*names, f'{READING}CHANNEL'])}"
+    known = dict.fromkeys([*names, *named("condition"), f"{READING}CHANNEL"])
+    return f"expected one of {', '.join(known)}"

@@ -2,56 +2,42 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.recordings.bag import list_topics, read_bag
+from parallel_cal.recordings.channels import named
 from parallel_cal.recordings.dataset import Dataset
-from parallel_cal.recordings.loading import dataset_from_recording, make_options
-from parallel_cal.recordings.recording import COORDINATES, Dropped, Progress, Recording, Topics
+from parallel_cal.recordings.loading import dataset_from_recording
+from parallel_cal.recordings.options import ReadOptions
+from parallel_cal.recordings.recording import COORDINATES, Dropped, Progress, Recording
 from parallel_cal.recordings.samplefile import holds_samples
 from parallel_cal.recordings.samples import READING
 
-if TYPE_CHECKING:
-    from rich.console import Console
-
-ARCMIN = np.pi / 180 / 60
-
 
 def info(
-    path: str | Path,
-    *,
-    topics: Topics | None = None,
-    joints: Sequence[str] | None = None,
-    measures: Sequence[str] | None = None,
-    stamps: str = "header",
-    exclude: Sequence[int] = (),
-    progress: Progress | None = None,
-    **options: Any,
+    path: str | Path, options: ReadOptions | None = None, progress: Progress | None = None
 ) -> dict[str, Any]:
     """Everything worth knowing about a recording as one JSON-able document, all values SI.
 
     Doubtful units and a recording without usable samples are warnings here; only a recording
     that cannot be read is a BagError.
     """
+    options = options or ReadOptions()
     if holds_samples(Path(path)):
-        return info_of(Dataset.from_json(path).excluding(exclude))
-    recording = read_bag(
-        path, topics, joints=joints, measures=measures, stamps=stamps, progress=progress
-    )
+        return info_of(Dataset.from_json(path).excluding(options.exclude))
+    recording = read_bag(path, options, progress)
     duration = list_topics(path)[1]
-    chosen = dataclasses.replace(make_options(**options), assume_units=True)
     document = _recording_part(recording, duration)
     try:
-        dataset = dataset_from_recording(recording, chosen)
+        dataset = dataset_from_recording(recording, options.changed(assume_units=True))
     except DatasetError as error:
         return document | _nothing_usable(recording, str(error))
-    return document | _dataset_part(dataset.excluding(exclude))
+    return document | _dataset_part(dataset.excluding(options.exclude))
 
 
 def info_of(dataset: Dataset) -> dict[str, Any]:
@@ -74,8 +60,7 @@ def _recording_part(recording: Recording, duration: float) -> dict[str, Any]:
     channels: dict[str, Any] = {
         "joints": recording.joints,
         "pose": recording.pose,
-        "temperature": recording.temperature,
-        "payload": recording.payload,
+        **{name: recording.conditions.get(name) for name in named("condition")},
         "constraint": recording.constraint,
         **{f"distance {name}": gauge for name, gauge in recording.distances.items()},
     }
@@ -200,100 +185,3 @@ def _listed(dropped: Sequence[Dropped]) -> list[dict[str, Any]]:
     return [
         {"time": d.time, "reason": d.reason, "detail": d.detail, "count": d.count} for d in dropped
     ]
-
-
-# ---- for people --------------------------------------------------------------------------------
-
-
-def print_info(document: dict[str, Any], console: Console) -> None:
-    """Print the document as short tables, in units for people."""
-    duration = document["duration"]
-    kind = "samples" if duration is None else f"{duration:.1f} s"
-    console.print(f"{document['source']}: {kind}, sha256 {document['sha256'][:12]}")
-    if document["topics"]:
-        console.print(_topic_table(document))
-    console.print(_joint_table(document))
-    console.print(_sample_sentence(document))
-    _print_dropped(document, console)
-    _print_conditions(document["conditions"], console)
-    _print_noise(document, console)
-    for warning in document["warnings"]:
-        console.print(f"[yellow]warning:[/yellow] {_escaped(warning)}", highlight=False)
-
-
-def _print_dropped(document: dict[str, Any], console: Console) -> None:
-    """How many were dropped for each reason, and the first of them."""
-    for reason, count in document["dropped"].items():
-        first = next(d for d in document["dropped_list"] if d["reason"] == reason)
-        told = f"  dropped {count}: {reason}; at {first['time']:.2f} s: {first['detail']}"
-        console.print(_escaped(told), highlight=False)
-
-
-def _escaped(text: str) -> str:
-    from rich.markup import escape
-
-    return escape(text)
-
-
-def _topic_table(document: dict[str, Any]) -> Any:
-    """Topics with type, count, rate and the channel each serves."""
-    from rich.table import Table
-
-    table = Table("topic", "type", "messages", "rate", "used for", box=None, pad_edge=False)
-    used = {topic: channel for channel, topic in document["channels"].items() if topic}
-    for t in document["topics"]:
-        rate = f"{t['rate']:.1f} Hz" if t["rate"] else ""
-        table.add_row(t["name"], t["type"], str(t["count"]), rate, used.get(t["name"], ""))
-    return table
-
-
-def _joint_table(document: dict[str, Any]) -> Any:
-    """Joints with their range; a joint's kind is unknown here, so both readings are given."""
-    from rich.table import Table
-
-    table = Table("joint", "from", "to", "(if revolute)", box=None, pad_edge=False)
-    for name, span in document["joints"].items():
-        low, high = span["min"], span["max"]
-        degrees = f"{np.degrees(low):.2f} to {np.degrees(high):.2f} deg"
-        table.add_row(name, f"{low:.4f} rad|m", f"{high:.4f} rad|m", degrees)
-    return table
-
-
-def _sample_sentence(document: dict[str, Any]) -> str:
-    again = document["replicates"]
-    frame = document["frame"] or "no frame_id"
-    pose = f"{' '.join(document['measured'])} in frame {frame}" if document["measured"] else ""
-    read = ", ".join(f"{name} ({count})" for name, count in document["readings"].items())
-    return (
-        f"{document['samples']} samples ({document['mode'] or 'none'}) of {document['poses']} "
-        f"poses; {again['poses']} poses visited again ({again['samples']} samples); "
-        f"measured: {'; '.join(filter(None, (pose, read))) or 'nothing'}"
-    )
-
-
-def _print_conditions(conditions: dict[str, dict[str, float]], console: Console) -> None:
-    units = {"temperature": "degC", "payload": "kg", "time": "s"}
-    for name, unit in units.items():
-        if name in conditions:
-            span = conditions[name]
-            console.print(f"{name}: {span['min']:.2f} to {span['max']:.2f} {unit}", highlight=False)
-
-
-def _print_noise(document: dict[str, Any], console: Console) -> None:
-    """Scatter of position in um, of orientation in arcmin, of joints in their own unit."""
-    for kind, noise in document["noise"].items():
-        pose = noise["pose"]
-        parts = []
-        if any(v is not None for v in pose):
-            parts.append(f"position {_triple(pose[:3], 1e-6, '.1f')} um")
-            parts.append(f"orientation {_triple(pose[3:], ARCMIN, '.2f')} arcmin")
-        if "joint" in noise:
-            parts.append(f"joints {_triple(noise['joint'], 1e-3, '.4f')} mrad|mm")
-        about = f" ({noise['dof']} degrees of freedom)" if "dof" in noise else ""
-        label = kind.replace("_", " ")
-        if parts:
-            console.print(f"noise {label}, 1 sigma{about}: {', '.join(parts)}", highlight=False)
-
-
-def _triple(values: list[float | None], unit: float, form: str) -> str:
-    return " ".join("-" if v is None else format(v / unit, form) for v in values)

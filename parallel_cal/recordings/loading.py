@@ -10,70 +10,59 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.base.errors import DatasetError
+from parallel_cal.recordings.channels import CHANNELS
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.joining import joined
-from parallel_cal.recordings.recording import Array, Dropped, Progress, Recording, Topics
+from parallel_cal.recordings.options import ReadOptions, SampleOptions
+from parallel_cal.recordings.recording import Array, Dropped, Progress, Recording
 from parallel_cal.recordings.replicates import replicate_ids
 from parallel_cal.recordings.samplefile import PER_SAMPLE, holds_samples
-from parallel_cal.recordings.samples import Options, Samples, per_joint
+from parallel_cal.recordings.samples import Samples, per_joint
 from parallel_cal.recordings.sampling import conditions_of, samples_of
 
 METRES = 10.0  # positions typically further than this from the origin are taken for millimetres
-# name -> unit and what it is expected to be within; kelvin lie beyond
-PLAUSIBLE = {"temperature": ("degC", -60.0, 150.0), "payload": ("kg", 0.0, 1e5)}
 TURNS = 4.0 * np.pi  # joints that travel further are taken for degrees, or turn endlessly
 
 
 def load_dataset(
     path: str | Path,
-    *,
-    topics: Topics | None = None,
-    joints: Sequence[str] | None = None,
-    measures: Sequence[str] | None = None,
-    stamps: str = "header",
+    options: ReadOptions | None = None,
     progress: Progress | None = None,
-    **options: Any,
+    **given: Any,
 ) -> Dataset:
-    """Samples of a recording, or of a file written by `to_json`; further options as in Options.
+    """Samples of a recording, or of a file written by `to_json`; `given` are options by name.
 
-    `joints` are the model's joint names in its order. BagError or DatasetError when none can be
-    had.
+    BagError or DatasetError when none can be had.
     """
+    options = (options or ReadOptions()).changed(**given)
     if holds_samples(Path(path)):
-        return _in_order(Dataset.from_json(path), joints)
-    from parallel_cal.recordings.bag import read_bag
+        dataset = _in_order(Dataset.from_json(path), options.joints)
+    else:
+        from parallel_cal.recordings.bag import read_bag
 
-    recording = read_bag(
-        path, topics, joints=joints, measures=measures, stamps=stamps, progress=progress
-    )
-    return dataset_from_recording(recording, make_options(**options))
+        dataset = dataset_from_recording(read_bag(path, options, progress), options)
+    return dataset.excluding(options.exclude)
 
 
 def load_sessions(
-    paths: Sequence[str | Path], *, exclude: Sequence[int] = (), **how: Any
+    paths: Sequence[str | Path],
+    options: ReadOptions | None = None,
+    progress: Progress | None = None,
+    **given: Any,
 ) -> Dataset:
     """One Dataset of one or more recordings; of more than one, samples know their `session`.
 
-    `exclude` are numbers of samples to leave out, `how` as in `load_dataset`; DatasetError where
-    the recordings do not go together.
+    SampleOptions as in `load_dataset`, `exclude` counts through all of them; DatasetError where the
+    recordings do not go together.
     """
-    datasets = [load_dataset(path, **how) for path in paths]
-    dataset = joined(datasets) if len(datasets) > 1 else datasets[0]
-    return dataset.excluding(exclude)
+    options = (options or ReadOptions()).changed(**given)
+    datasets = [load_dataset(path, options.changed(exclude=()), progress) for path in paths]
+    return (joined(datasets) if len(datasets) > 1 else datasets[0]).excluding(options.exclude)
 
 
-def make_options(**options: Any) -> Options:
-    """Options by name; DatasetError for an unknown one, naming those that exist."""
-    known = [item.name for item in dataclasses.fields(Options)]
-    unknown = sorted(set(options) - set(known))
-    if unknown:
-        raise DatasetError(f"unknown option {', '.join(unknown)}; known: {', '.join(known)}")
-    return Options(**options)
-
-
-def dataset_from_recording(recording: Recording, options: Options | None = None) -> Dataset:
+def dataset_from_recording(recording: Recording, options: SampleOptions | None = None) -> Dataset:
     """Make a Dataset; DatasetError when nothing is usable or positions look like millimetres."""
-    options = options or Options()
+    options = options or SampleOptions()
     samples = samples_of(recording, options)
     warnings = [*recording.notes, *samples.warnings]
     _drop_millimetres(samples)
@@ -124,16 +113,17 @@ def _joint_suspicions(dataset: Dataset) -> list[str]:
 def _condition_suspicions(conditions: Mapping[str, Array]) -> list[str]:
     """A sentence for each condition that can hardly be in its unit."""
     return [
-        f"{name} does not look like {unit}: it goes from {values.min():.4g} to {values.max():.4g}; "
-        f"expected {low:g} to {high:g}"
-        for name, (unit, low, high) in PLAUSIBLE.items()
+        f"{name} does not look like {channel.unit}: it goes from {values.min():.4g} to "
+        f"{values.max():.4g}; expected {low:g} to {high:g}"
+        for name, channel in CHANNELS.items()
+        for low, high in [channel.plausible]
         for values in [conditions.get(name, np.zeros(0))]
         if len(values) and not (low <= values.min() and values.max() <= high)
     ]
 
 
 def _stack(
-    recording: Recording, samples: Samples, conditions: dict[str, Array], options: Options
+    recording: Recording, samples: Samples, conditions: dict[str, Array], options: SampleOptions
 ) -> Dataset:
     """The samples as one block of arrays."""
     columns: dict[str, Any] = {

@@ -6,11 +6,12 @@ import numpy as np
 
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.base.rotation import quaternion_to_matrix
+from parallel_cal.recordings.options import SampleOptions
 from parallel_cal.recordings.recording import Array, Bools, Dropped, JointStream, Recording
-from parallel_cal.recordings.samples import Options, Sample, Samples, max_gap
+from parallel_cal.recordings.samples import Sample, Samples, max_gap
 
 
-def paired_samples(recording: Recording, options: Options, tolerance: Array) -> Samples:
+def paired_samples(recording: Recording, options: SampleOptions, tolerance: Array) -> Samples:
     """One sample per pose message, with the joints interpolated to its time."""
     joints, pose = recording.joints, recording.pose
     if recording.constraint or recording.distances:

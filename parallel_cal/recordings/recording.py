@@ -16,19 +16,6 @@ COORDINATES = ("x", "y", "z", "rx", "ry", "rz")
 
 
 @dataclass(frozen=True)
-class Topics:
-    """Topic names of the channels; an empty name switches an optional channel off."""
-
-    joint_states: str = "joint_states"
-    measured_pose: str = "measured_pose"
-    measured_position: str = "measured_position"
-    temperature: str = "temperature"
-    payload: str = "payload"
-    constraint: str = "constraint"
-    distance: str = "distance"
-
-
-@dataclass(frozen=True)
 class Dropped:
     """Something recorded that is not used: time in s since the start, reason, detail, how many."""
 
@@ -116,6 +103,7 @@ class TextStream:
 class Recording:
     """All channels of a recording on one clock: seconds since `start_ns`.
 
+    `conditions` are the numbers over time by their channel (temperature, payload, ...);
     `constraint` names the plane or sphere that holds the tip, empty where nothing does;
     `distances` are the readings (m) of ball-bars and probes by their channel.
     """
@@ -126,8 +114,7 @@ class Recording:
     topics: tuple[TopicInfo, ...]
     joints: JointStream
     pose: PoseStream
-    temperature: ScalarStream | None = None
-    payload: ScalarStream | None = None
+    conditions: Mapping[str, ScalarStream] = field(default_factory=dict)
     constraint: TextStream | None = None
     distances: Mapping[str, ScalarStream] = field(default_factory=dict)
     dropped: tuple[Dropped, ...] = ()

@@ -1,4 +1,4 @@
-"""What a sample is, the options for making samples, and the small sums that both ways share."""
+"""What a sample is, and the small sums that both ways of making samples share."""
 
 from __future__ import annotations
 
@@ -8,57 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from parallel_cal.base.errors import DatasetError
+from parallel_cal.recordings.options import SampleOptions
 from parallel_cal.recordings.recording import Array, Bools, Dropped, JointStream
-
-MODES = ("auto", "dwell", "continuous")
-LEAST = {
-    "min_dwell": 0.0,
-    "trim_start": 0.0,
-    "trim_end": 0.0,
-    "max_gap": 0.0,
-    "min_joint_messages": 1,
-    "min_pose_messages": 1,
-    "replicate_tolerance": 0.0,
-}
-
-
-@dataclass(frozen=True)
-class Options:
-    """How samples are made. Times in s; `still_tolerance` and `joint_sigma` in joint units.
-
-    mode: "dwell" (one sample per standstill), "continuous" (one per pose message), or "auto".
-    still_tolerance: how far a joint strays while standing still (default: from the data).
-    min_pose_messages: default 3, or 1 where the device gives fewer per dwell.
-    assume_units: accept positions that look like millimetres.
-    replicate_tolerance: joint distance between two visits of one pose (default: from the data).
-    """
-
-    mode: str = "auto"
-    min_dwell: float = 0.3
-    trim_start: float = 0.1
-    trim_end: float = 0.05
-    still_tolerance: float | Sequence[float] | None = None
-    min_joint_messages: int = 3
-    min_pose_messages: int | None = None
-    max_gap: float | None = None
-    joint_sigma: float | Sequence[float] | None = None
-    assume_units: bool = False
-    replicate_tolerance: float | None = None
-
-    def __post_init__(self) -> None:
-        if self.mode not in MODES:
-            raise DatasetError(f"mode='{self.mode}'; expected one of {', '.join(MODES)}")
-        for name, least in LEAST.items():
-            value = getattr(self, name)
-            if value is not None and not (_is_number(value) and least <= value < np.inf):
-                raise DatasetError(f"{name}={value}: expected a number of at least {least:g}")
-        if not isinstance(self.assume_units, bool):
-            raise DatasetError(f"assume_units={self.assume_units}: expected true or false")
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool)
-
 
 READING = "reading."  # a dataset's columns of what sensors beside the pose device show, in m
 
@@ -111,7 +62,7 @@ def per_joint(value: float | Sequence[float], names: Sequence[str], what: str) -
     return np.broadcast_to(values, (len(names),)).copy()
 
 
-def max_gap(joints: JointStream, options: Options) -> float:
+def max_gap(joints: JointStream, options: SampleOptions) -> float:
     """The longest silence in s that may lie inside a sample."""
     if options.max_gap is not None:
         return options.max_gap

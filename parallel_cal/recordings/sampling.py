@@ -6,16 +6,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from parallel_cal.base.errors import DatasetError
+from parallel_cal.recordings.channels import CHANNELS
 from parallel_cal.recordings.dwells import approach, still_tolerance
+from parallel_cal.recordings.options import SampleOptions
 from parallel_cal.recordings.pairing import paired_samples
 from parallel_cal.recordings.readings import reading_columns
 from parallel_cal.recordings.recording import Array, JointStream, Recording, ScalarStream
-from parallel_cal.recordings.samples import Options, Samples, per_joint
+from parallel_cal.recordings.samples import Samples, per_joint
 from parallel_cal.recordings.standstill import standstill_samples
 from parallel_cal.recordings.travel import travel
 
 
-def samples_of(recording: Recording, options: Options) -> Samples:
+def samples_of(recording: Recording, options: SampleOptions) -> Samples:
     """Make samples of a recording; DatasetError when there is none."""
     joints = recording.joints
     tolerance = _tolerance(joints, options)
@@ -27,14 +29,14 @@ def samples_of(recording: Recording, options: Options) -> Samples:
     return samples
 
 
-def _tolerance(joints: JointStream, options: Options) -> Array:
+def _tolerance(joints: JointStream, options: SampleOptions) -> Array:
     """The standstill tolerance (nq,): the user's or the data's."""
     if options.still_tolerance is None:
         return still_tolerance(joints.time, joints.position, options.min_dwell)
     return per_joint(options.still_tolerance, joints.names, "still_tolerance")
 
 
-def _why_none(recording: Recording, options: Options, samples: Samples) -> str:
+def _why_none(recording: Recording, options: SampleOptions, samples: Samples) -> str:
     """The message for a recording without a single usable dwell."""
     reasons = sorted({d.reason for d in samples.dropped})
     tolerance = ", ".join(f"{t:.2g}" for t in samples.tolerance)
@@ -51,16 +53,15 @@ def _why_none(recording: Recording, options: Options, samples: Samples) -> str:
 def conditions_of(
     recording: Recording, samples: Samples, warnings: list[str]
 ) -> dict[str, NDArray[np.float64]]:
-    """The circumstances (N,) of each sample by name; times in s, payload in kg."""
+    """The circumstances (N,) of each sample by name, each in its unit."""
     joints, kept = recording.joints, samples.kept
     time = np.array([s.time for s in kept])
     conditions = {"time": time}
-    if recording.temperature:
-        conditions["temperature"] = np.interp(
-            time, recording.temperature.time, recording.temperature.value
+    for name, stream in recording.conditions.items():
+        held = CHANNELS[name].held
+        conditions[name] = (
+            _latest(stream, time, warnings) if held else np.interp(time, stream.time, stream.value)
         )
-    if recording.payload:
-        conditions["payload"] = _latest(recording.payload, time, warnings)
     level = np.array([s.q for s in kept])
     # a motion counts as real when it is more than what passes for standing still
     before = [s.first_reading for s in kept]

@@ -64,8 +64,10 @@ class Simulation:
         )  # fmt: skip
         recording = Recording(
             "simulated", "", 0, (), joints, poses,
-            ScalarStream("temperature", self.slow_time, self.temperature),
-            ScalarStream("payload", self.payload_time, self.payload),
+            {
+                "temperature": ScalarStream("temperature", self.slow_time, self.temperature),
+                "payload": ScalarStream("payload", self.payload_time, self.payload),
+            },
         )  # fmt: skip
         samples = dataset_from_recording(recording)
         return replace(samples, sha256=fingerprint(samples))

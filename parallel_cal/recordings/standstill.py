@@ -17,6 +17,7 @@ from parallel_cal.recordings.dwells import (
     still_intervals,
     still_tolerance,
 )
+from parallel_cal.recordings.options import SampleOptions
 from parallel_cal.recordings.readings import held_words, readings_between
 from parallel_cal.recordings.recording import (
     Array,
@@ -27,7 +28,6 @@ from parallel_cal.recordings.recording import (
     Recording,
 )
 from parallel_cal.recordings.samples import (
-    Options,
     Sample,
     Samples,
     max_gap,
@@ -54,7 +54,7 @@ class _Dwell:
     shown: dict[str, float]
 
 
-def standstill_samples(recording: Recording, options: Options, tolerance: Array) -> Samples:
+def standstill_samples(recording: Recording, options: SampleOptions, tolerance: Array) -> Samples:
     """One sample per standstill, and the reason for each that is not used."""
     joints, pose = recording.joints, recording.pose
     found = Samples("dwell", [], tolerance, [], _too_slow(joints, options))
@@ -80,7 +80,7 @@ def standstill_samples(recording: Recording, options: Options, tolerance: Array)
     return found
 
 
-def _too_slow(joints: JointStream, options: Options) -> list[str]:
+def _too_slow(joints: JointStream, options: SampleOptions) -> list[str]:
     """A sentence if the readings come so rarely that short standstills look like motion."""
     period = float(np.median(np.diff(joints.time))) if len(joints.time) > 1 else 0.0
     if period <= options.min_dwell:
@@ -91,7 +91,7 @@ def _too_slow(joints: JointStream, options: Options) -> list[str]:
     ]
 
 
-def _window(recording: Recording, interval: Interval, options: Options) -> _Dwell:
+def _window(recording: Recording, interval: Interval, options: SampleOptions) -> _Dwell:
     """The trimmed part of an interval: the robot settles at its start and may leave at its end."""
     joints, pose = recording.joints, recording.pose
     start = joints.time[interval.first] + options.trim_start
@@ -110,7 +110,7 @@ def _window(recording: Recording, interval: Interval, options: Options) -> _Dwel
     )
 
 
-def _min_pose_messages(windows: list[_Dwell], options: Options, warnings: list[str]) -> int:
+def _min_pose_messages(windows: list[_Dwell], options: SampleOptions, warnings: list[str]) -> int:
     """How many pose messages a dwell needs: 3, or 1 for a device that is triggered once a pose."""
     if options.min_pose_messages is not None:
         return max(1, options.min_pose_messages)
@@ -124,7 +124,7 @@ def _min_pose_messages(windows: list[_Dwell], options: Options, warnings: list[s
 def _unusable(
     recording: Recording,
     dwell: _Dwell,
-    options: Options,
+    options: SampleOptions,
     tolerance: Array,
     minimum: int,
 ) -> tuple[str, str] | None:
@@ -269,7 +269,7 @@ def _mean_pose(pose: PoseStream, R: Array, dwell: _Dwell) -> dict[str, Array]:
 
 
 def _report_lonely_poses(
-    pose: PoseStream, windows: list[_Dwell], options: Options, found: Samples
+    pose: PoseStream, windows: list[_Dwell], options: SampleOptions, found: Samples
 ) -> None:
     """Report poses outside every dwell, if the device gives single poses rather than a stream."""
     period = np.median(np.diff(pose.time)) if len(pose.time) > 1 else np.inf

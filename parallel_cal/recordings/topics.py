@@ -2,62 +2,67 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from parallel_cal.base.errors import BagError
-from parallel_cal.recordings.recording import TopicInfo, Topics
+from parallel_cal.recordings.channels import CHANNELS, Kind, named
+from parallel_cal.recordings.recording import TopicInfo
 
 Available = Sequence[TopicInfo]
 Types = tuple[str, ...]
 
-JOINTS = ("sensor_msgs/msg/JointState",)
-POSES = ("geometry_msgs/msg/PoseWithCovarianceStamped", "geometry_msgs/msg/PoseStamped")
-POINTS = ("geometry_msgs/msg/PointStamped",)
-TEMPERATURE = ("sensor_msgs/msg/Temperature",)
-PAYLOAD = ("geometry_msgs/msg/InertiaStamped",)
-CONSTRAINT = ("std_msgs/msg/String",)
-DISTANCE = ("sensor_msgs/msg/Range",)
+JOINTS = CHANNELS["joint_states"].types
+POSES = CHANNELS["measured_pose"].types
+POINTS = CHANNELS["measured_position"].types
 
 # a topic named like this is what the robot was told or what a model computed, not a measurement
 NOT_MEASUREMENTS = ("target", "command", "goal", "desired", "setpoint", "kinematics")
 
 
-def choose_topics(available: Available, topics: Topics, notes: list[str]) -> dict[str, TopicInfo]:
-    """The topic of each channel that has one: "joints", "pose", "temperature", "payload",
-    "constraint", "distance"; BagError without joints, or without anything measured."""
-    chosen = {"joints": _require(available, "joint_states", topics.joint_states, JOINTS, notes)}
-    for channel, types in (("constraint", CONSTRAINT), ("distance", DISTANCE)):
-        # Words and ranges serve for many things: only the name tells that these are meant.
-        found = _optional(available, channel, getattr(topics, channel), types)
-        if found:
-            chosen[channel] = found
-    pose = _pose(available, topics, notes, needed=len(chosen) == 1)
-    if pose:
-        chosen["pose"] = pose
-    for channel, types in (("temperature", TEMPERATURE), ("payload", PAYLOAD)):
-        found = _optional(available, channel, getattr(topics, channel), types, notes)
-        if found:
-            chosen[channel] = found
+def choose_topics(
+    available: Available, topics: Mapping[str, str], notes: list[str]
+) -> dict[str, TopicInfo]:
+    """The topic of each channel that has one, of those that hold poses one at most; BagError
+    without joints, or without anything measured."""
+    names = {channel: topics.get(channel, channel) for channel in CHANNELS}
+    chosen = {
+        "joint_states": _require(available, "joint_states", names["joint_states"], JOINTS, notes)
+    }
+
+    def choose(kind: Kind) -> None:
+        for channel in named(kind):
+            # Where a type serves for many things, only the name tells that these are meant.
+            guess = None if CHANNELS[channel].by_name else notes
+            types = CHANNELS[channel].types
+            if found := _optional(available, channel, names[channel], types, guess):
+                chosen[channel] = found
+
+    choose("words")
+    choose("readings")
+    if pose := _pose(available, names, notes, needed=len(chosen) == 1):
+        chosen["measured_pose" if pose.type in POSES else "measured_position"] = pose
+    choose("condition")
     return chosen
 
 
-def _pose(available: Available, topics: Topics, notes: list[str], needed: bool) -> TopicInfo | None:
+def _pose(
+    available: Available, names: Mapping[str, str], notes: list[str], needed: bool
+) -> TopicInfo | None:
     """The pose device's topic; where another sensor was recorded, only by its name."""
-    pose = _named(available, topics.measured_pose, POSES)
-    point = _named(available, topics.measured_position, POINTS + POSES)
+    pose = _named(available, names["measured_pose"], POSES)
+    point = _named(available, names["measured_position"], POINTS + POSES)
     if pose and point:
         notes.append(f"{point.name} is ignored, poses are taken from {pose.name}")
-    if topics.measured_position != Topics.measured_position:
-        wanted = topics.measured_position
-    else:
-        wanted = topics.measured_pose
+    wanted = names["measured_position"]
+    if wanted == "measured_position":
+        wanted = names["measured_pose"]
     if not needed:
-        named = [topic for topic in (pose, point) if topic and topic.count]
-        return named[0] if named else _optional(available, "measured_pose", wanted, POSES + POINTS)
+        seen = [topic for topic in (pose, point) if topic and topic.count]
+        return seen[0] if seen else _optional(available, "measured_pose", wanted, POSES + POINTS)
     return pose or point or _require(
         available, "measured_pose", wanted, POSES + POINTS, notes,
-        f"; or, without a pose device, record on '{topics.constraint or Topics.constraint}' "
-        f"({CONSTRAINT[0]}) which plane or sphere holds the tip",
+        f"; or, without a pose device, record on '{names['constraint'] or 'constraint'}' "
+        f"({CHANNELS['constraint'].types[0]}) which plane or sphere holds the tip",
     )  # fmt: skip
 
 
@@ -91,7 +96,7 @@ def _optional(
     found = _named(available, name, types)
     if found and found.count:
         return found
-    if name != getattr(Topics, channel):
+    if name != channel:
         if not name:
             return None
         raise BagError(f"no messages on topic '{name}' ({channel}). {_listing(available)}")

@@ -13,19 +13,14 @@ import numpy as np
 
 from parallel_cal.base.errors import BagError
 from parallel_cal.base.rotation import matrix_to_quaternion
+from parallel_cal.recordings.channels import CHANNELS
 
 if TYPE_CHECKING:
     from parallel_cal.recordings.simulate import Simulation
 
 START = 1_767_225_600_000_000_000  # 2026-01-01 00:00:00 UTC, in ns: equal seeds, equal files
 STORAGES = ("mcap", "sqlite3")
-TYPES = {
-    "payload": "geometry_msgs/msg/InertiaStamped",
-    "temperature": "sensor_msgs/msg/Temperature",
-    "joint_states": "sensor_msgs/msg/JointState",
-    "measured_pose": "geometry_msgs/msg/PoseWithCovarianceStamped",
-}
-LATCHED = ("payload",)
+WRITTEN = ("payload", "temperature", "joint_states", "measured_pose")
 
 
 def write_bag(session: Simulation, path: str | Path, storage: str = "mcap") -> None:
@@ -55,13 +50,16 @@ def _write(session: Simulation, folder: Path, storage: str) -> None:
     with writer:
         topics = {
             name: writer.add_connection(
-                name, kind, typestore=messages.store, offered_qos_profiles=[_quality(name)]
+                name,
+                CHANNELS[name].types[0],
+                typestore=messages.store,
+                offered_qos_profiles=[_quality(name)],
             )
-            for name, kind in TYPES.items()
+            for name in WRITTEN
         }
         stream = sorted(messages.of(session), key=lambda m: m[0])
         for stamp, name, message in stream:
-            data = messages.store.serialize_cdr(message, TYPES[name])
+            data = messages.store.serialize_cdr(message, CHANNELS[name].types[0])
             writer.write(topics[name], stamp, data)
 
 
@@ -69,7 +67,7 @@ def _quality(topic: str) -> Any:
     """Reliable; a latched topic also reaches whoever subscribes late."""
     from rosbags import interfaces as qos
 
-    latched, forever = topic in LATCHED, qos.QosTime(9223372036, 854775807)
+    latched, forever = CHANNELS[topic].latched, qos.QosTime(9223372036, 854775807)
     durability = qos.QosDurability
     return qos.Qos(
         qos.QosHistory.KEEP_LAST,

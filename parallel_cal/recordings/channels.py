@@ -1,0 +1,117 @@
+"""The channels of a recording: which topic, which message types, what becomes of what they say.
+
+A new topic or reading is one entry in CHANNELS and one decoder; bags, live collection, the command
+line and the report of a recording go by this table.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+Kind = Literal["joints", "poses", "condition", "words", "readings"]
+
+
+@dataclass(frozen=True)
+class Channel:
+    """What may come on a channel: message `types`, the usual one first, and how one is decoded.
+
+    `decode` makes the row that its kind is cleaned as: joints (names, q, effort); poses (frame,
+    position, quaternion or None, covariance or None); condition (value,), a number among the
+    samples' conditions, interpolated or, where it is `held`, the last one said; words (text,),
+    what holds the tip until the next; readings (device's channel, m), in the mean over a dwell.
+
+    Where its type serves for many things it is chosen `by_name` of its topic only. A `latched` one
+    is often said once, before anybody listens. A condition outside `plausible` (in `unit`) is
+    warned of.
+    """
+
+    kind: Kind
+    types: tuple[str, ...]
+    decode: Callable[[Any], tuple]
+    by_name: bool = False
+    latched: bool = False
+    held: bool = False
+    unit: str = ""
+    plausible: tuple[float, float] = (-math.inf, math.inf)
+
+
+def joint_row(message: Any) -> tuple:
+    """(names, positions, efforts); rclpy gives array.array, which takes no list as index."""
+    return (
+        tuple(message.name),
+        np.asarray(message.position, float),
+        np.asarray(message.effort, float),
+    )
+
+
+def pose_row(message: Any) -> tuple:
+    """(frame, position, quaternion, covariance); None for what the message's type does not have."""
+    if hasattr(message, "point"):
+        return message.header.frame_id, _xyz(message.point), None, None
+    covariance = getattr(message.pose, "covariance", None)
+    pose = message.pose if covariance is None else message.pose.pose
+    o = pose.orientation
+    return message.header.frame_id, _xyz(pose.position), (o.x, o.y, o.z, o.w), covariance
+
+
+def _xyz(point: Any) -> tuple:
+    return point.x, point.y, point.z
+
+
+# The name of a channel is also that of its usual topic.
+CHANNELS = {
+    "joint_states": Channel("joints", ("sensor_msgs/msg/JointState",), joint_row),
+    "measured_pose": Channel(
+        "poses",
+        ("geometry_msgs/msg/PoseWithCovarianceStamped", "geometry_msgs/msg/PoseStamped"),
+        pose_row,
+    ),
+    "measured_position": Channel("poses", ("geometry_msgs/msg/PointStamped",), pose_row),
+    "temperature": Channel(
+        "condition",
+        ("sensor_msgs/msg/Temperature",),
+        lambda message: (message.temperature,),
+        unit="degC",
+        plausible=(-60.0, 150.0),  # kelvin lie beyond
+    ),
+    "payload": Channel(
+        "condition",
+        ("geometry_msgs/msg/InertiaStamped",),
+        lambda message: (message.inertia.m,),
+        latched=True,
+        held=True,
+        unit="kg",
+        plausible=(0.0, 1e5),
+    ),
+    "constraint": Channel(
+        "words",
+        ("std_msgs/msg/String",),
+        lambda message: (message.data,),
+        by_name=True,
+        latched=True,
+    ),
+    "distance": Channel(
+        "readings",
+        ("sensor_msgs/msg/Range",),
+        lambda message: (message.header.frame_id, message.range),
+        by_name=True,
+    ),
+}
+
+
+def named(*kinds: Kind) -> list[str]:
+    """The channels of some kinds."""
+    return [name for name, channel in CHANNELS.items() if channel.kind in kinds]
+
+
+def stamp_of(message: Any) -> int:
+    """The time in a message's header in ns; 0 where it has no header."""
+    if not hasattr(message, "header"):
+        return 0
+    stamp = message.header.stamp
+    return int(stamp.sec * 1_000_000_000 + stamp.nanosec)

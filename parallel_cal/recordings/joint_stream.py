@@ -1,0 +1,63 @@
+"""Joint states as they came -> readings in the wanted order, matched by name."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+
+from parallel_cal.base.errors import BagError
+from parallel_cal.recordings.recording import JointStream, Raw
+from parallel_cal.recordings.sieve import ABSURD, Sieve
+
+
+def clean_joints(
+    raw: Raw, sieve: Sieve, wanted: Sequence[str] | None, notes: list[str]
+) -> JointStream:
+    """Joint readings in the order of `wanted`, matched by name; rows are (names, q, effort)."""
+    names = _joint_names(raw, wanted, notes)
+    q = np.full((len(raw.rows), len(names)), np.nan)
+    effort = np.full_like(q, np.nan)
+    columns: dict[tuple[str, ...], list[int] | None] = {}
+    missing, ragged = np.zeros(len(q), bool), np.zeros(len(q), bool)
+    for i, (present, position, torque) in enumerate(raw.rows):
+        if present not in columns:
+            complete = set(names) <= set(present)
+            columns[present] = [present.index(n) for n in names] if complete else None
+        index = columns[present]
+        missing[i], ragged[i] = index is None, len(position) != len(present)
+        if index is not None and not ragged[i]:
+            q[i] = position[index]
+            if len(torque) == len(present):
+                effort[i] = torque[index]
+    hint = f"Expected a position in rad or m for each of {', '.join(names)}: check their driver."
+    sieve.drop(missing, f"lacks some of the joints {', '.join(names)}")
+    sieve.drop(ragged, "position and name differ in length", hint)
+    sieve.drop(~np.isfinite(q).all(axis=1), "joint reading is not finite", hint, q)
+    sieve.drop((np.abs(q) > ABSURD).any(axis=1), "joint reading is beyond 1e9", hint, q)
+    keep = sieve.keep
+    return JointStream(raw.topic, names, sieve.time[keep], q[keep], effort[keep])
+
+
+def _joint_names(raw: Raw, wanted: Sequence[str] | None, notes: list[str]) -> tuple[str, ...]:
+    """The requested joints, or those of most messages; BagError when one is never reported."""
+    counts = Counter(row[0] for row in raw.rows)
+    names = tuple(wanted) if wanted else counts.most_common(1)[0][0]
+    seen = list(dict.fromkeys(name for present in counts for name in present))
+    unknown = [name for name in names if name not in seen]
+    if unknown or not names or len(set(names)) < len(names):
+        raise BagError(
+            f"{raw.topic}: joints expected: {', '.join(names) or 'none'}; joints recorded: "
+            f"{', '.join(seen) or 'none'}; not found: {', '.join(unknown) or 'none'}. "
+            "Give the joints' names as they are recorded, each once."
+        )
+    if not any(set(names) <= set(present) for present in counts):
+        raise BagError(
+            f"{raw.topic}: no message holds all the joints {', '.join(names)}; messages hold "
+            f"{'; '.join(', '.join(present) for present in counts)}. Publish them in one message."
+        )
+    extra = [name for name in seen if name not in names]
+    if extra:
+        notes.append(f"{raw.topic}: joints ignored: {', '.join(extra)}")
+    return names

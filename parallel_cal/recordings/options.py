@@ -1,0 +1,99 @@
+"""How recordings are read and samples made of them."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from parallel_cal.base.errors import BagError, DatasetError
+from parallel_cal.recordings.channels import CHANNELS
+from parallel_cal.recordings.recording import COORDINATES
+
+MODES = ("auto", "dwell", "continuous")
+LEAST = {
+    "min_dwell": 0.0,
+    "trim_start": 0.0,
+    "trim_end": 0.0,
+    "max_gap": 0.0,
+    "min_joint_messages": 1,
+    "min_pose_messages": 1,
+    "replicate_tolerance": 0.0,
+}
+
+
+@dataclass(frozen=True)
+class SampleOptions:
+    """How samples are made. Times in s; `still_tolerance` and `joint_sigma` in joint units.
+
+    mode: "dwell" (one sample per standstill), "continuous" (one per pose message), or "auto".
+    still_tolerance: how far a joint strays while standing still (default: from the data).
+    min_pose_messages: default 3, or 1 where the device gives fewer per dwell.
+    assume_units: accept positions that look like millimetres.
+    replicate_tolerance: joint distance between two visits of one pose (default: from the data).
+    """
+
+    mode: str = "auto"
+    min_dwell: float = 0.3
+    trim_start: float = 0.1
+    trim_end: float = 0.05
+    still_tolerance: float | Sequence[float] | None = None
+    min_joint_messages: int = 3
+    min_pose_messages: int | None = None
+    max_gap: float | None = None
+    joint_sigma: float | Sequence[float] | None = None
+    assume_units: bool = False
+    replicate_tolerance: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.mode not in MODES:
+            raise DatasetError(f"mode='{self.mode}'; expected one of {', '.join(MODES)}")
+        for name, least in LEAST.items():
+            value = getattr(self, name)
+            if value is not None and not (_is_number(value) and least <= value < np.inf):
+                raise DatasetError(f"{name}={value}: expected a number of at least {least:g}")
+        if not isinstance(self.assume_units, bool):
+            raise DatasetError(f"assume_units={self.assume_units}: expected true or false")
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+
+@dataclass(frozen=True)
+class ReadOptions(SampleOptions):
+    """How recordings are read, and samples made of them.
+
+    topics: channel -> topic where it is not the channel's own name; "" switches a channel off.
+    joints: the model's joint names in its order (default: as recorded).
+    measures: the coordinates the device really measures (default: what the messages say).
+    stamps: "header" or "log".
+    exclude: numbers of samples to leave out.
+    """
+
+    topics: Mapping[str, str] = field(default_factory=dict)
+    joints: Sequence[str] | None = None
+    measures: Sequence[str] | None = None
+    stamps: str = "header"
+    exclude: Sequence[int] = ()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.stamps not in ("header", "log"):
+            raise BagError(f"stamps='{self.stamps}' unknown; expected 'header' or 'log'")
+        for what, given, known in (
+            ("measures", self.measures or (), COORDINATES),
+            ("topics", self.topics, CHANNELS),
+        ):
+            if unknown := [name for name in given if name not in known]:
+                raise BagError(f"{what}: {unknown} unknown; expected some of {', '.join(known)}")
+
+    def changed(self, **given: Any) -> ReadOptions:
+        """With other values by name; DatasetError for an unknown one, naming those that exist."""
+        known = [item.name for item in dataclasses.fields(self)]
+        if unknown := sorted(set(given) - set(known)):
+            raise DatasetError(f"unknown option {', '.join(unknown)}; known: {', '.join(known)}")
+        return dataclasses.replace(self, **given)

@@ -1,0 +1,103 @@
+"""Measured poses as they came -> positions, unit quaternions, covariances and what is measured."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+
+from parallel_cal.recordings.recording import COORDINATES, Array, Bools, PoseStream, Raw
+from parallel_cal.recordings.sieve import ABSURD, Sieve
+
+NOT_MEASURED = 1e3  # a variance above this says "this coordinate is not measured"
+NOT_GIVEN = 1e-24  # no device knows a pose to 1e-12 m or rad: a variance up to this is no statement
+
+
+def clean_poses(
+    raw: Raw, sieve: Sieve, measures: Sequence[str] | None, notes: list[str]
+) -> PoseStream:
+    """Poses with what each measures; rows are (frame, position, quaternion or None, covariance)."""
+    position = np.array([row[1] for row in raw.rows], float)
+    quaternion = np.array([row[2] or (0.0, 0.0, 0.0, 1.0) for row in raw.rows], float)
+    has_rotation = np.array([row[2] is not None for row in raw.rows])
+    variance = [np.zeros(36) if row[3] is None else row[3] for row in raw.rows]
+    covariance, measured = read_covariance(np.array(variance).reshape(-1, 6, 6))
+    notes += _without_impossible_correlations(covariance, raw.topic)
+    measured[:, 3:] &= has_rotation[:, None]
+    if measures is not None:
+        measured &= np.isin(COORDINATES, measures)
+    frame = _sieve_frames(raw, sieve)
+    _sieve_poses(sieve, position, quaternion, measured)
+    if np.all(quaternion[measured[:, 3:].any(1)] == (0, 0, 0, 1)) and measured[:, 3:].any():
+        notes.append(
+            f"{raw.topic}: every orientation is exactly identity; if the device measures "
+            "positions only, say so (measures=x,y,z, PointStamped, or variances above 1e3)"
+        )
+    covariance[~measured] = np.nan
+    np.swapaxes(covariance, 1, 2)[~measured] = np.nan
+    keep = sieve.keep
+    return PoseStream(
+        raw.topic, raw.type, frame, sieve.time[keep], position[keep], quaternion[keep],
+        measured[keep], covariance[keep],
+    )  # fmt: skip
+
+
+def read_covariance(covariance: Array) -> tuple[Array, Bools]:
+    """Covariance (n, 6, 6), NaN where not given (variance <= 1e-24), what is measured (n, 6)."""
+    covariance = 0.5 * (covariance + np.swapaxes(covariance, 1, 2))
+    variance = np.diagonal(covariance, axis1=1, axis2=2)
+    measured = ~(variance > NOT_MEASURED)
+    unknown = ~(variance > NOT_GIVEN) | ~measured | ~np.isfinite(variance)
+    covariance[unknown] = np.nan
+    np.swapaxes(covariance, 1, 2)[unknown] = np.nan
+    return covariance, measured
+
+
+def _without_impossible_correlations(covariance: Array, topic: str) -> list[str]:
+    """Leave matrices (n, 6, 6) that are no covariance their variances only; a sentence if any."""
+    sigma = np.sqrt(np.nan_to_num(np.diagonal(covariance, axis1=1, axis2=2)))
+    sigma[sigma == 0.0] = 1.0
+    with np.errstate(over="ignore"):
+        correlation = covariance / (sigma[:, :, None] * sigma[:, None, :])
+    correlation = np.clip(np.nan_to_num(correlation), -2.0, 2.0)
+    correlated = np.flatnonzero(np.count_nonzero(correlation, axis=(1, 2)) > 6)
+    least = np.linalg.eigvalsh(correlation[correlated])[:, 0]
+    bad = correlated[least < -1e-6]
+    if not len(bad):
+        return []
+    alone = np.isnan(covariance[bad]) | np.eye(6, dtype=bool)
+    covariance[bad] = np.where(alone, covariance[bad], 0.0)
+    return [
+        f"{topic}: no covariance, as it has a negative eigenvalue, in {len(bad)} of "
+        f"{len(covariance)} messages, the first is message {bad[0]}: its variances alone are used"
+    ]
+
+
+def _sieve_frames(raw: Raw, sieve: Sieve) -> str:
+    """The frame most poses are given in; drops poses in any other."""
+    frames = np.array([row[0] for row in raw.rows])
+    frame = Counter(frames[sieve.keep].tolist()).most_common(1)[0][0]
+    sieve.drop(frames != frame, f"frame_id is not '{frame}' like the others'")
+    return frame
+
+
+def _sieve_poses(sieve: Sieve, position: Array, quaternion: Array, measured: Bools) -> None:
+    """Drop poses that are not finite or no rotation; put placeholders where nothing is measured."""
+    rotates = measured[:, 3:].any(axis=1)
+    position[~measured[:, :3]] = 0.0
+    quaternion[~rotates] = (0.0, 0.0, 0.0, 1.0)
+    finite = np.isfinite(position).all(axis=1) & np.isfinite(quaternion).all(axis=1)
+    norm = np.linalg.norm(np.clip(np.nan_to_num(quaternion, nan=1.0), -ABSURD, ABSURD), axis=1)
+    hint = (
+        "If the device measures positions only, say so: measures=x,y,z, a PointStamped topic, "
+        "or orientation variances above 1e3."
+    )
+    shown = np.hstack([position, quaternion])
+    absurd = (np.abs(position) > ABSURD).any(axis=1)
+    sieve.drop(~measured.any(axis=1), "nothing measured (all variances above 1e3)")
+    sieve.drop(~finite, "pose is not finite", hint, shown)
+    sieve.drop(absurd, "position is beyond 1e9", "Expected metres.", shown)
+    sieve.drop(norm < 1e-6, "quaternion is zero", hint, quaternion)
+    sieve.drop(np.abs(norm - 1.0) > 0.05, "quaternion is not of unit length", hint, quaternion)
+    quaternion /= np.maximum(norm, 1e-300)[:, None]

@@ -1,0 +1,78 @@
+"""Which messages of a topic can be used, and when each was said."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from parallel_cal.base.errors import BagError
+from parallel_cal.recordings.recording import Array, Bools, Dropped, Raw
+
+CLOCK_JUMP = 1_000_000_000  # ns; a stamp further back than this is a clock that was reset
+ABSURD = 1e9  # m or rad: no robot reads this, and the sums of its squares would overflow
+
+
+class Sieve:
+    """Marks single messages of one topic as unusable, remembers why, and counts them."""
+
+    def __init__(self, raw: Raw, stamp: NDArray[np.int64], start_ns: int) -> None:
+        self.topic = raw.topic
+        self.time = np.asarray((stamp - start_ns) * 1e-9, float)
+        self.keep: Bools = np.ones(len(stamp), bool)
+        self.dropped: list[Dropped] = []
+        self._stamps(stamp)
+
+    def drop(
+        self, bad: ArrayLike, reason: str, hint: str = "", values: Array | None = None
+    ) -> None:
+        """Drop the messages marked in `bad` (n,), the first of them told with its row of `values`;
+        BagError when nothing is left."""
+        bad = np.asarray(bad, bool) & self.keep
+        if not bad.any():
+            return
+        self.keep &= ~bad
+        first, count = int(np.argmax(bad)), int(bad.sum())
+        shown = "" if values is None else ": " + " ".join(f"{v:.6g}" for v in values[first])
+        message = f"message {first}{shown}"
+        if not self.keep.any():
+            raise BagError(
+                f"{self.topic}: none of its {len(bad)} messages can be used; the last {count} "
+                f"were dropped because: {reason} ({message}). {hint}".rstrip()
+            )
+        detail = f"{self.topic}: {count} of {len(bad)} messages, the first is {message}"
+        self.dropped.append(Dropped(float(self.time[first]), reason, detail, count))
+
+    def _stamps(self, stamp: NDArray[np.int64]) -> None:
+        """Drop messages that are late or repeat a time; BagError when the clock jumped back."""
+        latest = np.maximum.accumulate(stamp)
+        before = np.concatenate([[stamp[0] - 1], latest[:-1]])
+        jump = np.flatnonzero(stamp < before - CLOCK_JUMP)[:1]
+        for i in jump:
+            raise BagError(
+                f"{self.topic}: time runs backwards at message {i}: {stamp[i] * 1e-9:.3f} s comes "
+                f"after {before[i] * 1e-9:.3f} s. Record again with one clock, cut the bag there, "
+                "or read it by log time (stamps='log')."
+            )
+        self.drop(stamp < before, "stamp earlier than the message before")
+        self.drop(stamp == before, "stamp repeats the message before")
+
+
+def resolve_stamps(raw: Raw, stamps: str, notes: list[str]) -> NDArray[np.int64]:
+    """Time (n,) in ns of each message: the header's, or the log's where headers carry none."""
+    if not raw.stamp:
+        why = f" ({raw.undecodable} cannot be decoded)" if raw.undecodable else ""
+        raise BagError(
+            f"{raw.topic}: no usable message{why}. Record again with this topic; where messages "
+            "were compressed one by one, give the bag's folder with its metadata.yaml."
+        )
+    header, log = np.array(raw.stamp, np.int64), np.array(raw.log, np.int64)
+    if stamps == "log":
+        return log
+    empty = header == 0
+    if np.mean(empty) > 0.5:
+        notes.append(f"{raw.topic}: header stamps are zero; the time of recording is used instead")
+        return log
+    # a few zeros among real stamps repeat the time before them, and the sieve drops repeats
+    last = np.maximum.accumulate(np.where(empty, int(np.argmin(empty)), np.arange(len(header))))
+    header = header[last]
+    return header

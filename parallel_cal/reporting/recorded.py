@@ -1,0 +1,108 @@
+"""What a recording holds, as short tables for people; `recordings.info` makes the document."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from parallel_cal.recordings.channels import CHANNELS, named
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+ARCMIN = np.pi / 180 / 60
+
+
+def print_info(document: dict[str, Any], console: Console) -> None:
+    """Print the document as short tables, in units for people."""
+    duration = document["duration"]
+    kind = "samples" if duration is None else f"{duration:.1f} s"
+    console.print(f"{document['source']}: {kind}, sha256 {document['sha256'][:12]}")
+    if document["topics"]:
+        console.print(_topic_table(document))
+    console.print(_joint_table(document))
+    console.print(_sample_sentence(document))
+    _print_dropped(document, console)
+    _print_conditions(document["conditions"], console)
+    _print_noise(document, console)
+    for warning in document["warnings"]:
+        console.print(f"[yellow]warning:[/yellow] {_escaped(warning)}", highlight=False)
+
+
+def _print_dropped(document: dict[str, Any], console: Console) -> None:
+    """How many were dropped for each reason, and the first of them."""
+    for reason, count in document["dropped"].items():
+        first = next(d for d in document["dropped_list"] if d["reason"] == reason)
+        told = f"  dropped {count}: {reason}; at {first['time']:.2f} s: {first['detail']}"
+        console.print(_escaped(told), highlight=False)
+
+
+def _escaped(text: str) -> str:
+    from rich.markup import escape
+
+    return escape(text)
+
+
+def _topic_table(document: dict[str, Any]) -> Any:
+    """Topics with type, count, rate and the channel each serves."""
+    from rich.table import Table
+
+    table = Table("topic", "type", "messages", "rate", "used for", box=None, pad_edge=False)
+    used = {topic: channel for channel, topic in document["channels"].items() if topic}
+    for t in document["topics"]:
+        rate = f"{t['rate']:.1f} Hz" if t["rate"] else ""
+        table.add_row(t["name"], t["type"], str(t["count"]), rate, used.get(t["name"], ""))
+    return table
+
+
+def _joint_table(document: dict[str, Any]) -> Any:
+    """Joints with their range; a joint's kind is unknown here, so both readings are given."""
+    from rich.table import Table
+
+    table = Table("joint", "from", "to", "(if revolute)", box=None, pad_edge=False)
+    for name, span in document["joints"].items():
+        low, high = span["min"], span["max"]
+        degrees = f"{np.degrees(low):.2f} to {np.degrees(high):.2f} deg"
+        table.add_row(name, f"{low:.4f} rad|m", f"{high:.4f} rad|m", degrees)
+    return table
+
+
+def _sample_sentence(document: dict[str, Any]) -> str:
+    again = document["replicates"]
+    frame = document["frame"] or "no frame_id"
+    pose = f"{' '.join(document['measured'])} in frame {frame}" if document["measured"] else ""
+    read = ", ".join(f"{name} ({count})" for name, count in document["readings"].items())
+    return (
+        f"{document['samples']} samples ({document['mode'] or 'none'}) of {document['poses']} "
+        f"poses; {again['poses']} poses visited again ({again['samples']} samples); "
+        f"measured: {'; '.join(filter(None, (pose, read))) or 'nothing'}"
+    )
+
+
+def _print_conditions(conditions: dict[str, dict[str, float]], console: Console) -> None:
+    units = {**{name: CHANNELS[name].unit for name in named("condition")}, "time": "s"}
+    for name, unit in units.items():
+        if name in conditions:
+            span = conditions[name]
+            console.print(f"{name}: {span['min']:.2f} to {span['max']:.2f} {unit}", highlight=False)
+
+
+def _print_noise(document: dict[str, Any], console: Console) -> None:
+    """Scatter of position in um, of orientation in arcmin, of joints in their own unit."""
+    for kind, noise in document["noise"].items():
+        pose = noise["pose"]
+        parts = []
+        if any(v is not None for v in pose):
+            parts.append(f"position {_triple(pose[:3], 1e-6, '.1f')} um")
+            parts.append(f"orientation {_triple(pose[3:], ARCMIN, '.2f')} arcmin")
+        if "joint" in noise:
+            parts.append(f"joints {_triple(noise['joint'], 1e-3, '.4f')} mrad|mm")
+        about = f" ({noise['dof']} degrees of freedom)" if "dof" in noise else ""
+        label = kind.replace("_", " ")
+        if parts:
+            console.print(f"noise {label}, 1 sigma{about}: {', '.join(parts)}", highlight=False)
+
+
+def _triple(values: list[float | None], unit: float, form: str) -> str:
+    return " ".join("-" if v is None else format(v / unit, form) for v in values)
