@@ -11,6 +11,7 @@ __version__ = "0.1.0"
 
 # where a name lives: a module, a function that is called otherwise there, or a shelf itself
 _HOME = {
+    "Channel": "recordings.channels",
     "Dataset": "recordings.dataset",
     "Effect": "model.effect",
     "Home": "model.mechanism",

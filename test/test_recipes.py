@@ -11,14 +11,16 @@ import shlex
 import sys
 from pathlib import Path
 
+import bag_writing as bw
 import numpy as np
 import pytest
 from test_docs import execute, like
 
 import parallel_cal as pc
+from parallel_cal.recordings.channels import CHANNELS
 
 PAGE = (Path(__file__).parents[1] / "CONTRIBUTING.md").read_text(encoding="utf-8")
-KINDS = "robot effect sensor method solver plot".split()
+KINDS = "robot effect sensor method solver channel plot".split()
 NOISE = 1.21e-4  # rad, of the page's recording
 
 
@@ -35,6 +37,7 @@ def folder(tmp_path_factory):
         yield path
     for name in [n for n in sys.modules if n.split(".")[0] == "my_pkg"]:
         del sys.modules[name]
+    CHANNELS.pop("humidity", None)
 
 
 @pytest.fixture(scope="module")
@@ -129,6 +132,19 @@ def test_the_solver_answers_as_newtons_method_does(folder, ran, problem):
     assert own["joints"] == pytest.approx(usual["joints"], abs=1e-10)
 
 
+def test_the_channel_comes_from_a_bag_to_the_samples(folder, ran):
+    kind, moves = "sensor_msgs/msg/RelativeHumidity", bw.Session([[0.1, 0.2, 0.3], [0.4, 0.0, 0.5]])
+    said = [("lab/air", kind, bw.ns(t), bw.kind(kind)(bw.header(bw.ns(t)), value, 0.0))
+            for t, value in ((0, 0.4), (10, 0.6))]  # fmt: skip
+    bw.write_bag(folder / "humid", bw.joint_states(moves) + bw.poses(moves) + said)
+    own = "--data channels=my_pkg.my_channel --data humidity=lab/air"
+    told = answer(folder, f"info humid {own}")
+    assert told["channels"]["humidity"] == "lab/air"
+    span, time = told["conditions"]["humidity"], told["conditions"]["time"]
+    for end in ("min", "max"):
+        assert span[end] == pytest.approx(0.4 + 0.02 * time[end])
+
+
 def test_the_plot_shows_every_sample(folder, ran):
     model = pc.read_model(folder / "better.yaml")
     comparison = pc.compare(model, pc.load_dataset(folder / "bag", joints=model.joints), NOISE)
@@ -139,6 +155,8 @@ def test_the_plot_shows_every_sample(folder, ran):
 
 WRONG = {
     "fit better.yaml bag --method my_pkg.my_solver": "my_pkg.my_solver is no method: it has no est",
+    "info bag --data channels=my_pkg.my_plot": "my_pkg.my_plot holds no Channel: give one a name",
+    "info bag --data channels=my_pkg.none": "my_pkg.none: ModuleNotFoundError: No module named 'my",
     "fit better.yaml bag --method my_pkg.nowhere": "no method 'my_pkg.nowhere': expected one of",
     "fit better.yaml bag --method my_pkg.bad": "my_pkg.bad: ZeroDivisionError: division by zero (b",
     "direct better.yaml --joints 2 1 --solver my_pkg.my_plot": "my_pkg.my_plot is no solver: it ha",

@@ -126,21 +126,27 @@ def bag_progress(fraction: float, text: str) -> None:
 
 
 def data_options(items: list[str] | None) -> ReadOptions:
-    """`--data KEY=VALUE` as options: a channel's topic, measures, stamps, mode, ..."""
-    from parallel_cal.recordings.channels import CHANNELS
+    """`--data KEY=VALUE` as options: a channel's topic, measures, stamps, mode, ...
+
+    `channels` are Python paths of channels of one's own, before their topics are named.
+    """
+    from parallel_cal.recordings.channels import CHANNELS, take
     from parallel_cal.recordings.options import ReadOptions
 
     others = [f.name for f in fields(ReadOptions) if f.name not in ("topics", "joints")]
-    known = (*CHANNELS, *others)
     options: dict[str, Any] = {}
     topics: dict[str, str] = {}
     for item in items or []:
         key, equals, value = item.partition("=")
+        known = ("channels", *CHANNELS, *others)
         if not equals or key not in known:
             raise ParallelCalError(
                 f"--data {item}: expected KEY=VALUE, KEY one of {', '.join(known)}"
             )
-        if key in CHANNELS:
+        if key == "channels":
+            for path in value.split(","):
+                take(path)
+        elif key in CHANNELS:
             topics[key] = value
         elif key == "exclude":
             options[key] = _sample_numbers(value)

@@ -36,7 +36,7 @@ from parallel_cal.nodes.parameters import (
 )
 from parallel_cal.nodes.run import every, foreign_publishers, run
 from parallel_cal.nodes.sample_services import SERVICES
-from parallel_cal.recordings.channels import CHANNELS
+from parallel_cal.recordings.channels import CHANNELS, take
 from parallel_cal.recordings.options import MODES, SampleOptions
 from parallel_cal.recordings.recording import Dropped
 
@@ -57,6 +57,7 @@ PARAMETERS = {
     "joint_sigma": Setting(0.0, "1-sigma encoder noise, rad or m; 0 = the model file's", (0, 1)),
     "hold_out": Setting(0.25, "share of the poses left out, where none is asked for", (0, 0.5)),
     "pose_type": Setting(POSE_TYPES[0], "type of measured_pose", POSE_TYPES, fixed=True),
+    "channels": Setting("", "Python paths of channels of your own, by commas", fixed=True),
     "arrow_scale": Setting(100.0, "length of residual arrows over the residuals'", (0, 1e9)),
     "look_period": Setting(0.5, "s between two looks at what came in", (0.01, 3600), fixed=True),
 }
@@ -74,6 +75,8 @@ class CalibrationNode(Node):
         self._event, self._next_look = "", 0.0
         self._foreign: list[str] = []
         self._dropped_before: list[Dropped] = []
+        for path in filter(None, self._parameter("channels").split(",")):
+            take(path)
         self._collector = Collector(self._joints(), self._options(), auto=self._auto())
         self._status = self.create_publisher(CollectionStatus, "~/collection_status", LATCHED)
         self._dropped = self.create_publisher(String, "~/dropped", LATCHED)

@@ -9,9 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import import_module
 from typing import Any, Literal
 
 import numpy as np
+
+from parallel_cal.base.errors import BagError, told
 
 Kind = Literal["joints", "poses", "condition", "words", "readings"]
 
@@ -107,6 +110,17 @@ CHANNELS = {
 def named(*kinds: Kind) -> list[str]:
     """The channels of some kinds."""
     return [name for name, channel in CHANNELS.items() if channel.kind in kinds]
+
+
+def take(path: str) -> None:
+    """Add the channels of a user's own module, by Python path, under the names they have there."""
+    try:
+        own = {k: v for k, v in vars(import_module(path)).items() if isinstance(v, Channel)}
+    except Exception as error:
+        raise told(path, error) from error
+    if not own:
+        raise BagError(f"{path} holds no Channel: give one a name there")
+    CHANNELS.update(own)
 
 
 def stamp_of(message: Any) -> int:
