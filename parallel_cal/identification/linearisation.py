@@ -38,6 +38,10 @@ class System:
     def chi2(self) -> float:
         return float(np.vdot(self.residual, self.residual))
 
+    def chi2_of(self, other: System) -> float:
+        """Another point's chi2, to be held against this one's."""
+        return other.chi2
+
     @property
     def columns(self) -> np.ndarray:
         """The Jacobian's rows of all samples in one matrix (N * rows, n_free)."""

@@ -10,17 +10,17 @@ import numpy as np
 from parallel_cal.base.errors import FitError
 from parallel_cal.identification.linearisation import Linearisation, System
 from parallel_cal.identification.methods._estimate import (
-    GAIN,
-    STEP,
     Estimate,
     NormalEquations,
+    Sought,
     concluded,
 )
 from parallel_cal.identification.observations import Observations
-from parallel_cal.identification.prior import Knowledge, Prior
 from parallel_cal.model.model import Model
 
-Linearise = Callable[[np.ndarray], "Predicted | None"]
+# The system at parameters that lie a step (n_free,) from those of the system before (None at the
+# start); None where the model has no solution there.
+Reach = Callable[[np.ndarray, System | None, np.ndarray], System | None]
 
 
 @dataclass
@@ -32,50 +32,72 @@ class Predicted(System):
     raw: np.ndarray = field(kw_only=True)
     whitener: np.ndarray = field(kw_only=True)
 
-    def chi2_of(self, other: Predicted) -> float:
+    def chi2_of(self, other: System) -> float:
         """Another point's chi2 in this one's weights: what a step from here can lower."""
+        assert isinstance(other, Predicted)
         return float(np.sum(np.linalg.solve(self.whitener, other.raw[:, :, None]) ** 2))
 
 
+@dataclass(frozen=True)
+class _Point:
+    """Parameters, the residuals linearised there, and what a prior adds to chi2."""
+
+    values: np.ndarray
+    system: System
+    normal: NormalEquations
+    known: float
+
+    def fall_to(self, other: _Point) -> float:
+        """How much lower chi2 and prior are at another point."""
+        return self.system.chi2 + self.known - self.system.chi2_of(other.system) - other.known
+
+
 def minimise(
-    model: Model,
-    free: np.ndarray,
-    prior: bool | Prior,
-    linearise: Linearise,
-    iterations: int = 50,
+    sought: Sought, reach: Reach, advice: Callable[[System], str], iterations: int
 ) -> Estimate:
-    """Levenberg-Marquardt (C.4); `linearise` answers None where the model has no solution."""
-    tolerance, known = model.table.tolerance[free], Knowledge(prior, model.table, free)
-    values, damping = np.array(model.values), 1e-6
-    system = linearise(values)
-    if system is None:
+    """Levenberg-Marquardt (C.4) on whitened residuals, for every method that settles.
+
+    FitError where it does not, with `advice` on where it stands.
+    """
+    free, stay = sought.free, np.zeros(int(sought.free.sum()))
+
+    def at(values: np.ndarray, before: System | None, step: np.ndarray) -> _Point | None:
+        system = reach(values, before, step)
+        if system is None:
+            return None
+        normal = NormalEquations(system, values, sought.tolerance, sought.known)
+        return _Point(values, system, normal, sought.known.cost(values))
+
+    def ahead(point: _Point, damping: float) -> tuple[_Point | None, float]:
+        step, promised = point.normal.step(damping)
+        values = point.values.copy()
+        values[free] += step
+        return at(values, point.system, step), promised
+
+    start = at(np.array(sought.model.values), None, stay)
+    if start is None:
         raise FitError("the starting model has no solution at some samples: start nearer")
+    here, damping = start, 1e-6
     for k in range(iterations):
-        step, promised = NormalEquations(system, values, tolerance, known).step(damping)
-        trial = values.copy()
-        trial[free] += step
-        tried = linearise(trial)
-        small = bool(np.max(np.abs(step / tolerance), initial=0.0) < STEP)
-        if tried is not None and _better(known, trial, tried, values, system):
-            small = small or promised < GAIN * tried.chi2
-            values, system, damping = trial, tried, max(damping / 10, 1e-12)
-        else:
-            damping = max(damping * 10, 1e-6)
-        if small:
-            return concluded(model, values, system, free, prior, k + 1)
+        if k > 0 and here.normal.arrived:
+            return concluded(sought, here.values, here.system, k)
+        tried, promised = ahead(here, damping)
+        if tried is not None and here.fall_to(tried) < 0:
+            # A step along a curved valley ends on its slope; a second one leads to its floor.
+            tried, _ = ahead(tried, damping)
+        fall = -np.inf if tried is None else here.fall_to(tried)
+        # Short of half the promise, curvature counts: longer steps would only swing.
+        damping = max(damping / 5, 1e-12) if fall > promised / 2 else max(damping * 3, 1e-6)
+        if tried is not None and fall >= -1e-9 * (here.system.chi2 + here.known):
+            here = tried
+        else:  # costs compare only between adjusted quantities, which those measured are not yet
+            here = at(here.values, here.system, stay) or here
         if damping > 1e12:
             break
     raise FitError(
-        f"identification did not converge in {iterations} iterations (chi2 {system.chi2:.3g}): "
-        "leave out samples near singularities, or use the implicit method"
+        f"identification did not converge in {iterations} iterations (chi2 "
+        f"{here.system.chi2:.3g} of {len(here.system.residual)} samples): {advice(here.system)}"
     )
-
-
-def _better(
-    known: Knowledge, trial: np.ndarray, tried: Predicted, values: np.ndarray, system: Predicted
-) -> bool:
-    new, old = system.chi2_of(tried) + known.cost(trial), system.chi2 + known.cost(values)
-    return new <= old * (1 + 1e-9)
 
 
 def concluded_at(
@@ -92,7 +114,7 @@ def concluded_at(
     """
     linearise = Linearisation(model, observations, free, True)
     system = linearise(values, linearise.start())
-    found = concluded(model, values, system, free, False, iterations)
+    found = concluded(Sought(model, free), values, system, iterations)
     if covariance is None:
         return found
     whole = np.zeros_like(found.covariance)

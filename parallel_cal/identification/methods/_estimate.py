@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -42,6 +43,24 @@ class Estimate:
         return np.where(self.lost, np.inf, np.sqrt(np.diag(self.covariance)))
 
 
+@dataclass(frozen=True)
+class Sought:
+    """The parameters of a model that are identified, `free` (n_parameters,) a mask, from the
+    model's own values on, with what is known of them before."""
+
+    model: Model
+    free: np.ndarray
+    prior: bool | Prior = False
+
+    @cached_property
+    def tolerance(self) -> np.ndarray:
+        return np.asarray(self.model.table.tolerance[self.free])
+
+    @cached_property
+    def known(self) -> Knowledge:
+        return Knowledge(self.prior, self.model.table, self.free)
+
+
 class NormalEquations:
     """The normal equations at a point, scaled by tolerances, along their own directions."""
 
@@ -71,17 +90,10 @@ class NormalEquations:
         return bool(short or left < GAIN * self._chi2)
 
 
-def concluded(
-    model: Model,
-    values: np.ndarray,
-    system: System,
-    free: np.ndarray,
-    prior: bool | Prior,
-    iterations: int,
-) -> Estimate:
+def concluded(sought: Sought, values: np.ndarray, system: System, iterations: int) -> Estimate:
     """The estimate at parameters where a method has settled."""
-    J = system.columns
-    seen = spectrum(J, model.table, free, prior)
+    free = sought.free
+    seen = spectrum(system.columns, sought.model.table, free, sought.prior)
     covariance = np.zeros((len(values), len(values)))
     covariance[np.ix_(free, free)] = seen.covariance
     lost = np.zeros(len(values), dtype=bool)

@@ -6,8 +6,10 @@ import numpy as np
 
 from parallel_cal.base.errors import FitError
 from parallel_cal.identification.linearisation import Linearisation, moved
-from parallel_cal.identification.methods._descent import Predicted, need_measured
+from parallel_cal.identification.methods._descent import Predicted, minimise, need_measured
+from parallel_cal.identification.methods._estimate import Estimate, Sought
 from parallel_cal.identification.observations import Observations
+from parallel_cal.identification.prior import Prior
 from parallel_cal.model.mechanism import POSE
 from parallel_cal.model.model import Model
 
@@ -36,6 +38,7 @@ class Prediction:
         self._near = NEAR_DIRECT if direct else NEAR_INVERSE
         method = "forward" if direct else "inverse"
         need_measured(observations, self.given, [names[c] for c in self.given], method)
+        self._model, self._free = model, free
         self._scale = model.structure.scale[self.unknown]
         self._used = np.ones(len(observations), dtype=bool)
         self._at(model, observations, free)
@@ -86,6 +89,15 @@ class Prediction:
         # All that was measured takes part: its noise enters where a coordinate does not move, too.
         T = inverse @ C * self._observations.measured[:, None, :]
         return self._white(residual, inverse @ J, T)
+
+    def least(self, prior: bool | Prior, iterations: int) -> Estimate:
+        """Parameters that minimise the residuals; FitError where it does not converge."""
+        return minimise(
+            Sought(self._model, self._free, prior),
+            lambda values, before, step: self(values),
+            lambda system: "leave out samples near singularities, or use the implicit method",
+            iterations,
+        )
 
     def _white(self, residual: np.ndarray, jacobian: np.ndarray, T: np.ndarray) -> Predicted:
         """Rows of unmeasured coordinates are zero; the others in units of their noise."""

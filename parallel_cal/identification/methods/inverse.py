@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from parallel_cal.identification.methods._descent import minimise
 from parallel_cal.identification.methods._estimate import Estimate
 from parallel_cal.identification.methods._explicit import Prediction
 from parallel_cal.identification.observations import Observations
@@ -27,4 +26,4 @@ def estimate(
     coordinate was not measured, or it does not converge.
     """
     prediction = Prediction(model, observations, free, direct=False)
-    return minimise(model, free, prior, prediction, iterations)
+    return prediction.least(prior, iterations)

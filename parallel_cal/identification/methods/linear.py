@@ -6,9 +6,14 @@ import numpy as np
 
 from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.methods._descent import concluded_at, spread
-from parallel_cal.identification.methods._estimate import Estimate, NormalEquations, concluded
+from parallel_cal.identification.methods._estimate import (
+    Estimate,
+    NormalEquations,
+    Sought,
+    concluded,
+)
 from parallel_cal.identification.observations import Observations
-from parallel_cal.identification.prior import Knowledge, Prior
+from parallel_cal.identification.prior import Prior
 from parallel_cal.model.model import Model
 
 
@@ -25,15 +30,16 @@ def estimate(
     `weighted=False` is the thesis' equation. chi2 is that of the closure at the values found,
     so it shows what the linearisation left out.
     """
-    tolerance, known = model.table.tolerance[free], Knowledge(prior, model.table, free)
+    sought = Sought(model, free, prior)
+    tolerance = sought.tolerance
     linearise = Linearisation(model, observations, free, weighted)
     system = linearise(np.array(model.values), linearise.start())
-    step, _ = NormalEquations(system, model.values, tolerance, known).step(0.0)
+    step, _ = NormalEquations(system, model.values, tolerance, sought.known).step(0.0)
     values = np.array(model.values)
     values[free] += step
     if weighted:
         found = linearise(values, system.adjusted(step))
-        return concluded(model, values, found, free, prior, 1)
+        return concluded(sought, values, found, 1)
     J = system.columns * tolerance
     influence = -np.linalg.pinv(J) * tolerance[:, None]
     return concluded_at(

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from parallel_cal.base.errors import FitError
-from parallel_cal.identification.methods._estimate import Estimate, concluded
+from parallel_cal.identification.methods._estimate import Estimate, Sought, concluded
 from parallel_cal.identification.methods._explicit import Prediction
 from parallel_cal.identification.observability import RELATIVE_RANK
 from parallel_cal.identification.observations import Observations
@@ -68,7 +68,7 @@ def estimate(
         values[where[kept]] += tolerance[kept] * step
     end = prediction(values)
     assert end is not None
-    found = concluded(model, values, end, free, False, iterations)
+    found = concluded(Sought(model, free), values, end, iterations)
     covariance = np.zeros_like(found.covariance)
     inverse = np.linalg.pinv(columns[:, kept].T @ columns[:, kept])
     base = where[kept]
