@@ -1,6 +1,8 @@
 """Every method finds the robot it was shown, and predicts poses that it was not shown."""
 
+import sys
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,11 +12,13 @@ from datasets import quiet
 from virtual_small import SliderCrank
 from virtual_stewart import Assembly
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from bench.tables import optimisers
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.identification.estimators import method_named
 from parallel_cal.identification.fit import single_threaded
-from parallel_cal.identification.methods import _optimisers as optimisers
 from parallel_cal.identification.methods import implicit, semiparametric
 from parallel_cal.identification.methods._factors import separated
 from parallel_cal.identification.methods._robust import robust

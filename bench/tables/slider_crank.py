@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from bench.tables import optimisers
 from bench.tables.common import (
     ARCMIN,
     ARCSECOND,
@@ -23,7 +24,6 @@ from bench.tables.common import (
     plain_forward,
     plain_inverse,
 )
-from parallel_cal.identification.methods import _optimisers as optimisers
 from parallel_cal.identification.methods import cascaded, implicit, linear, semiparametric
 from parallel_cal.identification.methods.implicit import Estimate
 from parallel_cal.identification.observations import Observations

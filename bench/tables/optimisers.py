@@ -1,4 +1,4 @@
-"""The optimisers of annex C on one interface, to be compared (table 5.7); no method uses them.
+"""The optimisers of annex C on one interface, to be compared (table 5.7).
 
 Parameters are scaled by the caller; each optimiser stops when the merit Q = r^T r (C.2) no longer
 changes, and reports how often it evaluated a step.
@@ -47,7 +47,7 @@ Step = Callable[[LeastSquares, np.ndarray], np.ndarray]
 
 
 def gauss_newton_normal(problem: LeastSquares, p: np.ndarray, epsilon: float = 1e-9) -> Descent:
-    """NormalEquations equations (C.17)."""
+    """Normal equations (C.17)."""
 
     def step(s: LeastSquares, p: np.ndarray) -> np.ndarray:
         J = s.jacobian(p)
