@@ -400,3 +400,17 @@ def test_a_tilt_that_the_model_holds_still_is_said_although_chi2_does_not_see_it
     (words,) = [w for w in result.warnings if "holds it at one value" in w]
     assert words.startswith("the orientation is off by ")
     assert not any("holds it" in w for w in fit(new_model("delta54"), measured(4)).warnings)
+
+
+def test_an_estimate_outside_its_range_is_refused_only_beyond_three_of_its_own_sigmas():
+    """A play of zero comes out negative half of the time; one far below zero is none."""
+    leading = vr.Backlash((-4e-4, -4e-4, -4e-4))
+    for seed in range(3):
+        result = fit(new_model("delta54").with_effect("backlash"), measured(seed), hold_out=0)
+        assert abs(result.model.value("backlash.joint1.width")) < 0.2e-3
+    with pytest.raises(FitError, match=r"^backlash.joint1.width would have to be -0.0003"):
+        fit(
+            new_model("delta54").with_effect("backlash"),
+            measured(1, effects=[leading]),
+            hold_out=0,
+        )

@@ -292,7 +292,7 @@ def test_a_physically_impossible_value_is_refused(text):
         bad,
         "effects.0.parameters.joint2.width.value",
         "physically impossible",
-        "-0.0003 to 0.003 rad",
+        "expected 0 to 0.003 rad",
     )
 
 

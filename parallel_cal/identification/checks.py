@@ -68,9 +68,10 @@ def lacking(model: Model, observations: Observations, free: np.ndarray, prior: b
 
 
 def check_plausible(model: Model, estimate: Estimate, free: np.ndarray) -> None:
-    """A small residual bought with an absurd parameter is a failed fit, not a good one."""
+    """A small residual bought with an absurd parameter is a failed fit, not a good one; absurd is
+    what lies more than three of its own sigmas outside its range."""
     for i, p in enumerate(model.table):
-        low, high = p.plausible_range()
+        low, high = p.plausible_range(float(estimate.sigma[i]))
         value = model.values[i]
         if free[i] and not low <= value <= high:
             raise FitError(_implausible(p, float(value), estimate.chi2_per_dof))

@@ -12,6 +12,9 @@ import numpy as np
 
 from parallel_cal.base.errors import ModelError
 
+USUAL = 10.0  # tolerances from nominal: further away a number is not of such a robot
+BEYOND = 3.0  # of its own sigmas: so far an estimate may lie outside its range by chance
+
 
 @dataclass(frozen=True)
 class Parameter:
@@ -28,15 +31,12 @@ class Parameter:
     low: float = -np.inf
     high: float = np.inf
 
-    def plausible_range(self) -> tuple[float, float]:
-        """Ten tolerances around the nominal value, inside the physical bounds.
-
-        Noise may push an estimate slightly past a bound (a play of zero), so one tolerance
-        beyond it is still plausible.
-        """
-        reach, slack = 10 * self.tolerance, self.tolerance
-        low, high = self.low - slack, self.high + slack
-        return max(low, self.nominal - reach), min(high, self.nominal + reach)
+    def plausible_range(self, sigma: float = 0.0) -> tuple[float, float]:
+        """Ten tolerances around the nominal value, inside the physical bounds, and three of the
+        value's own `sigma` beyond: noise may push a play of zero below zero, but not far."""
+        reach, slack = USUAL * self.tolerance, BEYOND * sigma if sigma > 0 else 0.0
+        low, high = max(self.low, self.nominal - reach), min(self.high, self.nominal + reach)
+        return low - slack, high + slack
 
 
 class ParameterTable(Sequence[Parameter]):

@@ -173,8 +173,9 @@ def combine(robot: Model, loops: Sequence[LoopResult], relinearise: bool = True)
 
 def _check_plausible(model: Model) -> None:
     """Loops that are not what they are called pull dimensions out of all proportion."""
-    for p, value, fixed in zip(model.table, model.values, model.fixed, strict=True):
-        low, high = p.plausible_range()
+    sigma = np.sqrt(np.diag(np.asarray(model.covariance)))
+    for p, value, own, fixed in zip(model.table, model.values, sigma, model.fixed, strict=True):
+        low, high = p.plausible_range(own)
         if not (fixed or low <= value <= high):
             raise FitError(
                 f"together the loops put {p.name} to {value:.6g} {p.unit} (plausible {low:.6g} to "

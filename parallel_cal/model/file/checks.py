@@ -73,18 +73,22 @@ def gravity(document: Document, found: Sequence[float]) -> None:
         raise document.error(("gravity",), text)
 
 
-def number(document: Document, path: Path, parameter: Parameter, value: float) -> None:
-    """A value within ten tolerances of nominal and within what is physically possible."""
-    low, high = parameter.plausible_range()
+def number(
+    document: Document, path: Path, parameter: Parameter, value: float, sigma: float | None
+) -> None:
+    """A value within ten tolerances of nominal and within what is physically possible, or less
+    than three of its own sigmas beyond."""
+    low, high = parameter.plausible_range(sigma or 0.0)
     if low <= value <= high:
         return
+    low, high = parameter.plausible_range()
     expected = f"expected {low:.6g} to {high:.6g} {parameter.unit}"
     text = f"{value!r} {parameter.unit} {_why(parameter, value)}; {expected}"
     raise document.error((*path, "value"), text + _foreign_unit(parameter, value))
 
 
 def _why(parameter: Parameter, value: float) -> str:
-    if not parameter.low - parameter.tolerance <= value <= parameter.high + parameter.tolerance:
+    if not parameter.low <= value <= parameter.high:
         return "is physically impossible"
     away = abs(value - parameter.nominal) / parameter.tolerance
     return (

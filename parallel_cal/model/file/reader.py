@@ -39,7 +39,7 @@ class Reader:
         self._configure(mechanism, file)
         entries = self._entries(file, mechanism, effects, sensors)
         for path, parameter, entry in entries:
-            checks.number(self._document, path, parameter, entry.value)
+            checks.number(self._document, path, parameter, entry.value, entry.sigma)
         table = _full_table(mechanism, effects, sensors)
         sigmas = [entry.sigma for _, _, entry in entries]
         model = Model(
