@@ -10,10 +10,11 @@ from scipy import stats
 
 from parallel_cal.base.confidence import CHANCE, SIGMAS
 from parallel_cal.diagnosis.catalogue import candidate
-from parallel_cal.diagnosis.fields import field, reference
+from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.lack_of_fit import lack_of_fit, smooth_map
+from parallel_cal.diagnosis.noise import NoiseLevel
 from parallel_cal.diagnosis.patterns import along, odd_samples, regions
-from parallel_cal.diagnosis.scene import columns, scene
+from parallel_cal.diagnosis.scene import Scene, columns
 from parallel_cal.diagnosis.scoring import canonical_correlation, f_test, log_p_of, score
 from parallel_cal.diagnosis.statistics import holm, morans_i, runs_test
 from parallel_cal.identification.fit import fit
@@ -31,7 +32,7 @@ def here():
 
 def fitted_scene(data, model=None):
     result = fit(model or new_model("delta54"), data, hold_out=0)
-    return scene(result.model, data, result.observations, result.free)
+    return Scene.of(result.model, data, result.observations, result.free)
 
 
 # --------------------------------------------------------------------------------- statistics
@@ -118,7 +119,7 @@ def test_regressors_are_taken_where_the_model_puts_the_platform(here):
 def test_the_residual_of_a_complete_model_is_noise_in_noise_units(here):
     assert here.chi2_per_dof == pytest.approx(1, abs=0.15)
     assert here.dof == here.residual.size - here.basis.shape[1]
-    z = field(here).noise_units
+    z = Field.of(here).noise_units
     assert np.mean(z**2) == pytest.approx(1, abs=0.15)
 
 
@@ -159,10 +160,10 @@ def test_random_columns_score_as_chance_has_it(here):
 
 
 def test_replicates_know_the_noise_without_any_model(here):
-    known = reference(here, field(here))
+    known = NoiseLevel.of(here, Field.of(here))
     assert known.source == "stated (dataset)"
-    assert known.replicates == pytest.approx(1, abs=0.3)
-    assert known.replicates_dof == 120
+    assert known.pure_error.variance == pytest.approx(1, abs=0.3)
+    assert known.pure_error.dof == 120
 
 
 def test_a_noise_that_nobody_states_is_taken_from_replicates():
@@ -173,8 +174,8 @@ def test_a_noise_that_nobody_states_is_taken_from_replicates():
         S=here.observations.S / 4,
         noise_from={"joint": "scatter within dwells", "pose": "scatter within dwells"},
     )
-    there = scene(here.model, data, guessed, here.free)
-    known = reference(there, field(there))
+    there = Scene.of(here.model, data, guessed, here.free)
+    known = NoiseLevel.of(there, Field.of(there))
     assert known.variance == pytest.approx(4, abs=1.2)
     low, high = known.band(there.dof)
     assert low < there.chi2_per_dof < high
@@ -189,15 +190,15 @@ def test_a_smooth_map_finds_the_size_and_the_scale_of_a_wave_and_nothing_in_nois
     here = fitted_scene(data)
     pushed = dataclasses.replace(here.observations)
     pushed.x[:, 3:6] += wave
-    there = scene(here.model, data, pushed, np.zeros_like(here.free))
-    found = smooth_map(there, field(there))
+    there = Scene.of(here.model, data, pushed, np.zeros_like(here.free))
+    found = smooth_map(there, Field.of(there))
     assert found.share > 0.9
     assert found.size == pytest.approx(71e-6, rel=0.15)
     assert 0.005 < found.length < 0.06
 
 
 def test_noise_has_no_lack_of_fit(here):
-    left = lack_of_fit(here, field(here))
+    left = lack_of_fit(here, Field.of(here))
     assert not left.found
     assert left.map.share < 0.1
 
@@ -206,17 +207,17 @@ def test_a_wild_sample_is_named_and_no_other():
     data = measured(3)
     data.r[17] += [0.5e-3, 0, 0]
     here = fitted_scene(data)
-    odd = odd_samples(here, field(here))
-    assert [row["sample"] for row in odd if row["outlier"]] == [17]
-    assert odd[0]["sigmas"] > 5
-    assert odd[0]["time"] == data.time[17]
+    odd = odd_samples(here, Field.of(here))
+    assert [one.sample for one in odd if one.outlier] == [17]
+    assert odd[0].sigmas > 5
+    assert odd[0].time == data.time[17]
 
 
 def test_what_the_errors_go_with_is_named_first():
     data = measured(4, effects=[vr.Backlash((1e-3, 0.0, 0.0))])
     here = fitted_scene(data)
-    entries = along(here, field(here))
-    assert entries[0]["name"] == "direction.joint1"
-    assert entries[0]["strength"] > 5
-    assert entries[0]["at"] == [-1.0, 1.0]
-    assert sum(row["samples"] for row in regions(here, field(here))) == len(data)
+    entries = along(here, Field.of(here))
+    assert entries[0].name == "direction.joint1"
+    assert entries[0].strength > 5
+    assert entries[0].at.tolist() == [-1.0, 1.0]
+    assert sum(region.samples for region in regions(here, Field.of(here))) == len(data)

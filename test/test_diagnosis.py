@@ -287,7 +287,7 @@ def test_gross_outliers_are_set_aside_and_named_before_a_robust_diagnosis():
     data, _ = hiding([vf.KINDS["backlash"]], 0.6, seed=6)
     data.r[[20, 60, 100]] += [[2e-3, 0, 0], [0, -3e-3, 0], [0, 0, 5e-3]]
     spoilt = diagnose(MODEL, data, effects=["backlash", "base_drift", "device_axes"])
-    assert {row["sample"] for row in spoilt.odd if row["outlier"]} >= {20, 60, 100}
+    assert {one.sample for one in spoilt.odd_samples if one.outlier} >= {20, 60, 100}
     assert spoilt.verdict.word != "explained"
     found = diagnose(MODEL, data, effects=["backlash", "base_drift", "device_axes"], loss="cauchy")
     assert found.effects == ("backlash",)

@@ -7,7 +7,7 @@ from datasets import measured
 from findings import hiding
 
 from parallel_cal.diagnosis.catalogue import candidate
-from parallel_cal.diagnosis.scene import scene
+from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.identification.fit import fit
 from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.observations import observe
@@ -65,7 +65,7 @@ def test_an_effect_is_as_plain_to_a_position_device_as_to_its_score(kind, effect
     data, _ = hiding([vf.KINDS[kind]], 1.5, 0)
     seen = only("x y z", data)
     result = fit(new_model("delta24"), seen, hold_out=0)
-    here = scene(result.model, seen, result.observations, result.free)
+    here = Scene.of(result.model, seen, result.observations, result.free)
     one = candidate(here, effect)
     after = fit(result.model.with_effect(effect, one.settings), seen, hold_out=0)
     promised = float(np.sum((one.score.U.T @ here.residual) ** 2))

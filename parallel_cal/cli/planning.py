@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from parallel_cal.base.documents import plain
 from parallel_cal.cli.arguments import Fix, Free, Json, ModelFile, Prior, patterns
 from parallel_cal.reporting import console
 
@@ -95,7 +96,7 @@ def as_file(found: Plan, suffix: str) -> str:
 
     if suffix.lower() in (".yaml", ".yml", ".json"):
         # JSON is YAML.
-        return json.dumps(console.plain(found.document()), indent=1) + "\n"
+        return json.dumps(plain(found.document()), indent=1) + "\n"
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow([*POSITION, *QUATERNION, *found.model.joints, *found.model.conditions])

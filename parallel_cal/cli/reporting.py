@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from parallel_cal.base.documents import plain
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.cli.arguments import (
     Also,
@@ -57,7 +58,7 @@ def report(
     asked = {**vars(options), "effects": effect or (), "also": also or ()}
     del asked["refit"]  # which a diagnosis does not have
     made = reports.report(judged, dataset, against=other, progress=console.progress, **asked)
-    document = console.plain(made.document())
+    document = plain(made.document())
     if output is not None:
         console.progress("writing the report", 0.95)
         write_atomically(output, _text(document, output.suffix))

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from parallel_cal.base.errors import ModelError
-from parallel_cal.diagnosis.scene import Scene, columns, columns_at, scene
+from parallel_cal.diagnosis.scene import Scene, columns
 from parallel_cal.diagnosis.scoring import Score, score
 from parallel_cal.diagnosis.thresholds import SHUFFLES, VISIBLE_SIGMAS, WORTH_REFINING
 from parallel_cal.identification.observations import conditions
@@ -24,15 +24,15 @@ class Candidate:
     """One effect on these data: its score, or why it cannot have one.
 
     `settings` are its fixed numbers as scanned, `tried` how many were; `missing` conditions were
-    not recorded, `reason` says what else stands against it. `there` is the scene it was scored
-    in: a larger model has one of its own.
+    not recorded, `reason` says what else stands against it. `scene` is the one it was scored in: a
+    larger model has one of its own.
     """
 
     name: str
     effect: Effect
     settings: Mapping[str, float] = field(default_factory=dict)
     score: Score | None = None
-    there: Scene | None = None
+    scene: Scene | None = None
     tried: int = 1
     missing: tuple[str, ...] = ()
     reason: str = ""
@@ -57,17 +57,17 @@ class Candidate:
     def shuffled_p(self) -> float | None:
         """Guard 4: share of copies with the condition shuffled between samples (all its columns
         alike) that score as well, counting the effect itself; None where it needs no condition."""
-        if not self.effect.needs or self.score is None or self.there is None:
+        if not self.effect.needs or self.score is None or self.scene is None:
             return None
-        here = self.there
-        extended = here.model.with_effect(self.name, self.settings)
-        a, new = conditions(extended, here.dataset), new_numbers(here.model, extended)
+        scene = self.scene
+        extended = scene.model.with_effect(self.name, self.settings)
+        a, new = conditions(extended, scene.dataset), new_numbers(scene.model, extended)
         own = [extended.conditions.index(c) for c in self.effect.conditions(extended.mechanism)]
         rng, as_good = np.random.default_rng(0), 1
         for _ in range(SHUFFLES):
             shuffled = a.copy()
             shuffled[:, own] = a[rng.permutation(len(a))][:, own]
-            again = score(here, columns_at(extended, here, shuffled, new))
+            again = score(scene, columns(extended, scene, new, shuffled))
             as_good += again.log_p <= self.score.log_p
         return as_good / (SHUFFLES + 1)
 
@@ -79,60 +79,62 @@ def names_of(model: Model, also: Iterable[str] = (), only: Iterable[str] = ()) -
     return [name for name in wanted if name not in has]
 
 
-def candidate(here: Scene, name: str) -> Candidate:
+def candidate(scene: Scene, name: str) -> Candidate:
     """The score of one effect, the best of its settings where it has any to scan."""
     effect = load_effect(name)
-    if reason := effect.applies(here.model.mechanism):
+    if reason := effect.applies(scene.model.mechanism):
         return Candidate(name, effect, reason=f"does not apply: {reason}")
     try:
-        plain = here.model.with_effect(name)
+        plain = scene.model.with_effect(name)
     except ModelError as error:
         return Candidate(name, effect, reason=str(error))
-    if missing := not_recorded(plain, here.dataset):
-        return Candidate(name, effect, missing=missing, reason=_untestable(missing))
-    if plain.mechanism is not here.model.mechanism:
-        return _wider(here, name, effect, plain)
-    a = conditions(plain, here.dataset)
-    settings = list(effect.scan(here.model.mechanism))
-    scores = [score_of(here, plain, setting, a) for setting in settings]
+    if missing := not_recorded(plain, scene.dataset):
+        reason = f"cannot be tested: no {' and no '.join(missing)} recorded"
+        return Candidate(name, effect, missing=missing, reason=reason)
+    if plain.mechanism is not scene.model.mechanism:
+        return _wider(scene, name, effect, plain)
+    a = conditions(plain, scene.dataset)
+    settings = list(effect.scan(scene.model.mechanism))
+    scores = [score_of(scene, plain, setting, a) for setting in settings]
     best = int(np.argmin([s.log_p for s in scores]))
-    setting, found = settings[best], scores[best]
-    if len(settings) > 1 and len(setting) == 1 and found.log_p < WORTH_REFINING:
-        setting, found = _refined(here, plain, settings, best, a)
-    return Candidate(name, effect, setting, found, here, len(settings), (), _unseen(found))
+    setting, highest = settings[best], scores[best]
+    if len(settings) > 1 and len(setting) == 1 and highest.log_p < WORTH_REFINING:
+        near = settings[max(best - 1, 0) : best + 2]
+        setting, highest = _refined(scene, plain, near, a)
+    return Candidate(name, effect, setting, highest, scene, len(settings), (), _unseen(highest))
 
 
-def score_of(here: Scene, plain: Model, settings: Mapping[str, float], a: np.ndarray) -> Score:
+def score_of(scene: Scene, plain: Model, settings: Mapping[str, float], a: np.ndarray) -> Score:
     """The score of a model's last effect with these settings, conditions a (N, n_conditions)."""
     extended = plain.with_settings(plain.effects[-1].name, settings)
-    return score(here, columns_at(extended, here, a, new_numbers(here.model, extended)))
+    return score(scene, columns(extended, scene, new_numbers(scene.model, extended), a))
 
 
 def _refined(
-    here: Scene, plain: Model, settings: list[Mapping[str, float]], best: int, a: np.ndarray
+    scene: Scene, plain: Model, near: list[Mapping[str, float]], a: np.ndarray
 ) -> tuple[Mapping[str, float], Score]:
-    """The best value between the neighbours of the best one scanned."""
+    """The best value between the neighbours of the best one scanned, `near` all of them."""
     from scipy.optimize import minimize_scalar
 
-    (key,) = settings[best]
-    near = sorted(s[key] for s in settings[max(best - 1, 0) : best + 2])
-    found = minimize_scalar(
-        lambda value: score_of(here, plain, {key: value}, a).log_p,
-        bounds=(near[0], near[-1]),
+    (key,) = near[0]
+    low, *_, high = sorted(setting[key] for setting in near)
+    optimum = minimize_scalar(
+        lambda value: score_of(scene, plain, {key: value}, a).log_p,
+        bounds=(low, high),
         method="bounded",
-        options={"xatol": 1e-3 * (near[-1] - near[0])},
+        options={"xatol": 1e-3 * (high - low)},
     )
-    refined = {key: float(found.x)}
-    return refined, score_of(here, plain, refined, a)
+    refined = {key: float(optimum.x)}
+    return refined, score_of(scene, plain, refined, a)
 
 
-def _unseen(found: Score) -> str:
+def _unseen(score: Score) -> str:
     """Why a score says nothing: all that the effect could show hides in the geometry, or in the
     noise."""
-    if not found.q:
+    if not score.q:
         return "cannot be seen with this set-up: the geometry absorbs it"
-    if found.size < VISIBLE_SIGMAS:
-        return f"cannot be seen: at its typical size it makes {found.size:.1g} sigmas"
+    if score.size < VISIBLE_SIGMAS:
+        return f"cannot be seen: at its typical size it makes {score.size:.1g} sigmas"
     return ""
 
 
@@ -148,13 +150,9 @@ def not_recorded(model: Model, dataset: Dataset) -> tuple[str, ...]:
     return tuple(dict.fromkeys(c.split(".")[0] for c in lacking))
 
 
-def _untestable(missing: tuple[str, ...]) -> str:
-    return f"cannot be tested: no {' and no '.join(missing)} recorded"
-
-
-def _wider(here: Scene, name: str, effect: Effect, wide: Model) -> Candidate:
+def _wider(scene: Scene, name: str, effect: Effect, wide: Model) -> Candidate:
     """A larger model's further parameters, in a scene of its own: its rows differ."""
-    new = new_numbers(here.model, wide)
-    observations = replace(here.observations, a=conditions(wide, here.dataset))
-    there = scene(wide, here.dataset, observations, ~np.asarray(wide.fixed) & ~new)
-    return Candidate(name, effect, score=score(there, columns(wide, there, new)), there=there)
+    new = new_numbers(scene.model, wide)
+    observations = replace(scene.observations, a=conditions(wide, scene.dataset))
+    wider = Scene.of(wide, scene.dataset, observations, ~np.asarray(wide.fixed) & ~new)
+    return Candidate(name, effect, score=score(wider, columns(wide, wider, new)), scene=wider)

@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from parallel_cal.diagnosis.fields import Field, field, reference
-from parallel_cal.diagnosis.lack_of_fit import lack_of_fit
-from parallel_cal.diagnosis.patterns import along, odd_samples, regions
-from parallel_cal.diagnosis.scene import Scene, scene
-from parallel_cal.identification.doubts import finite_or_none
+from parallel_cal.base.documents import plain
+from parallel_cal.diagnosis.field import Field
+from parallel_cal.diagnosis.lack_of_fit import LackOfFit, lack_of_fit
+from parallel_cal.diagnosis.noise import PureError
+from parallel_cal.diagnosis.patterns import Along, OddSample, Region, along, odd_samples, regions
+from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.identification.fit import single_threaded
 from parallel_cal.identification.noise_floor import noise_floor
 from parallel_cal.identification.observations import Observations, observe
@@ -31,59 +32,74 @@ class Comparison:
     errors: Errors
     noise: Summary
 
-    def document(self) -> dict[str, Any]:
-        """E, one row a sample, worst first, and where the model fails."""
-        return {
-            **self.errors.document(),
-            "noise_floor": self.noise.document(),
-            "samples": len(self.observations),
-            "channels": list(self.model.structure.channels),
-            "rows": [self._row(i) for i in self._worst_first()],
-            "where": self._where(),
-        }
-
     @cached_property
     def scene(self) -> Scene:
         """The model linearised at its own predictions, nothing of it free."""
-        return scene(
-            self.model, self.dataset, self.observations, np.zeros(len(self.model.values), bool)
-        )
+        nothing = np.zeros(len(self.model.values), bool)
+        return Scene.of(self.model, self.dataset, self.observations, nothing)
 
     @cached_property
     def field(self) -> Field:
-        return field(self.scene)
+        return Field.of(self.scene)
 
-    def _where(self) -> dict[str, Any]:
-        """LackOfFit over workspace, joints and conditions; odd samples; replicates."""
-        known = reference(self.scene, self.field)
-        return {
-            "along": along(self.scene, self.field),
-            "regions": regions(self.scene, self.field),
-            "structure": lack_of_fit(self.scene, self.field).document(),
-            "odd_samples": odd_samples(self.scene, self.field),
-            "chi2_per_dof": finite_or_none(self.scene.chi2_per_dof),
-            "replicates": {"variance": known.replicates, "dof": known.replicates_dof},
-        }
+    @cached_property
+    def along(self) -> tuple[Along, ...]:
+        return along(self.scene, self.field)
 
-    def _worst_first(self) -> np.ndarray:
-        found = [self.errors.norms(kind) for kind in ("position", "orientation", "reading")]
-        norms = next((n for n in found if np.isfinite(n).any()), found[0])
+    @cached_property
+    def regions(self) -> tuple[Region, ...]:
+        return regions(self.scene, self.field)
+
+    @cached_property
+    def structure(self) -> LackOfFit:
+        return lack_of_fit(self.scene, self.field)
+
+    @cached_property
+    def odd_samples(self) -> tuple[OddSample, ...]:
+        return odd_samples(self.scene, self.field)
+
+    @property
+    def position(self) -> np.ndarray:
+        """(N, 3) m, NaN where not measured."""
+        at = slice(len(self.model.joints), len(self.model.joints) + 3)
+        return np.where(self.observations.measured[:, at], self.observations.x[:, at], np.nan)
+
+    @cached_property
+    def worst_first(self) -> np.ndarray:
+        """Indices (N,) of the samples, by the error of the pose; where none was measured by that
+        of readings."""
+        kinds = [self.errors.norms(kind) for kind in ("position", "orientation", "reading")]
+        norms = next((n for n in kinds if np.isfinite(n).any()), kinds[0])
         return np.argsort(-np.nan_to_num(norms, nan=-1.0), kind="stable")
 
-    def _row(self, i: int) -> dict[str, Any]:
-        n = len(self.model.joints)
-        parts = {kind: getattr(self.errors, kind)[i] for kind in ERRORS}
-        measured = self.observations.measured[i, n : n + 3]
-        position = np.where(measured, self.observations.x[i, n : n + 3], np.nan)
-        return {
-            "sample": int(self.dataset.numbers[i]),
-            "time": float(self.dataset.time[i]),
-            "joints": self.observations.x[i, :n].tolist(),
-            "position": [finite_or_none(v) for v in position],
-            **{f"{k}_error": [finite_or_none(v) for v in part] for k, part in parts.items()},
-            "sigmas": finite_or_none(self.scene.sigmas[i]),
-            **{f"{kind}_norm": finite_or_none(self.errors.norms(kind)[i]) for kind in ERRORS},
+    def document(self) -> dict[str, Any]:
+        """E, one row a sample, worst first, and where the model fails."""
+        norms = {f"{kind}_norm": self.errors.norms(kind) for kind in ERRORS}
+        columns = {
+            "sample": self.dataset.numbers,
+            "time": self.dataset.time,
+            "joints": self.observations.x[:, : len(self.model.joints)],
+            "position": self.position,
+            **{f"{kind}_error": getattr(self.errors, kind) for kind in ERRORS},
+            "sigmas": self.scene.sigmas,
+            **norms,
         }
+        document = {
+            **self.errors.document(),
+            "noise_floor": self.noise,
+            "samples": len(self.observations),
+            "channels": self.model.structure.channels,
+            "rows": [{key: c[i] for key, c in columns.items()} for i in self.worst_first],
+            "where": {
+                "along": self.along,
+                "regions": self.regions,
+                "structure": self.structure,
+                "odd_samples": self.odd_samples,
+                "chi2_per_dof": self.scene.chi2_per_dof,
+                "replicates": PureError.of(self.scene, self.field),
+            },
+        }
+        return {key: plain(value) for key, value in document.items()}
 
 
 def compare(model: Model, dataset: Dataset, joint_sigma: float | None = None) -> Comparison:

@@ -8,26 +8,26 @@ from typing import Any
 
 import numpy as np
 
+from parallel_cal.base.documents import plain
 from parallel_cal.diagnosis.catalogue import Candidate, candidate, names_of
 from parallel_cal.diagnosis.entries import (
+    Entry,
+    NegativeControl,
     chi2_before,
     entries,
     negative_control,
     rivals_of,
 )
-from parallel_cal.diagnosis.fields import Field, Reference, field, reference
+from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.lack_of_fit import LackOfFit, lack_of_fit
-from parallel_cal.diagnosis.patterns import odd_samples
+from parallel_cal.diagnosis.noise import NoiseLevel
+from parallel_cal.diagnosis.patterns import OddSample, odd_samples
 from parallel_cal.diagnosis.scene import Progress
-from parallel_cal.diagnosis.search import (
-    Chosen,
-    Search,
-    Trial,
-)
-from parallel_cal.diagnosis.separate import next_measurement
+from parallel_cal.diagnosis.search import Chosen, Search, Trial
+from parallel_cal.diagnosis.separate import NextMeasurement, next_measurement
 from parallel_cal.diagnosis.statistics import holm
 from parallel_cal.diagnosis.thresholds import REFITTED, SIGNIFICANT
-from parallel_cal.diagnosis.verdict import Verdict, judge, listed
+from parallel_cal.diagnosis.verdict import Findings, Verdict, judge
 from parallel_cal.identification.fit import Result, fit, single_threaded
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.model import Model
@@ -39,7 +39,8 @@ class Diagnosis:
     """A diagnosis with the inputs that made it.
 
     `base` is the model identified without further effects, `best` with those chosen; `ranked` the
-    candidates of the base, best first; `left` the structure that remains in `best`.
+    candidates of the base, best first; `structure`, `field` and `odd_samples` are what `best`
+    leaves.
     """
 
     model: Model
@@ -47,54 +48,60 @@ class Diagnosis:
     base: Trial
     best: Trial
     ranked: tuple[Candidate, ...]
-    entries: tuple[Mapping[str, Any], ...]
-    negative_control: Mapping[str, Any]
-    noise: Reference
+    entries: tuple[Entry, ...]
+    negative_control: NegativeControl
+    noise: NoiseLevel
     verdict: Verdict
-    left: LackOfFit
+    structure: LackOfFit
     field: Field
-    odd: tuple[Mapping[str, Any], ...]
+    odd_samples: tuple[OddSample, ...]
     swaps: Mapping[str, list[str]]
-    next: Mapping[str, Any]
+    measure_next: NextMeasurement
 
     @property
     def effects(self) -> tuple[str, ...]:
         """Names of the effects found."""
         return tuple(c.name for c in self.best.chosen)
 
+    @property
+    def band(self) -> tuple[float, float]:
+        """Where chi2/dof of the base lies if it is complete; infinite where nobody knows."""
+        return self.noise.band(self.base.fitted.estimate.dof)
+
     def document(self) -> dict[str, Any]:
         """The JSON document of `parallel-cal diagnose`; all values SI, None where not known."""
-        low, high = self.noise.band(self.base.fitted.estimate.dof)
-        return {
+        base, best = self.base.fitted, self.best.fitted
+        document = {
             "verdict": self.verdict.word,
             "summary": self.verdict.summary,
-            "effects": list(self.effects),
+            "effects": self.effects,
             "share_explained": self.verdict.share,
-            "against": list(self.verdict.against),
+            "against": self.verdict.against,
             "samples": len(self.dataset),
-            "baseline": self.base.fitted.held_out.document(),
-            "best": self.best.fitted.held_out.document(),
+            "baseline": base.held_out.summary,
+            "best": best.held_out.summary,
             "chi2_per_dof": {
-                "baseline": self.base.fitted.estimate.chi2_per_dof,
-                "best": self.best.fitted.estimate.chi2_per_dof,
-                "band": [low, high if np.isfinite(high) else None],
+                "baseline": base.estimate.chi2_per_dof,
+                "best": best.estimate.chi2_per_dof,
+                "band": self.band,
             },
             "noise": {
                 "variance": self.noise.variance,
                 "source": self.noise.source,
-                "replicates": self.noise.replicates,
-                "replicates_dof": self.noise.replicates_dof,
-                "floor": self.best.fitted.noise.document(),
+                "replicates": self.noise.pure_error.variance,
+                "replicates_dof": self.noise.pure_error.dof,
+                "floor": best.noise,
             },
-            "candidates": list(self.entries),
-            "negative_control": dict(self.negative_control),
-            "swaps": dict(self.swaps),
-            "structure": self.left.document(),
-            "odd_samples": list(self.odd),
-            "measure_next": self.next,
-            "warnings": list(self.best.fitted.warnings),
+            "candidates": self.entries,
+            "negative_control": self.negative_control,
+            "swaps": self.swaps,
+            "structure": self.structure,
+            "odd_samples": self.odd_samples,
+            "measure_next": self.measure_next,
+            "warnings": best.warnings,
             "dataset": {"source": self.dataset.source, "sha256": self.dataset.sha256},
         }
+        return {key: plain(value) for key, value in document.items()}
 
 
 def diagnose(
@@ -120,78 +127,63 @@ def diagnose(
     if options.loss != "linear":
         first = fit(model, dataset, options, hold_out=0)
         dataset = dataset.excluding([d.sample for d in first.down_weighted])
-    plain = replace(options, loss="linear")
+    least_squares = replace(options, loss="linear")
 
-    def refit(model: Model) -> Result:
-        return fit(model, dataset, plain)
+    def refit(extended: Model) -> Result:
+        return fit(extended, dataset, least_squares)
 
     with single_threaded():
         search = Search(model, refit, report)
         report("identifying the geometry", 0.0)
         base = search.fit()
-        return _Diagnosing(model, dataset, search, base, names_of(model, also, effects), report)()
-
-
-class _Diagnosing:
-    """One diagnosis under way: the catalogue ranked, effects searched, the rest described."""
-
-    def __init__(
-        self,
-        model: Model,
-        dataset: Dataset,
-        search: Search,
-        base: Trial,
-        names: list[str],
-        report: Progress,
-    ):
-        self._model, self._dataset, self._search = model, dataset, search
-        self._base, self._names, self._report = base, names, report
-        self._known: dict[tuple[Chosen, ...], list[Candidate]] = {}
-
-    def __call__(self) -> Diagnosis:
-        base, search = self._base, self._search
-        scene, ranked = base.scene, self._ranked(base)
-        best, against = search.forward(base, self._significant)
+        catalogue = _Catalogue(names_of(model, also, effects), report)
+        ranked = catalogue.ranked(base)
+        best, against = search.forward(base, catalogue.significant)
         best = search.backward(best)
         swaps = search.swaps(best, rivals_of(best, ranked))
-        there = best.scene
-        seen, found = field(scene), field(there)
-        noise, left = reference(scene, seen), lack_of_fit(there, found)
-        names = listed([c.name for c in best.chosen], swaps)
-        before = chi2_before(base, best, ranked)
-        verdict = judge(base, best, before, noise, left, found.held, names)
-        self._report("weighing the observations", 0.8)
+        left = Field.of(best.scene)
+        noise = NoiseLevel.of(base.scene, Field.of(base.scene))
+        structure, before = lack_of_fit(best.scene, left), chi2_before(base, best, ranked)
+        verdict = judge(Findings(base, best, before, noise, structure, left.held, swaps))
+        report("weighing the observations", 0.8)
         rivals = {c.name: swaps.get(c.name, []) for c in best.chosen}
         return Diagnosis(
-            model=self._model,
-            dataset=self._dataset,
+            model=model,
+            dataset=dataset,
             base=base,
             best=best,
             ranked=tuple(ranked),
-            entries=tuple(entries(ranked, base, search, noise, against)),
-            negative_control=negative_control(scene, ranked),
+            entries=entries(ranked, base, search, noise, against),
+            negative_control=negative_control(base.scene, ranked),
             noise=noise,
             verdict=verdict,
-            left=left,
-            field=found,
-            odd=tuple(odd_samples(there, found)),
+            structure=structure,
+            field=left,
+            odd_samples=odd_samples(best.scene, left),
             swaps=swaps,
-            next=next_measurement(best, rivals, ranked),
+            measure_next=next_measurement(best, rivals, ranked),
         )
 
-    def _ranked(self, here: Trial) -> list[Candidate]:
-        """The catalogue beside a refit, best first; those that cannot be tested last."""
-        if here.chosen in self._known:
-            return self._known[here.chosen]
-        scene, found = here.scene, []
-        taken = {c.name for c in here.chosen}
-        for k, name in enumerate(n for n in self._names if n not in taken):
-            self._report(f"testing {name}", 0.1 + 0.3 * k / len(self._names))
-            found.append(candidate(scene, name))
-        self._known[here.chosen] = sorted(found, key=lambda c: (not c.testable, c.log_p))
-        return self._known[here.chosen]
 
-    def _significant(self, here: Trial) -> list[Candidate]:
-        ranked = [c for c in self._ranked(here) if c.testable]
-        adjusted = holm(np.array([c.p_value for c in ranked]))
-        return [c for c, p in zip(ranked, adjusted, strict=True) if p < SIGNIFICANT][:REFITTED]
+class _Catalogue:
+    """The effects to test beside each trial, scored once."""
+
+    def __init__(self, names: list[str], report: Progress):
+        self._names, self._report = names, report
+        self._ranked: dict[tuple[Chosen, ...], list[Candidate]] = {}
+
+    def ranked(self, trial: Trial) -> list[Candidate]:
+        """The catalogue without what the trial has, best first; the untestable last."""
+        if trial.chosen not in self._ranked:
+            taken, scored = {c.name for c in trial.chosen}, []
+            for k, name in enumerate(n for n in self._names if n not in taken):
+                self._report(f"testing {name}", 0.1 + 0.3 * k / len(self._names))
+                scored.append(candidate(trial.scene, name))
+            self._ranked[trial.chosen] = sorted(scored, key=lambda c: (not c.testable, c.log_p))
+        return self._ranked[trial.chosen]
+
+    def significant(self, trial: Trial) -> list[Candidate]:
+        """Those that are no chance, corrected for how many were looked at; the best few."""
+        tested = [c for c in self.ranked(trial) if c.testable]
+        adjusted = holm(np.array([c.p_value for c in tested]))
+        return [c for c, p in zip(tested, adjusted, strict=True) if p < SIGNIFICANT][:REFITTED]

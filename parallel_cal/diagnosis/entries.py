@@ -2,121 +2,168 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from parallel_cal.diagnosis.catalogue import Candidate
-from parallel_cal.diagnosis.fields import Reference
+from parallel_cal.diagnosis.noise import NoiseLevel
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.scoring import canonical_correlation, resampled, score
 from parallel_cal.diagnosis.search import Chosen, Search, Trial, ratio_of
 from parallel_cal.diagnosis.statistics import holm
 from parallel_cal.diagnosis.thresholds import ALIKE, REFITTED, RESAMPLES
 from parallel_cal.diagnosis.verdict import share_explained
-from parallel_cal.identification.fit import Result
+from parallel_cal.identification.fit import Estimated, Result
+from parallel_cal.identification.prediction_errors import Summary
+
+
+@dataclass(frozen=True)
+class Alone:
+    """What identifying a candidate alone says: errors at poses left out without it and with it,
+    `ratio` after over before, chi2/dof, the share of what exceeds the noise, and its numbers."""
+
+    before: Summary
+    after: Summary
+    ratio: float | None
+    chi2_per_dof: float
+    share_explained: float | None
+    shuffled_p_value: float | None
+    parameters: Mapping[str, Estimated]
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A candidate with its rank (from 1) and what else is known of it.
+
+    `confused_with` are those that the data cannot tell from it, `p_adjusted` its p-value for
+    having looked at all, `first_picks` the share of resamples in which it scores best (both None
+    where it cannot be tested), `reason` what stands against it, `alone` a refit of the best.
+    """
+
+    candidate: Candidate
+    rank: int
+    confused_with: tuple[str, ...]
+    p_adjusted: float | None
+    first_picks: float | None
+    reason: str
+    alone: Alone | None = None
+
+    @property
+    def name(self) -> str:
+        return self.candidate.name
+
+    @property
+    def remaining(self) -> float | None:
+        """Share of its columns that no geometry imitates."""
+        return self.candidate.score.remaining if self.candidate.score else None
+
+    def document(self) -> dict[str, Any]:
+        one, score, alone = self.candidate, self.candidate.score, self.alone
+        row = {
+            "effect": one.name,
+            "rank": self.rank,
+            "physics": one.effect.physics,
+            "source": one.effect.source,
+            "p_value": one.p_value if score else None,
+            "log10_p": one.log_p / np.log(10) if score else None,
+            "F": score.F if score else None,
+            "freedoms": score.q if score else None,
+            "settings": one.settings,
+            "tried": one.tried,
+            "remaining_after_geometry": self.remaining,
+            "typical_size_in_sigmas": score.size if score else None,
+            "confused_with": self.confused_with,
+            "lookalikes": one.effect.lookalikes,
+            "separated_by": one.effect.separated_by,
+            "missing_conditions": one.missing,
+            "holdout_before": alone.before if alone else None,
+            "holdout_after": alone.after if alone else None,
+            "share_explained": alone.share_explained if alone else None,
+            "parameters": alone.parameters if alone else {},
+            "p_adjusted": self.p_adjusted,
+            "first_picks": self.first_picks,
+            "reason": self.reason,
+        }
+        if alone:
+            row |= {
+                "holdout_ratio": alone.ratio,
+                "chi2_per_dof": alone.chi2_per_dof,
+                "shuffled_p_value": alone.shuffled_p_value,
+            }
+        return row
 
 
 def entries(
-    ranked: list[Candidate],
+    ranked: Sequence[Candidate],
     base: Trial,
     search: Search,
-    noise: Reference,
+    noise: NoiseLevel,
     against: Mapping[str, str],
-) -> list[dict[str, Any]]:
-    """One row a candidate: observations for the testable, a reason for the others."""
+) -> tuple[Entry, ...]:
+    """One entry a candidate: observations for the testable, a reason for the others."""
     tested = [c for c in ranked if c.testable]
     raised = holm(np.array([c.p_value for c in tested]))
     adjusted = dict(zip([c.name for c in tested], raised.tolist(), strict=True))
     picks = first_picks(tested)
     rows = []
     for rank, one in enumerate(ranked, 1):
-        row = _row(one, rank, ranked) | {
-            "p_adjusted": adjusted.get(one.name),
-            "first_picks": picks.get(one.name),
-            "reason": one.reason or against.get(one.name, ""),
-        }
+        alike = tuple(c.name for c in ranked if c is not one and confused(one, c))
+        reason, alone = one.reason or against.get(one.name, ""), None
         if one.testable and rank <= REFITTED:
-            row |= _judged(one, base, search, noise)
-        rows.append(row)
-    return rows
+            trial = search.fit(Chosen.of(one))
+            reason = trial.reason or reason
+            alone = _alone(one, base, trial, noise) if trial.result else None
+        p, first = adjusted.get(one.name), picks.get(one.name)
+        rows.append(Entry(one, rank, alike, p, first, reason, alone))
+    return tuple(rows)
 
 
-def _judged(one: Candidate, base: Trial, search: Search, noise: Reference) -> dict[str, Any]:
-    """What a refit with this effect alone says."""
-    after = search.fit(Chosen.of(one))
-    if after.result is None:
-        return {"reason": after.reason}
-    chi2 = after.result.estimate.chi2_per_dof
-    own = {
-        name.removeprefix(f"{one.name}."): p
-        for name, p in after.result.parameters().items()
-        if _new(name, base.fitted, after.result)
-    }
-    return {
-        "holdout_before": base.fitted.held_out.document(),
-        "holdout_after": after.result.held_out.document(),
-        "holdout_ratio": ratio_of(base, after),
-        "chi2_per_dof": chi2,
-        "share_explained": share_explained(chi2_before(base, after, [one]), chi2, noise.variance),
-        "shuffled_p_value": one.shuffled_p,
-        "parameters": own,
-    }
+def _alone(one: Candidate, base: Trial, trial: Trial, noise: NoiseLevel) -> Alone:
+    before, after = base.fitted, trial.fitted
+    chi2 = after.estimate.chi2_per_dof
+    return Alone(
+        before=before.held_out.summary,
+        after=after.held_out.summary,
+        ratio=ratio_of(base, trial),
+        chi2_per_dof=chi2,
+        share_explained=share_explained(chi2_before(base, trial, [one]), chi2, noise.variance),
+        shuffled_p_value=one.shuffled_p,
+        parameters={
+            name.removeprefix(f"{one.name}."): estimated
+            for name, estimated in after.parameters().items()
+            if _new(name, before, after)
+        },
+    )
 
 
-def chi2_before(base: Trial, after: Trial, ranked: list[Candidate]) -> float:
+def chi2_before(base: Trial, after: Trial, ranked: Sequence[Candidate]) -> float:
     """chi2/dof of the base, on the rows of the model after: a larger model has more of them."""
     taken = {c.name for c in after.chosen}
-    wider = [c.there for c in ranked if c.name in taken and c.there is not base.scene]
+    wider = [c.scene for c in ranked if c.name in taken and c.scene is not base.scene]
     return next((s.chi2_per_dof for s in wider if s is not None), base.scene.chi2_per_dof)
 
 
-def _new(name: str, base: Result, after: Result) -> bool:
+def _new(name: str, before: Result, after: Result) -> bool:
     """Whether a parameter is one that the base has not, or does not identify."""
-    known, table = base.model.table, after.model.table
-    if name not in known.names:
+    old, table = before.model.table, after.model.table
+    if name not in old.names:
         return True
-    return bool(after.free[table.index_of(name)] and not base.free[known.index_of(name)])
-
-
-def _row(one: Candidate, rank: int, ranked: list[Candidate]) -> dict[str, Any]:
-    """What is known of a candidate without a refit."""
-    score = one.score
-    return {
-        "effect": one.name,
-        "rank": rank,
-        "physics": one.effect.physics,
-        "source": one.effect.source,
-        "p_value": one.p_value if score else None,
-        "log10_p": one.log_p / np.log(10) if score else None,
-        "F": score.F if score else None,
-        "freedoms": score.q if score else None,
-        "settings": dict(one.settings),
-        "tried": one.tried,
-        "remaining_after_geometry": score.remaining if score else None,
-        "typical_size_in_sigmas": score.size if score else None,
-        "confused_with": [c.name for c in ranked if c is not one and confused(one, c)],
-        "lookalikes": list(one.effect.lookalikes),
-        "separated_by": one.effect.separated_by,
-        "missing_conditions": list(one.missing),
-        "holdout_before": None,
-        "holdout_after": None,
-        "share_explained": None,
-        "parameters": {},
-    }
+    return bool(after.free[table.index_of(name)] and not before.free[old.index_of(name)])
 
 
 def confused(one: Candidate, other: Candidate) -> bool:
     """Whether the data cannot tell two effects: off the geometry they act in one direction."""
     if one.score is None or other.score is None or not (one.testable and other.testable):
         return False
-    if one.there is not other.there:  # a larger model's rows are others
+    if one.scene is not other.scene:  # a larger model's rows are others
         return False
     return canonical_correlation(one.score.U, other.score.U) > ALIKE
 
 
-def rivals_of(best: Trial, ranked: list[Candidate]) -> dict[str, list[Candidate]]:
+def rivals_of(best: Trial, ranked: Sequence[Candidate]) -> dict[str, list[Candidate]]:
     """For each chosen effect the candidates that the data confuse it with, all not chosen."""
     taken = {c.name for c in best.chosen}
     return {
@@ -126,26 +173,41 @@ def rivals_of(best: Trial, ranked: list[Candidate]) -> dict[str, list[Candidate]
     }
 
 
-def first_picks(tested: list[Candidate]) -> dict[str, float]:
+def first_picks(tested: Sequence[Candidate]) -> dict[str, float]:
     """Share of the resamples of the poses in which each candidate scores best."""
-    seen = [c for c in tested if c.score is not None and c.there is not None]
-    if not seen:
+    if not tested:
         return {}
-    logs = np.zeros((RESAMPLES, len(seen)))
-    for there in {id(c.there): c.there for c in seen}.values():
-        mine = [k for k, c in enumerate(seen) if c.there is there]
-        groups = [seen[k].score.U for k in mine]  # type: ignore[union-attr]
-        assert there is not None
-        logs[:, mine] = resampled(there, groups, RESAMPLES) + np.log([seen[k].tried for k in mine])
-    wins = np.bincount(np.argmin(logs, axis=1), minlength=len(seen)) / RESAMPLES
-    return {c.name: float(w) for c, w in zip(seen, wins, strict=True)}
+    logs = np.zeros((RESAMPLES, len(tested)))
+    for scene in {id(c.scene): c.scene for c in tested}.values():
+        mine = [k for k, c in enumerate(tested) if c.scene is scene]
+        groups = [tested[k].score.U for k in mine]  # type: ignore[union-attr]
+        assert scene is not None
+        logs[:, mine] = resampled(scene, groups) + np.log([tested[k].tried for k in mine])
+    wins = np.bincount(np.argmin(logs, axis=1), minlength=len(tested)) / RESAMPLES
+    return {c.name: float(w) for c, w in zip(tested, wins, strict=True)}
 
 
-def negative_control(here: Scene, ranked: list[Candidate]) -> dict[str, Any]:
-    """What no effect is: where a group of random columns ranks, and how often copies of each
-    effect's own condition, shuffled between samples, score as well as the condition itself."""
-    draw = np.random.default_rng(0).standard_normal((len(here.x), here.rows, 6))
-    random = score(here, (here.whitener @ draw).reshape(-1, 6))
+@dataclass(frozen=True)
+class RandomGroup:
+    """A group of random columns: its p-value, and the rank that it would have."""
+
+    p_value: float
+    rank: int
+
+
+@dataclass(frozen=True)
+class NegativeControl:
+    """What no effect is: random columns, and by effect how often copies of its own condition,
+    shuffled between samples, score as well as the condition itself."""
+
+    random_group: RandomGroup
+    shuffled: Mapping[str, float]
+
+
+def negative_control(scene: Scene, ranked: Sequence[Candidate]) -> NegativeControl:
+    """Six random columns on the rows that tell something, and the shuffled conditions."""
+    draw = np.random.default_rng(0).standard_normal((len(scene.x), scene.rows, 6))
+    random = score(scene, (scene.whitener @ draw).reshape(-1, 6))
     better = sum(c.score is not None and c.log_p < random.log_p for c in ranked)
     shuffled = {c.name: p for c in ranked if c.testable and (p := c.shuffled_p) is not None}
-    return {"random_group": {"p_value": random.p_value, "rank": better + 1}, "shuffled": shuffled}
+    return NegativeControl(RandomGroup(random.p_value, better + 1), shuffled)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from parallel_cal.diagnosis.fields import Field
+from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.statistics import averaged, morans_i, runs_test, smallest
 from parallel_cal.diagnosis.thresholds import LENGTHS, LEVELS, ROUGHNESS, SIGNIFICANT
@@ -59,60 +59,58 @@ class SmoothMap:
     field: np.ndarray
 
     def document(self) -> dict[str, Any]:
-        seen = self.share > 0
+        drawn = self.share > 0
         return {
             "kind": self.kind,
-            "length_scale": self.length if seen else None,
-            "size": self.size if seen else 0.0,
+            "length_scale": self.length if drawn else None,
+            "size": self.size if drawn else 0.0,
             "share_predicted": self.share,
             "note": "a picture of what is unexplained, no physical effect",
         }
 
 
-def lack_of_fit(here: Scene, found: Field) -> LackOfFit:
+def lack_of_fit(scene: Scene, field: Field) -> LackOfFit:
     """Tests over workspace and joint space, along time, every joint and every condition."""
-    n, z = len(here.model.joints), found.noise_units
-    joints, places = here.x[:, :n], here.x[:, n : n + 3]
-    group = here.observations.group
+    n, z = len(scene.model.joints), field.noise_units
+    joints, places = scene.x[:, :n], scene.x[:, n : n + 3]
+    group = scene.observations.group
     moran = {"joint space": morans_i(z, joints, group)}
     if np.ptp(places, axis=0).max() > 1e-9:
         moran["workspace"] = morans_i(z, places, group)
     varied = z[:, np.any(z != 0, axis=0)]
-    runs = {name: runs_test(varied[order]) for name, order in orders(here)}
-    return LackOfFit(moran, runs, smooth_map(here, found))
+    runs = {name: runs_test(varied[order]) for name, order in orders(scene)}
+    return LackOfFit(moran, runs, smooth_map(scene, field))
 
 
-def orders(here: Scene) -> Iterator[tuple[str, np.ndarray]]:
+def orders(scene: Scene) -> Iterator[tuple[str, np.ndarray]]:
     """Sample orders worth a look: by time, each joint, and each condition that varies."""
-    for name, values in regressors(here):
+    for name, values in regressors(scene):
         if not name.startswith("direction.") and len(np.unique(values)) > LEVELS:
             yield name, np.argsort(values, kind="stable")
 
 
-def regressors(here: Scene) -> Iterator[tuple[str, np.ndarray]]:
+def regressors(scene: Scene) -> Iterator[tuple[str, np.ndarray]]:
     """What residuals may depend on (N,), poses as predicted: time, joints, place, conditions."""
-    yield "time", np.asarray(here.dataset.time)
-    for k, name in enumerate([*here.model.joints, *"xyz"]):
-        if np.ptp(here.x[:, k]) > 1e-9:
-            yield name, here.x[:, k]
-    for name, values in here.dataset.conditions.items():
-        known = np.isfinite(values).all() and np.ptp(values) > 0 if len(values) else False
-        if known and not name.startswith(("time", NUMBER, "effort.", "reading.")):
+    yield "time", np.asarray(scene.dataset.time)
+    for k, name in enumerate([*scene.model.joints, *"xyz"]):
+        if np.ptp(scene.x[:, k]) > 1e-9:
+            yield name, scene.x[:, k]
+    for name, values in scene.dataset.conditions.items():
+        varies = len(values) and np.isfinite(values).all() and np.ptp(values) > 0
+        if varies and not name.startswith(("time", NUMBER, "effort.", "reading.")):
             yield name, np.asarray(values)
 
 
-def smooth_map(here: Scene, found: Field) -> SmoothMap:
+def smooth_map(scene: Scene, field: Field) -> SmoothMap:
     """Kriging with the length scale that predicts left-out poses best.
 
     f = K (K + s^2 I)^-1 e with K = exp(-d^2 / 2 l^2); leaving one pose out costs one division:
     e_i - f_-i = (A e)_i / A_ii with A = (K + s^2 I)^-1.
     """
-    n = len(here.model.joints)
-    position = bool(found.measured[:, :3].any())
-    kind, part = ("position", slice(0, 3)) if position else ("orientation", slice(3, 6))
-    group = here.observations.group
-    e = averaged(found.pose[:, part], group)
-    coordinates = here.x[:, n : n + 3] if position else here.x[:, :n]
+    n = len(scene.model.joints)
+    position, group = field.kind == "position", scene.observations.group
+    e = averaged(field.vectors, group)
+    coordinates = scene.x[:, n : n + 3] if position else scene.x[:, :n]
     places = averaged(coordinates, group)
     spread = np.maximum(places.std(axis=0), 1e-12)
     apart = np.sum(((places[:, None] - places[None]) / spread) ** 2, axis=2)
@@ -121,6 +119,7 @@ def smooth_map(here: Scene, found: Field) -> SmoothMap:
     share, length, smooth = best if e.any() else (0.0, *best[1:])
     metres = length * float(np.sqrt(np.mean(spread**2)))
     size = float(np.sqrt(np.mean(np.sum(smooth**2, axis=1))))
+    kind = "position" if position else "orientation"
     return SmoothMap(kind, metres, size, max(share, 0.0), places, smooth)
 
 
@@ -130,5 +129,5 @@ def _left_out(
     """(share of variance predicted at poses left out, length, smoothed field)."""
     K = np.exp(-apart / (2 * length**2))
     A = np.linalg.inv(K + noise * np.eye(len(K)))
-    left = (A @ e) / np.diag(A)[:, None]
-    return 1 - float(np.sum(left**2)) / max(float(np.sum(e**2)), 1e-300), length, K @ (A @ e)
+    unseen = (A @ e) / np.diag(A)[:, None]
+    return 1 - float(np.sum(unseen**2)) / max(float(np.sum(e**2)), 1e-300), length, K @ (A @ e)

@@ -2,30 +2,43 @@
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
 from parallel_cal.base.confidence import SIGMAS
-from parallel_cal.diagnosis.fields import Field
+from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.lack_of_fit import regressors
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.statistics import normal_below, runs_test
 from parallel_cal.diagnosis.thresholds import GROSS, INFLUENTIAL, LEVELS, WINDOW
 
 
-def along(here: Scene, found: Field) -> list[dict[str, Any]]:
-    """For every regressor the rolling mean of each residual component with its 99 % band.
+@dataclass(frozen=True)
+class Along:
+    """The rolling mean (m, k) of each residual component at values (m,) of a regressor, and half
+    of its 99 % band (m,), in noise units.
 
     `strength` is the largest mean in units of its own uncertainty, `p_value` the chance of one as
-    large among so many; largest first.
+    large among so many.
     """
-    z = found.noise_units
-    entries = [_along(name, values, z) for name, values in regressors(here)]
-    return sorted(entries, key=lambda entry: -entry["strength"])
+
+    name: str
+    at: np.ndarray
+    mean: np.ndarray
+    band: np.ndarray
+    strength: float
+    p_value: float
+    runs_p_value: float
 
 
-def _along(name: str, values: np.ndarray, z: np.ndarray) -> dict[str, Any]:
+def along(scene: Scene, field: Field) -> tuple[Along, ...]:
+    """The residuals along every regressor, most striking first."""
+    entries = [_along(name, values, field.noise_units) for name, values in regressors(scene)]
+    return tuple(sorted(entries, key=lambda entry: -entry.strength))
+
+
+def _along(name: str, values: np.ndarray, z: np.ndarray) -> Along:
     order = np.argsort(values, kind="stable")
     levels = np.unique(values)
     if len(levels) <= LEVELS:  # as direction or payload: a mean for each level, nothing rolls
@@ -37,16 +50,11 @@ def _along(name: str, values: np.ndarray, z: np.ndarray) -> dict[str, Any]:
         means, at = _rolling(z[order], window), _rolling(values[order][:, None], window)[:, 0]
         count = np.full(len(means), window)
     scale = np.maximum(z.std(axis=0), 1e-12)
-    strength = np.abs(means) / scale * np.sqrt(count)[:, None]
-    return {
-        "name": name,
-        "at": at.tolist(),
-        "mean": means.tolist(),
-        "band": (SIGMAS / np.sqrt(count)).tolist(),
-        "strength": float(strength.max(initial=0.0)),
-        "p_value": min(1.0, 2 * strength.size * normal_below(-float(strength.max(initial=0.0)))),
-        "runs_p_value": runs_test(z[order]),
-    }
+    each = np.abs(means) / scale * np.sqrt(count)[:, None]
+    strength = float(each.max(initial=0.0))
+    p_value = min(1.0, 2 * each.size * normal_below(-strength))
+    band = SIGMAS / np.sqrt(count)
+    return Along(name, at, means, band, strength, p_value, runs_test(z[order]))
 
 
 def _rolling(values: np.ndarray, window: int) -> np.ndarray:
@@ -54,66 +62,84 @@ def _rolling(values: np.ndarray, window: int) -> np.ndarray:
     return np.asarray((sums[window:] - sums[:-window]) / window)
 
 
-def regions(here: Scene, found: Field) -> list[dict[str, Any]]:
-    """RMS error (m, rad) in the eight octants of the measured workspace, worst first."""
-    n = len(here.model.joints)
-    places = here.x[:, n : n + 3]
+@dataclass(frozen=True)
+class Region:
+    """Errors (rms of norms, mean; m and rad) in an octant of the workspace about its `middle`."""
+
+    region: str
+    middle: np.ndarray
+    samples: int
+    position_rms: float
+    orientation_rms: float
+    position_bias: np.ndarray
+
+
+def regions(scene: Scene, field: Field) -> tuple[Region, ...]:
+    """The eight octants of the measured workspace, worst first."""
+    n = len(scene.model.joints)
+    places = scene.x[:, n : n + 3]
     middle = np.median(places, axis=0)
     octant = (places > middle) @ np.array([1, 2, 4])
-    rows = []
+    found = []
     for o in np.unique(octant):
-        inside = octant == o
-        sides = [f"{axis}{'>' if o >> k & 1 else '<'}" for k, axis in enumerate("xyz")]
-        errors = found.pose[inside]
-        rows.append(
-            {
-                "region": " ".join(sides),
-                "middle": middle.tolist(),
-                "samples": int(inside.sum()),
-                "position_rms": _rms(errors[:, :3]),
-                "orientation_rms": _rms(errors[:, 3:]),
-                "position_bias": errors[:, :3].mean(axis=0).tolist(),
-            }
-        )
-    return sorted(rows, key=lambda row: -(row["position_rms"] + row["orientation_rms"]))
+        errors = field.pose[octant == o]
+        sides = " ".join(f"{axis}{'>' if o >> k & 1 else '<'}" for k, axis in enumerate("xyz"))
+        position, turn = (float(np.sqrt(np.mean(np.sum(errors[:, part] ** 2, axis=1))))
+                          for part in (slice(3), slice(3, 6)))  # fmt: skip
+        bias = errors[:, :3].mean(axis=0)
+        found.append(Region(sides, middle, len(errors), position, turn, bias))
+    return tuple(sorted(found, key=lambda r: -(r.position_rms + r.orientation_rms)))
 
 
-def _rms(errors: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(np.sum(errors**2, axis=1))))
+@dataclass(frozen=True)
+class OddSample:
+    """A sample that is an outlier, or without which the geometry would be another.
+
+    `sigmas` is its rms residual, the typical one taken for the noise, `p_value` the chance of one
+    as large in a whole data set; `leverage` the share of the geometry's freedoms that it alone
+    decides; position_error (3,) in m.
+    """
+
+    sample: int
+    time: float
+    sigmas: float
+    p_value: float
+    outlier: bool
+    cooks_distance: float
+    leverage: float
+    position_error: np.ndarray
+
+    @property
+    def word(self) -> str:
+        return "outlier" if self.outlier else "influential"
 
 
-def leverages(here: Scene) -> np.ndarray:
-    """Share (N,) of the geometry's freedoms that each sample alone decides; 1 on average p/N."""
-    return np.asarray(np.sum(here.by_sample(np.sum(here.basis**2, axis=1)), axis=1))
-
-
-def odd_samples(here: Scene, found: Field) -> list[dict[str, Any]]:
-    """Outliers, and samples without which the geometry would be another (Cook's distance).
+def odd_samples(scene: Scene, field: Field) -> tuple[OddSample, ...]:
+    """Outliers and influential samples, furthest off first.
 
     An outlier's squared residual in noise units, the typical one taken for the noise, would
     occur once in a thousand data sets; Cook's D above 1 moves the estimate by about its sigma.
     """
     from scipy.special import chdtrc
 
-    blocks = here.by_sample(here.residual)
-    k = max(1, round(here.dof / max(len(blocks), 1)))
+    blocks = scene.by_sample(scene.residual)
+    k = max(1, round(scene.dof / max(len(blocks), 1)))
     squared = np.sum(blocks**2, axis=1)
     scale = np.median(squared) / max(k - 2 / 3, 0.3)  # median of a chi-square is about k - 2/3
-    leverage = leverages(here)
+    leverage = np.sum(scene.by_sample(np.sum(scene.basis**2, axis=1)), axis=1)
     p = chdtrc(k, squared / max(scale, 1e-300)) * len(blocks)
-    cook = squared * leverage / max(here.basis.shape[1] * here.chi2_per_dof, 1e-300)
-    odd = np.flatnonzero((p < GROSS) | (cook > INFLUENTIAL))
-    rows = [
-        {
-            "sample": int(here.dataset.numbers[i]),
-            "time": float(here.dataset.time[i]),
-            "sigmas": float(np.sqrt(squared[i] / max(k * scale, 1e-300))),
-            "p_value": float(min(p[i], 1.0)),
-            "outlier": bool(p[i] < GROSS),
-            "cooks_distance": float(cook[i]),
-            "leverage": float(leverage[i]),
-            "position_error": found.pose[i, :3].tolist(),
-        }
-        for i in odd
+    cook = squared * leverage / max(scene.basis.shape[1] * scene.chi2_per_dof, 1e-300)
+    odd = [
+        OddSample(
+            sample=int(scene.dataset.numbers[i]),
+            time=float(scene.dataset.time[i]),
+            sigmas=float(np.sqrt(squared[i] / max(k * scale, 1e-300))),
+            p_value=float(min(p[i], 1.0)),
+            outlier=bool(p[i] < GROSS),
+            cooks_distance=float(cook[i]),
+            leverage=float(leverage[i]),
+            position_error=field.pose[i, :3],
+        )
+        for i in np.flatnonzero((p < GROSS) | (cook > INFLUENTIAL))
     ]
-    return sorted(rows, key=lambda row: -row["sigmas"])
+    return tuple(sorted(odd, key=lambda one: -one.sigmas))

@@ -39,6 +39,24 @@ class Scene:
     rows: int
     dof: int
 
+    @classmethod
+    def of(
+        cls, model: Model, dataset: Dataset, observations: Observations, free: np.ndarray
+    ) -> Scene:
+        """The scene of a fitted model; the residual is what its free parameters leave."""
+        x = predicted(model, observations)
+        linearise = Linearisation(model, observations, free, True)
+        system, T = linearise(model.values, x), linearise.whiteners(model.values, x)
+        r = system.residual.reshape(-1)
+        J = system.jacobian.reshape(len(r), -1) * model.table.tolerance[free]
+        basis = orthonormal(J, RELATIVE_RANK)
+        residual = r - basis @ (basis.T @ r)
+        dof = int(system.informative.sum()) - basis.shape[1]
+        rows = system.residual.shape[1]
+        return cls(
+            model, dataset, observations, free, x, T, system.informative, residual, basis, rows, dof
+        )
+
     @property
     def chi2_per_dof(self) -> float:
         return float(self.residual @ self.residual) / self.dof if self.dof > 0 else float("nan")
@@ -63,34 +81,17 @@ class Scene:
         return column.reshape(-1, self.rows)
 
 
-def scene(model: Model, dataset: Dataset, observations: Observations, free: np.ndarray) -> Scene:
-    """The scene of a fitted model; the residual is what its free parameters leave."""
-    x = predicted(model, observations)
-    linearise = Linearisation(model, observations, free, True)
-    system, T = linearise(model.values, x), linearise.whiteners(model.values, x)
-    r = system.residual.reshape(-1)
-    J = system.jacobian.reshape(len(r), -1) * model.table.tolerance[free]
-    basis = orthonormal(J, RELATIVE_RANK)
-    left = r - basis @ (basis.T @ r)
-    dof = int(system.informative.sum()) - basis.shape[1]
-    rows = system.residual.shape[1]
-    return Scene(
-        model, dataset, observations, free, x, T, system.informative, left, basis, rows, dof
-    )
-
-
-def columns(extended: Model, here: Scene, new: np.ndarray) -> np.ndarray:
+def columns(
+    extended: Model, scene: Scene, new: np.ndarray, a: np.ndarray | None = None
+) -> np.ndarray:
     """d residual / d (new parameters, in tolerances), (n, n_new), of a model with one more effect
-    at zero; its mechanism and sensors are those of the scene. FitError where a condition lacks."""
-    return columns_at(extended, here, conditions(extended, here.dataset), new)
-
-
-def columns_at(extended: Model, here: Scene, a: np.ndarray, new: np.ndarray) -> np.ndarray:
-    """The same under given conditions a (N, n_conditions)."""
+    at zero, under conditions a (N, n_conditions), else those recorded; its mechanism and sensors
+    are those of the scene. FitError where a condition lacks."""
+    a = conditions(extended, scene.dataset) if a is None else a
     which = tuple(int(i) for i in np.flatnonzero(new))
-    by_v = extended.structure.columns(which)(here.x, a, extended.values)[0]
-    J = here.whitener @ by_v.reshape(len(here.x), len(which), here.rows).transpose(0, 2, 1)
-    return np.asarray(J.reshape(len(here.residual), -1) * extended.table.tolerance[new])
+    by_v = extended.structure.columns(which)(scene.x, a, extended.values)[0]
+    J = scene.whitener @ by_v.reshape(len(scene.x), len(which), scene.rows).transpose(0, 2, 1)
+    return np.asarray(J.reshape(len(scene.residual), -1) * extended.table.tolerance[new])
 
 
 def orthonormal(J: np.ndarray, least: float) -> np.ndarray:

@@ -30,20 +30,20 @@ class Score:
         return float(np.exp(self.log_p))
 
 
-def score(here: Scene, B: np.ndarray) -> Score:
+def score(scene: Scene, B: np.ndarray) -> Score:
     """The F test of columns B (n, k), in tolerances."""
     lengths = np.linalg.norm(B, axis=0)
     B = B[:, lengths > 1e-9]
     lengths = lengths[lengths > 1e-9]
     if not len(lengths):
-        return Score(0.0, 0.0, 0, 0.0, 0.0, np.zeros((len(here.residual), 0)))
-    left = here.off_geometry(B / lengths)
+        return Score(0.0, 0.0, 0, 0.0, 0.0, np.zeros((len(scene.residual), 0)))
+    projected = scene.off_geometry(B / lengths)
     # Twice: what a first projection of a nearly parallel column leaves is not quite orthogonal.
-    U, sizes, _ = np.linalg.svd(here.off_geometry(left), full_matrices=False)
+    U, sizes, _ = np.linalg.svd(scene.off_geometry(projected), full_matrices=False)
     U = U[:, sizes > VISIBLE_COLUMN]
-    remaining = float(np.sqrt(np.mean(np.sum(left**2, axis=0))))
-    size = float(np.sqrt(np.mean(np.sum((left * lengths) ** 2, axis=0))))
-    F, log_p = f_test(here.residual, U, here.dof)
+    remaining = float(np.sqrt(np.mean(np.sum(projected**2, axis=0))))
+    size = float(np.sqrt(np.mean(np.sum((projected * lengths) ** 2, axis=0))))
+    F, log_p = f_test(scene.residual, U, scene.dof)
     return Score(F, log_p, U.shape[1], remaining, size, U)
 
 
@@ -81,7 +81,7 @@ def canonical_correlation(one: np.ndarray, other: np.ndarray) -> float:
 
 
 def resampled(
-    here: Scene, groups: list[np.ndarray], resamples: int = RESAMPLES, seed: int = 0
+    scene: Scene, groups: list[np.ndarray], resamples: int = RESAMPLES, seed: int = 0
 ) -> np.ndarray:
     """log p (resamples, k) of each group of directions when poses are drawn with replacement.
 
@@ -89,14 +89,14 @@ def resampled(
     data's bases first, so that a resample costs sums of small Gram matrices. Scenes of the same
     poses with the same seed draw the same poses.
     """
-    Z = np.column_stack([here.basis, *groups, here.residual])
-    blocks = Z.reshape(-1, here.rows, Z.shape[1])
-    names = np.unique(here.group)
-    gram = np.array([_gram(blocks[here.group == g]) for g in names])
-    p, ends = here.basis.shape[1], np.cumsum([here.basis.shape[1], *[g.shape[1] for g in groups]])
+    Z = np.column_stack([scene.basis, *groups, scene.residual])
+    blocks = Z.reshape(-1, scene.rows, Z.shape[1])
+    names = np.unique(scene.group)
+    gram = np.array([_gram(blocks[scene.group == g]) for g in names])
+    p, ends = scene.basis.shape[1], np.cumsum([scene.basis.shape[1], *[g.shape[1] for g in groups]])
     picks = np.random.default_rng(seed).integers(len(names), size=(resamples, len(names)))
     count = np.array([np.bincount(row, minlength=len(names)) for row in picks], dtype=float)
-    return _log_ps(np.tensordot(count, gram, axes=1), p, ends, here.dof)
+    return _log_ps(np.tensordot(count, gram, axes=1), p, ends, scene.dof)
 
 
 def _gram(block: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ import numpy as np
 
 from parallel_cal.base.errors import FitError
 from parallel_cal.diagnosis.catalogue import Candidate
-from parallel_cal.diagnosis.scene import Progress, Scene, scene
+from parallel_cal.diagnosis.scene import Progress, Scene
 from parallel_cal.diagnosis.scoring import log_p_of
 from parallel_cal.diagnosis.thresholds import (
     APART,
@@ -60,7 +60,7 @@ class Trial:
     @cached_property
     def scene(self) -> Scene:
         r = self.fitted
-        return scene(r.model, r.dataset, r.observations, r.free)
+        return Scene.of(r.model, r.dataset, r.observations, r.free)
 
 
 class Search:
@@ -104,54 +104,46 @@ class Search:
         self, start: Trial, rank: Callable[[Trial], list[Candidate]]
     ) -> tuple[Trial, dict[str, str]]:
         """Effects added one by one while one is significant and nothing stands against it."""
-        here = start
+        trial: Trial = start
         against: dict[str, str] = {}
-        while len(here.chosen) - len(start.chosen) < MOST_EFFECTS:
-            found, refused = self._next(here, rank(here))
-            against |= refused
-            if found is None:
+        while len(trial.chosen) - len(start.chosen) < MOST_EFFECTS:
+            for one in rank(trial):
+                after, reason = self.accepts(trial, one)
+                if not reason:
+                    trial = after
+                    break
+                against[one.name] = reason
+            else:
                 break
-            here = found
-        return here, against
+        return trial, against
 
-    def _next(self, here: Trial, ranked: list[Candidate]) -> tuple[Trial | None, dict[str, str]]:
-        against: dict[str, str] = {}
-        for one in ranked:
-            if one.name in {c.name for c in here.chosen}:
-                continue
-            after, reason = self.accepts(here, one)
-            if not reason:
-                return after, against
-            against[one.name] = reason
-        return None, against
-
-    def backward(self, here: Trial) -> Trial:
+    def backward(self, trial: Trial) -> Trial:
         """Effects taken out again that those added later have made superfluous."""
-        for one in here.chosen:
-            if len(here.chosen) < 2:
+        for one in trial.chosen:
+            if len(trial.chosen) < 2:
                 break
-            without = self.fit(*(c for c in here.chosen if c != one))
-            if _superfluous(without, here):
-                here = without
-        return here
+            without = self.fit(*(c for c in trial.chosen if c != one))
+            if _superfluous(without, trial):
+                trial = without
+        return trial
 
-    def swaps(self, here: Trial, rivals: Mapping[str, list[Candidate]]) -> dict[str, list[str]]:
+    def swaps(self, trial: Trial, rivals: Mapping[str, list[Candidate]]) -> dict[str, list[str]]:
         """For each chosen effect those of its rivals that tell as good a story in its place."""
         found: dict[str, list[str]] = {}
-        for i, one in enumerate(here.chosen):
+        for i, one in enumerate(trial.chosen):
             for other in rivals.get(one.name, []):
-                swapped = list(here.chosen)
+                swapped = list(trial.chosen)
                 swapped[i] = Chosen.of(other)
-                if _as_good(here, self.fit(*swapped)):
+                if _as_good(trial, self.fit(*swapped)):
                     found.setdefault(one.name, []).append(other.name)
         return found
 
 
-def _as_good(here: Trial, other: Trial) -> bool:
-    ratio = ratio_of(here, other)
+def _as_good(trial: Trial, other: Trial) -> bool:
+    ratio = ratio_of(trial, other)
     if ratio is None or ratio >= LIKE:
         return False
-    own, its = here.fitted.estimate, other.fitted.estimate
+    own, its = trial.fitted.estimate, other.fitted.estimate
     return its.chi2 - own.chi2 < APART**2 * max(own.chi2_per_dof, 1e-300)
 
 
@@ -162,11 +154,11 @@ def ratio_of(before: Trial, after: Trial) -> float | None:
     return held_out_ratio(before.result.held_out.summary, after.result.held_out.summary)
 
 
-def _superfluous(without: Trial, here: Trial) -> bool:
+def _superfluous(without: Trial, trial: Trial) -> bool:
     """Whether an effect explains nothing significant beside the others."""
-    if without.result is None or here.result is None:
+    if without.result is None or trial.result is None:
         return False
-    less, more = without.result.estimate, here.result.estimate
+    less, more = without.result.estimate, trial.result.estimate
     q = less.dof - more.dof
     if q <= 0 or more.dof <= 0:
         return False

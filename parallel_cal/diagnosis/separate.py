@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,31 +21,64 @@ from parallel_cal.planning.posepool import make_pool
 from parallel_cal.planning.selection import Choice, exchange
 
 
+@dataclass(frozen=True)
+class PlannedPose:
+    """A pose to measure: position (3,) m, quaternion x y z w, joints (nq,), and by name the
+    conditions to bring about."""
+
+    position: np.ndarray
+    quaternion: np.ndarray
+    joints: np.ndarray
+    conditions: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Sigmas:
+    """By how many sigmas two effects differ: by the data so far, and with the planned poses."""
+
+    now: float
+    then: float
+
+
+@dataclass(frozen=True)
+class Separation:
+    """Poses, each under its conditions, that tell the first of two effects from the second."""
+
+    separates: tuple[str, str]
+    sigmas: Sigmas
+    poses: tuple[PlannedPose, ...]
+
+
+@dataclass(frozen=True)
+class NextMeasurement:
+    """What would settle a diagnosis: by effect the conditions to record, advice, planned poses."""
+
+    record: Mapping[str, tuple[str, ...]]
+    advice: tuple[str, ...]
+    plan: Separation | None
+
+
 def next_measurement(
     best: Trial, rivals: Mapping[str, list[str]], ranked: Sequence[Candidate], seed: int = 0
-) -> dict[str, Any]:
-    """What would settle the diagnosis: conditions to record, advice, and planned poses.
-
-    `rivals` are for each chosen effect those that fit as well; the poses tell the first of the
-    chosen from the rival that is hardest to tell from it.
-    """
-    record = {c.name: list(c.missing) for c in ranked if c.missing}
+) -> NextMeasurement:
+    """What to measure where `rivals` of each chosen effect fit as well; the poses tell the first
+    of the chosen from the rival that is hardest to tell from it."""
+    record = {c.name: c.missing for c in ranked if c.missing}
     advice = [load_effect(name).separated_by for name, others in rivals.items() if others]
-    document: dict[str, Any] = {"record": record, "advice": [a for a in advice if a]}
-    known = {c.name: Chosen.of(c) for c in ranked}
+    by_name = {c.name: Chosen.of(c) for c in ranked}
     plans = [
         plan
         for name, others in rivals.items()
         for other in others
-        if (plan := separating(best, name, known[other], seed)) is not None
+        if (plan := separating(best, name, by_name[other], seed)) is not None
     ]
-    hardest = min(plans, key=lambda plan: plan["sigmas"]["now"], default=None)
-    return document | {"plan": hardest}
+    hardest = min(plans, key=lambda plan: plan.sigmas.now, default=None)
+    return NextMeasurement(record, tuple(a for a in advice if a), hardest)
 
 
 def separating(
     best: Trial, effect: str, rival: Chosen, seed: int = 0, poses: int = POSES
-) -> dict[str, Any] | None:
+) -> Separation | None:
     """Poses, each under its circumstances, that best tell an effect as identified from a rival.
 
     With Z the columns of geometry and rival, and a the effect's whole signal, the two differ by
@@ -70,18 +102,18 @@ def separating(
     ahead = white_blocks(model, free, measured, pool.poses, a)
     so_far, ahead = (_with_signal(J, model, free, effect) for J in (so_far, ahead))
     size = ahead.shape[2]
-    known = so_far.reshape(-1, size)
-    before = known.T @ known + VAGUE * np.eye(size)
+    measured_rows = so_far.reshape(-1, size)
+    before = measured_rows.T @ measured_rows + VAGUE * np.eye(size)
     amplitude = np.zeros((size, size))
     amplitude[-1, -1] = 1.0
     problem = Choice(ahead, before, amplitude, "A", size)
     chosen = exchange(problem, min(poses, len(ahead)), lambda fraction: None)
-    now, then = (_sigmas(M) for M in (before, problem.information(chosen)))
-    return {
-        "separates": [effect, rival.name],
-        "sigmas": {"now": now, "then": then},
-        "poses": [_pose(pool.poses[int(i)], model, a[i]) for i in chosen],
-    }
+    sigmas = Sigmas(*(_sigmas(M) for M in (before, problem.information(chosen))))
+    planned = []
+    for i in chosen:
+        pose, under = pool.poses[int(i)], dict(zip(model.conditions, a[i].tolist(), strict=True))
+        planned.append(PlannedPose(pose.position, pose.quaternion, pose.joints, under))
+    return Separation((effect, rival.name), sigmas, tuple(planned))
 
 
 def _with_signal(J: np.ndarray, model: Model, free: np.ndarray, effect: str) -> np.ndarray:
@@ -111,8 +143,9 @@ def circumstances(
 
 def _levels(name: str, recorded: np.ndarray | None) -> list[float]:
     kind = name.split(".")[0]
-    seen = recorded if recorded is not None and len(recorded) else np.array([CONDITIONS[kind][1]])
-    low, high = float(np.min(seen)), float(np.max(seen))
+    usual = np.array([CONDITIONS[kind][1]])
+    values = recorded if recorded is not None and len(recorded) else usual
+    low, high = float(np.min(values)), float(np.max(values))
     around = {
         "direction": [-1.0, 1.0],
         "payload": [0.0, max(1.0, 2 * high)],
@@ -126,19 +159,10 @@ def _noise(model: Model, observations: Observations) -> Noise:
     """Typical noise of the data, for a planner that wants one figure a kind."""
     n = len(model.joints)
     variance = np.median(np.diagonal(observations.S, axis1=1, axis2=2), axis=0)
-    seen: np.ndarray = np.any(observations.measured, axis=0)
+    ever: np.ndarray = np.any(observations.measured, axis=0)
 
     def typical(part: slice) -> float | None:
-        known = variance[part][seen[part]]
-        return float(np.sqrt(known.mean())) if len(known) else None
+        measured = variance[part][ever[part]]
+        return float(np.sqrt(measured.mean())) if len(measured) else None
 
     return Noise(typical(slice(0, n)), typical(slice(n, n + 3)), typical(slice(n + 3, n + 6)))
-
-
-def _pose(pose: Any, model: Model, a: np.ndarray) -> dict[str, Any]:
-    return {
-        "position": pose.position.tolist(),
-        "quaternion": pose.quaternion.tolist(),
-        "joints": pose.joints.tolist(),
-        "conditions": dict(zip(model.conditions, a.tolist(), strict=True)),
-    }

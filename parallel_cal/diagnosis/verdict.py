@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from parallel_cal.diagnosis.fields import Reference
 from parallel_cal.diagnosis.lack_of_fit import LackOfFit
+from parallel_cal.diagnosis.noise import NoiseLevel
 from parallel_cal.diagnosis.search import Trial
 from parallel_cal.diagnosis.thresholds import EXPLAINED, FEWEST_DOF, HELD_STILL, LUCK
 from parallel_cal.identification.acceptance import acceptance, in_words
@@ -19,8 +19,40 @@ class Verdict:
 
     word: str
     summary: str
-    share: float | None
+    share: float | None = None
     against: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What a verdict is about: a search that began at `base` and ended at `best`.
+
+    `chi2_before` is chi2/dof of the base, on the rows of the best; `structure` and `held` (as in
+    Field) are what the best leaves; `swaps` the effects that fit as well as one chosen.
+    """
+
+    base: Trial
+    best: Trial
+    chi2_before: float
+    noise: NoiseLevel
+    structure: LackOfFit
+    held: float
+    swaps: Mapping[str, Sequence[str]]
+
+    @property
+    def after(self) -> Estimate:
+        return self.best.fitted.estimate
+
+    @property
+    def share(self) -> float | None:
+        """Share of the variance beyond the noise that is explained."""
+        return share_explained(self.chi2_before, self.after.chi2_per_dof, self.noise.variance)
+
+    @property
+    def names(self) -> str:
+        """`backlash` or `A or B`, several joined by `and`."""
+        chosen = [c.name for c in self.best.chosen]
+        return " and ".join(" or ".join([name, *self.swaps.get(name, [])]) for name in chosen)
 
 
 def share_explained(before: float, after: float, noise: float | None) -> float | None:
@@ -31,105 +63,80 @@ def share_explained(before: float, after: float, noise: float | None) -> float |
     return min(1.0, 1 - (after - noise) / (before - noise))
 
 
-def judge(
-    base: Trial, here: Trial, before: float, known: Reference, left: LackOfFit, held: float,
-    names: str,
-) -> Verdict:  # fmt: skip
-    """The verdict on a search that started from `base` and ended at `here`.
-
-    `before` is chi2/dof of the base, on the rows of the model at the end; `held` as in Field;
-    `names` are the chosen effects as a person reads them.
-    """
-    after = here.fitted.estimate
-    share = share_explained(before, after.chi2_per_dof, known.variance)
-    judgement = acceptance(here.fitted, base.fitted)
+def judge(found: Findings) -> Verdict:
+    """The verdict; what stands against a whole explanation is said with it."""
+    after, share, names = found.after, found.share, found.names
+    judgement = acceptance(found.best.fitted, found.base.fitted)
     now = f"error {judgement.where} {in_words(judgement.after)}"
-    errors = judgement.errors if here.chosen else now
+    errors = judgement.errors if found.best.chosen else now
     if after.dof < FEWEST_DOF:
-        return Verdict("cannot_know", _few(after.dof), None)
-    if here.chosen and not judgement.judged:
+        words = f"{after.dof} degrees of freedom are too few to judge by: measure more poses"
+        return Verdict("cannot_know", words)
+    if found.best.chosen and not judgement.judged:
         words = f"{names} fits better ({errors}), but cannot be judged at unseen poses"
         return Verdict("cannot_know", f"{words}: {judgement.against}", share)
-    if known.variance is None:
-        return Verdict("cannot_know", _blind(names, errors, left), share)
-    high = known.band(after.dof)[1]
-    if held > HELD_STILL:
-        return Verdict("unexplained", _held_words(held, errors), share)
-    if not here.chosen:
-        return _nothing_found(after.chi2_per_dof, high, errors, left)
-    against = _guards(share, after, known.variance, high, left)
+    if found.noise.variance is None:
+        helps = f"{names} helps" if names else "nothing in the catalogue helps"
+        rest = " and structure remains" if found.structure.found else ""
+        return Verdict(
+            "cannot_know",
+            f"{helps} ({errors}){rest}; whether that is all cannot be known without a noise "
+            "figure: state noise in the model file, or visit poses again",
+            share,
+        )
+    if found.held > HELD_STILL:
+        return Verdict(
+            "unexplained",
+            "what was measured of the pose includes coordinates that the model holds at one value; "
+            f"they move by {found.held:.0f} sigmas ({errors}): use a larger model",
+            share,
+        )
+    if not found.best.chosen:
+        return _nothing_found(found, errors)
+    several = len(found.best.chosen) > 1
+    against = tuple(_guards(found))
     if not against:
         told = share is not None and share >= EXPLAINED  # else the excess was mostly luck
         part = f", {share:.0%} of what exceeded the noise" if told else ""
-        verb = "explains" if len(here.chosen) == 1 else "together explain"
+        verb = "together explain" if several else "explains"
         return Verdict("explained", f"{names} {verb} the rest{part}: {errors}", share)
-    verb = "is" if len(here.chosen) == 1 else "are"
-    return Verdict(
-        "partly_explained",
-        f"{names} {verb} part of it ({errors}), but {'; '.join(against)}",
-        share,
-        tuple(against),
-    )
+    words = f"{names} {'are' if several else 'is'} part of it ({errors}), but {'; '.join(against)}"
+    return Verdict("partly_explained", words, share, against)
 
 
-def _guards(
-    share: float | None, after: Estimate, noise: float, high: float, left: LackOfFit
-) -> list[str]:
+def _guards(found: Findings) -> list[str]:
     """What keeps found effects from being the whole explanation."""
-    against, chi2 = [], after.chi2_per_dof
+    against, chi2, share = [], found.after.chi2_per_dof, found.share
+    high, structure = found.noise.band(found.after.dof)[1], found.structure
     # A small excess is mostly the luck of the draw: its share says nothing within two sigmas.
-    beyond_luck = chi2 > noise * (1 + LUCK * (2 / after.dof) ** 0.5)
+    noise = found.noise.variance or 0.0
+    beyond_luck = chi2 > noise * (1 + LUCK * (2 / found.after.dof) ** 0.5)
     if share is not None and share < EXPLAINED and beyond_luck:
         against.append(f"only {max(share, 0):.0%} of the variance beyond the noise is explained")
     if chi2 > high:
         against.append(f"chi2/dof {chi2:.2f} is still above {high:.2f}")
-    if left.found:
-        against.append(f"structure remains (p = {left.p_value:.1g}{_size(left)})")
+    if structure.found:
+        against.append(f"structure remains (p = {structure.p_value:.1g}{_size(structure)})")
     return against
 
 
-def _nothing_found(chi2: float, high: float, errors: str, left: LackOfFit) -> Verdict:
+def _nothing_found(found: Findings, errors: str) -> Verdict:
+    chi2, high = found.after.chi2_per_dof, found.noise.band(found.after.dof)[1]
     if chi2 <= high:
-        more = " Neighbouring residuals are alike, though: look at the map." if left.found else ""
+        alike = " Neighbouring residuals are alike, though: look at the map."
         words = f"the model explains the measurements down to their noise ({errors}): stop looking."
-        return Verdict("at_noise", words + more, None)
+        return Verdict("at_noise", words + (alike if found.structure.found else ""))
     return Verdict(
         "unexplained",
         f"chi2/dof {chi2:.2f} is above {high:.2f}, but nothing in the catalogue explains it"
-        f"{_size(left, '; a smooth part of it')} ({errors})",
-        None,
+        f"{_size(found.structure, '; a smooth part of it')} ({errors})",
     )
 
 
-def _size(left: LackOfFit, before: str = ",") -> str:
-    m = left.map
+def _size(structure: LackOfFit, before: str = ",") -> str:
+    m = structure.map
     if m.share <= 0:
         return ""
     if m.kind == "position":
         return f"{before} {m.size * 1e6:.0f} um over {m.length * 1e3:.0f} mm"
     return f"{before} {m.size * 3437.75:.2f} arcmin"
-
-
-def _held_words(held: float, errors: str) -> str:
-    return (
-        f"what was measured of the pose includes coordinates that the model holds at one value; "
-        f"they move by {held:.0f} sigmas ({errors}): use a larger model"
-    )
-
-
-def _few(dof: int) -> str:
-    return f"{dof} degrees of freedom are too few to judge by: measure more poses"
-
-
-def _blind(names: str, errors: str, left: LackOfFit) -> str:
-    rest = " and structure remains" if left.found else ""
-    found = f"{names} helps" if names else "nothing in the catalogue helps"
-    return (
-        f"{found} ({errors}){rest}; whether that is all cannot be known without a noise figure: "
-        "state noise in the model file, or visit poses again"
-    )
-
-
-def listed(names: Sequence[str], rivals: dict[str, list[str]]) -> str:
-    """`backlash` or `A or B`, several joined by `and`."""
-    return " and ".join(" or ".join([name, *rivals.get(name, [])]) for name in names)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from parallel_cal.base.documents import plain
 from parallel_cal.identification.checks import (
     check_enough,
     check_plausible,
@@ -85,7 +86,7 @@ class Result:
         held_before, held_after = self.held_out_before.summary, self.held_out.summary
         return {
             "samples": self.samples,
-            "parameters": self.parameters(),
+            "parameters": plain(self.parameters()),
             "before": before.document(),
             "after": after.document(),
             "held_out": {"before": held_before.document(), "after": held_after.document()},
@@ -109,7 +110,7 @@ class Result:
             "method": self.options.method,
             "loss": self.options.loss,
             "refit": list(self.refit),
-            "down_weighted": [asdict(d) for d in self.down_weighted],
+            "down_weighted": plain(self.down_weighted),
             "iterations": self.estimate.iterations,
             "warnings": list(self.warnings),
             "dataset": {"source": self.dataset.source, "sha256": self.dataset.sha256},
@@ -120,9 +121,9 @@ class Result:
         assumed = self.observations.noise_assumed
         return [None, None] if assumed else list(chi2_band(self.estimate.dof))
 
-    def parameters(self) -> dict[str, dict[str, Any]]:
-        """Every parameter by name, as documents hold it."""
-        return parameter_rows(self.model, self.estimate.sigma, ~self.free)
+    def parameters(self) -> dict[str, Estimated]:
+        """Every parameter by name."""
+        return estimated(self.model, self.estimate.sigma, ~self.free)
 
     def correlations(self) -> np.ndarray:
         """Correlation matrix (n_free, n_free) of the free parameters."""
@@ -131,17 +132,30 @@ class Result:
         return covariance / np.outer(sigma, sigma)
 
 
-def parameter_rows(model: Model, sigma: np.ndarray, fixed: np.ndarray) -> dict[str, dict[str, Any]]:
-    """Every parameter by name, as documents hold it: SI, and moved in tolerances."""
+@dataclass(frozen=True)
+class Estimated:
+    """A parameter as identified, SI; `sigma` None where it is not known; moved from nominal, in
+    tolerances."""
+
+    value: float
+    sigma: float | None
+    nominal: float
+    unit: str
+    fixed: bool
+    moved_tolerances: float
+
+
+def estimated(model: Model, sigma: np.ndarray, fixed: np.ndarray) -> dict[str, Estimated]:
+    """Every parameter of a model by name."""
     return {
-        p.name: {
-            "value": float(model.values[i]),
-            "sigma": finite_or_none(sigma[i]),
-            "nominal": p.nominal,
-            "unit": p.unit,
-            "fixed": bool(fixed[i]),
-            "moved_tolerances": float((model.values[i] - p.nominal) / p.tolerance),
-        }
+        p.name: Estimated(
+            value=float(model.values[i]),
+            sigma=finite_or_none(sigma[i]),
+            nominal=p.nominal,
+            unit=p.unit,
+            fixed=bool(fixed[i]),
+            moved_tolerances=float((model.values[i] - p.nominal) / p.tolerance),
+        )
         for i, p in enumerate(model.table)
     }
 

@@ -13,13 +13,13 @@ from parallel_cal_msgs.msg import Condition, Sample
 from std_msgs.msg import ColorRGBA, Header, String
 from visualization_msgs.msg import Marker, MarkerArray
 
+from parallel_cal.base.documents import plain
 from parallel_cal.base.rotation import matrix_to_quaternion
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prediction_errors import Errors
 from parallel_cal.nodes.collector import Collection
 from parallel_cal.nodes.conversions import pose_message
 from parallel_cal.recordings.recording import Dropped
-from parallel_cal.reporting.console import plain
 
 NOT_MEASURED = 1e4  # a variance above 1e3 says so
 THICKNESS = 0.004  # of an arrow, in parts of the workspace's extent

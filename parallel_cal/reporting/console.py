@@ -8,6 +8,8 @@ import sys
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from parallel_cal.base.documents import plain
+
 # what a person reads -> factor from SI; the unit is always printed beside the number
 READABLE = {"m": ("mm", 1e3), "rad": ("deg", 180 / math.pi), "1": ("", 1.0)}
 ERROR_UNITS = {
@@ -15,18 +17,6 @@ ERROR_UNITS = {
     "orientation": ("arcmin", 60 * 180 / math.pi),
     "reading": ("um", 1e6),
 }
-
-
-def plain(value: Any) -> Any:
-    """A value as JSON has it: NaN and infinity become null, arrays lists."""
-    value = value.tolist() if hasattr(value, "tolist") else value
-    if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
 
 
 def emit(document: Any) -> None:

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from parallel_cal.base.documents import plain
 from parallel_cal.diagnosis.diagnose import Diagnosis
-from parallel_cal.diagnosis.fields import Field
+from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.lack_of_fit import regressors
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.identification.doubts import finite_or_none
@@ -130,7 +131,7 @@ def samples(found: Diagnosis) -> list[dict[str, Any]]:
     """A row a sample, worst first: where it was, its errors at a fit that left it out, and how
     many sigmas the fit on all samples leaves."""
     best, data = found.best.fitted, found.dataset
-    odd = {row["sample"]: "outlier" if row["outlier"] else "influential" for row in found.odd}
+    odd = {one.sample: one.word for one in found.odd_samples}
     sigmas = [refit.scene.sigmas for refit in (found.base, found.best)]
     rows = [
         {
@@ -159,10 +160,10 @@ def parameters(result: Result) -> dict[str, dict[str, Any]]:
     """Value, sigma and nominal (SI); how far it moved and its sigma in tolerances; in words."""
     tolerance = dict(zip(result.model.table.names, result.model.table.tolerance, strict=True))
     return {
-        name: p
+        name: plain(p)
         | {
             "words": describe(name, result.model.mechanism),
-            "sigma_tolerances": None if p["sigma"] is None else p["sigma"] / tolerance[name],
+            "sigma_tolerances": None if p.sigma is None else p.sigma / tolerance[name],
         }
         for name, p in result.parameters().items()
     }
@@ -188,5 +189,5 @@ def correlated(result: Result, most: int = 10) -> list[dict[str, Any]]:
 
 def smooth_map(found: Diagnosis) -> dict[str, Any]:
     """The smooth picture of what is left: where and how large (m or rad)."""
-    drawn = found.left.map
+    drawn = found.structure.map
     return drawn.document() | {"places": drawn.places.tolist(), "field": drawn.field.tolist()}

@@ -8,9 +8,10 @@ from functools import cached_property
 from typing import Any
 
 from parallel_cal import __version__
+from parallel_cal.base.documents import plain
 from parallel_cal.diagnosis.comparison import Comparison, compare
 from parallel_cal.diagnosis.diagnose import Diagnosis, diagnose
-from parallel_cal.diagnosis.fields import Field, field
+from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.patterns import along, regions
 from parallel_cal.diagnosis.scene import Progress
 from parallel_cal.model.file.modelfile import model_hash
@@ -31,7 +32,7 @@ class Report:
     @cached_property
     def field(self) -> Field:
         """Residuals of the model as it is, identified without further effects."""
-        return field(self.diagnosis.base.scene)
+        return Field.of(self.diagnosis.base.scene)
 
     def document(self) -> dict[str, Any]:
         """The JSON document of `parallel-cal report`, which `reporting.page.page` shows to people;
@@ -43,8 +44,8 @@ class Report:
             "errors": contents.errors(found),
             "history": contents.history(found),
             "residuals": contents.residuals(found, seen),
-            "along": along(scene, seen),
-            "regions": regions(scene, seen) if seen.measured[:, :3].any() else [],
+            "along": plain(along(scene, seen)),
+            "regions": plain(regions(scene, seen)) if seen.measured[:, :3].any() else [],
             "samples": contents.samples(found),
             "parameters": contents.parameters(found.best.fitted),
             "combinations": contents.combinations(found.best.fitted),

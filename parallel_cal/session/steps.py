@@ -8,7 +8,7 @@ from typing import Any
 
 from parallel_cal.base.errors import FitError
 from parallel_cal.diagnosis.catalogue import candidate
-from parallel_cal.diagnosis.scene import scene
+from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.identification.acceptance import Acceptance, acceptance
 from parallel_cal.identification.fit import Result, fit
 from parallel_cal.model.effect import parse_effect
@@ -71,8 +71,8 @@ def added(model: Model, effect: str, dataset: Dataset, force: bool = False, **op
 
 def _searched(base: Result, name: str) -> Mapping[str, float]:
     """The settings of an effect that fit best to what the model without it leaves."""
-    here = scene(base.model, base.dataset, base.observations, base.free)
-    return candidate(here, name).settings
+    scene = Scene.of(base.model, base.dataset, base.observations, base.free)
+    return candidate(scene, name).settings
 
 
 def removed(

@@ -12,9 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from parallel_cal.base.documents import plain
 from parallel_cal.base.errors import FitError
 from parallel_cal.identification.doubts import chi2_band
-from parallel_cal.identification.fit import Result, fit, parameter_rows, single_threaded
+from parallel_cal.identification.fit import Result, estimated, fit, single_threaded
 from parallel_cal.identification.observability import Spectrum, spectrum
 from parallel_cal.identification.prediction_errors import errors
 from parallel_cal.model.model import Model
@@ -59,7 +60,7 @@ class Combination:
         sigma = np.sqrt(np.diag(np.asarray(self.model.covariance)))
         return {
             "loops": [self._loop(found) for found in self.loops],
-            "parameters": parameter_rows(self.model, sigma, self.model.fixed),
+            "parameters": plain(estimated(self.model, sigma, self.model.fixed)),
             "chi2_per_dof": self.chi2_per_dof if self.dof > 0 else None,
             "chi2_band": list(chi2_band(self.dof)),
             "dof": self.dof,

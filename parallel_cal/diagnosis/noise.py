@@ -1,0 +1,74 @@
+"""The noise that a diagnosis judges by: stated, or seen where poses were visited again."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from parallel_cal.base.confidence import CHANCE
+from parallel_cal.diagnosis.field import Field
+from parallel_cal.diagnosis.scene import Scene
+from parallel_cal.diagnosis.statistics import averaged
+from parallel_cal.diagnosis.thresholds import ENOUGH_REPLICATES
+from parallel_cal.identification.doubts import chi2_band
+
+STATED = ("option", "dataset", "model file")
+
+
+@dataclass(frozen=True)
+class PureError:
+    """Mean square of the visits of one pose about their mean, in units of the observations'
+    variance, and its degrees of freedom; None without replicates."""
+
+    variance: float | None
+    dof: int
+
+    @classmethod
+    def of(cls, scene: Scene, field: Field) -> PureError:
+        """Of replicates; without a pose nothing tells them from neighbours."""
+        if scene.dataset.mode == "continuous" or not field.measured.any():
+            return cls(None, 0)
+        z, group = field.noise_units, scene.observations.group
+        visited = np.unique(group, return_inverse=True)[1]
+        apart = z - averaged(z, group)[visited]
+        components = int(np.any(z != 0, axis=0).sum())
+        dof = (len(z) - int(visited.max()) - 1) * components
+        return cls(float(np.sum(apart**2)) / dof if dof else None, dof)
+
+
+@dataclass(frozen=True)
+class NoiseLevel:
+    """The noise to judge by, which must not come from the fit itself.
+
+    `variance` in units of the observations' noise, None where nobody knows; `dof` how well it is
+    known, None where it is stated; `source` in words; `pure_error` what replicates alone say.
+    """
+
+    variance: float | None
+    dof: int | None
+    source: str
+    pure_error: PureError
+
+    @classmethod
+    def of(cls, scene: Scene, field: Field) -> NoiseLevel:
+        """Stated noise counts; where it was only guessed from jitter, replicates take its place."""
+        seen = PureError.of(scene, field)
+        sources = set(scene.observations.noise_from.values())
+        if sources <= set(STATED):
+            return cls(1.0, None, f"stated ({', '.join(sorted(sources))})", seen)
+        if seen.variance is not None and seen.dof >= ENOUGH_REPLICATES:
+            words = f"replicates ({seen.dof} degrees of freedom)"
+            return cls(seen.variance, seen.dof, words, seen)
+        return cls(None, None, f"unknown ({', '.join(sorted(sources))})", seen)
+
+    def band(self, dof: int) -> tuple[float, float]:
+        """Where chi2/dof lies in 99 % of complete models; infinite where the noise is unknown."""
+        from scipy.special import fdtri
+
+        if self.variance is None or dof <= 0:
+            return (0.0, float("inf"))
+        if self.dof is None:
+            return chi2_band(dof)
+        low, high = (float(fdtri(dof, self.dof, p)) for p in (CHANCE / 2, 1 - CHANCE / 2))
+        return low * self.variance, high * self.variance
