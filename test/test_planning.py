@@ -276,14 +276,15 @@ def test_without_noise_figures_symmetry_or_reach_there_is_no_plan():
 
 
 def test_parameters_and_directions_have_words():
-    delta, argos = new_model("delta54").mechanism, new_model("argos9").mechanism
+    delta, argos = new_model("delta54").table, new_model("argos9").table
+    eccentric = new_model("delta54").with_effect("encoder_eccentricity").table
     assert describe("chain2.Lb", delta) == "rod length of chain 2"
     assert describe("chain1.alpha0", argos) == "encoder offset of chain 1"
-    assert describe("encoder_eccentricity.joint2.sin") == (
+    assert describe("encoder_eccentricity.joint2.sin", eccentric) == (
         "sine part of joint 2 of encoder eccentricity"
     )
-    assert describe("spool1.R") == "radius of spool 1"
-    assert describe("chain1.unheard") == "unheard of chain 1"
+    assert describe("spool1.R", new_model("cable").table) == "radius of spool 1"
+    assert describe("chain1.unheard", delta) == "unheard of chain 1"
     parts = {"chain2.La_x": 0.8, "chain2.Lb": -0.6}
     assert direction_in_words(parts, delta) == "arm length of chain 2 against rod length of chain 2"
     together = {"chain1.Lb": 0.5, "chain3.Lb": 0.5}
@@ -292,9 +293,9 @@ def test_parameters_and_directions_have_words():
 
 def test_every_parameter_of_the_thesis_robots_has_words_of_its_own():
     for name in ("delta24", "delta54", "delta_nominal", "argos9", "argos27", "stewart42"):
-        mechanism = new_model(name).mechanism
-        for p in mechanism.parameters:
-            assert describe(p.name, mechanism).split(" of ")[0] != p.name.split(".")[-1], p.name
+        table = new_model(name).table
+        for p in table:
+            assert describe(p.name, table).split(" of ")[0] != p.name.split(".")[-1], p.name
 
 
 # ------------------------------------------------------------------- command line

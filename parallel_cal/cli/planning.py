@@ -142,7 +142,7 @@ def _show_parameters(found: Plan, parameters: dict[str, dict[str, Any]], worst: 
     sigmas = {k: v["sigma_tolerances"] for k, v in parameters.items()}
     order = sorted(sigmas, key=lambda k: -(math.inf if sigmas[k] is None else sigmas[k]))
     told = [
-        f"{describe(name, found.model.mechanism)} ({name}) {_short(sigmas[name])}"
+        f"{describe(name, found.model.table)} ({name}) {_short(sigmas[name])}"
         for name in order[:worst]
     ]
     console.say(f"known worst, sigma in tolerances: {'; '.join(told)}")

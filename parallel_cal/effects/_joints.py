@@ -10,6 +10,8 @@ import casadi as ca
 from parallel_cal.model.effect import Seen
 from parallel_cal.model.mechanism import Mechanism
 
+WAVE = {"sin": "sine part", "cos": "cosine part"}  # of an error that comes round: its labels
+
 
 def turning(mechanism: Mechanism) -> list[str]:
     """The joints that turn: whatever comes round once a turn can only be theirs."""

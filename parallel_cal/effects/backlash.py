@@ -25,7 +25,7 @@ class Backlash(Effect):
         joints = zip(mechanism.joints, mechanism.joint_units, strict=True)
         sizes = [(joint, unit, *SIZE[unit]) for joint, unit in joints]
         return [
-            Parameter(f"{joint}.width", unit, 0.0, tolerance, low=0.0, high=most)
+            Parameter(f"{joint}.width", unit, 0.0, tolerance, low=0.0, high=most, label="play")
             for joint, unit, tolerance, most in sizes
         ]
 

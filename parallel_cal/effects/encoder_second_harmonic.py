@@ -6,7 +6,7 @@ from typing import Any
 
 import casadi as ca
 
-from parallel_cal.effects._joints import needs_turning, shifted, turning
+from parallel_cal.effects._joints import WAVE, needs_turning, shifted, turning
 from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
@@ -22,9 +22,9 @@ class EncoderSecondHarmonic(Effect):
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
         return [
-            Parameter(f"{joint}.{part}", "rad", 0.0, 0.5e-3, low=-5e-3, high=5e-3)
+            Parameter(f"{joint}.{part}", "rad", 0.0, 0.5e-3, low=-5e-3, high=5e-3, label=label)
             for joint in turning(mechanism)
-            for part in ("sin", "cos")
+            for part, label in WAVE.items()
         ]
 
     def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:

@@ -8,7 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from parallel_cal.effects._joints import needs_turning, shifted, turning
+from parallel_cal.effects._joints import WAVE, needs_turning, shifted, turning
 from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
@@ -30,12 +30,23 @@ class GearTransmissionError(Effect):
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
         amplitudes = [
-            Parameter(f"{joint}.{part}{k}", "rad", 0.0, 0.3e-3, low=-3e-3, high=3e-3)
+            Parameter(
+                f"{joint}.{part}{k}",
+                "rad",
+                0.0,
+                0.3e-3,
+                low=-3e-3,
+                high=3e-3,
+                label=f"{label}, {'once' if k == 1 else 'twice'} per input turn",
+            )
             for joint in turning(mechanism)
             for k in (1, 2)
-            for part in ("sin", "cos")
+            for part, label in WAVE.items()
         ]
-        return [Parameter("ratio", "1", 50.0, 20.0, low=1.0, high=250.0), *amplitudes]
+        return [
+            Parameter("ratio", "1", 50.0, 20.0, low=1.0, high=250.0, label="gear ratio"),
+            *amplitudes,
+        ]
 
     def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
         def ripple(joint: str, q: Any, k: int) -> Any:

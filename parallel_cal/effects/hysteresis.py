@@ -52,5 +52,12 @@ def _of_joint(joint: str, unit: str) -> list[Parameter]:
     width = WIDTH[unit]
     return [
         Parameter(f"{joint}.lag", unit, 0.0, tolerance, low=0.0, high=most),
-        Parameter(f"{joint}.width", unit, width, width / 10, low=width / 9),
+        Parameter(
+            f"{joint}.width",
+            unit,
+            width,
+            width / 10,
+            low=width / 9,
+            label="way in which it turns over",
+        ),
     ]

@@ -27,7 +27,7 @@ class SpoolBuildup(Effect):
     separated_by = "poses that use the whole travel of every line, near and far from its anchor"
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
-        return [Parameter("Q", "m", 0.0, 0.1e-3, low=0.0, high=0.5e-3)]
+        return [Parameter("Q", "m", 0.0, 0.1e-3, low=0.0, high=0.5e-3, label="build-up")]
 
     def applies(self, mechanism: Mechanism) -> str:
         return "" if isinstance(mechanism, Cable) else "no line is wound on a spool"

@@ -23,7 +23,9 @@ class ThermalExpansion(Effect):
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
         return [
             *[
-                Parameter(f"{body}.alpha", "1/K", 0.0, 10e-6, low=-2e-6, high=100e-6)
+                Parameter(
+                    f"{body}.alpha", "1/K", 0.0, 10e-6, low=-2e-6, high=100e-6, label="expansion"
+                )
                 for body in mechanism.bodies
             ],
             Parameter("reference", "degC", 20.0, 10.0, low=-50.0, high=100.0),

@@ -29,7 +29,7 @@ def on_parameters(model: Model, estimate: Estimate, free: np.ndarray) -> list[st
         if free[i] and abs(moved[i]) > FAR
     ]
     unseen = estimate.spectrum.unidentifiable
-    words += [f"the data cannot tell {direction_in_words(c, model.mechanism)}" for c in unseen]
+    words += [f"the data cannot tell {direction_in_words(c, model.table)}" for c in unseen]
     return words
 
 

@@ -98,11 +98,11 @@ class Result:
             "rank": self.estimate.spectrum.rank,
             "free": int(self.free.sum()),
             "unidentifiable": [
-                {"text": direction_in_words(c, self.model.mechanism), "parameters": c}
+                {"text": direction_in_words(c, self.model.table), "parameters": c}
                 for c in self.estimate.spectrum.unidentifiable
             ],
             "weak": [
-                {"text": direction_in_words(c, self.model.mechanism), "parameters": c}
+                {"text": direction_in_words(c, self.model.table), "parameters": c}
                 for c in self.estimate.spectrum.weak
             ],
             "noise_floor": self.noise.document(),

@@ -9,16 +9,18 @@ from parallel_cal.model.parameters import Parameter, ParameterTable
 
 MM, DEGREE = 1e-3, np.pi / 180
 
-# name: unit, nominal value (table 5.12), tolerance of a real robot (1 sigma).
+Entry = tuple[str, float, float, str]
+# name: unit, nominal value (table 5.12), tolerance of a real robot (1 sigma), label.
+# In a chain's frame x points outwards, y up and z along the motor's axis (figure 3.9).
 POSITION = {
-    "D_x": ("m", 76 * MM, 1 * MM),
-    "D_y": ("m", -16.5 * MM, 1 * MM),
-    "D_z": ("m", 0.0, 1 * MM),
-    "theta": ("rad", 0.0, 0.5 * DEGREE),
-    "alpha": ("rad", 90 * DEGREE, 0.5 * DEGREE),
-    "La_x": ("m", 119.963 * MM, 0.5 * MM),
-    "La_y": ("m", -3 * MM, 1 * MM),
-    "Lb": ("m", 240 * MM, 0.5 * MM),
+    "D_x": ("m", 76 * MM, 1 * MM, "motor axis' distance from the centre"),
+    "D_y": ("m", -16.5 * MM, 1 * MM, "motor axis' height"),
+    "D_z": ("m", 0.0, 1 * MM, "shift along the motor axis"),
+    "theta": ("rad", 0.0, 0.5 * DEGREE, "chain's direction about z"),
+    "alpha": ("rad", 90 * DEGREE, 0.5 * DEGREE, "motor axis' tilt"),
+    "La_x": ("m", 119.963 * MM, 0.5 * MM, "arm length"),
+    "La_y": ("m", -3 * MM, 1 * MM, "encoder offset (arm's end across)"),
+    "Lb": ("m", 240 * MM, 0.5 * MM, "rod length"),
 }
 HOME = Home(joints=(30.65 * DEGREE,) * 3, position=(0.0, 0.0, 0.2))
 WORKSPACE = Workspace(low=(-0.06, -0.06, 0.14), high=(0.06, 0.06, 0.26))
@@ -27,7 +29,7 @@ JOINT_LIMITS = ((-30 * DEGREE, 135 * DEGREE),) * 3  # section 2.3.2: mechanical 
 LENGTH = 24 * MM  # half the bar of a rod pair
 
 
-def chain_parameters(groups: dict[str, dict[str, tuple[str, float, float]]]) -> ParameterTable:
+def chain_parameters(groups: dict[str, dict[str, Entry]]) -> ParameterTable:
     """The table of three equal chains, 120 degrees apart (theta is the thesis' vartheta)."""
     return ParameterTable(
         Parameter(
@@ -36,8 +38,9 @@ def chain_parameters(groups: dict[str, dict[str, tuple[str, float, float]]]) -> 
             nominal + (i * 120 * DEGREE if name == "theta" else 0.0),
             tolerance,
             group,
+            label=label,
         )
         for i in range(3)
         for group, members in groups.items()
-        for name, (unit, nominal, tolerance) in members.items()
+        for name, (unit, nominal, tolerance, label) in members.items()
     )

@@ -26,7 +26,21 @@ ANGLES: tuple[dict[str, float], ...] = (
     {"alpha0": -45.0, "Omega": 90.0, "Phi": 90.0, "omega": 90.0, "phi": -90.0},
 )
 MOTOR_SHIFTS: tuple[tuple[str, ...], ...] = ((), ("dC",), ("dA", "dC"))
-CHAIN = ("alpha0", "Omega", "Phi", "omega", "phi", "dA", "dC", "da", "dc", "gamma", "dR", "R")
+LABELS = {
+    "alpha0": "encoder offset",
+    "Omega": "motor axis' angle out of the base plane",
+    "Phi": "motor axis' direction in the base plane",
+    "omega": "ball's direction out of the platform plane",
+    "phi": "ball's direction in the platform plane",
+    "dA": "motor axis' distance from the sphere's centre",
+    "dC": "motor axis' height over the sphere's centre",
+    "da": "pantograph's distance from the motor axis",
+    "dc": "pantograph's shift along the motor axis",
+    "gamma": "pantograph's angle to the motor axis",
+    "dR": "ball's shift along the pantograph",
+    "R": "ball's distance from the platform's centre",
+}
+CHAIN = tuple(LABELS)
 
 # Home turns the platform by 109.5 degrees about (-1, 1, 0): ball 1 points to (1, -2, -2) / 3,
 # between the motor axes 2 and 3, and the others likewise. As a rotation vector:
@@ -45,6 +59,7 @@ def angle_parameters(chain: int) -> list[Parameter]:
             value * DEGREE,
             (2 if name == "alpha0" else 1) * DEGREE,
             "spherical",
+            label=LABELS[name],
         )
         for name, value in ANGLES[chain].items()
     ]
@@ -55,8 +70,11 @@ def shift_parameters(chain: int, radius: float) -> list[Parameter]:
     lengths = {**dict.fromkeys((*MOTOR_SHIFTS[chain], "da", "dc", "dR"), 0.0), "R": radius}
     name = f"chain{chain + 1}."
     return [
-        *[Parameter(name + k, "m", v, 2 * MM, "spatial") for k, v in lengths.items()],
-        Parameter(name + "gamma", "rad", 90 * DEGREE, 1 * DEGREE, "spatial"),
+        *[
+            Parameter(name + k, "m", v, 2 * MM, "spatial", label=LABELS[k])
+            for k, v in lengths.items()
+        ],
+        Parameter(name + "gamma", "rad", 90 * DEGREE, 1 * DEGREE, "spatial", label=LABELS["gamma"]),
     ]
 
 

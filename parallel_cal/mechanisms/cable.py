@@ -55,7 +55,7 @@ class Cable(Mechanism):
         self.home = Home(joints=(0.0,) * n)
         lines = [_line(i + 1, *row) for i, row in enumerate(zip(anchors, advantages, strict=True))]
         radii = [
-            Parameter(f"spool{k}.R", "m", RADIUS, 1 * MM, "spool", low=0)
+            Parameter(f"spool{k}.R", "m", RADIUS, 1 * MM, "spool", low=0, label="radius")
             for k in sorted({*self.spools})
         ]
         self.parameters = ParameterTable([*(p for line in lines for p in line), *radii])
@@ -120,12 +120,24 @@ def _line(number: int, anchor: Sequence[float], advantage: float) -> list[Parame
     name = f"line{number}."
     return [
         *[
-            Parameter(f"{name}A_{axis}", "m", float(value), 20 * MM, "anchor")
+            Parameter(
+                f"{name}A_{axis}", "m", float(value), 20 * MM, "anchor", label=f"anchor's {axis}"
+            )
             for axis, value in zip("xyz", anchor, strict=True)
         ],
-        Parameter(f"{name}offset", "m", 0.0, 5 * MM, "offset"),
-        Parameter(f"{name}gear", "1", GEAR, 1e-3, "drive", low=0),
-        Parameter(f"{name}advantage", "1", float(advantage), 1e-3, "drive", low=0),
+        Parameter(
+            f"{name}offset", "m", 0.0, 5 * MM, "offset", label="line's length at reading zero"
+        ),
+        Parameter(f"{name}gear", "1", GEAR, 1e-3, "drive", low=0, label="gear ratio"),
+        Parameter(
+            f"{name}advantage",
+            "1",
+            float(advantage),
+            1e-3,
+            "drive",
+            low=0,
+            label="pulley's mechanical advantage",
+        ),
     ]
 
 

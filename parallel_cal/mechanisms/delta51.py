@@ -115,7 +115,20 @@ def _xyz_angles(M: np.ndarray) -> tuple[float, float, float]:
     return first, np.arcsin(M[0, 2]), last
 
 
+LABELS = {
+    "b": "platform ball",
+    "a": "arm ball",
+    "l": "rod length",
+    "beta": "arm's turn",
+    "p": "motor axis' centre",
+}
 NOMINAL = from_delta54(Delta54.parameters.mapping(Delta54.parameters.nominal))
+
+
+def _label(name: str) -> str:
+    """`rod11.b_x` -> `platform ball, x`."""
+    kind, _, axis = name.partition(".")[2].partition("_")
+    return f"{LABELS[kind]}, {axis}" if axis else LABELS[kind]
 
 
 def _table() -> ParameterTable:
@@ -125,9 +138,9 @@ def _table() -> ParameterTable:
     base = [f"chain{i}.p_{k}" for i in (1, 2, 3) for k in XYZ]
     return ParameterTable(
         [
-            *[Parameter(name, "m", NOMINAL[name], 0.5 * MM, "rods") for name in rods],
-            *[Parameter(name, "rad", NOMINAL[name], 0.5 * DEGREE, "axes") for name in axes],
-            *[Parameter(name, "m", NOMINAL[name], 1 * MM, "base") for name in base],
+            *[Parameter(n, "m", NOMINAL[n], 0.5 * MM, "rods", label=_label(n)) for n in rods],
+            *[Parameter(n, "rad", NOMINAL[n], 0.5 * DEGREE, "axes", label=_label(n)) for n in axes],
+            *[Parameter(n, "m", NOMINAL[n], 1 * MM, "base", label=_label(n)) for n in base],
         ]
     )
 

@@ -24,18 +24,18 @@ from parallel_cal.model.mechanism import POSE, Mechanism
 from parallel_cal.model.parameters import Named
 
 PARALLELOGRAM = {  # set P1 (eq. 3.14): errors of the spatial parallelogram
-    "dalpha": ("rad", 0.0, 0.5 * DEGREE),
-    "dbeta": ("rad", 0.0, 0.5 * DEGREE),
-    "dC_x": ("m", 0.0, 0.1 * MM),
-    "dC_y": ("m", 0.0, 0.1 * MM),
-    "dC_z": ("m", 0.0, 0.1 * MM),
-    "dLb": ("m", 0.0, 0.1 * MM),
+    "dalpha": ("rad", 0.0, 0.5 * DEGREE, "arm bar's twist against the platform bar, about x"),
+    "dbeta": ("rad", 0.0, 0.5 * DEGREE, "arm bar's twist against the platform bar, about y"),
+    "dC_x": ("m", 0.0, 0.1 * MM, "difference of the arm's ball positions along the arm"),
+    "dC_y": ("m", 0.0, 0.1 * MM, "difference of the arm's ball positions across the arm"),
+    "dC_z": ("m", 0.0, 0.1 * MM, "difference of arm's and platform's bar length"),
+    "dLb": ("m", 0.0, 0.1 * MM, "difference of the two rods' lengths"),
 }
 PLATFORM = {  # set P2 (eq. 3.15): size of the platform, nearly unobservable, fixed by default
-    "d_z": ("m", 20 * MM, 0.2 * MM),
-    "b_x": ("m", 24 * MM, 0.2 * MM),
-    "b_y": ("m", 0.0, 0.2 * MM),
-    "b_z": ("m", 0.0, 0.2 * MM),
+    "d_z": ("m", 20 * MM, 0.2 * MM, "platform bar's half length"),
+    "b_x": ("m", 24 * MM, 0.2 * MM, "platform balls' distance from the centre"),
+    "b_y": ("m", 0.0, 0.2 * MM, "platform balls' height"),
+    "b_z": ("m", 0.0, 0.2 * MM, "platform balls' shift along the bar"),
 }
 GROUPS = {"position": POSITION, "P1": PARALLELOGRAM, "P2": PLATFORM}
 # Of base and platform the chains feel the difference D: one body of one material.

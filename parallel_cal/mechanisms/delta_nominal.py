@@ -25,12 +25,18 @@ class DeltaNominal(Mechanism):
     parameters = ParameterTable(
         [
             *[
-                Parameter(f"chain{i + 1}.theta", "rad", i * 120 * DEGREE, 0.5 * DEGREE)
+                Parameter(
+                    f"chain{i + 1}.theta",
+                    "rad",
+                    i * 120 * DEGREE,
+                    0.5 * DEGREE,
+                    label="chain's direction about z",
+                )
                 for i in range(3)
             ],
-            Parameter("R", "m", 76 * MM, 1 * MM),
-            Parameter("La", "m", 120 * MM, 0.5 * MM),
-            Parameter("Lb", "m", 240 * MM, 0.5 * MM),
+            Parameter("R", "m", 76 * MM, 1 * MM, label="base radius less platform radius"),
+            Parameter("La", "m", 120 * MM, 0.5 * MM, label="arm length"),
+            Parameter("Lb", "m", 240 * MM, 0.5 * MM, label="rod length"),
         ]
     )
     home = Home(joints=(30.65 * DEGREE,) * 3, position=(0.0, 0.0, 0.22078))

@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 
 from parallel_cal.base.rotation import rot_z
+from parallel_cal.mechanisms.stewart42 import ENDS
 from parallel_cal.model.mechanism import Home, Mechanism, Workspace
 from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 
@@ -30,12 +31,26 @@ def _leg(i: int) -> list[Parameter]:
     points = {"B": PLATFORM[i], "C": BASE[i]}
     return [
         *[
-            Parameter(f"leg{i + 1}.{name}_{axis}", "m", float(value), 1e-3, f"{name} balls")
+            Parameter(
+                f"leg{i + 1}.{name}_{axis}",
+                "m",
+                float(value),
+                1e-3,
+                f"{name} balls",
+                label=f"{ENDS[name]}'s {axis}",
+            )
             for name, point in points.items()
             for axis, value in zip("xy", point, strict=True)
         ],
-        Parameter(f"leg{i + 1}.L0", "m", RETRACTED, 1e-3, "offset"),
-        Parameter(f"leg{i + 1}.delta", "rad", 0.0, 0.5 * DEGREE, "misalignment"),
+        Parameter(f"leg{i + 1}.L0", "m", RETRACTED, 1e-3, "offset", label="length at reading zero"),
+        Parameter(
+            f"leg{i + 1}.delta",
+            "rad",
+            0.0,
+            0.5 * DEGREE,
+            "misalignment",
+            label="actuator's misalignment",
+        ),
     ]
 
 

@@ -41,15 +41,17 @@ class Rssr(Mechanism):
     controls = ("rz",)
     parameters = ParameterTable(
         [
-            Parameter("a", "m", 0.0, 1 * MM, "axes"),
-            Parameter("alpha", "rad", -120 * DEGREE, 0.5 * DEGREE, "axes"),
-            Parameter("input.r", "m", ARM, 0.5 * MM, "arms"),
-            Parameter("input.s", "m", ALONG, 1 * MM, "arms"),
-            Parameter("input.q0", "rad", -90 * DEGREE, 1 * DEGREE, "arms"),
-            Parameter("output.r", "m", ARM, 0.5 * MM, "arms"),
-            Parameter("output.s", "m", -ALONG, 1 * MM, "arms"),
-            Parameter("output.q0", "rad", -90 * DEGREE, 1 * DEGREE, "arms"),
-            Parameter("L", "m", ROD, 0.5 * MM, "rod"),
+            Parameter("a", "m", 0.0, 1 * MM, "axes", label="distance of the axes"),
+            Parameter(
+                "alpha", "rad", -120 * DEGREE, 0.5 * DEGREE, "axes", label="angle between the axes"
+            ),
+            Parameter("input.r", "m", ARM, 0.5 * MM, "arms", label="arm length"),
+            Parameter("input.s", "m", ALONG, 1 * MM, "arms", label="arm's shift along its axis"),
+            Parameter("input.q0", "rad", -90 * DEGREE, 1 * DEGREE, "arms", label="encoder offset"),
+            Parameter("output.r", "m", ARM, 0.5 * MM, "arms", label="arm length"),
+            Parameter("output.s", "m", -ALONG, 1 * MM, "arms", label="arm's shift along its axis"),
+            Parameter("output.q0", "rad", -90 * DEGREE, 1 * DEGREE, "arms", label="encoder offset"),
+            Parameter("L", "m", ROD, 0.5 * MM, "rod", label="rod length"),
         ]
     )
     fixed: tuple[str, ...] = ("L", "input.r")

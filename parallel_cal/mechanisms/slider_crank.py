@@ -23,9 +23,9 @@ class SliderCrank(Mechanism):
     controls = ("x",)
     parameters = ParameterTable(
         [
-            Parameter("a", "m", A, 0.2 * MM),
-            Parameter("b", "m", B, 0.2 * MM),
-            Parameter("q0", "rad", 0.0, 1 * DEGREE),
+            Parameter("a", "m", A, 0.2 * MM, label="crank length"),
+            Parameter("b", "m", B, 0.2 * MM, label="rod length"),
+            Parameter("q0", "rad", 0.0, 1 * DEGREE, label="encoder offset"),
         ]
     )
     home = Home(joints=(float(np.arccos((A**2 + X**2 - B**2) / (2 * A * X))),), position=(X, 0, 0))

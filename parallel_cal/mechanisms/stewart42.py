@@ -24,6 +24,9 @@ def hexagon(radius: float, degrees: tuple[float, ...]) -> np.ndarray:
     return radius * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(len(angles))])
 
 
+ENDS = {"B": "platform joint", "C": "base joint"}
+
+
 def leg_parameters(platform: np.ndarray, base: np.ndarray, retracted: float) -> ParameterTable:
     """Ball centres B in {P} and C in {B}, each (6, 3) m, and the length at reading zero."""
     points = {"B": platform, "C": base}
@@ -32,11 +35,20 @@ def leg_parameters(platform: np.ndarray, base: np.ndarray, retracted: float) -> 
         for i in range(6)
         for parameter in (
             *[
-                Parameter(f"leg{i + 1}.{name}_{axis}", "m", float(value), 1e-3, f"{name} balls")
+                Parameter(
+                    f"leg{i + 1}.{name}_{axis}",
+                    "m",
+                    float(value),
+                    1e-3,
+                    f"{name} balls",
+                    label=f"{ENDS[name]}'s {axis}",
+                )
                 for name, rows in points.items()
                 for axis, value in zip("xyz", rows[i], strict=True)
             ],
-            Parameter(f"leg{i + 1}.L0", "m", retracted, 1e-3, "offset"),
+            Parameter(
+                f"leg{i + 1}.L0", "m", retracted, 1e-3, "offset", label="length at reading zero"
+            ),
         )
     )
 

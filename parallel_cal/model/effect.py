@@ -83,9 +83,7 @@ class Effect(ABC):
     def table(self, mechanism: Mechanism) -> ParameterTable:
         """Its parameters under their full names (`encoder_eccentricity.joint2.sin`)."""
         return ParameterTable(
-            Parameter(
-                f"{self.name}.{p.name}", p.unit, p.nominal, p.tolerance, "effect", p.low, p.high
-            )
+            replace(p, name=f"{self.name}.{p.name}", group="effect")
             for p in self.parameters(mechanism)
         )
 

@@ -20,7 +20,8 @@ BEYOND = 3.0  # of its own sigmas: so far an estimate may lie outside its range 
 class Parameter:
     """One number of a model: SI unit, nominal value, tolerance (1 sigma of a real robot).
 
-    `low` and `high` bound what is physically possible (a backlash is never negative).
+    `low` and `high` bound what is physically possible (a backlash is never negative); `label`
+    says in words that a mechanic understands what the name's last part is ("rod length").
     """
 
     name: str
@@ -30,6 +31,7 @@ class Parameter:
     group: str = "geometry"
     low: float = -np.inf
     high: float = np.inf
+    label: str = ""
 
     def plausible_range(self, sigma: float = 0.0) -> tuple[float, float]:
         """Ten tolerances around the nominal value, inside the physical bounds, and three of the

@@ -87,11 +87,11 @@ class View:
         """Directions that no pose of the pool can see, in words."""
         if self._prior:
             return []
-        seen, m = self._spectrum(np.arange(len(self._A))), self._model.mechanism
+        seen, table = self._spectrum(np.arange(len(self._A))), self._model.table
         words = []
         for parts in seen.unidentifiable:
             them = "it" if len(parts) == 1 else "one of them"
-            words.append(f"no pose tells {direction_in_words(parts, m)}: keep {them} fixed")
+            words.append(f"no pose tells {direction_in_words(parts, table)}: keep {them} fixed")
         return words
 
     def _spectrum(self, rows: np.ndarray) -> Spectrum:

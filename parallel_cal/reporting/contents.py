@@ -162,7 +162,7 @@ def parameters(result: Result) -> dict[str, dict[str, Any]]:
     return {
         name: plain(p)
         | {
-            "words": describe(name, result.model.mechanism),
+            "words": describe(name, result.model.table),
             "sigma_tolerances": None if p.sigma is None else p.sigma / tolerance[name],
         }
         for name, p in result.parameters().items()
@@ -171,9 +171,9 @@ def parameters(result: Result) -> dict[str, dict[str, Any]]:
 
 def combinations(result: Result) -> dict[str, list[dict[str, Any]]]:
     """What the data cannot tell at all, and what they tell worse than the tolerances do."""
-    seen, mechanism = result.estimate.spectrum, result.model.mechanism
+    seen, table = result.estimate.spectrum, result.model.table
     return {
-        key: [{"text": direction_in_words(c, mechanism), "parameters": c} for c in directions]
+        key: [{"text": direction_in_words(c, table), "parameters": c} for c in directions]
         for key, directions in (("unidentifiable", seen.unidentifiable), ("weak", seen.weak))
     }
 

@@ -68,7 +68,7 @@ class Combination:
             "free": int(np.sum(~self.model.fixed)),
             "unidentifiable": [{"text": what} for what in self.unseen],
             "weak": [
-                {"text": direction_in_words(c, self.model.mechanism), "parameters": c}
+                {"text": direction_in_words(c, self.model.table), "parameters": c}
                 for c in self.spectrum.weak
             ],
             "warnings": list(self.warnings),

@@ -24,7 +24,7 @@ def blind_spots(loops: Sequence[Loop], robot: Model, J: np.ndarray) -> tuple[str
             words.append(f"{what} ({_counted(lost.shape[1])})")
             blind = _without(blind, lost)
     names = [n for n, f in zip(robot.table.names, free, strict=True) if f]
-    return (*words, *(direction_in_words(combination(d, names), robot.mechanism) for d in blind.T))
+    return (*words, *(direction_in_words(combination(d, names), robot.table) for d in blind.T))
 
 
 def _counted(n: int) -> str:

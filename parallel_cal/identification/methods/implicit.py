@@ -55,6 +55,6 @@ def _why(model: Model, seen: Spectrum, prior: bool | Prior) -> str:
     if prior or not weakest or seen.singular_values[-1] > HARDLY:
         return "is the starting model of the right robot, are units right?"
     return (
-        f"the data hardly tell {direction_in_words(weakest[0], model.mechanism)}; use priors, "
+        f"the data hardly tell {direction_in_words(weakest[0], model.table)}; use priors, "
         "fix some of these, or measure more different poses"
     )
