@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
 import hashlib
-import io
 import math
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +13,7 @@ from parallel_cal.base.errors import DatasetError
 from parallel_cal.base.rotation import quaternion_to_matrix
 from parallel_cal.recordings.columns import ColumnMap, read_column_map
 from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.recordings.table import Table, read_table
 
 SI = {"rad": 1.0, "deg": math.pi / 180, "m": 1.0, "mm": 1e-3}
 
@@ -25,7 +23,7 @@ def import_csv(path: str | Path, columns: str | Path) -> Dataset:
 
     DatasetError or ModelFileError naming file, line and column of what is wrong.
     """
-    wanted, table = read_column_map(Path(columns)), read_table(Path(path))
+    wanted, table = read_column_map(Path(columns)), read_table(Path(path)).complete()
     if missing := [name for name in wanted.columns if name not in table.header]:
         raise DatasetError(
             f"{path}:1: no column {', '.join(missing)}, which {columns} names; the table has "
@@ -49,59 +47,6 @@ def import_csv(path: str | Path, columns: str | Path) -> Dataset:
     )
     # The order of lines is no time: drift must not be judged by it.
     return dataclasses.replace(found, conditions=conditions)
-
-
-@dataclasses.dataclass(frozen=True)
-class Table:
-    """The rows of a CSV file as text, and the line each stands in."""
-
-    path: Path
-    header: list[str]
-    rows: list[list[str]]
-    lines: list[int]
-
-    def texts(self, name: str) -> list[str]:
-        column = self.header.index(name)
-        return [row[column].strip() for row in self.rows]
-
-    def numbers(self, names: Sequence[str]) -> np.ndarray:
-        """(N, len(names)); DatasetError at the first cell that is not a finite number."""
-        return np.array([self._column(name) for name in names], dtype=float).T
-
-    def _column(self, name: str) -> list[float]:
-        pairs = zip(self.texts(name), self.lines, strict=True)
-        return [self._number(name, text, line) for text, line in pairs]
-
-    def _number(self, name: str, text: str, line: int) -> float:
-        try:
-            value = float(text)
-        except ValueError:
-            value = math.nan
-        if not math.isfinite(value):
-            raise DatasetError(
-                f"{self.path}:{line}: column {name} holds '{text}', expected a finite number: "
-                "fill it in or take the line out"
-            )
-        return value
-
-
-def read_table(path: Path) -> Table:
-    """A CSV file with a header line; blank lines are skipped."""
-    try:
-        reader = csv.reader(io.StringIO(path.read_text(encoding="utf-8-sig")), strict=True)
-        found = [(reader.line_num, row) for row in reader if any(map(str.strip, row))]
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise DatasetError(f"{path}: not a CSV table: {error}") from None
-    if len(found) < 2:
-        raise DatasetError(f"{path}: expected a header line and samples, found {len(found)} lines")
-    (first, names), *samples = found
-    header = [name.strip() for name in names]
-    if len(set(header)) < len(header):
-        raise DatasetError(f"{path}:{first}: a column occurs twice in '{','.join(header)}'")
-    for line, row in samples:
-        if len(row) != len(header):
-            raise DatasetError(f"{path}:{line}: {len(row)} cells, the header has {len(header)}")
-    return Table(path, header, [row for _, row in samples], [line for line, _ in samples])
 
 
 def _position(wanted: ColumnMap, table: Table) -> np.ndarray | None:
