@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from parallel_cal.base.errors import DatasetError
-from parallel_cal.base.rotation import quaternion_to_matrix
 from parallel_cal.recordings.options import SampleOptions
 from parallel_cal.recordings.recording import Array, Bools, Dropped, JointStream, Recording
 from parallel_cal.recordings.samples import Sample, Samples, max_gap
@@ -32,7 +31,6 @@ def paired_samples(recording: Recording, options: SampleOptions, tolerance: Arra
             f"within {max_gap(joints, options):.2g} s. Record both together, or set max_gap"
         )
     columns = _interpolated(joints, pose.time[at])
-    R = quaternion_to_matrix(pose.quaternion)
     nowhere = np.full(len(joints.names), np.nan)
     reading = np.searchsorted(joints.time, pose.time[at])
     for k, i in enumerate(at):
@@ -46,7 +44,7 @@ def paired_samples(recording: Recording, options: SampleOptions, tolerance: Arra
                 velocity=velocity,
                 scatter_q=nowhere,
                 r=pose.position[i],
-                R=R[i],
+                R=pose.rotation[i],
                 measured=pose.measured[i],
                 pose_cov=pose.covariance[i],
                 scatter_pose=np.full(6, np.nan),

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+
+from parallel_cal.base.rotation import quaternion_to_matrix
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -73,6 +76,11 @@ class PoseStream:
     quaternion: Array
     measured: Bools
     covariance: Array
+
+    @cached_property
+    def rotation(self) -> Array:
+        """(m, 3, 3)."""
+        return quaternion_to_matrix(self.quaternion)
 
 
 NO_POSES = PoseStream(

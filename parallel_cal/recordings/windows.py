@@ -1,0 +1,48 @@
+"""A standstill under examination: what was read, measured and said during its calm part."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from parallel_cal.recordings.dwells import Indices, Interval
+from parallel_cal.recordings.options import SampleOptions
+from parallel_cal.recordings.readings import held_words, readings_between
+from parallel_cal.recordings.recording import Bools, Recording
+
+
+@dataclass
+class Dwell:
+    """A standstill under examination: its readings, its pose messages and what they measure,
+    the words that held the tip meanwhile and what other sensors showed (m). Messages that measure
+    `less` than most are not among its poses."""
+
+    interval: Interval
+    start: float
+    end: float
+    readings: slice
+    poses: Indices
+    less: Indices
+    measured: Bools
+    held: list[str]
+    shown: dict[str, float]
+
+
+def window(recording: Recording, interval: Interval, options: SampleOptions) -> Dwell:
+    """The trimmed part of an interval: the robot settles at its start and may leave at its end."""
+    joints, pose = recording.joints, recording.pose
+    start = joints.time[interval.first] + options.trim_start
+    end = joints.time[interval.last] - options.trim_end
+    a, b = np.searchsorted(joints.time, [start, end])
+    c, d = np.searchsorted(pose.time, [start, end])
+    poses = np.arange(c, max(c, d))
+    # a coordinate counts as measured when most messages measure it; the others are left out
+    measured = pose.measured[poses].mean(axis=0) > 0.5 if len(poses) else np.zeros(6, bool)
+    enough = (pose.measured[poses] | ~measured).all(axis=1)
+    readings = slice(int(a), int(max(a, b)))
+    held = held_words(recording.constraint, start, end)
+    shown = readings_between(recording, start, end)
+    return Dwell(
+        interval, start, end, readings, poses[enough], poses[~enough], measured, held, shown
+    )
