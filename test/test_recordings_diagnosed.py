@@ -1,6 +1,8 @@
 """Every recording gets its right verdict through the command line, and the error falls.
 
-The truth beside a recording is read here only; `test_diagnose_node.py` does the same by the nodes.
+Here are each mechanism, one with nothing hidden and one whose device errs; the others belong to the
+slow tests: `test_diagnosis.py` hides the same in arrays, `test_docs.py` diagnoses three. The
+truth beside a recording is read here only; `test_diagnose_node.py` does the same by the nodes.
 """
 
 import json
@@ -13,6 +15,7 @@ from parallel_cal.cli import main as cli
 
 ROOT = Path(__file__).parents[1]
 NAMES = sorted(path.stem for path in (ROOT / "bags" / "truth").glob("*.yaml"))
+FIRST = ("argos_gear_ripple", "delta_clean", "delta_tilting", "stewart_backlash")
 
 
 def truth(name):
@@ -38,7 +41,9 @@ def called(document):
     return [{name, *document["swaps"].get(name, [])} for name in document["effects"]]
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(
+    "name", [n if n in FIRST else pytest.param(n, marks=pytest.mark.slow) for n in NAMES]
+)
 def test_the_verdict_is_right_and_adding_what_it_names_lowers_the_error(name, run, tmp_path):
     hidden = truth(name)
     model, bag = ROOT / hidden["baseline"], ROOT / "bags" / name
