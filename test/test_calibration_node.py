@@ -369,7 +369,9 @@ def test_without_auto_collect_samples_are_taken_by_hand(tmp_path):
     client = Client("tester", namespace, processes)
     status = client.latest(CollectionStatus, "calibration_node/collection_status")
     client.wait(lambda: bool(status), "a status")
-    processes.append(Process("replay_node", tmp_path, namespace, bag=str(CLEAN), rate=50.0))
+    listeners = client.listeners(topic.name for topic in list_topics(CLEAN)[0])
+    replay = {"bag": str(CLEAN), "rate": 50.0, "wait_for_subscribers": listeners}
+    processes.append(Process("replay_node", tmp_path, namespace, **replay))
     client.wait(lambda: received(status[0]) >= sum(counts(CLEAN)), "the bag", 60)
     taken = client.call(Trigger, "calibration_node/take_sample")
     listed = client.call(ListSamples, "calibration_node/list_samples")

@@ -38,7 +38,7 @@ BAGS = REPOSITORY / "bags"
 BACKLASH, PRESET = BAGS / "delta_backlash", REPOSITORY / "config" / "delta_mockup_nominal.yaml"
 CANCELED, SUCCEEDED, ABORTED = 5, 4, 6
 QUICK = ("delta_gear_ripple",)
-REPLAYED = ("delta_backlash",)
+REPLAYED = ("delta_backlash",)  # with the slow tests: `test_demo.py` replays it, too
 WITH_CONDITIONS = ("delta_compliance", "delta_thermal")  # payload and temperature as topics
 
 
@@ -138,9 +138,8 @@ def test_the_samples_of_a_recording_get_the_right_verdict_and_the_better_model(
     assert added_to(model_file) == effects
 
 
-@pytest.mark.parametrize(
-    "name", [*REPLAYED, *(pytest.param(n, marks=pytest.mark.slow) for n in WITH_CONDITIONS)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [*REPLAYED, *WITH_CONDITIONS])
 def test_a_replayed_recording_gets_the_right_verdict_and_the_better_model(
     name, tmp_path, environment
 ):
