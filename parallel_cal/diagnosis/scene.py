@@ -9,9 +9,9 @@ from functools import cached_property
 import numpy as np
 
 from parallel_cal.identification.linearisation import Linearisation
-from parallel_cal.identification.observability import RELATIVE_RANK
 from parallel_cal.identification.observations import Observations, blocks, conditions
 from parallel_cal.identification.predictions import predicted
+from parallel_cal.identification.thresholds import RELATIVE_RANK
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
 

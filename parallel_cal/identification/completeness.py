@@ -8,14 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from parallel_cal.base.errors import ModelError
+from parallel_cal.identification.thresholds import CLOSED, FRAME_UNIT, INDEPENDENT, PART_OF_TRAVEL
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.model import Model, new_model
-
-INDEPENDENT = 1e-11  # of the largest singular value, every column brought to length 1
-CLOSED = 1e-11  # m: residual of a pose that counts as consistent
-PART_OF_TRAVEL = 0.15  # of each joint's range, to both sides of home
-FRAME_UNIT = 1e-3  # m, and rad at the mechanism's length: what a frame's error is counted in
 
 
 def serial(R: int, P: int) -> int:

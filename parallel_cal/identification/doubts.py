@@ -10,13 +10,10 @@ from parallel_cal.base.confidence import SIGMAS
 from parallel_cal.identification.methods._estimate import Estimate
 from parallel_cal.identification.observations import SCATTER, Observations
 from parallel_cal.identification.prediction_errors import Summary
+from parallel_cal.identification.thresholds import DOUBTED, FAR, HELD
 from parallel_cal.model.model import Model
 from parallel_cal.model.words import direction_in_words
 from parallel_cal.recordings.dataset import Dataset
-
-FAR = 5.0  # tolerances: a parameter that moved further deserves a word
-HELD = 3.0  # of the noise: what the model holds at one value does move
-DOUBTED = 0.5  # a sample that a robust loss gives less weight than this is named
 
 
 def on_parameters(model: Model, estimate: Estimate, free: np.ndarray) -> list[str]:

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from parallel_cal.identification.prior import Knowledge, Prior
+from parallel_cal.identification.thresholds import LOST, NAMED, RELATIVE_RANK, WEAK
 from parallel_cal.model.parameters import ParameterTable
 
-RELATIVE_RANK = 1e-6  # of the largest singular value, columns in units of tolerance
 BLOCK = 2048
 
 
@@ -41,12 +41,12 @@ def spectrum(
     rank = int(np.sum(sizes > RELATIVE_RANK * max(sizes[0], 1e-300))) if len(sizes) else 0
     seen, unseen = directions[:rank], directions[rank:]
     covariance = (seen.T / sizes[:rank] ** 2) @ seen
-    lost = np.sum(unseen**2, axis=0) > 1e-6
+    lost = np.sum(unseen**2, axis=0) > LOST
     if prior:
         information = (seen.T * sizes[:rank] ** 2) @ seen
         covariance = np.linalg.inv(information + Knowledge(prior, table, free).information)
         lost = np.zeros_like(lost)
-    weak = [d for d, s in zip(seen, sizes[:rank], strict=True) if s < 1]
+    weak = [d for d, s in zip(seen, sizes[:rank], strict=True) if s < WEAK]
     return Spectrum(
         sizes,
         rank,
@@ -62,7 +62,7 @@ def combination(direction: np.ndarray, names: list[str]) -> dict[str, float]:
     size = np.abs(direction) / max(np.abs(direction).max(), 1e-300)
     order = np.argsort(-size, kind="stable")
     sign = np.sign(direction[order[0]]) if len(order) else 1.0
-    return {names[i]: float(sign * direction[i]) for i in order if size[i] > 0.1}
+    return {names[i]: float(sign * direction[i]) for i in order if size[i] > NAMED}
 
 
 def _triangle(J: np.ndarray, tolerance: np.ndarray) -> np.ndarray:

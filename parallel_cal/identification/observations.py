@@ -9,13 +9,13 @@ import numpy as np
 
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.rotation import rotation_matrix, rotation_vector
+from parallel_cal.identification.thresholds import BLOCKS
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.samples import READING
 
 ASSUMED = "assumed"  # whose a noise figure is that nobody measured
 GUESS = "(nobody knows? your guess, with noise.assumed: true)"
-BLOCKS = 40  # stretches into which a continuous motion is cut, as if each were a pose
 SCATTER = "scatter within dwells"  # where noise comes from that nobody stated
 
 

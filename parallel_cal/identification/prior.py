@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from parallel_cal.base.errors import FitError
+from parallel_cal.identification.thresholds import UNSEEN
 from parallel_cal.model.model import Model
 from parallel_cal.model.parameters import ParameterTable
-
-NOTHING = 1e-13  # of the largest variance: directions below it were not seen by that fit
 
 
 @dataclass(frozen=True)
@@ -36,7 +35,7 @@ class Prior:
             raise FitError("the model has no covariance to start from: identify it first")
         scale = np.outer(model.table.tolerance, model.table.tolerance)
         size, directions = np.linalg.eigh(model.covariance / scale)
-        unseen = directions[:, size < NOTHING * size[-1]]
+        unseen = directions[:, size < UNSEEN * size[-1]]
         return Prior(model.values, model.covariance + (unseen @ unseen.T) * scale)
 
 

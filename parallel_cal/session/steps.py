@@ -11,11 +11,10 @@ from parallel_cal.diagnosis.catalogue import candidate
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.identification.acceptance import Acceptance, acceptance
 from parallel_cal.identification.fit import Result, fit
+from parallel_cal.identification.thresholds import NEGLIGIBLE
 from parallel_cal.model.effect import parse_effect
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
-
-NEGLIGIBLE = 0.01  # of the error: what a removal may cost
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from parallel_cal.identification.observability import RELATIVE_RANK, combination
+from parallel_cal.identification.observability import combination
+from parallel_cal.identification.thresholds import RELATIVE_RANK
 from parallel_cal.model.model import Model
 from parallel_cal.model.words import direction_in_words
 from parallel_cal.short_cut.loop import POINTS, RODS, Loop, parts_of

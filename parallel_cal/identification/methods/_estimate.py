@@ -10,10 +10,8 @@ import numpy as np
 from parallel_cal.identification.linearisation import System
 from parallel_cal.identification.observability import Spectrum, spectrum
 from parallel_cal.identification.prior import Knowledge, Prior
+from parallel_cal.identification.thresholds import GAIN, STEP
 from parallel_cal.model.model import Model
-
-STEP = 1e-8  # in tolerances: smaller steps change nothing a person can measure
-GAIN = 1e-10  # of chi2: steps that promise less have arrived, however long (weak directions)
 
 
 @dataclass(frozen=True)

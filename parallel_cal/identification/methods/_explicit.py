@@ -10,13 +10,9 @@ from parallel_cal.identification.methods._descent import Predicted, minimise, ne
 from parallel_cal.identification.methods._estimate import Estimate, Sought
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prior import Prior
+from parallel_cal.identification.thresholds import NEAR_DIRECT, NEAR_INVERSE, NEWTON_STEP
 from parallel_cal.model.mechanism import POSE
 from parallel_cal.model.model import Model
-
-SETTLED = 1e-12  # m: a Newton step below this changes nothing
-# Distance from singularities (smallest singular value), as a share of the best sample's: nearer
-# ones are left out. At direct ones two branches meet inside the workspace (5.3.4).
-NEAR_DIRECT, NEAR_INVERSE = 0.2, 1e-4
 
 
 class Prediction:
@@ -72,7 +68,7 @@ class Prediction:
             phi, C, J = self._closure.blocks(values, x)
             step = -np.einsum("nij,nj->ni", np.linalg.pinv(C[:, :, self.unknown]), phi)
             size = np.abs(step * self._scale).max(axis=1)
-            if not np.nanmax(size) > SETTLED:
+            if not np.nanmax(size) > NEWTON_STEP:
                 break
             change = np.zeros((len(x), C.shape[2]))
             change[:, self.unknown] = np.clip(step, -0.2 / self._scale, 0.2 / self._scale)

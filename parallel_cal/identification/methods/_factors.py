@@ -15,10 +15,8 @@ import numpy as np
 
 from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.identification.methods._separation import Separation
+from parallel_cal.identification.thresholds import DEPENDENT, DRAWS
 from parallel_cal.model.model import Model
-
-DRAWS = 400
-DEPENDENT = 1e-9
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ import numpy as np
 from parallel_cal.base.errors import FitError
 from parallel_cal.identification.methods._estimate import Estimate
 from parallel_cal.identification.observations import Observations
+from parallel_cal.identification.thresholds import WEIGHT_STEP
 from parallel_cal.model.model import Model
 
 # Weights of scipy's losses for a sample whose rms residual is t sigmas; the constants keep 95 %
@@ -52,7 +53,7 @@ def robust(
         unit = _scale(sizes, found.informative) if observations.noise_assumed else 1.0
         before, weight = weight, LOSSES[loss](sizes / unit)
         model = model.with_values(found.values)
-        if np.abs(weight - before).max() < 1e-6:
+        if np.abs(weight - before).max() < WEIGHT_STEP:
             break
     return replace(found, weight=before)
 

@@ -14,12 +14,11 @@ from parallel_cal.identification.methods._estimate import Estimate, Sought
 from parallel_cal.identification.observability import Spectrum, spectrum
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prior import Prior
+from parallel_cal.identification.thresholds import HARDLY
 from parallel_cal.model.model import Model
 from parallel_cal.model.words import direction_in_words
 
 __all__ = ["Estimate", "Linearisation", "estimate"]
-
-HARDLY = 0.1  # sigmas that a tolerance moves the residuals by: ten tolerances fit as well
 
 
 def estimate(

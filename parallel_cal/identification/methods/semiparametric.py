@@ -23,11 +23,10 @@ from parallel_cal.identification.methods._estimate import Estimate
 from parallel_cal.identification.methods._factors import Row, separated
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prior import Prior
+from parallel_cal.identification.thresholds import FACTOR_STEP
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.model import Model, new_model
 from parallel_cal.model.parameters import Named, Parameter, ParameterTable
-
-SETTLED = 1e-9  # tolerances: a step below this changes nothing
 
 
 class FactorMechanism(Mechanism):
@@ -171,7 +170,7 @@ def extracted(
         A = weight @ J * tolerance
         step = np.linalg.lstsq(A, weight @ (target - f), rcond=1e-10)[0]
         values[free] += tolerance * step
-        if np.abs(step).max() < SETTLED:
+        if np.abs(step).max() < FACTOR_STEP:
             break
     else:
         raise FitError(

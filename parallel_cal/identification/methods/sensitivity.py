@@ -13,9 +13,9 @@ import numpy as np
 from parallel_cal.base.errors import FitError
 from parallel_cal.identification.methods._estimate import Estimate, Sought, concluded
 from parallel_cal.identification.methods._explicit import Prediction
-from parallel_cal.identification.observability import RELATIVE_RANK
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prior import Prior
+from parallel_cal.identification.thresholds import RELATIVE_RANK
 from parallel_cal.model.model import Model
 
 

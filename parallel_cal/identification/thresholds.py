@@ -1,0 +1,33 @@
+"""Every number that decides something in an identification, with its meaning."""
+
+# What is said of a result
+FAR = 5.0  # tolerances: a parameter that moved further deserves a word
+HELD = 3.0  # of the noise: what the model holds at one value does move
+DOUBTED = 0.5  # a sample that a robust loss gives less weight than this is named
+HARDLY = 0.1  # sigmas that a tolerance moves the residuals by: ten tolerances fit as well
+NAMED = 0.1  # of a direction's largest part: smaller ones are not named
+NEGLIGIBLE = 0.01  # of the error at poses left out: what the removal of an effect may cost
+BLOCKS = 40  # stretches into which a continuous motion is cut, as if each were a pose
+
+# What the data can see
+RELATIVE_RANK = 1e-6  # of the largest singular value, columns in units of tolerance
+LOST = 1e-6  # squared share of a parameter in directions that the data cannot see
+WEAK = 1.0  # sigmas that a tolerance moves the residuals by: less, and tolerances know better
+UNSEEN = 1e-13  # of the largest variance: directions below it were not seen by that fit
+NEAR_DIRECT, NEAR_INVERSE = 0.2, 1e-4  # smallest singular value, as a share of the best sample's:
+# samples nearer to a singularity are left out; at direct ones two branches meet (5.3.4)
+
+# When a search has arrived
+STEP = 1e-8  # tolerances: smaller steps change nothing a person can measure
+GAIN = 1e-10  # of chi2: steps that promise less have arrived, however long (weak directions)
+FACTOR_STEP = 1e-9  # tolerances: of parameters that follow from linear factors
+NEWTON_STEP = 1e-12  # m: of the coordinates that the closure is solved for
+WEIGHT_STEP = 1e-6  # of a sample's weight under a robust loss
+
+# What is counted with exact numbers: factors of a closure, parameters of a complete model
+DRAWS = 400  # random configurations and parameters in which factors are told apart
+DEPENDENT = 1e-9  # of a unit column: what the factors before it leave
+INDEPENDENT = 1e-11  # of the largest singular value, every column brought to length 1
+CLOSED = 1e-11  # m: residual of a pose that counts as consistent
+PART_OF_TRAVEL = 0.15  # of each joint's range, to both sides of home
+FRAME_UNIT = 1e-3  # m, and rad at the mechanism's length: what a frame's error is counted in
