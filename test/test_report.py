@@ -13,6 +13,7 @@ import virtual_setups as vs
 from datasets import measured
 from tied import dataset as tied
 
+import parallel_cal as pc
 from parallel_cal.cli import main as cli
 from parallel_cal.model.file.modelfile import model_hash, write_model
 from parallel_cal.model.model import new_model
@@ -243,6 +244,33 @@ def test_a_parameter_that_one_model_lacks_has_no_difference(calibrated, data):
     assert [row["name"] for row in rows] == [f"backlash.joint{k}.width" for k in (1, 2, 3)]
     assert rows[0]["values"] == [None, 0.0]
     assert rows[0]["difference_tolerances"] is None
+
+
+# --------------------------------------------------------------------------------- a notebook
+
+
+def test_a_result_has_the_text_that_the_command_line_prints(made, data, files, capsys):
+    with pytest.raises(SystemExit):
+        cli.main(["compare", str(files / "m.yaml"), str(files / "samples.json")])
+    printed = capsys.readouterr().out
+    assert pc.show(pc.compare(made.diagnosis.model, data)) == printed.rstrip("\n")
+    said = pc.show(made.diagnosis).splitlines()
+    assert said[0] == f"explained: {made.diagnosis.verdict.summary}"
+    assert any(line.startswith("zero_shift: cannot be tested") for line in said)
+    parameters = pc.show(made.diagnosis.best.fitted).splitlines()
+    assert sum("backlash.joint" in line and line.endswith("deg") for line in parameters) == 3
+    with pytest.raises(TypeError, match="not Model"):
+        pc.show(made.diagnosis.model)
+
+
+def test_a_result_has_the_figure_that_the_report_shows(made, data):
+    falling = pc.figure(made.diagnosis).data[-1]
+    rows = made.document()["history"]
+    assert falling.y == pytest.approx([1e6 * row["error"]["position_rms"] for row in rows])
+    arrows = pc.figure(pc.compare(made.diagnosis.model, data))
+    assert {trace.type for trace in arrows.data} == {"scatter3d", "mesh3d"}
+    bars = pc.figure(made.diagnosis.best.fitted).data[0]
+    assert "backlash.joint1.width" in bars.y
 
 
 # --------------------------------------------------------------------- data that lack something

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -30,9 +29,6 @@ if TYPE_CHECKING:
     from parallel_cal.model.model import Model
     from parallel_cal.recordings.dataset import Dataset
     from parallel_cal.session.steps import Step
-
-ARCMIN = 60 * 180 / math.pi
-BEYOND_CHANCE = 0.05
 
 
 @with_options
@@ -120,48 +116,20 @@ def _finish(step: Step, output: Path | None, as_json: bool) -> None:
     """Write the model, then say what came out: a file that cannot be written is no success."""
     from parallel_cal.model.file.modelfile import model_hash, write_model
 
-    document = step.document()
+    written = {}
     if output is not None:
         write_model(step.model, output)
-        document = document | {"output": str(output), "hash": model_hash(step.model)}
+        written = {"output": str(output), "hash": model_hash(step.model)}
     console.progress("", 1.0)
     console.warn(step.warnings)
     if as_json:
-        return console.emit(document)
-    _show_fit(document, step.model)
+        return console.emit(step.document() | written)
+    from parallel_cal.reporting import text
 
-
-def _show_fit(document: dict[str, Any], model: Model) -> None:
-    held = document["held_out"]
-    columns = {"before": document["before"], "after": document["after"]}
-    without = document.get("held_out_without_effect")  # judged like the new model
-    columns["left out, without it" if without else "left out, before"] = without or held["before"]
-    columns["left out, after"] = held["after"]
-    console.say(
-        f"{document['samples']} samples, {document['rank']} of {document['free']} free parameters "
-        f"identified, chi2/dof {console.number(document['chi2_per_dof'])}"
-    )
-    show_errors(columns, document["noise_floor"], model)
-    rows = []
-    for name, p in document["parameters"].items():
-        if not p["fixed"]:
-            value, unit = console.readable(p["value"], p["unit"], 4)
-            change = console.readable(p["value"] - p["nominal"], p["unit"], 4)[0]
-            sigma = console.readable(p["sigma"], p["unit"], 4)[0]
-            rows.append((name, value, change, sigma, unit))
-    console.table(("parameter", "value", "from nominal", "sigma", "unit"), rows)
-    if "output" in document:
-        console.say(f"written: {document['output']} (sha256 {document['hash'][:12]})")
-
-
-def show_errors(
-    columns: dict[str, dict[str, Any]], floor: dict[str, float | None], model: Model
-) -> None:
-    """Errors beside those of noise alone, where somebody knows the noise."""
-    if any(v is not None for v in floor.values()):
-        columns = columns | {"noise alone": floor}
-    redundant = model.structure.phi.shape[0] > len(model.mechanism.moved)
-    console.errors_table(columns, model.mechanism.joint_units, closure=redundant)
+    without = step.rival if step.name == "add" else None  # judged like the new model
+    console.say(text.fitted(step.result, without))
+    if written:
+        console.say(f"written: {output} (sha256 {written['hash'][:12]})")
 
 
 def compare(
@@ -175,50 +143,11 @@ def compare(
     from parallel_cal.diagnosis import comparison
 
     judged, dataset = model_and_data(model, bags, data)
-    document = comparison.compare(judged, dataset, joint_sigma).document()
+    compared = comparison.compare(judged, dataset, joint_sigma)
     console.progress("", 1.0)
     console.warn(dataset.warnings)
     if as_json:
-        return console.emit(document)
-    console.say(f"{document['samples']} samples")
-    show_errors({"error": document}, document["noise_floor"], judged)
-    console.say("worst samples:")
-    _show_rows(document["rows"][:10], document["channels"])
-    _show_where(document["where"])
+        return console.emit(compared.document())
+    from parallel_cal.reporting import text
 
-
-def _show_rows(rows: list[dict[str, Any]], channels: list[str]) -> None:
-    header = ("sample", "time [s]", "at [mm]", "error [um]", "|error| [um]", "turned [arcmin]")
-    console.table(
-        header + tuple(f"{channel} [um]" for channel in channels),
-        [
-            (str(r["sample"]), console.number(r["time"], 1, 1),
-             " ".join(console.number(v, 1e3, 1) for v in r["position"]),
-             " ".join(console.number(v, 1e6, 0) for v in r["position_error"]),
-             console.number(r["position_norm"], 1e6, 0),
-             console.number(r["orientation_norm"], ARCMIN, 2),
-             *(console.number(v, 1e6, 0) for v in r["reading_error"]))
-            for r in rows
-        ],
-    )  # fmt: skip
-
-
-def _show_where(where: dict[str, Any]) -> None:
-    """What the errors go with, beyond chance, and whether neighbours err alike."""
-    rows = [
-        (a["name"], console.number(a["strength"], 1, 1), f"{a['p_value']:.2g}")
-        for a in where["along"][:5]
-        if a["p_value"] < BEYOND_CHANCE
-    ]
-    if rows:
-        console.say("errors go with:")
-        console.table(("along", "largest mean [sigma]", "p"), rows)
-    else:
-        console.say("errors go with nothing recorded, beyond chance")
-    worst = where["regions"][0]
-    console.say(
-        f"worst region: {worst['region']}, {console.number(worst['position_rms'], 1e6, 0)} um rms; "
-        f"structure: p = {where['structure']['p_value']:.2g}"
-    )
-    for row in where["odd_samples"][:5]:
-        console.say(f"odd: sample {row['sample']}, {row['sigmas']:.1f} sigmas")
+    console.say(text.show(compared))

@@ -13,6 +13,7 @@ import typer
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.cli.arguments import Json, ModelFile
 from parallel_cal.reporting import console
+from parallel_cal.reporting.readable import fixed_vector, large
 
 if TYPE_CHECKING:
     import numpy as np
@@ -170,8 +171,8 @@ def _one(
     console.table(
         ("status", "position [mm]", "quaternion x y z w", f"joints [{name}]", "residual [m]"),
         [
-            (r["status"], console.vector(r["position"], 1e3, 4),
-             console.vector(r["quaternion"], 1, 7), console.vector(r["joints"], factor, 5),
+            (r["status"], fixed_vector(r["position"], 1e3, 4),
+             fixed_vector(r["quaternion"], 1, 7), fixed_vector(r["joints"], factor, 5),
              f"{r['residual']:.1e}" if math.isfinite(r["residual"]) else "-")
             for r in rows
         ],
@@ -181,18 +182,18 @@ def _one(
 
 
 def _pose_sigma(sigma: np.ndarray) -> str:
-    turned = console.vector(sigma[3:], 60 * 180 / math.pi, 3)
-    return f"position {console.vector(sigma[:3], 1e6, 1)} um, orientation {turned} arcmin"
+    turned = fixed_vector(sigma[3:], 60 * 180 / math.pi, 3)
+    return f"position {fixed_vector(sigma[:3], 1e6, 1)} um, orientation {turned} arcmin"
 
 
 def _joint_sigma(model: Model, sigma: np.ndarray) -> str:
     name, factor = _joint_unit(model)
-    return f"joints {console.vector(sigma, factor, 5)} {name}"
+    return f"joints {fixed_vector(sigma, factor, 5)} {name}"
 
 
 def _joint_unit(model: Model) -> tuple[str, float]:
     units = set(model.mechanism.joint_units)
-    return console.READABLE[units.pop()] if len(units) == 1 else ("rad|m", 1.0)
+    return large(units.pop()) if len(units) == 1 else ("rad|m", 1.0)
 
 
 def _many(text: str, found: Solutions, output: Path | None, as_json: bool) -> None:

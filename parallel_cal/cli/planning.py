@@ -12,6 +12,7 @@ import typer
 from parallel_cal.base.documents import plain
 from parallel_cal.cli.arguments import Fix, Free, Json, ModelFile, Prior, patterns
 from parallel_cal.reporting import console
+from parallel_cal.reporting.readable import fixed, fixed_vector
 
 if TYPE_CHECKING:
     from parallel_cal.model.model import Model
@@ -117,9 +118,9 @@ def _show(found: Plan, document: dict[str, Any]) -> None:
     console.table(
         header,
         [
-            (str(i + 1), *(console.number(v, 1, 5) for v in row["position"]),
-             console.vector(np.round(row["quaternion"], 5) + 0.0, 1, 5),
-             *(console.number(v, 1, 5) for v in row["joints"]))
+            (str(i + 1), *(fixed(v, 1, 5) for v in row["position"]),
+             fixed_vector(np.round(row["quaternion"], 5) + 0.0, 1, 5),
+             *(fixed(v, 1, 5) for v in row["joints"]))
             for i, row in enumerate(document["poses"])
         ],
     )  # fmt: skip
@@ -149,7 +150,7 @@ def _show_parameters(found: Plan, parameters: dict[str, dict[str, Any]], worst: 
 
 
 def _numbers(columns: tuple[dict[str, Any], ...], kind: str, factor: float) -> list[str]:
-    return [console.number(column[f"{kind}_rms"], factor, 2) for column in columns]
+    return [fixed(column[f"{kind}_rms"], factor, 2) for column in columns]
 
 
 def _short(value: float | None) -> str:

@@ -18,6 +18,7 @@ from parallel_cal.cli.arguments import (
 )
 from parallel_cal.cli.calibration import model_and_data
 from parallel_cal.reporting import console
+from parallel_cal.reporting.readable import fixed, in_unit
 
 ARCMIN = 60 * 180 / math.pi
 
@@ -58,7 +59,7 @@ def short_cut(
 def _show(document: dict[str, Any]) -> None:
     console.say(
         f"{document['rank']} of {document['free']} free parameters identified, chi2/dof "
-        f"{console.number(document['chi2_per_dof'])}; rms error of each loop's second arm:"
+        f"{fixed(document['chi2_per_dof'])}; rms error of each loop's second arm:"
     )
     header = ("loop", "samples", "seen of 9", "before [arcmin]", "after [arcmin]")
     rows = [
@@ -66,7 +67,7 @@ def _show(document: dict[str, Any]) -> None:
             k["loop"],
             str(k["samples"]),
             str(k["rank"]),
-            *(console.number(k[when]["orientation_rms"], ARCMIN) for when in ("before", "after")),
+            *(fixed(k[when]["orientation_rms"], ARCMIN) for when in ("before", "after")),
         )
         for k in document["loops"]
     ]
@@ -80,8 +81,8 @@ def _show_parameters(parameters: Mapping[str, dict[str, Any]]) -> None:
     rows = []
     for name, p in parameters.items():
         if not p["fixed"]:
-            value, unit = console.readable(p["value"], p["unit"])
-            sigma, _ = console.readable(p["sigma"], p["unit"])
-            moved = console.number(p["moved_tolerances"])
+            value, unit = in_unit(p["value"], p["unit"])
+            sigma, _ = in_unit(p["sigma"], p["unit"])
+            moved = fixed(p["moved_tolerances"])
             rows.append((name, value, sigma, unit, moved))
     console.table(("parameter", "value", "sigma", "unit", "moved [tolerances]"), rows)

@@ -1,13 +1,20 @@
-"""Numbers as people read them: um, mm, arcmin, degrees; the unit always beside them."""
+"""Numbers as people read them: um, mm, arcmin, degrees; the unit always beside them.
+
+A page has a few significant digits, a dash and µ; a terminal fixed digits, a hyphen and ASCII.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 ARCMIN = 60 * 180 / math.pi
-SMALL = {"m": ("µm", 1e6), "rad": ("arcmin", ARCMIN)}
+SMALL = {
+    "m": ("µm", 1e6),
+    "rad": ("arcmin", ARCMIN),
+    "rad|m": ("µrad|µm", 1e6),  # turns and slides in one norm have no people's unit
+}
 LARGE = {"m": ("mm", 1e3), "rad": ("deg", 180 / math.pi), "degC": ("°C", 1.0), "1": ("", 1.0)}
 OF = {"position": "m", "orientation": "rad", "reading": "m"}
 MISSING = "–"
@@ -75,3 +82,38 @@ def shown_kinds(errors: Mapping[str, Mapping[str, float | None] | None]) -> list
         if kinds := [k for k in group if f"{k}_rms" in known]:
             return kinds
     return []
+
+
+def fixed(value: float | None, factor: float = 1.0, digits: int = 2) -> str:
+    """A number for a terminal."""
+    if value is None or not math.isfinite(value):
+        return "-"
+    return f"{value * factor:.{digits}f}"
+
+
+def fixed_vector(values: Iterable[float | None], factor: float, digits: int) -> str:
+    return " ".join(fixed(value, factor, digits) for value in values)
+
+
+def in_unit(value: float | None, unit: str, digits: int = 4) -> tuple[str, str]:
+    """(number, unit) of a value for a terminal: m as mm, rad as degrees."""
+    name, factor = large(unit)
+    return fixed(value, factor, digits), name
+
+
+def columns(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A short table without frames; numbers to the right."""
+    lines = [list(header), *([str(cell) for cell in row] for row in rows)]
+    widths = [max(len(line[k]) for line in lines) for k in range(len(header))]
+    right = [all(_numeric(line[k]) for line in lines[1:]) for k in range(len(header))]
+    return "\n".join(
+        "  ".join(
+            cell.rjust(width) if numbers else cell.ljust(width)
+            for cell, width, numbers in zip(line, widths, right, strict=True)
+        ).rstrip()
+        for line in lines
+    )
+
+
+def _numeric(text: str) -> bool:
+    return text.strip("+-0123456789.e ") == ""

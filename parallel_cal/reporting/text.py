@@ -1,0 +1,194 @@
+"""Results as a terminal shows them: tables and sentences, every number with its unit."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from functools import singledispatch
+from typing import Any
+
+from parallel_cal.diagnosis.comparison import Comparison
+from parallel_cal.diagnosis.diagnose import Diagnosis
+from parallel_cal.diagnosis.entries import Entry
+from parallel_cal.identification.fit import Result
+from parallel_cal.identification.prediction_errors import ERRORS, Summary
+from parallel_cal.model.model import Model
+from parallel_cal.reporting.readable import (
+    ARCMIN,
+    columns,
+    fixed,
+    fixed_vector,
+    in_unit,
+    small,
+    unit_of,
+)
+
+CANDIDATES, SAMPLES, PATTERNS = 8, 10, 5  # that a person reads
+BEYOND_CHANCE = 0.05  # of what errors go with
+
+
+@singledispatch
+def show(result: Any) -> str:
+    """A result of `fit`, `compare` or `diagnose` as the command line prints it."""
+    kind = type(result).__name__
+    raise TypeError(f"show takes what fit, compare or diagnose gives, not {kind}")
+
+
+@show.register
+def fitted(result: Result, without: Result | None = None) -> str:
+    """An identification; `without` is that of the same data without an effect added."""
+    rival = result.held_out_before if without is None else without.held_out
+    judged = {
+        "before": result.before.summary,
+        "after": result.after.summary,
+        "left out, before" if without is None else "left out, without it": rival.summary,
+        "left out, after": result.held_out.summary,
+    }
+    rows = []
+    for name, p in result.parameters().items():
+        if not p.fixed:
+            value, unit = in_unit(p.value, p.unit)
+            change, sigma = (in_unit(v, p.unit)[0] for v in (p.value - p.nominal, p.sigma))
+            rows.append((name, value, change, sigma, unit))
+    estimate = result.estimate
+    return "\n".join(
+        [
+            f"{result.samples} samples, {estimate.spectrum.rank} of {result.free.sum()} free "
+            f"parameters identified, chi2/dof {fixed(estimate.chi2_per_dof)}",
+            errors_table(judged, result.noise, result.model),
+            columns(("parameter", "value", "from nominal", "sigma", "unit"), rows),
+        ]
+    )
+
+
+def errors_table(judged: Mapping[str, Summary], noise: Summary, model: Model) -> str:
+    """Mean and rms errors of what was measured, one column for each of before, after, ... (as
+    table 5.15), beside those of noise alone where somebody knows the noise; that of the closure's
+    rows, too, where they are redundant."""
+    judged = {**judged, "noise alone": noise} if noise.known else dict(judged)
+    joint_units = dict(zip(model.joints, model.mechanism.joint_units, strict=True))
+    rows = []
+    for kind in ("position", "orientation", "reading", "joint"):
+        name, factor = small(unit_of(kind, joint_units))
+        if any(e.mean(kind) is not None for e in judged.values()):
+            for measure, get in (("mean", Summary.mean), ("rms", Summary.rms)):
+                cells = [fixed(get(e, kind), factor) for e in judged.values()]
+                rows.append([f"{kind} error, {measure}", *cells, name.replace("µ", "u")])
+    if model.structure.phi.shape[0] > len(model.mechanism.moved):
+        cells = [fixed(e.closure_rms, 1e6) for e in judged.values()]
+        rows.append(["closure, rms of its rows", *cells, "um"])
+    return columns(["", *judged, "unit"], rows)
+
+
+@show.register
+def compared(comparison: Comparison) -> str:
+    """Errors, the worst samples, what the errors go with, and odd samples."""
+    return "\n".join(
+        [
+            f"{len(comparison.observations)} samples",
+            errors_table({"error": comparison.errors.summary}, comparison.noise, comparison.model),
+            "worst samples:",
+            _worst(comparison),
+            *_where(comparison),
+        ]
+    )
+
+
+def _worst(comparison: Comparison) -> str:
+    data, errors = comparison.dataset, comparison.errors
+    norms = {kind: errors.norms(kind) for kind in ERRORS}
+    header = ("sample", "time [s]", "at [mm]", "error [um]", "|error| [um]", "turned [arcmin]")
+    rows = [
+        (
+            str(data.numbers[i]),
+            fixed(data.time[i], 1, 1),
+            fixed_vector(comparison.position[i], 1e3, 1),
+            fixed_vector(errors.position[i], 1e6, 0),
+            fixed(norms["position"][i], 1e6, 0),
+            fixed(norms["orientation"][i], ARCMIN),
+            *(fixed(v, 1e6, 0) for v in errors.reading[i]),
+        )
+        for i in comparison.worst_first[:SAMPLES]
+    ]
+    channels = comparison.model.structure.channels
+    return columns(header + tuple(f"{channel} [um]" for channel in channels), rows)
+
+
+def _where(comparison: Comparison) -> Iterator[str]:
+    """What the errors go with, beyond chance, and whether neighbours err alike."""
+    rows = [
+        (a.name, fixed(a.strength, 1, 1), f"{a.p_value:.2g}")
+        for a in comparison.along[:PATTERNS]
+        if a.p_value < BEYOND_CHANCE
+    ]
+    if rows:
+        yield "errors go with:"
+        yield columns(("along", "largest mean [sigma]", "p"), rows)
+    else:
+        yield "errors go with nothing recorded, beyond chance"
+    worst = comparison.regions[0]
+    yield (
+        f"worst region: {worst.region}, {fixed(worst.position_rms, 1e6, 0)} um rms; "
+        f"structure: p = {comparison.structure.p_value:.2g}"
+    )
+    for one in comparison.odd_samples[:PATTERNS]:
+        yield f"odd: sample {one.sample}, {one.sigmas:.1f} sigmas"
+
+
+@show.register
+def diagnosed(diagnosis: Diagnosis) -> str:
+    """The verdict, errors at poses left out, the candidates, and what to measure next."""
+    judged = {
+        "left out, as it is": diagnosis.base.fitted.held_out.summary,
+        "left out, with it": diagnosis.best.fitted.held_out.summary,
+    }
+    return "\n".join(
+        [
+            f"{diagnosis.verdict.word}: {diagnosis.verdict.summary}",
+            errors_table(judged, diagnosis.best.fitted.noise, diagnosis.model),
+            *_candidates(diagnosis.entries),
+            *_odd(diagnosis),
+            *_next(diagnosis),
+        ]
+    )
+
+
+def _candidates(entries: tuple[Entry, ...]) -> Iterator[str]:
+    tested = [entry for entry in entries if entry.p_adjusted is not None][:CANDIDATES]
+    header = ("effect", "p", "left out", "explains", "first pick", "not geometry", "confused with")
+    yield columns(header, [_candidate(entry) for entry in tested])
+    for entry in entries:
+        told = entry in tested or entry.candidate.score is not None
+        if entry.candidate.missing or (entry.reason and told):
+            yield f"{entry.name}: {entry.reason}"
+
+
+def _candidate(entry: Entry) -> tuple[str, ...]:
+    p, alone = entry.p_adjusted or 0.0, entry.alone
+    ratio, share = (alone.ratio, alone.share_explained) if alone else (None, None)
+    return (
+        entry.name,
+        f"{p:.2g}" if p > 1e-99 else "0",
+        fixed(ratio, 100, 1) + " %",
+        fixed(share, 100, 0) + " %",
+        fixed(entry.first_picks, 100, 0) + " %",
+        fixed(entry.remaining, 100, 0) + " %",
+        ", ".join(entry.confused_with),
+    )
+
+
+def _odd(diagnosis: Diagnosis) -> Iterator[str]:
+    for one in diagnosis.odd_samples[:CANDIDATES]:
+        yield (
+            f"{one.word}: sample {one.sample} at {one.time:.1f} s, {one.sigmas:.1f} sigmas, Cook's "
+            f"distance {one.cooks_distance:.2f} (--data exclude={one.sample} leaves it out)"
+        )
+
+
+def _next(diagnosis: Diagnosis) -> Iterator[str]:
+    for advice in diagnosis.measure_next.advice:
+        yield f"measure next: {advice}"
+    if plan := diagnosis.measure_next.plan:
+        yield (
+            f"{len(plan.poses)} planned poses (--json) would tell {' from '.join(plan.separates)} "
+            f"by {plan.sigmas.then:.1f} sigmas; now {plan.sigmas.now:.1f}"
+        )
