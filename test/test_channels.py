@@ -92,6 +92,14 @@ def test_a_new_reading_stands_beside_the_others(tmp_path):
         np.testing.assert_allclose(dataset.conditions[name], [0.2, 0.21, 0.22], atol=1e-7)
 
 
+def test_one_device_on_two_topics_is_refused(tmp_path):
+    gauge = [bw.distance(0.1 * i, 0.2, "wire") for i in range(30)]
+    both = [*bw.joint_states(ts.session(STOPS)), *gauge, *(("wire", *m[1:]) for m in gauge)]
+    bag = bw.write_bag(tmp_path / "bag", both)
+    with pytest.raises(BagError, match=r"wire \(wire\) comes as distance \(wire\), too"):
+        load_dataset(bag)
+
+
 def test_a_topic_given_to_no_channel_is_refused_with_those_there_are():
     with pytest.raises(BagError, match=r"topics: \['humdity'\] unknown.*humidity"):
         ReadOptions(topics={"humdity": "lab/air"})

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from parallel_cal.base.errors import BagError
-from parallel_cal.recordings.channels import named
+from parallel_cal.recordings.channels import Kind, named
 from parallel_cal.recordings.joint_stream import clean_joints
 from parallel_cal.recordings.options import ReadOptions
 from parallel_cal.recordings.pose_stream import clean_poses
@@ -45,7 +45,11 @@ def assemble(
     channels of poses the first one counts.
     """
     said, dropped = list(notes), []
-    streams = [raws[name] for name in [*named("joints"), *named("poses")] if name in raws][:2]
+
+    def of(kind: Kind) -> dict[str, Raw]:
+        return {name: raws[name] for name in named(kind) if name in raws}
+
+    streams = [*of("joints").values(), *of("poses").values()][:2]
     times = [resolve_stamps(raw, options.stamps, said) for raw in streams]
     start = int(min(ns.min() for ns in times))
     sieves = [Sieve(raw, ns, start) for raw, ns in zip(streams, times, strict=True)]
@@ -55,9 +59,6 @@ def assemble(
         _require_overlap(joints, pose, start)
     for sieve, raw in zip(sieves, streams, strict=True):
         dropped += _undecodable(raw) + sieve.dropped
-    gauges: dict[str, Raw] = {}
-    for name in named("readings"):
-        gauges |= _by_gauge(raws[name]) if name in raws else {}
 
     def numbers(group: Mapping[str, Raw]) -> dict[str, ScalarStream]:
         found = {
@@ -65,10 +66,9 @@ def assemble(
         }
         return {name: stream for name, stream in found.items() if stream}
 
-    conditions = numbers({name: raws[name] for name in named("condition") if name in raws})
-    distances = numbers(gauges)
-    words = [raws[name] for name in named("words") if name in raws]
-    for raw in (*words, *(raws[name] for name in named("readings") if name in raws)):
+    words, readings = list(of("words").values()), list(of("readings").values())
+    conditions, distances = numbers(of("condition")), numbers(_by_gauge(readings))
+    for raw in (*words, *readings):
         dropped += _undecodable(raw)
     return Recording(
         source, sha256, start, topics, joints, pose,
@@ -105,16 +105,20 @@ def _numbers(
     return ScalarStream(raw.topic, time, value[sieve.keep])
 
 
-def _by_gauge(raw: Raw) -> dict[str, Raw]:
+def _by_gauge(raws: Sequence[Raw]) -> dict[str, Raw]:
     """The messages of each ball-bar or probe; rows are (frame, m), and the frame is its channel,
-    or where that is empty the topic's own name."""
+    or where that is empty the topic's own name. BagError where one comes on two topics."""
     gauges: dict[str, Raw] = {}
-    for log, stamp, (frame, value) in zip(raw.log, raw.stamp, raw.rows, strict=True):
-        channel = frame or raw.topic.rsplit("/", 1)[-1]
-        gauge = gauges.setdefault(channel, Raw(f"{raw.topic} ({channel})", raw.type))
-        gauge.log.append(log)
-        gauge.stamp.append(stamp)
-        gauge.rows.append((value,))
+    for raw in raws:
+        for log, stamp, (frame, value) in zip(raw.log, raw.stamp, raw.rows, strict=True):
+            channel = frame or raw.topic.rsplit("/", 1)[-1]
+            name = f"{raw.topic} ({channel})"
+            gauge = gauges.setdefault(channel, Raw(name, raw.type))
+            if gauge.topic != name:
+                raise BagError(f"{name} comes as {gauge.topic}, too: give them different names")
+            gauge.log.append(log)
+            gauge.stamp.append(stamp)
+            gauge.rows.append((value,))
     return gauges
 
 
