@@ -17,6 +17,7 @@ from rich.console import Console
 from rich.table import Table
 
 from parallel_cal.base.rotation import rotation_vector
+from parallel_cal.kinematics.every import direct_all
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.kinematics.singularity import distances
 from parallel_cal.kinematics.solvers import continuous
@@ -46,7 +47,7 @@ def singular_fraction(kinematics: Kinematics) -> float:
 
 def nearest_other(kinematics: Kinematics, joints: np.ndarray) -> tuple[int, float]:
     """How many real poses these joints have, and the tilt (deg) of the one nearest to level."""
-    poses = kinematics.direct_all(joints)
+    poses = direct_all(kinematics.model, joints)
     tilts = np.degrees(np.linalg.norm(rotation_vector(poses.rotation), axis=1))
     others = np.sort(tilts[tilts > 1e-3])
     return len(poses), float(others[0]) if len(others) else float("nan")

@@ -267,7 +267,14 @@ def test_the_closed_form_agrees_with_newton_and_refuses_where_it_is_not_exact(do
 
 def test_an_unknown_solver_lists_those_that_exist(run):
     result = run("direct", DELTA24, "--joints", 1, 1, 1, "--solver", "magic")
-    fails(result, "no solver 'magic'; there are newton, closed_form")
+    fails(result, "no solver 'magic'; there are cascaded, cascaded_circles, closed_form")
+
+
+def test_help_on_solvers_says_what_each_is_for(run):
+    code, said, _ = run("direct", "--solver", "help")
+    assert code == 0
+    assert re.search(r"newton +Prefer it: it serves every mechanism", said)
+    assert re.search(r"cascaded +Kept as the thesis' own", said)
 
 
 def test_a_problem_without_solution_has_a_status_and_exit_code_0(document, run):

@@ -6,6 +6,7 @@ import pytest
 import virtual_robot as vr
 
 from parallel_cal.base.rotation import rotation_vector
+from parallel_cal.kinematics.every import direct_all, inverse_all
 from parallel_cal.kinematics.kinematics import Kinematics, Status
 from parallel_cal.kinematics.newton import newton_functions
 from parallel_cal.model.model import new_model
@@ -137,7 +138,10 @@ def test_model_24_has_two_poses_and_eight_joint_sets_and_all_close():
     model = strayed("delta24", 9)
     kinematics = Kinematics(model)
     q = kinematics.inverse([0.01, -0.02, 0.2]).joints
-    poses, joints = kinematics.direct_all(q), kinematics.inverse_all([0.01, -0.02, 0.2])
+    poses, joints = (
+        direct_all(kinematics.model, q),
+        inverse_all(kinematics.model, [0.01, -0.02, 0.2]),
+    )
     assert (len(poses), len(joints)) == (2, 8)
     assert max(poses.residual.max(), joints.residual.max()) < 1e-14
     assert poses.position[0] == pytest.approx([0.01, -0.02, 0.2], abs=1e-12)
@@ -170,7 +174,7 @@ def test_position_problem_agrees_with_the_formulas_of_the_thesis():
         H.append(np.dot(centres[-1], centres[-1]) - c["Lb"] ** 2)
     E, F, G = -2 * np.array(centres).T
     expected = thesis_position_problem(E, F, G, np.array(H))
-    found = Kinematics(model).direct_all(q).position
+    found = direct_all(model, q).position
     assert np.abs(found - expected[np.argsort(-expected[:, 2])]).max() < 1e-13
 
 

@@ -6,6 +6,7 @@ import pytest
 from parallel_cal.base.errors import ModelError, ModelFileError
 from parallel_cal.identification.doubts import chi2_band
 from parallel_cal.identification.fit import fit
+from parallel_cal.kinematics.every import direct_all
 from parallel_cal.kinematics.kinematics import Kinematics, Status
 from parallel_cal.model.file.modelfile import dump_model, parse_model
 from parallel_cal.model.model import new_model
@@ -164,7 +165,7 @@ def test_a_module_without_a_mechanism_or_an_unknown_path_is_a_clear_error():
 def test_joints_that_are_no_numbers_are_invalid_input_even_where_all_poses_are_asked_for(name):
     kinematics = Kinematics(new_model(name))
     joints = np.full(len(kinematics.model.joints), np.nan)
-    for found in (kinematics.direct(joints), kinematics.direct_all(joints)[0]):
+    for found in (kinematics.direct(joints), direct_all(kinematics.model, joints)[0]):
         assert Status(int(found.status)) == Status.INVALID_INPUT
 
 

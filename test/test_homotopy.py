@@ -6,6 +6,7 @@ import virtual_robot as vr
 
 from parallel_cal.base.errors import SolveError
 from parallel_cal.base.rotation import rotation_matrix, rotation_vector
+from parallel_cal.kinematics.every import direct_all
 from parallel_cal.kinematics.kinematics import Kinematics, Status
 from parallel_cal.kinematics.solvers import homotopy
 from parallel_cal.kinematics.solvers._platform import start_system
@@ -118,7 +119,7 @@ def test_the_mock_up_has_8_to_16_real_poses_in_two_clusters():
     for degrees in ([30.65, 30.65, 30.65], [20, 30, 40], [35, 20, 25], [10, 10, 60]):
         q = np.radians(degrees)
         found = homotopy.pose_set(model, q)
-        upper, lower = Kinematics(narrow).direct_all(q).position
+        upper, lower = direct_all(narrow, q).position
         assert found.count_complex == 40
         assert 8 <= len(found.real) <= 16
         assert (found.real.status == Status.CONVERGED).all()

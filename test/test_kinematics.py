@@ -8,6 +8,7 @@ from datasets import measured
 from parallel_cal.base.errors import ModelError, SolveError
 from parallel_cal.base.rotation import rotation_matrix, rotation_vector
 from parallel_cal.identification.fit import fit
+from parallel_cal.kinematics.every import inverse_all
 from parallel_cal.kinematics.kinematics import Kinematics, Status
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_mechanism
@@ -74,7 +75,7 @@ def test_fk_and_ik_are_other_names_of_direct_and_inverse(mock_up):
 
 
 def test_a_start_keeps_its_assembly_mode(mock_up):
-    everything = mock_up.inverse_all([0.01, 0.02, 0.2])
+    everything = inverse_all(mock_up.model, [0.01, 0.02, 0.2])
     other = everything[len(everything) - 1]
     moved = mock_up.inverse([0.011, 0.02, 0.2], start=other)
     assert np.abs(moved.joints - other.joints).max() < 0.05

@@ -34,6 +34,7 @@ from sensor_msgs.msg import JointState, Temperature
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
+from parallel_cal.kinematics.every import direct_all
 from parallel_cal.kinematics.kinematics import Kinematics, Status
 from parallel_cal.model.file.modelfile import model_hash, read_model, write_model
 from parallel_cal.nodes.client import Client, own_domain
@@ -211,10 +212,19 @@ def test_bad_targets_are_statuses(robot):
 def test_all_solutions_are_given_when_asked_for(robot):
     q = np.array([0.5, 0.6, 0.7])
     poses = robot.fk(q, all_solutions=True).results[0].solutions
-    assert len(poses) == len(robot.kinematics.direct_all(q)) > 1
+    assert len(poses) == len(direct_all(robot.kinematics.model, q)) > 1
     there = [poses[0].pose]
     joints = robot.ik(there, all_solutions=True).results[0].solutions
     assert len(joints) > 1
+
+
+def test_each_result_says_whether_others_may_exist(robot):
+    """Six rods have a complete method for their poses; for the joints there is a search."""
+    q = np.array([0.5, 0.6, 0.7])
+    poses = robot.fk(q, all_solutions=True).results[0]
+    joints = robot.ik([poses.solutions[0].pose], all_solutions=True).results[0]
+    assert (poses.complete, joints.complete) == (True, False)
+    assert not robot.fk(q).results[0].complete
 
 
 def test_a_solver_by_name_answers_and_an_unknown_one_is_a_message(robot):

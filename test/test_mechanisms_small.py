@@ -11,6 +11,7 @@ import virtual_stewart
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.rotation import rotation_matrix, rotation_vector
+from parallel_cal.kinematics.every import direct_all, inverse_all
 from parallel_cal.kinematics.kinematics import Kinematics, Status
 from parallel_cal.model.mechanism import poses_in_workspace
 from parallel_cal.model.model import new_model
@@ -306,9 +307,9 @@ def test_slider_crank_is_what_paper_and_pencil_say(changed):
 def test_slider_crank_of_the_thesis_meets_the_axis_twice():
     """a = 80, b = 50 mm at sin q = 0.6: 64 +- 14 mm (eq. 5.11)."""
     kinematics = Kinematics(new_model("slider_crank"))
-    both = kinematics.direct_all(np.arcsin([0.6]))
+    both = direct_all(kinematics.model, np.arcsin([0.6]))
     assert both.position[:, 0] == pytest.approx([0.078, 0.050], abs=1e-15)
-    angles = kinematics.inverse_all([0.078, 0, 0]).joints[:, 0]
+    angles = inverse_all(kinematics.model, [0.078, 0, 0]).joints[:, 0]
     assert angles == pytest.approx([np.arcsin(0.6), -np.arcsin(0.6)], abs=1e-14)
 
 
@@ -387,7 +388,7 @@ def test_nominal_argos_has_four_regular_orientations(seed):
     model = strayed("argos_nominal", seed)
     kinematics = Kinematics(model)
     q = solved_poses(model, 1, seed)[0, :3]
-    found = kinematics.direct_all(q)
+    found = direct_all(kinematics.model, q)
     assert [Status(s) for s in found.status] == [Status.CONVERGED] * 4
     assert found.residual.max() < 1e-15
     turns = rotation_vector(found.rotation[1:] @ found.rotation[0].T)
@@ -399,7 +400,7 @@ def test_a_ball_on_its_motor_axis_closes_but_is_no_answer():
     model = new_model("argos_nominal")
     q = np.array([0.1, -0.2, 0.3])
     assert np.abs(phi(model, q, np.zeros(3), EYE)).max() < 1e-15
-    found = Kinematics(model).direct_all(q)
+    found = direct_all(model, q)
     assert np.abs(found.rotation - EYE).max(axis=(1, 2)).min() > 0.5
 
 
@@ -407,7 +408,7 @@ def test_nominal_argos_is_solved_where_motor_1_is_level():
     """There both factors of the first equation of 6.45 vanish."""
     kinematics = Kinematics(new_model("argos_nominal"))
     q = np.array([np.pi / 4, 0.1, -0.1])
-    found = kinematics.direct_all(q)
+    found = direct_all(kinematics.model, q)
     assert len(found) == 4
     assert found.residual.max() < 1e-15
 
@@ -416,8 +417,11 @@ def test_nominal_argos_is_solved_where_motor_1_is_level():
 def test_every_argos_has_eight_joint_sets(name):
     model = strayed(name, 6)
     pose = Kinematics(model).direct(np.array([0.1, 0.2, -0.1]))
-    found = Kinematics(model).inverse_all(pose.position, pose.rotation)
-    assert len(found) == 8
+    found = inverse_all(model, pose.position, pose.rotation)
+    # The centre of argos27 follows the joints: in further sets it lies centimetres away.
+    near = np.linalg.norm(found.position - pose.position, axis=1) < 0.05
+    assert near.sum() == 8
+    assert found.complete == near.all() == (name != "argos27")
     assert found.residual.max() < 1e-10
     assert found.joints[0] == pytest.approx([0.1, 0.2, -0.1], abs=1e-10)
 
@@ -464,7 +468,7 @@ def test_angles_of_a_short_cut_loop_see_eight_of_nine_parameters():
     turns = np.radians(np.arange(-180, 180, 3.0))
     numbers = {"a": 0.05, "alpha": -1.9, "input.r": 0.06, "input.s": 0.13, "L": 0.22}
     model = new_model("rssr", numbers)
-    found = [Kinematics(model).direct_all(np.array([q])) for q in turns]
+    found = [direct_all(model, np.array([q])) for q in turns]
     rows = [np.r_[s.joints, s.position, s.rotation.ravel()] for f in found for s in f if s.ok]
     assert len(rows) > 100
     assert rank(model, np.array(rows)) == 8
@@ -496,11 +500,12 @@ def test_linear_delta_with_leaning_rails_has_its_home(lean):
 def test_linear_delta_has_two_level_poses_and_eight_joint_sets():
     kinematics = Kinematics(new_model("linear_delta"))
     pose = kinematics.direct(np.array([0.3, 0.32, 0.31]))
-    every = kinematics.direct_all(np.array([0.3, 0.32, 0.31]))
+    every = direct_all(kinematics.model, np.array([0.3, 0.32, 0.31]))
     assert every.count_complex == 40
     assert (np.abs(every.rotation - np.eye(3)).max(axis=(1, 2)) < 1e-9).sum() == 2
     assert every.position[0] == pytest.approx(pose.position)
-    assert len(kinematics.inverse_all(pose.position)) == 8
+    joints = inverse_all(kinematics.model, pose.position)
+    assert (np.abs(joints.rotation - np.eye(3)).max(axis=(1, 2)) < 1e-9).sum() == 8
 
 
 def test_cable_motors_turn_many_times():
@@ -614,7 +619,7 @@ def test_every_pose_of_a_planar_platform_is_found(seed):
     model = strayed("planar_stewart", seed, tolerances=20)
     robot = virtual_stewart.PlanarStewart(model.table.mapping(model.values))
     q = robot.inverse(*poses_in_workspace(model.mechanism, 1, rng))[0][0]
-    found = Kinematics(model).direct_all(q)
+    found = direct_all(model, q)
     others = poses_from_anywhere(robot, q, rng)
     assert len(others) > 1
     for r, R in others:

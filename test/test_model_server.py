@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from parallel_cal.base.errors import ModelFileError, SolveError
+from parallel_cal.kinematics.every import inverse_all
 from parallel_cal.kinematics.kinematics import Kinematics, Status
 from parallel_cal.model.file.modelfile import model_hash, read_model, write_model
 from parallel_cal.model.model import new_model
@@ -257,7 +258,7 @@ def test_a_target_is_reached_on_the_branch_the_robot_is_on():
     model.mechanism.joint_limits = ((-2 * np.pi, 2 * np.pi),) * 3
     position = np.array([0.01, 0.02, 0.2])
     home = kinematics.inverse(position)
-    other = next(s for s in Kinematics(model).inverse_all(position) if s.joints[0] > 1.5)
+    other = next(s for s in inverse_all(model, position) if s.joints[0] > 1.5)
     memory.moved(model, other.joints, 0.0, None)
     found = joints_for(served(model), memory, position + 0.001, None)
     assert np.abs(found.joints - other.joints).max() < 0.1

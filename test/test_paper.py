@@ -6,6 +6,7 @@ import virtual_robot as vr
 
 from parallel_cal.base.errors import SolveError
 from parallel_cal.base.rotation import rotation_vector
+from parallel_cal.kinematics.every import direct_all
 from parallel_cal.kinematics.kinematics import Kinematics, Status
 from parallel_cal.kinematics.solvers import ipr_compensation
 from parallel_cal.mechanisms.delta51 import RODS, from_delta54, to_delta54
@@ -106,7 +107,7 @@ def test_the_parallelogram_is_built_with_ruler_and_compass(seed):
 
 
 def test_both_assemblies_of_the_parallelogram_are_found():
-    found = Kinematics(off_nominal("parallelogram", 0)).direct_all([0.3])
+    found = direct_all(off_nominal("parallelogram", 0), [0.3])
     assert len(found) == 2
     assert abs(rotation_vector(found.rotation[0])[2]) < 0.05  # the parallelogram comes first
 

@@ -7,6 +7,7 @@ from parallel_cal.base.errors import SolveError
 from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.diagnosis.comparison import compare
 from parallel_cal.identification.fit import fit
+from parallel_cal.kinematics.every import inverse_all
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_mechanism
@@ -96,7 +97,7 @@ def test_all_of_infinitely_many_answers_are_refused_with_the_reason():
     kinematics = Kinematics(arm())
     pose = kinematics.direct(np.array(HOME))
     with pytest.raises(SolveError, match="infinitely many"):
-        kinematics.inverse_all(pose.position, pose.rotation)
+        inverse_all(kinematics.model, pose.position, pose.rotation)
 
 
 def test_it_is_compared_and_identified_like_any_robot():

@@ -94,7 +94,7 @@ def test_a_complete_search_does_not_prefer_a_tilted_platform_that_is_nearer_to_h
         ("cascaded:half_steps=x", "half_steps=3, rough=False"),
         ("fixed_newton:slow", "solver option 'slow'"),
         ("homotopy:steps=3", "has none"),
-        ("newton:steps=3", "newton has no options"),
+        ("newton:steps=3", "this solver has none"),
     ],
 )
 def test_an_option_that_cannot_be_is_refused(option, words):
@@ -117,3 +117,11 @@ def test_the_closed_form_calls_a_target_out_of_reach_unreachable(name):
     found = solving.inverse(model, targets, expected.rotation, {}, solver="closed_form")
     assert list(found.ok) == [True, False, *[True] * (len(targets) - 2)]
     assert found.status[1] == Status.UNREACHABLE
+
+
+def test_every_solver_says_in_its_last_line_what_it_is_for():
+    purposes = solving.solvers()
+    assert set(purposes) == set(shelf_names("kinematics.solvers")) >= {"newton", "closed_form"}
+    for purpose in purposes.values():
+        assert purpose.startswith(("Prefer it", "Kept as the thesis' own"))
+        assert len(purpose) <= 100

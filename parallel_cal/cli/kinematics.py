@@ -28,8 +28,25 @@ Every = Annotated[bool, typer.Option("--all", help="all solutions, not only the 
 Covariance = Annotated[
     bool, typer.Option("--covariance", help="with the uncertainty carried from the fit")
 ]
+
+
+def _describe_solvers(solver: str) -> str:
+    if solver == "help":
+        from parallel_cal.kinematics.solving import solvers
+
+        console.table(("solver", "what for"), list(solvers().items()))
+        raise typer.Exit
+    return solver
+
+
 Solver = Annotated[
-    str, typer.Option(help="newton, closed_form, or a file of solvers/: NAME[:option=value,...]")
+    str,
+    typer.Option(
+        help="NAME[:option=value,...] instead of newton; help: which there are and what for",
+        callback=_describe_solvers,
+        is_eager=True,
+        show_default=False,
+    ),
 ]
 Input = Annotated[Path | None, typer.Option("--input", help="CSV table of many problems")]
 Output = Annotated[Path | None, typer.Option("--output", help="CSV table of the answers")]
@@ -40,7 +57,7 @@ def direct(
     joints: Annotated[str | None, typer.Option(metavar="A B C", help="joints (rad or m)")] = None,
     at: At = None,
     every: Every = False,
-    solver: Solver = "newton",
+    solver: Solver = "",
     covariance: Covariance = False,
     table: Input = None,
     output: Output = None,
@@ -75,7 +92,7 @@ def inverse(
     ] = None,
     at: At = None,
     every: Every = False,
-    solver: Solver = "newton",
+    solver: Solver = "",
     covariance: Covariance = False,
     table: Input = None,
     output: Output = None,
@@ -163,10 +180,9 @@ def _one(
         for row, covariance in zip(rows, covariances, strict=True):
             row["covariance"] = covariance
     if as_json:
-        counted = {"count_complex": solutions.count_complex}
-        return console.emit(
-            {"solutions": rows, **(counted if solutions.count_complex is not None else {})}
-        )
+        about = {key: getattr(solutions, key) for key in ("count_complex", "complete")}
+        known = {key: value for key, value in about.items() if value is not None}
+        return console.emit({"solutions": rows, **known})
     name, factor = _joint_unit(model)
     console.table(
         ("status", "position [mm]", "quaternion x y z w", f"joints [{name}]", "residual [m]"),
@@ -177,6 +193,9 @@ def _one(
             for r in rows
         ],
     )  # fmt: skip
+    if solutions.complete is False:
+        n = solutions.solved.sum()
+        console.say(f"{n} solution{'' if n == 1 else 's'} found; others may exist")
     for covariance in covariances or []:
         console.say(f"1 sigma from the fit: {words(covariance.diagonal() ** 0.5)}")
 

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cached_property
-from importlib import import_module
-from itertools import product
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from parallel_cal.base.compiled import Single
-from parallel_cal.base.errors import SolveError
 from parallel_cal.kinematics.problem import Problem
 from parallel_cal.kinematics.rows import joint_rows, pose_rows
 from parallel_cal.kinematics.solutions import (
@@ -21,11 +18,20 @@ from parallel_cal.kinematics.solutions import (
     SUSPECT_PIVOT,
     Solutions,
     Status,
-    stacked,
 )
 from parallel_cal.model.model import Model
 
 __all__ = ["CLOSED", "Kinematics", "Solutions", "Status"]
+
+
+class Reached(NamedTuple):
+    """What Newton's iterations end in: configurations x (N, nq + 12), and of each the last step
+    (m), the closure's norm (m) and the smallest pivot."""
+
+    x: np.ndarray
+    step: np.ndarray
+    residual: np.ndarray
+    pivot: np.ndarray
 
 
 class Kinematics:
@@ -41,7 +47,7 @@ class Kinematics:
         self, q: np.ndarray, at: Mapping[str, Any] | None = None, start: Solutions | None = None
     ) -> Solutions:
         """Poses for joints q (nq,) or (N, nq), on the home branch or from `start`."""
-        return self._solve(self._direct, joint_rows(self.model, q), q, at, start)
+        return self._solve(self.direct_problem, joint_rows(self.model, q), q, at, start)
 
     def inverse(
         self,
@@ -52,47 +58,9 @@ class Kinematics:
     ) -> Solutions:
         """Joints for positions (3,) or (N, 3) and rotations; passive coordinates follow."""
         given = pose_rows(self.model, position, rotation)
-        return self._solve(self._inverse, given, position, at, start)
+        return self._solve(self.inverse_problem, given, position, at, start)
 
     fk, ik = direct, inverse  # as much of the field calls them
-
-    def direct_all(self, q: np.ndarray, at: Mapping[str, Any] | None = None) -> Solutions:
-        """Every pose for joints (nq,), home branch first: all that exist where the platform hangs
-        on six rods (6.2.4), has three balls on circles (6.7.2) or on great circles (6.2.3), else
-        the distinct ones reached from all candidates."""
-        first = self.direct(q, at)
-        if first.status == Status.INVALID_INPUT:
-            return stacked([first])
-        complete_for = {"rods": "homotopy", "circles": "three_circles", "normals": "polynomial"}
-        for feature, solver in complete_for.items():
-            if hasattr(self.model.mechanism, feature):
-                # These solvers use this class, too.
-                complete = import_module(f"parallel_cal.kinematics.solvers.{solver}")
-                found = complete.direct_all(self.model, q, at)
-                if len(found):
-                    return found  # type: ignore[no-any-return]
-        starts = self._candidates(q)
-        return self._distinct([first], starts, lambda s: self.direct(q, at, s))
-
-    def inverse_all(
-        self,
-        position: np.ndarray,
-        rotation: np.ndarray | None = None,
-        at: Mapping[str, Any] | None = None,
-    ) -> Solutions:
-        """Every distinct joint set found for a pose, from all candidates; home branch first.
-
-        SolveError for a redundant arm: infinitely many are none.
-        """
-        if len(self._inverse.columns) > self.model.structure.phi.shape[0]:
-            raise SolveError(
-                f"{self._n} joints reach a pose in infinitely many ways; without --all the answer "
-                "is the one nearest to home"
-            )
-        given = pose_rows(self.model, position, rotation)[0]
-        starts = self._joint_candidates(given)
-        first = self.inverse(position, rotation, at)
-        return self._distinct([first], starts, lambda s: self.inverse(position, rotation, at, s))
 
     def direct_covariance(
         self, solution: Solutions, at: Mapping[str, Any] | None = None, joint_sigma: float = 0.0
@@ -111,11 +79,11 @@ class Kinematics:
     # ------------------------------------------------------------------ the two problems
 
     @cached_property
-    def _direct(self) -> Problem:
+    def direct_problem(self) -> Problem:
         return Problem(self.model, "direct", self._compile)
 
     @cached_property
-    def _inverse(self) -> Problem:
+    def inverse_problem(self) -> Problem:
         return Problem(self.model, "inverse", self._compile)
 
     def _solve(
@@ -128,11 +96,20 @@ class Kinematics:
     ) -> Solutions:
         if np.ndim(shape_like) == 1 and start is None:
             return self._solve_one(problem, given[0], at)
+        solutions = self.solve_rows(problem, given, at, start)
+        return solutions[0] if np.ndim(shape_like) == 1 else solutions
+
+    def solve_rows(
+        self,
+        problem: Problem,
+        given: np.ndarray,
+        at: Mapping[str, Any] | None = None,
+        start: Solutions | None = None,
+    ) -> Solutions:
+        """Solutions of rows (N, nq + 12) that hold what is given."""
         rows = self.model.condition_rows(at, len(given))
         begin = None if start is None else problem.begin(given, start)
-        configuration, step, residual, pivot = problem.many(given, rows, begin)
-        solutions = self._classified(problem, configuration, step, residual, pivot, rows, given)
-        return solutions[0] if np.ndim(shape_like) == 1 else solutions
+        return self._classified(problem, given, rows, Reached(*problem.many(given, rows, begin)))
 
     def _solve_one(
         self, problem: Problem, given: np.ndarray, at: Mapping[str, Any] | None
@@ -147,29 +124,19 @@ class Kinematics:
         if usual and self._inside_limits(x[:n]):
             status = np.array(Status.CONVERGED, dtype=np.int8)
             return Solutions(x[:n], x[n : n + 3], x[n + 3 :].reshape(3, 3), residual[0], status)
-        parts = (x[None], step, residual, pivot, rows, given[None])
-        return self._classified(problem, *parts)[0]
+        return self._classified(
+            problem, given[None], rows, Reached(x[None], step, residual, pivot)
+        )[0]
 
     def _inside_limits(self, q: np.ndarray) -> bool:
         return bool(((q >= self._limits[:, 0]) & (q <= self._limits[:, 1])).all())
 
     def _classified(
-        self,
-        problem: Problem,
-        x: np.ndarray,
-        step: np.ndarray,
-        residual: np.ndarray,
-        pivot: np.ndarray,
-        rows: np.ndarray,
-        given: np.ndarray,
+        self, problem: Problem, given: np.ndarray, rows: np.ndarray, reached: Reached
     ) -> Solutions:
         """Solutions with status; samples that the fast way left open are solved carefully."""
         n = self._n
-        q = _turned_towards(x[:, :n], problem.unknown_joints, self.model)
-        if self.model.effects:  # which need not repeat after a turn: solve anew from there
-            step = np.where((q == x[:, :n]).all(axis=1), step.reshape(-1), 1.0)
-        x = np.hstack([q, x[:, n:]])
-        x, step, residual, pivot = self._refined(problem, x, step, residual, pivot, rows)
+        x, step, residual, pivot = self._refined(problem, self._turned(problem, reached), rows)
         status = np.full(len(x), Status.CONVERGED, dtype=np.int8)
         finite = np.isfinite(given).all(axis=1) & np.isfinite(rows).all(axis=1)
         status[~finite] = Status.INVALID_INPUT
@@ -199,42 +166,26 @@ class Kinematics:
             return turned, residual, status
         return problem.careful(turned, row, given)
 
-    @staticmethod
-    def _refined(problem: Problem, x: np.ndarray, *parts: np.ndarray) -> list[np.ndarray]:
-        """Further iterations where the last step is still large; flat copies of all parts."""
-        *measures, rows = parts
+    def _turned(self, problem: Problem, reached: Reached) -> Reached:
+        """With solved angles near home, in flat arrays of their own."""
+        x, *measures = reached
         step, residual, pivot = (part.reshape(-1).copy() for part in measures)
-        results = [x.copy(), step, residual, pivot]
-        open_ = np.flatnonzero(np.isfinite(step) & (step >= SETTLED))
-        if len(open_):
-            for array, new in zip(results, problem.refine(x[open_], rows[open_]), strict=True):
-                array[open_] = new.reshape(array[open_].shape)
-        return results
-
-    # ------------------------------------------------------------------ all solutions
-
-    def _candidates(self, q: np.ndarray) -> list[Solutions]:
-        columns = np.array(self.model.structure.candidates(q, self.model.values)).T
-        poses = [(c[:3], c[3:].reshape(3, 3)) for c in columns if np.isfinite(c).all()]
-        return [_start(np.asarray(q, dtype=float), r, R) for r, R in poses]
-
-    def _joint_candidates(self, given: np.ndarray) -> list[Solutions]:
-        r, R9 = given[self._n : self._n + 3], given[self._n + 3 :]
-        choices = self.model.structure.joint_candidates.call([r, R9, self.model.values])
-        sets = [np.array(c) for c in product(*(np.array(c).ravel() for c in choices))]
-        return [_start(q, r, R9.reshape(3, 3)) for q in sets if np.isfinite(q).all()]
+        q = _turned_towards(x[:, : self._n], problem.unknown_joints, self.model)
+        if self.model.effects:  # which need not repeat after a turn: solve anew from there
+            step[(q != x[:, : self._n]).any(axis=1)] = 1.0
+        return Reached(np.hstack([q, x[:, self._n :]]), step, residual, pivot)
 
     @staticmethod
-    def _distinct(first: list[Solutions], starts: list[Solutions], solve: Any) -> Solutions:
-        """The solutions reached from all starts, each once (1e-7 m or rad apart)."""
-        found = [s for s in first if s.status in (Status.CONVERGED, Status.OUTSIDE_LIMITS)]
-        for start in starts:
-            new = solve(start)
-            if new.status not in (Status.CONVERGED, Status.OUTSIDE_LIMITS, Status.SINGULAR):
-                continue
-            if all(_apart(new, old) > 1e-7 for old in found):
-                found.append(new)
-        return stacked(found or first)
+    def _refined(problem: Problem, reached: Reached, rows: np.ndarray) -> Reached:
+        """After further iterations where the last step is still large."""
+        open_ = np.flatnonzero(np.isfinite(reached.step) & (reached.step >= SETTLED))
+        if len(open_):
+            further = problem.refine(reached.x[open_], rows[open_])
+            for array, new in zip(reached, further, strict=True):
+                array[open_] = new.reshape(array[open_].shape)
+        return reached
+
+    # ------------------------------------------------------------------ uncertainty
 
     def _covariance(
         self,
@@ -268,16 +219,6 @@ class Kinematics:
     @cached_property
     def _closure(self) -> Single:
         return Single(self.model.structure.closure)
-
-
-def _start(q: np.ndarray, r: np.ndarray, R: np.ndarray) -> Solutions:
-    return Solutions(q, r, R, np.array(np.nan), np.array(Status.NOT_CONVERGED))
-
-
-def _apart(a: Solutions, b: Solutions) -> float:
-    joints = np.abs(np.angle(np.exp(1j * (a.joints - b.joints)))).max()
-    pose = max(np.abs(a.position - b.position).max(), np.abs(a.rotation - b.rotation).max())
-    return float(max(joints, pose))
 
 
 def _turned_towards(q: np.ndarray, unknown: bool, model: Model) -> np.ndarray:

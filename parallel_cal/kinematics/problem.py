@@ -19,7 +19,7 @@ class Problem:
     def __init__(self, model: Model, name: str, compile: bool):
         functions = newton_functions(model.structure, name)
         ready = compiled if compile else (lambda f: f)
-        self._model, self._name = model, name
+        self._model, self.name = model, name
         self._n = len(model.joints)
         self.unknown_joints = name == "inverse"
         self.k = Single(functions.tables)(model.values)[0]
@@ -29,11 +29,11 @@ class Problem:
         self.columns = functions.columns
         # More rows than unknowns (lines of a cable robot): the answer is the least-squares one,
         # and what it leaves is in the residual, not in the status.
-        self._redundant = model.structure.phi.shape[0] > len(functions.columns)
+        self.redundant = model.structure.phi.shape[0] > len(functions.columns)
 
     def closed(self, residual: np.ndarray) -> np.ndarray:
         """Whether settled samples are answers."""
-        return np.isfinite(residual) if self._redundant else residual < CLOSED
+        return np.isfinite(residual) if self.redundant else residual < CLOSED
 
     def many(
         self, given: np.ndarray, rows: np.ndarray, begin: np.ndarray | None
@@ -120,7 +120,7 @@ class Problem:
                 if damping > 1e12:
                     break
         flat = float(np.linalg.norm(J.T @ phi)) < 1e-6 * size
-        if size < CLOSED or (flat and self._redundant):
+        if size < CLOSED or (flat and self.redundant):
             return x, size, Status.CONVERGED
         return x, size, Status.UNREACHABLE if flat or size > 1e-6 else Status.NOT_CONVERGED
 

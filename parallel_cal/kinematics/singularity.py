@@ -42,7 +42,7 @@ def jacobians(
     n, rows = len(m.joints), s.phi.shape[0]
     x = np.atleast_2d(solutions.configuration.rows)
     C = s.closure_batch(x, model.condition_rows(at, len(x)), model.values)[1]
-    C = C.reshape(len(x), -1, rows).transpose(0, 2, 1) / s.scale
+    C = C.reshape(len(x), len(s.scale), rows).transpose(0, 2, 1) / s.scale
     return C[:, :, [n + i for i in m.moved]], C[:, :, [*range(n), *(n + i for i in m.passive)]]
 
 

@@ -38,6 +38,7 @@ class Solutions:
     """N solved configurations: joints (N, nq), position (N, 3) m, rotation (N, 3, 3),
     residual (N,) m and status (N,). Indexing gives one, or a smaller set.
 
+    `complete`: whether these are known to be all of one sample (None: not asked for).
     `count_complex` says how many complex solutions a complete search found (None: no such search);
     `message` what a solver has to say about all of them together.
     """
@@ -49,6 +50,7 @@ class Solutions:
     status: np.ndarray
     count_complex: int | None = None
     message: str | None = None
+    complete: bool | None = None
 
     @classmethod
     def of(cls, rows: np.ndarray, residual: np.ndarray, status: np.ndarray) -> Solutions:
@@ -74,6 +76,11 @@ class Solutions:
     def quaternion(self) -> np.ndarray:
         """x y z w with w >= 0."""
         return matrix_to_quaternion(self.rotation)
+
+    @property
+    def solved(self) -> np.ndarray:
+        """Which are solutions at all, singular or outside the limits as they may be."""
+        return np.isin(self.status, (Status.CONVERGED, Status.SINGULAR, Status.OUTSIDE_LIMITS))
 
     @property
     def ok(self) -> np.ndarray:

@@ -33,6 +33,7 @@ class Argos9(Mechanism):
     home = Argos27.home
     workspace = Argos27.workspace
     joint_limits = Argos27.joint_limits
+    closed_forms = ("inverse",)
 
     def __init__(self, radius: float = RADIUS):
         self.length = float(radius)

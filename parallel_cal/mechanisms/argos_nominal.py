@@ -23,6 +23,7 @@ class ArgosNominal(Mechanism):
     home = Argos9.home
     workspace = Argos9.workspace
     joint_limits = Argos9.joint_limits
+    closed_forms = ("direct", "inverse")
 
     def __init__(self, radius: float = RADIUS):
         self.length = float(radius)

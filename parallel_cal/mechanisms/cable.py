@@ -35,6 +35,7 @@ class Cable(Mechanism):
     controls = ("x", "y", "z")
     fixed = ("*.gear", "*.advantage")
     periodic = False
+    closed_forms = ("direct", "inverse")
     bodies = BODIES
     workspace = Workspace(low=(-0.5, -0.5, 0.0), high=(0.5, 0.5, 0.8))
     length = RADIUS / GEAR / 2  # of line, for a radian of the motor

@@ -34,6 +34,7 @@ class Delta24(Mechanism):
     home = HOME
     workspace = WORKSPACE
     joint_limits = JOINT_LIMITS
+    closed_forms = ("direct", "inverse")
     length = LENGTH
     bodies = BODIES
     parts = ("arm", "rod")

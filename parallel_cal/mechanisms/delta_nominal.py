@@ -42,6 +42,7 @@ class DeltaNominal(Mechanism):
     home = Home(joints=(30.65 * DEGREE,) * 3, position=(0.0, 0.0, 0.22078))
     workspace = Workspace(low=(-0.06, -0.06, 0.155), high=(0.06, 0.06, 0.275))
     joint_limits = Delta24.joint_limits
+    closed_forms = ("direct", "inverse")
     length = Delta24.length
     bodies = BODIES
     parts = Delta24.parts

@@ -42,6 +42,7 @@ class Parallelogram(Mechanism):
     home = Home(joints=(0.0,), position=(0.0, -1050 * MM, 0.0))
     workspace = Workspace(low=(-0.65,), high=(0.65,))
     joint_limits = ((-60 * DEGREE, 60 * DEGREE),)
+    closed_forms = ("direct",)
     length = 125 * MM
     gravity = (0.0, -9.81, 0.0)  # y is up
     bodies = BODIES

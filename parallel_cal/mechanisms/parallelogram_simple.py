@@ -27,6 +27,7 @@ class ParallelogramSimple(Mechanism):
     home = Parallelogram.home
     workspace = Parallelogram.workspace
     joint_limits = Parallelogram.joint_limits
+    closed_forms = ("direct",)
     length = Parallelogram.length
     gravity = Parallelogram.gravity
     bodies = BODIES

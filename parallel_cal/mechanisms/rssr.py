@@ -58,6 +58,7 @@ class Rssr(Mechanism):
     home = Home(joints=(ANGLE,), quaternion=(0.0, 0.0, np.sin(ANGLE / 2), np.cos(ANGLE / 2)))
     workspace = Workspace(low=(ANGLE - 55 * DEGREE,), high=(ANGLE + 55 * DEGREE,))
     joint_limits = ((-30 * DEGREE, 135 * DEGREE),)
+    closed_forms = ("direct", "inverse")
     length = ARM
     bodies = BODIES
 

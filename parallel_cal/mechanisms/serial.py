@@ -65,6 +65,7 @@ class Serial(Mechanism):
     """
 
     moves = POSE
+    closed_forms = ("direct",)
 
     def __init__(
         self,

@@ -31,6 +31,7 @@ class SliderCrank(Mechanism):
     home = Home(joints=(float(np.arccos((A**2 + X**2 - B**2) / (2 * A * X))),), position=(X, 0, 0))
     workspace = Workspace(low=(75 * MM,), high=(125 * MM,))
     joint_limits = ((0.0, 60 * DEGREE),)
+    closed_forms = ("direct", "inverse")
     length = A
     bodies = BODIES
 

@@ -74,6 +74,7 @@ class Stewart42(Mechanism):
         high=(0.04, 0.04, HEIGHT + 0.03, *(10 * DEGREE,) * 3),
     )
     joint_limits = ((0.0, 0.2),) * 6
+    closed_forms = ("inverse",)
     length = PLATFORM_RADIUS
     bodies = BODIES
     parts = ("leg",)

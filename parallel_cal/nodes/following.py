@@ -8,6 +8,7 @@ import numpy as np
 
 from parallel_cal.base.errors import SolveError
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions, Status
+from parallel_cal.kinematics.solvers import newton
 from parallel_cal.model.model import Model
 from parallel_cal.nodes.model_server import Served, in_words
 
@@ -116,7 +117,7 @@ def _on_branch(
     found = kinematics.inverse(r, R, at)
     if last is None or _on_home_branch(kinematics, last, at):
         return found
-    others = kinematics.inverse_all(r, R, at)
+    others = newton.inverse_all(kinematics.model, r, R, at, starts=0)  # in time for the stream
     usable = np.flatnonzero(others.status == Status.CONVERGED)
     if not len(usable):
         return found

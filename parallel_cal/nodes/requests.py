@@ -90,7 +90,7 @@ def _solver(served: Served, request: Any, at: At) -> Callable[..., Solutions]:
     """How this request wants its rows solved."""
     every, k, model = request.all_solutions, served.kinematics, served.kinematics.model
     inverse = hasattr(request, "targets")
-    if request.solver:
+    if every or request.solver:
         named: Callable[..., Solutions] = solving.inverse if inverse else solving.direct
 
         def by_name(*rows: Any) -> Solutions:
@@ -99,10 +99,8 @@ def _solver(served: Served, request: Any, at: At) -> Callable[..., Solutions]:
 
         return by_name
     if inverse:
-        ik = k.inverse_all if every else k.inverse
-        return lambda r, R: ik(*solving.controlled_pose(model, r, R), at)
-    fk = k.direct_all if every else k.direct
-    return lambda q: fk(q, at)
+        return lambda r, R: k.inverse(*solving.controlled_pose(model, r, R), at)
+    return lambda q: k.direct(q, at)
 
 
 def _sets(
@@ -128,16 +126,19 @@ def _sets(
     # Only a search for all solutions counts them, and then each row has a search of its own.
     counted = iter(found if request.all_solutions else [])
     return [
-        SolutionSet(
-            solutions=[invalid_solution(row)] if isinstance(row, str) else next(answered),
-            count_complex=-1 if isinstance(row, str) else _count(next(counted, None)),
-        )
+        SolutionSet(solutions=[invalid_solution(row)], count_complex=-1)
+        if isinstance(row, str)
+        else SolutionSet(solutions=next(answered), **_counted(next(counted, None)))
         for row in given
     ]
 
 
-def _count(found: Solutions | None) -> int:
-    return -1 if found is None or found.count_complex is None else found.count_complex
+def _counted(found: Solutions | None) -> dict[str, Any]:
+    count = None if found is None else found.count_complex
+    return {
+        "count_complex": -1 if count is None else count,
+        "complete": found is not None and bool(found.complete),
+    }
 
 
 def _add_covariances(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
+from itertools import product
 from typing import Any
 
 import casadi as ca
@@ -15,7 +16,9 @@ from parallel_cal.base.rotation import quaternion_to_matrix, rotation_vector
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.kinematics.singularity import jacobians, smallest
 from parallel_cal.kinematics.solutions import SINGULAR, Solutions, Status, stacked
+from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model
+from parallel_cal.model.structure import Structure
 
 
 def nearest(candidates: Sequence[Any], distance: Callable[[Any], Any]) -> Any:
@@ -56,14 +59,18 @@ def answers(
     return solutions
 
 
+def residuals(model: Model, x: np.ndarray, at: Mapping[str, Any] | None) -> np.ndarray:
+    """Of the closure at configurations (N, nq + 12): (N,) m."""
+    phi = model.structure.closure_batch(x, model.condition_rows(at, len(x)), model.values)[0]
+    return np.asarray(np.linalg.norm(phi, axis=1))
+
+
 def with_status(
     model: Model, x: np.ndarray, at: Mapping[str, Any] | None, tolerance: float, problem: str
 ) -> Solutions:
     """Configurations (N, nq + 12) as solutions of the direct or the inverse problem, with the
     closure's residual and a status."""
-    conditions, n = model.condition_rows(at, len(x)), len(model.joints)
-    phi = model.structure.closure_batch(x, conditions, model.values)[0]
-    residual = np.linalg.norm(phi, axis=1)
+    n, residual = len(model.joints), residuals(model, x, at)
     limits = np.array(model.mechanism.joint_limits, dtype=float).reshape(-1, 2)
     inside = ((x[:, :n] >= limits[:, 0]) & (x[:, :n] <= limits[:, 1])).all(axis=1)
     status = np.where(inside, Status.CONVERGED, Status.OUTSIDE_LIMITS).astype(np.int8)
@@ -76,16 +83,17 @@ def with_status(
 
 
 def on_home_branch(
+    model: Model,
     q: np.ndarray,
     at: Mapping[str, Any] | None,
-    every: Callable[[np.ndarray, Mapping[str, Any] | None], Solutions],
+    every: Callable[[Model, np.ndarray, Mapping[str, Any] | None], Solutions],
 ) -> Solutions:
     """The first of `every` solution for joints (nq,) or (N, nq); unreachable where none is."""
     q = np.asarray(q, dtype=float)
     if q.ndim == 1:
-        found = every(q, at) if np.isfinite(q).all() else None
-        return found[0] if found else _unreachable(q)
-    rows = [on_home_branch(row, sample(at, i), every) for i, row in enumerate(q)]
+        found = every(model, q, at) if np.isfinite(q).all() else None
+        return found[0] if found else unsolved(model, q=q)
+    rows = [on_home_branch(model, row, sample(at, i), every) for i, row in enumerate(q)]
     return stacked(rows)
 
 
@@ -112,7 +120,32 @@ def sample(at: Mapping[str, Any] | None, i: int) -> dict[str, Any] | None:
     return {name: np.ravel(v)[i] if np.size(v) > 1 else v for name, v in at.items()}
 
 
-def _unreachable(q: np.ndarray) -> Solutions:
-    nowhere, finite = np.full((3, 3), np.nan), np.isfinite(q).all()
+def unsolved(model: Model, q: np.ndarray | None = None, r: np.ndarray | None = None) -> Solutions:
+    """The one answer where nothing is real: out of reach, or not a number to begin with."""
+    finite = all(np.isfinite(given).all() for given in (q, r) if given is not None)
     status = np.array(Status.UNREACHABLE if finite else Status.INVALID_INPUT, dtype=np.int8)
-    return Solutions(q, nowhere[0], nowhere, np.array(np.nan), status)
+    x = Configuration.from_rows(np.full(len(model.joints) + 12, np.nan))
+    q, r = x.q if q is None else q, x.r if r is None else r
+    return Solutions(q, r, x.R, np.array(np.nan), status)
+
+
+def pose_candidates(model: Model, q: np.ndarray) -> Configuration:
+    """The mechanism's candidates for the poses of joints (nq,), those that are real."""
+    columns = np.array(model.structure.candidates(q, model.values)).T
+    poses = columns[np.isfinite(columns).all(axis=1)]
+    return Configuration(np.asarray(q), poses[:, :3], poses[:, 3:].reshape(-1, 3, 3))
+
+
+def joint_candidates(model: Model, r: np.ndarray, R: np.ndarray) -> Configuration:
+    """All combinations of the joints' candidates for a pose, those that are real."""
+    choices = model.structure.joint_candidates.call([r, R.ravel(), model.values])
+    sets = np.array(list(product(*(np.array(c).ravel() for c in choices))))
+    return Configuration(sets[np.isfinite(sets).all(axis=1)], np.asarray(r, dtype=float), R)
+
+
+@lru_cache(maxsize=16)
+def pose_is_seen_as_it_is(s: Structure) -> bool:
+    """Whether no effect edits the pose, or looks at it to edit joints or geometry."""
+    ideal, pose = s.seen, ca.vertcat(s.r, s.R9)
+    edited = ca.vertcat(ca.vec(ideal.r - s.r), ca.vec(ca.SX(ideal.R - s.R)))
+    return edited.is_zero() and not ca.depends_on(ca.vertcat(ideal.q, ideal.p._vector), pose)

@@ -38,7 +38,8 @@ class PoseSet:
 
     position (k, 3) m and rotation (k, 3, 3) are complex; `certified` (k,) tells which passed
     Smale's alpha test. `real` holds the real poses, certified to be real, residuals in m.
-    `retries` counts the times that the paths had to be followed anew.
+    `retries` counts the times that the paths had to be followed anew; `complete`: all 40 were
+    found, or another way found no more.
     """
 
     position: np.ndarray
@@ -46,6 +47,7 @@ class PoseSet:
     certified: np.ndarray
     real: Solutions
     retries: int
+    complete: bool
 
     @property
     def count_complex(self) -> int:
@@ -62,7 +64,7 @@ def all_poses(C: np.ndarray, B: np.ndarray, L: np.ndarray, retries: int = 2) -> 
     c, b = C.mean(axis=0), B.mean(axis=0)
     unit = np.sqrt((((C - c) ** 2).sum() + ((B - b) ** 2).sum() + (L**2).sum()) / 6)
     M = quadrics((C - c) / unit, (B - b) / unit, (L / unit) ** 2)
-    X, used = _zeros(M, retries)
+    X, used, complete = _zeros(M, retries)
     size, _ = alpha(X, M) if len(X) else (np.empty(0), None)
     position, rotation = poses(X)
     real_position, real_rotation = poses(_real_zeros(X, M))
@@ -71,7 +73,7 @@ def all_poses(C: np.ndarray, B: np.ndarray, L: np.ndarray, retries: int = 2) -> 
         return r * unit + c - R @ b
 
     real = _rod_solutions(back(real_position, real_rotation), real_rotation, C, B, L)
-    return PoseSet(back(position, rotation), rotation, size < CERTAIN, real, used)
+    return PoseSet(back(position, rotation), rotation, size < CERTAIN, real, used, complete)
 
 
 @lru_cache(maxsize=1)
@@ -82,8 +84,9 @@ def start_system() -> tuple[np.ndarray, np.ndarray]:
     return quadrics(C, B, squares), zeros
 
 
-def _zeros(M: np.ndarray, retries: int) -> tuple[np.ndarray, int]:
-    """The distinct proper zeros of M, and how often its paths had to be followed again.
+def _zeros(M: np.ndarray, retries: int) -> tuple[np.ndarray, int, bool]:
+    """The distinct proper zeros of M, how often its paths had to be followed again, and whether
+    they are all.
 
     Again, another way and in shorter steps, until there are 40 or the next time adds none.
     """
@@ -94,9 +97,10 @@ def _zeros(M: np.ndarray, retries: int) -> tuple[np.ndarray, int]:
         X, arrived = Tracker(start, M, gamma, 1e-5 * 0.1**attempt)(zeros)
         before, found = len(found), np.concatenate([found, _proper(X[arrived], M)])
         found = found[distinct(found)]
-        if len(found) >= COUNT or (attempt and len(found) == before and arrived.all()):
+        repeated = attempt > 0 and len(found) == before
+        if len(found) >= COUNT or (repeated and arrived.all()):
             break
-    return found, attempt
+    return found, attempt, len(found) >= COUNT or repeated
 
 
 def _proper(X: np.ndarray, M: np.ndarray) -> np.ndarray:

@@ -3,6 +3,8 @@
 For mechanisms whose first three closure rows are spheres in the position and whose last three
 give the orientation (Delta 54). Both halves come from the closure itself: G1 by the closed
 forms of chapter 6, G2 linearised about the orientation reached so far.
+
+Kept as the thesis' own; prefer it where a controller must answer in a fixed number of operations.
 """
 
 from __future__ import annotations
@@ -19,7 +21,12 @@ from parallel_cal.base.errors import SolveError
 from parallel_cal.base.rotation import cayley, left_generators
 from parallel_cal.kinematics.kinematics import Solutions
 from parallel_cal.kinematics.rows import joint_rows, pose_rows
-from parallel_cal.kinematics.solvers._common import answers, at_least_one, nearest
+from parallel_cal.kinematics.solvers._common import (
+    answers,
+    at_least_one,
+    nearest,
+    pose_is_seen_as_it_is,
+)
 from parallel_cal.model.closed_form import joint_angles, positions
 from parallel_cal.model.effect import Seen
 from parallel_cal.model.mechanism import POSE
@@ -139,7 +146,6 @@ def _perfect(p: Named, s: Structure) -> Named:
 
 def _checked(s: Structure) -> Seen:
     """What the mechanism sees, where cascading is possible; SolveError where it is not."""
-    ideal, pose = s.seen, ca.vertcat(s.r, s.R9)
     rows = s.mechanism.closure(s.q, s.r, s.R, s.geometry)
     halves = s.mechanism.moves == POSE and rows.shape[0] == 6 and len(s.q.nz) == 3
     curvature = [ca.hessian(row, s.r)[0] for row in ca.vertsplit(rows)] if halves else []
@@ -149,10 +155,9 @@ def _checked(s: Structure) -> Seen:
             f"the cascaded solver needs three closure rows that are spheres and three that give "
             f"the orientation; {s.mechanism.name} is not like that: use --solver newton"
         )
-    at_pose = ca.vertcat(ca.vec(ideal.r - s.r), ca.vec(ca.SX(ideal.R - s.R)))
-    if ca.depends_on(ca.vertcat(ideal.q, ideal.p._vector), pose) or not at_pose.is_zero():
+    if not pose_is_seen_as_it_is(s):
         raise SolveError("an effect depends on the pose: use --solver newton for this model")
-    return ideal
+    return s.seen
 
 
 def _at_joints(ideal: Seen, s: Structure, q: Any) -> Seen:

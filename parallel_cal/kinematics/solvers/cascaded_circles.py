@@ -2,6 +2,8 @@
 
 The opposite of the Delta's cascade: with the centre known, G1 gives the orientation (by Newton's
 method) or the motors (in closed form); with those known, G2 is three spheres for the centre.
+
+Kept as the thesis' own; prefer it where an Argos' controller must answer in fixed time.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Keep the assembly mode along a trajectory, and say when it is about to be lost (6.2.4)."""
+"""Keep the assembly mode along a trajectory, and say when it is about to be lost (6.2.4).
+
+Prefer it for the points of one trajectory: each stays on the branch of the one before.
+"""
 
 from __future__ import annotations
 

@@ -2,6 +2,8 @@
 
 Eq. 6.31 is one step with the Jacobian of the start. Without updating, a step costs one
 evaluation of the closure and converges linearly; with updating it converges quadratically.
+
+Kept as the thesis' own; prefer it where a controller shall take a fixed number of steps.
 """
 
 from __future__ import annotations

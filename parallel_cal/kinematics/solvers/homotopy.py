@@ -2,6 +2,8 @@
 
 For mechanisms with a method `rods(q, p) -> (C, B, L)`: six points C of the base and B of the
 platform, (3, 1) each, and the distances L that the joints q impose (Delta 54, Stewart 42).
+
+Prefer it where every assembly mode of six rods is wanted, as --all does.
 """
 
 from __future__ import annotations
@@ -18,7 +20,12 @@ from parallel_cal.base.compiled import Single, dense
 from parallel_cal.base.errors import SolveError
 from parallel_cal.kinematics.kinematics import Solutions
 from parallel_cal.kinematics.rows import joint_rows
-from parallel_cal.kinematics.solvers._common import home_first, kinematics_of, on_home_branch
+from parallel_cal.kinematics.solvers._common import (
+    home_first,
+    kinematics_of,
+    on_home_branch,
+    pose_is_seen_as_it_is,
+)
 from parallel_cal.kinematics.solvers._platform import PoseSet, all_poses
 from parallel_cal.model.model import Model
 from parallel_cal.model.structure import Structure
@@ -46,12 +53,13 @@ def pose_set(model: Model, q: np.ndarray, at: Mapping[str, Any] | None = None) -
 def direct_all(model: Model, q: np.ndarray, at: Mapping[str, Any] | None = None) -> Solutions:
     """Every real pose of the model at joints q (nq,), the home branch first; maybe none."""
     found = pose_set(model, q, at)
-    return replace(found.real, count_complex=found.count_complex)
+    complete = found.complete and pose_is_seen_as_it_is(model.structure)
+    return replace(found.real, count_complex=found.count_complex, complete=complete)
 
 
 def direct(model: Model, q: np.ndarray, at: Mapping[str, Any] | None = None) -> Solutions:
     """The pose on the home branch for joints (nq,) or (N, nq); unreachable where none is real."""
-    return on_home_branch(q, at, lambda row, conditions: direct_all(model, row, conditions))
+    return on_home_branch(model, q, at, direct_all)
 
 
 def inverse(

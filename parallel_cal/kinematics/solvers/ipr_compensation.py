@@ -4,6 +4,8 @@ No iteration and no start: what a controller that knows the nominal closed form 
 answer is wrong by a second-order amount; `residual` says how far the full model's closure is
 from zero there. Effects take part: they are parameter errors with nominal value zero. A fixed
 parameter is not an error but known (a tool's length): the nominal robot has its value.
+
+Prefer it where a controller has the nominal closed form alone: no iteration, first order.
 """
 
 from __future__ import annotations

@@ -3,6 +3,8 @@
 The calibrated solution is nominal solution + table. The table is filled once, with the exact
 solver; it holds for one set of conditions. Smooth interpolation (B-splines) needs far fewer
 points than linear interpolation, which is what a simple controller can do.
+
+Prefer it where a controller can do no more than look up and interpolate.
 """
 
 from __future__ import annotations

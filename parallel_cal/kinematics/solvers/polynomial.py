@@ -2,12 +2,15 @@
 
 For mechanisms whose three closure rows say that a platform's direction v_i keeps a given angle
 to a direction u_i of the base (Argos 9, section 6.6). Both follow from the closure itself.
+
+Prefer it where every orientation of a spherical robot is wanted, as --all does.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import lru_cache
+from dataclasses import replace
+from functools import lru_cache, partial
 from typing import Any
 
 import casadi as ca
@@ -44,7 +47,7 @@ def direct_all(
     R = orientations(u, v, c, form)
     x = Configuration(np.asarray(q), np.array(model.mechanism.home.position), R).rows
     found = with_status(model, x, at, TOLERANCE, "direct")
-    return found[home_first(model, found, at)]
+    return replace(found[home_first(model, found, at)], complete=True)
 
 
 def direct(
@@ -54,7 +57,7 @@ def direct(
     form: str = "eigenvalue",
 ) -> Solutions:
     """The orientation on the home branch for joints (nq,) or (N, nq); unreachable where none is."""
-    return on_home_branch(q, at, lambda row, conditions: direct_all(model, row, conditions, form))
+    return on_home_branch(model, q, at, partial(direct_all, form=form))
 
 
 def inverse(

@@ -4,6 +4,8 @@ For mechanisms with a method `circles(q, p)`: each ball of the platform lies on 
 With P_i(z) = C_i + a_i z + conj(a_i) / z and z = exp(i t), the three side lengths of the triangle
 are equations in z_1, z_2, z_3, quadratic in each. Their resultant in z_1 is a polynomial of degree
 16, as Nanua found; its coefficients come from its values on the unit circle.
+
+Prefer it where every assembly mode of an Argos 27 is wanted, as --all does.
 """
 
 from __future__ import annotations
@@ -21,7 +23,12 @@ from parallel_cal.base.compiled import Single, dense
 from parallel_cal.base.errors import SolveError
 from parallel_cal.kinematics.rows import joint_rows
 from parallel_cal.kinematics.solutions import Solutions, Status, stacked
-from parallel_cal.kinematics.solvers._common import home_first, kinematics_of, on_home_branch
+from parallel_cal.kinematics.solvers._common import (
+    home_first,
+    kinematics_of,
+    on_home_branch,
+    pose_is_seen_as_it_is,
+)
 from parallel_cal.model.model import Model
 from parallel_cal.model.structure import Structure
 
@@ -45,18 +52,16 @@ def direct_all(model: Model, q: np.ndarray, at: Mapping[str, Any] | None = None)
         known = any(np.abs(pose.rotation - f.rotation).max() < 1e-6 for f in found)
         if pose.status in (Status.CONVERGED, Status.OUTSIDE_LIMITS) and not known:
             found.append(pose)
-    if not found:
-        none = np.empty(0)
-        return Solutions(
-            np.empty((0, len(q))), np.empty((0, 3)), np.empty((0, 3, 3)), none, none, len(z)
-        )
-    poses = stacked(found)
-    return replace(poses[home_first(model, poses, at)], count_complex=len(z))
+    none = np.empty((0, len(q) + 12))
+    poses = stacked(found) if found else Solutions.of(none, none[:, 0], none[:, 0])
+    complete = pose_is_seen_as_it_is(model.structure)
+    poses = poses[home_first(model, poses, at)]
+    return replace(poses, count_complex=len(z), complete=complete)
 
 
 def direct(model: Model, q: np.ndarray, at: Mapping[str, Any] | None = None) -> Solutions:
     """The pose on the home branch for joints (nq,) or (N, nq); unreachable where none is real."""
-    return on_home_branch(q, at, lambda row, conditions: direct_all(model, row, conditions))
+    return on_home_branch(model, q, at, direct_all)
 
 
 def inverse(

@@ -1,0 +1,98 @@
+"""The mechanism's own closed form, where the closure says that it is exact.
+
+Prefer it where an error in the formula must not go unseen: it refuses where it is not exact.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from parallel_cal.base.errors import SolveError
+from parallel_cal.base.rotation import quaternion_to_matrix
+from parallel_cal.kinematics.solutions import CLOSED, Solutions, stacked
+from parallel_cal.kinematics.solvers._common import (
+    home_first,
+    joint_candidates,
+    kinematics_of,
+    on_home_branch,
+    pose_candidates,
+    sample,
+    unsolved,
+    with_status,
+)
+from parallel_cal.model.configuration import Configuration
+from parallel_cal.model.mechanism import poses_in_workspace
+from parallel_cal.model.model import Model
+
+At = Mapping[str, Any]
+
+
+def direct(model: Model, q: np.ndarray, at: At | None = None) -> Solutions:
+    """The pose on the home branch for joints (nq,) or (N, nq)."""
+    return on_home_branch(model, q, at, direct_all)
+
+
+def direct_all(model: Model, q: np.ndarray, at: At | None = None) -> Solutions:
+    """The candidate poses of joints (nq,) that are exact, the home branch first."""
+    found = _exact(model, pose_candidates(model, q), at, "direct")
+    return replace(found[home_first(model, found, at)], complete=found.complete)
+
+
+def inverse(
+    model: Model, position: np.ndarray, rotation: np.ndarray | None = None, at: At | None = None
+) -> Solutions:
+    """The joints on the home branch for positions (3,) or (N, 3) and rotations."""
+    r = np.asarray(position, dtype=float)
+    if r.ndim == 1:
+        found = inverse_all(model, r, rotation, at)
+        return found[0] if len(found) else unsolved(model, r=r)
+    turns = [None] * len(r) if rotation is None else np.reshape(rotation, (-1, 3, 3))
+    rows = enumerate(zip(r, turns, strict=True))
+    return stacked([inverse(model, *row, sample(at, i)) for i, row in rows])
+
+
+def inverse_all(
+    model: Model, position: np.ndarray, rotation: np.ndarray | None = None, at: At | None = None
+) -> Solutions:
+    """The candidate joints for a pose that are exact, the ones nearest to home first."""
+    home = model.mechanism.home
+    R = quaternion_to_matrix(home.quaternion) if rotation is None else np.reshape(rotation, (3, 3))
+    found = _exact(model, joint_candidates(model, position, R), at, "inverse")
+    order = np.argsort(np.sum(1 - np.cos(found.joints - np.array(home.joints)), axis=1))
+    return replace(found[order], complete=found.complete)
+
+
+def _exact(model: Model, candidates: Configuration, at: At | None, problem: str) -> Solutions:
+    """The exact ones with status, maybe none; SolveError where the workspace has none either."""
+    solutions = with_status(model, candidates.rows, at, CLOSED, problem)
+    exact = np.flatnonzero(solutions.residual < CLOSED)
+    if len(solutions) and not len(exact):
+        off = _off_within(model, at, problem)
+        if off >= CLOSED:  # else the formula holds for this model: the sample is out of reach
+            raise SolveError(
+                f"closed_form is not exact for this {model.mechanism.name} and its effects "
+                f"(off by {off:.2g} m); there is newton"
+            )
+    every = problem in model.mechanism.closed_forms and len(exact) == len(solutions)
+    return replace(solutions[exact], complete=every)
+
+
+def _off_within(model: Model, at: At | None, problem: str) -> float:
+    """The largest residual (m) of the formula's best answers at five poses of the workspace."""
+    r, R = poses_in_workspace(model.mechanism, 5, np.random.default_rng(0))
+    solved = kinematics_of(model).inverse(r, R, at)
+    judged = partial(with_status, model, at=at, tolerance=CLOSED, problem=problem)
+    best = []
+    for i in np.flatnonzero(solved.ok):
+        found = (
+            pose_candidates(model, solved.joints[i])
+            if problem == "direct"
+            else joint_candidates(model, r[i], R[i])
+        )
+        best += [judged(found.rows).residual.min()] if len(found.rows) else []
+    return float(max(best, default=np.inf))
