@@ -12,6 +12,7 @@ from parallel_cal.diagnosis.diagnose import Diagnosis
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.lack_of_fit import regressors
 from parallel_cal.diagnosis.scene import Scene
+from parallel_cal.diagnosis.search import Trial
 from parallel_cal.identification.doubts import finite_or_none
 from parallel_cal.identification.fit import Result
 from parallel_cal.identification.prediction_errors import ERRORS
@@ -22,34 +23,35 @@ from parallel_cal.model.words import describe, direction_in_words
 STRONG = 0.98  # correlation of two parameters that the data hardly tell apart
 
 
-def errors(found: Diagnosis) -> dict[str, Any]:
+def errors(diagnosis: Diagnosis) -> dict[str, Any]:
     """E at poses left out: before any calibration, now, with the effects found; noise alone."""
-    base, best = found.base.fitted, found.best.fitted
-    steps = _judged(found)
+    base, best = diagnosis.base.fitted, diagnosis.best.fitted
+    steps = _judged(diagnosis)
     return {
         "before": steps[0]["held_out"]["before"] if steps else base.held_out_before.document(),
         "now": base.held_out.document(),
-        "found": best.held_out.document() if found.effects else None,
+        "found": best.held_out.document() if diagnosis.effects else None,
         "noise": best.noise.document(),
     }
 
 
-def _judged(found: Diagnosis) -> list[dict[str, Any]]:
+def _judged(diagnosis: Diagnosis) -> list[dict[str, Any]]:
     """Steps of the model's history with errors at poses left out: no published tables."""
-    entries = (entry for entry in found.model.history if isinstance(entry.get("held_out"), dict))
-    return [entry for entry in entries if {"before", "after"} <= entry["held_out"].keys()]
+    past = (entry for entry in diagnosis.model.history if isinstance(entry.get("held_out"), dict))
+    return [entry for entry in past if {"before", "after"} <= entry["held_out"].keys()]
 
 
-def history(found: Diagnosis) -> list[dict[str, Any]]:
+def history(diagnosis: Diagnosis) -> list[dict[str, Any]]:
     """One row a step: its name, E at poses left out, and the data it was judged on."""
-    four, data = errors(found), found.dataset
+    four, data = errors(diagnosis), diagnosis.dataset
     here = {"samples": len(data), "sha256": data.sha256}
-    steps = [_step(entry) for entry in _judged(found)]
+    steps = [_step(entry) for entry in _judged(diagnosis)]
     rows = [(steps[0] if steps else here) | {"name": "before", "error": four["before"]}, *steps]
     if not (steps and _same(steps[-1]["error"], four["now"])):  # else the last step is now
         rows.append({"name": "now", "error": four["now"], **here})
     if four["found"]:
-        rows.append({"name": f"with {' and '.join(found.effects)}", "error": four["found"], **here})
+        name = f"with {' and '.join(diagnosis.effects)}"
+        rows.append({"name": name, "error": four["found"], **here})
     return rows
 
 
@@ -71,39 +73,31 @@ def _step(entry: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def residuals(found: Diagnosis, seen: Field) -> dict[str, Any]:
+def residuals(diagnosis: Diagnosis, field: Field) -> dict[str, Any]:
     """What the fit leaves, a row a sample: where (m, or the platform's axis), measured minus
-    predicted (m or rad) as it is and with the effects found, noise units, what may matter."""
-    scene = found.base.scene
-    kind, part = shown(seen)
+    predicted (m or rad) as it is and with the effects diagnosis, noise units, what may matter."""
+    scene = diagnosis.base.scene
     return {
-        "kind": kind,
-        "components": _components(seen),
-        "sample": [int(i) for i in found.dataset.numbers],
-        "place": places(scene, kind).tolist(),
-        "now": seen.pose[:, part].tolist(),
-        "found": found.field.pose[:, part].tolist() if found.effects else None,
-        "noise_units": _used(seen).tolist(),
+        "kind": field.kind,
+        "components": _components(field),
+        "sample": [int(i) for i in diagnosis.dataset.numbers],
+        "place": places(scene, field.kind).tolist(),
+        "now": field.vectors.tolist(),
+        "found": diagnosis.field.vectors.tolist() if diagnosis.effects else None,
+        "noise_units": _used(field).tolist(),
         "regressors": {name: np.asarray(v).tolist() for name, v in regressors(scene)},
         "units": dict(_units(scene)),
     }
 
 
-def shown(seen: Field) -> tuple[str | None, slice]:
-    """Which half of the pose is drawn as arrows: None where nothing of it was measured."""
-    if seen.measured[:, :3].any():
-        return "position", slice(0, 3)
-    return ("orientation" if seen.measured.any() else None), slice(3, 6)
+def _used(field: Field) -> np.ndarray:
+    return np.asarray(field.noise_units[:, np.any(field.noise_units != 0, axis=0)])
 
 
-def _used(seen: Field) -> np.ndarray:
-    return np.asarray(seen.noise_units[:, np.any(seen.noise_units != 0, axis=0)])
-
-
-def _components(seen: Field) -> list[str]:
+def _components(field: Field) -> list[str]:
     """Names of the columns of `noise_units` that hold anything."""
-    used = np.flatnonzero(np.any(seen.noise_units != 0, axis=0))
-    pose = seen.measured.any()
+    used = np.flatnonzero(np.any(field.noise_units != 0, axis=0))
+    pose = field.measured.any()
     return [POSE[k] if pose else f"equation {k + 1}" for k in used]
 
 
@@ -127,33 +121,39 @@ def _units(scene: Scene) -> Iterator[tuple[str, str]]:
         yield name, own.get(name) or stated.replace("rad", own.get(joint, "rad"))
 
 
-def samples(found: Diagnosis) -> list[dict[str, Any]]:
+def samples(diagnosis: Diagnosis) -> list[dict[str, Any]]:
     """A row a sample, worst first: where it was, its errors at a fit that left it out, and how
     many sigmas the fit on all samples leaves."""
-    best, data = found.best.fitted, found.dataset
-    odd = {one.sample: one.word for one in found.odd_samples}
-    sigmas = [refit.scene.sigmas for refit in (found.base, found.best)]
+    best, data = diagnosis.best.fitted, diagnosis.dataset
+    odd = {one.sample: one.word for one in diagnosis.odd_samples}
+    now, with_effects = _each(diagnosis.base), _each(diagnosis.best)
     rows = [
         {
             "sample": int(number),
             "time": finite_or_none(data.time[i]),
             "joints": best.observations.x[i, : len(best.model.joints)].tolist(),
-            "position": [finite_or_none(v) for v in _measured(found, i)],
-            "now": _norms(found.base.fitted, i) | {"sigmas": float(sigmas[0][i])},
-            "found": _norms(best, i) | {"sigmas": float(sigmas[1][i])} if found.effects else None,
+            "position": [finite_or_none(v) for v in _measured(diagnosis, i)],
+            "now": now[i],
+            "found": with_effects[i] if diagnosis.effects else None,
             "odd": odd.get(int(number), ""),
         }
         for i, number in enumerate(data.numbers)
     ]
-    return sorted(rows, key=lambda row: -row["now"]["sigmas"])
+    return [rows[i] for i in np.argsort(-diagnosis.base.scene.sigmas, kind="stable")]
 
 
-def _measured(found: Diagnosis, i: int) -> np.ndarray:
-    return np.where(found.dataset.measured[i, :3], found.dataset.r[i], np.nan)
+def _measured(diagnosis: Diagnosis, i: int) -> np.ndarray:
+    return np.where(diagnosis.dataset.measured[i, :3], diagnosis.dataset.r[i], np.nan)
 
 
-def _norms(result: Result, i: int) -> dict[str, float | None]:
-    return {kind: finite_or_none(result.held_out.norms(kind)[i]) for kind in ERRORS}
+def _each(trial: Trial) -> list[dict[str, float | None]]:
+    """Norms of every sample's errors at a fit that left it out, and its sigmas at one on all."""
+    norms = {kind: trial.fitted.held_out.norms(kind) for kind in ERRORS}
+    columns = norms | {"sigmas": trial.scene.sigmas}
+    return [
+        {key: finite_or_none(column[i]) for key, column in columns.items()}
+        for i in range(trial.fitted.samples)
+    ]
 
 
 def parameters(result: Result) -> dict[str, dict[str, Any]]:
@@ -187,7 +187,7 @@ def correlated(result: Result, most: int = 10) -> list[dict[str, Any]]:
     return [{"parameters": [names[i], names[j]], "value": float(C[i, j])} for i, j in pairs[:most]]
 
 
-def smooth_map(found: Diagnosis) -> dict[str, Any]:
+def smooth_map(diagnosis: Diagnosis) -> dict[str, Any]:
     """The smooth picture of what is left: where and how large (m or rad)."""
-    drawn = found.structure.map
+    drawn = diagnosis.structure.map
     return drawn.document() | {"places": drawn.places.tolist(), "field": drawn.field.tolist()}

@@ -7,7 +7,7 @@ from typing import Any
 from parallel_cal.diagnosis.comparison import Comparison
 from parallel_cal.model.file.modelfile import model_hash
 from parallel_cal.model.model import Model
-from parallel_cal.reporting.contents import places, shown
+from parallel_cal.reporting.contents import places
 
 
 def versus(one: Comparison, other: Comparison) -> dict[str, Any]:
@@ -19,7 +19,6 @@ def versus(one: Comparison, other: Comparison) -> dict[str, Any]:
 
 
 def _side(one: Comparison) -> dict[str, Any]:
-    kind, part = shown(one.field)
     return {
         "mechanism": one.model.mechanism.name,
         "effects": [effect.name for effect in one.model.effects],
@@ -27,8 +26,8 @@ def _side(one: Comparison) -> dict[str, Any]:
         "errors": one.errors.document(),
         "noise": one.noise.document(),
         "chi2_per_dof": one.scene.chi2_per_dof,
-        "place": places(one.scene, kind).tolist(),
-        "residual": one.field.pose[:, part].tolist(),
+        "place": places(one.scene, one.field.kind).tolist(),
+        "residual": one.field.vectors.tolist(),
     }
 
 
