@@ -33,6 +33,7 @@ _HOME = {
     "load_sessions": "recordings.loading",
     "model_hash": "model.file.modelfile",
     "new_model": "model.model",
+    "page": "reporting.page",
     "plan": "planning.plan",
     "read_model": "model.file.modelfile",
     "remove": "session.steps:removed",

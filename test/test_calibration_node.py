@@ -372,7 +372,7 @@ def test_without_auto_collect_samples_are_taken_by_hand(tmp_path):
     listeners = client.listeners(topic.name for topic in list_topics(CLEAN)[0])
     replay = {"bag": str(CLEAN), "rate": 50.0, "wait_for_subscribers": listeners}
     processes.append(Process("replay_node", tmp_path, namespace, **replay))
-    client.wait(lambda: received(status[0]) >= sum(counts(CLEAN)), "the bag", 60)
+    client.wait(lambda: received(status[0]) >= sum(counts(CLEAN)), "the bag", 120)
     taken = client.call(Trigger, "calibration_node/take_sample")
     listed = client.call(ListSamples, "calibration_node/list_samples")
     client.close()

@@ -1,4 +1,4 @@
-"""The tutorial quotes only what its commands print.
+"""The tutorial quotes only what its commands print, the page on Python what its lines do.
 
 Every command of a ```console block of docs/judge_your_calibration.md is run, in one folder, after
 those that write the files it reads. Each quoted line must be among those printed, numbers to 5 %
@@ -116,6 +116,26 @@ def test_the_tutorial_shows_what_the_command_prints(run, command, lines):
     assert code == (1 if refused else 0), "\n".join(printed)
     for line in lines:
         assert any(like(line, p) for p in printed), f"not printed: {line}\n" + "\n".join(printed)
+
+
+def test_the_python_page_shows_what_its_lines_print(tmp_path, monkeypatch):
+    for name in ("bags", "config"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    monkeypatch.chdir(tmp_path)
+    page = (ROOT / "docs" / "python.md").read_text(encoding="utf-8")
+    names, printed = {}, []
+    for language, block in re.findall(r"^```(python|text)\n(.*?)^```$", page, flags=re.M | re.S):
+        if language == "python":
+            out = StringIO()
+            with redirect_stdout(out):
+                exec(block, names)
+            printed = out.getvalue().splitlines()
+        for line in block.splitlines() if language == "text" else ():
+            assert any(like(line, p) for p in printed), f"not printed: {line}\n{printed}"
+    assert len(names["arrows"].data) > 0
+    assert len(names["falling"].data) > 0
+    assert "backlash" in (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert names["pc"].read_model("better.yaml").value("backlash.joint1.width") > 0
 
 
 def test_every_verdict_has_an_example():
