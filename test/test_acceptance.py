@@ -15,6 +15,7 @@ from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.diagnosis.search import Search
 from parallel_cal.identification.acceptance import acceptance
 from parallel_cal.identification.fit import fit
+from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.prediction_errors import Errors
 from parallel_cal.model.file.modelfile import read_model, write_model
 from parallel_cal.model.model import new_model
@@ -46,9 +47,7 @@ def answer(clean, identified, tmp_path):
     def ask(face, effect="", hold_out=0.25, force=False):
         output = tmp_path / f"{face}.yaml"
         if face == "node":
-            request = Request(
-                str(model), str(output), hold_out=hold_out, force=force, effect=effect
-            )
+            request = Request(str(model), str(output), FitOptions(hold_out=hold_out), force, effect)
             outcome = recalibrate(request, clean)
             return outcome.success, outcome.message, output
         words = ["add", model, effect] if effect else ["fit", model]

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from parallel_cal.base.errors import FitError
+
 if TYPE_CHECKING:  # the command line shows its help without numpy
     from parallel_cal.identification.prior import Prior
 
@@ -32,3 +34,8 @@ class FitOptions:
     prior: bool | Prior = False
     loss: str = "linear"
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        """FitError for a share of the poses that is none; too large ones are refused later."""
+        if not self.hold_out >= 0:
+            raise FitError(f"hold_out {self.hold_out}: expected 0 (no check) to 0.5")

@@ -12,7 +12,7 @@ from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.nodes.action_work import Finished, Job, Prepare
 from parallel_cal.nodes.calibration_messages import json_text, number_samples
 from parallel_cal.nodes.collector import Collection
-from parallel_cal.session.recalibration import Cancel, Outcome, check_share
+from parallel_cal.session.recalibration import Cancel, Outcome
 
 
 def diagnose_job(prepare: Prepare, finished: Finished) -> Job:
@@ -42,7 +42,6 @@ def examine(
         tell(stage, done)
 
     try:
-        check_share(hold_out)
         report("reading the model file", 0.0)
         found = diagnose(
             read_model(model_file), collection.dataset,

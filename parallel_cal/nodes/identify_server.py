@@ -7,6 +7,7 @@ from typing import Any
 
 from parallel_cal_msgs.action import Identify
 
+from parallel_cal.identification.options import FitOptions
 from parallel_cal.nodes.action_work import Finished, Job, Prepare
 from parallel_cal.nodes.calibration_messages import json_text
 from parallel_cal.session.recalibration import Outcome, Request
@@ -22,11 +23,13 @@ def request_of(goal: Identify.Goal, files: dict[str, Any], joint_sigma: float | 
     """What a goal asks for; `joint_sigma` where it names none."""
     return Request(
         **files,
-        method=goal.method,
-        hold_out=goal.hold_out,
-        joint_sigma=goal.joint_sigma or joint_sigma,
-        free=tuple(goal.free),
-        fix=tuple(goal.fix),
+        options=FitOptions(
+            method=goal.method or "implicit",
+            hold_out=goal.hold_out,
+            joint_sigma=goal.joint_sigma or joint_sigma,
+            free=tuple(goal.free),
+            fix=tuple(goal.fix),
+        ),
         force=goal.force,
     )
 

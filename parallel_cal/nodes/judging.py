@@ -14,6 +14,7 @@ from visualization_msgs.msg import MarkerArray
 
 from parallel_cal.base.errors import ModelFileError, ParallelCalError
 from parallel_cal.diagnosis.comparison import Comparison, compare
+from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.nodes import calibration_messages as messages
 from parallel_cal.nodes.action_work import ActionWork, Say, Turn, Work, in_words, outcome_of
@@ -147,8 +148,7 @@ class Judging:
             raise ParallelCalError("no effect named, e.g. encoder_eccentricity")
         work = Request(
             **self._files("", request.output_file),
-            hold_out=self._parameter("hold_out"),
-            joint_sigma=self._sigma(),
+            options=FitOptions(hold_out=self._parameter("hold_out"), joint_sigma=self._sigma()),
             force=request.force,
             effect=request.effect,
         )

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 from threading import Lock
 from typing import Any
 
-from parallel_cal.base.errors import FitError, ParallelCalError
-from parallel_cal.identification.fit import Progress
+from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.identification.observations import observe
+from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.prediction_errors import errors
 from parallel_cal.model.file.modelfile import model_hash, read_model, write_model
 from parallel_cal.model.model import Model
@@ -50,19 +50,12 @@ class Cancel:
 
 @dataclass(frozen=True)
 class Request:
-    """What to identify, and where the better model goes.
-
-    `free` names parameters to identify in addition to those that the model leaves free; with
-    `hold_out` 0 nothing proves that the new model is better, and only `force` writes it.
-    """
+    """What to identify and how, with one more `effect` if one is named, and where the better model
+    goes; `force` writes one that is not proven better, too."""
 
     model_file: str
     output_file: str
-    method: str = "implicit"
-    hold_out: float = 0.25
-    joint_sigma: float | None = None
-    free: tuple[str, ...] = ()
-    fix: tuple[str, ...] = ()
+    options: FitOptions = field(default_factory=FitOptions)
     force: bool = False
     effect: str = ""
 
@@ -93,11 +86,16 @@ def recalibrate(
             tell(stage, fraction, position_error)
 
     try:
-        check_share(request.hold_out)
         report("reading the model file", 0.0)
         model = read_model(request.model_file)
-        position_error = _position_error(model, dataset, request.joint_sigma)
-        step = _step(request, model, dataset, report)
+        seen = observe(model, dataset, request.options.joint_sigma)
+        position_error = _or_nan(errors(model, seen).summary.position_mean)
+        # Whether it may be written is judged later, as a message.
+        how: dict[str, Any] = {"force": True, "options": request.options, "progress": report}
+        if request.effect:
+            step = added(model, request.effect, dataset, **how)
+        else:
+            step = fitted(model, dataset, **how)
         position_error = _or_nan(step.result.after.summary.position_mean)
         report("judging", 1.0)
         return _written(request, step, cancel)
@@ -105,32 +103,8 @@ def recalibrate(
         return Outcome(False, str(error))
 
 
-def check_share(hold_out: float) -> None:
-    """FitError for a share of the poses that is none; too large ones are refused by the fit."""
-    if not hold_out >= 0:
-        raise FitError(f"hold_out {hold_out}: expected 0 (no check) to 0.5")
-
-
-def _position_error(model: Model, dataset: Dataset, joint_sigma: float | None) -> float:
-    return _or_nan(errors(model, observe(model, dataset, joint_sigma)).summary.position_mean)
-
-
 def _or_nan(value: float | None) -> float:
     return math.nan if value is None else value
-
-
-def _step(request: Request, model: Model, dataset: Dataset, report: Progress) -> Step:
-    options = {
-        "method": request.method or "implicit",
-        "free": request.free,
-        "fix": request.fix,
-        "hold_out": request.hold_out,
-        "joint_sigma": request.joint_sigma,
-        "progress": report,
-    }
-    if request.effect:  # whether it may be written is judged later, as a message
-        return added(model, request.effect, dataset, force=True, **options)
-    return fitted(model, dataset, force=True, **options)
 
 
 def _written(request: Request, step: Step, cancel: Cancel) -> Outcome:
