@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from parallel_cal.base.rotation import rotation_vector
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.identification.linearisation import Linearisation
+from parallel_cal.model.configuration import Configuration
 
 
 @dataclass(frozen=True)
@@ -29,13 +29,12 @@ class Field:
     def of(cls, scene: Scene) -> Field:
         """The field of a scene; without any pose measured, `noise_units` are the closure's own."""
         n = len(scene.model.joints)
-        observations, x = scene.observations, scene.x
+        observations = scene.observations
         moved = np.isin(np.arange(6), scene.model.mechanism.moved)
         shown = observations.measured[:, n:]
         measured = shown & moved
-        R, Rp = (a[:, n + 3 :].reshape(-1, 3, 3) for a in (observations.x, x))
-        turn = rotation_vector(R @ Rp.transpose(0, 2, 1))
-        pose = np.concatenate([observations.x[:, n : n + 3] - x[:, n : n + 3], turn], axis=1)
+        seen, predicted = (Configuration.from_rows(x) for x in (observations.x, scene.x))
+        pose = seen.change_from(predicted)[:, n:]
         variance = np.diagonal(observations.S, axis1=1, axis2=2)[:, n:]
         fixed = (pose**2 / np.where(variance > 0, variance, 1.0))[shown & ~moved]
         held = float(np.sqrt(fixed.mean())) if fixed.size else 0.0

@@ -10,6 +10,7 @@ import numpy as np
 from parallel_cal.base.errors import ModelError
 from parallel_cal.identification.thresholds import CLOSED, FRAME_UNIT, INDEPENDENT, PART_OF_TRAVEL
 from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.model import Model, new_model
 
@@ -89,8 +90,7 @@ def closed_poses(model: Model, n: int, rng: np.random.Generator) -> np.ndarray:
     for _ in range(20):
         s = kinematics.direct(_joints(kinematics, n, rng))
         closed = np.nan_to_num(s.residual, nan=np.inf) < CLOSED
-        rows = np.hstack([s.joints, s.position, s.rotation.reshape(-1, 9)])
-        found = np.vstack([found, rows[closed]])[:n]
+        found = np.vstack([found, s.configuration.rows[closed]])[:n]
         if len(found) == n:
             return found
     raise ModelError(f"{model.mechanism.name}: only {len(found)} of {n} poses around home close")
@@ -117,8 +117,8 @@ def identification_jacobian(model: Model, x: np.ndarray) -> np.ndarray:
 
 def frame_jacobian(model: Model, x: np.ndarray) -> np.ndarray:
     """d phi for small motions of {B} and of {P}, among the coordinates that move."""
-    J_x, n = _blocks(model, x)[0], len(model.joints)
-    r, R = x[:, n : n + 3], x[:, n + 3 :].reshape(-1, 3, 3)
+    J_x, here = _blocks(model, x)[0], Configuration.from_rows(x)
+    r, R = here.r, here.R
     lever = np.zeros((len(x), 3, 3))
     for k, axis in enumerate(np.eye(3)):
         lever[:, :, k] = np.cross(axis, r)

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from parallel_cal.base.rotation import rotation_matrix, rotation_vector
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.predictions import shown
 from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model
 
 BLOCK = 1024  # samples at a time: what is in work then stays in the processor's cache
@@ -78,9 +78,9 @@ class Linearisation:
         if blind.any():
             at = dict(zip(self._model.conditions, self._observations.a[blind].T, strict=True))
             pose = shown(self._model, Kinematics(self._model).direct(x[blind, :n], at))
-            columns = np.concatenate([pose.position, pose.rotation.reshape(-1, 9)], axis=1)
-            solved = np.isfinite(columns).all(axis=1)
-            x[np.flatnonzero(blind)[solved], n:] = columns[solved]
+            rows = pose.configuration.rows
+            solved = np.isfinite(rows).all(axis=1)
+            x[np.flatnonzero(blind)[solved]] = rows[solved]
         return x
 
     def __call__(self, values: np.ndarray, x: np.ndarray) -> System:
@@ -108,7 +108,7 @@ class Linearisation:
         """Fill residuals r, Jacobian A and the rows' number of some samples; how a step adjusts
         these."""
         phi, C, J = self.blocks(values, x, part)
-        away = self.away(x, part)
+        away, here = self.away(x, part), Configuration.from_rows(x)
         SC = self._covariance(part) @ C.transpose(0, 2, 1)
         K = self._whitening(C @ SC + np.diag(self._variance))
         r[:] = (K @ (phi[:, :, None] + C @ away[:, :, None]))[:, :, 0]
@@ -120,11 +120,11 @@ class Linearisation:
             return away - force[:, :, 0] if self._weighted else away
 
         if free_of is None:
-            return lambda step: moved(x, corrections(r + A @ step), self._n)
+            return lambda step: here.moved(corrections(r + A @ step)).rows
         r_all, A_all = r.copy(), A.copy()
         r[:], A[:] = (free_of @ r[:, :, None])[:, :, 0], free_of @ A
         informative[:] = np.rint(np.trace(free_of, axis1=1, axis2=2))
-        return lambda step: moved(x, explain(r_all + A_all @ step, corrections), self._n)
+        return lambda step: here.moved(explain(r_all + A_all @ step, corrections)).rows
 
     def whiteners(self, values: np.ndarray, x: np.ndarray) -> np.ndarray:
         """T (N, rows, rows) that turns rows into noise units, free of what was not measured."""
@@ -191,14 +191,6 @@ class Linearisation:
 
     def away(self, x: np.ndarray, part: slice = slice(None)) -> np.ndarray:
         """Measured minus adjusted (q, r, w), (N, nq+6); zero where not measured."""
-        n, measured = self._n, self._observations.x[part]
-        R = x[:, n + 3 :].reshape(-1, 3, 3)
-        turn = measured[:, n + 3 :].reshape(-1, 3, 3) @ R.transpose(0, 2, 1)
-        away = np.concatenate([measured[:, : n + 3] - x[:, : n + 3], rotation_vector(turn)], axis=1)
+        measured = Configuration.from_rows(self._observations.x[part])
+        away = measured.change_from(Configuration.from_rows(x))
         return np.where(self._observations.measured[part], away, 0.0)
-
-
-def moved(x: np.ndarray, change: np.ndarray, n: int) -> np.ndarray:
-    """Configurations (N, n+12) of n joints after changes (N, n+6) of (q, r, w)."""
-    R = rotation_matrix(change[:, n + 3 :]) @ x[:, n + 3 :].reshape(-1, 3, 3)
-    return np.concatenate([x[:, : n + 3] + change[:, : n + 3], R.reshape(-1, 9)], axis=1)

@@ -10,6 +10,7 @@ import numpy as np
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.rotation import rotation_matrix, rotation_vector
 from parallel_cal.identification.thresholds import BLOCKS
+from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.samples import READING
@@ -61,7 +62,7 @@ def blocks(dataset: Dataset) -> np.ndarray:
 def observe(model: Model, dataset: Dataset, joint_sigma: float | None = None) -> Observations:
     """What a dataset says of a model: joints in its order, noise from option, recording or file."""
     order, reading = _joint_order(model, dataset), _readings(model, dataset)
-    x = np.concatenate([dataset.q[:, order], dataset.r, dataset.R.reshape(-1, 9)], axis=1)
+    x = Configuration(dataset.q[:, order], dataset.r, dataset.R).rows
     measured = np.ones((len(x), len(order) + 6), dtype=bool)
     measured[:, len(order) :] = dataset.measured
     _fill_unmeasured(x, measured, model.mechanism.home.configuration, len(order))
@@ -91,11 +92,10 @@ def _fill_unmeasured(x: np.ndarray, measured: np.ndarray, home: np.ndarray, n: i
     for k in range(3):
         gaps = ~measured[:, n + k]
         x[gaps, n + k] = home[n + k]
-    R0 = home[n + 3 :].reshape(3, 3)
-    w = rotation_vector(x[:, n + 3 :].reshape(-1, 3, 3) @ R0.T)
-    R = rotation_matrix(np.where(measured[:, n + 3 :], w, 0.0)) @ R0
+    R, R0 = Configuration.from_rows(x).R, Configuration.from_rows(home).R
+    w = np.where(measured[:, n + 3 :], rotation_vector(R @ R0.T), 0.0)
     turned = ~measured[:, n + 3 :].all(axis=1)
-    x[turned, n + 3 :] = R.reshape(-1, 9)[turned]
+    R[turned] = rotation_matrix(w[turned]) @ R0  # in place: a view of x
 
 
 def _joint_sigma(

@@ -12,6 +12,7 @@ from parallel_cal.base.rotation import rotation_vector
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.predictions import condition_columns, shown
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions, Status
+from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.model import Model
 
@@ -105,24 +106,22 @@ def errors(model: Model, observations: Observations) -> Errors:
     kinematics = Kinematics(model)
     n, m = len(model.joints), model.mechanism
     at = condition_columns(model, observations)
-    x, measured = observations.x, observations.measured
-    rotation = x[:, n + 3 :].reshape(-1, 3, 3)
+    seen, measured = Configuration.from_rows(observations.x), observations.measured
     # The robot is solved in {B}; the device shows its poses in frames of its own.
-    reached = kinematics.direct(x[:, :n], at)
+    reached = kinematics.direct(seen.q, at)
     pose = shown(model, reached)
-    position, turned = model.structure.located(x[:, n:], model.values)
+    position, turned = model.structure.located(observations.x[:, n:], model.values)
     # In the assembly mode that was measured: an arm's wrist need not be flipped as at home.
     joints = kinematics.inverse(position, turned.reshape(-1, 3, 3), at, reached)
     given = measured[:, [n + i for i in m.controlled]].all(axis=1)
-    turn = rotation_vector(
-        rotation @ np.where(np.isfinite(pose.rotation), pose.rotation, np.eye(3)).transpose(0, 2, 1)
-    )
+    shown_rotation = np.where(np.isfinite(pose.rotation), pose.rotation, np.eye(3))
+    turn = rotation_vector(seen.R @ shown_rotation.transpose(0, 2, 1))
     placed, orientation = (judgeable(m, measured[:, n:], part) for part in (range(3), range(3, 6)))
-    apart = np.where(measured[:, n : n + 3], x[:, n : n + 3] - pose.position, 0.0)
+    apart = np.where(measured[:, n : n + 3], seen.r - pose.position, 0.0)
     return Errors(
         where_known(placed & _solved(pose), apart),
         where_known(orientation & _solved(pose), np.where(measured[:, n + 3 :], turn, 0.0)),
-        where_known(given & _solved(joints), _unwound(m, x[:, :n] - joints.joints)),
+        where_known(given & _solved(joints), _unwound(m, seen.q - joints.joints)),
         _readings_apart(model, observations, pose),
         _closure(model, observations),
     )
@@ -156,7 +155,7 @@ def reading_errors(model: Model, observations: Observations) -> np.ndarray:
 def _readings_apart(model: Model, observations: Observations, pose: Solutions) -> np.ndarray:
     """Read minus predicted (N, n_channels) where the pose device would show `pose`."""
     n = len(model.joints)
-    x = np.concatenate([observations.x[:, :n], pose.position, pose.rotation.reshape(-1, 9)], axis=1)
+    x = Configuration(observations.x[:, :n], pose.position, pose.rotation).rows
     rows = model.structure.rows_batch(x, observations.a, model.values)[0]
     predicted = rows[:, model.structure.phi.shape[0] :]
     return np.where(_solved(pose)[:, None], observations.reading - predicted, np.nan)

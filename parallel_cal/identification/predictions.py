@@ -9,12 +9,13 @@ import numpy as np
 
 from parallel_cal.identification.observations import Observations
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions
+from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model
 
 
 def shown(model: Model, solutions: Solutions) -> Solutions:
     """Poses of {P} in {B} as the model's pose device shows them."""
-    pose = np.concatenate([solutions.position, solutions.rotation.reshape(-1, 9)], axis=1)
+    pose = solutions.configuration.rows[:, len(model.joints) :]
     r, R9 = model.structure.shown(pose, model.values)
     return replace(solutions, position=r, rotation=R9.reshape(-1, 3, 3))
 
@@ -29,5 +30,5 @@ def predicted(model: Model, observations: Observations) -> np.ndarray:
     n = len(model.joints)
     joints = observations.x[:, :n]
     pose = shown(model, Kinematics(model).direct(joints, condition_columns(model, observations)))
-    x = np.concatenate([joints, pose.position, pose.rotation.reshape(-1, 9)], axis=1)
+    x = Configuration(joints, pose.position, pose.rotation).rows
     return np.where(np.isfinite(x).all(axis=1)[:, None], x, observations.x)

@@ -16,6 +16,7 @@ from parallel_cal.diagnosis.search import Trial
 from parallel_cal.identification.doubts import finite_or_none
 from parallel_cal.identification.fit import Result
 from parallel_cal.identification.prediction_errors import ERRORS
+from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.effect import CONDITIONS
 from parallel_cal.model.mechanism import POSE
 from parallel_cal.model.words import describe, direction_in_words
@@ -104,10 +105,8 @@ def _components(field: Field) -> list[str]:
 def places(scene: Scene, kind: str | None) -> np.ndarray:
     """Predicted positions (N, 3), or where only the orientation is known the
     platform's z axis."""
-    n = len(scene.model.joints)
-    if kind == "orientation":
-        return np.asarray(scene.x[:, n + 3 :].reshape(-1, 3, 3)[:, :, 2])
-    return np.asarray(scene.x[:, n : n + 3])
+    predicted = Configuration.from_rows(scene.x)
+    return predicted.R[:, :, 2] if kind == "orientation" else predicted.r
 
 
 def _units(scene: Scene) -> Iterator[tuple[str, str]]:

@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from parallel_cal.base.errors import FitError
-from parallel_cal.identification.linearisation import Linearisation, moved
+from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.methods._descent import Predicted, minimise, need_measured
 from parallel_cal.identification.methods._estimate import Estimate, Sought
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prior import Prior
 from parallel_cal.identification.thresholds import NEAR_DIRECT, NEAR_INVERSE, NEWTON_STEP
+from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.mechanism import POSE
 from parallel_cal.model.model import Model
 
@@ -72,7 +73,7 @@ class Prediction:
                 break
             change = np.zeros((len(x), C.shape[2]))
             change[:, self.unknown] = np.clip(step, -0.2 / self._scale, 0.2 / self._scale)
-            x = moved(x, change, C.shape[2] - 6)
+            x = Configuration.from_rows(x).moved(change).rows
         return x, C, J, size < 1e-9
 
     def __call__(self, values: np.ndarray) -> Predicted | None:

@@ -16,6 +16,7 @@ import numpy as np
 from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.identification.methods._separation import Separation
 from parallel_cal.identification.thresholds import DEPENDENT, DRAWS
+from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model
 
 
@@ -111,7 +112,7 @@ def _configurations(model: Model, seed: int) -> np.ndarray:
     r, w = rng.uniform(-1, 1, (DRAWS, 3)), rng.uniform(-2, 2, (DRAWS, 3))
     moved = np.isin(np.arange(6), m.moved)
     r, w = r * moved[:3], w * moved[3:]
-    return np.hstack([joints, r, rotation_matrix(w).reshape(-1, 9)])
+    return Configuration(joints, r, rotation_matrix(w)).rows
 
 
 def _parameters(model: Model, seed: int) -> np.ndarray:
