@@ -160,7 +160,7 @@ def test_random_columns_score_as_chance_has_it(here):
 
 
 def test_replicates_know_the_noise_without_any_model(here):
-    known = NoiseLevel.of(here, Field.of(here))
+    known = NoiseLevel.of(here, Field.of(here), False)
     assert known.source == "stated (dataset)"
     assert known.pure_error.variance == pytest.approx(1, abs=0.3)
     assert known.pure_error.dof == 120
@@ -175,7 +175,7 @@ def test_a_noise_that_nobody_states_is_taken_from_replicates():
         noise_from={"joint": "scatter within dwells", "pose": "scatter within dwells"},
     )
     there = Scene.of(here.model, data, guessed, here.free)
-    known = NoiseLevel.of(there, Field.of(there))
+    known = NoiseLevel.of(there, Field.of(there), False)
     assert known.variance == pytest.approx(4, abs=1.2)
     low, high = known.band(there.dof)
     assert low < there.chi2_per_dof < high

@@ -11,7 +11,7 @@ import numpy as np
 from parallel_cal.base.errors import ModelError
 from parallel_cal.diagnosis.scene import Scene, columns
 from parallel_cal.diagnosis.scoring import Score, score
-from parallel_cal.diagnosis.thresholds import SHUFFLES, VISIBLE_SIGMAS, WORTH_REFINING
+from parallel_cal.diagnosis.thresholds import SHUFFLES, STRETCHES, VISIBLE_SIGMAS, WORTH_REFINING
 from parallel_cal.identification.observations import conditions
 from parallel_cal.model.effect import Effect
 from parallel_cal.model.model import Model
@@ -43,6 +43,11 @@ class Candidate:
         return self.score is not None and not self.reason
 
     @property
+    def wanders(self) -> bool:
+        """Whether it goes with time or temperature, as noise may that is not white."""
+        return bool({"time", "temperature"} & set(self.effect.needs))
+
+    @property
     def log_p(self) -> float:
         """Logarithm of the p-value, for as many settings as were tried."""
         if self.score is None:
@@ -55,8 +60,8 @@ class Candidate:
 
     @cached_property
     def shuffled_p(self) -> float | None:
-        """Guard 4: share of copies with the condition shuffled between samples (all its columns
-        alike) that score as well, counting the effect itself; None where it needs no condition."""
+        """Guard 4: share of copies with the condition shuffled between stretches of time (all its
+        columns alike) that score as well, counting the effect itself; None where it needs none."""
         if not self.effect.needs or self.score is None or self.scene is None:
             return None
         scene = self.scene
@@ -64,9 +69,12 @@ class Candidate:
         a, new = conditions(extended, scene.dataset), new_numbers(scene.model, extended)
         own = [extended.conditions.index(c) for c in self.effect.conditions(extended.mechanism)]
         rng, as_good = np.random.default_rng(0), 1
+        order = np.argsort(scene.dataset.time, kind="stable")
+        stretches = np.array_split(order, min(STRETCHES, len(order)))
         for _ in range(SHUFFLES):
             shuffled = a.copy()
-            shuffled[:, own] = a[rng.permutation(len(a))][:, own]
+            other = np.concatenate([stretches[k] for k in rng.permutation(len(stretches))])
+            shuffled[order[:, None], own] = a[other[:, None], own]
             again = score(scene, columns(extended, scene, new, shuffled))
             as_good += again.log_p <= self.score.log_p
         return as_good / (SHUFFLES + 1)

@@ -21,6 +21,7 @@ from parallel_cal.diagnosis.entries import (
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.lack_of_fit import LackOfFit, lack_of_fit
 from parallel_cal.diagnosis.noise import NoiseLevel
+from parallel_cal.diagnosis.noise_shape import NoiseShape
 from parallel_cal.diagnosis.patterns import OddSample, odd_samples
 from parallel_cal.diagnosis.scene import Progress
 from parallel_cal.diagnosis.search import Chosen, Search, Trial
@@ -51,6 +52,7 @@ class Diagnosis:
     entries: tuple[Entry, ...]
     negative_control: NegativeControl
     noise: NoiseLevel
+    noise_shape: NoiseShape
     verdict: Verdict
     structure: LackOfFit
     field: Field
@@ -90,6 +92,8 @@ class Diagnosis:
                 "source": self.noise.source,
                 "replicates": self.noise.pure_error.variance,
                 "replicates_dof": self.noise.pure_error.dof,
+                "misstated": self.noise.misstated,
+                "shape": self.noise_shape,
                 "floor": best.noise,
             },
             "candidates": self.entries,
@@ -138,13 +142,17 @@ def diagnose(
         base = search.fit()
         catalogue = _Catalogue(names_of(model, also, effects), report)
         ranked = catalogue.ranked(base)
-        best, against = search.forward(base, catalogue.significant)
-        best = search.backward(best)
+        best, against = _searched(search, catalogue)
         swaps = search.swaps(best, rivals_of(best, ranked))
         left = Field.of(best.scene)
-        noise = NoiseLevel.of(base.scene, Field.of(base.scene))
         structure, before = lack_of_fit(best.scene, left), chi2_before(base, best, ranked)
-        verdict = judge(Findings(base, best, before, noise, structure, left.held, swaps))
+        noise = NoiseLevel.of(best.scene, left, structure.found)
+        shape = NoiseShape.of(best.scene, left)
+        tried = [search.fit(*best.chosen, Chosen.of(c)) for c in catalogue.significant(best)]
+        refused = tuple(trial.reason for trial in tried if trial.reason)
+        verdict = judge(
+            Findings(base, best, before, noise, shape, structure, left.held, swaps, refused)
+        )
         report("weighing the observations", 0.8)
         rivals = {c.name: swaps.get(c.name, []) for c in best.chosen}
         return Diagnosis(
@@ -156,6 +164,7 @@ def diagnose(
             entries=entries(ranked, base, search, noise, against),
             negative_control=negative_control(base.scene, ranked),
             noise=noise,
+            noise_shape=shape,
             verdict=verdict,
             structure=structure,
             field=left,
@@ -165,11 +174,31 @@ def diagnose(
         )
 
 
+def _searched(search: Search, catalogue: _Catalogue) -> tuple[Trial, dict[str, str]]:
+    """The effects that explain most, and what stands against others.
+
+    Where neighbours in time stay alike, noise wanders, and what goes with time or temperature is
+    not told from it: named is then what does neither.
+    """
+    base = search.fit()
+    best, against = search.forward(base, catalogue.significant)
+    best = search.backward(best)
+    shape = NoiseShape.of(best.scene, Field.of(best.scene))
+    wandering = [c for c in catalogue.ranked(base) if c.wanders and c.testable]
+    if not shape.correlated or not {c.name for c in wandering} & set(best.names):
+        return best, against
+    catalogue.wandering = False
+    best, against = search.forward(base, catalogue.significant)
+    words = f"cannot be told from what wanders: noise is correlated over {shape.memory:.2g} s"
+    return search.backward(best), against | {c.name: words for c in wandering}
+
+
 class _Catalogue:
     """The effects to test beside each trial, scored once."""
 
     def __init__(self, names: list[str], report: Progress):
         self._names, self._report = names, report
+        self.wandering = True  # whether what goes with time or temperature may be named
         self._ranked: dict[tuple[Chosen, ...], list[Candidate]] = {}
 
     def ranked(self, trial: Trial) -> list[Candidate]:
@@ -184,6 +213,6 @@ class _Catalogue:
 
     def significant(self, trial: Trial) -> list[Candidate]:
         """Those that are no chance, corrected for how many were looked at; the best few."""
-        tested = [c for c in self.ranked(trial) if c.testable]
+        tested = [c for c in self.ranked(trial) if c.testable and (self.wandering or not c.wanders)]
         adjusted = holm(np.array([c.p_value for c in tested]))
         return [c for c, p in zip(tested, adjusted, strict=True) if p < SIGNIFICANT][:REFITTED]

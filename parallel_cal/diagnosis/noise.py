@@ -42,21 +42,33 @@ class NoiseLevel:
     """The noise to judge by, which must not come from the fit itself.
 
     `variance` in units of the observations' noise, None where nobody knows; `dof` how well it is
-    known, None where it is stated; `source` in words; `pure_error` what replicates alone say.
+    known, None where it is stated; `source` in words; `pure_error` what replicates alone say;
+    `misstated`: how many times the stated noise that is, where they contradict it.
     """
 
     variance: float | None
     dof: int | None
     source: str
     pure_error: PureError
+    misstated: float | None = None
 
     @classmethod
-    def of(cls, scene: Scene, field: Field) -> NoiseLevel:
-        """Stated noise counts; where it was only guessed from jitter, replicates take its place."""
+    def of(cls, scene: Scene, field: Field, structured: bool) -> NoiseLevel:
+        """Stated noise counts, unless replicates contradict it; where it was only guessed from
+        jitter, they take its place.
+
+        A smaller noise than stated is always believed. A larger one only where the residuals show
+        no structure: what moves between two visits of a pose would pass for noise.
+        """
         seen = PureError.of(scene, field)
         sources = set(scene.observations.noise_from.values())
         if sources <= set(STATED):
-            return cls(1.0, None, f"stated ({', '.join(sorted(sources))})", seen)
+            low, high = chi2_band(seen.dof)
+            variance = seen.variance if seen.dof >= ENOUGH_REPLICATES else None
+            if variance is None or low <= variance <= high or (variance > high and structured):
+                return cls(1.0, None, f"stated ({', '.join(sorted(sources))})", seen)
+            words = f"replicates ({seen.dof} degrees of freedom)"
+            return cls(variance, seen.dof, words, seen, variance**0.5)
         if seen.variance is not None and seen.dof >= ENOUGH_REPLICATES:
             words = f"replicates ({seen.dof} degrees of freedom)"
             return cls(seen.variance, seen.dof, words, seen)

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from parallel_cal.diagnosis.field import Field
+from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.thresholds import PERMUTATIONS, SIGNIFICANT
 
 
@@ -41,6 +43,14 @@ class NoiseShape:
         if self.grows:
             words.append(f"noise is {self.growth:.1f} times larger far from the centre")
         return words
+
+    @classmethod
+    def of(cls, scene: Scene, field: Field) -> NoiseShape:
+        """Of what a model leaves of a session; a moving robot's neighbours are alike anyway."""
+        n = len(scene.model.joints)
+        if scene.dataset.mode == "continuous":
+            return cls(0.0, 1.0, 0.0, 1.0, 1.0)
+        return noise_shape(field.noise_units, scene.dataset.time, scene.x[:, n : n + 3])
 
 
 def noise_shape(z: np.ndarray, time: np.ndarray, places: np.ndarray, seed: int = 0) -> NoiseShape:

@@ -51,6 +51,10 @@ class Trial:
     reason: str = ""
 
     @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(c.name for c in self.chosen)
+
+    @property
     def fitted(self) -> Result:
         """The identification; FitError where it failed."""
         if self.result is None:
@@ -92,6 +96,8 @@ class Search:
         after = self.fit(*before.chosen, Chosen.of(one))
         if after.result is None:
             return after, after.reason
+        if after.result.estimate.chi2_per_dof >= before.fitted.estimate.chi2_per_dof:
+            return after, "explains nothing of what is left"
         judgement = acceptance(after.result, before.fitted)
         if judgement.judged and judgement.against:  # else the verdict says that nothing is proven
             return after, judgement.against

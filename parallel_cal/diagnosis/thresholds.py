@@ -8,6 +8,7 @@ from parallel_cal.base.confidence import CHANCE
 SIGNIFICANT = CHANCE  # p-value: of an effect over the whole catalogue (Holm), of structure
 GROSS = 1e-3  # p-value of an outlier, over the whole data set
 INFLUENTIAL = 1.0  # Cook's distance: without the sample, estimates move by about their sigma
+UNCERTAIN = 1.2  # of the noise alone: an error at poses left out that is larger deserves a word
 LUCK = 2.0  # sigmas of chi2/dof: within them an excess over the noise says nothing
 
 # What the data can show at all
@@ -23,6 +24,7 @@ REFITTED = 5  # best candidates that are identified and judged at poses left out
 WORTH_REFINING = log(1e-3)  # log p: a scanned setting is refined between its neighbours
 SHUFFLES = 39  # copies with the condition shuffled between samples ...
 AS_GOOD = 1  # ... of which so many may score as well, by chance
+STRETCHES = 12  # of the session that are shuffled whole: noise may wander from sample to sample
 EXPLAINED = 0.7  # of the variance beyond the noise
 
 # Which effects cannot be told from each other

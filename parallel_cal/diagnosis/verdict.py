@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 from parallel_cal.diagnosis.lack_of_fit import LackOfFit
 from parallel_cal.diagnosis.noise import NoiseLevel
+from parallel_cal.diagnosis.noise_shape import NoiseShape
 from parallel_cal.diagnosis.search import Trial
-from parallel_cal.diagnosis.thresholds import EXPLAINED, FEWEST_DOF, HELD_STILL, LUCK
-from parallel_cal.identification.acceptance import acceptance, in_words
+from parallel_cal.diagnosis.thresholds import EXPLAINED, FEWEST_DOF, HELD_STILL, LUCK, UNCERTAIN
+from parallel_cal.identification.acceptance import UNITS, acceptance, in_words
 from parallel_cal.identification.methods.implicit import Estimate
 
 
@@ -28,16 +29,19 @@ class Findings:
     """What a verdict is about: a search that began at `base` and ended at `best`.
 
     `chi2_before` is chi2/dof of the base, on the rows of the best; `structure` and `held` (as in
-    Field) are what the best leaves; `swaps` the effects that fit as well as one chosen.
+    Field) are what the best leaves; `swaps` the effects that fit as well as one chosen; `refused`
+    why those that are no chance could not be identified.
     """
 
     base: Trial
     best: Trial
     chi2_before: float
     noise: NoiseLevel
+    shape: NoiseShape
     structure: LackOfFit
     held: float
     swaps: Mapping[str, Sequence[str]]
+    refused: Sequence[str]
 
     @property
     def after(self) -> Estimate:
@@ -99,7 +103,12 @@ def judge(found: Findings) -> Verdict:
         told = share is not None and share >= EXPLAINED  # else the excess was mostly luck
         part = f", {share:.0%} of what exceeded the noise" if told else ""
         verb = "together explain" if several else "explains"
-        return Verdict("explained", f"{names} {verb} the rest{part}: {errors}", share)
+        words = f"{names} {verb} the rest{part}: {errors}"
+        return Verdict(
+            "explained",
+            words + ("." + noise.rstrip(".") if (noise := _noise(found)) else ""),
+            share,
+        )
     words = f"{names} {'are' if several else 'is'} part of it ({errors}), but {'; '.join(against)}"
     return Verdict("partly_explained", words, share, against)
 
@@ -114,7 +123,7 @@ def _guards(found: Findings) -> list[str]:
     if share is not None and share < EXPLAINED and beyond_luck:
         against.append(f"only {max(share, 0):.0%} of the variance beyond the noise is explained")
     if chi2 > high:
-        against.append(f"chi2/dof {chi2:.2f} is still above {high:.2f}")
+        against.append(f"chi2/dof {chi2:.3g} is still above {high:.3g}")
     if structure.found:
         against.append(f"structure remains (p = {structure.p_value:.1g}{_size(structure)})")
     return against
@@ -122,15 +131,45 @@ def _guards(found: Findings) -> list[str]:
 
 def _nothing_found(found: Findings, errors: str) -> Verdict:
     chi2, high = found.after.chi2_per_dof, found.noise.band(found.after.dof)[1]
+    noise = _noise(found)
     if chi2 <= high:
-        alike = " Neighbouring residuals are alike, though: look at the map."
-        words = f"the model explains the measurements down to their noise ({errors}): stop looking."
-        return Verdict("at_noise", words + (alike if found.structure.found else ""))
+        words = f"the model explains the measurements down to their noise ({errors})"
+        advice = f"stop looking{_uncertainty(found)}"
+        if found.refused:
+            advice = f"yet {found.refused[0]}"
+        elif found.structure.found:
+            advice += ". Neighbouring residuals are alike, though: look at the map"
+        return Verdict("at_noise", f"{words}: {advice}.{noise}")
+    nothing = "nothing in the catalogue explains it"
+    if found.refused:
+        nothing = f"nothing plausible explains it: {found.refused[0]}"
     return Verdict(
         "unexplained",
-        f"chi2/dof {chi2:.2f} is above {high:.2f}, but nothing in the catalogue explains it"
-        f"{_size(found.structure, '; a smooth part of it')} ({errors})",
+        f"chi2/dof {chi2:.3g} is above {high:.3g}, but {nothing}"
+        f"{_size(found.structure, '; a smooth part of it')} ({errors}).{noise}",
     )
+
+
+def _noise(found: Findings) -> str:
+    """What is to be known of the noise where it is not white, or not as stated."""
+    words = list(found.shape.words)
+    if found.noise.misstated is not None:
+        words.insert(0, f"noise is {found.noise.misstated:.1f} times what is stated")
+    return f" What is left shows that {' and '.join(words)}." if words else ""
+
+
+def _uncertainty(found: Findings) -> str:
+    """What of the error at poses left out is neither model nor noise."""
+    result = found.best.fitted
+    for kind, factor, unit in UNITS:
+        error, stated = result.held_out.summary.rms(kind), result.noise.rms(kind)
+        floor = (stated or 0.0) * (found.noise.misstated or 1.0)
+        if error is not None and floor and error > UNCERTAIN * floor:
+            return (
+                f"; {floor * factor:.3g} {unit} are noise, the rest is the parameters' own "
+                "uncertainty, which more poses lower"
+            )
+    return ""
 
 
 def _size(structure: LackOfFit, before: str = ",") -> str:

@@ -1,0 +1,65 @@
+"""Noise that is not white, or not as stated, is said to be that, and named as nothing else."""
+
+import numpy as np
+import pytest
+import virtual_blind as vb
+import virtual_findings as vf
+import virtual_robot as vr
+from findings import dataset, quiet, sized
+
+from parallel_cal.diagnosis.diagnose import diagnose
+from parallel_cal.model.model import new_model
+
+
+def noisy(kind, seed, effects=()):
+    """150 samples with noise of a kind, stated as white and of the thesis' size."""
+    day, noise = vf.session(seed), vr.THESIS_NOISE
+    still = vf.samples(day, effects, quiet(0.0), 0)
+    units = kind(len(still["q"]), still["r"], np.random.default_rng([seed, 5]))
+    q, r, w = vb.draw(noise, units)
+    seen = still | {"q": still["q"] + q, "r": still["r"] + r, "R": vr.turn(w) @ still["R"]}
+    return dataset(seen, noise)
+
+
+def found_in(data):
+    return diagnose(new_model("delta54"), data)
+
+
+def test_noise_twice_as_large_as_stated_is_noise():
+    found = found_in(noisy(vb.twice, 0))
+    assert found.verdict.word == "at_noise"
+    assert "noise is 2.1 times what is stated" in found.verdict.summary  # 2.08 by 180 freedoms
+    assert found.noise.misstated == pytest.approx(2.0, abs=0.2)
+    assert found.base.fitted.estimate.chi2_per_dof > 3
+
+
+def test_noise_half_as_large_as_stated_hides_no_play():
+    half = vf.KINDS["backlash"].make(0.1e-3, np.random.default_rng(0))
+    found = found_in(noisy(lambda *a: 0.5 * vb.white(*a), 0, [half]))
+    assert found.effects == ("backlash",)
+    assert found.noise.misstated == pytest.approx(0.5, abs=0.06)
+
+
+def test_noise_that_wanders_is_no_drift():
+    found = found_in(noisy(vb.correlated, 0))
+    assert not found.effects
+    assert found.noise_shape.correlated
+    assert "noise is correlated over" in found.verdict.summary
+    drift = next(e for e in found.entries if e.name == "base_drift")
+    assert "shuffled" in drift.reason or "wanders" in drift.reason
+
+
+def test_a_drift_in_white_noise_is_still_a_drift():
+    day, kind = vf.session(1), vf.KINDS["base drift"]
+    drift = sized(kind.make, kind.size, 0.8, day, vr.THESIS_NOISE, 1)
+    found = found_in(noisy(vb.white, 1, [drift]))
+    assert found.effects == ("base_drift",)
+    assert not found.noise_shape.correlated
+
+
+def test_noise_that_grows_outwards_is_said_to_grow():
+    found = found_in(noisy(vb.growing, 0))
+    assert not found.effects
+    assert found.noise_shape.grows
+    assert found.verdict.word == "at_noise"
+    assert "times larger far from the centre" in found.verdict.summary
