@@ -19,7 +19,7 @@ from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.prediction_errors import Errors
 from parallel_cal.model.file.modelfile import read_model, write_model
 from parallel_cal.model.model import new_model
-from parallel_cal.session.recalibration import Request, recalibrate
+from parallel_cal.session.goals import Request, recalibrate
 from parallel_cal.session.steps import added, fitted
 
 FACES = ("command line", "node")

@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterable, MutableMapping
 from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, PoseWithCovariance
+from parallel_cal_msgs.action import Diagnose, Identify
 from parallel_cal_msgs.msg import Condition, Sample
 from std_msgs.msg import ColorRGBA, Header, String
 from visualization_msgs.msg import Marker, MarkerArray
 
 from parallel_cal.base.documents import plain
 from parallel_cal.base.rotation import matrix_to_quaternion
-from parallel_cal.identification.observations import Observations
-from parallel_cal.identification.prediction_errors import Errors
+from parallel_cal.diagnosis.comparison import Comparison
+from parallel_cal.model.configuration import Configuration
 from parallel_cal.nodes.collector import Collection
 from parallel_cal.nodes.conversions import pose_message
 from parallel_cal.recordings.recording import Dropped
+from parallel_cal.session.goals import Outcome
 
 NOT_MEASURED = 1e4  # a variance above 1e3 says so
 THICKNESS = 0.004  # of an arrow, in parts of the workspace's extent
@@ -81,15 +84,33 @@ def dropped_message(dropped: Iterable[Dropped]) -> String:
     return json_message([vars(item) for item in dropped])
 
 
-def residual_markers(
-    observations: Observations, errors: Errors, ids: Any, frame: str, scale: float
-) -> MarkerArray:
+def identify_result(outcome: Outcome) -> Identify.Result:
+    """NaN for errors that are not known."""
+    message = Identify.Result(success=outcome.success, message=outcome.message, hash=outcome.hash)
+    message.json = json_text(outcome.document) if outcome.document else ""
+    found = outcome.step and outcome.step.result
+    kinds = (found.before, found.after, found.held_out_before, found.held_out) if found else ()
+    means = [errors.summary.position_mean for errors in kinds] or [None] * 4
+    known = [math.nan if mean is None else mean for mean in means]
+    message.position_before, message.position_after = known[:2]
+    message.held_out_before, message.held_out_after = known[2:]
+    return message
+
+
+def diagnose_result(outcome: Outcome) -> Diagnose.Result:
+    """Success means that there is a verdict, whichever it is."""
+    message = Diagnose.Result(success=outcome.success, message=outcome.message)
+    if outcome.diagnosis is not None:
+        message.verdict = outcome.diagnosis.verdict.word
+        message.json = json_text(outcome.document)
+    return message
+
+
+def residual_markers(found: Comparison, collection: Collection, scale: float) -> MarkerArray:
     """Arrows from each measured position along measured minus predicted, `scale` times as long."""
-    n = observations.x.shape[1] - 12
-    position, extent = (
-        observations.x[:, n : n + 3],
-        float(np.ptp(observations.x[:, n : n + 3], axis=0).max()),
-    )
+    errors, ids, frame = found.errors, collection.ids, collection.dataset.frame
+    position = Configuration.from_rows(found.observations.x).r
+    extent = float(np.ptp(position, axis=0).max())
     markers = [Marker(action=Marker.DELETEALL, header=Header(frame_id=frame), ns="residuals")]
     for i in np.flatnonzero(np.isfinite(errors.position).all(axis=1)):
         arrow = _arrow(position[i], errors.position[i], scale, THICKNESS * extent)

@@ -21,10 +21,10 @@ from std_msgs.msg import String
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.nodes import calibration_messages as messages
-from parallel_cal.nodes.action_work import in_words
+from parallel_cal.nodes.calibrator import Calibrator
 from parallel_cal.nodes.collector import Collection, Collector
 from parallel_cal.nodes.conversions import message_class
-from parallel_cal.nodes.judging import Judging
+from parallel_cal.nodes.jobs import in_words
 from parallel_cal.nodes.parameters import (
     ACCEPTED,
     LATCHED,
@@ -81,7 +81,7 @@ class CalibrationNode(Node):
         self._status = self.create_publisher(CollectionStatus, "~/collection_status", LATCHED)
         self._dropped = self.create_publisher(String, "~/dropped", LATCHED)
         self._subscribe()
-        self._judging = Judging(self, self._collect, self._say, self._group)
+        self._calibrator = Calibrator(self, self._collect, self._say, self._group)
         self._offer_services()
         every(self._parameter("look_period"), self, self._look, self._group)
         self._dropped.publish(messages.dropped_message([]))
@@ -219,7 +219,7 @@ class CalibrationNode(Node):
         works: dict[str, Any] = {
             name: (type, partial(f, self._collector)) for name, (type, f) in SERVICES.items()
         }
-        works["compare"] = (Compare, self._judging.compare)
+        works["compare"] = (Compare, self._calibrator.compare)
         for name, (type, work) in works.items():
             on_call = partial(self._serve, work)
             self.create_service(
@@ -246,7 +246,7 @@ class CalibrationNode(Node):
         response.success, response.message = False, why
 
     def destroy_node(self) -> None:
-        self._judging.close()
+        self._calibrator.close()
         super().destroy_node()
 
 

@@ -1,4 +1,4 @@
-"""A goal of the calibration node, ROS-free: fit, judge, write the file only if it is better."""
+"""Goals of the calibration node, ROS-free: identify and write the better model, or diagnose."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from threading import Lock
 from typing import Any
 
 from parallel_cal.base.errors import ParallelCalError
+from parallel_cal.diagnosis.diagnose import Diagnosis, diagnose
 from parallel_cal.identification.observations import observe
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.prediction_errors import errors
@@ -62,13 +63,22 @@ class Request:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of it: a sentence, fit's document and the model; a hash if a file was written."""
+    """What came of it: a sentence, a document and what it is made of; a hash if a file was
+    written."""
 
     success: bool
     message: str
     document: dict[str, Any] = field(default_factory=dict)
     hash: str = ""
-    model: Model | None = None
+    step: Step | None = None
+    diagnosis: Diagnosis | None = None
+
+    @property
+    def model(self) -> Model | None:
+        """The new model, or the best one found."""
+        if self.diagnosis is not None:
+            return self.diagnosis.best.fitted.model
+        return None if self.step is None else self.step.model
 
 
 def recalibrate(
@@ -111,9 +121,37 @@ def _written(request: Request, step: Step, cancel: Cancel) -> Outcome:
     reason, document = step.acceptance.against, step.document()
     if reason and not request.force:
         message = f"{reason}; nothing was written (force writes it all the same)"
-        return Outcome(False, message, document, model=step.model)
+        return Outcome(False, message, document, step=step)
     cancel.commit()
     write_model(step.model, request.output_file)
     although = f" by force although {reason}" if reason else ""
     message = f"{step.acceptance.errors}; written to {request.output_file}{although}"
-    return Outcome(True, message, document, model_hash(step.model), step.model)
+    return Outcome(True, message, document, model_hash(step.model), step)
+
+
+def examine(
+    model_file: str,
+    dataset: Dataset,
+    options: FitOptions,
+    tell: Callable[[str, float], None],
+    cancel: Cancel,
+) -> Outcome:
+    """Diagnose a model file on samples; it writes nothing, and a failure is a message.
+
+    Cancelled comes through at the next step.
+    """
+    done = 0.0
+
+    def report(stage: str, fraction: float) -> None:
+        nonlocal done
+        cancel.check()
+        done = max(done, fraction)  # a search that begins anew does not take anything back
+        tell(stage, done)
+
+    try:
+        report("reading the model file", 0.0)
+        found = diagnose(read_model(model_file), dataset, options=options, progress=report)
+    except ParallelCalError as error:
+        return Outcome(False, str(error))
+    message = f"{found.verdict.word}: {found.verdict.summary}"
+    return Outcome(True, message, found.document(), diagnosis=found)

@@ -14,7 +14,7 @@ from rclpy.node import Node
 
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.nodes.collector import Collection
-from parallel_cal.session.recalibration import Cancel, Cancelled, Outcome
+from parallel_cal.session.goals import Cancel, Cancelled, Outcome
 
 Work = Callable[[Callable[..., None], Cancel], Outcome]  # tells its feedback's fields in order
 Prepare = Callable[[Any], tuple[Work, Collection]]
@@ -22,13 +22,13 @@ Finished = Callable[[Outcome, Collection | None], None]
 Say = Callable[[str], None]
 
 
-class Turn:
-    """Whose turn it is: all long work of a node shares one, so that only one piece runs."""
+class OneAtATime:
+    """All long work of a node shares one, so that only one piece of it runs."""
 
     def __init__(self) -> None:
         self.cancel, self._running = Cancel(), ""
 
-    def take(self, running: str) -> None:
+    def begin(self, running: str) -> None:
         """`running` is what others are told meanwhile; ParallelCalError with what they were."""
         if self._running:
             raise ParallelCalError(self._running)
@@ -55,15 +55,15 @@ class Job:
     answer: Callable[[Outcome], Any]
 
 
-class ActionWork:
-    """Serves `~/NAME` of a job.
+class JobServer:
+    """Serves the action `~/NAME` of a job.
 
     The work runs in a thread and the goal's callback only at its end: awaiting it in rclpy would
     keep the executor spinning, blocking would keep it from serving anything else.
     """
 
-    def __init__(self, node: Node, turn: Turn, job: Job, say: Say, group: CallbackGroup):
-        self._node, self._turn, self._job, self._say = node, turn, job, say
+    def __init__(self, node: Node, one: OneAtATime, job: Job, say: Say, group: CallbackGroup):
+        self._node, self._one, self._job, self._say = node, one, job, say
         self._thread: Thread | None = None
         fields = job.type.Feedback.get_fields_and_field_types()
         self._feedback = lambda *values: job.type.Feedback(**dict(zip(fields, values, strict=True)))
@@ -80,21 +80,21 @@ class ActionWork:
 
     def close(self) -> None:
         """Stop the work, if any, and wait for its thread."""
-        self._turn.cancel.ask()
+        self._one.cancel.ask()
         if self._thread:
             self._thread.join()
         self._server.destroy()
 
     def _on_goal(self, goal: Any) -> GoalResponse:
         try:
-            self._turn.take(self._job.running)
+            self._one.begin(self._job.running)
         except ParallelCalError as busy:
             self._say(f"goal rejected: {busy}")
             return GoalResponse.REJECT
         return GoalResponse.ACCEPT
 
     def _on_cancel(self, goal: Any) -> CancelResponse:
-        if self._turn.cancel.ask():
+        if self._one.cancel.ask():
             return CancelResponse.ACCEPT
         self._say("too late to cancel: the file is being written")
         return CancelResponse.REJECT
@@ -113,13 +113,13 @@ class ActionWork:
             if self._node.context.ok():
                 goal.publish_feedback(self._feedback(*values))
 
-        outcome = outcome_of(work, tell, self._turn.cancel)
+        outcome = outcome_of(work, tell, self._one.cancel)
         if self._node.context.ok():
             goal.execute(partial(self._end, outcome, collection))
 
     def _end(self, outcome: Outcome, collection: Collection | None, goal: Any) -> Any:
         """In the executor's thread again: the goal's state, its result, and everyone else's."""
-        self._turn.end()
+        self._one.end()
         if goal.is_cancel_requested:
             goal.canceled()
         elif outcome.success:
