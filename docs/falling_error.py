@@ -39,12 +39,12 @@ UM = "\N{MICRO SIGN}m"
 
 def measure() -> dict[str, Any]:
     """Positions (m) measured and answered: nominal, identified, with the effect diagnosed."""
-    from parallel_cal.nodes.demo_session import DemoSession
+    from parallel_cal.nodes.demo_nodes import DemoNodes
 
     with tempfile.TemporaryDirectory() as folder:
         model_file = Path(shutil.copy(PRESET, Path(folder) / "robot.yaml"))
         nominal, parts = model_file.read_bytes(), []
-        with DemoSession(model_file) as session:
+        with DemoNodes(model_file) as session:
             session.load(BAG)
             diagnosis = json.loads(session.diagnose(0.25, quiet).json)
             for fold in range(FOLDS):

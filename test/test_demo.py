@@ -91,7 +91,7 @@ def test_without_the_recordings_the_demo_says_what_is_missing(capsys):
 
 
 def test_without_ros_the_demo_says_so(capsys, monkeypatch):
-    monkeypatch.setitem(sys.modules, "parallel_cal.nodes.demo_session", None)
+    monkeypatch.setitem(sys.modules, "parallel_cal.nodes.demo_nodes", None)
     assert demo.main() == 1
     assert "ROS 2 is missing" in capsys.readouterr().err
 

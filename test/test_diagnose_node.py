@@ -29,7 +29,7 @@ from parallel_cal.model.file.modelfile import model_hash, read_model
 from parallel_cal.model.shelf import load_effect
 from parallel_cal.nodes.client import Client, Process, own_domain
 from parallel_cal.nodes.demo import kept_apart
-from parallel_cal.nodes.demo_session import DemoSession
+from parallel_cal.nodes.demo_nodes import DemoNodes
 from parallel_cal.recordings.bag import list_topics
 from parallel_cal.recordings.loading import load_dataset
 
@@ -66,7 +66,7 @@ def environment():
 def started(name, folder):
     """Both nodes on a copy of the model that a user of this recording starts from."""
     model_file = Path(shutil.copy(REPOSITORY / truth(name)["baseline"], folder / "robot.yaml"))
-    return DemoSession(model_file), model_file
+    return DemoNodes(model_file), model_file
 
 
 def found(effects, expected):

@@ -1,4 +1,4 @@
-"""What the command line is given and gives back for the direct and inverse problem."""
+"""What is given and given back for the direct and inverse problem, in words and numbers."""
 
 from __future__ import annotations
 
@@ -15,16 +15,20 @@ from parallel_cal.model.model import Model
 
 
 def parse_conditions(model: Model, items: Iterable[str]) -> dict[str, float]:
-    """`temperature=25`, `direction.joint1=-1`; `direction=1` is for all joints (ModelError)."""
-    at: dict[str, float] = {}
+    """`temperature=25`, `direction.joint1=-1` as conditions (ModelError)."""
+    given = []
     for item in items:
         name, _, text = item.partition("=")
         try:
-            value = float(text)
+            given.append((name, float(text)))
         except ValueError:
             raise ModelError(f"condition '{item}': expected NAME=NUMBER") from None
-        at.update(dict.fromkeys(_columns(model, name), value))
-    return at
+    return named_conditions(model, given)
+
+
+def named_conditions(model: Model, given: Iterable[tuple[str, float]]) -> dict[str, float]:
+    """Conditions by name; `direction` is for all joints (ModelError for a name not known)."""
+    return {column: value for name, value in given for column in _columns(model, name)}
 
 
 def _columns(model: Model, name: str) -> list[str]:

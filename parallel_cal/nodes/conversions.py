@@ -13,7 +13,7 @@ from parallel_cal_msgs.msg import Condition, Solution
 
 from parallel_cal.base.errors import SolveError
 from parallel_cal.base.rotation import quaternion_to_matrix
-from parallel_cal.kinematics.answers import parse_conditions
+from parallel_cal.kinematics.answers import named_conditions
 from parallel_cal.kinematics.kinematics import Solutions, Status
 from parallel_cal.model.model import Model
 
@@ -89,8 +89,7 @@ def pose_numbers(pose: Pose) -> tuple[np.ndarray, np.ndarray]:
 
 def conditions_of(model: Model, conditions: Iterable[Condition]) -> dict[str, float] | None:
     """Named conditions of a request; `direction` is for all joints (ModelError when unknown)."""
-    items = [f"{c.name}={c.value!r}" for c in conditions]
-    return parse_conditions(model, items) if items else None
+    return named_conditions(model, ((c.name, c.value) for c in conditions)) or None
 
 
 def pose_message(r: np.ndarray, quaternion: np.ndarray) -> Pose:

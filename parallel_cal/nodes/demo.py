@@ -7,7 +7,7 @@ import shutil
 import signal
 import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,15 +17,13 @@ from parallel_cal.nodes.demo_story import UNITS, Story
 from parallel_cal.reporting import console
 
 if TYPE_CHECKING:
-    from parallel_cal.nodes.demo_session import DemoSession
+    from parallel_cal.nodes.demo_nodes import DemoNodes
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 BAG = REPOSITORY / "bags" / "delta_clean"
 HIDDEN = REPOSITORY / "bags" / "delta_backlash"
 PRESET = REPOSITORY / "config" / "delta_mockup_nominal.yaml"
-APART = (
-    8  # every eighth pose is kept apart: the fit never sees it, the served model is judged by it
-)
+APART = 8  # one pose in so many: the fit never sees it, and the served model is judged by it
 HOLD_OUT = 0.25
 WITHIN_NOISE = 1.5  # a mean over some ten poses scatters by that much
 
@@ -44,8 +42,16 @@ def main(
         if not keep:
             stack.callback(shutil.rmtree, folder, ignore_errors=True)
         try:
-            hidden = None if bag else HIDDEN
-            document = run(Path(bag or BAG), hidden, rate, folder, Story(json, keep), interrupted)
+            begin, hidden = time.monotonic(), None if bag else HIDDEN
+            bag = Path(bag or BAG)
+            model_file, story = _prepared([bag, *filter(None, [hidden])], folder), Story(json, keep)
+            with _nodes(model_file, interrupted) as nodes, story:
+                document = _calibrate(nodes, bag, rate, story) | {"model_file": str(model_file)}
+                story.calibrated(document)
+                if hidden:
+                    document["hidden"] = _find_missing(nodes, hidden, story)
+            document["seconds"] = time.monotonic() - begin
+            story.end(document)
         except (ParallelCalError, KeyboardInterrupt) as error:
             console.error(str(error) or "interrupted; nothing is left running")
             return 1
@@ -66,27 +72,6 @@ def _told_to_end(stack: ExitStack) -> Callable[[], bool]:
     return lambda: bool(asked)
 
 
-def run(
-    bag: Path,
-    hidden: Path | None,
-    rate: float,
-    folder: Path,
-    story: Story,
-    interrupted: Callable[[], bool],
-) -> dict[str, Any]:
-    """The demo's steps; its document. ParallelCalError where one fails, KeyboardInterrupt where
-    it waits and is `interrupted`."""
-    begin, model_file = time.monotonic(), _prepared([bag, *filter(None, [hidden])], folder)
-    with _session(model_file, interrupted) as session, story:
-        document = _calibrate(session, bag, rate, model_file, story)
-        story.calibrated(document)
-        if hidden:
-            document["hidden"] = _find_missing(session, hidden, story)
-    document["seconds"] = time.monotonic() - begin
-    story.end(document)
-    return document
-
-
 def _prepared(bags: Sequence[Path], folder: Path) -> Path:
     """A copy of the nominal model; the demo never changes the repository."""
     for path in (*bags, PRESET):
@@ -98,22 +83,24 @@ def _prepared(bags: Sequence[Path], folder: Path) -> Path:
     return Path(shutil.copy(PRESET, folder / "robot.yaml"))
 
 
-def _session(model_file: Path, interrupted: Callable[[], bool]) -> DemoSession:
+def _nodes(model_file: Path, interrupted: Callable[[], bool]) -> DemoNodes:
     try:
-        from parallel_cal.nodes.demo_session import DemoSession
+        from parallel_cal.nodes.demo_nodes import DemoNodes
     except ImportError as error:
         raise ParallelCalError(
             f"ROS 2 is missing ({error}): run 'make demo', or install the extra 'ros' and msg_defs"
         ) from None
-    return DemoSession(model_file, interrupted)
+    return DemoNodes(model_file, interrupted)
 
 
-def _calibrate(
-    session: DemoSession, bag: Path, rate: float, model_file: Path, story: Story
-) -> dict[str, Any]:
-    old = session.hash_served()
-    status = session.collect(bag, _messages(bag), rate, story.progress)
-    samples, joints = session.samples()
+def _calibrate(nodes: DemoNodes, bag: Path, rate: float, story: Story) -> dict[str, Any]:
+    """Collect a recording, identify on it, and ask the robot's node before and after.
+
+    ParallelCalError where a step fails, KeyboardInterrupt where it waits and is interrupted.
+    """
+    old = nodes.hash_served()
+    status = nodes.collect(bag, _messages(bag), rate, story.progress)
+    samples, joints = nodes.samples()
     if not samples:
         raise ParallelCalError(f"{bag}: no samples: {status.last_event}")
     apart = kept_apart(samples)
@@ -125,36 +112,50 @@ def _calibrate(
         "dropped": status.dropped,
     }
     story.collected(counted)
-    before = session.answers(apart, joints).miss()
+    before = nodes.answers(apart, joints).miss()
     story.missed("before", before)
-    session.remove(apart)
-    result = session.identify(HOLD_OUT, story.progress)
+    nodes.remove(apart)
+    result = nodes.identify(HOLD_OUT, story.progress)
     fit = json_format.loads(result.json)
     story.identified(fit)
-    seconds = session.wait_until_served(result.hash)
-    story.served(model_file, result.hash, seconds)
-    after = session.answers(apart, joints).miss()
+    seconds = nodes.wait_until_served(result.hash)
+    story.served(nodes.model_file, result.hash, seconds)
+    after = nodes.answers(apart, joints).miss()
     story.missed("after", after)
-    return _document(counted, before, after, fit, model_file, old, result.hash)
+    noise = fit["noise_floor"]
+    return {
+        "samples": counted,
+        "kept_apart": {"before": before, "after": after},
+        "improvement": {k: before[f"{k}_mean"] / after[f"{k}_mean"] for k in UNITS},
+        "at_noise": fit["chi2_per_dof"] <= fit["chi2_band"][1]
+        and all(after[f"{k}_mean"] <= WITHIN_NOISE * noise[f"{k}_mean"] for k in UNITS),
+        "held_out": fit["held_out"],
+        "noise_floor": noise,
+        "chi2_per_dof": fit["chi2_per_dof"],
+        "warnings": fit["warnings"],
+        "hash_before": old,
+        "hash": result.hash,
+        "served": after["model_hash"],
+    }
 
 
-def _find_missing(session: DemoSession, bag: Path, story: Story) -> dict[str, Any]:
+def _find_missing(nodes: DemoNodes, bag: Path, story: Story) -> dict[str, Any]:
     """Diagnose another recording of the robot, add what is missing, ask the robot's node again."""
-    session.load(bag)
-    samples, joints = session.samples()
+    nodes.load(bag)
+    samples, joints = nodes.samples()
     apart = kept_apart(samples)
     story.loaded(bag.name, len(samples), len(apart))
-    before = session.answers(apart, joints).miss()
+    before = nodes.answers(apart, joints).miss()
     story.missed("before", before)
-    session.remove(apart)
-    result = session.diagnose(HOLD_OUT, story.progress)
+    nodes.remove(apart)
+    result = nodes.diagnose(HOLD_OUT, story.progress)
     story.diagnosed(result.message)
     effects = json_format.loads(result.json)["effects"]
     if not effects:
         raise ParallelCalError(f"{bag}: the diagnosis names no effect: {result.message}")
-    added = session.add_effect(effects[0])
-    story.added(effects[0], session.wait_until_served(added.hash))
-    after = session.answers(apart, joints).miss()
+    added = nodes.add_effect(effects[0])
+    story.added(effects[0], nodes.wait_until_served(added.hash))
+    after = nodes.answers(apart, joints).miss()
     story.missed("after", after)
     return {
         "recording": bag.name,
@@ -181,30 +182,3 @@ def kept_apart(samples: Sequence[Any]) -> list[Any]:
     pose = {s.id: s.id if s.replicate_of < 0 else s.replicate_of for s in samples}
     chosen = set(list(dict.fromkeys(pose.values()))[APART // 2 :: APART])
     return [s for s in samples if pose[s.id] in chosen]
-
-
-def _document(
-    counted: Mapping[str, int],
-    before: Mapping[str, Any],
-    after: Mapping[str, Any],
-    fit: Mapping[str, Any],
-    model_file: Path,
-    old: str,
-    new: str,
-) -> dict[str, Any]:
-    noise = fit["noise_floor"]
-    return {
-        "samples": dict(counted),
-        "kept_apart": {"before": dict(before), "after": dict(after)},
-        "improvement": {k: before[f"{k}_mean"] / after[f"{k}_mean"] for k in UNITS},
-        "at_noise": fit["chi2_per_dof"] <= fit["chi2_band"][1]
-        and all(after[f"{k}_mean"] <= WITHIN_NOISE * noise[f"{k}_mean"] for k in UNITS),
-        "held_out": fit["held_out"],
-        "noise_floor": noise,
-        "chi2_per_dof": fit["chi2_per_dof"],
-        "warnings": fit["warnings"],
-        "model_file": str(model_file),
-        "hash_before": old,
-        "hash": new,
-        "served": after["model_hash"],
-    }

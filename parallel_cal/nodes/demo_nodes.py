@@ -49,18 +49,18 @@ class Answers:
         return {**means, "model_hash": self.model_hash}
 
 
-class DemoSession:
+class DemoNodes:
     """kinematics_node and calibration_node on one model file; a context that ends them all."""
 
     def __init__(self, model_file: Path, interrupted: Callable[[], bool] = lambda: False):
-        self._model_file, self._interrupted = model_file, interrupted
+        self.model_file, self._interrupted = model_file, interrupted
         self._processes: list[Process] = []
 
-    def __enter__(self) -> DemoSession:
+    def __enter__(self) -> DemoNodes:
         self._namespace = own_domain()
         with ExitStack() as self._open:  # whatever fails or is interrupted here, all is ended
-            self._start("kinematics_node", model_file=str(self._model_file))
-            self._start("calibration_node", model_file=str(self._model_file))
+            self._start("kinematics_node", model_file=str(self.model_file))
+            self._start("calibration_node", model_file=str(self.model_file))
             self._client = Client("demo", self._namespace, self._processes, self._interrupted)
             self._open.callback(self._client.close)
             status = "calibration_node/collection_status"
@@ -73,7 +73,7 @@ class DemoSession:
         self._open.close()
 
     def _start(self, node: str, **parameters: Any) -> Process:
-        process = Process(node, self._model_file.parent, self._namespace, **parameters)
+        process = Process(node, self.model_file.parent, self._namespace, **parameters)
         self._processes.append(process)
         self._open.callback(process.end)
         return process
