@@ -15,7 +15,7 @@ from parallel_cal.model.effect import CONDITIONS
 from parallel_cal.model.file.modelfile import dump_model, parse_model
 from parallel_cal.model.mechanism import poses_in_workspace
 from parallel_cal.model.model import new_model
-from parallel_cal.model.shelf import load_effect, load_mechanism, shelf_names
+from parallel_cal.model.shelf import load_effect, load_mechanism, load_sensor, shelf_names
 
 EFFECTS = shelf_names("effects")
 MECHANISMS = (
@@ -23,6 +23,7 @@ MECHANISMS = (
     *("scara16", "cable", "linear_delta", "slider_crank"),
 )
 SAMPLES = 12
+PROBE = load_sensor("probe", height=0.2, tip=(0.01, 0.02, 0.0), mounted=True)
 # What a session may bring, around the value that means "nothing special".
 SPREAD = {"time": 3000.0, "temperature": 8.0, "payload": 2.0, "velocity": 0.5, "travel": 0.1}
 
@@ -36,6 +37,11 @@ PAIRS = [(m, e) for m in MECHANISMS for e in accepted(load_mechanism(m))]
 REFUSED = [(m, e) for m in MECHANISMS for e in EFFECTS if (m, e) not in PAIRS]
 each_effect = pytest.mark.parametrize("name", EFFECTS)
 each_pair = pytest.mark.parametrize(("mechanism", "name"), PAIRS)
+
+
+def without(mechanism, name):
+    """The model before the effect, with a sensor where the effect is on what one reads."""
+    return new_model(mechanism, sensors=[PROBE] if load_effect(name).reads else [])
 
 
 def configurations(mechanism, rng):
@@ -65,9 +71,9 @@ def circumstances(conditions, rng):
 
 
 def evaluated(model, x, a, values=None):
-    """phi and d phi / dv at each row."""
+    """Rows (closure, then readings) and d rows / dv at each configuration."""
     values = model.values if values is None else values
-    found = [model.structure.closure(*row, values) for row in zip(x, a, strict=True)]
+    found = [model.structure.rows_function(*row, values) for row in zip(x, a, strict=True)]
     return np.array([ca.DM(f[0]) for f in found]), np.array([ca.DM(f[2]) for f in found])
 
 
@@ -79,7 +85,7 @@ def own(model, name):
 
 @each_pair
 def test_an_effect_that_was_only_added_changes_nothing(mechanism, name):
-    plain = new_model(mechanism)
+    plain = without(mechanism, name)
     model, rng = plain.with_effect(name), np.random.default_rng(1)
     if model.mechanism is not plain.mechanism:  # a larger model in its stead: the same poses
         q = np.array(plain.mechanism.home.joints) + rng.uniform(-0.05, 0.05, (5, 3))
@@ -87,14 +93,14 @@ def test_an_effect_that_was_only_added_changes_nothing(mechanism, name):
         np.testing.assert_allclose(one, other, atol=1e-12)
         return
     x = configurations(plain.mechanism, rng)
-    without, _ = evaluated(plain, x, np.zeros((SAMPLES, 0)))
-    within, _ = evaluated(model, x, circumstances(model.conditions, rng))
-    np.testing.assert_array_equal(within, without)
+    before, _ = evaluated(plain, x, np.zeros((SAMPLES, 0)))
+    after, _ = evaluated(model, x, circumstances(model.conditions, rng))
+    np.testing.assert_array_equal(after, before)
 
 
 @each_pair
 def test_every_free_number_is_felt(mechanism, name):
-    model, rng = new_model(mechanism).with_effect(name), np.random.default_rng(2)
+    model, rng = without(mechanism, name).with_effect(name), np.random.default_rng(2)
     grown = model.mechanism.name != mechanism  # what was added are the larger model's own numbers
     free = ~model.fixed if grown else own(model, name)
     assert free.any()
@@ -116,9 +122,16 @@ def test_where_an_effect_makes_no_sense_it_is_refused_with_the_reason(mechanism,
     assert str(refusal.value).endswith(reason)
 
 
+@pytest.mark.parametrize("name", [n for n in EFFECTS if load_effect(n).reads])
+def test_an_effect_on_readings_needs_a_sensor_that_takes_them(name):
+    with pytest.raises(ModelError, match="no sensor reads probe") as refusal:
+        new_model("stewart42").with_effect(name)
+    assert str(refusal.value).startswith(f"'{name}' makes no sense for stewart42: ")
+
+
 @each_pair
 def test_a_model_file_keeps_an_effect_with_its_numbers(mechanism, name):
-    model = new_model(mechanism).with_effect(name)
+    model = without(mechanism, name).with_effect(name)
     free = own(model, name)
     model = model.with_values(model.values + np.where(free, 0.5 * model.table.tolerance, 0))
     again = parse_model(dump_model(model), "file")
@@ -130,7 +143,7 @@ def test_a_model_file_keeps_an_effect_with_its_numbers(mechanism, name):
 
 @each_pair
 def test_numbers_have_a_physical_range_around_no_effect(mechanism, name):
-    model = new_model(mechanism).with_effect(name)
+    model = without(mechanism, name).with_effect(name)
     for parameter in load_effect(name).table(model.mechanism):
         assert parameter.tolerance > 0, parameter.name
         assert parameter.low <= parameter.nominal <= parameter.high, parameter.name
@@ -139,8 +152,10 @@ def test_numbers_have_a_physical_range_around_no_effect(mechanism, name):
 
 @each_pair
 def test_a_search_tries_only_numbers_that_are_not_identified(mechanism, name):
-    model = new_model(mechanism)
-    settings = list(load_effect(name).scan(model.mechanism))
+    model, rng = without(mechanism, name), np.random.default_rng(4)
+    q = configurations(model.mechanism, rng)[:, : len(model.joints)]
+    recorded = {"time": 10.0 * np.arange(SAMPLES), **dict(zip(model.joints, q.T, strict=True))}
+    settings = list(load_effect(name).scan(model.mechanism, recorded))
     assert settings
     for setting in (settings[0], settings[-1]):
         set_so = model.with_effect(name, setting)
@@ -164,7 +179,7 @@ def test_an_effect_says_what_it_is_where_it_comes_from_and_what_it_resembles(nam
 
 def with_all(mechanism):
     """A model with every effect that suits, each number off by half its tolerance."""
-    model = new_model(mechanism)
+    model = new_model(mechanism, sensors=[PROBE])
     for name in EFFECTS:
         if not load_effect(name).applies(model.mechanism):
             model = model.with_effect(name)

@@ -138,14 +138,83 @@ def test_an_eccentric_encoder_and_play_in_a_sliding_joint_by_hand():
     np.testing.assert_allclose(q, [0.1, 0.1, 0.05 - 20e-6], atol=1e-15)
 
 
+def test_a_ring_on_three_screws_at_20_degrees_misreads_as_at_60():
+    numbers = {"order": 3.0, "joint1.sin": 2e-4, "joint2.cos": 1e-4}
+    q, _, _ = sees("encoder_harmonic", "delta24", numbers, {}, [np.pi / 9, np.pi / 9, 0.5])
+    expected = [np.pi / 9 + 2e-4 * 0.8660254037844386, np.pi / 9 + 0.5e-4, 0.5]
+    np.testing.assert_allclose(q, expected, atol=1e-15)
+
+
+def test_a_joint_is_dragged_by_what_each_of_its_neighbours_reads():
+    numbers = {"joint1.by_joint2": 1e-3, "joint1.by_joint3": -2e-3, "joint3.by_joint2": 5e-4}
+    q, _, _ = sees("encoder_crosstalk", "delta24", numbers, {}, [0.4, 0.2, 0.1])
+    # 0.2 and 0.2 mrad cancel; joint 2 stays as it is read
+    np.testing.assert_allclose(q, [0.4, 0.2, 0.1 + 1e-4], atol=1e-16)
+
+
+def test_of_six_legs_in_a_ring_each_is_dragged_by_two_and_of_two_joints_by_the_other():
+    def dragged(mechanism):
+        effect = load_effect("encoder_crosstalk")
+        return [p.name for p in effect.parameters(load_mechanism(mechanism))]
+
+    assert len(dragged("stewart42")) == 12
+    assert dragged("stewart42")[:2] == ["leg1.by_leg6", "leg1.by_leg2"]
+    assert load_effect("encoder_crosstalk").applies(load_mechanism("slider_crank")) != ""
+
+
+def test_a_screw_of_4_mm_lead_is_back_after_4_mm_and_its_pitch_grows():
+    numbers = {"lead": 4e-3, "leg1.sin": 8e-6, "leg2.cos": 5e-6, "leg3.bend": 1e-3}
+    stroke = [0.041, 0.042, 0.1, 0.04, 0.04, 0.04]  # 10 leads and a quarter, and a half
+    q, _, _ = sees("screw_pitch_error", "stewart42", numbers, {}, stroke)
+    expected = [0.041 + 8e-6, 0.042 - 5e-6, 0.1 + 1e-5, 0.04, 0.04, 0.04]
+    np.testing.assert_allclose(q, expected, atol=1e-15)
+
+
+@pytest.mark.parametrize(("time", "after"), [(99.0, 0), (100.0, 1), (5000.0, 1)])
+def test_a_knock_is_undone_from_its_moment_on(time, after):
+    numbers = {"time": 100.0, "v_x": 1e-4, "v_z": -2e-4, "w_z": 1e-3}
+    _, r, R = sees("device_bump", "stewart42", numbers, {"time": time})
+    slid = np.array([0.1 - 1e-4, -0.2, 0.3 + 2e-4])
+    there = [slid[0] + 1e-3 * slid[1], slid[1] - 1e-3 * slid[0], slid[2]]
+    np.testing.assert_allclose(r, there if after else [0.1, -0.2, 0.3], atol=2e-7)
+    np.testing.assert_allclose(R[0, 1], 1e-3 * after, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("number", "expected"),
+    [
+        # Home of the Delta is 0.3 m high: r is 0.1, -0.2 and 0 m from there.
+        ("x_xx", [0.1 + 1e-5, -0.2, 0.3]),
+        ("z_xy", [0.1, -0.2, 0.3 - 2e-5]),
+        ("y_yy", [0.1, -0.2 + 4e-5, 0.3]),
+        ("x_zz", [0.1, -0.2, 0.3]),
+    ],
+)
+def test_a_bent_axis_leads_aside_by_the_square_of_the_way_from_home(number, expected):
+    home = load_mechanism("stewart42").home.position
+    _, r, R = sees("device_field", "stewart42", {number: 1e-3}, {}, r=np.add(home, [0.1, -0.2, 0]))
+    np.testing.assert_allclose(r - home, np.array(expected) - [0, 0, 0.3], atol=1e-15)
+    np.testing.assert_array_equal(R, np.eye(3))
+
+
+def test_a_base_sinks_on_the_side_that_the_weight_hangs_on():
+    _, r, R = sees("base_compliance", "stewart42", {"lean_y": 1e-3}, {}, r=(0.1, 0.0, 0.3))
+    # 0.1 m aside: 0.1 mrad about y, which lowers +x; undone, it is higher by 10 um
+    np.testing.assert_allclose(r, [0.1 - 3e-5, 0.0, 0.3 + 1e-5], atol=2e-8)
+    np.testing.assert_allclose(R @ [1, 0, 0], [1, 0, 1e-4], atol=4e-8)
+    _, r, _ = sees("base_compliance", "stewart42", {"lean_x": 1e-3}, {}, r=(0.0, 0.1, 0.3))
+    np.testing.assert_allclose(r, [0.0, 0.1 - 3e-5, 0.3 + 1e-5], atol=2e-8)
+
+
 # --------------------------------------------------------------------------- where they apply
 
 
 def test_what_comes_round_once_a_turn_is_only_asked_of_joints_that_turn():
     scara, hexapod = load_mechanism("scara16"), load_mechanism("stewart42")
-    for name in ("encoder_eccentricity", "encoder_second_harmonic", "gear_transmission_error"):
+    once_a_turn = ("encoder_eccentricity", "encoder_second_harmonic", "encoder_harmonic")
+    for name in (*once_a_turn, "gear_transmission_error"):
         effect = load_effect(name)
-        joints = {p.name.split(".")[0] for p in effect.parameters(scara)} - {"ratio"}
+        joints = {p.name.split(".")[0] for p in effect.parameters(scara)} - {"ratio", "order"}
         assert joints == {"joint1", "joint2"}
         assert effect.applies(scara) == ""
         assert effect.applies(hexapod) == "no joint turns"
@@ -162,6 +231,9 @@ def test_what_comes_round_once_a_turn_is_only_asked_of_joints_that_turn():
         ("base_drift", "argos9", "w_x w_y w_z"),
         ("base_drift", "slider_crank", "v_x"),
         ("base_drift", "cable", "v_x v_y v_z w_x w_y w_z"),
+        ("device_bump", "planar_stewart", "time v_x v_y w_z"),
+        ("device_field", "planar_stewart", "x_xx x_xy x_yy y_xx y_xy y_yy"),
+        ("base_compliance", "delta24", "lean_x lean_y"),
     ],
 )
 def test_device_and_base_have_the_numbers_that_the_platform_can_feel(effect, mechanism, names):
@@ -174,6 +246,10 @@ def test_device_and_base_have_the_numbers_that_the_platform_can_feel(effect, mec
     [
         ("device_axes", "argos9", "fewer than two axes"),
         ("device_axes", "slider_crank", "fewer than two axes"),
+        ("device_field", "slider_crank", "fewer than two axes"),
+        ("base_compliance", "planar_stewart", "does not move across gravity"),
+        ("base_compliance", "argos9", "does not move across gravity"),
+        ("screw_pitch_error", "delta54", "no joint slides"),
         ("target_offset", "delta24", "does not turn"),
         ("target_offset", "argos9", "only turns"),
     ],
@@ -251,6 +327,25 @@ AXES = {
     **{"scale_x": 2e-4, "scale_y": -1.5e-4},
     **{"square_xy": 1e-4, "square_xz": -2e-4, "square_yz": 1.2e-4},
 }
+LOBES = (3e-4, -2e-4, 4e-4)
+BESIDE = np.roll(np.eye(6), 1, axis=0) + np.roll(np.eye(6), -1, axis=0)
+DRAG = BESIDE * np.random.default_rng(6).uniform(-1e-3, 1e-3, (6, 6))
+WOBBLE, ANGLE = (12e-6, -8e-6, 10e-6, 15e-6, -9e-6, 11e-6), (0.3, 1.2, -0.7, 2.0, -1.5, 0.9)
+GROWING = (3e-3, -2e-3, 4e-3, 1e-3, -3e-3, 2e-3)
+PUSH, TWIST = (80e-6, -50e-6, 60e-6), (2e-4, -3e-4, 1e-4)
+BEND = np.random.default_rng(5).uniform(-1.2e-3, 1.2e-3, (3, 3, 3))
+BENT = ve.BentSpace(tuple(BEND + BEND.transpose(0, 2, 1)), (0.0, 0.0, 0.3))
+FIELD = {
+    f"{i}_{j}{k}": BENT.bend[a][b][c] * (1 if b == c else 2)
+    for a, i in enumerate("xyz")
+    for b, j in enumerate("xyz")
+    for c, k in enumerate("xyz")
+    if b <= c
+}
+KNOCKED = {
+    **{f"v_{a}": v for a, v in zip("xyz", PUSH, strict=True)},
+    **{f"w_{a}": v for a, v in zip("xyz", TWIST, strict=True)},
+}
 DRIFT = {
     **{f"v_{a}": v for a, v in zip("xyz", SLIDE, strict=True)},
     **{f"w_{a}": v for a, v in zip("xyz", SPIN, strict=True)},
@@ -291,6 +386,41 @@ CASES = [
     Case(HEXAPOD, "zero_shift", ve.HomedAnew(SIX), a_joint(HEXAPOD, "since1", SIX)),
     Case(DELTA, "base_drift", ve.CreepingStand(SLIDE, SPIN), DRIFT),
     Case(HEXAPOD, "base_drift", ve.CreepingStand(SLIDE, SPIN), DRIFT),
+    Case(
+        DELTA, "encoder_harmonic", ve.LobedRing(5, LOBES, AT),
+        a_joint(DELTA, "sin", np.array(LOBES) * np.sin(5 * np.array(AT)))
+        | a_joint(DELTA, "cos", np.array(LOBES) * np.cos(5 * np.array(AT))),
+        {"order": 5.0},
+    ),
+    Case(
+        HEXAPOD, "encoder_crosstalk", ve.DraggedNeighbours(tuple(map(tuple, DRAG))),
+        {
+            f"leg{i + 1}.by_leg{j + 1}": float(DRAG[i, j])
+            for i, j in zip(*np.nonzero(DRAG), strict=True)
+        },
+    ),
+    Case(
+        HEXAPOD, "screw_pitch_error", ve.UnevenScrew(5e-3, WOBBLE, ANGLE, GROWING),
+        a_joint(HEXAPOD, "sin", np.array(WOBBLE) * np.cos(ANGLE))
+        | a_joint(HEXAPOD, "cos", np.array(WOBBLE) * np.sin(ANGLE))
+        | a_joint(HEXAPOD, "bend", GROWING),
+        {"lead": 5e-3},
+    ),
+    *[
+        Case(
+            robot, "device_bump", ve.Knock(1500.0, PUSH, TWIST),
+            KNOCKED, {"time": 1500.0},
+        )
+        for robot in (DELTA, HEXAPOD)
+    ],
+    Case(HEXAPOD, "device_field", BENT, FIELD),
+    *[
+        Case(
+            robot, "base_compliance", ve.LeaningBase((1e-3, 1.5e-3)),
+            {"lean_x": 1e-3, "lean_y": 1.5e-3},
+        )
+        for robot in (DELTA, HEXAPOD)
+    ],
     Case(HEXAPOD, "device_axes", CROOKED, AXES),
     Case(
         HEXAPOD, "target_offset", ve.MisplacedTarget((1e-3, -2e-3, 1.5e-3)),
@@ -348,7 +478,7 @@ def test_a_gear_of_unknown_ratio_is_found_by_scanning_and_then_refined():
     name, true = "gear_transmission_error", 47.3
     data = measured(DELTA, [ve.GearRipple(true, RIPPLE, PHASE)], n=150)
     start = fit(new_model("delta54"), data, hold_out=0).model
-    observations, scan = observe(start, data), list(load_effect(name).scan(start.mechanism))
+    observations, scan = observe(start, data), list(load_effect(name).scan(start.mechanism, {}))
     tried = [start.with_effect(name, setting) for setting in scan]
     amplitudes = tried[0].table.matching([f"{name}.joint*"])
     best = min(tried, key=lambda model: estimate(model, observations, amplitudes).chi2)
@@ -380,7 +510,7 @@ def test_a_third_session_needs_its_own_shift_freed():
 def test_a_ratio_between_two_of_a_scan_keeps_nine_tenths_of_its_ripple():
     """A sine of the unknown frequency, fitted by sines of the frequency that was tried."""
     m = load_mechanism("delta54")
-    one, other = [s["ratio"] for s in load_effect("gear_transmission_error").scan(m)][30:32]
+    one, other = [s["ratio"] for s in load_effect("gear_transmission_error").scan(m, {})][30:32]
     low, high = m.joint_limits[0]
     q = np.linspace(low, high, 2000)
     ripple = np.sin((one + other) / 2 * q)

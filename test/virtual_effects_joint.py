@@ -59,6 +59,42 @@ class WrongPitch(Effect):
 
 
 @dataclass(frozen=True)
+class LobedRing(Effect):
+    """An encoder ring pulled out of round by its screws: the reading waves `lobes` times a turn."""
+
+    lobes: int
+    size: tuple[float, ...]
+    phase: tuple[float, ...]
+
+    def arm(self, reading: Array, robot: Any, at: At) -> Array:
+        return reading + np.array(self.size) * np.cos(self.lobes * (reading - np.array(self.phase)))
+
+
+@dataclass(frozen=True)
+class DraggedNeighbours(Effect):
+    """Shafts led through one another: `drag[i][j]` of what joint j has turned is added to i."""
+
+    drag: tuple[tuple[float, ...], ...]
+
+    def arm(self, reading: Array, robot: Any, at: At) -> Array:
+        return reading + reading @ np.array(self.drag).T
+
+
+@dataclass(frozen=True)
+class UnevenScrew(Effect):
+    """Screws that wobble once per lead (m), whose pitch grows along them by 2 `bend` a metre."""
+
+    lead: float
+    size: tuple[float, ...]
+    phase: tuple[float, ...]
+    bend: tuple[float, ...]
+
+    def arm(self, reading: Array, robot: Any, at: At) -> Array:
+        turned = 2 * np.pi * reading / self.lead + np.array(self.phase)
+        return reading + np.array(self.size) * np.sin(turned) + np.array(self.bend) * reading**2
+
+
+@dataclass(frozen=True)
 class GearRipple(Effect):
     """A gear whose output runs ahead and behind once, and a third as much twice, an input turn."""
 
@@ -129,6 +165,53 @@ class CrookedAxes(Effect):
     def device(self, r: Array, R: Array, at: At) -> tuple[Array, Array]:
         axes = np.column_stack([self.x, self.y, self.z])
         return apply(np.linalg.inv(axes), r), R
+
+
+@dataclass(frozen=True)
+class Knock(Effect):
+    """Somebody runs into the tripod at `time`: what it shows has since been turned and shifted."""
+
+    time: float
+    shift: tuple[float, float, float]
+    spin: tuple[float, float, float]
+
+    def device(self, r: Array, R: Array, at: At) -> tuple[Array, Array]:
+        after = (at.time > self.time)[:, None]
+        turned = turn(after * np.array(self.spin))
+        return apply(turned, r) + after * np.array(self.shift), turned @ R
+
+
+@dataclass(frozen=True)
+class BentSpace(Effect):
+    """Light that curves and slides that are not straight, about `centre`.
+
+    Where the device shows s from there, the point is at s + bend_i . s s, a form (1/m) each axis.
+    """
+
+    bend: tuple[tuple[tuple[float, ...], ...], ...]
+    centre: tuple[float, float, float]
+
+    def device(self, r: Array, R: Array, at: At) -> tuple[Array, Array]:
+        true = r - np.array(self.centre)
+        shown = true
+        for _ in range(6):  # the bend is of what is shown, and that is what is asked for
+            shown = true - np.einsum("ijk,...j,...k->...i", np.array(self.bend), shown, shown)
+        return shown + np.array(self.centre), R
+
+
+@dataclass(frozen=True)
+class LeaningBase(Effect):
+    """A base that tips towards the side on which the robot holds its weight, rad per metre aside.
+
+    `lean` about x and about y: a weight at +x lowers that side, one at +y the other.
+    """
+
+    lean: tuple[float, float]
+
+    def device(self, r: Array, R: Array, at: At) -> tuple[Array, Array]:
+        about_x, about_y = self.lean
+        tipped = np.stack([-about_x * r[..., 1], about_y * r[..., 0], 0 * r[..., 0]], -1)
+        return apply(turn(tipped), r), turn(tipped) @ R
 
 
 @dataclass(frozen=True)

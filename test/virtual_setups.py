@@ -125,3 +125,29 @@ def angles(R):
     )
     assert np.abs(gimbal(found) - R).max() < 1e-12
     return found
+
+
+@dataclass(frozen=True)
+class Gauge:
+    """A length gauge on the platform: how far its stem goes from `tip` until it meets the plate.
+
+    The plate's height over (x, y) is `height` and a polynomial, {(i, j): coefficient of x^i y^j};
+    `slant` turns the stem from the platform's z by so much about x and y.
+    """
+
+    height: float
+    tip: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    slant: tuple[float, float] = (0.0, 0.0)
+    shape: tuple[tuple[int, int, float], ...] = ()
+
+    def surface(self, x, y):
+        return self.height + sum(c * x**i * y**j for i, j, c in self.shape)
+
+    def reads(self, r, R):
+        start = r + vr.apply(R, np.array(self.tip))
+        stem = R @ vr.turn([*self.slant, 0.0]) @ [0.0, 0.0, 1.0]
+        length = np.zeros(len(r))
+        for _ in range(20):  # a plate is nearly flat: the next guess is a thousand times better
+            at = start - length[:, None] * stem
+            length += (at[:, 2] - self.surface(at[:, 0], at[:, 1])) / stem[:, 2]
+        return length

@@ -102,13 +102,14 @@ def candidate(scene: Scene, name: str) -> Candidate:
     if plain.mechanism is not scene.model.mechanism:
         return _wider(scene, name, effect, plain)
     a = conditions(plain, scene.dataset)
-    settings = list(effect.scan(scene.model.mechanism))
+    settings = list(effect.scan(scene.model.mechanism, recorded(scene.dataset)))
     scores = [score_of(scene, plain, setting, a) for setting in settings]
     best = int(np.argmin([s.log_p for s in scores]))
     setting, highest = settings[best], scores[best]
-    if len(settings) > 1 and len(setting) == 1 and highest.log_p < WORTH_REFINING:
-        near = settings[max(best - 1, 0) : best + 2]
-        setting, highest = _refined(scene, plain, near, a)
+    worth = effect.refines and highest.log_p < WORTH_REFINING
+    if worth and len(settings) > 1 and len(setting) == 1:
+        refined = _refined(scene, plain, settings[max(best - 1, 0) : best + 2], a)
+        setting, highest = min((setting, highest), refined, key=lambda pair: pair[1].log_p)
     return Candidate(name, effect, setting, highest, scene, len(settings), (), _unseen(highest))
 
 
@@ -156,6 +157,11 @@ def not_recorded(model: Model, dataset: Dataset) -> tuple[str, ...]:
     """Conditions, without their joints, that a model needs and the data lack."""
     lacking = (c for c in model.conditions if c not in dataset.conditions)
     return tuple(dict.fromkeys(c.split(".")[0] for c in lacking))
+
+
+def recorded(dataset: Dataset) -> dict[str, np.ndarray]:
+    """Conditions and joint readings by name, (N,) each."""
+    return {**dataset.conditions, **dict(zip(dataset.joint_names, dataset.q.T, strict=True))}
 
 
 def _wider(scene: Scene, name: str, effect: Effect, wide: Model) -> Candidate:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
-from typing import Any
+from typing import Any, ClassVar
 
 import casadi as ca
 
-from parallel_cal.model.effect import Seen
+from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
+from parallel_cal.model.parameters import Named, Parameter
 
 WAVE = {"sin": "sine part", "cos": "cosine part"}  # of an error that comes round: its labels
 
@@ -33,3 +34,30 @@ def shifted(
         for i, joint in enumerate(mechanism.joints)
     ]
     return seen.with_q(ca.vertcat(*rows))
+
+
+class Harmonic(Effect):
+    """q_ideal = q + sin * sin(k q) + cos * cos(k q) for every joint that turns, k its `order`."""
+
+    separated_by = "poses that use the whole travel of every joint"
+    order: ClassVar[int]
+    tolerance: ClassVar[float]  # rad; no real encoder misreads by ten of it
+
+    def parameters(self, mechanism: Mechanism) -> list[Parameter]:
+        size, most = self.tolerance, 10 * self.tolerance
+        return [
+            Parameter(f"{joint}.{part}", "rad", 0.0, size, low=-most, high=most, label=label)
+            for joint in turning(mechanism)
+            for part, label in WAVE.items()
+        ]
+
+    def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
+        k = e.get("order", self.order)
+
+        def error(joint: str, q: Any) -> Any:
+            return e[joint].sin * ca.sin(k * q) + e[joint].cos * ca.cos(k * q)
+
+        return shifted(seen, mechanism, turning(mechanism), error)
+
+    def applies(self, mechanism: Mechanism) -> str:
+        return needs_turning(mechanism)

@@ -61,7 +61,9 @@ class GearTransmissionError(Effect):
     def applies(self, mechanism: Mechanism) -> str:
         return needs_turning(mechanism)
 
-    def scan(self, mechanism: Mechanism) -> Iterator[Mapping[str, float]]:
+    def scan(
+        self, mechanism: Mechanism, recorded: Mapping[str, Any]
+    ) -> Iterator[Mapping[str, float]]:
         """Ratios pi / travel apart: a sine over the travel T has a peak 2 pi / T to each side.
 
         The travel is the longest that joint limits allow, one turn where they allow any.

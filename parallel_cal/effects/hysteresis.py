@@ -40,7 +40,9 @@ class Hysteresis(Effect):
 
         return shifted(seen, mechanism, mechanism.joints, error)
 
-    def scan(self, mechanism: Mechanism) -> Iterator[Mapping[str, float]]:
+    def scan(
+        self, mechanism: Mechanism, recorded: Mapping[str, Any]
+    ) -> Iterator[Mapping[str, float]]:
         """Widths in steps of a factor 3: nearer ones cannot be told apart by their shape."""
         joints = list(zip(mechanism.joints, mechanism.joint_units, strict=True))
         for factor in (1, 1 / 3, 1 / 9):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
 from math import isfinite
 from typing import Any, ClassVar
 
@@ -48,9 +49,11 @@ class Effect(ABC):
     """One physical effect; subclass it in a file of its own, whose name is its name."""
 
     needs: ClassVar[tuple[str, ...]] = ()
+    reads: ClassVar[tuple[str, ...]] = ()  # patterns of sensors' channels that it acts on
     fixed: ClassVar[tuple[str, ...]] = ()  # patterns of its numbers that are given, not identified
     of_device: ClassVar[bool] = False  # an error of the measurement, which the robot must not learn
     widens: ClassVar[bool] = False  # what it adds is the mechanism's next larger model
+    refines: ClassVar[bool] = True  # between two settings of a scan there are others
     physics: ClassVar[str]
     source: ClassVar[str]
     lookalikes: ClassVar[tuple[str, ...]] = ()
@@ -64,12 +67,28 @@ class Effect(ABC):
     def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
         """What the ideal mechanism sees; `e` its numbers, `at` the sample's conditions."""
 
+    def at_sensor(self, r: Any, R: Any, s: Named, e: Named) -> tuple[Any, Any]:
+        """The pose of {P} in {B} at which an ideal sensor would show what this one shows.
+
+        `s` are the sensor's numbers, `e` its own; of the channels in `reads` only.
+        """
+        return r, R
+
+    def acts_on(self, channel: str) -> bool:
+        """Whether it changes what a channel of a sensor reads."""
+        return any(fnmatchcase(channel, pattern) for pattern in self.reads)
+
     def applies(self, mechanism: Mechanism) -> str:
         """Empty where it makes sense, else why it does not (`no joint turns`)."""
         return ""
 
-    def scan(self, mechanism: Mechanism) -> Iterable[Mapping[str, float]]:
-        """Settings of its fixed numbers that a search tries where nobody knows them."""
+    def scan(
+        self, mechanism: Mechanism, recorded: Mapping[str, Any]
+    ) -> Iterable[Mapping[str, float]]:
+        """Settings of its fixed numbers that a search tries where nobody knows them.
+
+        `recorded` are the samples' conditions and joint readings by name, (N,) each.
+        """
         return ({},)
 
     @property

@@ -89,10 +89,15 @@ class Model:
         if any(effect.name == name for effect in self.effects):
             raise ModelError(f"the model already has the effect '{name}'")
         effect = load_effect(name)
-        if reason := effect.applies(self.mechanism):
+        if reason := effect.applies(self.mechanism) or self._unread(effect):
             raise ModelError(f"'{name}' makes no sense for {self.mechanism.name}: {reason}")
         more = self.widened() if effect.widens else self.with_effects((*self.effects, effect))
         return more.with_settings(name, settings or {})
+
+    def _unread(self, effect: Effect) -> str:
+        """Why an effect on a sensor's readings has none to act on; empty where it has."""
+        lacking = effect.reads and not any(map(effect.acts_on, self.structure.channels))
+        return f"no sensor reads {' or '.join(effect.reads)}" if lacking else ""
 
     def with_settings(self, effect: str, settings: Mapping[str, float]) -> Model:
         """The model with some numbers of an effect, by short name, held at these values."""

@@ -186,9 +186,20 @@ class Structure:
         then what every channel shows there."""
         r, R = self.placed
         numbers = Named(self.table.names, self.v)
-        readings = [s.readings(r, R, numbers[s.name]) for s in self._with_numbers]
+        readings = [self._readings(s, r, R, numbers) for s in self._with_numbers]
         phi = ca.substitute([self.phi], [self.r, self.R9], [r, ca.vec(ca.SX(R).T)])[0]
         return ca.vertcat(phi, *readings)
+
+    def _readings(self, sensor: Sensor, r: Any, R: Any, numbers: Named) -> Any:
+        """What a sensor's channels show at a pose, after the effects on them."""
+        s, rows = numbers[sensor.name], ca.SX(0, 1)
+        for k, channel in enumerate(sensor.channels):
+            pose = r, R
+            for effect in self.effects:
+                if effect.acts_on(channel):
+                    pose = effect.at_sensor(*pose, s, numbers[effect.name])
+            rows = ca.vertcat(rows, sensor.readings(*pose, s)[k])
+        return rows
 
     @cached_property
     def rows_function(self) -> ca.Function:

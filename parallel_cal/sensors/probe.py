@@ -15,11 +15,15 @@ from parallel_cal.model.sensor import Sensor, point_on_platform, point_parameter
 
 @dataclass(frozen=True)
 class Probe(Sensor):
-    """Height (m) of `tip` in {P} above the plate z = `height` of {B}, tilt and height unknown."""
+    """Height (m) of `tip` in {P} above the plate z = `height` of {B}, tilt and height unknown.
+
+    Along the plate's normal, or where the gauge is `mounted` on the platform along z of {P}.
+    """
 
     height: float
     tip: tuple[float, float, float] = (0.0, 0.0, 0.0)
     sigma: float = 2e-6
+    mounted: bool = False
     fixed: tuple[str, ...] = ("tip.*",)
 
     physics = "a length gauge along the plate's normal"
@@ -43,4 +47,5 @@ class Probe(Sensor):
     def readings(self, r: Any, R: Any, s: Named) -> Any:
         turn = cayley(ca.vertcat(s["plate.rx"], s["plate.ry"], 0))
         away = point_on_platform(r, R, s) - ca.vertcat(0, 0, s["plate.z"])
-        return ca.dot(turn[:, 2], away)
+        upright = ca.dot(turn[:, 2], R[:, 2]) if self.mounted else 1
+        return ca.dot(turn[:, 2], away) / upright

@@ -1,0 +1,49 @@
+"""What the effects on the whole picture share: a base or device that shifts and turns."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+
+from parallel_cal.base.rotation import cayley
+from parallel_cal.model.effect import Seen
+from parallel_cal.model.mechanism import Mechanism
+from parallel_cal.model.parameters import Named, Parameter
+
+AXES = "xyz"
+Size = tuple[str, float, float]  # unit, tolerance, and what never happens
+
+
+def along(mechanism: Mechanism) -> list[str]:
+    """The axes of {B} along which the platform moves."""
+    return [a for a in AXES if a in mechanism.moves]
+
+
+def felt_turns(mechanism: Mechanism) -> list[str]:
+    """The axes about which turning the whole picture moves a coordinate that the platform has."""
+    moves = mechanism.moves
+    return [a for a in AXES if f"r{a}" in moves or {*AXES} - {a} <= {*moves}]
+
+
+def shift_and_turn(mechanism: Mechanism, v: Size, w: Size) -> list[Parameter]:
+    """v and w along and about axes of {B}, only what the platform feels."""
+    return [*_components("v", along(mechanism), *v), *_components("w", felt_turns(mechanism), *w)]
+
+
+def put_back(seen: Seen, e: Named, share: Any) -> Seen:
+    """The pose before it was turned by w * share, then shifted by v * share."""
+    v, w = (vector(e, name) * share for name in "vw")
+    turn = cayley(w)
+    return seen.with_pose(turn.T @ (seen.r - v), turn.T @ seen.R)
+
+
+def vector(e: Named, name: str) -> Any:
+    """Three components, zero where there is no number."""
+    return ca.vertcat(*[e.get(f"{name}_{a}", 0) for a in AXES])
+
+
+def _components(
+    name: str, axes: list[str], unit: str, tolerance: float, most: float
+) -> list[Parameter]:
+    return [Parameter(f"{name}_{a}", unit, 0.0, tolerance, low=-most, high=most) for a in axes]

@@ -1,0 +1,51 @@
+"""A base that leans under the robot's own weight, which the platform carries from side to side."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+
+from parallel_cal.base.rotation import cayley
+from parallel_cal.effects._frames import AXES, along, felt_turns, vector
+from parallel_cal.model.effect import Effect, Seen
+from parallel_cal.model.mechanism import Mechanism
+from parallel_cal.model.parameters import Named, Parameter
+
+
+class BaseCompliance(Effect):
+    """r_shown = W r, R_shown = W R, W = exp(w), w_i = lean_i (r x g)_i / |g|.
+
+    r x g / |g| (m) is the lever arm at which the moving weight hangs on {B}; `lean` (rad/m) is that
+    weight times the base's compliance in turning about axis i. Where the weight changes, so does
+    the lean: that is `payload_sag`. Against its own base the robot stays right.
+    """
+
+    of_device = True
+    physics = "A light base or stand leans to the side to which the robot moves its weight."
+    source = "10 kg on a stand of 1e-7..1e-5 rad/(N m): 1e-5..1e-3 rad/m"
+    lookalikes = ("device_field", "device_axes", "payload_sag")
+    separated_by = "a second target on the base, measured at every pose"
+
+    def parameters(self, mechanism: Mechanism) -> list[Parameter]:
+        axes = _leaning(mechanism)
+        return [Parameter(f"lean_{a}", "rad/m", 0.0, 0.5e-3, low=0.0, high=5e-3) for a in axes]
+
+    def applies(self, mechanism: Mechanism) -> str:
+        return "" if _leaning(mechanism) else "the platform does not move across gravity"
+
+    def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
+        down = ca.DM(mechanism.gravity) / ca.norm_2(ca.DM(mechanism.gravity))
+        upright = seen
+        for _ in range(2):  # the lever arm is that of the pose before it leant
+            back = cayley(vector(e, "lean") * ca.cross(upright.r, down)).T
+            upright = seen.with_pose(back @ seen.r, back @ seen.R)
+        return upright
+
+
+def _leaning(mechanism: Mechanism) -> list[str]:
+    """Axes about which moving the weight turns the base, where the platform feels that."""
+    ways = [np.eye(3)[AXES.index(a)] for a in along(mechanism)]
+    levers = np.abs(np.cross(np.reshape(ways, (-1, 3)), mechanism.gravity)).sum(axis=0)
+    return [
+        a for a, lever in zip(AXES, levers, strict=True) if lever and a in felt_turns(mechanism)
+    ]

@@ -1,0 +1,44 @@
+"""A plate that is not flat: what is touched lies higher or lower than the plane through it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+
+from parallel_cal.effects._touches import Touch
+from parallel_cal.model.mechanism import Mechanism
+from parallel_cal.model.parameters import Named, Parameter
+from parallel_cal.model.sensor import point_on_platform
+
+# Powers of x and y, of second and third order: the plate's own height and tilt are the sensor's.
+POWERS = ((2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3))
+SIZE = {2: ("1/m", 10e-3, 0.1), 3: ("1/m^2", 0.1, 1.0)}  # tolerance and what no plate exceeds
+
+
+class BedShape(Touch):
+    """r_ideal = r - z * sum of h_ij x^i y^j over 2 <= i + j <= 3, (x, y) of the tip in {B}.
+
+    h_xx (1/m) to h_yyy (1/m^2): to a flat plate the tip would be nearer by what this one is higher.
+    A Delta whose radius or rods are wrong bends its own plane, too.
+    """
+
+    physics = "A bed of glass or sheet, clamped at its rim and heated, is domed or saddled."
+    source = "printers' beds 0.1-0.3 mm over 200 mm; ground plates 5 um (ISO 8512)"
+    lookalikes = ("probe_offset", "encoder_gain", "encoder_eccentricity")
+    separated_by = "the plate turned by a quarter turn, or a second one"
+
+    def parameters(self, mechanism: Mechanism) -> list[Parameter]:
+        sizes = [(i, j, *SIZE[i + j]) for i, j in POWERS]
+        return [
+            Parameter(f"h_{'x' * i}{'y' * j}", unit, 0.0, tolerance, low=-most, high=most)
+            for i, j, unit, tolerance, most in sizes
+        ]
+
+    def applies(self, mechanism: Mechanism) -> str:
+        return "" if {"x", "y"} <= {*mechanism.moves} else "the platform does not move over a plate"
+
+    def at_sensor(self, r: Any, R: Any, s: Named, e: Named) -> tuple[Any, Any]:
+        tip = point_on_platform(r, R, s)
+        height = sum(e[f"h_{'x' * i}{'y' * j}"] * tip[0] ** i * tip[1] ** j for i, j in POWERS)
+        return r - ca.vertcat(0, 0, height), R

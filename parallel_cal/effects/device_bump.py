@@ -1,0 +1,47 @@
+"""A device or base that was knocked: from one moment on the whole picture is somewhere else."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from parallel_cal.effects._frames import put_back, shift_and_turn
+from parallel_cal.model.effect import Effect, Seen
+from parallel_cal.model.mechanism import Mechanism
+from parallel_cal.model.parameters import Named, Parameter
+
+MOMENTS = 20  # tried, with equally many samples between them
+
+
+class DeviceBump(Effect):
+    """From `time` (s) on r_shown = r + v + w x r, R_shown = exp(w) R; before it nothing.
+
+    v (m) and w (rad) about axes of {B}. `time` counts as the samples' does: known from the
+    logbook, or found by `scan`.
+    """
+
+    needs = ("time",)
+    fixed = ("time",)
+    of_device = True
+    physics = "A stand, tripod or target that somebody ran into stays where it was pushed."
+    source = "tens of um to 1 mm, when a stand is touched or a magnetic nest is seated anew"
+    lookalikes = ("base_drift", "zero_shift", "thermal_expansion")
+    separated_by = "poses from the beginning, measured again at last"
+
+    def parameters(self, mechanism: Mechanism) -> list[Parameter]:
+        time = Parameter("time", "s", 0.0, 10e3, low=0.0)  # of one day at most
+        return [time, *shift_and_turn(mechanism, ("m", 50e-6, 2e-3), ("rad", 0.2e-3, 10e-3))]
+
+    def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
+        return put_back(seen, e, at.time >= e.time)
+
+    def scan(
+        self, mechanism: Mechanism, recorded: Mapping[str, Any]
+    ) -> Iterator[Mapping[str, float]]:
+        """Moments between two samples, all over the session."""
+        times = np.unique(recorded["time"])
+        between = (times[1:] + times[:-1]) / 2
+        chosen = np.linspace(0, len(between) - 1, MOMENTS + 2)[1:-1].round().astype(int)
+        return ({"time": float(between[k])} for k in np.unique(chosen))

@@ -1,0 +1,55 @@
+"""Joints that are not independent: one's reading changes as its neighbour turns."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from parallel_cal.model.effect import Effect, Seen
+from parallel_cal.model.mechanism import Mechanism
+from parallel_cal.model.parameters import Named, Parameter
+
+# of the one that is read and of its neighbour: unit, tolerance, and what no real drive exceeds
+SIZE = {
+    ("rad", "rad"): ("1", 0.2e-3, 1e-3),
+    ("m", "m"): ("1", 0.2e-3, 2e-3),
+    ("rad", "m"): ("rad/m", 2e-3, 10e-3),
+    ("m", "rad"): ("m/rad", 20e-6, 0.1e-3),
+}
+
+
+class EncoderCrosstalk(Effect):
+    """q_ideal_i = q_i + sum over neighbours j of by_j * q_j, neighbours in the order of the joints.
+
+    The first joint and the last are neighbours, too. A Delta's geometry leaves a twentieth of
+    it; wires that leak into one another ripple with the signal's period and are not this.
+    """
+
+    physics = "Shafts led through one another and belts that share a frame drag their neighbours."
+    source = "coupled wrists state their ratio to 1e-3; belts and spools on one frame to 1e-3"
+    lookalikes = ("encoder_gain", "encoder_eccentricity", "encoder_second_harmonic")
+    separated_by = "poses in which one joint uses its travel while its neighbours stand still"
+
+    def parameters(self, mechanism: Mechanism) -> list[Parameter]:
+        units = dict(zip(mechanism.joints, mechanism.joint_units, strict=True))
+        sizes = [(i, j, *SIZE[units[i], units[j]]) for i, j in neighbours(mechanism)]
+        return [
+            Parameter(f"{i}.by_{j}", unit, 0.0, tolerance, low=-most, high=most)
+            for i, j, unit, tolerance, most in sizes
+        ]
+
+    def applies(self, mechanism: Mechanism) -> str:
+        return "" if len(mechanism.joints) > 1 else "it has one joint only"
+
+    def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
+        read = dict(zip(mechanism.joints, ca.vertsplit(seen.q), strict=True))
+        q = dict(read)
+        for i, j in neighbours(mechanism):
+            q[i] += e[i][f"by_{j}"] * read[j]
+        return seen.with_q(ca.vertcat(*q.values()))
+
+
+def neighbours(mechanism: Mechanism) -> list[tuple[str, str]]:
+    """Pairs of a joint and one beside it, each once."""
+    joints = mechanism.joints
+    beside = {k: (joints[k - 1], joints[(k + 1) % len(joints)]) for k in range(len(joints))}
+    return list(dict.fromkeys((joints[k], j) for k, pair in beside.items() for j in pair))

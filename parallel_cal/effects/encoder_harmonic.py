@@ -1,0 +1,37 @@
+"""Encoder ring pulled out of round by its screws or read by several heads: n times per turn."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from parallel_cal.effects._joints import Harmonic
+from parallel_cal.model.mechanism import Mechanism
+from parallel_cal.model.parameters import Parameter
+
+ORDERS = range(3, 9)  # 1 and 2 have causes, and files, of their own; above, poles and gears
+
+
+class EncoderHarmonic(Harmonic):
+    """q_ideal = q + sin * sin(order q) + cos * cos(order q) for every joint that turns (rad).
+
+    One whole `order` for all joints: given (the number of screws, of pole pairs), or found by
+    `scan`. A gear's ripple need not come round in a turn of the joint, and has overtones.
+    """
+
+    fixed = ("order",)
+    refines = False
+    physics = "A ring that n screws pull out of round, or n pole pairs, misread n times per turn."
+    source = "ring encoders on 3-8 screws and magnet rings: 0.05-0.3 mrad"
+    lookalikes = ("encoder_second_harmonic", "encoder_eccentricity", "gear_transmission_error")
+    order, tolerance = 3, 0.3e-3
+
+    def parameters(self, mechanism: Mechanism) -> list[Parameter]:
+        order = Parameter("order", "1", self.order, 20.0, low=1.0, high=200.0, label="waves a turn")
+        return [order, *super().parameters(mechanism)]
+
+    def scan(
+        self, mechanism: Mechanism, recorded: Mapping[str, Any]
+    ) -> Iterator[Mapping[str, float]]:
+        """Every order that a mounting has."""
+        return ({"order": float(order)} for order in ORDERS)

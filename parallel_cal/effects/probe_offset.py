@@ -1,0 +1,32 @@
+"""A tip that is not where the model has it on the platform: tilting swings it up or down."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from parallel_cal.effects._touches import Touch, tilts
+from parallel_cal.model.mechanism import Mechanism
+from parallel_cal.model.parameters import Named, Parameter
+
+
+class ProbeOffset(Touch):
+    """r_ideal = r + R o, o (m) of {P} from the tip as stated to the one that touches.
+
+    Points of the platform that are free
+    parameters move along with o and hide it: keep them fixed.
+    """
+
+    reads = ("probe", "plane", "sphere*")
+    physics = "A probe beside the nozzle, or a stylus changed, touches beside the stated tip."
+    source = "0.1-1 mm as mounted; styli are qualified to 2 um on a sphere"
+    lookalikes = ("bed_shape", "probe_tilt")
+    separated_by = "one place of the plate touched with the platform tilted to all sides"
+
+    def parameters(self, mechanism: Mechanism) -> list[Parameter]:
+        return [Parameter(f"o_{a}", "m", 0.0, 0.5e-3, low=-5e-3, high=5e-3) for a in "xyz"]
+
+    def applies(self, mechanism: Mechanism) -> str:
+        return tilts(mechanism)
+
+    def at_sensor(self, r: Any, R: Any, s: Named, e: Named) -> tuple[Any, Any]:
+        return r + R @ e.vector("o_x", "o_y", "o_z"), R

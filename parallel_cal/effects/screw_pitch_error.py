@@ -1,0 +1,69 @@
+"""Screws that advance unevenly: an error once per lead, and a pitch that changes along them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from parallel_cal.effects._joints import WAVE, shifted
+from parallel_cal.model.effect import Effect, Seen
+from parallel_cal.model.mechanism import Mechanism
+from parallel_cal.model.parameters import Named, Parameter
+
+LEADS = (1e-3, 25e-3)  # m, of spindles that drive robots
+
+
+class ScrewPitchError(Effect):
+    """q_ideal = q + sin * sin(2 pi q / lead) + cos * cos(2 pi q / lead) + bend * q^2 (m).
+
+    For every joint that slides; one `lead` (m) for all, known from the screw's catalogue or found
+    by `scan`. A pitch that is wrong by the same share everywhere is `encoder_gain`.
+    """
+
+    fixed = ("lead",)
+    physics = "A screw that wobbles or is bent advances unevenly within each turn of its own."
+    source = "ISO 3408-3: v_2pi of 4-8 um for ball screws of class C1-C5, tens for rolled ones"
+    lookalikes = ("encoder_gain",)
+    separated_by = "poses all over the stroke, not a whole number of leads apart"
+
+    def parameters(self, mechanism: Mechanism) -> list[Parameter]:
+        sizes = {part: ("m", 10e-6, 0.1e-3, label) for part, label in WAVE.items()}
+        sizes["bend"] = ("1/m", 1e-3, 10e-3, "change of pitch")
+        return [
+            Parameter("lead", "m", 5e-3, 3e-3, low=0.1e-3, high=0.1),
+            *[
+                Parameter(f"{joint}.{part}", unit, 0.0, size, low=-most, high=most, label=label)
+                for joint in _sliding(mechanism)
+                for part, (unit, size, most, label) in sizes.items()
+            ],
+        ]
+
+    def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
+        def error(joint: str, q: Any) -> Any:
+            own, turned = e[joint], 2 * ca.pi * q / e.lead
+            return own.sin * ca.sin(turned) + own.cos * ca.cos(turned) + own.bend * q**2
+
+        return shifted(seen, mechanism, _sliding(mechanism), error)
+
+    def applies(self, mechanism: Mechanism) -> str:
+        return "" if _sliding(mechanism) else "no joint slides"
+
+    def scan(
+        self, mechanism: Mechanism, recorded: Mapping[str, Any]
+    ) -> Iterator[Mapping[str, float]]:
+        """Leads 1 / (2 travel) apart in turns per metre: half a peak's width, as for a gear.
+
+        The travel is the longest that was recorded.
+        """
+        travel = max(np.ptp(recorded[joint]) for joint in _sliding(mechanism))
+        short, long = LEADS
+        for turns in np.arange(1 / long, 1 / short, 1 / (2 * travel)):
+            yield {"lead": float(1 / turns)}
+
+
+def _sliding(mechanism: Mechanism) -> list[str]:
+    joints = zip(mechanism.joints, mechanism.joint_units, strict=True)
+    return [joint for joint, unit in joints if unit == "m"]
