@@ -1,0 +1,291 @@
+"""Whether a diagnosis names each of the effects that joined the catalogue late, and no other.
+
+Robots, physics and noise come from the independent virtual robots; every draw has its own poses.
+Effects are sized in sigmas of what the geometry leaves of them.
+Usage: `PYTHONPATH=. python bench/new_effects.py [draws] [kind ...]`.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "test"))
+
+import virtual_effects_joint as ve
+import virtual_findings as vf
+import virtual_robot as vr
+import virtual_setups as vs
+import virtual_small as small
+from twins import hexapod
+
+from parallel_cal.diagnosis.diagnose import Diagnosis, diagnose
+from parallel_cal.identification.fit import fit
+from parallel_cal.model.model import Model, new_model
+from parallel_cal.model.shelf import load_sensor
+from parallel_cal.recordings.dataset import Dataset
+
+SIZES = (0.8, 1.4, 2.0)  # sigmas of the residual
+PLATE = 0.3  # m, under the gauge
+LEGS = vr.Noise(joint=2e-6, position=5e-6, orientation=10 * vr.ARCSEC)
+
+
+@dataclass(frozen=True)
+class Robot:
+    """A virtual robot, the model a person starts from, and poses that it goes to; a gauge over a
+    plate where the model has a sensor for it."""
+
+    model: Callable[[], Model]
+    twin: Any
+    noise: vr.Noise
+    readings: Callable[[int], Any]
+
+    def measured(self, effects: Any, seed: int, loud: float = 1.0) -> Dataset:
+        """120 poses and 30 of them again, ten seconds each; `loud` 0 is without errors."""
+        reading, pose = self.readings(seed)
+        n, joints = reading.shape
+        came = np.sign(np.diff(reading, axis=0, prepend=reading[-1:]))
+        warm = 20 + 4 * np.sin(np.arange(n) / 17 + seed)
+        at = vr.At(10.0 * np.arange(n), warm, np.where(np.arange(n) * 6 // n % 2, 1.2, 0.2), came)
+        gauges = [e for e in effects if isinstance(e, vs.Gauge)]
+        _, r, R = vr.truth(self.twin, [e for e in effects if e not in gauges], reading, at)
+        q_error, r_error, w_error = ve.errors(self.noise, n, joints, seed)
+        names = self.model().joints
+        sigma = np.repeat([self.noise.position, self.noise.orientation], 3)
+        conditions = {f"direction.{j}": came[:, i] for i, j in enumerate(names)}
+        conditions |= {"time": at.time, "temperature": at.temperature, "payload": at.payload}
+        if self.model().sensors:
+            shown = (gauges or [vs.Gauge(PLATE)])[0].reads(r, R)
+            errors = np.random.default_rng([seed, 4]).normal(0, 2e-6, n)
+            conditions["reading.probe"] = shown + loud * errors
+        return Dataset.from_arrays(
+            names, reading + loud * q_error, r + loud * r_error, vr.turn(loud * w_error) @ R,
+            pose_cov=np.diag(sigma**2), joint_sigma=self.noise.joint, conditions=conditions,
+            pose_id=pose,
+        )  # fmt: skip
+
+
+def visited(reading: Any, seed: int, again: int = 30) -> Any:
+    """Each reading once, some twice, in no order; and which pose it is."""
+    rng = np.random.default_rng([seed, 5])
+    n = len(reading)
+    pose = rng.permutation(np.concatenate([np.arange(n), rng.choice(n, again, replace=False)]))
+    return reading[pose], pose
+
+
+def delta_poses(seed: int) -> Any:
+    return visited(vr.NOMINAL.inverse(vr.targets(120, seed))[0], seed)
+
+
+def leg_poses(seed: int) -> Any:
+    rng = np.random.default_rng([seed, 9])
+    r = HEXAPOD.home + rng.uniform(-0.05, 0.05, (120, 3))
+    return visited(HEXAPOD.inverse(r, vr.turn(rng.uniform(-0.2, 0.2, (120, 3))))[0], seed)
+
+
+def plate_poses(seed: int) -> Any:
+    rng = np.random.default_rng([seed, 9])
+    r = rng.uniform((-0.06, -0.06, PLATE), (0.06, 0.06, PLATE + 0.012), (120, 3))
+    return visited(HEXAPOD.inverse(r, vr.turn(rng.uniform(-0.2, 0.2, (120, 3))))[0], seed)
+
+
+def gauged() -> Model:
+    sensor = load_sensor("probe", height=PLATE, mounted=True)
+    return new_model("stewart42", sensors=[sensor])
+
+
+def carriage_poses(seed: int) -> Any:
+    rng = np.random.default_rng([seed, 9])
+    r = rng.uniform((-0.06, -0.06, 0.02), (0.06, 0.06, 0.18), (120, 3))
+    return visited(RAILS.inverse(r, np.eye(3))[0], seed)
+
+
+def rails() -> small.LinearDelta:
+    model = new_model("linear_delta")
+    off = 0.3 * model.table.tolerance * np.random.default_rng(3).standard_normal(len(model.values))
+    return small.LinearDelta(model.table.mapping(model.values + np.where(model.fixed, 0, off)))
+
+
+HEXAPOD, RAILS = hexapod(), rails()
+DELTA = Robot(lambda: new_model("delta54"), vr.MOCK_UP, vr.THESIS_NOISE, delta_poses)
+ROBOTS = {
+    "delta": DELTA,
+    "fine delta": replace(DELTA, noise=vf.FINEST),
+    "stewart": Robot(lambda: new_model("stewart42"), HEXAPOD, LEGS, leg_poses),
+    "gauged stewart": Robot(gauged, HEXAPOD, LEGS, plate_poses),
+    "linear delta": Robot(lambda: new_model("linear_delta"), RAILS, LEGS, carriage_poses),
+}
+
+
+@dataclass(frozen=True)
+class Kind:
+    """Hidden physics: the robots to try it on, its names, and how a size and a draw make one."""
+
+    names: tuple[str, ...]
+    robots: tuple[str, ...]
+    make: Callable[[float, np.random.Generator, int], Any]
+    size: float
+
+
+def some(size: float, rng: np.random.Generator, n: int = 3) -> tuple[float, ...]:
+    """n numbers, none of them small."""
+    return tuple(size * rng.uniform(0.6, 1.4, n) * rng.choice([-1, 1], n))
+
+
+def phases(rng: np.random.Generator, n: int) -> tuple[float, ...]:
+    return tuple(rng.uniform(-np.pi, np.pi, n))
+
+
+def wobble(size: float, rng: np.random.Generator, n: int) -> Any:
+    lead = rng.uniform(2e-3, 8e-3)
+    return ve.UnevenScrew(lead, some(size, rng, n), phases(rng, n), (0.0,) * n)
+
+
+def growing(size: float, rng: np.random.Generator, n: int) -> Any:
+    return ve.UnevenScrew(5e-3, (0.0,) * n, (0.0,) * n, some(100 * size, rng, n))
+
+
+def lobes(size: float, rng: np.random.Generator, n: int) -> Any:
+    return ve.LobedRing(int(rng.integers(3, 9)), some(size, rng, n), phases(rng, n))
+
+
+def dragged(size: float, rng: np.random.Generator, n: int) -> Any:
+    beside = np.roll(np.eye(n), 1, axis=0) + np.roll(np.eye(n), -1, axis=0)
+    return ve.DraggedNeighbours(tuple(np.reshape(some(size, rng, n * n), (n, n)) * beside))
+
+
+def knock(size: float, rng: np.random.Generator, n: int) -> Any:
+    return ve.Knock(rng.uniform(300, 1200), some(size, rng), some(3 * size, rng))  # type: ignore[arg-type]
+
+
+def bent(size: float, rng: np.random.Generator, n: int) -> Any:
+    form = np.reshape(some(size, rng, 27), (3, 3, 3))
+    return ve.BentSpace(tuple(form + form.transpose(0, 2, 1)), (0.0, 0.0, 0.2))
+
+
+def refraction(size: float, rng: np.random.Generator, n: int) -> Any:
+    form = np.zeros((3, 3, 3))
+    form[:2, 2, 2] = some(size, rng, 2)
+    return ve.BentSpace(tuple(form), (0.0, 0.0, 0.0))
+
+
+def leaning(size: float, rng: np.random.Generator, n: int) -> Any:
+    return ve.LeaningBase(tuple(np.abs(some(size, rng, 2))))  # type: ignore[arg-type]
+
+
+def bed(size: float, rng: np.random.Generator, n: int) -> Any:
+    xx, xy, yy = some(size, rng)
+    return vs.Gauge(PLATE, shape=((2, 0, xx), (1, 1, xy), (0, 2, yy), (3, 0, 5 * xx)))
+
+
+def beside(size: float, rng: np.random.Generator, n: int) -> Any:
+    x, y = some(size, rng, 2)
+    return vs.Gauge(PLATE, tip=(x, y, 0.0))
+
+
+def slanted(size: float, rng: np.random.Generator, n: int) -> Any:
+    x, y = some(size, rng, 2)
+    return vs.Gauge(PLATE, slant=(x, y))
+
+
+def known(kind: vf.Kind) -> Callable[..., Any]:
+    return lambda size, rng, n: kind.make(size, rng)
+
+
+KINDS = {
+    "screw, periodic": Kind(("screw_pitch_error",), ("stewart", "linear delta"), wobble, 10e-6),
+    "screw, growing": Kind(("screw_pitch_error",), ("stewart", "linear delta"), growing, 10e-6),
+    "lobed ring": Kind(("encoder_harmonic",), ("delta",), lobes, 0.3e-3),
+    "cross-talk": Kind(("encoder_crosstalk",), ("delta", "stewart"), dragged, 1e-3),
+    "knock": Kind(("device_bump",), ("delta", "stewart"), knock, 20e-6),
+    "bent space": Kind(("device_field",), ("fine delta", "stewart"), bent, 1e-3),
+    "refraction": Kind(("device_field",), ("fine delta", "stewart"), refraction, 2e-3),
+    "leaning base": Kind(("base_compliance",), ("fine delta", "stewart"), leaning, 0.2e-3),
+    "bed": Kind(("bed_shape",), ("gauged stewart",), bed, 1e-3),
+    "probe beside": Kind(("probe_offset",), ("gauged stewart",), beside, 0.1e-3),
+    "probe slanted": Kind(("probe_tilt",), ("gauged stewart",), slanted, 5e-3),
+    **{
+        name: Kind(kind.names, ("fine delta" if kind.noise != vr.THESIS_NOISE else "delta",),
+                   known(kind), kind.size)
+        for name, kind in vf.KINDS.items()
+    },
+}  # fmt: skip
+
+
+def sized(robot: Robot, kind: Kind, wanted: float, seed: int) -> Any:
+    """The effect so large that the geometry leaves `wanted` sigmas of it."""
+    size, joints = kind.size, len(robot.model().joints)
+
+    def effect() -> Any:
+        return kind.make(size, np.random.default_rng(seed), joints)
+
+    for _ in range(2):
+        still = fit(robot.model(), robot.measured([effect()], seed, loud=0.0), hold_out=0)
+        size *= wanted / float(np.sqrt(still.estimate.chi2_per_dof))
+    return effect()
+
+
+@dataclass
+class Tally:
+    """What became of the draws of one kind."""
+
+    named: Counter[str] = field(default_factory=Counter)
+    verdicts: Counter[str] = field(default_factory=Counter)
+    others: Counter[str] = field(default_factory=Counter)
+
+    def add(self, found: Diagnosis, names: tuple[str, ...]) -> None:
+        self.verdicts[found.verdict.word] += 1
+        groups = [{name, *found.swaps.get(name, [])} for name in found.effects]
+        right = [g for g in groups if g & {*names}]
+        how = "or" if right else "not"
+        if any(g <= {*names} for g in right):
+            how = "alone"
+        self.named[how] += 1
+        self.others.update("/".join(sorted(g)) for g in groups if not g <= {*names})
+
+    def words(self) -> str:
+        alone, either, missed = (self.named[k] for k in ("alone", "or", "not"))
+        counts = f"alone {alone}, in A or B {either}, not {missed}"
+        return f"{counts}; {dict(self.verdicts)}; otherwise {dict(self.others)}"
+
+
+def hidden(robot: Robot, kind: Kind, draws: int) -> str:
+    tally = Tally()
+    for seed in range(draws):
+        effect = sized(robot, kind, SIZES[seed % len(SIZES)], seed)
+        tally.add(diagnose(robot.model(), robot.measured([effect], seed)), kind.names)
+    return tally.words()
+
+
+def nothing(robot: Robot, draws: int) -> str:
+    tally = Tally()
+    for seed in range(draws):
+        tally.add(diagnose(robot.model(), robot.measured([], seed)), ())
+    return tally.words()
+
+
+def studies(draws: int) -> Iterator[tuple[str, Callable[[], str]]]:
+    for at, robot in ROBOTS.items():
+        yield f"nothing on {at}", lambda robot=robot: nothing(robot, 2 * draws)
+    for (name, kind), at in product(KINDS.items(), ROBOTS):
+        if at in kind.robots:
+            yield f"{name} on {at}", lambda k=kind, r=ROBOTS[at]: hidden(r, k, draws)
+
+
+def main() -> None:
+    draws = int(sys.argv[1]) if len(sys.argv) > 1 else 10
+    wanted = sys.argv[2:]
+    for name, study in studies(draws):
+        if not wanted or any(w in name for w in wanted):
+            print(f"{name}: {study()}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
