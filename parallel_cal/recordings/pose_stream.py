@@ -38,7 +38,7 @@ def clean_poses(
     np.swapaxes(covariance, 1, 2)[~measured] = np.nan
     keep = sieve.keep
     return PoseStream(
-        raw.topic, raw.type, frame, sieve.time[keep], position[keep], quaternion[keep],
+        raw.topic, frame, sieve.time[keep], position[keep], quaternion[keep],
         measured[keep], covariance[keep],
     )  # fmt: skip
 

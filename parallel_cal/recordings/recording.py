@@ -69,7 +69,6 @@ class PoseStream:
     """
 
     topic: str
-    type: str
     frame: str
     time: Array
     position: Array
@@ -84,7 +83,7 @@ class PoseStream:
 
 
 NO_POSES = PoseStream(
-    "", "", "", np.zeros(0), np.zeros((0, 3)), np.zeros((0, 4)), np.zeros((0, 6), bool),
+    "", "", np.zeros(0), np.zeros((0, 3)), np.zeros((0, 4)), np.zeros((0, 6), bool),
     np.zeros((0, 6, 6)),
 )  # fmt: skip
 

@@ -34,42 +34,14 @@ TRIES = 20  # draws a pose before the workspace counts as unreachable
 
 @dataclass(frozen=True)
 class Simulation:
-    """What the robot `model` and the device would have published; times in s, SI units."""
+    """What the robot `model` and the device would have published."""
 
     model: Model
-    joint_names: tuple[str, ...]
-    frames: tuple[str, str]
-    joint_time: np.ndarray
-    joints: np.ndarray
-    pose_time: np.ndarray
-    position: np.ndarray
-    rotation: np.ndarray
-    pose_variance: np.ndarray
-    slow_time: np.ndarray
-    temperature: np.ndarray
-    payload_time: np.ndarray
-    payload: np.ndarray
+    recording: Recording
 
     def dataset(self) -> Dataset:
         """Its samples, as of a recording of it (`write_bag`)."""
-        n = len(self.pose_time)
-        joints = JointStream(
-            "joint_states", self.joint_names, self.joint_time, self.joints,
-            np.full_like(self.joints, np.nan),
-        )  # fmt: skip
-        poses = PoseStream(
-            "measured_pose", "", self.frames[0], self.pose_time, self.position,
-            matrix_to_quaternion(self.rotation), np.ones((n, 6), bool),
-            np.tile(np.diag(self.pose_variance), (n, 1, 1)),
-        )  # fmt: skip
-        recording = Recording(
-            "simulated", "", 0, (), joints, poses,
-            {
-                "temperature": ScalarStream("temperature", self.slow_time, self.temperature),
-                "payload": ScalarStream("payload", self.payload_time, self.payload),
-            },
-        )  # fmt: skip
-        samples = dataset_from_recording(recording)
+        samples = dataset_from_recording(self.recording)
         return replace(samples, sha256=fingerprint(samples))
 
 
@@ -122,15 +94,13 @@ def simulate(
         motion = _motion(model, _fitting(model, targets, motion))
     stated = stated_noise(model)
     errors = _Errors(model, Noise() if quiet else stated, len(targets), rng)
+    joints = JointStream(
+        "joint_states", model.joints, motion.time, errors.of_joints(motion.joints, motion.dwell),
+        np.full_like(motion.joints, np.nan),
+    )  # fmt: skip
+    measured = _measured(model, motion, errors, np.diag(_pose_sigma(stated) ** 2))
     return Simulation(
-        model,
-        model.joints,
-        (model.frames["base"], model.frames["platform"]),
-        motion.time,
-        errors.of_joints(motion.joints, motion.dwell),
-        *_measured(model, motion, errors),
-        _pose_sigma(stated) ** 2,
-        *_slow_streams(motion),
+        model, Recording("simulated", "", 0, (), joints, measured, _slow_streams(motion))
     )
 
 
@@ -142,25 +112,31 @@ def _fitting(model: Model, targets: np.ndarray, motion: _Motion) -> np.ndarray:
     return Kinematics(model).inverse(pose.position, pose.rotation, at).joints
 
 
-def _measured(
-    model: Model, motion: _Motion, errors: _Errors
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What the device reports: times (m,), positions (m, 3), rotations (m, 3, 3)."""
+def _measured(model: Model, motion: _Motion, errors: _Errors, covariance: np.ndarray) -> PoseStream:
+    """What the device reports, with the covariance (6, 6) that it states."""
     seen = slice(None, None, POSES_EVERY)
     at = {key: column[seen] for key, column in motion.at.items()}
     answer = Kinematics(model).direct(motion.joints[seen], at)
     # On its straight way between two poses a robot may pass where it has no solution.
     solved = np.isin(answer.status, SOLVED)
     position, rotation = errors.of_pose(answer.position, answer.rotation, motion.dwell[seen])
-    return motion.time[seen][solved], position[solved], rotation[solved]
+    m = int(solved.sum())
+    return PoseStream(
+        "measured_pose", model.frames["base"], motion.time[seen][solved], position[solved],
+        matrix_to_quaternion(rotation[solved]), np.ones((m, 6), bool),
+        np.tile(covariance, (m, 1, 1)),
+    )  # fmt: skip
 
 
-def _slow_streams(motion: _Motion) -> tuple[np.ndarray, ...]:
-    """Times and values of the temperature (once a second) and of the payload (on change)."""
+def _slow_streams(motion: _Motion) -> dict[str, ScalarStream]:
+    """The temperature (once a second) and the payload (on change)."""
     slow = np.arange(0.0, motion.time[-1], 1.0)
     payload = motion.at["payload"]
     changes = np.flatnonzero(np.diff(payload, prepend=np.nan) != 0)
-    return slow, _temperature(slow), motion.time[changes], payload[changes]
+    return {
+        "temperature": ScalarStream("temperature", slow, _temperature(slow)),
+        "payload": ScalarStream("payload", motion.time[changes], payload[changes]),
+    }
 
 
 def _apart(targets: np.ndarray) -> np.ndarray:
@@ -286,15 +262,15 @@ def _pose_sigma(noise: Noise) -> np.ndarray:
 
 def document(session: Simulation, poses: int, replicates: int) -> dict[str, Any]:
     """What was simulated, for the command line: counts, duration in s, the effects' values."""
-    model = session.model
+    model, joints = session.model, session.recording.joints.time
     start = len(model.mechanism.parameters)
     names: Sequence[str] = model.table.names[start:]
     return {
         "poses": poses,
         "replicates": replicates,
-        "joint_messages": len(session.joint_time),
-        "pose_messages": len(session.pose_time),
-        "duration": float(session.joint_time[-1]),
+        "joint_messages": len(joints),
+        "pose_messages": len(session.recording.pose.time),
+        "duration": float(joints[-1]),
         "effects": [effect.name for effect in model.effects],
         "effect_parameters": dict(zip(names, model.values[start:].tolist(), strict=True)),
         "noise": vars(stated_noise(model)),

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from parallel_cal.base.errors import BagError
-from parallel_cal.base.rotation import matrix_to_quaternion
 from parallel_cal.recordings.channels import CHANNELS
+from parallel_cal.recordings.recording import PoseStream
 
 if TYPE_CHECKING:
     from parallel_cal.recordings.simulate import Simulation
@@ -93,19 +93,18 @@ class _Messages:
 
     def of(self, session: Simulation) -> Iterator[tuple[int, str, Any]]:
         """(stamp in ns, topic, message), topic by topic."""
-        base, platform = session.frames
-        for time, mass in zip(_stamps(session.payload_time), session.payload, strict=True):
+        recording, platform = session.recording, session.model.frames["platform"]
+        payload, temperature = (recording.conditions[name] for name in ("payload", "temperature"))
+        for time, mass in zip(_stamps(payload.time), payload.value, strict=True):
             yield time, "payload", self._payload(time, platform, float(mass))
-        for time, warmth in zip(_stamps(session.slow_time), session.temperature, strict=True):
+        for time, warmth in zip(_stamps(temperature.time), temperature.value, strict=True):
             air = self._kind("sensor_msgs/Temperature")
             yield time, "temperature", air(self._header(time), float(warmth), 0.01)
-        for time, q in zip(_stamps(session.joint_time), session.joints, strict=True):
-            yield time, "joint_states", self._joint_state(time, session.joint_names, q)
-        covariance = np.diag(session.pose_variance).ravel()
-        quaternions = matrix_to_quaternion(session.rotation)
-        poses = zip(_stamps(session.pose_time), session.position, quaternions, strict=True)
-        for time, r, quaternion in poses:
-            yield time, "measured_pose", self._pose(time, base, r, quaternion, covariance)
+        joints, pose = recording.joints, recording.pose
+        for time, q in zip(_stamps(joints.time), joints.position, strict=True):
+            yield time, "joint_states", self._joint_state(time, joints.names, q)
+        for i, time in enumerate(_stamps(pose.time)):
+            yield time, "measured_pose", self._pose(time, pose, i)
 
     def _kind(self, name: str) -> Any:
         return self.store.types[name.replace("/", "/msg/")]
@@ -119,15 +118,14 @@ class _Messages:
         kind, nothing = self._kind("sensor_msgs/JointState"), np.zeros(0)
         return kind(self._header(stamp), list(names), q, nothing, nothing)
 
-    def _pose(
-        self, stamp: int, frame: str, r: np.ndarray, quaternion: np.ndarray, covariance: np.ndarray
-    ) -> Any:
-        point = self._kind("geometry_msgs/Point")(*r.tolist())
-        turn = self._kind("geometry_msgs/Quaternion")(*quaternion.tolist())
+    def _pose(self, stamp: int, poses: PoseStream, i: int) -> Any:
+        point = self._kind("geometry_msgs/Point")(*poses.position[i].tolist())
+        turn = self._kind("geometry_msgs/Quaternion")(*poses.quaternion[i].tolist())
         pose = self._kind("geometry_msgs/Pose")(point, turn)
-        inner = self._kind("geometry_msgs/PoseWithCovariance")(pose, covariance)
+        stated = poses.covariance[i].ravel()
+        inner = self._kind("geometry_msgs/PoseWithCovariance")(pose, stated)
         return self._kind("geometry_msgs/PoseWithCovarianceStamped")(
-            self._header(stamp, frame), inner
+            self._header(stamp, poses.frame), inner
         )
 
     def _payload(self, stamp: int, frame: str, mass: float) -> Any:
