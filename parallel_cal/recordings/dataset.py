@@ -12,8 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from parallel_cal.base.documents import plain
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.base.files import write_atomically
+from parallel_cal.model.configuration import Configuration
 from parallel_cal.recordings.recording import Array, Bools, Dropped
 from parallel_cal.recordings.replicates import (
     ReplicateNoise,
@@ -24,11 +26,9 @@ from parallel_cal.recordings.replicates import (
 from parallel_cal.recordings.samplefile import (
     FILE_VERSION,
     PER_SAMPLE,
-    plain,
     read_document,
     restored,
 )
-from parallel_cal.recordings.samples import mean_rotation
 
 NUMBER = "number"  # the condition that keeps a sample's number where others were excluded
 
@@ -98,7 +98,7 @@ class Dataset:
         time = given.setdefault("time", np.arange(n, dtype=float))
         scatter, one = np.full((n, nq), np.nan), np.ones(n, np.int64)
         if pose_id is None:
-            pose_id = replicate_ids(q, r, R, measured, scatter)
+            pose_id = replicate_ids(Configuration(q, r, R), measured, scatter)
         sigma = None if joint_sigma is None else np.broadcast_to(joint_sigma, (nq,)).astype(float)
         return cls(
             tuple(joint_names), q, r, R.copy(), measured.copy(),
@@ -144,10 +144,7 @@ class Dataset:
 
     def replicate_noise(self) -> ReplicateNoise:
         """Scatter of revisited poses: the noise that no model of the pose alone can explain."""
-        ids = np.unique(self.pose_id, return_inverse=True)[1]
-        means = [mean_rotation(self.R[ids == g]) for g in range(int(ids.max(initial=-1)) + 1)]
-        rotations = np.array(means).reshape(-1, 3, 3)
-        return replicate_noise(ids, self.q, self.r, self.R, self.measured, rotations)
+        return replicate_noise(self.pose_id, Configuration(self.q, self.r, self.R), self.measured)
 
     def folds(
         self, fraction: float = 0.25, seed: int = 0
@@ -164,9 +161,7 @@ class Dataset:
 
     def to_json(self, path: str | Path) -> None:
         """Write the samples to a file, all or nothing; `from_json` gives back the same numbers."""
-        document: dict[str, Any] = {"parallel_cal_samples": FILE_VERSION}
-        for item in dataclasses.fields(self):
-            document[item.name] = plain(getattr(self, item.name))
+        document = {"parallel_cal_samples": FILE_VERSION, **plain(self)}
         write_atomically(path, json.dumps(document, allow_nan=False))
 
     @classmethod

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.base.errors import DatasetError
+from parallel_cal.model.configuration import Configuration
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.recording import Array
 from parallel_cal.recordings.replicates import replicate_ids
@@ -45,8 +46,8 @@ def joined(
         name: np.concatenate([getattr(d, name) for d in parts]) for name in PER_SAMPLE
     }
     if starts is not None:
-        q, r, R, measured, scatter = (columns[n] for n in ("q", "r", "R", "measured", "scatter_q"))
-        columns["pose_id"] = replicate_ids(q, r, R, measured, scatter, tolerance)
+        at = Configuration(columns["q"], columns["r"], columns["R"])
+        columns["pose_id"] = replicate_ids(at, columns["measured"], columns["scatter_q"], tolerance)
     shared = _joined_conditions(parts)
     warnings = [*(w for d in parts for w in d.warnings), *_left_out(parts, shared)]
     together = dataclasses.replace(

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.base.errors import DatasetError
+from parallel_cal.model.configuration import Configuration
 from parallel_cal.recordings.channels import CHANNELS
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.joining import joined
@@ -101,7 +102,7 @@ def _position_suspicions(dataset: Dataset) -> list[str]:
 
 def _joint_suspicions(dataset: Dataset) -> list[str]:
     """A sentence for each joint that does not look like radians or metres."""
-    travel = np.ptp(dataset.q, axis=0) if len(dataset) else np.zeros(len(dataset.joint_names))
+    travel = np.ptp(dataset.q, axis=0)  # of at least one sample, see samples_of
     return [
         f"{name} looks like degrees or millimetres: it travels {width:.4g}; expected rad or m "
         "(fine if it turns endlessly)"
@@ -133,11 +134,12 @@ def _stack(
     }
     names = recording.joints.names
     sigma = options.joint_sigma
-    scatter = columns["scatter_q"]
     ids = np.arange(len(samples.kept))  # a moving robot does not revisit poses in our sense
     if samples.mode == "dwell":
-        q, r, R = (columns[name] for name in ("q", "r", "R"))
-        ids = replicate_ids(q, r, R, columns["measured"], scatter, options.replicate_tolerance)
+        at = Configuration(columns["q"], columns["r"], columns["R"])
+        ids = replicate_ids(
+            at, columns["measured"], columns["scatter_q"], options.replicate_tolerance
+        )
     dropped = sorted((*recording.dropped, *samples.dropped), key=lambda d: d.time)
     return Dataset(
         joint_names=names, **columns, conditions=conditions, pose_id=ids, mode=samples.mode,

@@ -9,7 +9,9 @@ from numpy.typing import NDArray
 
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.base.rotation import rotation_vector
+from parallel_cal.model.configuration import Configuration
 from parallel_cal.recordings.recording import Array, Bools
+from parallel_cal.recordings.samples import mean_rotation
 
 Ids = NDArray[np.int64]
 
@@ -34,7 +36,7 @@ class ReplicateNoise:
 
 
 def replicate_ids(
-    q: Array, r: Array, R: Array, measured: Bools, scatter_q: Array, tolerance: float | None = None
+    at: Configuration, measured: Bools, scatter_q: Array, tolerance: float | None = None
 ) -> Ids:
     """Group number (N,) of each sample; samples of one pose share it.
 
@@ -44,6 +46,7 @@ def replicate_ids(
     measured pose must agree to 5 % of its range and 0.1 rad, which only tells assembly modes apart:
     what replicates reveal (backlash, warming) must not split them.
     """
+    q, r, R = at.q, at.r, at.R
     scale = _joint_scale(q, scatter_q, tolerance)
     reach = 0.05 * np.ptp(r, axis=0).max(initial=0.0) + 1e-9
     ids, leaders = np.zeros(len(q), np.int64), np.zeros(0, np.int64)
@@ -78,22 +81,18 @@ def _chord(many: Array, one: Array, measured: Bools, here: Bools) -> Array:
     return np.where(compare, distance, 0.0)
 
 
-def replicate_noise(
-    ids: Ids, q: Array, r: Array, R: Array, measured: Bools, mean_rotation: NDArray[np.float64]
-) -> ReplicateNoise:
-    """Pool the deviations of all samples that share a pose with another.
-
-    `mean_rotation` (G, 3, 3) is the mean of each group's rotations.
-    """
-    index = np.flatnonzero(np.bincount(ids, minlength=1)[ids] > 1)
+def replicate_noise(ids: Ids, at: Configuration, measured: Bools) -> ReplicateNoise:
+    """Pool the deviations of all samples that share a pose with another."""
+    _, ids, visits = np.unique(ids, return_inverse=True, return_counts=True)
+    index = np.flatnonzero(visits[ids] > 1)
     members, group = np.unique(ids[index], return_inverse=True)
-    complete = measured[index].copy()
+    complete, turned = measured[index].copy(), at.R[index].copy()
     for g in range(len(members)):
-        complete[group == g] = measured[index][group == g].all(axis=0)
-    turned = R[index] @ np.swapaxes(mean_rotation[ids[index]], 1, 2)
-    pose = np.hstack([_about_mean(r[index], group), rotation_vector(turned)])
+        complete[group == g] = complete[group == g].all(axis=0)
+        turned[group == g] = turned[group == g] @ mean_rotation(turned[group == g]).T
+    pose = np.hstack([_about_mean(at.r[index], group), rotation_vector(turned)])
     pose[~complete] = np.nan
-    joint = _about_mean(q[index], group)
+    joint = _about_mean(at.q[index], group)
     return ReplicateNoise(
         _pooled(joint, group), _pooled(pose, group), len(index) - len(members), len(members),
         index, joint, pose,

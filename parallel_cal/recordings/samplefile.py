@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 from pathlib import Path
 from typing import Any
@@ -17,21 +16,6 @@ PER_SAMPLE = (
     "q", "r", "R", "measured", "pose_cov", "time", "duration", "scatter_q", "scatter_pose",
     "count_q", "count_pose", "pose_id",
 )  # fmt: skip
-
-
-def plain(value: Any) -> Any:
-    """A field as JSON: arrays as nested lists with null for NaN."""
-    if isinstance(value, np.ndarray):
-        if value.dtype == float:
-            plain_values = value.astype(object)
-            plain_values[~np.isfinite(value)] = None
-            return plain_values.tolist()
-        return value.tolist()
-    if isinstance(value, dict):
-        return {key: plain(item) for key, item in value.items()}
-    if isinstance(value, tuple):
-        return [dataclasses.asdict(v) if isinstance(v, Dropped) else v for v in value]
-    return value
 
 
 def holds_samples(path: Path) -> bool:
