@@ -6,6 +6,7 @@ import pytest
 from parallel_cal.base.errors import ModelError, ModelFileError
 from parallel_cal.identification.doubts import chi2_band
 from parallel_cal.identification.fit import fit
+from parallel_cal.kinematics import solving
 from parallel_cal.kinematics.every import direct_all
 from parallel_cal.kinematics.kinematics import Kinematics, Status
 from parallel_cal.model.file.modelfile import dump_model, parse_model
@@ -167,6 +168,15 @@ def test_joints_that_are_no_numbers_are_invalid_input_even_where_all_poses_are_a
     joints = np.full(len(kinematics.model.joints), np.nan)
     for found in (kinematics.direct(joints), direct_all(kinematics.model, joints)[0]):
         assert Status(int(found.status)) == Status.INVALID_INPUT
+
+
+@pytest.mark.parametrize(
+    ("name", "solver"),
+    [("argos9", "polynomial"), ("argos27", "three_circles"), ("delta54", "homotopy")],
+)
+def test_a_complete_solver_asked_by_name_says_so_of_joints_that_are_no_numbers_too(name, solver):
+    found = solving.direct(new_model(name), np.full(3, np.nan), {}, every=True, solver=solver)
+    assert Status(int(found[0].status)) == Status.INVALID_INPUT
 
 
 def test_a_singular_start_ends_in_a_status_and_not_in_an_error():

@@ -24,7 +24,7 @@ COMPLETE = {"rods": homotopy, "circles": three_circles, "normals": polynomial}
 def direct_all(model: Model, q: np.ndarray, at: Mapping[str, Any] | None = None) -> Solutions:
     """Every pose for joints (nq,), home branch first; `complete` where no other exists."""
     methods = [m for name, m in COMPLETE.items() if hasattr(model.mechanism, name)]
-    for method in methods:
+    for method in methods if np.isfinite(q).all() else ():
         try:
             found = method.direct_all(model, q, at)
         except SolveError:  # an effect or this geometry denies it what it needs

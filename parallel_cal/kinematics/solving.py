@@ -32,10 +32,11 @@ def direct(
     """
     if not every:
         return _chosen(solver, "direct", every)(model, np.atleast_2d(q), at)
-    found = _chosen(solver, "direct", every)(model, q, at)
-    if len(found):
-        return found
-    return replace(stacked([unsolved(model, q=q)]), complete=found.complete)
+    solve, none = _chosen(solver, "direct", every), stacked([unsolved(model, q=q)])
+    if not np.isfinite(q).all():
+        return none
+    found = solve(model, q, at)
+    return found if len(found) else replace(none, complete=found.complete)
 
 
 def inverse(
