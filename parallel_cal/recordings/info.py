@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from parallel_cal.base.documents import plain
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.recordings.bag import list_topics, read_bag
 from parallel_cal.recordings.channels import named
@@ -50,7 +52,7 @@ def info_of(dataset: Dataset) -> dict[str, Any]:
         "topics": [],
         "channels": {},
         "joints": _joint_ranges(dataset.joint_names, dataset.q),
-        "measured": [COORDINATES[i] for i in np.flatnonzero(dataset.measured.any(axis=0))],
+        "measured": _coordinates(dataset.measured),
         **_dataset_part(dataset),
     }
 
@@ -70,24 +72,27 @@ def _recording_part(recording: Recording, duration: float) -> dict[str, Any]:
         "duration": duration,
         "frame": recording.pose.frame,
         "topics": [
-            {
-                "name": t.name,
-                "type": t.type,
-                "count": t.count,
-                "rate": t.count / duration if t.count > 1 and duration > 0 else None,
-            }
+            vars(t) | {"rate": t.count / duration if t.count > 1 and duration > 0 else None}
             for t in recording.topics
         ],
         "channels": {name: (c.topic or None) if c else None for name, c in channels.items()},
         "joints": _joint_ranges(recording.joints.names, recording.joints.position),
-        "measured": [COORDINATES[i] for i in np.flatnonzero(recording.pose.measured.any(axis=0))],
+        "measured": _coordinates(recording.pose.measured),
     }
+
+
+def _coordinates(measured: np.ndarray) -> list[str]:
+    """Those that any of the rows (n, 6) marks."""
+    return np.array(COORDINATES)[measured.any(axis=0)].tolist()
 
 
 def _joint_ranges(names: Sequence[str], q: np.ndarray) -> dict[str, dict[str, float]]:
     """Least and greatest reading of each joint, in rad or m."""
-    low, high = q.min(axis=0).tolist(), q.max(axis=0).tolist()
-    return {name: {"min": low[j], "max": high[j]} for j, name in enumerate(names)}
+    return {name: _range(readings) for name, readings in zip(names, q.T, strict=True)}
+
+
+def _range(values: np.ndarray) -> dict[str, float]:
+    return {"min": float(values.min()), "max": float(values.max())}
 
 
 def _nothing_usable(recording: Recording, why: str) -> dict[str, Any]:
@@ -96,8 +101,7 @@ def _nothing_usable(recording: Recording, why: str) -> dict[str, Any]:
         "mode": None,
         "samples": 0,
         "poses": 0,
-        "dropped": _grouped(recording.dropped),
-        "dropped_list": _listed(recording.dropped),
+        **_dropped(recording.dropped),
         "replicates": {"poses": 0, "samples": 0},
         "conditions": {},
         "readings": {},
@@ -114,11 +118,10 @@ def _dataset_part(dataset: Dataset) -> dict[str, Any]:
         "mode": dataset.mode,
         "samples": len(dataset),
         "poses": int((visits > 0).sum()),
-        "dropped": _grouped(dataset.dropped),
-        "dropped_list": _listed(dataset.dropped),
+        **_dropped(dataset.dropped),
         "replicates": {"poses": repeated, "samples": int(visits[visits > 1].sum())},
         "conditions": {
-            name: {"min": float(values.min()), "max": float(values.max())}
+            name: _range(values)
             for name, values in dataset.conditions.items()
             if len(values) and not name.startswith(READING)
         },
@@ -143,8 +146,8 @@ def _noise(dataset: Dataset) -> dict[str, Any]:
             "pose": _medians(dataset.scatter_pose),
         },
         "between_replicates": {
-            "joint": _numbers(noise.joint),
-            "pose": _numbers(noise.pose),
+            "joint": plain(noise.joint),
+            "pose": plain(noise.pose),
             "dof": noise.dof,
         },
         "stated": {"pose": _medians(stated)},
@@ -155,10 +158,6 @@ def _medians(values: np.ndarray) -> list[float | None]:
     """Median per column of the numbers there are."""
     columns = [column[np.isfinite(column)] for column in values.T]
     return [float(np.median(column)) if len(column) else None for column in columns]
-
-
-def _numbers(values: np.ndarray) -> list[float | None]:
-    return [float(v) if np.isfinite(v) else None for v in values]
 
 
 def _thin_conditions(dataset: Dataset) -> list[str]:
@@ -173,15 +172,9 @@ def _thin_conditions(dataset: Dataset) -> list[str]:
     return said
 
 
-def _grouped(dropped: Sequence[Dropped]) -> dict[str, int]:
-    """Reason -> how many, most frequent first."""
-    counts: dict[str, int] = {}
+def _dropped(dropped: Sequence[Dropped]) -> dict[str, Any]:
+    """Reason -> how many, most frequent first; and each by itself."""
+    counts = Counter[str]()
     for item in dropped:
-        counts[item.reason] = counts.get(item.reason, 0) + item.count
-    return dict(sorted(counts.items(), key=lambda pair: -pair[1]))
-
-
-def _listed(dropped: Sequence[Dropped]) -> list[dict[str, Any]]:
-    return [
-        {"time": d.time, "reason": d.reason, "detail": d.detail, "count": d.count} for d in dropped
-    ]
+        counts[item.reason] += item.count
+    return {"dropped": dict(counts.most_common()), "dropped_list": plain(dropped)}
