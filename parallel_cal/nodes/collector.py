@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
@@ -102,7 +103,8 @@ class Collector:
         live = self._at["joint_states"]
         if len(live.raws["joint_states"].stamp) > LONGEST:
             self._begin_another(live)
-        heard = [c for c in (self._pose_channel(), *named("readings")) if self.received[c]]
+        poses = [c for c in named("poses") if self.received[c]]
+        heard = poses[:1] + [c for c in named("readings") if self.received[c]]
         in_use = [self._at[channel] for channel in ("joint_states", *heard)]
         first = min(self._inboxes.index(s) for s in in_use)
         for inbox in self._inboxes[:first]:
@@ -112,17 +114,14 @@ class Collector:
     def _begin_another(self, live: Inbox) -> None:
         """A new inbox in the middle of a motion, so that no dwell is cut; with the last
         conditions and constraint."""
-        resting = live.dataset is not None and _is_current(live, self.options)
-        if resting and len(live.raws["joint_states"].stamp) < 2 * LONGEST:
-            return
+        if len(live.raws["joint_states"].stamp) < 2 * LONGEST:
+            with suppress(DatasetError):  # it moves
+                live.current(self.options)
+                return
         new = Inbox(self._topics, self._numbers)
         new.inherit(live, named("condition", "words"))
         self._inboxes.append(new)
         self._at = dict.fromkeys(CHANNELS, new)
-
-    def _pose_channel(self) -> str:
-        position_only = not self.received["measured_pose"] and self.received["measured_position"]
-        return "measured_position" if position_only else "measured_pose"
 
     # ------------------------------------------------------------------ samples out
 
@@ -218,10 +217,3 @@ class Collector:
         self.clear()
         self._inboxes.insert(0, Inbox.loaded(dataset, self._numbers))
         return len(dataset)
-
-
-def _is_current(inbox: Inbox, options: SampleOptions) -> bool:
-    try:
-        return bool(inbox.current(options))
-    except DatasetError:
-        return False

@@ -15,7 +15,7 @@ from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.loading import dataset_from_recording
 from parallel_cal.recordings.options import ReadOptions, SampleOptions
 from parallel_cal.recordings.pairing import bracketed
-from parallel_cal.recordings.recording import Bools, Dropped, Raw, Recording, TopicInfo
+from parallel_cal.recordings.recording import Bools, Dropped, Raw, Recording
 from parallel_cal.recordings.samples import max_gap
 from parallel_cal.recordings.sieve import CLOCK_JUMP
 
@@ -57,20 +57,16 @@ class Inbox:
 
     def add(self, channel: str, stamp: int, log: int, message: Any) -> None:
         """Append one message; times in ns."""
-        raw = self.raws[channel]
-        kind = CHANNELS[channel]
+        raw, kind = self.raws[channel], CHANNELS[channel]
         if kind.kind == "condition" and raw.stamp[-1:] == [stamp]:
             return  # a latched message is heard twice, see calibration_node
-        row = kind.decode(message)
-        raw.log.append(log)
-        raw.stamp.append(stamp)
-        raw.rows.append(row)
+        raw.append(log, stamp, kind.decode(message))
 
     @property
     def poses(self) -> Raw:
         """The device's messages: full poses where there are any, else positions."""
-        pose, position = (self.raws[name] for name in named("poses"))
-        return pose if pose.stamp or not position.stamp else position
+        raws = [self.raws[name] for name in named("poses")]
+        return next((raw for raw in raws if raw.stamp), raws[0])
 
     def inherit(self, other: Inbox, channels: Iterable[str]) -> None:
         """Begin with the last message of another inbox: it may not be said again."""
@@ -104,18 +100,14 @@ class Inbox:
 
     def _make_samples(self, joints: Sequence[str] | None, options: SampleOptions) -> None:
         try:
-            recording = self._recording(joints)
+            heard = {name: raw for name, raw in self.raws.items() if raw.stamp}
+            recording = assemble(heard, ReadOptions(joints=joints), "live")
             self._count(recording, options)
             self._adopt(dataset_from_recording(recording, options), recording.start_ns)
         except ParallelCalError as error:
             self.trouble = str(error)
         except Exception as error:  # a fault of ours must not end the collecting
             self.trouble = f"internal error: {error!r}"
-
-    def _recording(self, joints: Sequence[str] | None) -> Recording:
-        heard = {name: raw for name, raw in self.raws.items() if raw.stamp}
-        topics = tuple(TopicInfo(r.topic, r.type, len(r.stamp)) for r in heard.values())
-        return assemble(heard, ReadOptions(joints=joints), source="live", topics=topics)
 
     def _count(self, recording: Recording, options: SampleOptions) -> None:
         """Measurements that found their joint state, and those that never will."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,19 +25,13 @@ def read_bag(
 
     Single bad messages are dropped and counted; an unusable stream is a BagError.
     """
-    options, path, notes = options or ReadOptions(), Path(path), list[str]()
+    options, path = options or ReadOptions(), Path(path)
     try:
-        with _Bag(path, notes) as bag:
-            chosen = choose_topics(bag.topics, options.topics, notes)
+        with _Bag(path) as bag:
+            chosen = choose_topics(bag.topics, options.topics, bag.notes)
             raws = _read_messages(bag, chosen, progress)
-        return assemble(
-            raws,
-            options,
-            source=str(path),
-            sha256=data_hash(path),
-            topics=bag.topics,
-            notes=notes,
-        )
+        recording = assemble(raws, options, str(path), bag.notes)
+        return replace(recording, sha256=data_hash(path), topics=bag.topics)
     except BagError as error:
         if str(path) in str(error):
             raise
@@ -46,25 +40,24 @@ def read_bag(
 
 def list_topics(path: str | Path) -> tuple[tuple[TopicInfo, ...], float]:
     """The topics of a bag and the time it spans by its log, in s."""
-    with _Bag(Path(path), []) as bag:
+    with _Bag(Path(path)) as bag:
         return bag.topics, bag.reader.duration * 1e-9
 
 
 @dataclass(frozen=True)
 class RawMessage:
-    """A message as it lies in the bag: topic, type, log time (ns) and its serialized bytes."""
+    """A message as it lies in the bag: topic, log time (ns) and its serialized bytes."""
 
     topic: str
-    type: str
     time: int
     data: bytes
 
 
 def raw_messages(path: str | Path) -> Iterator[RawMessage]:
     """Every message of a bag in the order of its log; BagError where it cannot be read."""
-    with _Bag(Path(path), []) as bag:
+    with _Bag(Path(path)) as bag:
         for connection, time, data in bag.messages(list(bag.reader.connections)):
-            yield RawMessage(connection.topic, connection.msgtype, time, data)
+            yield RawMessage(connection.topic, time, data)
 
 
 def data_hash(path: str | Path) -> str:
@@ -85,8 +78,8 @@ def _data_files(folder: Path) -> list[Path]:
 class _Bag:
     """An open bag whose every failure is a BagError that names the file and a way out."""
 
-    def __init__(self, path: Path, notes: list[str]) -> None:
-        self.path, self.notes = path, notes
+    def __init__(self, path: Path) -> None:
+        self.path, self.notes = path, list[str]()
         self.topics: tuple[TopicInfo, ...] = ()
 
     def __enter__(self) -> _Bag:
@@ -182,6 +175,4 @@ def _decode(channel: Channel, raw: Raw, log: int, data: bytes, store: Any) -> No
     except Exception:  # bytes that are no message fail in any way; they are counted
         raw.undecodable += 1
         return
-    raw.log.append(log)
-    raw.stamp.append(stamp_of(message))
-    raw.rows.append(row)
+    raw.append(log, stamp_of(message), row)

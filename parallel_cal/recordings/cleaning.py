@@ -6,7 +6,7 @@ same checks. A bad message is dropped and counted; a stream without a good one i
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,6 @@ from parallel_cal.recordings.recording import (
     Recording,
     ScalarStream,
     TextStream,
-    TopicInfo,
 )
 from parallel_cal.recordings.sieve import Sieve, resolve_stamps
 
@@ -33,10 +32,7 @@ from parallel_cal.recordings.sieve import Sieve, resolve_stamps
 def assemble(
     raws: Mapping[str, Raw],
     options: ReadOptions,
-    *,
-    source: str = "",
-    sha256: str = "",
-    topics: tuple[TopicInfo, ...] = (),
+    source: str,
     notes: Sequence[str] = (),
 ) -> Recording:
     """Clean the raw messages of each channel; BagError when a whole stream cannot be used.
@@ -44,7 +40,12 @@ def assemble(
     There are no poses where a constraint or distances stand in for a pose device; of several
     channels of poses the first one counts.
     """
-    said, dropped = list(notes), []
+    said = list(notes)
+    dropped = [
+        Dropped(0.0, "message cannot be decoded", f"{raw.topic}: {n} messages", n)
+        for raw in raws.values()
+        if (n := raw.undecodable)
+    ]
 
     def of(kind: Kind) -> dict[str, Raw]:
         return {name: raws[name] for name in named(kind) if name in raws}
@@ -57,8 +58,8 @@ def assemble(
     if len(streams) > 1:
         pose = clean_poses(streams[1], sieves[1], options.measures, said)
         _require_overlap(joints, pose, start)
-    for sieve, raw in zip(sieves, streams, strict=True):
-        dropped += _undecodable(raw) + sieve.dropped
+    for sieve in sieves:
+        dropped += sieve.dropped
 
     def numbers(group: Mapping[str, Raw]) -> dict[str, ScalarStream]:
         found = {
@@ -66,15 +67,10 @@ def assemble(
         }
         return {name: stream for name, stream in found.items() if stream}
 
-    words, readings = list(of("words").values()), list(of("readings").values())
-    conditions, distances = numbers(of("condition")), numbers(_by_gauge(readings))
-    for raw in (*words, *readings):
-        dropped += _undecodable(raw)
+    conditions, distances = numbers(of("condition")), numbers(_by_gauge(of("readings").values()))
+    words = (_held(raw, streams[0], times[0], start) for raw in of("words").values())
     return Recording(
-        source, sha256, start, topics, joints, pose,
-        conditions,
-        next((_held(raw, streams[0], times[0], start) for raw in words), None),
-        distances,
+        source, start, joints, pose, conditions, next(words, None), distances,
         tuple(dropped), tuple(said),
     )  # fmt: skip
 
@@ -88,7 +84,6 @@ def _numbers(
     dropped: list[Dropped],
 ) -> ScalarStream | None:
     """One number over time; None, with a note, when it cannot belong to this recording."""
-    dropped += _undecodable(raw)
     if not raw.stamp:
         return None
     sieve = Sieve(raw, resolve_stamps(raw, stamps, notes), start)
@@ -105,7 +100,7 @@ def _numbers(
     return ScalarStream(raw.topic, time, value[sieve.keep])
 
 
-def _by_gauge(raws: Sequence[Raw]) -> dict[str, Raw]:
+def _by_gauge(raws: Iterable[Raw]) -> dict[str, Raw]:
     """The messages of each ball-bar or probe; rows are (frame, m), and the frame is its channel,
     or where that is empty the topic's own name. BagError where one comes on two topics."""
     gauges: dict[str, Raw] = {}
@@ -116,9 +111,7 @@ def _by_gauge(raws: Sequence[Raw]) -> dict[str, Raw]:
             gauge = gauges.setdefault(channel, Raw(name, raw.type))
             if gauge.topic != name:
                 raise BagError(f"{name} comes as {gauge.topic}, too: give them different names")
-            gauge.log.append(log)
-            gauge.stamp.append(stamp)
-            gauge.rows.append((value,))
+            gauge.append(log, stamp, (value,))
     return gauges
 
 
@@ -130,14 +123,6 @@ def _held(raw: Raw, joints: Raw, joint_ns: NDArray[np.int64], start: int) -> Tex
     before = np.searchsorted(joints.log, np.array(raw.log)[order], side="right") - 1
     time = np.asarray((joint_ns[before.clip(0)] - start) * 1e-9, float)
     return TextStream(raw.topic, time, tuple(raw.rows[i][0] for i in order))
-
-
-def _undecodable(raw: Raw) -> list[Dropped]:
-    """The report of messages whose bytes are no message of their type."""
-    if not raw.undecodable:
-        return []
-    detail = f"{raw.topic}: {raw.undecodable} messages"
-    return [Dropped(0.0, "message cannot be decoded", detail, raw.undecodable)]
 
 
 def _require_overlap(joints: JointStream, pose: PoseStream, start: int) -> None:

@@ -48,6 +48,11 @@ class Raw:
     rows: list[tuple] = field(default_factory=list)
     undecodable: int = 0
 
+    def append(self, log: int, stamp: int, row: tuple) -> None:
+        self.log.append(log)
+        self.stamp.append(stamp)
+        self.rows.append(row)
+
 
 @dataclass(frozen=True)
 class JointStream:
@@ -116,9 +121,7 @@ class Recording:
     """
 
     source: str
-    sha256: str
     start_ns: int
-    topics: tuple[TopicInfo, ...]
     joints: JointStream
     pose: PoseStream
     conditions: Mapping[str, ScalarStream] = field(default_factory=dict)
@@ -126,3 +129,5 @@ class Recording:
     distances: Mapping[str, ScalarStream] = field(default_factory=dict)
     dropped: tuple[Dropped, ...] = ()
     notes: tuple[str, ...] = ()
+    topics: tuple[TopicInfo, ...] = ()
+    sha256: str = ""

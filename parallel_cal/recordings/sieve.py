@@ -74,5 +74,4 @@ def resolve_stamps(raw: Raw, stamps: str, notes: list[str]) -> NDArray[np.int64]
         return log
     # a few zeros among real stamps repeat the time before them, and the sieve drops repeats
     last = np.maximum.accumulate(np.where(empty, int(np.argmin(empty)), np.arange(len(header))))
-    header = header[last]
-    return header
+    return header[last]

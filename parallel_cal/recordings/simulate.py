@@ -99,9 +99,7 @@ def simulate(
         np.full_like(motion.joints, np.nan),
     )  # fmt: skip
     measured = _measured(model, motion, errors, np.diag(_pose_sigma(stated) ** 2))
-    return Simulation(
-        model, Recording("simulated", "", 0, (), joints, measured, _slow_streams(motion))
-    )
+    return Simulation(model, Recording("simulated", 0, joints, measured, _slow_streams(motion)))
 
 
 def _fitting(model: Model, targets: np.ndarray, motion: _Motion) -> np.ndarray:
