@@ -19,7 +19,8 @@ import virtual_robot as vr
 from datasets import measured
 
 from parallel_cal.identification.fit import fit, single_threaded
-from parallel_cal.identification.methods.implicit import Linearisation, estimate
+from parallel_cal.identification.linearisation import Linearisation
+from parallel_cal.identification.methods.implicit import estimate
 from parallel_cal.identification.observations import Observations, observe
 from parallel_cal.mechanisms.delta24 import Delta24
 from parallel_cal.model.model import Model, new_model

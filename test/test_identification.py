@@ -12,8 +12,9 @@ from parallel_cal.base.errors import FitError
 from parallel_cal.diagnosis.comparison import compare
 from parallel_cal.identification.doubts import chi2_band
 from parallel_cal.identification.fit import fit, single_threaded
+from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.methods._estimate import NormalEquations
-from parallel_cal.identification.methods.implicit import Linearisation, estimate
+from parallel_cal.identification.methods.implicit import estimate
 from parallel_cal.identification.observations import observe
 from parallel_cal.identification.prior import Knowledge
 from parallel_cal.kinematics.kinematics import Kinematics

@@ -85,28 +85,21 @@ class Linearisation:
 
     def __call__(self, values: np.ndarray, x: np.ndarray) -> System:
         """Residuals and Jacobian at parameters and adjusted configurations x (N, nq+12)."""
-        residual = np.empty((len(x), self._rows))
-        jacobian = np.empty((len(x), self._rows, self._n_free))
-        informative, adjusts = np.full(len(x), self._rows), []
+        adjusts: list[Adjust] = []
+        system = System(
+            np.empty((len(x), self._rows)),
+            np.empty((len(x), self._rows, self._n_free)),
+            np.full(len(x), self._rows),
+            lambda step: np.concatenate([adjust(step) for adjust in adjusts]),
+        )
         for begin in range(0, len(x), BLOCK):
             part = slice(begin, begin + BLOCK)
-            filled = residual[part], jacobian[part], informative[part]
-            adjusts.append(self._block(values, x[part], part, *filled))
-        return System(
-            residual, jacobian, informative, lambda step: np.concatenate([a(step) for a in adjusts])
-        )
+            adjusts.append(self._fill(system, values, x[part], part))
+        return system
 
-    def _block(
-        self,
-        values: np.ndarray,
-        x: np.ndarray,
-        part: slice,
-        r: np.ndarray,
-        A: np.ndarray,
-        informative: np.ndarray,
-    ) -> Adjust:
-        """Fill residuals r, Jacobian A and the rows' number of some samples; how a step adjusts
-        these."""
+    def _fill(self, system: System, values: np.ndarray, x: np.ndarray, part: slice) -> Adjust:
+        """Residuals, Jacobian and the rows' number of some samples; how a step adjusts these."""
+        r, A = system.residual[part], system.jacobian[part]
         phi, C, J = self.blocks(values, x, part)
         away, here = self.away(x, part), Configuration.from_rows(x)
         SC = self._covariance(part) @ C.transpose(0, 2, 1)
@@ -123,7 +116,7 @@ class Linearisation:
             return lambda step: here.moved(corrections(r + A @ step)).rows
         r_all, A_all = r.copy(), A.copy()
         r[:], A[:] = (free_of @ r[:, :, None])[:, :, 0], free_of @ A
-        informative[:] = np.rint(np.trace(free_of, axis1=1, axis2=2))
+        system.informative[part] = np.rint(np.trace(free_of, axis1=1, axis2=2))
         return lambda step: here.moved(explain(r_all + A_all @ step, corrections)).rows
 
     def whiteners(self, values: np.ndarray, x: np.ndarray) -> np.ndarray:

@@ -101,24 +101,20 @@ def minimise(
 
 
 def concluded_at(
-    model: Model,
+    sought: Sought,
     values: np.ndarray,
     observations: Observations,
-    free: np.ndarray,
+    covariance: np.ndarray,
     iterations: int,
-    covariance: np.ndarray | None = None,
 ) -> Estimate:
     """A verdict on values found by other means: chi2 of the closure in inherited noise.
 
     `covariance` (n_free, n_free), that of the method, replaces that of the weighted optimum.
     """
-    linearise = Linearisation(model, observations, free, True)
-    system = linearise(values, linearise.start())
-    found = concluded(Sought(model, free), values, system, iterations)
-    if covariance is None:
-        return found
+    linearise = Linearisation(sought.model, observations, sought.free, True)
+    found = concluded(sought, values, linearise(values, linearise.start()), iterations)
     whole = np.zeros_like(found.covariance)
-    whole[np.ix_(free, free)] = covariance
+    whole[np.ix_(sought.free, sought.free)] = covariance
     return replace(found, covariance=whole)
 
 

@@ -15,6 +15,8 @@ from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.mechanism import POSE
 from parallel_cal.model.model import Model
 
+ITERATIONS = 50
+
 
 class Prediction:
     """Measured minus predicted `unknown` coordinates, given the others, in noise units.
@@ -87,13 +89,13 @@ class Prediction:
         T = inverse @ C * self._observations.measured[:, None, :]
         return self._white(residual, inverse @ J, T)
 
-    def least(self, prior: bool | Prior, iterations: int) -> Estimate:
+    def least(self, prior: bool | Prior) -> Estimate:
         """Parameters that minimise the residuals; FitError where it does not converge."""
         return minimise(
             Sought(self._model, self._free, prior),
             lambda values, before, step: self(values),
             lambda system: "leave out samples near singularities, or use the implicit method",
-            iterations,
+            ITERATIONS,
         )
 
     def _white(self, residual: np.ndarray, jacobian: np.ndarray, T: np.ndarray) -> Predicted:

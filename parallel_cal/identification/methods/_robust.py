@@ -22,14 +22,15 @@ LOSSES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "arctan": lambda t: 1 / (1 + (t / 2.571) ** 4),
 }
 
+ITERATIONS = 30
+
 
 def robust(
     estimator: Callable[..., Estimate],
     model: Model,
     observations: Observations,
     free: np.ndarray,
-    loss: str = "huber",
-    iterations: int = 30,
+    loss: str,
 ) -> Estimate:
     """An estimate that few bad samples cannot pull: noise S / w where a sample's weight is w.
 
@@ -41,15 +42,16 @@ def robust(
     if loss not in LOSSES:
         raise FitError(f"no loss '{loss}'; there are linear, {', '.join(LOSSES)}")
     weight = np.ones(len(observations))
-    for _ in range(iterations):
+    for _ in range(ITERATIONS):
         found = estimator(model, reweighted(observations, weight), free)
         if len(found.residuals) != len(weight):
             raise FitError(
                 f"loss '{loss}' needs every sample, but this method leaves out those near "
                 "singularities; use the implicit method"
             )
-        plain = found.residuals / np.sqrt(weight)[:, None]
-        sizes = _sizes(plain, found.informative)
+        squares = np.sum(found.residuals**2, axis=1) / weight
+        # rms of the rows that are free of what was not measured
+        sizes = np.sqrt(squares / np.maximum(found.informative, 1))
         unit = _scale(sizes, found.informative) if observations.noise_assumed else 1.0
         before, weight = weight, LOSSES[loss](sizes / unit)
         model = model.with_values(found.values)
@@ -60,11 +62,9 @@ def robust(
 
 def reweighted(observations: Observations, weight: np.ndarray | None) -> Observations:
     """Samples whose noise is that of their weight (N,)."""
-    return (
-        observations
-        if weight is None
-        else replace(observations, S=observations.S / weight[:, None, None])
-    )
+    if weight is None:
+        return observations
+    return replace(observations, S=observations.S / weight[:, None, None])
 
 
 def _scale(sizes: np.ndarray, informative: np.ndarray) -> float:
@@ -73,8 +73,3 @@ def _scale(sizes: np.ndarray, informative: np.ndarray) -> float:
     k = informative[informative > 0]
     usual = sizes[informative > 0] / (1 - 2 / (9 * k)) ** 1.5
     return max(float(np.median(usual)), 1e-300)
-
-
-def _sizes(residuals: np.ndarray, informative: np.ndarray) -> np.ndarray:
-    """Rms of the rows that are free of what was not measured, a sample."""
-    return np.asarray(np.sqrt(np.sum(residuals**2, axis=1) / np.maximum(informative, 1)))

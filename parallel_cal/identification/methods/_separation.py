@@ -33,7 +33,6 @@ class Separation:
         self._inputs = [self._coordinates(structure), structure.v]
         names = (structure.configuration, structure.v)
         self._function = ca.Function("rows", list(names), [structure.phi])
-        self._structure = structure
         self.rows = [self._without_roots(row) for row in self._run()]
 
     def _coordinates(self, s: Structure) -> list[Polynomial]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from parallel_cal.base.errors import FitError
-from parallel_cal.identification.methods._estimate import Estimate
+from parallel_cal.identification.methods._estimate import Estimate, Sought
 from parallel_cal.identification.methods.semiparametric import (
     FactorMechanism,
     closure_rows,
@@ -23,11 +23,7 @@ from parallel_cal.model.model import Model
 
 
 def estimate(
-    model: Model,
-    observations: Observations,
-    free: np.ndarray,
-    prior: bool | Prior = False,
-    iterations: int = 20,
+    model: Model, observations: Observations, free: np.ndarray, prior: bool | Prior = False
 ) -> Estimate:
     """Parameters by two linear steps and eq. 5.35, without weights, as in the thesis.
 
@@ -38,17 +34,14 @@ def estimate(
     if prior:
         raise FitError("cascaded calibration takes no prior; use the implicit method")
     factors = semiparametric(model)
-    phi, M = closure_rows(factors, observations)
+    _, M = closure_rows(factors, observations)
     constant = _constants(factors)
     inverse = _two_steps(M, constant, len(observations))
-    target = factors.values - inverse @ phi
     # What both steps saw: differences, then each row's mean, in which the constants stand.
     first = np.linalg.qr(_differences(M, len(observations)), mode="r")
     mean = M[:, constant] / np.linalg.norm(M[:, constant], axis=0)
     weight = np.vstack([first, mean.T @ M])
-    return extracted(
-        model, observations, free, factors, target, weight, np.linalg.pinv(inverse), iterations
-    )
+    return extracted(Sought(model, free), observations, inverse, weight)
 
 
 def _constants(factors: Model) -> np.ndarray:

@@ -12,11 +12,7 @@ from parallel_cal.model.model import Model
 
 
 def estimate(
-    model: Model,
-    observations: Observations,
-    free: np.ndarray,
-    prior: bool | Prior = False,
-    iterations: int = 50,
+    model: Model, observations: Observations, free: np.ndarray, prior: bool | Prior = False
 ) -> Estimate:
     """Parameters that minimise the pose errors of eq. 5.22, in units of their noise.
 
@@ -24,5 +20,4 @@ def estimate(
     problem, so samples near a direct singularity count little (the thesis had to remove them).
     Measured coordinates that move take part. FitError where it does not converge.
     """
-    prediction = Prediction(model, observations, free, direct=True)
-    return prediction.least(prior, iterations)
+    return Prediction(model, observations, free, direct=True).least(prior)

@@ -18,7 +18,9 @@ from parallel_cal.identification.thresholds import HARDLY
 from parallel_cal.model.model import Model
 from parallel_cal.model.words import direction_in_words
 
-__all__ = ["Estimate", "Linearisation", "estimate"]
+__all__ = ["Estimate", "estimate"]
+
+ITERATIONS = 200
 
 
 def estimate(
@@ -27,7 +29,6 @@ def estimate(
     free: np.ndarray,
     prior: bool | Prior = False,
     weighted: bool = True,
-    iterations: int = 200,
 ) -> Estimate:
     """Parameters by Levenberg-Marquardt (C.4) on whitened closure residuals.
 
@@ -45,7 +46,7 @@ def estimate(
     def advice(system: System) -> str:
         return _why(model, spectrum(system.columns, model.table, free, prior), prior)
 
-    return minimise(Sought(model, free, prior), reach, advice, iterations)
+    return minimise(Sought(model, free, prior), reach, advice, ITERATIONS)
 
 
 def _why(model: Model, seen: Spectrum, prior: bool | Prior) -> str:

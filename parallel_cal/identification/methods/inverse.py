@@ -12,11 +12,7 @@ from parallel_cal.model.model import Model
 
 
 def estimate(
-    model: Model,
-    observations: Observations,
-    free: np.ndarray,
-    prior: bool | Prior = False,
-    iterations: int = 50,
+    model: Model, observations: Observations, free: np.ndarray, prior: bool | Prior = False
 ) -> Estimate:
     """Parameters that minimise the joint errors of eq. 5.25, in units of their noise.
 
@@ -25,5 +21,4 @@ def estimate(
     same problem; where measured, their errors count too. FitError where a controlled
     coordinate was not measured, or it does not converge.
     """
-    prediction = Prediction(model, observations, free, direct=False)
-    return prediction.least(prior, iterations)
+    return Prediction(model, observations, free, direct=False).least(prior)

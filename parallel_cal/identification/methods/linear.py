@@ -42,6 +42,5 @@ def estimate(
         return concluded(sought, values, found, 1)
     J = system.columns * tolerance
     influence = -np.linalg.pinv(J) * tolerance[:, None]
-    return concluded_at(
-        model, values, observations, free, 1, spread(influence, model, values, observations)
-    )
+    covariance = spread(influence, model, values, observations)
+    return concluded_at(sought, values, observations, covariance, 1)

@@ -19,7 +19,7 @@ from parallel_cal.base.errors import FitError
 from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.methods import implicit
 from parallel_cal.identification.methods._descent import concluded_at, need_measured, spread
-from parallel_cal.identification.methods._estimate import Estimate
+from parallel_cal.identification.methods._estimate import Estimate, Sought
 from parallel_cal.identification.methods._factors import Row, separated
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prior import Prior
@@ -27,6 +27,8 @@ from parallel_cal.identification.thresholds import FACTOR_STEP
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.model import Model, new_model
 from parallel_cal.model.parameters import Named, Parameter, ParameterTable
+
+ITERATIONS = 20
 
 
 class FactorMechanism(Mechanism):
@@ -93,19 +95,19 @@ def identify(model: Model, observations: Observations, weighted: bool = True) ->
     """
     factors = semiparametric(model)
     free = np.ones(len(factors.values), dtype=bool)
-    linear = factors.with_values(factors.values + _linear(factors, observations))
+    phi, M = closure_rows(factors, observations)
+    linear = factors.with_values(factors.values - _inverse(factors, M) @ phi)
     if not weighted:
         return linear
     found = implicit.estimate(linear, observations, free)
     return linear.with_values(found.values, found.covariance)
 
 
-def _linear(factors: Model, observations: Observations) -> np.ndarray:
-    """The least-squares change of all factors at once: the closure is linear in them."""
+def _inverse(factors: Model, M: np.ndarray) -> np.ndarray:
+    """The linear map (n_factors, N * rows) from closure errors to the least-squares change of all
+    factors at once, minus: the closure is linear in them."""
     tolerance = factors.table.tolerance
-    phi, J = closure_rows(factors, observations)
-    step = np.linalg.lstsq(J * tolerance, -phi, rcond=1e-12)[0]
-    return np.asarray(tolerance * step)
+    return np.asarray(tolerance[:, None] * np.linalg.pinv(M * tolerance, rcond=1e-12))
 
 
 def closure_rows(model: Model, observations: Observations) -> tuple[np.ndarray, np.ndarray]:
@@ -123,11 +125,7 @@ def closure_rows(model: Model, observations: Observations) -> tuple[np.ndarray, 
 
 
 def estimate(
-    model: Model,
-    observations: Observations,
-    free: np.ndarray,
-    prior: bool | Prior = False,
-    iterations: int = 20,
+    model: Model, observations: Observations, free: np.ndarray, prior: bool | Prior = False
 ) -> Estimate:
     """Parameters whose factors come nearest to the best linear factors.
 
@@ -138,33 +136,24 @@ def estimate(
     if prior:
         raise FitError("semiparametric calibration takes no prior; use the implicit method")
     factors = semiparametric(model)
-    step = _linear(factors, observations)
     _, M = closure_rows(factors, observations)
     triangle = np.asarray(np.linalg.qr(M, mode="r"))
-    return extracted(
-        model, observations, free, factors, factors.values + step, triangle, M, iterations
-    )
+    return extracted(Sought(model, free), observations, _inverse(factors, M), triangle)
 
 
 def extracted(
-    model: Model,
-    observations: Observations,
-    free: np.ndarray,
-    factors: Model,
-    target: np.ndarray,
-    weight: np.ndarray,
-    to_weight: np.ndarray,
-    iterations: int,
+    sought: Sought, observations: Observations, inverse: np.ndarray, weight: np.ndarray
 ) -> Estimate:
     """Parameters that minimise |weight (f(p) - target)|, by Gauss-Newton; (5.35) in general.
 
-    `to_weight` (N * rows, n_factors): how closure errors reach target, as in a least-squares
-    solution target = -pinv(to_weight) errors.
+    `inverse` (n_factors, N * rows) makes the closure's errors phi the linear target
+    f - inverse phi.
     """
-    mechanism = factors.mechanism
+    factors, free, tolerance = semiparametric(sought.model), sought.free, sought.tolerance
+    mechanism, values = factors.mechanism, np.array(sought.model.values)
     assert isinstance(mechanism, FactorMechanism)
-    values, tolerance = np.array(model.values), model.table.tolerance[free]
-    for _ in range(iterations):
+    target = factors.values - inverse @ closure_rows(factors, observations)[0]
+    for _ in range(ITERATIONS):
         f = np.concatenate([row.factors(values) for row in mechanism.rows])
         J = np.vstack([np.array(row.jacobian(values)) for row in mechanism.rows])[:, free]
         A = weight @ J * tolerance
@@ -174,13 +163,11 @@ def extracted(
             break
     else:
         raise FitError(
-            f"no parameters fit the linear factors in {iterations} iterations; use the implicit "
+            f"no parameters fit the linear factors in {ITERATIONS} iterations; use the implicit "
             "method"
         )
-    influence = (
-        -tolerance[:, None] * np.linalg.pinv(A, rcond=1e-10) @ weight @ np.linalg.pinv(to_weight)
-    )
+    influence = -tolerance[:, None] * np.linalg.pinv(A, rcond=1e-10) @ weight @ inverse
     # The factors' rows are not the model's: a root may have been squared away.
     at_end = np.concatenate([row.factors(values) for row in mechanism.rows])
     covariance = spread(influence, factors, at_end, observations)
-    return concluded_at(model, values, observations, free, 0, covariance)
+    return concluded_at(sought, values, observations, covariance, 0)
