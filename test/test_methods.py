@@ -15,6 +15,7 @@ from virtual_stewart import Assembly
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from bench.tables import optimisers
+from bench.tables.parallelogram import base_parameters
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.identification.estimators import method_named
@@ -23,7 +24,6 @@ from parallel_cal.identification.methods import implicit, semiparametric
 from parallel_cal.identification.methods._factors import separated
 from parallel_cal.identification.methods._robust import robust
 from parallel_cal.identification.methods._separation import Separation
-from parallel_cal.identification.methods.sensitivity import base_parameters
 from parallel_cal.identification.observations import Observations, observe
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.mechanisms.delta24 import Delta24

@@ -11,11 +11,12 @@ from tied import blind, dataset
 from parallel_cal.base.errors import FitError, ModelError
 from parallel_cal.identification.doubts import chi2_band
 from parallel_cal.identification.fit import fit, single_threaded
-from parallel_cal.identification.linearisation import Linearisation, moved
+from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.methods.implicit import estimate
 from parallel_cal.identification.observations import observe
-from parallel_cal.identification.prediction_errors import reading_errors
+from parallel_cal.identification.prediction_errors import errors
 from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_sensor
 from parallel_cal.recordings.dataset import Dataset
@@ -51,7 +52,7 @@ def check_jacobian(model, observations):
         changed = linearise.blocks(model.values + step * column, x)[0]
         assert np.abs((changed - phi) / step - J[:, :, k]).max() < 1e-4
     for k, column in enumerate(np.eye(C.shape[2])):
-        near = moved(x, np.tile(step * column, (len(x), 1)), len(model.joints))
+        near = Configuration.from_rows(x).moved(np.tile(step * column, (len(x), 1))).rows
         changed = linearise.blocks(model.values, near)
         assert np.abs((changed[0] - phi) / step - C[:, :, k]).max() < 1e-4
 
@@ -108,7 +109,7 @@ def test_what_the_plate_shows_falls_from_millimetres_to_the_noise_on_poses_not_f
     model = new_model("delta24", sensors=[plate_sensor()])
     result = fit(model, data, prior=True, hold_out=0)
     unseen = observe(model, dataset(PLATE, *PLATE.session(robot, 30, seed=77)))
-    before, after = (np.nanstd(reading_errors(m, unseen), axis=0) for m in (model, result.model))
+    before, after = (np.nanstd(errors(m, unseen).reading, axis=0) for m in (model, result.model))
     assert before.shape == (3,)
     assert before.min() > 0.2e-3
     assert after.max() < 40e-6  # plate 15 um, three encoders of 15 um at the arm's end

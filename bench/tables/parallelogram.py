@@ -7,6 +7,7 @@ pose), compensated, and judged where the tool's tip ends up.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ import virtual_robot as vr
 
 from bench.tables.common import DEGREE, MM, UM, distribution
 from parallel_cal.identification.methods import sensitivity
+from parallel_cal.identification.methods._explicit import Prediction
 from parallel_cal.identification.observations import Observations, observe
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.kinematics.solvers import ipr_compensation
@@ -62,11 +64,32 @@ def complete(h: float, seed: int) -> tuple[Model, Observations]:
     return model, observe(model, measure(h, seed, WHOLE))
 
 
+@dataclass(frozen=True)
+class Base:
+    """Independent parameters, and what each of the others adds to them (eqs 70-72):
+    identified base_i = base_i + sum_k grouping[i, k] dropped_k."""
+
+    kept: tuple[str, ...]
+    dropped: tuple[str, ...]
+    grouping: np.ndarray
+
+
+def base_parameters(model: Model, observations: Observations, free: np.ndarray) -> Base:
+    """The base of the free parameters in these poses; earlier ones in the table come first."""
+    system = Prediction(model, observations, free, direct=True)(model.values)
+    assert system is not None
+    columns, names = system.columns, np.array(model.table.names)[free]
+    kept = sensitivity.in_base(columns * model.table.tolerance[free])
+    grouping = np.linalg.lstsq(columns[:, kept], columns[:, ~kept], rcond=None)[0]
+    return Base(tuple(names[kept]), tuple(names[~kept]), np.where(
+        np.abs(grouping) > 1e-6, grouping, 0.0))  # fmt: skip
+
+
 def rank_analysis() -> dict[str, Any]:
     """Base parameters of all nine by QR decomposition, and what the others add to them."""
     model, observations = complete(100 * MM, 0)
     free = np.array([name != "h" for name in model.table.names])
-    base = sensitivity.base_parameters(model, observations, free)
+    base = base_parameters(model, observations, free)
     sums = {
         name: {k: float(v) for k, v in zip(base.kept, column, strict=True) if abs(v) > 1e-3}
         for name, column in zip(base.dropped, base.grouping.T, strict=True)

@@ -28,8 +28,8 @@ def plan(
         str, typer.Option(help="prediction, D, A, condition or noise_amplification")
     ] = "prediction",
     method: Annotated[
-        str | None, typer.Option(help="exchange or annealing; none: what suits the criterion")
-    ] = None,
+        str, typer.Option(help="exchange or annealing; none: what suits the criterion")
+    ] = "",
     pool: Annotated[int, typer.Option(min=1, help="candidates drawn in the workspace")] = 1000,
     symmetric: Annotated[
         bool, typer.Option("--symmetric", help="sets of three, a third of a turn about z apart")

@@ -39,14 +39,6 @@ def free_mask(model: Model, free: Iterable[str], fix: Iterable[str]) -> np.ndarr
     return np.asarray(mask)
 
 
-def check_enough(
-    model: Model, observations: Observations, free: np.ndarray, prior: bool | Prior
-) -> None:
-    """A clear word before the numbers fail: FitError where poses are too few."""
-    if words := lacking(model, observations, free, prior):
-        raise FitError(words)
-
-
 def lacking(model: Model, observations: Observations, free: np.ndarray, prior: bool | Prior) -> str:
     """What is said where poses are too few, or all of them the same; empty where they are enough.
     With a prior one equation is enough."""

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from parallel_cal.base.documents import plain
+from parallel_cal.base.errors import FitError
 from parallel_cal.identification.checks import (
-    check_enough,
     check_plausible,
     chosen_parameters,
     lacking,
@@ -29,12 +29,12 @@ from parallel_cal.identification.doubts import (
 from parallel_cal.identification.estimators import estimator, need_settling
 from parallel_cal.identification.methods.implicit import Estimate
 from parallel_cal.identification.noise_floor import noise_floor
+from parallel_cal.identification.observability import directions_in_words
 from parallel_cal.identification.observations import Observations, observe
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.prediction_errors import Errors, Summary, errors, improvement
 from parallel_cal.identification.refit import considered
 from parallel_cal.model.model import Model
-from parallel_cal.model.words import direction_in_words
 from parallel_cal.recordings.dataset import Dataset
 
 Progress = Callable[[str, float], None]
@@ -61,8 +61,13 @@ class Result:
     noise: Summary
     observations: Observations
     dataset: Dataset
-    refit: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = field(default=())
+    warnings: tuple[str, ...]
+
+    @property
+    def refit(self) -> tuple[str, ...]:
+        """Parameters that a partial re-calibration identified; none where it was no partial one."""
+        names = np.array(self.model.table.names)[self.free] if self.options.refit else ()
+        return tuple(str(name) for name in names)
 
     @property
     def samples(self) -> int:
@@ -97,14 +102,10 @@ class Result:
             "dof": self.estimate.dof,
             "rank": self.estimate.spectrum.rank,
             "free": int(self.free.sum()),
-            "unidentifiable": [
-                {"text": direction_in_words(c, self.model.table), "parameters": c}
-                for c in self.estimate.spectrum.unidentifiable
-            ],
-            "weak": [
-                {"text": direction_in_words(c, self.model.table), "parameters": c}
-                for c in self.estimate.spectrum.weak
-            ],
+            "unidentifiable": directions_in_words(
+                self.estimate.spectrum.unidentifiable, self.model.table
+            ),
+            "weak": directions_in_words(self.estimate.spectrum.weak, self.model.table),
             "noise_floor": self.noise.document(),
             "noise_from": self.observations.noise_from,
             "method": self.options.method,
@@ -179,7 +180,8 @@ def fit(
     if partial:
         need_settling(options.method, "a partial re-calibration")
     observations = observe(model, dataset, options.joint_sigma)
-    check_enough(model, observations, mask, options.prior)
+    if words := lacking(model, observations, mask, options.prior):
+        raise FitError(words)
 
     def judged(train: np.ndarray, test: np.ndarray) -> Errors | None:
         """Errors at poses that the fit did not see; None where the others are too few."""
@@ -216,7 +218,6 @@ def fit(
         noise=noise,
         observations=observations,
         dataset=dataset,
-        refit=tuple(n for n, m in zip(model.table.names, mask, strict=True) if partial and m),
         warnings=(
             *dataset.warnings,
             *on_parameters(fitted, estimate, mask),

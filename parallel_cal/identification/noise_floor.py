@@ -48,18 +48,18 @@ def noise_floor(model: Model, observations: Observations, seed: int = 0) -> Summ
     )
     read -= np.einsum("nij,dnj->dni", by_joint, noise[:, :, :n])
     read = np.where(np.isfinite(observations.reading), read, np.nan)
-    measured = np.broadcast_to(observations.measured, (len(draws), *observations.measured.shape))
-    each = (pose[:, :, :3], pose[:, :, 3:], joint, read)
-    flat = [a.reshape(len(draws) * len(observations), a.shape[-1]) for a in each]
-    mask = measured.reshape(-1, n + 6)
-    known = [judgeable(m, mask[:, n:], part) for part in (range(3), range(3, 6))]
-    known.append(np.all(mask[:, given], axis=1))
-    gaps = np.einsum("nij,dnj->dni", C, noise)[:, complete(model, observations)]
-    kept = [mask[:, n : n + 3], mask[:, n + 3 :], np.ones_like(flat[2], dtype=bool)]
-    parts = [
-        where_known(k, np.where(c, a, 0.0)) for k, c, a in zip(known, kept, flat[:3], strict=True)
-    ]
-    return Errors(parts[0], parts[1], parts[2], flat[3], gaps).summary
+    pose = np.where(observations.measured[:, n:], pose, 0.0)
+    placed, turned = (
+        judgeable(m, observations.measured[:, n:], part) for part in (range(3), range(3, 6))
+    )
+    each = (
+        where_known(placed, pose[:, :, :3]),
+        where_known(turned, pose[:, :, 3:]),
+        where_known(np.all(observations.measured[:, given], axis=1), joint),
+        read,
+        where_known(complete(model, observations), np.einsum("nij,dnj->dni", C, noise)),
+    )
+    return Errors(*[np.concatenate(draw) for draw in each]).summary
 
 
 def _row_jacobians(model: Model, observations: Observations) -> np.ndarray:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from parallel_cal.identification.prior import Knowledge, Prior
 from parallel_cal.identification.thresholds import LOST, NAMED, RELATIVE_RANK, WEAK
 from parallel_cal.model.parameters import ParameterTable
+from parallel_cal.model.words import direction_in_words
 
 BLOCK = 2048
 
@@ -57,12 +60,33 @@ def spectrum(
     )
 
 
+def directions_in_words(
+    directions: Iterable[Mapping[str, float]], table: ParameterTable
+) -> list[dict[str, Any]]:
+    """Directions as documents hold them: in words, and by their parameters."""
+    return [{"text": direction_in_words(d, table), "parameters": d} for d in directions]
+
+
 def combination(direction: np.ndarray, names: list[str]) -> dict[str, float]:
     """The parameters that make up a direction, largest first, in tolerances."""
     size = np.abs(direction) / max(np.abs(direction).max(), 1e-300)
     order = np.argsort(-size, kind="stable")
     sign = np.sign(direction[order[0]]) if len(order) else 1.0
     return {names[i]: float(sign * direction[i]) for i in order if size[i] > NAMED}
+
+
+def independent(columns: np.ndarray, floor: float) -> np.ndarray:
+    """Mask of columns of which those before leave more than `floor`: pivots of a QR decomposition
+    in the given order."""
+    kept, Q = np.zeros(columns.shape[1], dtype=bool), np.zeros((len(columns), 0))
+    for j in range(columns.shape[1]):
+        left = columns[:, j]
+        for _ in range(2):
+            left = left - Q @ (Q.T @ left)
+        pivot = np.linalg.norm(left)
+        if pivot > floor:
+            kept[j], Q = True, np.column_stack([Q, left / pivot])
+    return kept
 
 
 def _triangle(J: np.ndarray, tolerance: np.ndarray) -> np.ndarray:

@@ -144,14 +144,6 @@ def complete(model: Model, observations: Observations) -> np.ndarray:
     return np.asarray(observations.measured[:, moved].all(axis=1))
 
 
-def reading_errors(model: Model, observations: Observations) -> np.ndarray:
-    """Read minus predicted (N, n_channels), m: what every sensor shows at the pose that the
-    model's direct problem puts the platform in; NaN where not read or not solved."""
-    n = len(model.joints)
-    pose = Kinematics(model).direct(observations.x[:, :n], condition_columns(model, observations))
-    return _readings_apart(model, observations, shown(model, pose))
-
-
 def _readings_apart(model: Model, observations: Observations, pose: Solutions) -> np.ndarray:
     """Read minus predicted (N, n_channels) where the pose device would show `pose`."""
     n = len(model.joints)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from parallel_cal.identification.linearisation import Linearisation
+from parallel_cal.identification.methods._estimate import Sought
 from parallel_cal.identification.observability import Spectrum, spectrum
 from parallel_cal.identification.observations import Observations
 from parallel_cal.kinematics.kinematics import Solutions
@@ -40,20 +41,12 @@ class Expectation:
 class View:
     """A pool and unseen poses, linearised: what every set of poses would tell."""
 
-    def __init__(
-        self,
-        model: Model,
-        free: np.ndarray,
-        prior: bool,
-        measured: np.ndarray,
-        pool: Pool,
-        unseen: Pool,
-    ):
-        self._model, self._free, self._prior, self._pool = model, free, prior, pool
-        tolerance = model.table.tolerance[free]
+    def __init__(self, sought: Sought, measured: np.ndarray, pool: Pool, unseen: Pool):
+        self._sought, self._pool = sought, pool
+        model, free = sought.model, sought.free
         self._A = white_blocks(model, free, measured, pool.poses, pool.a)
-        self._scaled = self._A * tolerance
-        self._G = prediction_blocks(model, free, measured, unseen) * tolerance
+        self._scaled = self._A * sought.tolerance
+        self._G = prediction_blocks(model, free, measured, unseen) * sought.tolerance
         self.rank = self._spectrum(np.arange(len(self._A))).rank
 
     def rows(self, groups: np.ndarray) -> np.ndarray:
@@ -63,7 +56,7 @@ class View:
         p = self._scaled.shape[2]
         blocks = self._scaled[self._pool.groups.ravel()]
         weight = np.eye(p) if criterion == "A" else self._weight(range(6))
-        before = np.eye(p) * (1.0 if self._prior else VAGUE)
+        before = np.eye(p) * (1.0 if self._sought.prior else VAGUE)
         blocks = blocks.reshape(len(self._pool.groups), -1, p)
         return Choice(blocks, before, weight, criterion, self.rank)
 
@@ -73,21 +66,21 @@ class View:
         counted = indices(self._scaled[rows].reshape(-1, self._scaled.shape[2]), len(rows),
                           self.rank)  # fmt: skip
         sigma = np.where(seen.lost, np.inf, np.sqrt(np.diag(seen.covariance)))
-        blind = seen.rank < self.rank and not self._prior
-        scale = self._model.table.tolerance[self._free]
+        blind = seen.rank < self.rank and not self._sought.prior
+        scale = self._sought.tolerance
         covariance = seen.covariance / np.outer(scale, scale)
         errors = [
             np.inf if blind else prediction_rms(covariance, self._weight(part))
             for part in (range(3), range(3, 6), range(6))
         ]
-        errors[1] /= self._model.mechanism.length
+        errors[1] /= self._sought.model.mechanism.length
         return Expectation(counted, sigma, *errors)
 
     def warnings(self) -> list[str]:
         """Directions that no pose of the pool can see, in words."""
-        if self._prior:
+        if self._sought.prior:
             return []
-        seen, table = self._spectrum(np.arange(len(self._A))), self._model.table
+        seen, table = self._spectrum(np.arange(len(self._A))), self._sought.model.table
         words = []
         for parts in seen.unidentifiable:
             them = "it" if len(parts) == 1 else "one of them"
@@ -95,8 +88,8 @@ class View:
         return words
 
     def _spectrum(self, rows: np.ndarray) -> Spectrum:
-        J = self._A[rows].reshape(-1, self._A.shape[2])
-        return spectrum(J, self._model.table, self._free, self._prior)
+        J, sought = self._A[rows].reshape(-1, self._A.shape[2]), self._sought
+        return spectrum(J, sought.model.table, sought.free, sought.prior)
 
     def _weight(self, part: range) -> np.ndarray:
         G = self._G[:, list(part)]

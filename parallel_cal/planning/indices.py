@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from parallel_cal.identification.observability import RELATIVE_RANK
+from parallel_cal.identification.thresholds import RELATIVE_RANK
 
 
 @dataclass(frozen=True)
@@ -45,17 +45,13 @@ def indices(J: np.ndarray, poses: int, rank: int | None = None) -> Indices:
     found = np.linalg.svd(J, compute_uv=False)
     sizes[: len(found)] = found
     seen = int(np.sum(sizes > RELATIVE_RANK * max(sizes[0], 1e-300))) if m else 0
-    return from_singular_values(sizes[: m if rank is None else rank], m, poses, seen)
-
-
-def from_singular_values(s: np.ndarray, parameters: int, poses: int, seen: int) -> Indices:
-    """Indices of the singular values that count, largest first."""
+    s = sizes[: m if rank is None else rank]
     if seen < len(s):  # one direction too few: nothing can be said of the parameters
-        return Indices(seen, parameters, poses, np.inf, 0.0, 0.0, -np.inf, np.inf)
+        return Indices(seen, m, poses, np.inf, 0.0, 0.0, -np.inf, np.inf)
     log_det = 2 * float(np.sum(np.log(s)))
     return Indices(
         rank=seen,
-        parameters=parameters,
+        parameters=m,
         poses=poses,
         condition=float(s[0] / s[-1]),
         borm_menq=float(np.exp(log_det / (2 * len(s))) / np.sqrt(poses)),
@@ -74,7 +70,6 @@ def prediction_rms(covariance: np.ndarray, weight: np.ndarray) -> float:
     return float(np.sqrt(max(np.sum(covariance * weight), 0.0)))
 
 
-BETTER_SMALL = ("condition", "parameter_rms")
 NAMES: Mapping[str, str] = {
     "condition": "condition number (Mooring)",
     "borm_menq": "observability (Borm-Menq)",

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ import numpy as np
 from parallel_cal.base.errors import FitError
 from parallel_cal.identification.checks import free_mask
 from parallel_cal.identification.fit import single_threaded
+from parallel_cal.identification.methods._estimate import Sought
 from parallel_cal.kinematics.kinematics import Solutions
 from parallel_cal.model.model import Model
 from parallel_cal.planning.expectation import Expectation, View
@@ -19,6 +20,40 @@ from parallel_cal.planning.selection import CRITERIA, LINEAR, Choice, anneal, ex
 
 POOL, UNSEEN, RANDOM_SETS = 1000, 200, 21
 METHODS = ("exchange", "annealing")
+
+
+@dataclass(frozen=True)
+class PlanOptions:
+    """What a plan may be asked.
+
+    `criterion` is `prediction` (mean pose variance over the workspace), `D`, `A`, `condition` or
+    `noise_amplification`; the last two by `annealing` only, else `exchange` is the default
+    `method`. `pool` is a number of draws, or given poses; `symmetric` chooses sets of three, a
+    third of a turn about z apart; `free`, `fix` and `prior` are those of a fit. FitError for a
+    criterion or method that is none.
+    """
+
+    criterion: str = "prediction"
+    method: str = ""
+    pool: int | Solutions = POOL
+    symmetric: bool = False
+    free: Sequence[str] = ()
+    fix: Sequence[str] = ()
+    prior: bool = False
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.criterion not in CRITERIA:
+            raise FitError(f"no criterion '{self.criterion}'; there are {', '.join(CRITERIA)}")
+        if self.chosen_method not in METHODS:
+            raise FitError(f"no method '{self.method}'; there are {', '.join(METHODS)}")
+        if self.chosen_method == "exchange" and self.criterion not in LINEAR:
+            raise FitError(f"criterion '{self.criterion}' needs the method annealing")
+
+    @property
+    def chosen_method(self) -> str:
+        """The method, by default the one that suits the criterion."""
+        return self.method or ("exchange" if self.criterion in LINEAR else "annealing")
 
 
 @dataclass(frozen=True)
@@ -31,13 +66,11 @@ class Plan:
     model: Model
     poses: Solutions
     a: np.ndarray
-    criterion: str
-    method: str
+    options: PlanOptions
     free: np.ndarray
     expected: Expectation
     random: Expectation
     pool: int
-    seed: int
     warnings: tuple[str, ...]
 
     def __len__(self) -> int:
@@ -51,10 +84,10 @@ class Plan:
         """The JSON document of `parallel-cal plan`; SI, None where not known."""
         return {
             "poses": [self._pose(i) for i in range(len(self))],
-            "criterion": self.criterion,
-            "method": self.method,
+            "criterion": self.options.criterion,
+            "method": self.options.chosen_method,
             "pool": self.pool,
-            "seed": self.seed,
+            "seed": self.options.seed,
             "indices": self.expected.indices.document(),
             "random": {**self.random.indices.document(), "expected": _errors(self.random)},
             "expected": {**_errors(self.expected), "parameters": self._parameters()},
@@ -92,60 +125,53 @@ def _errors(e: Expectation) -> dict[str, float | None]:
 def plan(
     model: Model,
     n: int,
-    *,
-    criterion: str = "prediction",
-    method: str | None = None,
-    pool: int | Solutions = POOL,
-    symmetric: bool = False,
-    free: Iterable[str] = (),
-    fix: Iterable[str] = (),
-    prior: bool = False,
-    seed: int = 0,
+    options: PlanOptions | None = None,
     progress: Callable[[str, float], None] | None = None,
+    **changes: Any,
 ) -> Plan:
-    """n poses from a pool (a number of draws, or given poses) by a criterion of 5.3.9.
+    """n poses from a pool by a criterion of 5.3.9; `changes` are options by name.
 
-    `prediction` (mean pose variance over the workspace), `D`, `A`, `condition` or
-    `noise_amplification`; the last two by `annealing` only, else `exchange` is the default.
-    What has a noise figure in the model counts as measured. FitError where n poses cannot
-    carry the free parameters, the pool is too small, or there is no noise figure.
+    What has a noise figure in the model counts as measured. FitError where n poses cannot carry
+    the free parameters, the pool is too small, or there is no noise figure.
     """
-    method = _checked_method(criterion, method)
+    options = replace(options or PlanOptions(), **changes)
     measured = _measured(model)
-    mask = free_mask(model, free, fix)
-    _check_enough(model, n, mask, measured)
-    report = progress or (lambda stage, fraction: None)
-    rng = np.random.default_rng(seed)
+    sought = Sought(model, free_mask(model, options.free, options.fix), options.prior)
+    _check_enough(model, n, sought.free, measured)
+    rng = np.random.default_rng(options.seed)
+
+    def report(fraction: float) -> None:
+        if progress:
+            progress("choosing poses", fraction)
+
     with single_threaded():
-        if isinstance(pool, Solutions):
-            candidates = given_pool(model, pool, rng)
+        if isinstance(options.pool, Solutions):
+            pool = given_pool(model, options.pool, rng)
         else:
-            candidates = make_pool(model, pool, rng, symmetric)
-        groups = _number_of_groups(n, candidates)
-        unseen = make_pool(model, UNSEEN, np.random.default_rng([seed, 1]), symmetric=False)
-        view = View(model, mask, prior, measured, candidates, unseen)
-        problem = view.problem(criterion)
-        report("choosing poses", 0.0)
-        if method == "exchange":
-            chosen = exchange(problem, groups, lambda f: report("choosing poses", f))
+            pool = make_pool(model, options.pool, rng, options.symmetric)
+        groups = _number_of_groups(n, pool)
+        unseen = make_pool(model, UNSEEN, np.random.default_rng([options.seed, 1]), symmetric=False)
+        view = View(sought, measured, pool, unseen)
+        problem = view.problem(options.criterion)
+        report(0.0)
+        if options.chosen_method == "exchange":
+            chosen = exchange(problem, groups, report)
         else:
-            chosen = anneal(problem, groups, rng, lambda f: report("choosing poses", f))
+            chosen = anneal(problem, groups, rng, report)
         random = _typical(view, problem, groups, rng)
         rows = view.rows(chosen)
         expected = view.expectation(rows)
-    _check_seeing(expected, view.rank, prior)
+    _check_seeing(expected, view.rank, options.prior)
     return Plan(
-        model,
-        candidates.poses[rows],
-        candidates.a[rows],
-        criterion,
-        method,
-        mask,
-        expected,
-        random,
-        len(candidates.poses),
-        seed,
-        (*view.warnings(), *_not_counted(model)),
+        model=model,
+        poses=pool.poses[rows],
+        a=pool.a[rows],
+        options=options,
+        free=sought.free,
+        expected=expected,
+        random=random,
+        pool=len(pool.poses),
+        warnings=(*view.warnings(), *_not_counted(model)),
     )
 
 
@@ -173,27 +199,10 @@ def _not_counted(model: Model) -> list[str]:
     return [f"planned for the pose device alone, as if {channels} read nothing"] * bool(channels)
 
 
-def _checked_method(criterion: str, method: str | None) -> str:
-    if criterion not in CRITERIA:
-        raise FitError(f"no criterion '{criterion}'; there are {', '.join(CRITERIA)}")
-    if method is None:
-        method = "exchange" if criterion in LINEAR else "annealing"
-    if method not in METHODS:
-        raise FitError(f"no method '{method}'; there are {', '.join(METHODS)}")
-    if method == "exchange" and criterion not in LINEAR:
-        raise FitError(f"criterion '{criterion}' needs the method annealing")
-    return method
-
-
-def equations_per_pose(model: Model, measured: np.ndarray) -> int:
-    """Closure rows less the coordinates that were not measured."""
-    moved = [len(model.joints) + i for i in model.mechanism.moved]
-    return max(model.structure.phi.shape[0] - int((~measured[moved]).sum()), 0)
-
-
 def _check_enough(model: Model, n: int, free: np.ndarray, measured: np.ndarray) -> None:
-    each, wanted = equations_per_pose(model, measured), int(free.sum())
-    if each == 0:
+    moved = [len(model.joints) + i for i in model.mechanism.moved]
+    each, wanted = model.structure.phi.shape[0] - int((~measured[moved]).sum()), int(free.sum())
+    if each <= 0:
         raise FitError("what is measured gives no equation: state the noise of what else is")
     if n * each < wanted:
         least = -(-wanted // each)

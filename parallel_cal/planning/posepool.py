@@ -104,7 +104,8 @@ def check_symmetric(model: Model) -> None:
     robot."""
     m = model.mechanism
     r, R = turned_about_z(*poses_in_workspace(m, 5, np.random.default_rng(0)))
-    joints = Kinematics(nominal(model)).inverse(r, R).joints
+    nominal = model.with_values(model.table.nominal)
+    joints = Kinematics(nominal).inverse(r, R).joints
     sets = joints.reshape(-1, FOLD, len(m.joints))
     if len(m.joints) % FOLD == 0:
         shift = len(m.joints) // FOLD
@@ -112,7 +113,3 @@ def check_symmetric(model: Model) -> None:
             if np.allclose(np.roll(sets[:, 0], way, axis=1), sets[:, 1], atol=SAME):
                 return
     raise FitError(f"{m.name} is not symmetric: a third of a turn about z changes its joints")
-
-
-def nominal(model: Model) -> Model:
-    return model.with_values(model.table.nominal)

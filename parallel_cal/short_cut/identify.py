@@ -16,10 +16,9 @@ from parallel_cal.base.documents import plain
 from parallel_cal.base.errors import FitError
 from parallel_cal.identification.doubts import chi2_band
 from parallel_cal.identification.fit import Result, estimated, fit, single_threaded
-from parallel_cal.identification.observability import Spectrum, spectrum
+from parallel_cal.identification.observability import Spectrum, directions_in_words, spectrum
 from parallel_cal.identification.prediction_errors import errors
 from parallel_cal.model.model import Model
-from parallel_cal.model.words import direction_in_words
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.short_cut.combining import closures, put_together
 from parallel_cal.short_cut.loop import Loop, loop_dataset, loop_model, recorded_home
@@ -67,10 +66,7 @@ class Combination:
             "rank": self.spectrum.rank,
             "free": int(np.sum(~self.model.fixed)),
             "unidentifiable": [{"text": what} for what in self.unseen],
-            "weak": [
-                {"text": direction_in_words(c, self.model.table), "parameters": c}
-                for c in self.spectrum.weak
-            ],
+            "weak": directions_in_words(self.spectrum.weak, self.model.table),
             "warnings": list(self.warnings),
         }
 

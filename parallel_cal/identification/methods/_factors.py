@@ -15,6 +15,7 @@ import numpy as np
 
 from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.identification.methods._separation import Separation
+from parallel_cal.identification.observability import independent
 from parallel_cal.identification.thresholds import DEPENDENT, DRAWS
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model
@@ -81,15 +82,8 @@ def _merged(columns: np.ndarray) -> tuple[list[int], np.ndarray]:
     """
     sizes = np.linalg.norm(columns, axis=0)
     nothing = sizes < 1e-11 * sizes.max()  # what cancels up to rounding
-    kept: list[int] = []
-    Q = np.zeros((len(columns), 0))
-    for j in np.flatnonzero(~nothing).tolist():
-        left = columns[:, j] / sizes[j]
-        for _ in range(2):
-            left = left - Q @ (Q.T @ left)
-        if np.linalg.norm(left) > DEPENDENT:
-            kept.append(j)
-            Q = np.column_stack([Q, left / np.linalg.norm(left)])
+    unit = np.where(nothing, 0.0, columns / np.where(nothing, 1.0, sizes))
+    kept = np.flatnonzero(independent(unit, DEPENDENT)).tolist()
     made = np.linalg.lstsq(columns[:, kept], columns, rcond=None)[0].T
     made[kept], made[nothing] = 0.0, 0.0
     return kept, np.where(np.abs(made) > 1e-7, made.round(9), 0.0)

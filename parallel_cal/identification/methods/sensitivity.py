@@ -6,38 +6,23 @@ on those before them are left out by a QR decomposition: the others are the base
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from parallel_cal.base.errors import FitError
 from parallel_cal.identification.methods._estimate import Estimate, Sought, concluded
 from parallel_cal.identification.methods._explicit import Prediction
+from parallel_cal.identification.observability import independent
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prior import Prior
 from parallel_cal.identification.thresholds import RELATIVE_RANK
 from parallel_cal.model.model import Model
 
 
-@dataclass(frozen=True)
-class Base:
-    """Independent parameters, and what each of the others adds to them (eqs 70-72):
-    identified base_i = base_i + sum_k grouping[i, k] dropped_k."""
-
-    kept: tuple[str, ...]
-    dropped: tuple[str, ...]
-    grouping: np.ndarray
-
-
-def base_parameters(model: Model, observations: Observations, free: np.ndarray) -> Base:
-    """The base of the free parameters in these poses; earlier ones in the table come first."""
-    system = Prediction(model, observations, free, direct=True)(model.values)
-    assert system is not None
-    columns, names = system.columns, np.array(model.table.names)[free]
-    kept = _independent(columns * model.table.tolerance[free])
-    grouping = np.linalg.lstsq(columns[:, kept], columns[:, ~kept], rcond=None)[0]
-    return Base(tuple(names[kept]), tuple(names[~kept]), np.where(
-        np.abs(grouping) > 1e-6, grouping, 0.0))  # fmt: skip
+def in_base(columns: np.ndarray) -> np.ndarray:
+    """Mask of the independent columns of S, in tolerances; earlier ones in the table come first."""
+    return independent(columns, RELATIVE_RANK * np.linalg.norm(columns, axis=0).max())
 
 
 def estimate(
@@ -63,7 +48,7 @@ def estimate(
         system = prediction(values)
         assert system is not None
         columns = system.columns * tolerance
-        kept = _independent(columns)
+        kept = in_base(columns)
         step = np.linalg.lstsq(columns[:, kept], -system.residual.ravel(), rcond=None)[0]
         values[where[kept]] += tolerance[kept] * step
     end = prediction(values)
@@ -74,17 +59,3 @@ def estimate(
     base = where[kept]
     covariance[np.ix_(base, base)] = inverse * np.outer(tolerance[kept], tolerance[kept])
     return replace(found, covariance=covariance)
-
-
-def _independent(columns: np.ndarray) -> np.ndarray:
-    """Mask of columns with a pivot of their own in a QR decomposition, in the given order."""
-    sizes = np.linalg.norm(columns, axis=0)
-    kept, Q = np.zeros(columns.shape[1], dtype=bool), np.zeros((len(columns), 0))
-    for j in range(columns.shape[1]):
-        left = columns[:, j]
-        for _ in range(2):
-            left = left - Q @ (Q.T @ left)
-        pivot = np.linalg.norm(left)
-        if pivot > RELATIVE_RANK * sizes.max():
-            kept[j], Q = True, np.column_stack([Q, left / pivot])
-    return kept
