@@ -137,8 +137,7 @@ class Inbox:
 
     def kept(self, auto: bool) -> Bools:
         """Mask of the samples in the collection."""
-        wanted = np.ones(len(self.ids), bool) if auto else np.isin(self.ids, self.taken)
-        return (wanted | np.isin(self.ids, self.taken)) & ~np.isin(self.ids, self.removed)
+        return (auto | np.isin(self.ids, self.taken)) & ~np.isin(self.ids, self.removed)
 
     def current(self, options: SampleOptions) -> int:
         """Number of the dwell going on, or just over; DatasetError says why there is none."""

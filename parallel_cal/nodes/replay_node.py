@@ -112,7 +112,9 @@ class ReplayNode(Node):
             self._send(message)
             if time.monotonic() - said > 1.0:
                 said = time.monotonic()
-                self._tell(since, said - begin - since / self.rate)
+                late = said - begin - since / self.rate
+                behind = f", {late:.1f} s behind" if late > 0.5 else ""
+                _say(f"{since:.1f} of {self.duration:.1f} s, {self.sent} messages{behind}")
 
     def _held(self) -> float:
         """Stay while paused; for how many seconds."""
@@ -137,10 +139,6 @@ class ReplayNode(Node):
         sender.publish(message.data)
         self._on_their_way[message.topic] += 1
         self.sent += 1
-
-    def _tell(self, since: float, late: float) -> None:
-        behind = f", {late:.1f} s behind" if late > 0.5 else ""
-        _say(f"{since:.1f} of {self.duration:.1f} s, {self.sent} messages{behind}")
 
     def _patience(self) -> Duration:
         return Duration(seconds=self._value("ack_patience"))
@@ -235,14 +233,11 @@ def _parser() -> argparse.ArgumentParser:
     """Every parameter as an option; what is not given stays with the parameter."""
     parser = argparse.ArgumentParser(prog="replay_node", description=__doc__)
     for name, (default, what, *_) in PARAMETERS.items():
+        flag = f"--{name.replace('_', '-')}"
         if name == "bag":
             parser.add_argument(name, nargs="?", help=what)
         elif isinstance(default, bool):
-            parser.add_argument(_flag(name), action="store_const", const=True, help=what)
+            parser.add_argument(flag, action="store_const", const=True, help=what)
         else:
-            parser.add_argument(_flag(name), type=type(default), help=f"{what} (now {default})")
+            parser.add_argument(flag, type=type(default), help=f"{what} (now {default})")
     return parser
-
-
-def _flag(name: str) -> str:
-    return f"--{name.replace('_', '-')}"

@@ -17,8 +17,7 @@ from parallel_cal.recordings.replicates import replicate_ids
 from parallel_cal.recordings.samplefile import PER_SAMPLE
 from parallel_cal.recordings.samples import READING
 
-ONE_ROBOT = ("joint_names",)
-ONE_SETUP = (*ONE_ROBOT, "joint_sigma", "mode", "frame")
+ONE_SETUP = ("joint_names", "joint_sigma", "mode", "frame")
 
 
 def joined(
@@ -36,7 +35,7 @@ def joined(
     a recording comes twice.
     """
     _check_different(datasets)
-    _check_alike(datasets, ONE_SETUP if starts is None else ONE_ROBOT)
+    _check_alike(datasets, ONE_SETUP if starts is None else ["joint_names"])
     times = _times(datasets) if starts is None else _since(starts, datasets[0])
     parts = [_later(d, time) for d, time in zip(datasets, times, strict=True)]
     if starts is None:

@@ -11,6 +11,7 @@ import numpy as np
 
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.model.configuration import Configuration
+from parallel_cal.recordings.bag import read_bag
 from parallel_cal.recordings.channels import CHANNELS
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.joining import joined
@@ -39,8 +40,6 @@ def load_dataset(
     if holds_samples(Path(path)):
         dataset = _in_order(Dataset.from_json(path), options.joints)
     else:
-        from parallel_cal.recordings.bag import read_bag
-
         dataset = dataset_from_recording(read_bag(path, options, progress), options)
     return dataset.excluding(options.exclude)
 

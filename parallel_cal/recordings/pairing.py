@@ -19,7 +19,8 @@ def paired_samples(recording: Recording, options: SampleOptions, tolerance: Arra
             "'continuous': use mode='dwell', or leave their topics out (constraint= distance=)"
         )
     found = Samples("continuous", [], tolerance, [])
-    usable = bracketed(joints, pose.time, max_gap(joints, options))
+    gap = max_gap(joints, options)
+    usable = bracketed(joints, pose.time, gap)
     if (~usable).any():
         first, count = float(pose.time[np.argmin(usable)]), int((~usable).sum())
         detail = f"{count} of {len(usable)} messages on {pose.topic}"
@@ -28,7 +29,7 @@ def paired_samples(recording: Recording, options: SampleOptions, tolerance: Arra
     if not len(at):
         raise DatasetError(
             f"{recording.source}: no message on {pose.topic} has two on {joints.topic} around it "
-            f"within {max_gap(joints, options):.2g} s. Record both together, or set max_gap"
+            f"within {gap:.2g} s. Record both together, or set max_gap"
         )
     columns = _interpolated(joints, pose.time[at])
     nowhere = np.full(len(joints.names), np.nan)
@@ -71,10 +72,9 @@ def _interpolated(joints: JointStream, time: Array) -> tuple[Array, Array, Array
     def at(values: Array, when: Array) -> Array:
         return np.stack([np.interp(when, joints.time, c) for c in values.T], axis=1)
 
-    period = float(np.median(np.diff(joints.time))) if len(joints.time) > 1 else 1.0
     # ends are clipped so that the difference is divided by the time that it really spans
-    late = np.minimum(time + 2 * period, joints.time[-1])
-    early = np.maximum(time - 2 * period, joints.time[0])
+    late = np.minimum(time + 2 * joints.period, joints.time[-1])
+    early = np.maximum(time - 2 * joints.period, joints.time[0])
     span = np.maximum(late - early, 1e-9)[:, None]
     velocity = (at(joints.position, late) - at(joints.position, early)) / span
     return at(joints.position, time), at(joints.effort, time), velocity

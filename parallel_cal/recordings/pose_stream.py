@@ -27,7 +27,9 @@ def clean_poses(
     measured[:, 3:] &= has_rotation[:, None]
     if measures is not None:
         measured &= np.isin(COORDINATES, measures)
-    frame = _sieve_frames(raw, sieve)
+    frames = np.array([row[0] for row in raw.rows])
+    frame = Counter(frames[sieve.keep].tolist()).most_common(1)[0][0]
+    sieve.drop(frames != frame, f"frame_id is not '{frame}' like the others'")
     _sieve_poses(sieve, position, quaternion, measured)
     if np.all(quaternion[measured[:, 3:].any(1)] == (0, 0, 0, 1)) and measured[:, 3:].any():
         notes.append(
@@ -72,14 +74,6 @@ def _without_impossible_correlations(covariance: Array, topic: str) -> list[str]
         f"{topic}: no covariance, as it has a negative eigenvalue, in {len(bad)} of "
         f"{len(covariance)} messages, the first is message {bad[0]}: its variances alone are used"
     ]
-
-
-def _sieve_frames(raw: Raw, sieve: Sieve) -> str:
-    """The frame most poses are given in; drops poses in any other."""
-    frames = np.array([row[0] for row in raw.rows])
-    frame = Counter(frames[sieve.keep].tolist()).most_common(1)[0][0]
-    sieve.drop(frames != frame, f"frame_id is not '{frame}' like the others'")
-    return frame
 
 
 def _sieve_poses(sieve: Sieve, position: Array, quaternion: Array, measured: Bools) -> None:

@@ -64,6 +64,11 @@ class JointStream:
     position: Array
     effort: Array
 
+    @property
+    def period(self) -> float:
+        """Usual time in s between two readings; 0 for a single one."""
+        return float(np.median(np.diff(self.time))) if len(self.time) > 1 else 0.0
+
 
 @dataclass(frozen=True)
 class PoseStream:

@@ -66,8 +66,7 @@ def max_gap(joints: JointStream, options: SampleOptions) -> float:
     """The longest silence in s that may lie inside a sample."""
     if options.max_gap is not None:
         return options.max_gap
-    period = float(np.median(np.diff(joints.time))) if len(joints.time) > 1 else 0.0
-    return max(0.5, 5.0 * period)
+    return max(0.5, 5.0 * joints.period)
 
 
 def mean_rotation(R: Array) -> Array:

@@ -50,11 +50,11 @@ def standstill_samples(recording: Recording, options: SampleOptions, tolerance: 
 
 def _too_slow(joints: JointStream, options: SampleOptions) -> list[str]:
     """A sentence if the readings come so rarely that short standstills look like motion."""
-    period = float(np.median(np.diff(joints.time))) if len(joints.time) > 1 else 0.0
-    if period <= options.min_dwell:
+    if joints.period <= options.min_dwell:
         return []
     return [
-        f"{joints.topic}: one message in {period:.2g} s; only standstills of {10 * period:.2g} s "
+        f"{joints.topic}: one message in {joints.period:.2g} s; only standstills of "
+        f"{10 * joints.period:.2g} s "
         "and more are sure to be seen. Publish faster, or stand longer"
     ]
 
@@ -153,6 +153,5 @@ def _report_lonely_poses(
         a, b = np.searchsorted(pose.time, [dwell.start, dwell.end])
         used[a:b] = True
     for i in np.flatnonzero(~used):
-        time = float(pose.time[i])
-        detail = f"message {i} of {pose.topic} falls in no dwell"
+        time, detail = float(pose.time[i]), f"message {i} of {pose.topic} falls in no dwell"
         found.dropped.append(Dropped(time, "moving while measured", detail))
