@@ -47,7 +47,6 @@ class Completeness:
     rank: int
     needed: int
     coordinates: int
-    singular_values: np.ndarray
 
     def complete(self, frames: int = 2) -> bool:
         """Whether nothing is missing, with `frames` of {B} and {P} arbitrarily located (F)."""
@@ -60,28 +59,22 @@ class Completeness:
 
 
 def check(
-    mechanism: Mechanism,
-    poses: int = 0,
-    spread: float = 5.0,
-    without: Sequence[str] = (),
-    seed: int = 0,
+    mechanism: Mechanism, spread: float = 5.0, without: Sequence[str] = (), seed: int = 0
 ) -> Completeness:
     """Rank of the identification Jacobian d phi / dp over poses that close exactly.
 
     The robot is drawn `spread` tolerances around nominal: at the nominal robot some parameters
-    are felt nowhere (a Delta's platform does not tilt). `poses` 0: three a parameter. `without`
-    names parameters to leave out.
+    are felt nowhere (a Delta's platform does not tilt). `without` names parameters to leave out.
     """
     rng = np.random.default_rng(seed)
     table = mechanism.parameters
     values = table.nominal + spread * table.tolerance * rng.uniform(-1, 1, len(table))
     model = new_model(mechanism).with_values(values)
-    x = closed_poses(model, poses or 3 * len(table), rng)
+    x = closed_poses(model, 3 * len(table), rng)
     kept = ~table.matching(without) if without else slice(None)
     own, frames = identification_jacobian(model, x)[:, kept], frame_jacobian(model, x)
-    sizes = np.linalg.svd(own, compute_uv=False)
     needed = rank(np.hstack([own, frames]))
-    return Completeness(own.shape[1], rank(own), needed, len(mechanism.moves), sizes)
+    return Completeness(own.shape[1], rank(own), needed, len(mechanism.moves))
 
 
 def closed_poses(model: Model, n: int, rng: np.random.Generator) -> np.ndarray:
@@ -111,24 +104,21 @@ def _joints(kinematics: Kinematics, n: int, rng: np.random.Generator) -> np.ndar
 
 def identification_jacobian(model: Model, x: np.ndarray) -> np.ndarray:
     """d phi / dp at configurations (n, nq + 12), stacked; a column is one tolerance."""
-    _, J_v = _blocks(model, x)
-    return _stacked(J_v * model.table.tolerance)
+    return np.concatenate(_blocks(model, x)[1]) * model.table.tolerance
 
 
 def frame_jacobian(model: Model, x: np.ndarray) -> np.ndarray:
     """d phi for small motions of {B} and of {P}, among the coordinates that move."""
     J_x, here = _blocks(model, x)[0], Configuration.from_rows(x)
     r, R = here.r, here.R
-    lever = np.zeros((len(x), 3, 3))
-    for k, axis in enumerate(np.eye(3)):
-        lever[:, :, k] = np.cross(axis, r)
+    lever = np.stack([np.cross(axis, r) for axis in np.eye(3)], axis=2)
     zero = np.zeros_like(R)
     base = np.block([[np.broadcast_to(np.eye(3), R.shape), lever], [zero, zero + np.eye(3)]])
     platform = np.block([[R, zero], [zero, R]])
     moved, length = model.mechanism.moved, model.mechanism.length
     unit = FRAME_UNIT * np.array([1, 1, 1, *(3 * [1 / length])])[moved]
     columns = [J_x @ motion[:, :, moved] * unit for motion in (base, platform)]
-    return _stacked(np.concatenate(columns, axis=2))
+    return np.concatenate(np.concatenate(columns, axis=2))
 
 
 def rank(J: np.ndarray) -> int:
@@ -148,7 +138,3 @@ def _blocks(model: Model, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     rows = s.phi.shape[0]
     J_x, J_v = (J.reshape(len(x), -1, rows).transpose(0, 2, 1) for J in (J_x, J_v))
     return J_x[:, :, n:], J_v
-
-
-def _stacked(J: np.ndarray) -> np.ndarray:
-    return J.reshape(-1, J.shape[2])

@@ -27,7 +27,9 @@ def noise_floor(model: Model, observations: Observations, seed: int = 0) -> Summ
         return Summary()
     n, m = len(model.joints), model.mechanism
     closure = model.structure.phi.shape[0]
-    rows = _row_jacobians(model, observations)
+    none = np.zeros(len(model.values), dtype=bool)
+    linearise = Linearisation(model, observations, none, weighted=True)
+    rows = linearise.blocks(model.values, linearise.start())[1]  # where the platform is
     C, shown_by = rows[:, :closure], rows[:, closure:]
     moved = [n + i for i in m.moved]
     solved_for = [*range(n), *[n + i for i in m.passive]]
@@ -60,9 +62,3 @@ def noise_floor(model: Model, observations: Observations, seed: int = 0) -> Summ
         where_known(complete(model, observations), np.einsum("nij,dnj->dni", C, noise)),
     )
     return Errors(*[np.concatenate(draw) for draw in each]).summary
-
-
-def _row_jacobians(model: Model, observations: Observations) -> np.ndarray:
-    """d rows / d (q, r, w) of closure and readings (N, n_rows, nq + 6), where the platform is."""
-    linearise = Linearisation(model, observations, np.zeros(len(model.values), dtype=bool), True)
-    return np.asarray(linearise.blocks(model.values, linearise.start())[1])

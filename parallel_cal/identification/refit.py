@@ -28,7 +28,12 @@ def considered(
     move the others, too, by next to nothing when the new poses are few, and would let them
     take a share of a change that is not theirs. FitError for a model without covariance.
     """
-    before = _known(model)
+    if model.covariance is None:
+        raise FitError(
+            "a partial re-calibration keeps the other parameters with their covariance, but the "
+            "model has none: identify all of it first, or fix the others instead"
+        )
+    before = np.asarray(model.covariance)
     others = ~free & (np.diag(before) > 0)
     J = _jacobian(model, reweighted(observations, found.weight), free | others, found.values)
     P_pp, P_oo = found.covariance[np.ix_(free, free)], before[np.ix_(others, others)]
@@ -40,15 +45,6 @@ def considered(
     covariance[np.ix_(others, free)] = (G @ P_oo).T
     covariance[np.ix_(free, free)] = P_pp + G @ P_oo @ G.T
     return replace(found, covariance=covariance)
-
-
-def _known(model: Model) -> np.ndarray:
-    if model.covariance is None:
-        raise FitError(
-            "a partial re-calibration keeps the other parameters with their covariance, but the "
-            "model has none: identify all of it first, or fix the others instead"
-        )
-    return np.asarray(model.covariance)
 
 
 def _jacobian(

@@ -34,35 +34,29 @@ class Prediction:
         self.unknown = np.array(moving if direct else joints + passive)
         self.given = np.array(joints if direct else [n + i for i in m.controlled])
         names = [*model.joints, *POSE]
-        self._near = NEAR_DIRECT if direct else NEAR_INVERSE
         method = "forward" if direct else "inverse"
         need_measured(observations, self.given, [names[c] for c in self.given], method)
         self._model, self._free = model, free
         self._scale = model.structure.scale[self.unknown]
-        self._used = np.ones(len(observations), dtype=bool)
-        self._at(model, observations, free)
-        self._choose(model, observations, free)
+        self._at(observations)
+        used = self._regular(NEAR_DIRECT if direct else NEAR_INVERSE)
+        if not used.any():
+            raise FitError("the starting model solves no sample: is it of the right robot?")
+        self._at(observations.select(used))
 
-    def _at(self, model: Model, observations: Observations, free: np.ndarray) -> None:
+    def _at(self, observations: Observations) -> None:
         self._observations = observations
-        self._closure = Linearisation(model, observations, free, True)
+        self._closure = Linearisation(self._model, observations, self._free, True)
         self._last = observations.x.copy()
 
-    def _choose(self, model: Model, observations: Observations, free: np.ndarray) -> None:
-        _, C, _, ok = self.solved(model.values)
-        there = self._closure.blocks(model.values, observations.x)[1]
+    def _regular(self, near: float) -> np.ndarray:
+        """Mask (N,) of the samples that the starting model solves away from singularities."""
+        _, C, _, ok = self.solved(self._model.values)
+        there = self._closure.blocks(self._model.values, self._observations.x)[1]
         # Judged where it was measured, too: a solution may lie across the singularity.
         both = np.stack([C, there])[:, :, :, self.unknown] / self._scale
         size = np.linalg.svd(both, compute_uv=False)[:, :, -1].min(axis=0)
-        self._used = ok & (size > self._near * size.max())
-        if not self._used.any():
-            raise FitError("the starting model solves no sample: is it of the right robot?")
-        self._at(model, observations.select(self._used), free)
-
-    @property
-    def used(self) -> np.ndarray:
-        """Mask (N,) of the samples that take part."""
-        return self._used
+        return np.asarray(ok & (size > near * size.max()))
 
     def solved(self, values: np.ndarray) -> tuple[np.ndarray, ...]:
         """Configurations that close at the given coordinates, blocks C and J there, success."""

@@ -8,7 +8,6 @@ the parameters that depend on one another; one, the least variable, is divided o
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -50,7 +49,8 @@ def separated(model: Model, seed: int = 0) -> list[Row]:
 
 
 def _row(model: Model, separation: Separation, k: int, x: np.ndarray, p: np.ndarray) -> Row:
-    s, polynomial = model.structure, dict(sorted(separation.rows[k].items(), key=_degree))
+    s, row = model.structure, separation.rows[k]
+    polynomial = {m: row[m] for m in sorted(row, key=len)}
     M = ca.vertcat(*[separation.monomial(m) for m in polynomial])
     c = ca.vertcat(*polynomial.values())
     # Monomials: keep a basis, give the rest's coefficients to it.
@@ -87,10 +87,6 @@ def _merged(columns: np.ndarray) -> tuple[list[int], np.ndarray]:
     made = np.linalg.lstsq(columns[:, kept], columns, rcond=None)[0].T
     made[kept], made[nothing] = 0.0, 0.0
     return kept, np.where(np.abs(made) > 1e-7, made.round(9), 0.0)
-
-
-def _degree(entry: tuple[tuple[str, ...], Any]) -> int:
-    return len(entry[0])
 
 
 def _evaluate(expression: ca.SX, symbols: ca.SX, at: np.ndarray) -> np.ndarray:

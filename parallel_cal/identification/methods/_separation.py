@@ -61,16 +61,14 @@ class Separation:
             if op == ca.OP_OUTPUT:
                 rows[into[1]] = work[of[0]]
             elif op == ca.OP_INPUT:
-                work[into[0]] = self._input(*of)
+                which, entry = of
+                source = self._inputs[which][entry]
+                work[into[0]] = {(): source} if which else source
             elif op == ca.OP_CONST:
                 work[into[0]] = _tidy({(): ca.SX(f.instruction_constant(k))})
             else:
                 work[into[0]] = self._apply(op, [work[i] for i in of])
         return rows
-
-    def _input(self, which: int, entry: int) -> Polynomial:
-        source = self._inputs[which]
-        return source[entry] if which == 0 else {(): source[entry]}
 
     def _apply(self, op: int, args: list[Polynomial]) -> Polynomial:
         a, b = args[0], args[-1]
@@ -85,7 +83,9 @@ class Separation:
         if op in (ca.OP_CONSTPOW, ca.OP_POW) and float(b[()]) == 2:
             return self._product(a, a)
         if op == ca.OP_SQRT and set(a) - {()}:
-            return self._root(a)
+            name = f"root{len(self._roots)}"
+            self._roots[name] = a
+            return {(name,): ca.SX(1)}
         if op in (ca.OP_SIN, ca.OP_COS) and set(a) - {()}:
             return self._turned(op, a)
         if op in PLAIN and set(a) <= {()}:
@@ -103,11 +103,6 @@ class Separation:
         if op == ca.OP_SIN:
             return _tidy({(s,): k * ca.cos(phase), (c,): ca.sin(phase)})
         return _tidy({(c,): ca.cos(phase), (s,): -k * ca.sin(phase)})
-
-    def _root(self, a: Polynomial) -> Polynomial:
-        name = f"root{len(self._roots)}"
-        self._roots[name] = a
-        return {(name,): ca.SX(1)}
 
     def _product(self, a: Polynomial, b: Polynomial) -> Polynomial:
         total: Polynomial = {}

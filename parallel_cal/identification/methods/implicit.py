@@ -11,7 +11,7 @@ import numpy as np
 from parallel_cal.identification.linearisation import Linearisation, System
 from parallel_cal.identification.methods._descent import minimise
 from parallel_cal.identification.methods._estimate import Estimate, Sought
-from parallel_cal.identification.observability import Spectrum, spectrum
+from parallel_cal.identification.observability import spectrum
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prior import Prior
 from parallel_cal.identification.thresholds import HARDLY
@@ -44,17 +44,14 @@ def estimate(
         return linearise(values, before.adjusted(step) if before else linearise.start())
 
     def advice(system: System) -> str:
-        return _why(model, spectrum(system.columns, model.table, free, prior), prior)
+        # What keeps it walking: what the data hardly see, else a start far off.
+        seen = spectrum(system.columns, model.table, free, prior)
+        weakest = (*seen.weak, *seen.unidentifiable)[-1:]
+        if prior or not weakest or seen.singular_values[-1] > HARDLY:
+            return "is the starting model of the right robot, are units right?"
+        return (
+            f"the data hardly tell {direction_in_words(weakest[0], model.table)}; use priors, "
+            "fix some of these, or measure more different poses"
+        )
 
     return minimise(Sought(model, free, prior), reach, advice, ITERATIONS)
-
-
-def _why(model: Model, seen: Spectrum, prior: bool | Prior) -> str:
-    """What keeps a method walking: what the data hardly see, else a start far off."""
-    weakest = (*seen.weak, *seen.unidentifiable)[-1:]
-    if prior or not weakest or seen.singular_values[-1] > HARDLY:
-        return "is the starting model of the right robot, are units right?"
-    return (
-        f"the data hardly tell {direction_in_words(weakest[0], model.table)}; use priors, "
-        "fix some of these, or measure more different poses"
-    )

@@ -38,8 +38,7 @@ def estimate(
     values = np.array(model.values)
     values[free] += step
     if weighted:
-        found = linearise(values, system.adjusted(step))
-        return concluded(sought, values, found, 1)
+        return concluded(sought, values, linearise(values, system.adjusted(step)), 1)
     J = system.columns * tolerance
     influence = -np.linalg.pinv(J) * tolerance[:, None]
     covariance = spread(influence, model, values, observations)
