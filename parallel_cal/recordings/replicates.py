@@ -22,17 +22,12 @@ class ReplicateNoise:
 
     `joint` (nq,) in rad or m and `pose` (6,) in m and rad, NaN where not measured or without
     replicates; `dof` = samples in groups minus groups. A robot does not come back to exactly the
-    same joints, so part of `pose` is the robot's own: `joint_deviation` (M, nq) and
-    `pose_deviation` (M, 6) of the samples `index` (M,) let a model subtract that part.
+    same joints, so part of `pose` is the robot's own.
     """
 
     joint: Array
     pose: Array
     dof: int
-    groups: int
-    index: NDArray[np.intp]
-    joint_deviation: Array
-    pose_deviation: Array
 
 
 def replicate_ids(
@@ -92,11 +87,8 @@ def replicate_noise(ids: Ids, at: Configuration, measured: Bools) -> ReplicateNo
         turned[group == g] = turned[group == g] @ mean_rotation(turned[group == g]).T
     pose = np.hstack([_about_mean(at.r[index], group), rotation_vector(turned)])
     pose[~complete] = np.nan
-    joint = _about_mean(at.q[index], group)
-    return ReplicateNoise(
-        _pooled(joint, group), _pooled(pose, group), len(index) - len(members), len(members),
-        index, joint, pose,
-    )  # fmt: skip
+    joint = _pooled(_about_mean(at.q[index], group), group)
+    return ReplicateNoise(joint, _pooled(pose, group), len(index) - len(members))
 
 
 def _about_mean(values: Array, group: NDArray[np.intp]) -> Array:
