@@ -163,7 +163,8 @@ def test_replicates_know_the_noise_without_any_model(here):
     known = NoiseLevel.of(here, Field.of(here), False)
     assert known.source == "stated (dataset)"
     assert known.pure_error.variance == pytest.approx(1, abs=0.3)
-    assert known.pure_error.dof == 120
+    # twenty visits again of six components, less what three directions and time take
+    assert known.pure_error.dof == (20 - 4) * 6
 
 
 def test_a_noise_that_nobody_states_is_taken_from_replicates():

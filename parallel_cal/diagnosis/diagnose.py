@@ -10,6 +10,7 @@ import numpy as np
 
 from parallel_cal.base.documents import plain
 from parallel_cal.diagnosis.catalogue import Candidate, candidate, names_of
+from parallel_cal.diagnosis.device import imitated
 from parallel_cal.diagnosis.entries import (
     Entry,
     NegativeControl,
@@ -58,6 +59,7 @@ class Diagnosis:
     field: Field
     odd_samples: tuple[OddSample, ...]
     swaps: Mapping[str, list[str]]
+    robot_or_device: tuple[str, ...]
     measure_next: NextMeasurement
 
     @property
@@ -99,6 +101,7 @@ class Diagnosis:
             "candidates": self.entries,
             "negative_control": self.negative_control,
             "swaps": self.swaps,
+            "robot_or_device": self.robot_or_device,
             "structure": self.structure,
             "odd_samples": self.odd_samples,
             "measure_next": self.measure_next,
@@ -150,8 +153,11 @@ def diagnose(
         shape = NoiseShape.of(best.scene, left)
         tried = [search.fit(*best.chosen, Chosen.of(c)) for c in catalogue.significant(best)]
         refused = tuple(trial.reason for trial in tried if trial.reason)
+        doubtful = imitated(base.scene, [c for c in ranked if c.name in best.names], ranked)
         verdict = judge(
-            Findings(base, best, before, noise, shape, structure, left.held, swaps, refused)
+            Findings(
+                base, best, before, noise, shape, structure, left.held, swaps, refused, doubtful
+            )
         )
         report("weighing the observations", 0.8)
         rivals = {c.name: swaps.get(c.name, []) for c in best.chosen}
@@ -170,6 +176,7 @@ def diagnose(
             field=left,
             odd_samples=odd_samples(best.scene, left),
             swaps=swaps,
+            robot_or_device=tuple(doubtful),
             measure_next=next_measurement(best, rivals, ranked),
         )
 

@@ -19,7 +19,11 @@ STATED = ("option", "dataset", "model file")
 @dataclass(frozen=True)
 class PureError:
     """Mean square of the visits of one pose about their mean, in units of the observations'
-    variance, and its degrees of freedom; None without replicates."""
+    variance, and its degrees of freedom; None without replicates.
+
+    What goes with other circumstances of a visit (direction, payload, temperature, time) is no
+    error of the measurement: as much of it as is linear is taken out.
+    """
 
     variance: float | None
     dof: int
@@ -31,10 +35,25 @@ class PureError:
             return cls(None, 0)
         z, group = field.noise_units, scene.observations.group
         visited = np.unique(group, return_inverse=True)[1]
+        circumstances = _circumstances(scene)
+        other = circumstances - averaged(circumstances, group)[visited]
         apart = z - averaged(z, group)[visited]
+        share, _, rank, _ = np.linalg.lstsq(other, apart, rcond=1e-9)
+        apart = apart - other @ share
         components = int(np.any(z != 0, axis=0).sum())
-        dof = (len(z) - int(visited.max()) - 1) * components
+        dof = max(len(z) - int(visited.max()) - 1 - int(rank), 0) * components
         return cls(float(np.sum(apart**2)) / dof if dof else None, dof)
+
+
+def _circumstances(scene: Scene) -> np.ndarray:
+    """(N, k) in their own spreads: how the joints came, payload, temperature, time."""
+    names = ("direction.", "payload", "temperature", "time")
+    known = [
+        values for name, values in scene.dataset.conditions.items() if name.startswith(names)
+        and np.isfinite(values).all()
+    ]  # fmt: skip
+    columns = np.stack(known, axis=1)
+    return np.asarray(columns / np.maximum(columns.std(axis=0), 1e-12))
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,8 @@ class Findings:
 
     `chi2_before` is chi2/dof of the base, on the rows of the best; `structure` and `held` (as in
     Field) are what the best leaves; `swaps` the effects that fit as well as one chosen; `refused`
-    why those that are no chance could not be identified.
+    why those that are no chance could not be identified; `robot_or_device` those that an error of
+    the device explains as well.
     """
 
     base: Trial
@@ -42,6 +43,7 @@ class Findings:
     held: float
     swaps: Mapping[str, Sequence[str]]
     refused: Sequence[str]
+    robot_or_device: Sequence[str]
 
     @property
     def after(self) -> Estimate:
@@ -124,9 +126,19 @@ def _guards(found: Findings) -> list[str]:
         against.append(f"only {max(share, 0):.0%} of the variance beyond the noise is explained")
     if chi2 > high:
         against.append(f"chi2/dof {chi2:.3g} is still above {high:.3g}")
+    against += [robot_or_device(name) for name in found.robot_or_device]
     if structure.found:
         against.append(f"structure remains (p = {structure.p_value:.1g}{_size(structure)})")
     return against
+
+
+def robot_or_device(name: str) -> str:
+    """What is said of an effect that the device may have made, and what tells."""
+    return (
+        f"{name} may be the measuring device's, whose usual errors explain as much (measure the "
+        "same poses with the device turned or moved aside, with a second one, or an artefact of "
+        "known length)"
+    )
 
 
 def _nothing_found(found: Findings, errors: str) -> Verdict:

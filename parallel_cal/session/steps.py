@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 from parallel_cal.base.errors import FitError
-from parallel_cal.diagnosis.catalogue import candidate
+from parallel_cal.diagnosis.catalogue import Candidate, candidate, names_of
+from parallel_cal.diagnosis.device import imitated
 from parallel_cal.diagnosis.scene import Scene
+from parallel_cal.diagnosis.verdict import robot_or_device
 from parallel_cal.identification.acceptance import Acceptance, acceptance
 from parallel_cal.identification.fit import Result, fit
 from parallel_cal.identification.thresholds import NEGLIGIBLE
 from parallel_cal.model.effect import parse_effect
 from parallel_cal.model.model import Model
+from parallel_cal.model.shelf import load_effect
 from parallel_cal.recordings.dataset import Dataset
 
 
@@ -62,16 +64,19 @@ def added(model: Model, effect: str, dataset: Dataset, force: bool = False, **op
     name, settings = parse_effect(effect)
     base = fit(model, dataset, **options)
     model.with_effect(name)  # a wrong name is better said before a search
-    result = fit(model.with_effect(name, settings or _searched(base, name)), dataset, **options)
-    return _step(
-        "add", result, _judged(acceptance(result, base, f" with '{name}'"), force), base, name
-    )
-
-
-def _searched(base: Result, name: str) -> Mapping[str, float]:
-    """The settings of an effect that fit best to what the model without it leaves."""
     scene = Scene.of(base.model, base.dataset, base.observations, base.free)
-    return candidate(scene, name).settings
+    one = candidate(scene, name)  # with the settings that fit best to what the base leaves
+    result = fit(model.with_effect(name, settings or one.settings), dataset, **options)
+    found = acceptance(result, base, f" with '{name}'")
+    if not found.against and imitated(scene, [one], _device(scene)):
+        found = replace(found, against=robot_or_device(name))
+    return _step("add", result, _judged(found, force), base, name)
+
+
+def _device(scene: Scene) -> list[Candidate]:
+    """What the measuring device may do."""
+    names = [n for n in names_of(scene.model) if load_effect(n).of_device]
+    return [candidate(scene, name) for name in names]
 
 
 def removed(
