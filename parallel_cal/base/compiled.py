@@ -120,36 +120,29 @@ def compiled(function: ca.Function) -> ca.Function:
         return function
     try:
         library = _cache_folder() / f"{_fingerprint(function)}.so"
-        if library.exists() or _compile(function, library):
-            return ca.external(function.name(), str(library))
-    except (OSError, RuntimeError) as error:  # no home, no right, a cache from another machine
-        log.info("compiled %s is not used (%s)", function.name(), error)
-    return function
+        if not library.exists():
+            _compile(function, library)
+        return ca.external(function.name(), str(library))
+    except (OSError, RuntimeError, subprocess.SubprocessError) as error:
+        # No compiler, no home, no right, a cache from another machine.
+        log.info("no compiled code for %s (%s); CasADi's virtual machine serves", function, error)
+        return function
 
 
-def _compile(function: ca.Function, library: Path) -> bool:
+def _compile(function: ca.Function, library: Path) -> None:
     compiler = shutil.which(os.environ.get("CC", "cc")) or shutil.which("gcc")
     if compiler is None:
-        return False
-    try:
-        library.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=library.parent) as folder:
-            _build(function, compiler, Path(folder), library)
-    except (OSError, subprocess.SubprocessError) as error:
-        log.info("no compiled code for %s (%s); CasADi's virtual machine serves", function, error)
-        return False
-    return True
-
-
-def _build(function: ca.Function, compiler: str, folder: Path, library: Path) -> None:
-    # CasADi writes its C file into the given folder; the name carries no directory.
-    code = ca.CodeGenerator("code.c")
-    code.add(function)
-    code.generate(f"{folder}{os.sep}")
-    built = folder / "code.so"
-    command = [compiler, *FLAGS, str(folder / "code.c"), "-o", str(built), "-lm"]
-    subprocess.run(command, check=True, capture_output=True, timeout=120)
-    built.replace(library)  # atomic: another process never loads half a library
+        raise FileNotFoundError("no C compiler")
+    library.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=library.parent) as folder:
+        # CasADi writes its C file into the given folder; the name carries no directory.
+        code = ca.CodeGenerator("code.c")
+        code.add(function)
+        code.generate(f"{folder}{os.sep}")
+        built = Path(folder, "code.so")
+        command = [compiler, *FLAGS, f"{folder}/code.c", "-o", str(built), "-lm"]
+        subprocess.run(command, check=True, capture_output=True, timeout=120)
+        built.replace(library)  # atomic: another process never loads half a library
 
 
 def _fingerprint(function: ca.Function) -> str:

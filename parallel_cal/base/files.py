@@ -7,7 +7,6 @@ import errno
 import os
 import stat
 import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 
 MEGABYTE = 1 << 20
@@ -48,19 +47,13 @@ def write_atomically(path: str | Path, text: str) -> None:
 
 def _replace(target: Path, text: str) -> None:
     handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".part")
-    with _removed_on_failure(name):
+    try:
         with os.fdopen(handle, "w", encoding="utf-8", newline="") as stream:
             stream.write(text)
             stream.flush()
             os.fsync(stream.fileno())
         os.chmod(name, _permissions(target))
         os.replace(name, target)
-
-
-@contextlib.contextmanager
-def _removed_on_failure(name: str) -> Iterator[None]:
-    try:
-        yield
     except BaseException:
         with contextlib.suppress(FileNotFoundError):
             os.unlink(name)

@@ -66,12 +66,17 @@ def matrix_to_quaternion(R: np.ndarray) -> np.ndarray:
     R = np.asarray(R, dtype=float)
     if R.ndim == 2:
         return _single_quaternion(R)
-    trace = np.trace(R, axis1=-2, axis2=-1)
-    diagonal = np.stack([R[..., 0, 0], R[..., 1, 1], R[..., 2, 2], trace], axis=-1)
-    # Four formulas, each good where its own component is the largest (Shepperd).
-    candidates = np.stack([_quaternion_from_largest(R, trace, k) for k in range(4)], axis=-2)
-    best = np.argmax(diagonal, axis=-1)
-    q = np.take_along_axis(candidates, best[..., None, None], axis=-2)[..., 0, :]
+    a, b, c, d, e, f, g, h, i = np.moveaxis(R.reshape(*R.shape[:-2], 9), -1, 0)
+    # 4 q q^T: every row is along q, that of the largest component is the safest (Shepperd).
+    rows = [
+        [1 + a - e - i, b + d, c + g, h - f],
+        [b + d, 1 + e - a - i, f + h, c - g],
+        [c + g, f + h, 1 + i - a - e, d - b],
+        [h - f, c - g, d - b, 1 + a + e + i],
+    ]
+    products = np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+    best = np.argmax(np.diagonal(products, axis1=-2, axis2=-1), axis=-1)
+    q = np.take_along_axis(products, best[..., None, None], axis=-2)[..., 0, :]
     q = q / np.linalg.norm(q, axis=-1, keepdims=True)
     return np.where(q[..., 3:] < 0, -q, q)
 
@@ -90,24 +95,6 @@ def _single_quaternion(R: np.ndarray) -> np.ndarray:
         q = [c + g, f + h, 1 + i - a - e, d - b]
     size = math.sqrt(sum(part * part for part in q))
     return np.array(q) / (size if q[3] >= 0 else -size)
-
-
-def _quaternion_from_largest(R: np.ndarray, trace: np.ndarray, k: int) -> np.ndarray:
-    """An unnormalised quaternion proportional to component k times the true one."""
-    if k == 3:
-        skew = [
-            R[..., 2, 1] - R[..., 1, 2],
-            R[..., 0, 2] - R[..., 2, 0],
-            R[..., 1, 0] - R[..., 0, 1],
-        ]
-        return np.stack([*skew, 1 + trace], axis=-1)
-    i, j = (k + 1) % 3, (k + 2) % 3
-    q = np.empty((*trace.shape, 4))
-    q[..., k] = 1 + R[..., k, k] - R[..., i, i] - R[..., j, j]
-    q[..., i] = R[..., i, k] + R[..., k, i]
-    q[..., j] = R[..., j, k] + R[..., k, j]
-    q[..., 3] = R[..., j, i] - R[..., i, j]
-    return q
 
 
 def rotation_vector(R: np.ndarray) -> np.ndarray:
