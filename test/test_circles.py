@@ -5,6 +5,7 @@ import pytest
 
 from parallel_cal.base.errors import SolveError
 from parallel_cal.base.rotation import rotation_matrix, rotation_vector
+from parallel_cal.kinematics import solving
 from parallel_cal.kinematics.every import direct_all
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions
 from parallel_cal.kinematics.solvers import cascaded_circles, three_circles
@@ -102,7 +103,7 @@ def test_other_mechanisms_and_problems_are_refused_with_a_way_out():
         cascaded_circles.direct(delta, np.zeros(3))
     with pytest.raises(SolveError, match="no method `circles`"):
         three_circles.direct_all(delta, np.zeros(3))
-    with pytest.raises(SolveError, match="direct problems only"):
-        three_circles.inverse(strayed(0), np.zeros(3))
+    with pytest.raises(SolveError, match="three_circles does not solve the inverse problem"):
+        solving.inverse(strayed(0), np.zeros(3), None, {}, solver="three_circles")
     with pytest.raises(SolveError, match="knows no effects"):
         cascaded_circles.direct(strayed(0).with_effect("backlash"), np.zeros(3))

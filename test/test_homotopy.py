@@ -6,10 +6,11 @@ import virtual_robot as vr
 
 from parallel_cal.base.errors import SolveError
 from parallel_cal.base.rotation import rotation_matrix, rotation_vector
+from parallel_cal.kinematics import solving
 from parallel_cal.kinematics.every import direct_all
 from parallel_cal.kinematics.kinematics import Kinematics, Status
 from parallel_cal.kinematics.solvers import homotopy
-from parallel_cal.kinematics.solvers._platform import start_system
+from parallel_cal.kinematics.solvers._platform import all_poses, start_system
 from parallel_cal.kinematics.solvers._quadrics import CERTAIN, alpha
 from parallel_cal.kinematics.solvers._study import quadrics
 from parallel_cal.model.model import new_model
@@ -32,7 +33,7 @@ def distance(r, R, others_r, others_R):
 
 def check_platform(rng):
     C, B, L, r, R = platform(rng)
-    found = homotopy.all_poses(C, B, L)
+    found = all_poses(C, B, L)
     assert found.count_complex == 40
     assert found.certified.all()
     assert distance(r, R, found.real.position, found.real.rotation).min() < 1e-6
@@ -60,7 +61,7 @@ def multi_start(C, B, L, rng, starts=3000):
 
 def check_against_multi_start(rng):
     C, B, L, *_ = platform(rng)
-    found = homotopy.all_poses(C, B, L).real
+    found = all_poses(C, B, L).real
     expected = multi_start(C, B, L, rng)
     assert len(expected) == len(found)
     for r, R in expected:
@@ -162,7 +163,7 @@ def test_a_stewart_platform_is_solved_from_its_lengths():
 
 def test_rods_too_short_to_meet_leave_no_real_pose():
     C, B, *_ = platform(np.random.default_rng(5))
-    found = homotopy.all_poses(C, B, np.full(6, 1e-3))
+    found = all_poses(C, B, np.full(6, 1e-3))
     assert len(found.real) == 0
     model = new_model("stewart42")
     assert homotopy.direct(model, np.full(6, -0.249)).status == Status.UNREACHABLE
@@ -172,11 +173,11 @@ def test_rods_too_short_to_meet_leave_no_real_pose():
 def test_what_is_no_platform_is_refused():
     C, B, L, *_ = platform(np.random.default_rng(6))
     with pytest.raises(SolveError, match="six base points"):
-        homotopy.all_poses(C[:5], B, L)
+        all_poses(C[:5], B, L)
     with pytest.raises(SolveError, match="not a finite number"):
-        homotopy.all_poses(C, B, L * np.nan)
+        all_poses(C, B, L * np.nan)
     with pytest.raises(SolveError, match="meet in one point"):
-        homotopy.all_poses(C, np.tile(B[0], (6, 1)), L)
+        all_poses(C, np.tile(B[0], (6, 1)), L)
     with pytest.raises(SolveError, match="rods"):
         homotopy.direct_all(new_model("delta24"), np.zeros(3))
 
@@ -184,7 +185,7 @@ def test_what_is_no_platform_is_refused():
 def test_a_rod_that_is_there_twice_leaves_no_regular_pose():
     C, B, L, *_ = platform(np.random.default_rng(7))
     C[1], B[1], L[1] = C[0], B[0], L[0]
-    assert homotopy.all_poses(C, B, L).count_complex == 0
+    assert all_poses(C, B, L).count_complex == 0
 
 
 @pytest.mark.parametrize("seed", [0, 2, 5])
@@ -193,15 +194,15 @@ def test_lost_paths_are_followed_anew(seed):
     C, B, _, r, R = platform(np.random.default_rng(seed))
     B = 3e-5 * B
     L = np.linalg.norm(r + B @ R.T - C, axis=1)
-    assert homotopy.all_poses(C, B, L, retries=0).count_complex < 40
-    found = homotopy.all_poses(C, B, L)
+    assert all_poses(C, B, L, retries=0).count_complex < 40
+    found = all_poses(C, B, L)
     assert (found.count_complex, found.retries) == (40, 1)
 
 
 @pytest.mark.parametrize("size", [1e-6, 1e6])
 def test_size_does_not_matter(size):
     C, B, L, *_ = platform(np.random.default_rng(8))
-    found, other = (homotopy.all_poses(s * C, s * B, s * L) for s in (1, size))
+    found, other = (all_poses(s * C, s * B, s * L) for s in (1, size))
     assert other.count_complex == 40
     assert other.real.position / size == pytest.approx(found.real.position)
 
@@ -210,9 +211,9 @@ def test_flat_platforms_have_forty_poses_and_symmetric_ones_fewer():
     C, B, _, r, R = platform(np.random.default_rng(9))
     C[:, 2] = B[:, 2] = 0
     L = np.linalg.norm(r + B @ R.T - C, axis=1)
-    assert homotopy.all_poses(C, B, L).count_complex == 40
+    assert all_poses(C, B, L).count_complex == 40
     C, B = (np.repeat(a[:3], 2, axis=0) for a in (C, B))
-    found = homotopy.all_poses(C, np.roll(B, 1, axis=0), np.full(6, 2.0))
+    found = all_poses(C, np.roll(B, 1, axis=0), np.full(6, 2.0))
     assert found.count_complex == 16  # the octahedron's, as is known
 
 
@@ -224,5 +225,5 @@ def test_other_robots_on_six_rods_are_solved_as_well(name):
     assert found.count_complex == 40
     assert found.position[0] == pytest.approx(Kinematics(model).direct(q).position)
     assert found.residual.max() < 1e-12
-    with pytest.raises(SolveError, match="direct problems only"):
-        homotopy.inverse(new_model("delta54"), np.zeros(3))
+    with pytest.raises(SolveError, match="homotopy does not solve the inverse problem"):
+        solving.inverse(new_model("delta54"), np.zeros(3), None, {}, solver="homotopy")

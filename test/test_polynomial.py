@@ -5,10 +5,18 @@ import pytest
 
 from parallel_cal.base.errors import SolveError
 from parallel_cal.base.rotation import quaternion_to_matrix, rotation_matrix, rotation_vector
+from parallel_cal.kinematics import solving
 from parallel_cal.kinematics.kinematics import Kinematics, Status
 from parallel_cal.kinematics.solvers import polynomial
-from parallel_cal.kinematics.solvers._orientation import HALF_TANGENT, sh, sw
-from parallel_cal.kinematics.solvers.polynomial import FORMS, angles, coefficients, orientations
+from parallel_cal.kinematics.solvers._orientation import (
+    FORMS,
+    HALF_TANGENT,
+    angles,
+    coefficients,
+    orientations,
+    sh,
+    sw,
+)
 from parallel_cal.model.model import new_model
 
 
@@ -140,5 +148,5 @@ def test_other_mechanisms_are_refused():
         model = new_model(name)
         with pytest.raises(SolveError, match="use --solver newton"):
             polynomial.direct(model, np.array(model.mechanism.home.joints))
-    with pytest.raises(SolveError, match="direct problems only"):
-        polynomial.inverse(new_model("argos9"), np.zeros(3))
+    with pytest.raises(SolveError, match="polynomial does not solve the inverse problem"):
+        solving.inverse(new_model("argos9"), np.zeros(3), None, {}, solver="polynomial")

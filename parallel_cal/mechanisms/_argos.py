@@ -1,13 +1,48 @@
-"""The direct problem of the nominal Argos, where those of all its models start (section 6.7.2)."""
+"""What the models of the Argos share: home, workspace, and where the direct problem starts."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import casadi as ca
+import numpy as np
 
 from parallel_cal.base.rotation import rot_x, rot_y
+from parallel_cal.mechanisms._delta import DEGREE, MM
+from parallel_cal.model.closed_form import joint_angles
+from parallel_cal.model.mechanism import Home, Mechanism, Workspace
 from parallel_cal.model.parameters import Named
+
+RADIUS = 110 * MM  # of the mock-up: {p} lies this far from all three ball centres
+# Home turns the platform by 109.5 degrees about (-1, 1, 0): ball 1 points to (1, -2, -2) / 3,
+# between the motor axes 2 and 3, and the others likewise. As a rotation vector:
+HOME_TURN = float(np.arccos(-1 / 3) / np.sqrt(2))
+REACH = 30 * DEGREE
+
+
+class Argos(Mechanism):
+    """Three motors, three pantographs, one platform that turns."""
+
+    joints = ("joint1", "joint2", "joint3")
+    moves: tuple[str, ...] = ("rx", "ry", "rz")
+    controls = ("rx", "ry", "rz")
+    home = Home(joints=(0.0, 0.0, 0.0), quaternion=(-(3**-0.5), 3**-0.5, 0.0, 3**-0.5))
+    workspace = Workspace(
+        low=(-HOME_TURN - REACH, HOME_TURN - REACH, -REACH),
+        high=(-HOME_TURN + REACH, HOME_TURN + REACH, REACH),
+    )
+    joint_limits = ((-80 * DEGREE, 80 * DEGREE),) * 3  # the pantographs move over 60 degrees
+
+    def __init__(self, radius: float = RADIUS):
+        self.length = float(radius)
+
+    def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
+        """The nominal model's four orientations about a centre at rest (section 6.7.2)."""
+        return orientations(q, p)
+
+    def joint_candidates(self, r: Any, R: Any, p: Named) -> list[tuple[Any, ...]]:
+        """Both angles of every motor, the centre at rest (eqs 6.50-6.53, 6.62-6.63, 6.7.3)."""
+        return joint_angles(self, ca.DM(self.home.position), R, p)
 
 
 def orientations(q: Any, p: Named) -> list[tuple[Any, Any]]:

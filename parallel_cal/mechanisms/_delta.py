@@ -1,11 +1,14 @@
-"""What the models of the Delta robot share: its table, home, workspace (table 3.10, 5.12)."""
+"""What the models of the Delta robot share: table, home, workspace, rod pairs (3.10, 5.12)."""
 
 from __future__ import annotations
 
+from typing import Any
+
+import casadi as ca
 import numpy as np
 
-from parallel_cal.model.mechanism import Home, Workspace
-from parallel_cal.model.parameters import Parameter, ParameterTable
+from parallel_cal.model.mechanism import Home, Mechanism, Workspace
+from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 
 MM, DEGREE = 1e-3, np.pi / 180
 
@@ -22,11 +25,17 @@ POSITION = {
     "La_y": ("m", -3 * MM, 1 * MM, "encoder offset (arm's end across)"),
     "Lb": ("m", 240 * MM, 0.5 * MM, "rod length"),
 }
-HOME = Home(joints=(30.65 * DEGREE,) * 3, position=(0.0, 0.0, 0.2))
-WORKSPACE = Workspace(low=(-0.06, -0.06, 0.14), high=(0.06, 0.06, 0.26))
-JOINTS = ("joint1", "joint2", "joint3")
-JOINT_LIMITS = ((-30 * DEGREE, 135 * DEGREE),) * 3  # section 2.3.2: mechanical stops
-LENGTH = 24 * MM  # half the bar of a rod pair
+
+
+class Delta(Mechanism):
+    """Three driven arms that place a platform, however it is described."""
+
+    joints = ("joint1", "joint2", "joint3")
+    controls = ("x", "y", "z")
+    home = Home(joints=(30.65 * DEGREE,) * 3, position=(0.0, 0.0, 0.2))
+    workspace = Workspace(low=(-0.06, -0.06, 0.14), high=(0.06, 0.06, 0.26))
+    joint_limits = ((-30 * DEGREE, 135 * DEGREE),) * 3  # section 2.3.2: mechanical stops
+    length = 24 * MM  # half the bar of a rod pair
 
 
 def chain_parameters(groups: dict[str, dict[str, Entry]]) -> ParameterTable:
@@ -44,3 +53,19 @@ def chain_parameters(groups: dict[str, dict[str, Entry]]) -> ParameterTable:
         for group, members in groups.items()
         for name, (unit, nominal, tolerance, label) in members.items()
     )
+
+
+def pair_errors(rods: tuple[list[Any], list[Any], list[Any]], r: Any, R: Any, p: Named) -> Any:
+    """G1 and G2 of eq. 3.12, divided by 2 Lb and Lb: mean and half difference of a rod pair's
+    length error, three rows each, in metres; `rods` as C in {B}, B in {P} and length."""
+    # |CB + dd|^2 and |CB - dd|^2: their half sum is G1, a quarter of their difference G2
+    errors = [ca.sumsqr(r + R @ B - C) - L**2 for C, B, L in zip(*rods, strict=True)]
+    first, second = ca.vertcat(*errors[::2]), ca.vertcat(*errors[1::2])
+    to_metres = 0.25 / ca.vertcat(*[p[f"chain{i + 1}"].Lb for i in range(3)])
+    return ca.vertcat((first + second) * to_metres, (first - second) * to_metres)
+
+
+def pair_lengths(p: Named) -> list[Any]:
+    """Lb + dLb and Lb - dLb of each pair."""
+    chains = [p[f"chain{i + 1}"] for i in range(3)]
+    return [c.Lb + side * c.dLb for c in chains for side in (1, -1)]

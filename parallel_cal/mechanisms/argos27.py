@@ -6,16 +6,12 @@ from collections.abc import Mapping
 from typing import Any
 
 import casadi as ca
-import numpy as np
 
 from parallel_cal.base.rotation import rot_x, rot_z
-from parallel_cal.mechanisms._argos import orientations
+from parallel_cal.mechanisms._argos import RADIUS, Argos
 from parallel_cal.mechanisms._delta import DEGREE, MM
-from parallel_cal.model.closed_form import joint_angles
-from parallel_cal.model.mechanism import POSE, Home, Mechanism, Workspace
+from parallel_cal.model.mechanism import POSE
 from parallel_cal.model.parameters import Named, Parameter, ParameterTable
-
-RADIUS = 110 * MM  # of the mock-up: {p} lies this far from all three ball centres
 
 # Table 5.21, chain by chain. A parameter that a chain lacks is zero by the choice of frames:
 # {b} has its x-axis on motor axis 1 and its z-axis on the common normal to motor axis 2;
@@ -41,13 +37,6 @@ LABELS = {
     "R": "ball's distance from the platform's centre",
 }
 CHAIN = tuple(LABELS)
-
-# Home turns the platform by 109.5 degrees about (-1, 1, 0): ball 1 points to (1, -2, -2) / 3,
-# between the motor axes 2 and 3, and the others likewise. As a rotation vector:
-HOME_TURN = float(np.arccos(-1 / 3) / np.sqrt(2))
-HOME = Home(joints=(0.0, 0.0, 0.0), quaternion=(-(3**-0.5), 3**-0.5, 0.0, 3**-0.5))
-JOINT_LIMITS = ((-80 * DEGREE, 80 * DEGREE),) * 3  # the pantographs move over 60 degrees
-REACH = 30 * DEGREE
 
 
 def angle_parameters(chain: int) -> list[Parameter]:
@@ -88,25 +77,17 @@ def chain_of(p: Named, chain: int) -> Named:
 BODIES = {"pantographs": ("*.R", "*.dR", "*.da", "*.dc")}
 
 
-class Argos27(Mechanism):
+class Argos27(Argos):
     """Three motors, three perfect pantographs, one platform; its centre moves a little.
 
     `radius` (m) places {p}; the thesis divides every length by it.
     """
 
-    joints = ("joint1", "joint2", "joint3")
     moves = POSE
-    controls = ("rx", "ry", "rz")
-    home = HOME
-    workspace = Workspace(
-        low=(-HOME_TURN - REACH, HOME_TURN - REACH, -REACH),
-        high=(-HOME_TURN + REACH, HOME_TURN + REACH, REACH),
-    )
-    joint_limits = JOINT_LIMITS
     bodies = BODIES
 
     def __init__(self, radius: float = RADIUS):
-        self.length = float(radius)
+        super().__init__(radius)
         self.parameters = ParameterTable(
             p for i in range(3) for p in (*angle_parameters(i), *shift_parameters(i, self.length))
         )
@@ -115,16 +96,16 @@ class Argos27(Mechanism):
         """G1 and G2 of eq. 3.22: how far each ball is out of its pantograph's plane and off its
         circle (divided by 2 R), three rows each, in metres."""
         plane, circle = [], []
-        for C, u, radius, B in self.circles(q, p):
+        for C, u, radius, B in zip(*self.circles(q, p), strict=True):
             CB = r + R @ B - C
             plane.append(ca.dot(u, CB))
             circle.append((ca.dot(CB, CB) - radius**2) / (2 * radius))
         return ca.vertcat(*plane, *circle)
 
-    def circles(self, q: Any, p: Named) -> list[tuple[Any, Any, Any, Any]]:
-        """For each chain the circle that carries a ball (centre C, unit normal u, radius, in
-        {b}) and that ball's place B in {p}."""
-        return [self.circle(q[i], chain_of(p, i)) for i in range(3)]
+    def circles(self, q: Any, p: Named) -> list[tuple[Any, ...]]:
+        """Of the circles that carry the balls, one a chain: centres C and unit normals u in {b},
+        radii, and the balls' places B in {p}."""
+        return list(zip(*[self.circle(q[i], chain_of(p, i)) for i in range(3)], strict=True))
 
     def circle(self, angle: Any, c: Named) -> tuple[Any, Any, Any, Any]:
         """One chain's circle and ball (eqs 3.17-3.21, transformations of table 3.15)."""
@@ -134,14 +115,6 @@ class Argos27(Mechanism):
         C = W @ ca.vertcat(c.dA, 0, c.dC) + S @ Q @ (ca.vertcat(c.da, 0, c.dc) + G[:, 0] * c.dR)
         v = rot_x(c.omega) @ rot_z(c.phi)[:, 0]
         return C, u, c.R, v * self.length
-
-    def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
-        """The nominal model's four orientations about a centre at rest (section 6.7.2)."""
-        return orientations(q, p)
-
-    def joint_candidates(self, r: Any, R: Any, p: Named) -> list[tuple[Any, ...]]:
-        """Both angles of every motor from G1, with the centre at rest (section 6.7.3)."""
-        return joint_angles(self, ca.DM(self.home.position), R, p)
 
 
 def widened(values: Mapping[str, float], radius: float) -> dict[str, float]:

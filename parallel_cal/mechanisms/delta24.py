@@ -8,40 +8,29 @@ from typing import Any
 import casadi as ca
 
 from parallel_cal.base.rotation import rot_x, rot_z
-from parallel_cal.mechanisms._delta import (
-    HOME,
-    JOINT_LIMITS,
-    JOINTS,
-    LENGTH,
-    POSITION,
-    WORKSPACE,
-    chain_parameters,
-)
+from parallel_cal.mechanisms._delta import POSITION, Delta, chain_parameters
 from parallel_cal.model.closed_form import joint_angles, positions
-from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named
 
 BODIES = {"arms": ("*.La_?",), "rods": ("*.Lb",), "base": ("*.D_?",)}
 
 
-class Delta24(Mechanism):
+class Delta24(Delta):
     """Three arms and three rods that meet in one point: the platform stays parallel."""
 
-    joints = JOINTS
     moves = ("x", "y", "z")
-    controls = ("x", "y", "z")
     parameters = chain_parameters({"position": POSITION})
-    home = HOME
-    workspace = WORKSPACE
-    joint_limits = JOINT_LIMITS
     closed_forms = ("direct", "inverse")
-    length = LENGTH
     bodies = BODIES
     parts = ("arm", "rod")
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
         """Eq. 3.16 divided by 2 Lb: length error of each rod, in metres."""
-        return ca.vertcat(*[self.rod(q[i], r, p[f"chain{i + 1}"]) for i in range(3)])
+        return ca.vertcat(*[self.rod(q[i], r, c) for i, c in enumerate(self.chains(p))])
+
+    def chains(self, p: Named) -> list[Named]:
+        """Each chain's eight parameters."""
+        return [p[f"chain{i + 1}"] for i in range(3)]
 
     @staticmethod
     def rod(angle: Any, r: Any, c: Named) -> Any:
@@ -58,11 +47,11 @@ class Delta24(Mechanism):
 
     def rod_lengths(self, p: Named) -> list[Any]:
         """Lb of both rods of each pair."""
-        return [p[f"chain{i + 1}"].Lb for i in range(3) for _ in range(2)]
+        return [c.Lb for c in self.chains(p) for _ in range(2)]
 
     def centres(self, q: Any, r: Any, R: Any, p: Named) -> Mapping[str, list[Any]]:
         """Arms and rods half way between their ends, up to constant shifts."""
-        arms = [self.arm(q[i], p[f"chain{i + 1}"]) for i in range(3)]
+        arms = [self.arm(q[i], c) for i, c in enumerate(self.chains(p))]
         rods = [(C + r) / 2 for _, C in arms for _ in range(2)]
         return {"arm": [(hub + C) / 2 for hub, C in arms], "rod": rods}
 

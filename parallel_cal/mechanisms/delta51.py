@@ -24,10 +24,9 @@ from parallel_cal.base.rotation import (
     rotation_matrix,
     rotation_vector,
 )
-from parallel_cal.mechanisms._delta import DEGREE, HOME, MM
+from parallel_cal.mechanisms._delta import DEGREE, MM, Delta
 from parallel_cal.mechanisms.delta54 import Delta54
 from parallel_cal.model.closed_form import joint_angles, positions
-from parallel_cal.model.mechanism import POSE, Mechanism, Workspace
 from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 
 # Eq. 10: direction of each motor axis u_i; here those of the thesis' mock-up.
@@ -152,20 +151,13 @@ BODIES = {
 }
 
 
-class Delta51(Mechanism):
+class Delta51(Delta):
     """Six rods between points on three arms and on the platform; all six coordinates move."""
 
-    joints = ("joint1", "joint2", "joint3")
-    moves = POSE
-    controls = ("x", "y", "z")
     parameters = _table()
     # What an almost level platform hides: the hubs, each arm's turn about its axis, and shifts
     # of a rod along it. 42 parameters stay free, as in model 54.
     fixed = ("chain*.p_*", "rod*.a_x", "chain1.beta_y", "chain2.beta_x", "chain3.beta_x")
-    home = HOME
-    workspace = Workspace(Delta54.workspace.low, Delta54.workspace.high)
-    joint_limits = Delta54.joint_limits
-    length = Delta54.length
     bodies = BODIES
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:

@@ -10,17 +10,14 @@ import casadi as ca
 from parallel_cal.base.rotation import rot_x, rot_y, rot_z
 from parallel_cal.mechanisms._delta import (
     DEGREE,
-    HOME,
-    JOINT_LIMITS,
-    JOINTS,
-    LENGTH,
     MM,
     POSITION,
-    WORKSPACE,
+    Delta,
     chain_parameters,
+    pair_errors,
+    pair_lengths,
 )
 from parallel_cal.mechanisms.delta24 import Delta24
-from parallel_cal.model.mechanism import POSE, Mechanism
 from parallel_cal.model.parameters import Named
 
 PARALLELOGRAM = {  # set P1 (eq. 3.14): errors of the spatial parallelogram
@@ -48,30 +45,17 @@ def swapped(v: Any) -> Any:
     return ca.vertcat(ca.horzcat(x, -y, 0), ca.horzcat(y, x, 0), ca.horzcat(0, 0, z))
 
 
-class Delta54(Mechanism):
+class Delta54(Delta):
     """Three arms, six rods of free length and orientation; all six coordinates move."""
 
-    joints = JOINTS
-    moves = POSE
-    controls = ("x", "y", "z")
     parameters = chain_parameters(GROUPS)
     fixed = tuple(f"*.{name}" for name in PLATFORM)
-    home = HOME
-    workspace = WORKSPACE
-    joint_limits = JOINT_LIMITS
-    length = LENGTH
     bodies = BODIES
     parts = ("arm", "rod")
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
-        """G1 and G2 of eq. 3.12, divided by 2 Lb and Lb: mean and half difference of a rod
-        pair's length error, three rows each, in metres."""
-        ends = zip(*self.rods(q, p), strict=True)
-        # |CB + dd|^2 and |CB - dd|^2: their half sum is G1, a quarter of their difference G2
-        errors = [ca.sumsqr(r + R @ B - C) - L**2 for C, B, L in ends]
-        first, second = ca.vertcat(*errors[::2]), ca.vertcat(*errors[1::2])
-        to_metres = 0.25 / ca.vertcat(*[p[f"chain{i + 1}"].Lb for i in range(3)])
-        return ca.vertcat((first + second) * to_metres, (first - second) * to_metres)
+        """Eq. 3.12, mean and half difference of each pair's two rods, in metres."""
+        return pair_errors(self.rods(q, p), r, R, p)
 
     def rods(self, q: Any, p: Named) -> tuple[list[Any], list[Any], list[Any]]:
         """Eq. 3.9: the six rods' ends C in {B} and B in {P}, (3, 1) each, and their lengths."""
@@ -96,9 +80,7 @@ class Delta54(Mechanism):
         return [rod(1), rod(-1)]
 
     def rod_lengths(self, p: Named) -> list[Any]:
-        """Lb + dLb and Lb - dLb of each pair."""
-        chains = [p[f"chain{i + 1}"] for i in range(3)]
-        return [c.Lb + side * c.dLb for c in chains for side in (1, -1)]
+        return pair_lengths(p)
 
     def centres(self, q: Any, r: Any, R: Any, p: Named) -> Mapping[str, list[Any]]:
         """Arms and rods half way between their ends."""

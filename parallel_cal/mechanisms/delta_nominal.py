@@ -3,25 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
-import casadi as ca
 import numpy as np
 
-from parallel_cal.mechanisms._delta import DEGREE, MM
+from parallel_cal.mechanisms._delta import DEGREE, MM, POSITION
 from parallel_cal.mechanisms.delta24 import Delta24
-from parallel_cal.model.mechanism import Home, Mechanism, Workspace
+from parallel_cal.model.mechanism import Home, Workspace
 from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 
 BODIES = {"arms": ("La",), "rods": ("Lb",), "base": ("R",)}
 
 
-class DeltaNominal(Mechanism):
+class DeltaNominal(Delta24):
     """Three equal chains at theta_i; R is the base radius minus the platform radius."""
 
-    joints = ("joint1", "joint2", "joint3")
-    moves = ("x", "y", "z")
-    controls = ("x", "y", "z")
     parameters = ParameterTable(
         [
             *[
@@ -41,41 +36,18 @@ class DeltaNominal(Mechanism):
     )
     home = Home(joints=(30.65 * DEGREE,) * 3, position=(0.0, 0.0, 0.22078))
     workspace = Workspace(low=(-0.06, -0.06, 0.155), high=(0.06, 0.06, 0.275))
-    joint_limits = Delta24.joint_limits
-    closed_forms = ("direct", "inverse")
-    length = Delta24.length
     bodies = BODIES
-    parts = Delta24.parts
 
-    def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
-        """Model 24's closure (eq. 3.16) with the numbers of table 3.12."""
-        return Delta24().closure(q, r, R, self._wide(p))
-
-    def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
-        return Delta24().candidates(q, self._wide(p))
-
-    def joint_candidates(self, r: Any, R: Any, p: Named) -> list[tuple[Any, ...]]:
-        return Delta24().joint_candidates(r, R, self._wide(p))
-
-    def rod_lengths(self, p: Named) -> list[Any]:
-        return Delta24().rod_lengths(self._wide(p))
-
-    def centres(self, q: Any, r: Any, R: Any, p: Named) -> Mapping[str, list[Any]]:
-        return Delta24().centres(q, r, R, self._wide(p))
+    def chains(self, p: Named) -> list[Named]:
+        """Model 24's parameters with the numbers of table 3.12."""
+        names = tuple(POSITION)
+        return [
+            Named(names, [p.R, 0, 0, p[f"chain{i + 1}.theta"], np.pi / 2, p.La, 0, p.Lb])
+            for i in range(3)
+        ]
 
     def widen(self, values: Mapping[str, float]) -> tuple[str, dict[str, float]]:
         """Model 24 with equal chains."""
-        p = Named(list(values), list(values.values()))
-        return "delta24", dict(zip(Delta24.parameters.names, self._entries(p), strict=True))
-
-    def _wide(self, p: Named) -> Named:
-        return Named(Delta24.parameters.names, ca.vertcat(*self._entries(p)))
-
-    @staticmethod
-    def _entries(p: Named) -> list[Any]:
-        """Model 24's parameters, chain by chain: D_x D_y D_z theta alpha La_x La_y Lb."""
-        return [
-            entry
-            for i in range(3)
-            for entry in (p.R, 0, 0, p[f"chain{i + 1}.theta"], np.pi / 2, p.La, 0, p.Lb)
-        ]
+        chains = self.chains(Named(list(values), list(values.values())))
+        numbers = [chain[name] for chain in chains for name in POSITION]
+        return "delta24", dict(zip(Delta24.parameters.names, numbers, strict=True))

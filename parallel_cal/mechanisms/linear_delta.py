@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from parallel_cal.base.rotation import rot_x, rot_y, rot_z
+from parallel_cal.mechanisms._delta import DEGREE, MM, pair_errors, pair_lengths
 from parallel_cal.model.closed_form import positions
-from parallel_cal.model.mechanism import POSE, Home, Mechanism, Workspace
+from parallel_cal.model.mechanism import Home, Mechanism, Workspace
 from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 
-MM, DEGREE = 1e-3, np.pi / 180
 OFFSET, ROD, LOW = 100 * MM, 250 * MM, 100 * MM  # rail to rod plane, rod, platform at home
 
 # In the chain's frame: x outwards, y along the rod pair's bar, z up. The pairs are written as
@@ -48,7 +47,6 @@ class LinearDelta(Mechanism):
 
     joints = ("joint1", "joint2", "joint3")
     joint_unit = "m"
-    moves = POSE
     controls = ("x", "y", "z")
     parameters = ParameterTable(
         Parameter(f"chain{i + 1}.{name}", *numbers)
@@ -66,13 +64,8 @@ class LinearDelta(Mechanism):
         self.home = Home(joints=(self._home_reading(),) * 3, position=(0.0, 0.0, LOW))
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
-        """G1 and G2 as in eq. 3.12, divided by 2 Lb and Lb: mean and half difference of a rod
-        pair's length error, three rows each, in metres."""
-        ends = zip(*self.rods(q, p), strict=True)
-        errors = [ca.sumsqr(r + R @ B - C) - L**2 for C, B, L in ends]
-        first, second = ca.vertcat(*errors[::2]), ca.vertcat(*errors[1::2])
-        Lb = ca.vertcat(*[p[f"chain{i + 1}"].Lb for i in range(3)])
-        return ca.vertcat((first + second) / (4 * Lb), (first - second) / (4 * Lb))
+        """As in eq. 3.12, mean and half difference of each pair's two rods, in metres."""
+        return pair_errors(self.rods(q, p), r, R, p)
 
     def rods(self, q: Any, p: Named) -> tuple[list[Any], list[Any], list[Any]]:
         """The six rods' ends C in {B} and B in {P}, (3, 1) each, and their lengths."""
@@ -87,9 +80,7 @@ class LinearDelta(Mechanism):
         return C, B, self.rod_lengths(p)
 
     def rod_lengths(self, p: Named) -> list[Any]:
-        """Lb + dLb and Lb - dLb of each pair."""
-        chains = [p[f"chain{i + 1}"] for i in range(3)]
-        return [c.Lb + side * c.dLb for c in chains for side in (1, -1)]
+        return pair_lengths(p)
 
     def rail(self, c: Named) -> Any:
         """Direction of a rail in the chain's frame."""
@@ -101,12 +92,10 @@ class LinearDelta(Mechanism):
 
     def joint_candidates(self, r: Any, R: Any, p: Named) -> list[tuple[Any, ...]]:
         """Both readings of every carriage for a parallel platform, higher one first."""
-        n = len(self.joints)
-
-        def row(i: int) -> Callable[[float], Any]:
-            return lambda reading: self.closure(ca.DM.ones(n) * reading, r, ca.DM.eye(3), p)[i]
-
-        return [_parabola_roots(row(i)) for i in range(n)]
+        zero, plus, minus = (
+            self.closure(ca.DM.ones(3) * reading, r, ca.DM.eye(3), p) for reading in (0, 1, -1)
+        )
+        return [_parabola_roots(zero[i], plus[i], minus[i]) for i in range(3)]
 
     def _home_reading(self) -> float:
         """Where a carriage at reading q, pushed out by q sin(lean), has the rod's length."""
@@ -116,9 +105,8 @@ class LinearDelta(Mechanism):
         return float(-along + np.sqrt(along**2 - away @ away + ROD**2))
 
 
-def _parabola_roots(row: Callable[[float], Any]) -> tuple[Any, Any]:
-    """Both zeros of a quadratic expression, its factors from three values."""
-    zero, plus, minus = row(0.0), row(1.0), row(-1.0)
+def _parabola_roots(zero: Any, plus: Any, minus: Any) -> tuple[Any, Any]:
+    """Both zeros of a quadratic expression by its values at 0, 1 and -1."""
     a, half_b = (plus + minus) / 2 - zero, (plus - minus) / 4
     root = ca.sqrt(half_b**2 - a * zero)
     return (root - half_b) / a, -(root + half_b) / a

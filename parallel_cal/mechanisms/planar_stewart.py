@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from parallel_cal.base.rotation import rot_z
-from parallel_cal.mechanisms.stewart42 import ENDS
+from parallel_cal.mechanisms.stewart42 import one_leg, ring
 from parallel_cal.model.mechanism import Home, Mechanism, Workspace
 from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 
@@ -16,42 +16,16 @@ DEGREE = np.pi / 180
 BASE_RADIUS, PLATFORM_RADIUS, RETRACTED = 0.3, 0.08, 0.15  # m
 BASE_ANGLES, PLATFORM_ANGLES = (0, 120, 240), (30, 150, 270)  # turned: no leg points at the centre
 
-
-def _triangle(radius: float, degrees: tuple[float, ...]) -> np.ndarray:
-    angles = np.radians(degrees)
-    return radius * np.column_stack([np.cos(angles), np.sin(angles)])
-
-
-PLATFORM, BASE = _triangle(PLATFORM_RADIUS, PLATFORM_ANGLES), _triangle(BASE_RADIUS, BASE_ANGLES)
+PLATFORM = ring(PLATFORM_RADIUS, PLATFORM_ANGLES)[:, :2]
+BASE = ring(BASE_RADIUS, BASE_ANGLES)[:, :2]
 TURNS = np.radians(np.arange(0, 360, 10))  # close enough to find all six poses at once
 LENGTH = float(np.linalg.norm(PLATFORM[0] - BASE[0]))  # of all legs, at home
 
 
 def _leg(i: int) -> list[Parameter]:
-    points = {"B": PLATFORM[i], "C": BASE[i]}
-    return [
-        *[
-            Parameter(
-                f"leg{i + 1}.{name}_{axis}",
-                "m",
-                float(value),
-                1e-3,
-                f"{name} balls",
-                label=f"{ENDS[name]}'s {axis}",
-            )
-            for name, point in points.items()
-            for axis, value in zip("xy", point, strict=True)
-        ],
-        Parameter(f"leg{i + 1}.L0", "m", RETRACTED, 1e-3, "offset", label="length at reading zero"),
-        Parameter(
-            f"leg{i + 1}.delta",
-            "rad",
-            0.0,
-            0.5 * DEGREE,
-            "misalignment",
-            label="actuator's misalignment",
-        ),
-    ]
+    leg, label = f"leg{i + 1}", "actuator's misalignment"
+    delta = Parameter(f"{leg}.delta", "rad", 0.0, 0.5 * DEGREE, "misalignment", label=label)
+    return [*one_leg(leg, PLATFORM[i], BASE[i], RETRACTED), delta]
 
 
 BODIES = {"base": ("*.C_?",), "platform": ("*.B_?",), "legs": ("*.L0",)}

@@ -18,8 +18,8 @@ BASE_ANGLES = (-10, 10, 110, 130, 230, 250)
 PLATFORM_ANGLES = (-50, 50, 70, 170, 190, 290)
 
 
-def hexagon(radius: float, degrees: tuple[float, ...]) -> np.ndarray:
-    """Six points (6, 3) on a circle in the plane z = 0."""
+def ring(radius: float, degrees: tuple[float, ...]) -> np.ndarray:
+    """Points (n, 3) on a circle in the plane z = 0."""
     angles = np.radians(degrees)
     return radius * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(len(angles))])
 
@@ -27,33 +27,32 @@ def hexagon(radius: float, degrees: tuple[float, ...]) -> np.ndarray:
 ENDS = {"B": "platform joint", "C": "base joint"}
 
 
-def leg_parameters(platform: np.ndarray, base: np.ndarray, retracted: float) -> ParameterTable:
-    """Ball centres B in {P} and C in {B}, each (6, 3) m, and the length at reading zero."""
-    points = {"B": platform, "C": base}
-    return ParameterTable(
-        parameter
-        for i in range(6)
-        for parameter in (
-            *[
-                Parameter(
-                    f"leg{i + 1}.{name}_{axis}",
-                    "m",
-                    float(value),
-                    1e-3,
-                    f"{name} balls",
-                    label=f"{ENDS[name]}'s {axis}",
-                )
-                for name, rows in points.items()
-                for axis, value in zip("xyz", rows[i], strict=True)
-            ],
-            Parameter(
-                f"leg{i + 1}.L0", "m", retracted, 1e-3, "offset", label="length at reading zero"
-            ),
+def one_leg(leg: str, B: np.ndarray, C: np.ndarray, retracted: float) -> list[Parameter]:
+    """A ball's centre B in {P} and C in {B}, (3,) m or in the plane (2,), and the length at
+    reading zero."""
+    balls = [
+        Parameter(
+            f"{leg}.{name}_{axis}",
+            "m",
+            float(value),
+            1e-3,
+            f"{name} balls",
+            label=f"{ENDS[name]}'s {axis}",
         )
-    )
+        for name, point in (("B", B), ("C", C))
+        for axis, value in zip("xyz", point, strict=False)
+    ]
+    offset = Parameter(f"{leg}.L0", "m", retracted, 1e-3, "offset", label="length at reading zero")
+    return [*balls, offset]
 
 
-PLATFORM, BASE = hexagon(PLATFORM_RADIUS, PLATFORM_ANGLES), hexagon(BASE_RADIUS, BASE_ANGLES)
+def leg_parameters(platform: np.ndarray, base: np.ndarray, retracted: float) -> ParameterTable:
+    """All six legs: ball centres B in {P} and C in {B}, each (6, 3) m."""
+    pairs = enumerate(zip(platform, base, strict=True), start=1)
+    return ParameterTable(p for i, (B, C) in pairs for p in one_leg(f"leg{i}", B, C, retracted))
+
+
+PLATFORM, BASE = ring(PLATFORM_RADIUS, PLATFORM_ANGLES), ring(BASE_RADIUS, BASE_ANGLES)
 # Of all legs at home; rounded below what a machine's norm may differ by in its last bit.
 LENGTH = round(float(np.linalg.norm(PLATFORM[0] + [0, 0, HEIGHT] - BASE[0])), 13)
 BODIES = {"base": ("*.C_?",), "platform": ("*.B_?",), "legs": ("*.L0",)}

@@ -98,13 +98,18 @@ class Mechanism(ABC):
             turned = ca.sumsqr(pose[1] - rotation) / 2  # the angle squared, where it is small
             return ca.sumsqr(pose[0] - position) + self.length**2 * turned
 
-        return _nearest(self.candidates(q, p), apart)
+        return nearest(self.candidates(q, p), apart)
 
     def start_inverse(self, r: Any, R: Any, p: Named) -> Any:
-        """For each joint the candidate nearest to home, angles compared on the circle."""
-        candidates = self.turned_home(self.joint_candidates(r, R, p))
-        choices = zip(candidates, self.home.joints, strict=True)
-        return ca.vertcat(*[_nearest(c, partial(_apart, home)) for c, home in choices])
+        """For each joint the candidate nearest to home."""
+        return self.nearest_home(self.joint_candidates(r, R, p))
+
+    def nearest_home(self, candidates: list[tuple[Any, ...]]) -> Any:
+        """Of each joint's values the one nearest to home, angles compared on the circle."""
+        choices = zip(self.turned_home(candidates), self.home.joints, strict=True)
+        return ca.vertcat(
+            *[nearest(c, partial(lambda h, q: ca.fabs(q - h), home)) for c, home in choices]
+        )
 
     def turned_home(self, candidates: list[tuple[Any, ...]]) -> list[tuple[Any, ...]]:
         """Each joint's values, angles within half a turn of home."""
@@ -181,12 +186,9 @@ def _within_half_a_turn(q: Any, home: float) -> Any:
     return q - 2 * ca.pi * ca.floor((q - home) / (2 * ca.pi) + 0.5)
 
 
-def _apart(home: float, q: Any) -> Any:
-    return ca.fabs(q - home)
-
-
-def _nearest(candidates: Sequence[Any], distance: Callable[[Any], Any]) -> Any:
-    """The candidate of least distance, decided when the expression is evaluated."""
+def nearest(candidates: Sequence[Any], distance: Callable[[Any], Any]) -> Any:
+    """The candidate of least distance, decided when the expression is evaluated; one that is NaN
+    is never nearer."""
     best = candidates[0]
     for other in candidates[1:]:
         closer = distance(other) < distance(best)

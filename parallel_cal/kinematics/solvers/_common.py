@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from itertools import product
 from typing import Any
@@ -10,23 +10,16 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from parallel_cal.base.compiled import Batch
+from parallel_cal.base.compiled import Batch, Single, dense
 from parallel_cal.base.errors import SolveError
 from parallel_cal.base.rotation import quaternion_to_matrix, rotation_vector
 from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.kinematics.rows import joint_rows
 from parallel_cal.kinematics.singularity import jacobians, smallest
 from parallel_cal.kinematics.solutions import SINGULAR, Solutions, Status, stacked
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model
 from parallel_cal.model.structure import Structure
-
-
-def nearest(candidates: Sequence[Any], distance: Callable[[Any], Any]) -> Any:
-    """The candidate column of least distance; one that is NaN is never nearer."""
-    best = candidates[0]
-    for other in candidates[1:]:
-        best = ca.if_else(distance(other) < distance(best), other, best)
-    return best
 
 
 def at_least_one(steps: int) -> int:
@@ -39,6 +32,41 @@ def at_least_one(steps: int) -> int:
 def kinematics_of(model: Model) -> Kinematics:
     """The model's own direct problem, for refining what a solver found; made once a model."""
     return Kinematics(model)
+
+
+def half_step_function(name: str, s: Structure, q: Any, r: Any, R: Any) -> ca.Function:
+    """(configuration, a, v) -> configuration, where half steps lead to q, r and R."""
+    found = ca.vertcat(q, r, ca.vec(ca.SX(R).T))
+    return dense(name, [s.configuration, s.a, s.v], [found])
+
+
+@lru_cache(maxsize=32)
+def _parts(s: Structure, method: str) -> Single:
+    """(configuration, a, v) -> what the mechanism's method lists, after the effects."""
+    parts = getattr(s.mechanism, method)(s.seen.q, s.seen.p)
+    outputs = [ca.SX(ca.horzcat(*part)) for part in parts]
+    return Single(dense(method, [s.configuration, s.a, s.v], outputs))
+
+
+def parts(
+    model: Model, method: str, q: np.ndarray, at: Mapping[str, Any] | None
+) -> list[np.ndarray]:
+    """What the mechanism's method `rods` or `circles` lists at joints q (nq,), after the effects:
+    points (n, 3) and lengths (n,); SolveError where it has no such method."""
+    if not hasattr(model.mechanism, method):
+        raise SolveError(
+            f"mechanism {model.mechanism.name} has no method `{method}`, so its direct problem is "
+            f"not known to be one of {method}; use --solver newton"
+        )
+    given = joint_rows(model, q)[0]
+    found = _parts(model.structure, method)(given, model.condition_rows(at, 1)[0], model.values)
+    n = min(map(len, found))
+    return [part if len(part) == n else part.reshape(n, 3) for part in found]
+
+
+def shaped(solutions: Solutions, given: np.ndarray) -> Solutions:
+    """One solution where one was asked for."""
+    return solutions[0] if np.ndim(given) == 1 else solutions
 
 
 def answers(

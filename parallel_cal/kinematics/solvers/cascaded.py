@@ -10,13 +10,12 @@ Kept as the thesis' own; prefer it where a controller must answer in a fixed num
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from parallel_cal.base.compiled import dense
 from parallel_cal.base.errors import SolveError
 from parallel_cal.base.rotation import cayley, left_generators
 from parallel_cal.kinematics.kinematics import Solutions
@@ -24,12 +23,13 @@ from parallel_cal.kinematics.rows import joint_rows, pose_rows
 from parallel_cal.kinematics.solvers._common import (
     answers,
     at_least_one,
-    nearest,
+    half_step_function,
     pose_is_seen_as_it_is,
+    shaped,
 )
 from parallel_cal.model.closed_form import joint_angles, positions
 from parallel_cal.model.effect import Seen
-from parallel_cal.model.mechanism import POSE
+from parallel_cal.model.mechanism import POSE, nearest
 from parallel_cal.model.model import Model
 from parallel_cal.model.parameters import Named
 from parallel_cal.model.structure import Structure
@@ -50,8 +50,7 @@ def direct(
 ) -> Solutions:
     """Poses for joints (nq,) or (N, nq) after some half steps; `rough` is eq. 6.33 instead."""
     solve = direct_function(model.structure, 0 if rough else at_least_one(half_steps))
-    solutions = answers(model, solve, joint_rows(model, q), at, tolerance, "direct")
-    return solutions[0] if np.ndim(q) == 1 else solutions
+    return shaped(answers(model, solve, joint_rows(model, q), at, tolerance, "direct"), q)
 
 
 def inverse(
@@ -65,8 +64,8 @@ def inverse(
 ) -> Solutions:
     """Joints, and the orientation that follows, for positions (3,) or (N, 3)."""
     solve = inverse_function(model.structure, 0 if rough else at_least_one(half_steps))
-    solutions = answers(model, solve, pose_rows(model, position, None), at, tolerance, "inverse")
-    return solutions[0] if np.ndim(position) == 1 else solutions
+    given = pose_rows(model, position, None)
+    return shaped(answers(model, solve, given, at, tolerance, "inverse"), position)
 
 
 @lru_cache(maxsize=32)
@@ -75,12 +74,13 @@ def direct_function(s: Structure, half_steps: int) -> ca.Function:
     ideal = _checked(s)
     p = ideal.p if half_steps else _perfect(ideal.p, s)
     turn, r, R = _orientation(s, ideal.q, p, ideal.p), s.r, ca.SX.eye(3)
+    home = ca.DM(s.mechanism.home.position)
     for k in range(max(half_steps, 2)):
         if k % 2:
             R = turn(r, R)
         else:
-            r = nearest(positions(s.mechanism, ideal.q, p, R), lambda x: ca.sumsqr(x - _home(s)))
-    return _function("cascaded_direct", s, s.q, r, R)
+            r = nearest(positions(s.mechanism, ideal.q, p, R), lambda x: ca.sumsqr(x - home))
+    return half_step_function("cascaded_direct", s, s.q, r, R)
 
 
 @lru_cache(maxsize=32)
@@ -99,19 +99,10 @@ def inverse_function(s: Structure, half_steps: int) -> ca.Function:
             if k % 2:
                 R = _orientation(s, ideal.q, p, ideal.p)(s.r, R)
             else:
-                change = _joints(s, R, p) - ideal.q
+                both = joint_angles(s.mechanism, s.r, R, p)  # eqs 6.36-6.37
+                change = s.mechanism.nearest_home(both) - ideal.q
                 q = q + ca.atan2(ca.sin(change), ca.cos(change))  # not by a whole turn
-    return _function("cascaded_inverse", s, q, s.r, R)
-
-
-def _joints(s: Structure, R: Any, p: Named) -> Any:
-    """Both angles of every joint from G1 (eqs 6.36-6.37), the ones nearer to home."""
-    both = joint_angles(s.mechanism, s.r, R, p)
-    homes = s.mechanism.home.joints
-    # 1 - cos compares angles on the circle
-    return ca.vertcat(
-        *[nearest(c, partial(lambda h, x: 1 - ca.cos(x - h), homes[i])) for i, c in enumerate(both)]
-    )
+    return half_step_function("cascaded_inverse", s, q, s.r, R)
 
 
 def _orientation(s: Structure, q: Any, p: Named, complete: Named) -> Any:
@@ -164,12 +155,3 @@ def _at_joints(ideal: Seen, s: Structure, q: Any) -> Seen:
     """What the mechanism sees at other joint readings."""
     new_q, vector = ca.substitute([ideal.q, ca.SX(ideal.p._vector)], [s.q], [q])
     return Seen(new_q, ideal.r, ideal.R, Named(ideal.p._names, vector))
-
-
-def _home(s: Structure) -> Any:
-    return ca.DM(s.mechanism.home.position)
-
-
-def _function(name: str, s: Structure, q: Any, r: Any, R: Any) -> ca.Function:
-    configuration = ca.vertcat(q, r, ca.vec(ca.SX(R).T))
-    return dense(name, [s.configuration, s.a, s.v], [configuration])

@@ -15,14 +15,18 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from parallel_cal.base.compiled import dense
 from parallel_cal.base.errors import SolveError
 from parallel_cal.base.rotation import cayley
 from parallel_cal.kinematics.rows import joint_rows, pose_rows
 from parallel_cal.kinematics.solutions import Solutions
-from parallel_cal.kinematics.solvers._common import answers, at_least_one, nearest
+from parallel_cal.kinematics.solvers._common import (
+    answers,
+    at_least_one,
+    half_step_function,
+    shaped,
+)
 from parallel_cal.model.closed_form import joint_angles, positions
-from parallel_cal.model.mechanism import POSE, Mechanism
+from parallel_cal.model.mechanism import POSE, Mechanism, nearest
 from parallel_cal.model.model import Model
 from parallel_cal.model.parameters import Named
 from parallel_cal.model.structure import Structure
@@ -41,8 +45,7 @@ def direct(
 ) -> Solutions:
     """Poses for joints (nq,) or (N, nq) after some half steps (6.7.2)."""
     solve = direct_function(model.structure, at_least_one(half_steps))
-    solutions = answers(model, solve, joint_rows(model, q), at, tolerance, "direct")
-    return solutions[0] if np.ndim(q) == 1 else solutions
+    return shaped(answers(model, solve, joint_rows(model, q), at, tolerance, "direct"), q)
 
 
 def inverse(
@@ -56,8 +59,7 @@ def inverse(
     """Joints, and the position that follows, for rotations (3, 3) or (N, 3, 3) (6.7.3)."""
     solve = inverse_function(model.structure, at_least_one(half_steps))
     given = pose_rows(model, position, rotation)
-    solutions = answers(model, solve, given, at, tolerance, "inverse")
-    return solutions[0] if np.ndim(position) == 1 else solutions
+    return shaped(answers(model, solve, given, at, tolerance, "inverse"), position)
 
 
 @lru_cache(maxsize=16)
@@ -73,7 +75,7 @@ def direct_function(s: Structure, half_steps: int) -> ca.Function:
         else:
             for _ in range(NEWTON_STEPS):
                 R = turn(r, R)
-    return _function("circles_direct", s, s.q, r, R)
+    return half_step_function("circles_direct", s, s.q, r, R)
 
 
 @lru_cache(maxsize=16)
@@ -85,10 +87,8 @@ def inverse_function(s: Structure, half_steps: int) -> ca.Function:
         if k % 2:
             r = _centre(s.mechanism, q, s.R, ideal.p, r)
         else:
-            both = joint_angles(s.mechanism, r, s.R, ideal.p)
-            homes = s.mechanism.home.joints
-            q = ca.vertcat(*[_nearer(pair, h) for pair, h in zip(both, homes, strict=True)])
-    return _function("circles_inverse", s, q, r, s.R)
+            q = s.mechanism.nearest_home(joint_angles(s.mechanism, r, s.R, ideal.p))
+    return half_step_function("circles_inverse", s, q, r, s.R)
 
 
 def _orientation(mechanism: Mechanism, q: Any, p: Named) -> Any:
@@ -119,10 +119,6 @@ class _Spheres:
         return self._mechanism.closure(q, r, R, p)[3:]
 
 
-def _nearer(pair: Any, home: float) -> Any:
-    return nearest(pair, lambda x: 1 - ca.cos(x - home))
-
-
 def _checked(s: Structure) -> Any:
     """What the mechanism sees; SolveError unless it is an Argos with effects on geometry alone."""
     m = s.mechanism
@@ -131,8 +127,3 @@ def _checked(s: Structure) -> Any:
     if s.effects:
         raise SolveError("cascaded_circles knows no effects; use --solver newton")
     return s.seen
-
-
-def _function(name: str, s: Structure, q: Any, r: Any, R: Any) -> ca.Function:
-    found = ca.vertcat(q, r, ca.vec(ca.SX(R).T))
-    return dense(name, [s.configuration, s.a, s.v], [found])

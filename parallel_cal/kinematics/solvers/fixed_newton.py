@@ -20,7 +20,7 @@ from parallel_cal.base.errors import SolveError
 from parallel_cal.kinematics.kinematics import Solutions
 from parallel_cal.kinematics.newton import Elimination, moved, row_order, split
 from parallel_cal.kinematics.rows import joint_rows, pose_rows
-from parallel_cal.kinematics.solvers._common import answers, at_least_one
+from parallel_cal.kinematics.solvers._common import answers, at_least_one, shaped
 from parallel_cal.model.model import Model
 from parallel_cal.model.structure import Structure
 
@@ -40,8 +40,7 @@ def direct(
 ) -> Solutions:
     """Poses for joints (nq,) or (N, nq) after some steps."""
     solve = newton_steps(model.structure, "direct", at_least_one(steps), update, start)
-    solutions = answers(model, solve, joint_rows(model, q), at, tolerance, "direct")
-    return solutions[0] if np.ndim(q) == 1 else solutions
+    return shaped(answers(model, solve, joint_rows(model, q), at, tolerance, "direct"), q)
 
 
 def inverse(
@@ -57,8 +56,7 @@ def inverse(
     """Joints for positions (3,) or (N, 3) and rotations; passive coordinates follow."""
     solve = newton_steps(model.structure, "inverse", at_least_one(steps), update, start)
     given = pose_rows(model, position, rotation)
-    solutions = answers(model, solve, given, at, tolerance, "inverse")
-    return solutions[0] if np.ndim(position) == 1 else solutions
+    return shaped(answers(model, solve, given, at, tolerance, "inverse"), position)
 
 
 @lru_cache(maxsize=32)

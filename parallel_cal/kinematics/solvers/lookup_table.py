@@ -20,7 +20,7 @@ import numpy as np
 from parallel_cal.base.errors import SolveError
 from parallel_cal.base.rotation import rotation_vector
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions, Status
-from parallel_cal.kinematics.solvers._common import with_status
+from parallel_cal.kinematics.solvers._common import shaped, with_status
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.model import Model
 
@@ -71,7 +71,7 @@ def direct(
     """Nominal pose + table at joints q; status NOT_CONVERGED outside the table."""
     table = table_for(model, "direct", at, size, order)
     nominal = table.nominal.direct(np.atleast_2d(q), at)
-    return _shaped(_corrected(model, table, nominal, np.atleast_2d(q), at), q)
+    return shaped(_corrected(model, table, nominal, np.atleast_2d(q), at), q)
 
 
 def inverse(
@@ -86,7 +86,7 @@ def inverse(
     table = table_for(model, "inverse", at, size, order)
     nominal = table.nominal.inverse(np.atleast_2d(position), rotation, at)
     given = _controlled(model.mechanism, nominal)
-    return _shaped(_corrected(model, table, nominal, given, at), position)
+    return shaped(_corrected(model, table, nominal, given, at), position)
 
 
 def table_for(
@@ -176,7 +176,3 @@ def _corrected(
 
 def _usable(s: Solutions) -> np.ndarray:
     return (s.status == Status.CONVERGED) | (s.status == Status.OUTSIDE_LIMITS)
-
-
-def _shaped(solutions: Solutions, like: np.ndarray) -> Solutions:
-    return solutions[0] if np.ndim(like) == 1 else solutions

@@ -20,17 +20,11 @@ from parallel_cal.base.compiled import Single, dense
 from parallel_cal.base.errors import SolveError
 from parallel_cal.kinematics.kinematics import Solutions
 from parallel_cal.kinematics.rows import joint_rows
-from parallel_cal.kinematics.solvers._common import (
-    home_first,
-    on_home_branch,
-    with_status,
-)
-from parallel_cal.kinematics.solvers._orientation import FORMS, angles, coefficients, orientations
+from parallel_cal.kinematics.solvers._common import home_first, on_home_branch, with_status
+from parallel_cal.kinematics.solvers._orientation import orientations
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model
 from parallel_cal.model.structure import Structure
-
-__all__ = ["FORMS", "angles", "coefficients", "direct", "direct_all", "inverse", "orientations"]
 
 ROTATIONS = ("rx", "ry", "rz")
 TOLERANCE = 1e-10  # m: a closure residual below this is a solution
@@ -58,16 +52,6 @@ def direct(
 ) -> Solutions:
     """The orientation on the home branch for joints (nq,) or (N, nq); unreachable where none is."""
     return on_home_branch(model, q, at, partial(direct_all, form=form))
-
-
-def inverse(
-    model: Model,
-    position: np.ndarray,
-    rotation: np.ndarray | None = None,
-    at: Mapping[str, Any] | None = None,
-) -> Solutions:
-    """Not offered: each joint follows from its own circle (eqs 6.62-6.63), in closed form."""
-    raise SolveError("the polynomial solves direct problems only; use --solver newton")
 
 
 def circles(

@@ -12,25 +12,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import lru_cache
 from itertools import product
-from typing import Any, cast
+from typing import Any
 
-import casadi as ca
 import numpy as np
 
-from parallel_cal.base.compiled import Single, dense
-from parallel_cal.base.errors import SolveError
-from parallel_cal.kinematics.rows import joint_rows
 from parallel_cal.kinematics.solutions import Solutions, Status, stacked
 from parallel_cal.kinematics.solvers._common import (
     home_first,
     kinematics_of,
     on_home_branch,
+    parts,
     pose_is_seen_as_it_is,
 )
 from parallel_cal.model.model import Model
-from parallel_cal.model.structure import Structure
 
 DEGREE = 16
 SIDES = ((0, 1), (0, 2), (1, 2))
@@ -42,7 +37,7 @@ NEARLY_REAL = 1e-3  # distance from the unit circle at which Newton's method dec
 def direct_all(model: Model, q: np.ndarray, at: Mapping[str, Any] | None = None) -> Solutions:
     """Every real pose at joints q (nq,), home branch first; `count_complex` is 16 in general."""
     q = np.asarray(q, dtype=float)
-    C, u, radius, B = circles(model, q, at)
+    C, u, radius, B = parts(model, "circles", q, at)
     z, starts = balls(C, u, radius, B)
     found: list[Solutions] = []
     kinematics = kinematics_of(model)
@@ -62,37 +57,6 @@ def direct_all(model: Model, q: np.ndarray, at: Mapping[str, Any] | None = None)
 def direct(model: Model, q: np.ndarray, at: Mapping[str, Any] | None = None) -> Solutions:
     """The pose on the home branch for joints (nq,) or (N, nq); unreachable where none is real."""
     return on_home_branch(model, q, at, direct_all)
-
-
-def inverse(
-    model: Model,
-    position: np.ndarray,
-    rotation: np.ndarray | None = None,
-    at: Mapping[str, Any] | None = None,
-) -> Solutions:
-    """Not offered: this is a direct problem."""
-    raise SolveError("three_circles solves direct problems only; use --solver newton")
-
-
-def circles(
-    model: Model, q: np.ndarray, at: Mapping[str, Any] | None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Centres, unit normals (3, 3), radii (3,) in {B} and balls (3, 3) in {P}, a row a chain."""
-    if not hasattr(model.mechanism, "circles"):
-        raise SolveError(
-            f"mechanism {model.mechanism.name} has no method `circles`; use --solver newton"
-        )
-    given = joint_rows(model, q)[0]
-    C, u, radius, B = _circles(model.structure)(given, model.condition_rows(at, 1)[0], model.values)
-    return C.reshape(3, 3), u.reshape(3, 3), radius, B.reshape(3, 3)
-
-
-@lru_cache(maxsize=16)
-def _circles(s: Structure) -> Single:
-    ideal, mechanism = s.seen, cast(Any, s.mechanism)  # `circles` is no duty of a mechanism
-    C, u, radius, B = zip(*mechanism.circles(ideal.q, ideal.p), strict=True)
-    outputs = [ca.horzcat(*C), ca.horzcat(*u), ca.vertcat(*radius), ca.horzcat(*B)]
-    return Single(dense("circles", [s.configuration, s.a, s.v], [ca.SX(o) for o in outputs]))
 
 
 def balls(
