@@ -24,6 +24,7 @@ class Sensor(ABC):
     physics: ClassVar[str]
     source: ClassVar[str]
     fixed: tuple[str, ...] = ()  # patterns of its own parameters that are known
+    sigma: float = 0.0  # standard deviation of one reading (m)
 
     @abstractmethod
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
@@ -33,11 +34,6 @@ class Sensor(ABC):
     def channels(self) -> tuple[str, ...]:
         """What it reads, one row each: the names in the recorded `constraint` topic."""
         return ()
-
-    @property
-    def standard_uncertainty(self) -> float:
-        """Standard deviation of one reading (m)."""
-        return 0.0
 
     def readings(self, r: Any, R: Any, s: Named) -> Any:
         """What every channel shows at the pose (r, R) of {P} in {B}: a column, m."""

@@ -176,9 +176,7 @@ class Structure:
     @property
     def standard_uncertainty(self) -> np.ndarray:
         """Standard deviation of each channel (m)."""
-        return np.array(
-            [s.standard_uncertainty for s in self.sensors for _ in s.channels], dtype=float
-        )
+        return np.array([s.sigma for s in self.sensors for _ in s.channels], dtype=float)
 
     @cached_property
     def rows(self) -> Any:

@@ -24,14 +24,7 @@ class BallBar(Sensor):
 
     physics = "a rod with a length gauge and a ball at either end ties the platform to the base"
     source = "Driels 91, in thesis 4.1"
-
-    @property
-    def channels(self) -> tuple[str, ...]:
-        return ("ball_bar",)
-
-    @property
-    def standard_uncertainty(self) -> float:
-        return self.sigma
+    channels = ("ball_bar",)
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
         return [

@@ -48,10 +48,6 @@ class PlaneSpheres(Sensor):
     def channels(self) -> tuple[str, ...]:
         return ("plane", *(f"sphere{i + 1}" for i in range(len(self.holes))))
 
-    @property
-    def standard_uncertainty(self) -> float:
-        return self.sigma
-
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
         plane = [
             Parameter("plane.z", "m", self.height, 1 * MM),

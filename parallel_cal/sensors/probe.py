@@ -28,14 +28,7 @@ class Probe(Sensor):
 
     physics = "a length gauge along the plate's normal"
     source = "thesis 4.3.2 (TESA GT130); Hornick 91"
-
-    @property
-    def channels(self) -> tuple[str, ...]:
-        return ("probe",)
-
-    @property
-    def standard_uncertainty(self) -> float:
-        return self.sigma
+    channels = ("probe",)
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
         return [
