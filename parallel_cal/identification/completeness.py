@@ -132,9 +132,5 @@ def rank(J: np.ndarray) -> int:
 
 def _blocks(model: Model, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """d phi / d(r, w) (N, rows, 6) and d phi / dp (N, rows, n_p)."""
-    s, n = model.structure, len(model.joints)
-    a = model.condition_rows(None, len(x))
-    _, J_x, J_v = s.closure_batch(x, a, model.values)
-    rows = s.phi.shape[0]
-    J_x, J_v = (J.reshape(len(x), -1, rows).transpose(0, 2, 1) for J in (J_x, J_v))
-    return J_x[:, :, n:], J_v
+    J_x, J_v = model.structure.jacobians(x, model.condition_rows(None, len(x)), model.values)
+    return J_x[:, :, len(model.joints) :], J_v

@@ -128,8 +128,8 @@ class Kinematics:
             problem, given[None], rows, Reached(x[None], step, residual, pivot)
         )[0]
 
-    def _inside_limits(self, q: np.ndarray) -> bool:
-        return bool(((q >= self._limits[:, 0]) & (q <= self._limits[:, 1])).all())
+    def _inside_limits(self, q: np.ndarray) -> Any:
+        return ((q >= self._limits[:, 0]) & (q <= self._limits[:, 1])).all(axis=-1)
 
     def _classified(
         self, problem: Problem, given: np.ndarray, rows: np.ndarray, reached: Reached
@@ -148,9 +148,9 @@ class Kinematics:
         for i in np.flatnonzero(suspect & (status == Status.CONVERGED)):
             if problem.smallest_singular_value(x[i], rows[i]) < SINGULAR:
                 status[i] = Status.SINGULAR
-        q = x[:, :n]
-        outside = ~((q >= self._limits[:, 0]) & (q <= self._limits[:, 1])).all(axis=1)
-        status[outside & (status == Status.CONVERGED)] = Status.OUTSIDE_LIMITS
+        status[~self._inside_limits(x[:, :n]) & (status == Status.CONVERGED)] = (
+            Status.OUTSIDE_LIMITS
+        )
         return Solutions.of(x, residual, status)
 
     def _carefully(

@@ -38,11 +38,9 @@ def jacobians(
     model: Model, solutions: Solutions, at: Mapping[str, Any] | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """d phi/d(pose) and d phi/d(joints, passive), columns in metres: (N, rows, unknowns)."""
-    s, m = model.structure, model.mechanism
-    n, rows = len(m.joints), s.phi.shape[0]
+    s, m, n = model.structure, model.mechanism, len(model.joints)
     x = np.atleast_2d(solutions.configuration.rows)
-    C = s.closure_batch(x, model.condition_rows(at, len(x)), model.values)[1]
-    C = C.reshape(len(x), len(s.scale), rows).transpose(0, 2, 1) / s.scale
+    C = s.jacobians(x, model.condition_rows(at, len(x)), model.values)[0] / s.scale
     return C[:, :, [n + i for i in m.moved]], C[:, :, [*range(n), *(n + i for i in m.passive)]]
 
 

@@ -140,6 +140,15 @@ class Structure:
         """`closure` on arrays of samples."""
         return Batch(self.closure)
 
+    def jacobians(
+        self, x: np.ndarray, a: np.ndarray, v: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """d phi/d(q, r, w) and d phi/dv of N samples: (N, rows, columns) each."""
+        _, J_x, J_v = self.closure_batch(x, a, v)  # column by column
+        rows, n = self.phi.shape[0], len(x)
+        J_x, J_v = (J.reshape(n, J.shape[1] // rows, rows) for J in (J_x, J_v))
+        return J_x.transpose(0, 2, 1), J_v.transpose(0, 2, 1)
+
     @cached_property
     def placed(self) -> tuple[Any, Any]:
         """The pose of {P} in {B} where the pose device shows (r, R)."""

@@ -18,7 +18,7 @@ import numpy as np
 
 from parallel_cal.base.errors import SolveError
 from parallel_cal.kinematics.kinematics import CLOSED, Kinematics, Solutions, Status
-from parallel_cal.kinematics.solvers._common import with_status
+from parallel_cal.kinematics.solvers._common import shaped, with_status
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model
 
@@ -29,8 +29,7 @@ def direct(model: Model, q: np.ndarray, at: Mapping[str, Any] | None = None) -> 
     dX = pose_error(model, nominal, at)
     still = np.zeros_like(nominal.joints)
     x = nominal.configuration.moved(np.hstack([still, dX]))
-    answer = _answer(model, x, nominal, at, "direct")
-    return _shaped(answer, q)
+    return shaped(_answer(model, x, nominal, at, "direct"), q)
 
 
 def inverse(
@@ -56,8 +55,7 @@ def inverse(
     left = np.zeros_like(dX)
     left[:, m.passive] = dX[:, m.passive] - follows
     x = nominal.configuration.moved(np.hstack([-dq, left]))
-    answer = _answer(model, x, nominal, at, "inverse")  # (v)
-    return _shaped(answer, position)
+    return shaped(_answer(model, x, nominal, at, "inverse"), position)  # (v)
 
 
 def pose_error(model: Model, nominal: Solutions, at: Mapping[str, Any] | None = None) -> np.ndarray:
@@ -95,12 +93,9 @@ def _blocks(
     model: Model, s: Solutions, at: Mapping[str, Any] | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """d phi/dq, d phi/d(r, w), d phi/dk at the nominal parameters, (N, rows, columns)."""
-    structure, n = model.structure, len(model.joints)
-    x = s.configuration.rows
+    x, n = s.configuration.rows, len(model.joints)
     a = model.condition_rows(at, len(x))
-    _, J_x, J_v = structure.closure_batch(x, a, nominal_values(model))
-    shape = (len(x), -1, structure.phi.shape[0])
-    J_x, J_v = (J.reshape(shape).transpose(0, 2, 1) for J in (J_x, J_v))
+    J_x, J_v = model.structure.jacobians(x, a, nominal_values(model))
     return J_x[:, :, :n], J_x[:, :, n:], J_v
 
 
@@ -136,7 +131,3 @@ def _answer(
     failed = (nominal.status != Status.CONVERGED) & (nominal.status != Status.OUTSIDE_LIMITS)
     solutions.status[failed] = nominal.status[failed]
     return solutions
-
-
-def _shaped(solutions: Solutions, like: np.ndarray) -> Solutions:
-    return solutions[0] if np.ndim(like) == 1 else solutions
