@@ -108,8 +108,11 @@ class Kinematics:
     ) -> Solutions:
         """Solutions of rows (N, nq + 12) that hold what is given."""
         rows = self.model.condition_rows(at, len(given))
-        begin = None if start is None else problem.begin(given, start)
-        return self._classified(problem, given, rows, Reached(*problem.many(given, rows, begin)))
+        if start is None:
+            reached = problem.many(given, rows)
+        else:
+            reached = problem.refine(problem.begin(given, start), rows)
+        return self._classified(problem, given, rows, Reached(*reached))
 
     def _solve_one(
         self, problem: Problem, given: np.ndarray, at: Mapping[str, Any] | None

@@ -35,12 +35,9 @@ class Problem:
         """Whether settled samples are answers."""
         return np.isfinite(residual) if self.redundant else residual < CLOSED
 
-    def many(
-        self, given: np.ndarray, rows: np.ndarray, begin: np.ndarray | None
-    ) -> list[np.ndarray]:
-        if begin is None:
-            return self._many(given, rows, self.k)
-        return self.refine(begin, rows)
+    def many(self, given: np.ndarray, rows: np.ndarray) -> list[np.ndarray]:
+        """Newton iterations from the mechanism's own start."""
+        return self._many(given, rows, self.k)
 
     def refine(self, begin: np.ndarray, rows: np.ndarray) -> list[np.ndarray]:
         """Newton iterations from given configurations."""

@@ -33,7 +33,9 @@ class Reader:
 
     def model(self) -> Model:
         self._check_version()
-        mechanism, effects, sensors = self._mechanism(), self._effects(), self._sensors()
+        mechanism = self._mechanism()
+        effects = self._loaded("effects", lambda path, name, entry: load_effect(name))
+        sensors = self._loaded("sensors", self._sensor)
         hint = checks.Hint(self._document, _full_table(mechanism, effects, sensors))
         file = validated(self._document, hint)
         self._configure(mechanism, file)
@@ -85,12 +87,6 @@ class Reader:
         except ModelError as error:
             raise self._unknown(("mechanism",), name, known, error) from None
 
-    def _effects(self) -> list[Effect]:
-        return self._loaded("effects", lambda path, name, entry: load_effect(name))
-
-    def _sensors(self) -> list[Sensor]:
-        return self._loaded("sensors", self._sensor)
-
     def _sensor(self, path: Path, name: str, entry: dict[str, Any]) -> Sensor:
         options = entry.get("options", {})
         if not isinstance(options, dict):
@@ -126,14 +122,15 @@ class Reader:
         self._set_joints(mechanism, file)
         n, controls = len(mechanism.joints), mechanism.controls
         if file.home is not None:
-            self._check_length(("home", "joints"), file.home.joints, n, "one for each joint")
+            path, joints = ("home", "joints"), file.home.joints
+            checks.length(self._document, path, joints, n, "one for each joint")
             if math.hypot(*file.home.quaternion) < 1e-9:
                 raise self._error(("home", "quaternion"), "all zeros, expected a rotation x y z w")
             mechanism.home = Home(*(tuple(v) for _, v in file.home))
         if file.workspace is not None:
             for key, values in file.workspace:
                 what = f"one for each of {', '.join(controls)}"
-                self._check_length(("workspace", key), values, len(controls), what)
+                checks.length(self._document, ("workspace", key), values, len(controls), what)
             checks.box(self._document, file.workspace.low, file.workspace.high)
             mechanism.workspace = Workspace(*(tuple(v) for _, v in file.workspace))
         if file.gravity is not None:
@@ -200,9 +197,6 @@ class Reader:
         for name, parameter in short.items():
             checks.unit(self._document, (*path, name), parameter, numbers[name].unit)
             yield (*path, name), parameter, numbers[name]
-
-    def _check_length(self, path: Path, values: Sequence[Any], n: int, what: str) -> None:
-        checks.length(self._document, path, values, n, what)
 
 
 def _full_table(
