@@ -78,8 +78,8 @@ def section(text, name):
 
 def shown(model, data, **options):
     """The document and the page, the effects a few."""
-    document = report(model, data, **{"effects": FEW} | options).document()
-    return document, page(document)
+    made = report(model, data, **{"effects": FEW} | options)
+    return made.document(), page(made)
 
 
 @pytest.fixture(scope="module")
@@ -104,8 +104,8 @@ def document(made):
 
 
 @pytest.fixture(scope="module")
-def text(document):
-    return page(document)
+def text(made):
+    return page(made)
 
 
 # --------------------------------------------------------------------------------- the page
@@ -237,13 +237,13 @@ def test_two_models_stand_side_by_side_on_the_same_samples(document, text):
 
 def test_a_parameter_that_one_model_lacks_has_no_difference(calibrated, data):
     from parallel_cal.diagnosis.comparison import compare
-    from parallel_cal.reporting.versus import versus
+    from parallel_cal.reporting.versus import Versus
 
     more = calibrated.with_effect("backlash")
-    rows = versus(compare(calibrated, data), compare(more, data))["parameters"]
-    assert [row["name"] for row in rows] == [f"backlash.joint{k}.width" for k in (1, 2, 3)]
-    assert rows[0]["values"] == [None, 0.0]
-    assert rows[0]["difference_tolerances"] is None
+    rows = Versus.of(compare(calibrated, data), compare(more, data)).parameters
+    assert [row.name for row in rows] == [f"backlash.joint{k}.width" for k in (1, 2, 3)]
+    assert rows[0].values == [None, 0.0]
+    assert rows[0].difference_tolerances is None
 
 
 # --------------------------------------------------------------------------------- a notebook

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from parallel_cal.base.documents import plain
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.cli.arguments import (
     Also,
@@ -22,6 +21,9 @@ from parallel_cal.cli.arguments import (
 from parallel_cal.cli.calibration import model_and_data
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.reporting import console
+
+if TYPE_CHECKING:
+    from parallel_cal.reporting.report import Report
 
 PAGE, DOCUMENT = (".html", ".htm"), (".json",)
 
@@ -58,16 +60,15 @@ def report(
     asked = {**vars(options), "effects": effect or (), "also": also or ()}
     del asked["refit"]  # which a diagnosis does not have
     made = reports.report(judged, dataset, against=other, progress=console.progress, **asked)
-    document = plain(made.document())
     if output is not None:
         console.progress("writing the report", 0.95)
-        write_atomically(output, _text(document, output.suffix))
+        write_atomically(output, _text(made, output.suffix))
     console.progress("", 1.0)
-    console.warn(document["diagnosis"]["warnings"])
+    console.warn(made.diagnosis.best.fitted.warnings)
     if as_json:
         extra = {} if output is None else {"output": str(output)}
-        return console.emit(document | extra)
-    console.say(f"{document['diagnosis']['verdict']}: {document['diagnosis']['summary']}")
+        return console.emit(made.document() | extra)
+    console.say(f"{made.diagnosis.verdict.word}: {made.diagnosis.verdict.summary}")
     console.say(f"written: {output}")
 
 
@@ -80,9 +81,9 @@ def _check_writable(output: Path) -> None:
         raise ParallelCalError(f"{output}: there is no folder {output.parent}; make it first")
 
 
-def _text(document: dict[str, Any], suffix: str) -> str:
+def _text(made: Report, suffix: str) -> str:
     if suffix.lower() in PAGE:
         from parallel_cal.reporting.page import page
 
-        return page(document)
-    return json.dumps(document, indent=1, allow_nan=False) + "\n"
+        return page(made)
+    return json.dumps(made.document(), indent=1, allow_nan=False) + "\n"

@@ -4,125 +4,126 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
 
-from parallel_cal.reporting.markup import Cell, Document, items, paragraph, sentence, table
+from parallel_cal.diagnosis.entries import Alone, Entry
+from parallel_cal.diagnosis.separate import PlannedPose
+from parallel_cal.identification.fit import Estimated
+from parallel_cal.reporting.markup import Cell, items, paragraph, sentence, table
 from parallel_cal.reporting.readable import (
     MISSING,
     large,
     number,
     percent,
     probability,
-    shown_kinds,
     small,
     unit_of,
     vector,
 )
+from parallel_cal.reporting.report import Report
 
 ESTIMATES = 4  # numbers of an effect; gears have a dozen
 
 
-def candidates(document: Document) -> str:
+def candidates(report: Report) -> str:
     """The catalogue, best first; below what these data cannot test, and why."""
-    found = document["diagnosis"]
-    tested = [c for c in found["candidates"] if c["p_adjusted"] is not None]
-    rest = [(c["effect"], c["reason"]) for c in found["candidates"] if c["p_adjusted"] is None]
-    control = found["negative_control"]["random_group"]
+    found = report.diagnosis
+    tested = [entry for entry in found.entries if entry.p_adjusted is not None]
+    rest = [(entry.name, entry.reason) for entry in found.entries if entry.p_adjusted is None]
+    control = found.negative_control.random_group
     note = (
         "Effects are scored off the geometry and the best refitted; p for having looked at all of "
-        f"them. Negative control: random columns would come out as number {control['rank']} "
-        f"(p = {probability(control['p_value'])})."
+        f"them. Negative control: random columns would come out as number {control.rank} "
+        f"(p = {probability(control.p_value)})."
     )
-    told = [f"{name} fits no better than {', '.join(o)}" for name, o in found["swaps"].items()]
-    told += [f"Against it: {text}" for text in found["against"]]
-    shown = _tested(document, tested) if tested else paragraph("None could be tested.", "none")
+    told = [f"{name} fits no better than {', '.join(o)}" for name, o in found.swaps.items()]
+    told += [f"Against it: {text}" for text in found.verdict.against]
+    shown = _tested(report, tested) if tested else paragraph("None could be tested.", "none")
     untested = f"<h3>Not tested</h3>{table(('effect', 'why not'), rest, 'evidence')}"
     return paragraph(note, "note") + items(told) + shown + (untested if rest else "")
 
 
-def _tested(document: Document, rows: Sequence[Mapping[str, Any]]) -> str:
-    kind = next(iter(shown_kinds(document["errors"])), "joint")
-    unit = unit_of(kind, document["provenance"]["joint_units"])
+def _tested(report: Report, rows: Sequence[Entry]) -> str:
+    kind = next(iter(report.errors.kinds), "joint")
+    unit = unit_of(kind, report.provenance.joint_units)
     header = (
         "effect", "p (Holm)", f"left-out {kind} rms", "explains", "picked first", "not geometry",
         "cannot be told from",
     )  # fmt: skip
-    found = document["diagnosis"]["effects"]
-    return table(header, [_row(c, kind, unit, c["effect"] in found) for c in rows], "evidence")
+    found = report.diagnosis.effects
+    return table(
+        header, [_row(entry, kind, unit, entry.name in found) for entry in rows], "evidence"
+    )
 
 
-def _row(c: Mapping[str, Any], kind: str, unit: str, found: bool) -> list[Cell]:
+def _row(entry: Entry, kind: str, unit: str, found: bool) -> list[Cell]:
+    alone, effect = entry.alone, entry.candidate.effect
+    # What stands against it, and what would tell it from its lookalikes.
+    apart = f"told apart by {effect.separated_by}" if effect.separated_by else ""
     return [
-        Cell(f"{c['rank']}. {c['effect']}", c["physics"], mark="found" if found else ""),
-        Cell(probability(c["p_adjusted"])),
-        Cell(_fall(c, kind, unit), _estimates(c["parameters"])),
-        Cell(percent(c["share_explained"])),
-        Cell(percent(c["first_picks"])),
-        Cell(percent(c["remaining_after_geometry"])),
-        Cell(", ".join(c["confused_with"]) or MISSING, _remarks(c)),
+        Cell(f"{entry.rank}. {entry.name}", effect.physics, mark="found" if found else ""),
+        Cell(probability(entry.p_adjusted)),
+        Cell(_fall(alone, kind, unit), _estimates(alone.parameters)) if alone else Cell(MISSING),
+        Cell(percent(alone.share_explained if alone else None)),
+        Cell(percent(entry.first_picks)),
+        Cell(percent(entry.remaining)),
+        Cell(
+            ", ".join(entry.confused_with) or MISSING,
+            "; ".join(filter(None, (entry.reason, apart))),
+        ),
     ]
 
 
-def _remarks(c: Mapping[str, Any]) -> str:
-    """What stands against a candidate, and what would tell it from its lookalikes."""
-    apart = f"told apart by {c['separated_by']}" if c["separated_by"] else ""
-    return "; ".join(filter(None, (c["reason"], apart)))
-
-
-def _fall(c: Mapping[str, Any], kind: str, unit: str) -> str:
-    """`37.6 to 32.2 um`, where the candidate was refitted."""
-    sides = (c["holdout_before"], c["holdout_after"])
-    if None in sides:
-        return MISSING
+def _fall(alone: Alone, kind: str, unit: str) -> str:
+    """`37.6 → 32.2 µm`."""
     name, factor = small(unit)
-    return " → ".join(number(e[f"{kind}_rms"], factor) for e in sides) + f" {name}"
+    sides = (number(e.rms(kind), factor) for e in (alone.before, alone.after))
+    return " → ".join(sides) + f" {name}"
 
 
-def _estimates(parameters: Mapping[str, Any]) -> str:
+def _estimates(parameters: Mapping[str, Estimated]) -> str:
     """The effect's own numbers with their sigma, the surest first."""
-    free = [(name, p) for name, p in parameters.items() if not p["fixed"]]
-    free.sort(key=lambda item: -abs(item[1]["value"]) / (item[1]["sigma"] or math.inf))
+    free = [(name, p) for name, p in parameters.items() if not p.fixed]
+    free.sort(key=lambda item: -abs(item[1].value) / (item[1].sigma or math.inf))
     words = [_estimate(name, p) for name, p in free[:ESTIMATES]]
     rest = len(free) - len(words)
     return ", ".join(words) + (f" and {rest} more" if rest else "")
 
 
-def _estimate(name: str, p: Mapping[str, Any]) -> str:
-    if p["sigma"] is None:
+def _estimate(name: str, p: Estimated) -> str:
+    if p.sigma is None:
         return f"{name} not identified"
-    unit, factor = ("mrad", 1e3) if p["unit"] == "rad" else large(p["unit"])
-    return f"{name} {number(p['value'], factor)} ± {number(p['sigma'], factor, 2)} {unit}".rstrip()
+    unit, factor = ("mrad", 1e3) if p.unit == "rad" else large(p.unit)
+    return f"{name} {number(p.value, factor)} ± {number(p.sigma, factor, 2)} {unit}".rstrip()
 
 
-def measure_next(document: Document) -> str:
+def measure_next(report: Report) -> str:
     """Advice, conditions to record, and the planned poses."""
-    following = document["diagnosis"]["measure_next"]
-    told = [sentence(text) for text in following["advice"]]
+    following = report.diagnosis.measure_next
+    told = [sentence(text) for text in following.advice]
     lacking: dict[str, list[str]] = {}
-    for effect, conditions in following["record"].items():
+    for effect, conditions in following.record.items():
         lacking.setdefault(" and ".join(conditions), []).append(effect)
     told += [f"Record {what}, to test {', '.join(e)}." for what, e in lacking.items()]
-    plan = following["plan"]
+    plan = following.plan
     if not plan:
         return items(told) or paragraph("Nothing is left to be told apart.", "none")
-    now, then = (number(plan["sigmas"][key], 1.0, 2) for key in ("now", "then"))
+    now, then = (number(sigmas, 1.0, 2) for sigmas in (plan.sigmas.now, plan.sigmas.then))
     words = (
-        f"{len(plan['poses'])} planned poses would tell {' from '.join(plan['separates'])} by "
+        f"{len(plan.poses)} planned poses would tell {' from '.join(plan.separates)} by "
         f"{then} sigmas; the data so far do by {now}."
     )
-    return items(told) + paragraph(words) + _poses(plan["poses"], document["provenance"])
+    return items(told) + paragraph(words) + _poses(plan.poses, report.provenance.joint_units)
 
 
-def _poses(poses: Sequence[Mapping[str, Any]], provenance: Mapping[str, Any]) -> str:
+def _poses(poses: Sequence[PlannedPose], units: Mapping[str, str]) -> str:
     """The poses to measure, each under its circumstances."""
-    units = provenance["joint_units"]
     joints = [f"{name} [{large(unit)[0]}]" for name, unit in units.items()]
-    conditions = list(poses[0]["conditions"])
+    conditions = list(poses[0].conditions)
     rows = [
         [
-            str(i), vector(pose["position"], "m"), vector(pose["quaternion"], "", 5),
-            *(vector([q], u) for q, u in zip(pose["joints"], units.values(), strict=True)),
-            *(f"{pose['conditions'][c]:.3g}" for c in conditions),
+            str(i), vector(pose.position, "m"), vector(pose.quaternion, "", 5),
+            *(vector([q], u) for q, u in zip(pose.joints, units.values(), strict=True)),
+            *(f"{pose.conditions[c]:.3g}" for c in conditions),
         ]
         for i, pose in enumerate(poses, 1)
     ]  # fmt: skip

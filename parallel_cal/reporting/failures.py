@@ -4,21 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from html import escape
-from typing import Any
 
+from parallel_cal.diagnosis.lack_of_fit import SmoothMap
+from parallel_cal.diagnosis.patterns import Region
 from parallel_cal.reporting import spaces
-from parallel_cal.reporting.markup import Cell, Document, Plot, paragraph, table
+from parallel_cal.reporting.contents import JudgedSample
+from parallel_cal.reporting.markup import Cell, Plot, paragraph, table
 from parallel_cal.reporting.multiples import colour, multiples
 from parallel_cal.reporting.readable import (
     number,
     percent,
     probability,
-    shown_kinds,
     small,
     unit_of,
     vector,
     with_unit,
 )
+from parallel_cal.reporting.report import Report
 
 SHOWN = 400  # samples of a table, worst first
 ALONG = (
@@ -33,20 +35,16 @@ SWITCH = (
 COLOURS = "Colour is direction: red +x, green-yellow +y, cyan -x, violet -y; light up, dark down."
 
 
-def in_space(document: Document, plot: Plot) -> str:
+def in_space(report: Report, plot: Plot) -> str:
     """Residual arrows, and errors by octant of the workspace."""
-    kind = document["residuals"]["kind"]
-    drawn = spaces.residual_arrows(document["residuals"])
-    if drawn is None:
+    left = report.residuals
+    if left.kind is None:
         return paragraph("No pose was measured: there are no residuals in space.", "none")
-    figure, scale = drawn
-    switch = SWITCH if document["residuals"]["found"] else ""
-    return (
-        _legend(kind, scale, len(document["samples"]))
-        + switch
-        + plot(figure)
-        + _regions(document["regions"])
-    )
+    fields = [left.now] if left.found is None else [left.now, left.found]
+    figure, scale = spaces.residual_arrows(left.place, fields, left.kind, left.sample)
+    legend = _legend(left.kind, scale, len(left.sample))
+    switch = SWITCH if left.found is not None else ""
+    return legend + switch + plot(figure) + _regions(report.regions)
 
 
 def _legend(kind: str, scale: float, count: int) -> str:
@@ -63,104 +61,102 @@ def _legend(kind: str, scale: float, count: int) -> str:
     return f'<p class="note legend">{wheel}<span>{escape(f"{what} {COLOURS}")}</span></p>'
 
 
-def _regions(rows: Sequence[Mapping[str, Any]]) -> str:
+def _regions(rows: Sequence[Region]) -> str:
     """RMS errors of the workspace's octants, worst first."""
     if not rows:
         return ""
     listed = table(
         ("octant", "samples", "position rms", "orientation rms"),
         [
-            (r["region"], str(r["samples"]), with_unit(r["position_rms"], "m"),
-             with_unit(r["orientation_rms"], "rad"))
+            (r.region, str(r.samples), with_unit(r.position_rms, "m"),
+             with_unit(r.orientation_rms, "rad"))
             for r in rows
         ],
     )  # fmt: skip
-    title = f"By octant of the workspace about ({vector(rows[0]['middle'], 'm', 0)}) mm"
+    title = f"By octant of the workspace about ({vector(rows[0].middle, 'm', 0)}) mm"
     return f"<details><summary>{title}</summary>{listed}</details>"
 
 
-def along_everything(document: Document, plot: Plot) -> str:
+def along_everything(report: Report, plot: Plot) -> str:
     """Small multiples: joints, place, time, and every condition."""
     panels = "".join(
         f"<figure><figcaption><b>{escape(name)}</b> largest mean {strength:.1f} σ</figcaption>"
         f"{plot(figure)}</figure>"
-        for name, strength, figure in multiples(document)
+        for name, strength, figure in multiples(report.along, report.residuals)
     )
     if not panels:
         return paragraph("Nothing varied that residuals could depend on.", "none")
-    key = "".join(_key(name) for name in document["residuals"]["components"])
+    key = "".join(
+        f'<span class="key"><i style="background:{colour(name)}"></i>{escape(name)}</span>'
+        for name in report.residuals.components
+    )
     return paragraph(ALONG, "note") + f'<p class="note">{key}</p><div class="grid">{panels}</div>'
 
 
-def _key(name: str) -> str:
-    return f'<span class="key"><i style="background:{colour(name)}"></i>{escape(name)}</span>'
-
-
-def structure(document: Document, plot: Plot) -> str:
+def structure(report: Report, plot: Plot) -> str:
     """Tests of what is left, and the smooth map, labelled as what it is."""
-    found = document["diagnosis"]["structure"]
-    p = probability(found["p_value"])
+    found = report.diagnosis.structure
+    p = probability(found.p_value)
     known = paragraph(
         f"Neighbours err alike, or signs change too seldom (p = {p})."
-        if found["found"]
+        if found.found
         else f"No structure is left that neighbours or runs would show (p = {p})."
     )
-    drawn = spaces.smooth_map(document["map"])
+    drawn = spaces.smooth_map(found.map)
     if drawn is None:
         return known + paragraph("There is no smooth map that predicts poses left out.", "none")
     figure, scale = drawn
-    return known + paragraph(_caption(found, scale), "caution") + plot(figure)
+    return known + paragraph(_caption(found.map, scale), "caution") + plot(figure)
 
 
-def _caption(found: Mapping[str, Any], scale: float) -> str:
-    position = found["kind"] == "position"
-    over = f"{found['length_scale'] * 1e3:.3g} mm" if position else "the joints"
+def _caption(found: SmoothMap, scale: float) -> str:
+    position = found.kind == "position"
+    over = f"{found.length * 1e3:.3g} mm" if position else "the joints"
     return (
         "A picture, not physics: the smooth part of what is left, "
-        f"{with_unit(found['size'], 'm' if position else 'rad')} rms over {over}; it predicts "
-        f"{percent(found['share_predicted'])} of the variance at poses left out. Arrows are drawn "
+        f"{with_unit(found.size, 'm' if position else 'rad')} rms over {over}; it predicts "
+        f"{percent(found.share)} of the variance at poses left out. Arrows are drawn "
         f"{scale:g} times as long as they are."
     )
 
 
-def samples(document: Document) -> str:
+def samples(report: Report) -> str:
     """Samples, worst first; sorted anew by a click on a column's head."""
-    rows = document["samples"]
+    rows = report.samples
     note = f"{len(rows)} samples, worst first; errors at a fit that left the pose out."
     if len(rows) > SHOWN:
         note += f" The worst {SHOWN} are shown, all are in the JSON document."
-    odd = [f"{row['sample']} ({row['odd']})" for row in rows if row["odd"]]
+    odd = [f"{row.sample} ({row.odd})" for row in rows if row.odd]
     note += f" Odd: {', '.join(odd)}." if odd else " No sample is odd."
-    return paragraph(note, "note") + _samples(document)
+    return paragraph(note, "note") + _samples(report)
 
 
-def _samples(document: Document) -> str:
-    units = document["provenance"]["joint_units"]
-    of = {kind: unit_of(kind, units) for kind in shown_kinds(document["errors"])}
-    names = {"now": "", "found": ", with effect"} if document["errors"]["found"] else {"now": ""}
+def _samples(report: Report) -> str:
+    units = report.provenance.joint_units
+    of = {kind: unit_of(kind, units) for kind in report.errors.kinds}
+    names = ("", ", with effect") if report.errors.found else ("",)
     header = [
         "sample", "time [s]", "joints", "position [mm]",
-        *(f"{k} [{small(u)[0]}]{name}" for name in names.values() for k, u in of.items()),
-        *(f"sigmas{name}" for name in names.values()), "odd",
+        *(f"{k} [{small(u)[0]}]{name}" for name in names for k, u in of.items()),
+        *(f"sigmas{name}" for name in names), "odd",
     ]  # fmt: skip
-    rows = [_sample(row, of, list(names), units) for row in document["samples"][:SHOWN]]
+    rows = [_sample(row, of, units) for row in report.samples[:SHOWN]]
     return table(header, rows, kind="sortable")
 
 
-def _sample(
-    row: Mapping[str, Any], of: Mapping[str, str], sides: Sequence[str], units: Mapping[str, str]
-) -> list[Cell]:
-    joints = [vector([q], u) for q, u in zip(row["joints"], units.values(), strict=True)]
+def _sample(row: JudgedSample, of: Mapping[str, str], units: Mapping[str, str]) -> list[Cell]:
+    joints = [vector([q], u) for q, u in zip(row.joints, units.values(), strict=True)]
+    sides = [side for side in (row.now, row.found) if side is not None]
     return [
-        Cell(str(row["sample"]), key=row["sample"], mark="odd" if row["odd"] else ""),
-        Cell(number(row["time"], 1.0, 4), key=row["time"]),
+        Cell(str(row.sample), key=row.sample, mark="odd" if row.odd else ""),
+        Cell(number(row.time, 1.0, 4), key=row.time),
         Cell(" ".join(joints)),
-        Cell(vector(row["position"], "m")),
-        *(_error(row[side][kind], unit) for side in sides for kind, unit in of.items()),
-        *(Cell(number(row[side]["sigmas"], 1.0, 2), key=row[side]["sigmas"]) for side in sides),
-        Cell(row["odd"]),
+        Cell(vector(row.position, "m")),
+        *(
+            Cell(number(side[kind], small(unit)[1]), key=side[kind])
+            for side in sides
+            for kind, unit in of.items()
+        ),
+        *(Cell(number(side["sigmas"], 1.0, 2), key=side["sigmas"]) for side in sides),
+        Cell(row.odd),
     ]
-
-
-def _error(value: float | None, unit: str) -> Cell:
-    return Cell(number(value, small(unit)[1]), key=value)

@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from parallel_cal.identification.prediction_errors import Summary
+from parallel_cal.reporting.contents import Described
 from parallel_cal.reporting.readable import large, number, small
 
 Spec = dict[str, Any]
@@ -20,14 +22,12 @@ def thinned(n: int, most: int) -> np.ndarray:
     return np.unique(np.linspace(0, n - 1, min(n, most)).astype(int))
 
 
-def history(
-    rows: Sequence[Mapping[str, Any]], floor: Mapping[str, Any], kind: str, named: str, si: str
-) -> Spec:
+def history(rows: Sequence[Mapping[str, Any]], floor: Summary, kind: str, si: str) -> Spec:
     """Errors of a kind at poses left out, step by step, with the floor of the noise."""
     unit, factor = small(si)
-    values = [row["error"].get(f"{kind}_rms") for row in rows]
+    values = [row["error"].rms(kind) for row in rows]
     shown = [None if v is None else v * factor for v in values]
-    noise, ends = (floor[f"{kind}_rms"] or 0.0) * factor, [-0.3, len(rows) - 0.4]
+    noise, ends = (floor.rms(kind) or 0.0) * factor, [-0.3, len(rows) - 0.4]
     ticks = {"tickvals": list(range(len(rows))), "ticktext": [escape(r["name"]) for r in rows]}
     return {
         "data": [_level(noise, ends), _steps(rows, shown)] if noise else [_steps(rows, shown)],
@@ -35,7 +35,7 @@ def history(
             "height": 300,
             "xaxis": {**ticks, "range": ends, "showgrid": False, "zeroline": False},
             "yaxis": _log_axis([noise, *shown], f"{kind}, rms [{unit}]"),
-            "annotations": [_floor_label(noise, named)] if noise else [],
+            "annotations": [_floor_label(noise)] if noise else [],
             "margin": {"t": 16, "r": 16},
         },
     }
@@ -72,20 +72,20 @@ def _log_axis(values: Sequence[float | None], title: str) -> Spec:
     }  # fmt: skip
 
 
-def _floor_label(noise: float, named: str) -> Spec:
+def _floor_label(noise: float) -> Spec:
     return {
         "xref": "paper", "x": 0.01, "xanchor": "left", "y": float(np.log10(noise)),
-        "yanchor": "top", "text": f"{named}: {number(noise)}", "showarrow": False,
+        "yanchor": "top", "text": f"noise alone: {number(noise)}", "showarrow": False,
     }  # fmt: skip
 
 
-def parameter_bars(parameters: Mapping[str, Mapping[str, Any]]) -> Spec:
+def parameter_bars(parameters: Mapping[str, Described]) -> Spec:
     """How far every free parameter moved from nominal, in tolerances, with 1 sigma."""
-    rows = [(name, p) for name, p in parameters.items() if not p["fixed"]][::-1]
-    sigma = [p["sigma_tolerances"] or 0.0 for _, p in rows]
+    rows = [(name, p) for name, p in parameters.items() if not p.fixed][::-1]
+    sigma = [p.sigma_tolerances or 0.0 for _, p in rows]
     bars = {
         "type": "bar", "orientation": "h",
-        "x": [p["moved_tolerances"] for _, p in rows], "y": [escape(name) for name, _ in rows],
+        "x": [p.moved_tolerances for _, p in rows], "y": [escape(name) for name, _ in rows],
         "error_x": {"array": sigma, "thickness": 1.2, "width": 2, "color": QUIET},
         "marker": {"color": [_bar_colour(p) for _, p in rows]},
         "hovertext": [_in_words(p) for _, p in rows], "hoverinfo": "text",
@@ -102,14 +102,14 @@ def parameter_bars(parameters: Mapping[str, Mapping[str, Any]]) -> Spec:
     }
 
 
-def _bar_colour(p: Mapping[str, Any]) -> str:
-    if p["sigma"] is None:
+def _bar_colour(p: Described) -> str:
+    if p.sigma is None:
         return QUIET
-    return WARNING if abs(p["moved_tolerances"]) > FAR else ACCENT
+    return WARNING if abs(p.moved_tolerances) > FAR else ACCENT
 
 
-def _in_words(p: Mapping[str, Any]) -> str:
-    unit, factor = large(p["unit"])
-    sigma = f" ± {number(p['sigma'], factor, 2)}" if p["sigma"] is not None else ", not identified"
-    value, nominal = (number(p[key], factor, 6) for key in ("value", "nominal"))
-    return f"{escape(p['words'])}: {value}{sigma} {unit}, nominal {nominal}"
+def _in_words(p: Described) -> str:
+    unit, factor = large(p.unit)
+    sigma = f" ± {number(p.sigma, factor, 2)}" if p.sigma is not None else ", not identified"
+    value, nominal = (number(v, factor, 6) for v in (p.value, p.nominal))
+    return f"{escape(p.words)}: {value}{sigma} {unit}, nominal {nominal}"

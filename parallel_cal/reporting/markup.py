@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from html import escape
 from typing import Any
 
-Document = Mapping[str, Any]
+from parallel_cal.reporting.readable import known
+
 Plot = Callable[[Mapping[str, Any]], str]  # keeps a figure for the page, returns its place in it
 
 
@@ -22,7 +23,7 @@ class Cell:
     mark: str = ""
 
     def html(self) -> str:
-        key = "" if self.key is None else f' data-key="{self.key:.9g}"'
+        key = f' data-key="{self.key:.9g}"' if known(self.key) else ""
         mark = f' class="{escape(self.mark)}"' if self.mark else ""
         under = f"<small>{escape(self.under)}</small>" if self.under else ""
         return f"<td{key}{mark}>{escape(self.text)}{under}</td>"

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from parallel_cal.diagnosis.patterns import Along
 from parallel_cal.diagnosis.thresholds import LEVELS
+from parallel_cal.reporting.contents import Residuals
 from parallel_cal.reporting.figures import QUIET, Spec, thinned
 from parallel_cal.reporting.readable import large
 
@@ -19,21 +20,19 @@ COMPONENTS = {
 POINTS, STEPS = 400, 150  # of a panel's residuals, of a rolling mean
 
 
-def multiples(document: Mapping[str, Any]) -> Iterator[tuple[str, float, Spec]]:
+def multiples(along: Sequence[Along], found: Residuals) -> Iterator[tuple[str, float, Spec]]:
     """(name, strength in sigmas of a mean, figure) of all that varied, most striking first."""
-    found = document["residuals"]
-    for entry in document["along"]:
-        if len(set(found["regressors"][entry["name"]])) > 1:
-            yield entry["name"], entry["strength"], _panel(entry, found)
+    for entry in along:
+        if np.ptp(found.regressors[entry.name]) > 0:
+            yield entry.name, entry.strength, _panel(entry, found)
 
 
-def _panel(entry: Mapping[str, Any], found: Mapping[str, Any]) -> Spec:
+def _panel(entry: Along, found: Residuals) -> Spec:
     """Points, the mean of each component, and the 99 % band about zero."""
-    unit, factor = large(found["units"][entry["name"]])
-    values = np.array(found["regressors"][entry["name"]]) * factor
-    at, band, z = (np.array(a) for a in (entry["at"], entry["band"], found["noise_units"]))
-    at, means = at * factor, np.array(entry["mean"])
-    means = means[:, np.any(means != 0, axis=0)]  # as `noise_units`, of what was measured
+    unit, factor = large(found.units[entry.name])
+    values, at = found.regressors[entry.name] * factor, entry.at * factor
+    band, z = entry.band, found.noise_units
+    means = entry.mean[:, np.any(entry.mean != 0, axis=0)]  # as `noise_units`, of what was measured
     few = len(np.unique(values)) <= LEVELS
     step = float(np.min(np.diff(at), initial=np.inf)) if few and len(at) > 1 else 0.0
     draw = _level_traces if few else _rolling_traces
@@ -42,7 +41,7 @@ def _panel(entry: Mapping[str, Any], found: Mapping[str, Any]) -> Spec:
     if few:
         axis |= {"tickvals": at.tolist(), "range": [at[0] - 0.6 * step, at[-1] + 0.6 * step]}
     return {
-        "data": [_points(values, z, 0.25 * step), *draw(at, band, means, found["components"])],
+        "data": [_points(values, z, 0.25 * step), *draw(at, band, means, found.components)],
         "layout": {
             "height": 210,
             "xaxis": axis,

@@ -9,11 +9,12 @@ from importlib.resources import files
 from string import Template
 from typing import Any
 
+from parallel_cal.reporting.report import Report
 from parallel_cal.reporting.sections import body
 
 
-def page(document: Mapping[str, Any]) -> str:
-    """The page of a report's document."""
+def page(report: Report) -> str:
+    """The page of a report."""
     from plotly.offline import get_plotlyjs
 
     drawn: list[Mapping[str, Any]] = []
@@ -23,10 +24,9 @@ def page(document: Mapping[str, Any]) -> str:
         height = figure["layout"]["height"]
         return f'<div class="plot" data-figure="{len(drawn) - 1}" style="height:{height}px"></div>'
 
-    content = body(document, plot)
-    provenance = document["provenance"]
+    content = body(report, plot)
     return Template(_text("page.html")).substitute(
-        title=escape(f"{provenance['mechanism']} on {provenance['dataset']['source']}"),
+        title=escape(f"{report.provenance.mechanism} on {report.diagnosis.dataset.source}"),
         style=_text("page.css"),
         body=content,
         figures=_in_script(drawn),

@@ -10,7 +10,7 @@ from parallel_cal.diagnosis.comparison import Comparison
 from parallel_cal.diagnosis.diagnose import Diagnosis
 from parallel_cal.identification.fit import Result
 from parallel_cal.reporting import contents, figures, spaces
-from parallel_cal.reporting.readable import shown_kinds, unit_of
+from parallel_cal.reporting.readable import unit_of
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
@@ -33,29 +33,20 @@ def _drawn(spec: figures.Spec) -> Figure:
 @figure.register
 def _(comparison: Comparison) -> Any:
     field, kind = comparison.field, comparison.field.kind
-    drawn = spaces.residual_arrows(
-        {
-            "kind": kind,
-            "place": contents.places(comparison.scene, kind),
-            "now": field.vectors.tolist(),
-            "found": None,
-            "sample": comparison.dataset.numbers.tolist(),
-        }
-    )
-    if drawn is None:
+    if kind is None:
         raise ParallelCalError("no pose was measured: there are no residuals in space")
-    return _drawn(drawn[0])
+    places, numbers = contents.places(comparison.scene, kind), comparison.dataset.numbers
+    return _drawn(spaces.residual_arrows(places, [field.vectors], kind, numbers)[0])
 
 
 @figure.register
 def _(diagnosis: Diagnosis) -> Any:
-    errors, mechanism = contents.errors(diagnosis), diagnosis.model.mechanism
-    kinds = shown_kinds(errors)
-    if not kinds:
+    errors, mechanism = contents.LeftOut.of(diagnosis), diagnosis.model.mechanism
+    if not errors.kinds:
         raise ParallelCalError("no error can be given: nothing was measured that tells")
-    unit = unit_of(kinds[0], dict(zip(mechanism.joints, mechanism.joint_units, strict=True)))
-    rows = contents.history(diagnosis)
-    return _drawn(figures.history(rows, errors["noise"], kinds[0], "noise alone", unit))
+    unit = unit_of(errors.kinds[0], dict(zip(mechanism.joints, mechanism.joint_units, strict=True)))
+    rows = contents.history(diagnosis, errors)
+    return _drawn(figures.history(rows, errors.noise, errors.kinds[0], unit))
 
 
 @figure.register

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, TypeGuard
 
 ARCMIN = 60 * 180 / math.pi
 SMALL = {
@@ -30,9 +30,14 @@ def large(unit: str) -> tuple[str, float]:
     return LARGE.get(unit, (unit, 1.0))
 
 
+def known(value: float | None) -> TypeGuard[float]:
+    """Whether there is a value: None and NaN are not known, infinity is no number to read."""
+    return value is not None and math.isfinite(value)
+
+
 def number(value: float | None, factor: float = 1.0, digits: int = 3) -> str:
     """A few significant digits; a dash where the value is not known."""
-    if value is None or not math.isfinite(value):
+    if not known(value):
         return MISSING
     scaled = value * factor
     if scaled == 0:
@@ -50,23 +55,22 @@ def with_unit(value: float | None, unit: str, scale: Any = small) -> str:
     return text if text == MISSING else f"{text} {name}".rstrip()
 
 
-def vector(values: Sequence[float | None], unit: str, digits: int = 2) -> str:
+def vector(values: Iterable[float | None], unit: str, digits: int = 2) -> str:
     """Several values of one unit, fixed digits so that columns line up."""
     factor = large(unit)[1]
-    if all(v is None for v in values):
-        return MISSING
-    return " ".join(MISSING if v is None else f"{v * factor:.{digits}f}" for v in values)
+    shown = [f"{v * factor:.{digits}f}" if known(v) else MISSING for v in values]
+    return " ".join(shown) if set(shown) != {MISSING} else MISSING
 
 
 def probability(p: float | None) -> str:
     """A p-value in two digits; below 1e-99 it is as good as zero."""
-    if p is None:
+    if not known(p):
         return MISSING
     return f"{p:.2g}" if p > 1e-99 else "< 1e-99"
 
 
 def percent(share: float | None) -> str:
-    return MISSING if share is None else f"{round(100 * share)} %"
+    return f"{round(100 * share)} %" if known(share) else MISSING
 
 
 def unit_of(kind: str, joint_units: Mapping[str, str]) -> str:
@@ -75,20 +79,9 @@ def unit_of(kind: str, joint_units: Mapping[str, str]) -> str:
     return OF.get(kind) or (units.pop() if len(units) == 1 else "rad|m")
 
 
-def shown_kinds(errors: Mapping[str, Mapping[str, float | None] | None]) -> list[str]:
-    """Which errors tell: of the pose; where none was measured of readings, or of joints."""
-    known = {key for e in (errors["now"], errors["noise"]) for key, v in (e or {}).items() if v}
-    for group in (("position", "orientation"), ("reading",), ("joint",)):
-        if kinds := [k for k in group if f"{k}_rms" in known]:
-            return kinds
-    return []
-
-
 def fixed(value: float | None, factor: float = 1.0, digits: int = 2) -> str:
     """A number for a terminal."""
-    if value is None or not math.isfinite(value):
-        return "-"
-    return f"{value * factor:.{digits}f}"
+    return f"{value * factor:.{digits}f}" if known(value) else "-"
 
 
 def fixed_vector(values: Iterable[float | None], factor: float, digits: int) -> str:

@@ -4,70 +4,74 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 from parallel_cal import __version__
 from parallel_cal.base.documents import plain
-from parallel_cal.diagnosis.comparison import Comparison, compare
+from parallel_cal.diagnosis.comparison import compare
 from parallel_cal.diagnosis.diagnose import Diagnosis, diagnose
 from parallel_cal.diagnosis.field import Field
-from parallel_cal.diagnosis.patterns import along, regions
+from parallel_cal.diagnosis.patterns import Along, Region, along, regions
 from parallel_cal.diagnosis.scene import Progress
 from parallel_cal.model.file.modelfile import model_hash
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.reporting import contents
-from parallel_cal.reporting.versus import versus
+from parallel_cal.reporting.versus import Versus
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Which model, data and options a report was made of, and by which version."""
+
+    version: str
+    mechanism: str
+    joint_units: Mapping[str, str]
+    effects: list[str]
+    model_sha256: str
+    dataset: Mapping[str, Any]
+    dropped: int
+    noise_from: Mapping[str, str]
+    options: Mapping[str, Any]
+
+    @classmethod
+    def of(cls, diagnosis: Diagnosis, options: Mapping[str, Any]) -> Provenance:
+        model, data = diagnosis.model, diagnosis.dataset
+        return cls(
+            version=__version__,
+            mechanism=model.mechanism.name,
+            joint_units=dict(zip(model.joints, model.mechanism.joint_units, strict=True)),
+            effects=[effect.name for effect in model.effects],
+            model_sha256=model_hash(model),
+            dataset={"source": data.source, "sha256": data.sha256, "samples": len(data)},
+            dropped=len(data.dropped),
+            noise_from=diagnosis.base.fitted.observations.noise_from,
+            options=plain(options),
+        )
 
 
 @dataclass(frozen=True)
 class Report:
-    """A diagnosis, the options it was made with, and another model beside it where wanted."""
+    """A diagnosis with all that shows it, and another model beside it where wanted; residuals are
+    those of the model as it is, parameters those with the effects found."""
 
     diagnosis: Diagnosis
-    options: Mapping[str, Any]
-    other: tuple[Comparison, Comparison] | None = None
+    errors: contents.LeftOut
+    history: list[dict[str, Any]]
+    residuals: contents.Residuals
+    along: tuple[Along, ...]
+    regions: tuple[Region, ...]
+    samples: list[contents.JudgedSample]
+    parameters: Mapping[str, contents.Described]
+    combinations: Mapping[str, Any]
+    correlated: list[contents.Correlation]
+    map: Mapping[str, Any]
+    against: Versus | None
+    provenance: Provenance
 
-    @cached_property
-    def field(self) -> Field:
-        """Residuals of the model as it is, identified without further effects."""
-        return Field.of(self.diagnosis.base.scene)
-
-    def document(self) -> dict[str, Any]:
-        """The JSON document of `parallel-cal report`, which `reporting.page.page` shows to people;
-        all values SI, None where not known."""
-        found, seen = self.diagnosis, self.field
-        scene = found.base.scene
-        return {
-            "diagnosis": found.document(),
-            "errors": contents.errors(found),
-            "history": contents.history(found),
-            "residuals": contents.residuals(found, seen),
-            "along": plain(along(scene, seen)),
-            "regions": plain(regions(scene, seen)) if seen.measured[:, :3].any() else [],
-            "samples": contents.samples(found),
-            "parameters": contents.parameters(found.best.fitted),
-            "combinations": contents.combinations(found.best.fitted),
-            "correlated": contents.correlated(found.best.fitted),
-            "map": contents.smooth_map(found),
-            "against": versus(*self.other) if self.other else None,
-            "provenance": self._provenance(),
-        }
-
-    def _provenance(self) -> dict[str, Any]:
-        model, data = self.diagnosis.model, self.diagnosis.dataset
-        return {
-            "version": __version__,
-            "mechanism": model.mechanism.name,
-            "joint_units": dict(zip(model.joints, model.mechanism.joint_units, strict=True)),
-            "effects": [effect.name for effect in model.effects],
-            "model_sha256": model_hash(model),
-            "dataset": {"source": data.source, "sha256": data.sha256, "samples": len(data)},
-            "dropped": len(data.dropped),
-            "noise_from": dict(self.diagnosis.base.fitted.observations.noise_from),
-            "options": dict(self.options),
-        }
+    def document(self) -> Any:
+        """The JSON document of `parallel-cal report`; all values SI, None where not known."""
+        return plain(vars(self))
 
 
 def report(
@@ -85,8 +89,24 @@ def report(
     """
     options = {"hold_out": 0.25, "seed": 0} | options
     found = diagnose(model, dataset, progress=progress, **options)
-    if against is None:
-        return Report(found, options)
-    sigma = options.get("joint_sigma")
-    sides = tuple(compare(one, dataset, sigma) for one in (model, against))
-    return Report(found, options, sides)  # type: ignore[arg-type]
+    scene, best = found.base.scene, found.best.fitted
+    field, errors = Field.of(scene), contents.LeftOut.of(found)
+    versus = None
+    if against is not None:
+        sigma = options.get("joint_sigma")
+        versus = Versus.of(compare(model, dataset, sigma), compare(against, dataset, sigma))
+    return Report(
+        diagnosis=found,
+        errors=errors,
+        history=contents.history(found, errors),
+        residuals=contents.Residuals.of(found, field),
+        along=along(scene, field),
+        regions=regions(scene, field) if field.kind == "position" else (),
+        samples=contents.samples(found),
+        parameters=contents.parameters(best),
+        combinations=contents.combinations(best),
+        correlated=contents.correlated(best),
+        map=contents.smooth_map(found.structure.map),
+        against=versus,
+        provenance=Provenance.of(found, options),
+    )

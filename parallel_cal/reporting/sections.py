@@ -3,25 +3,28 @@
 from __future__ import annotations
 
 from parallel_cal.reporting import evidence, failures, identified, overview
-from parallel_cal.reporting.markup import Document, Plot, section
+from parallel_cal.reporting.markup import Plot, section
+from parallel_cal.reporting.report import Report
 
 
-def body(document: Document, plot: Plot) -> str:
+def body(report: Report, plot: Plot) -> str:
     """Everything below the page's head; sections without data say so."""
     parts = [
-        overview.verdict(document),
-        overview.numbers(document),
-        section("History", overview.history(document, plot)),
-        section("What is left, in space", failures.in_space(document, plot)),
-        section("What is left, along everything", failures.along_everything(document, plot)),
-        section("Which effect is missing", evidence.candidates(document)),
-        section("What to measure next", evidence.measure_next(document)),
-        section("Parameters", identified.parameters(document, plot)),
-        section("What the data cannot tell", identified.combinations(document)),
-        section("Unexplained structure", failures.structure(document, plot)),
-        section("Samples", failures.samples(document)),
-        section("Provenance", identified.provenance(document)),
+        overview.verdict(report),
+        overview.numbers(report),
+        section("History", overview.history(report, plot)),
+        section("What is left, in space", failures.in_space(report, plot)),
+        section("What is left, along everything", failures.along_everything(report, plot)),
+        section("Which effect is missing", evidence.candidates(report)),
+        section("What to measure next", evidence.measure_next(report)),
+        section("Parameters", identified.parameters(report, plot)),
+        section("What the data cannot tell", identified.combinations(report)),
+        section("Unexplained structure", failures.structure(report, plot)),
+        section("Samples", failures.samples(report)),
+        section("Provenance", identified.provenance(report)),
     ]
-    if document["against"]:
-        parts.insert(-2, section("Two models side by side", identified.against(document, plot)))
+    if report.against:
+        parts.insert(
+            -2, section("Two models side by side", identified.against(report.against, report, plot))
+        )
     return "\n".join(parts)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 
+from parallel_cal.diagnosis.lack_of_fit import SmoothMap
 from parallel_cal.reporting.arrows import arrows, scale_of
 from parallel_cal.reporting.figures import Spec, thinned
 from parallel_cal.reporting.readable import with_unit
@@ -15,52 +15,49 @@ ARROWS = 300  # more hide each other
 SI = {"position": "m", "orientation": "rad"}
 
 
-def residual_arrows(found: Mapping[str, Any]) -> tuple[Spec, float] | None:
-    """(figure, magnification) of what the fit leaves, as it is (traces with `meta` 0) and hidden
-    with the effects found (1); None where no pose was measured."""
-    if found["kind"] is None:
-        return None
-    fields = [np.array(found[key]) for key in ("now", "found") if found[key]]
-    places = np.array(found["place"])
+def residual_arrows(
+    places: np.ndarray, fields: Sequence[np.ndarray], kind: str, numbers: np.ndarray
+) -> tuple[Spec, float]:
+    """(figure, magnification) of residual fields (N, 3) at places (N, 3): the first is shown
+    (traces with `meta` 0), the others are hidden (1, ...)."""
     scale = scale_of(places, fields)
-    groups = [_drawn(places, f, scale, found["kind"], found["sample"]) for f in fields]
     traces = [
-        trace | {"visible": k == 0, "meta": k} for k, group in enumerate(groups) for trace in group
+        trace | {"visible": k == 0, "meta": k}
+        for k, field in enumerate(fields)
+        for trace in _drawn(places, field, scale, kind, numbers)
     ]
-    return {"data": traces, "layout": space(found["kind"])}, scale
+    return {"data": traces, "layout": space(kind)}, scale
 
 
-def side(one: Mapping[str, Any], found: Mapping[str, Any]) -> tuple[Spec, float] | None:
+def side(
+    places: np.ndarray, field: np.ndarray, kind: str, numbers: np.ndarray
+) -> tuple[Spec, float]:
     """The same of one of two models as it stands."""
-    if found["kind"] is None:
-        return None
-    places, field = np.array(one["place"]), np.array(one["residual"])
     scale = scale_of(places, [field])
-    drawn = _drawn(places, field, scale, found["kind"], found["sample"])
-    return {"data": drawn, "layout": space(found["kind"]) | {"height": 380}}, scale
+    drawn = _drawn(places, field, scale, kind, numbers)
+    return {"data": drawn, "layout": space(kind) | {"height": 380}}, scale
 
 
-def smooth_map(found: Mapping[str, Any]) -> tuple[Spec, float] | None:
+def smooth_map(found: SmoothMap) -> tuple[Spec, float] | None:
     """(figure, magnification) of the smooth picture of what is left; None where there is none, or
     where it lies in more joints than a picture has dimensions."""
-    places, field = np.array(found["places"]), np.array(found["field"])
-    if not found["size"] or places.shape[1:] != (3,):
+    if found.share <= 0 or not found.size or found.places.shape[1:] != (3,):
         return None
-    scale = scale_of(places, [field])
-    drawn = _drawn(places, field, scale, found["kind"], range(len(field)))
-    layout = space(found["kind"])
-    if found["kind"] == "orientation":
+    scale = scale_of(found.places, [found.field])
+    drawn = _drawn(found.places, found.field, scale, found.kind, np.arange(len(found.field)))
+    layout = space(found.kind)
+    if found.kind == "orientation":
         layout["scene"] |= {f"{a}axis": {"title": {"text": f"joint {k}"}} for k, a in
                             enumerate("xyz", 1)}  # fmt: skip
     return {"data": drawn, "layout": layout}, scale
 
 
 def _drawn(
-    places: np.ndarray, field: np.ndarray, scale: float, kind: str, numbers: Sequence[int]
+    places: np.ndarray, field: np.ndarray, scale: float, kind: str, numbers: np.ndarray
 ) -> list[Spec]:
     """Arrows with their sizes as hover words, of long recordings some; positions in mm."""
     kept = thinned(len(places), ARROWS)
-    places, field, numbers = places[kept], field[kept], [numbers[i] for i in kept]
+    places, field, numbers = places[kept], field[kept], numbers[kept]
     sizes = np.linalg.norm(field, axis=1)
     words = [f"{n}: {with_unit(size, SI[kind])}" for n, size in zip(numbers, sizes, strict=True)]
     return arrows(places, field, scale, words, 1e3 if kind == "position" else 1.0)

@@ -1,49 +1,76 @@
-"""Two models beside each other on the same data, as they stand."""
+"""Two models beside each other on the same data, as they stand; all values SI."""
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import dataclass
+
+import numpy as np
 
 from parallel_cal.diagnosis.comparison import Comparison
+from parallel_cal.identification.prediction_errors import Summary
 from parallel_cal.model.file.modelfile import model_hash
 from parallel_cal.model.model import Model
 from parallel_cal.reporting.contents import places
 
 
-def versus(one: Comparison, other: Comparison) -> dict[str, Any]:
-    """Errors and residuals of both, and the parameters in which they differ; all values SI."""
-    return {
-        "sides": [_side(one), _side(other)],
-        "parameters": _differences(one.model, other.model),
-    }
+@dataclass(frozen=True)
+class Side:
+    """One of the two: its errors, and residuals (N, 3) at their places (N, 3)."""
+
+    mechanism: str
+    effects: list[str]
+    model_sha256: str
+    errors: Summary
+    noise: Summary
+    chi2_per_dof: float
+    place: np.ndarray
+    residual: np.ndarray
+
+    @classmethod
+    def of(cls, one: Comparison) -> Side:
+        return cls(
+            mechanism=one.model.mechanism.name,
+            effects=[effect.name for effect in one.model.effects],
+            model_sha256=model_hash(one.model),
+            errors=one.errors.summary,
+            noise=one.noise,
+            chi2_per_dof=one.scene.chi2_per_dof,
+            place=places(one.scene, one.field.kind),
+            residual=one.field.vectors,
+        )
 
 
-def _side(one: Comparison) -> dict[str, Any]:
-    return {
-        "mechanism": one.model.mechanism.name,
-        "effects": [effect.name for effect in one.model.effects],
-        "model_sha256": model_hash(one.model),
-        "errors": one.errors.document(),
-        "noise": one.noise.document(),
-        "chi2_per_dof": one.scene.chi2_per_dof,
-        "place": places(one.scene, one.field.kind).tolist(),
-        "residual": one.field.vectors.tolist(),
-    }
+@dataclass(frozen=True)
+class Difference:
+    """A parameter of both; None where a model lacks it."""
+
+    name: str
+    unit: str
+    values: list[float | None]
+    difference_tolerances: float | None
+
+    @classmethod
+    def of(cls, name: str, one: Model, other: Model) -> Difference:
+        values = [m.value(name) if name in m.table.names else None for m in (one, other)]
+        table = (one if values[0] is not None else other).table
+        p = table[table.index_of(name)]
+        known = None not in values
+        apart = (values[1] - values[0]) / p.tolerance if known else None  # type: ignore[operator]
+        return cls(name, p.unit, values, apart)
 
 
-def _differences(one: Model, other: Model) -> list[dict[str, Any]]:
-    """Rows of the parameters that differ or that one lacks, largest difference first."""
-    names = dict.fromkeys([*one.table.names, *other.table.names])
-    rows = [_difference(name, one, other) for name in names]
-    changed = [row for row in rows if row["difference_tolerances"] != 0]
-    return sorted(changed, key=lambda row: -abs(row["difference_tolerances"] or 0.0))
+@dataclass(frozen=True)
+class Versus:
+    """Errors and residuals of both models, and the parameters in which they differ."""
 
+    sides: tuple[Side, Side]
+    parameters: list[Difference]
 
-def _difference(name: str, one: Model, other: Model) -> dict[str, Any]:
-    """One parameter of both; None where a model lacks it."""
-    values = [m.value(name) if name in m.table.names else None for m in (one, other)]
-    table = (one if values[0] is not None else other).table
-    p = table[table.index_of(name)]
-    known = None not in values
-    apart = (values[1] - values[0]) / p.tolerance if known else None  # type: ignore[operator]
-    return {"name": name, "unit": p.unit, "values": values, "difference_tolerances": apart}
+    @classmethod
+    def of(cls, one: Comparison, other: Comparison) -> Versus:
+        """Parameters that differ or that one lacks, largest difference first."""
+        names = dict.fromkeys([*one.model.table.names, *other.model.table.names])
+        rows = [Difference.of(name, one.model, other.model) for name in names]
+        changed = [row for row in rows if row.difference_tolerances != 0]
+        changed.sort(key=lambda row: -abs(row.difference_tolerances or 0.0))
+        return cls((Side.of(one), Side.of(other)), changed)
