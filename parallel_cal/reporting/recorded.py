@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from parallel_cal.recordings.channels import CHANNELS, named
+from parallel_cal.reporting.readable import ARCMIN, fixed_vector
 
 if TYPE_CHECKING:
     from rich.console import Console
-
-ARCMIN = np.pi / 180 / 60
 
 
 def print_info(document: dict[str, Any], console: Console) -> None:
@@ -94,15 +93,11 @@ def _print_noise(document: dict[str, Any], console: Console) -> None:
         pose = noise["pose"]
         parts = []
         if any(v is not None for v in pose):
-            parts.append(f"position {_triple(pose[:3], 1e-6, '.1f')} um")
-            parts.append(f"orientation {_triple(pose[3:], ARCMIN, '.2f')} arcmin")
+            parts.append(f"position {fixed_vector(pose[:3], 1e6, 1)} um")
+            parts.append(f"orientation {fixed_vector(pose[3:], ARCMIN, 2)} arcmin")
         if "joint" in noise:
-            parts.append(f"joints {_triple(noise['joint'], 1e-3, '.4f')} mrad|mm")
+            parts.append(f"joints {fixed_vector(noise['joint'], 1e3, 4)} mrad|mm")
         about = f" ({noise['dof']} degrees of freedom)" if "dof" in noise else ""
         label = kind.replace("_", " ")
         if parts:
             console.print(f"noise {label}, 1 sigma{about}: {', '.join(parts)}", highlight=False)
-
-
-def _triple(values: list[float | None], unit: float, form: str) -> str:
-    return " ".join("-" if v is None else format(v / unit, form) for v in values)
