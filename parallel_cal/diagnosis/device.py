@@ -20,9 +20,14 @@ def imitated(scene: Scene, chosen: Sequence[Candidate], ranked: Sequence[Candida
     """Names of the robot's effects among `chosen` that the device could as well have made.
 
     With all that the device may do in place of the effect, misfit and price (see `cost`) rise by
-    less than five sigmas.
+    less than five sigmas. What the device does in the course of time is told apart by other means:
+    shuffled conditions, swaps.
     """
-    device = [c for c in ranked if c.effect.of_device and c.testable and c.scene is scene]
+    device = [
+        c
+        for c in ranked
+        if c.effect.of_device and not c.effect.needs and c.testable and c.scene is scene
+    ]
     own = [c for c in chosen if not c.effect.of_device and c.scene is scene]
     if not device or not own:
         return []

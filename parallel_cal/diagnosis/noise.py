@@ -52,7 +52,7 @@ def _circumstances(scene: Scene) -> np.ndarray:
         values for name, values in scene.dataset.conditions.items() if name.startswith(names)
         and np.isfinite(values).all()
     ]  # fmt: skip
-    columns = np.stack(known, axis=1)
+    columns = np.reshape(known, (len(known), len(scene.x))).T
     return np.asarray(columns / np.maximum(columns.std(axis=0), 1e-12))
 
 

@@ -96,11 +96,13 @@ class Search:
         after = self.fit(*before.chosen, Chosen.of(one))
         if after.result is None:
             return after, after.reason
-        if after.result.estimate.chi2_per_dof >= before.fitted.estimate.chi2_per_dof:
-            return after, "explains nothing of what is left"
         judgement = acceptance(after.result, before.fitted)
         if judgement.judged and judgement.against:  # else the verdict says that nothing is proven
             return after, judgement.against
+        if after.result.estimate.chi2_per_dof >= before.fitted.estimate.chi2_per_dof:
+            return after, "explains nothing of what is left"
+        if (size := _too_large(before.fitted, after.result)) > 1:
+            return after, f"its numbers would be {size:.0f} times their usual size for little gain"
         p = one.shuffled_p
         if p is not None and p > (1 + AS_GOOD) / (SHUFFLES + 1):
             return after, "explains no more than its own condition shuffled between poses"
@@ -143,6 +145,18 @@ class Search:
                 if _as_good(trial, self.fit(*swapped)):
                     found.setdefault(one.name, []).append(other.name)
         return found
+
+
+def _too_large(before: Result, after: Result) -> float:
+    """Rms of the new numbers in tolerances, where their squares, less what is their own
+    uncertainty, are more than the fall of chi2 is worth; else 0."""
+    model, estimate = after.model, after.estimate
+    known = set(before.model.table.names)
+    new = after.free & np.array([name not in known for name in model.table.names])
+    away = ((model.values - model.table.nominal) ** 2 - estimate.sigma**2)[new]
+    squares = np.maximum(away / model.table.tolerance[new] ** 2, 0.0)
+    worth = (before.estimate.chi2 - estimate.chi2) / estimate.chi2_per_dof
+    return float(np.sqrt(squares.mean())) if squares.sum() > max(worth, 0.0) else 0.0
 
 
 def _as_good(trial: Trial, other: Trial) -> bool:

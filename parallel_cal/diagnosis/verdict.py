@@ -105,12 +105,8 @@ def judge(found: Findings) -> Verdict:
         told = share is not None and share >= EXPLAINED  # else the excess was mostly luck
         part = f", {share:.0%} of what exceeded the noise" if told else ""
         verb = "together explain" if several else "explains"
-        words = f"{names} {verb} the rest{part}: {errors}"
-        return Verdict(
-            "explained",
-            words + ("." + noise.rstrip(".") if (noise := _noise(found)) else ""),
-            share,
-        )
+        words = f"{names} {verb} the rest{part}: {errors}{_noise(found)}"
+        return Verdict("explained", words, share)
     words = f"{names} {'are' if several else 'is'} part of it ({errors}), but {'; '.join(against)}"
     return Verdict("partly_explained", words, share, against)
 
@@ -151,14 +147,14 @@ def _nothing_found(found: Findings, errors: str) -> Verdict:
             advice = f"yet {found.refused[0]}"
         elif found.structure.found:
             advice += ". Neighbouring residuals are alike, though: look at the map"
-        return Verdict("at_noise", f"{words}: {advice}.{noise}")
+        return Verdict("at_noise", f"{words}: {advice}{noise or '.'}")
     nothing = "nothing in the catalogue explains it"
     if found.refused:
         nothing = f"nothing plausible explains it: {found.refused[0]}"
     return Verdict(
         "unexplained",
         f"chi2/dof {chi2:.3g} is above {high:.3g}, but {nothing}"
-        f"{_size(found.structure, '; a smooth part of it')} ({errors}).{noise}",
+        f"{_size(found.structure, '; a smooth part of it')} ({errors}){noise}",
     )
 
 
@@ -167,7 +163,7 @@ def _noise(found: Findings) -> str:
     words = list(found.shape.words)
     if found.noise.misstated is not None:
         words.insert(0, f"noise is {found.noise.misstated:.1f} times what is stated")
-    return f" What is left shows that {' and '.join(words)}." if words else ""
+    return f". What is left shows that {' and '.join(words)}" if words else ""
 
 
 def _uncertainty(found: Findings) -> str:
