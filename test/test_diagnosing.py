@@ -9,7 +9,8 @@ from datasets import measured, quiet
 from scipy import stats
 
 from parallel_cal.base.confidence import CHANCE, SIGMAS
-from parallel_cal.diagnosis.catalogue import candidate
+from parallel_cal.base.errors import ModelError
+from parallel_cal.diagnosis.catalogue import candidate, names_of
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.lack_of_fit import lack_of_fit, smooth_map
 from parallel_cal.diagnosis.noise import NoiseLevel
@@ -222,3 +223,33 @@ def test_what_the_errors_go_with_is_named_first():
     assert entries[0].strength > 5
     assert entries[0].at.tolist() == [-1.0, 1.0]
     assert sum(region.samples for region in regions(here, Field.of(here))) == len(data)
+
+
+FAULTY = """
+from parallel_cal import Effect, Parameter
+
+class Faulty(Effect):
+    physics = source = "none"
+
+    def parameters(self, mechanism):
+        return [Parameter("size", "m", 0.0, {tolerance})]
+
+    def ideal(self, seen, e, at, mechanism):
+        return seen
+"""
+
+
+@pytest.mark.parametrize(
+    ("tolerance", "words"),
+    [("0.0", "faulty0.size: tolerance 0.0, expected above 0"), ("1 / 0", "faulty1: ZeroDivision")],
+)
+def test_an_own_effect_that_is_wrong_is_said_so_and_not_left_out(
+    tmp_path, monkeypatch, tolerance, words
+):
+    name = "faulty0" if tolerance == "0.0" else "faulty1"
+    package = tmp_path / "of_mine"
+    package.mkdir()
+    (package / f"{name}.py").write_text(FAULTY.format(tolerance=tolerance))
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with pytest.raises(ModelError, match=words):
+        names_of(new_model("delta54"), also=[f"of_mine.{name}"])

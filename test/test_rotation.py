@@ -36,3 +36,11 @@ def test_quaternions_and_vectors_lead_back_to_the_matrix():
 def test_a_quarter_turn_about_z_by_hand():
     q = matrix_to_quaternion(np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]))
     assert q == pytest.approx([0, 0, np.sqrt(0.5), np.sqrt(0.5)])
+
+
+def test_one_rotation_and_many_give_the_same_bits():
+    """Nodes answer one at a time, and are held against what many at once give."""
+    rng = np.random.default_rng(0)
+    R = rotation_matrix(rng.standard_normal((2000, 3)) * rng.choice([1e-3, 1, 3], (2000, 1)))
+    single = np.array([matrix_to_quaternion(one) for one in R])
+    assert np.array_equal(matrix_to_quaternion(R), single)

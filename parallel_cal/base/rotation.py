@@ -72,7 +72,7 @@ def matrix_to_quaternion(R: np.ndarray) -> np.ndarray:
         [1 + a - e - i, b + d, c + g, h - f],
         [b + d, 1 + e - a - i, f + h, c - g],
         [c + g, f + h, 1 + i - a - e, d - b],
-        [h - f, c - g, d - b, 1 + a + e + i],
+        [h - f, c - g, d - b, 1 + (a + e + i)],  # the bits of a single one
     ]
     products = np.moveaxis(np.array(rows), (0, 1), (-2, -1))
     best = np.argmax(np.diagonal(products, axis1=-2, axis2=-1), axis=-1)

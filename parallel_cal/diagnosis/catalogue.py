@@ -81,9 +81,15 @@ class Candidate:
 
 
 def names_of(model: Model, also: Iterable[str] = (), only: Iterable[str] = ()) -> list[str]:
-    """Effects to test: the shelf's, or `only` these, and a user's own by Python path (`also`)."""
-    wanted = list(dict.fromkeys([*(list(only) or shelf_names("effects")), *also]))
-    has = {effect.name for effect in model.effects}
+    """Effects to test: the shelf's, or `only` these, and a user's own by Python path (`also`).
+
+    ModelError for one of the user's own whose file is wrong: asked for, it is not left out.
+    """
+    own, has = list(also), {effect.name for effect in model.effects}
+    for name in own:
+        if name not in has and not load_effect(name).applies(model.mechanism):
+            model.with_effect(name)
+    wanted = dict.fromkeys([*(list(only) or shelf_names("effects")), *own])
     return [name for name in wanted if name not in has]
 
 

@@ -9,7 +9,7 @@ from fnmatch import fnmatchcase
 from math import isfinite
 from typing import Any, ClassVar
 
-from parallel_cal.base.errors import ModelError
+from parallel_cal.base.errors import ModelError, told
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 
@@ -101,10 +101,11 @@ class Effect(ABC):
 
     def table(self, mechanism: Mechanism) -> ParameterTable:
         """Its parameters under their full names (`encoder_eccentricity.joint2.sin`)."""
-        return ParameterTable(
-            replace(p, name=f"{self.name}.{p.name}", group="effect")
-            for p in self.parameters(mechanism)
-        )
+        try:
+            own = self.parameters(mechanism)
+        except Exception as error:
+            raise told(self.name, error) from error
+        return ParameterTable(replace(p, name=f"{self.name}.{p.name}", group="effect") for p in own)
 
     def conditions(self, mechanism: Mechanism) -> list[str]:
         """The condition columns it needs: `direction` becomes one a joint."""
