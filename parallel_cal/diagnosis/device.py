@@ -32,18 +32,14 @@ def imitated(scene: Scene, chosen: Sequence[Candidate], ranked: Sequence[Candida
     if not device or not own:
         return []
     known = {c.name: _columns(scene, c) for c in {c.name: c for c in (*chosen, *device)}.values()}
-    unit = max(scene.chi2_per_dof, 1.0)
-    names = []
-    for one in own:
-        others = [c for c in chosen if c is not one]
-        instead = {c.name: c for c in (*others, *device)}
-        with_it, without = (
-            cost(scene, np.hstack([known[name] for name in group]))
-            for group in ([c.name for c in chosen], list(instead))
-        )
-        if without - with_it < APART**2 * unit:
-            names.append(one.name)
-    return names
+
+    def price(*candidates: Candidate) -> float:
+        names = dict.fromkeys(c.name for c in candidates)
+        return cost(scene, np.hstack([known[name] for name in names]))
+
+    limit = price(*chosen) + APART**2 * max(scene.chi2_per_dof, 1.0)
+    without = {one.name: price(*(c for c in chosen if c is not one), *device) for one in own}
+    return [name for name, instead in without.items() if instead < limit]
 
 
 def cost(scene: Scene, B: np.ndarray) -> float:

@@ -190,9 +190,11 @@ def _searched(search: Search, catalogue: _Catalogue) -> tuple[Trial, dict[str, s
     base = search.fit()
     best, against = search.forward(base, catalogue.significant)
     best = search.backward(best)
-    shape = NoiseShape.of(best.scene, Field.of(best.scene))
     wandering = [c for c in catalogue.ranked(base) if c.wanders and c.testable]
-    if not shape.correlated or not {c.name for c in wandering} & set(best.names):
+    if not {c.name for c in wandering} & set(best.names):
+        return best, against
+    shape = NoiseShape.of(best.scene, Field.of(best.scene))
+    if not shape.correlated:
         return best, against
     catalogue.wandering = False
     best, against = search.forward(base, catalogue.significant)
