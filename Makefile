@@ -1,4 +1,4 @@
-# make demo | test | check | slow | bags | bench | tables | clean      (PYTHON=python3.12 make ... for another)
+# make demo | test | check | wide | slow | bags | bench | tables | clean      (PYTHON=python3.12 make ... for another)
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -13,7 +13,7 @@ endif
 # Nodes under test talk to this machine only.
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 
-.PHONY: venv demo test check lint types slow bags bench tables clean
+.PHONY: venv demo test wide check lint types slow bags bench tables clean
 
 venv: $(STAMP)
 
@@ -46,15 +46,22 @@ $(VENV)/.created:
 demo: $(STAMP)
 	@$(BIN)/parallel-cal demo
 
-# Nodes find each other through the network: their tests run one after another.
+# Every worker has a ROS domain of its own, and starts the nodes that a file shares once.
+PYTEST := $(BIN)/python -m pytest -q --dist loadfile
+
 test: $(STAMP)
-	@$(BIN)/python -m pytest -q -n 2 -m "not slow and not ros"
-	@$(BIN)/python -m pytest -q -m "ros and not slow"
+	@$(PYTEST) -n 2 -m "not slow and not wide and not ros"
+	@$(PYTEST) -n 3 -m "ros and not slow and not wide"
+
+# The same over more robots, effects and recordings, and whatever else takes its time.
+wide: $(STAMP)
+	@$(PYTEST) -n 2 -m "wide and not slow and not ros"
+	@$(PYTEST) -n 2 -m "wide and not slow and ros"
 
 slow: $(STAMP)
 	@$(BIN)/python -m pytest -q -m slow
 
-check: lint types test
+check: lint types test wide
 
 lint: $(STAMP)
 	@$(BIN)/ruff check -q .

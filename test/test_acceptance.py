@@ -107,6 +107,7 @@ def test_a_removal_may_cost_a_hundredth_and_no_more(identified):
         assert taken or "rises without 'x'" in found.against
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("face", FACES)
 def test_a_fit_that_does_not_lower_the_error_at_poses_left_out_is_not_written(face, answer):
     done, words, output = answer(face)
@@ -128,6 +129,7 @@ def test_where_no_pose_was_left_out_nothing_is_proven_and_only_force_writes(face
     assert read_model(output).history[-1]["forced"] == NOTHING
 
 
+@pytest.mark.wide
 def test_all_three_faces_say_the_same_of_an_effect_that_is_not_there(clean, identified, answer):
     search = Search(identified.model, lambda model: fit(model, clean), lambda *_: None)
     base = search.fit()
@@ -143,6 +145,7 @@ def test_all_three_faces_say_the_same_of_an_effect_that_is_not_there(clean, iden
     assert told in str(refused.value)
 
 
+@pytest.mark.wide
 def test_an_effect_that_is_there_is_taken_by_all_three(tmp_path):
     wide = vr.Backlash((3e-4, 3e-4, 3e-4))
     data = measured(1, effects=[wide])

@@ -347,6 +347,7 @@ def test_a_node_stopped_in_the_middle_of_an_identification_ends_cleanly(full, ma
     assert Path(model).read_bytes() == before
 
 
+@pytest.mark.wide
 def test_an_effect_is_added_where_it_helps_and_refused_where_not(full):
     output = str(full.folder / "effect.yaml")
     refused = full.call(AddEffect, "add_effect", effect="backlash", output_file=output)
@@ -362,6 +363,7 @@ def test_an_effect_is_added_where_it_helps_and_refused_where_not(full):
     assert [e.name for e in read_model(output).effects] == ["encoder_eccentricity"]
 
 
+@pytest.mark.wide
 @mock.patch.dict(os.environ)
 def test_without_auto_collect_samples_are_taken_by_hand(tmp_path):
     namespace, processes = own_domain() + "_manual", []
@@ -436,6 +438,7 @@ def test_with_a_clock_that_stands_still_a_topic_of_another_type_is_told_and_path
     assert node.end() == 0
 
 
+@pytest.mark.wide
 @mock.patch.dict(os.environ)
 def test_a_constraint_session_gives_the_samples_of_its_bag_and_calibrates_the_robot(tmp_path):
     """A virtual Delta on a plate with two holes: joint states and a constraint, no pose."""

@@ -28,6 +28,7 @@ def apart(one, other):
     return np.abs(one.rotation - other.rotation).max()
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("seed", range(4))
 def test_sixteen_poses_are_found_and_they_are_those_of_many_newton_starts(seed):
     model, rng = strayed(seed), np.random.default_rng(seed)

@@ -473,6 +473,7 @@ def test_a_failed_fit_writes_nothing(run, tmp_path, clean):
     assert not (tmp_path / "out.yaml").exists()
 
 
+@pytest.mark.wide
 def test_add_lowers_the_error_and_remove_is_refused_where_it_would_raise_it(
     document, run, tmp_path, backlash
 ):
@@ -528,6 +529,7 @@ def test_people_see_the_fit_as_a_table_with_units(run, tmp_path, clean):
 # ------------------------------------------------------------------- recordings and the rest
 
 
+@pytest.mark.wide
 def test_look_prints_what_a_recording_holds(document, run):
     assert document("look", BAG)["samples"] == 94
     assert document("look", BAG, "--data", "mode=continuous")["mode"] == "continuous"
@@ -580,6 +582,7 @@ def test_renamed_joints_are_used_everywhere(document, tmp_path):
     assert table["solutions"][0]["position"] == pytest.approx(one["solutions"][0]["position"])
 
 
+@pytest.mark.wide
 def test_a_direct_problem_loads_nothing_heavy_that_it_does_not_need():
     code = (
         "import sys; from parallel_cal.cli.main import main\n"

@@ -80,6 +80,7 @@ def test_a_replayed_recording_gives_exactly_the_samples_of_its_bag(messages, off
     assert len(collection.dataset.sha256) == 64
 
 
+@pytest.mark.wide
 def test_looking_in_between_changes_nothing_and_numbers_stay(messages, offline):
     collector, seen = Collector(), {}
     for k in range(0, len(messages), 1500):
@@ -160,6 +161,7 @@ def test_a_recording_played_twice_is_two_sessions(messages, offline):
     assert len(np.unique(both.dataset.pose_id)) == 74
 
 
+@pytest.mark.wide
 def test_a_long_session_lets_messages_go_and_keeps_samples(messages, offline, monkeypatch):
     monkeypatch.setattr(collector_module, "LONGEST", 4000)
     collector = Collector()

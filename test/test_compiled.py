@@ -119,6 +119,7 @@ def test_where_machine_code_cannot_be_had_the_virtual_machine_serves_in_silence(
     assert capfd.readouterr() == ("", "")
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("large", [0, 10**9], ids=["as it is", "with common parts shared"])
 @pytest.mark.parametrize("effect", ["joint_compliance", "rod_compliance"])
 def test_slopes_of_a_closure_under_load_are_those_of_small_steps(effect, large, monkeypatch):

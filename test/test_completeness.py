@@ -72,6 +72,7 @@ def mechanism(name):
     return load_mechanism(name, **(PUMA if name == "serial" else {}))
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize(("name", "without", "C", "frames"), COMPLETE, ids=lambda v: str(v))
 def test_the_rank_of_the_identification_jacobian_is_what_the_formulas_count(
     name, without, C, frames
@@ -163,6 +164,7 @@ def test_a_frame_moved_on_purpose_is_felt_as_the_frame_jacobian_says():
         assert felt / 1e-6 == pytest.approx(column * scale, abs=1e-5)
 
 
+@pytest.mark.wide
 def test_a_robot_that_cannot_be_assembled_is_refused():
     model = new_model("parallelogram", {"l2": 0.1})
     with pytest.raises(ModelError, match="0 of 5 poses around home close"):

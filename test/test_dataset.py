@@ -658,6 +658,7 @@ def test_look_leaves_out_the_samples_it_is_told_to(tmp_path):
 # ---- the recordings that ship with the package
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("name", ["delta_clean", "delta_eccentricity", "delta_backlash"])
 def test_shipped_recordings_give_their_94_dwells_directions_and_replicates(name):
     if not (BAGS / name).exists():

@@ -43,6 +43,7 @@ def wait_until(condition, what, patience=60):
         time.sleep(0.02)
 
 
+@pytest.mark.wide
 @pytest.mark.ros
 def test_the_demo_brings_the_served_model_to_the_noise_and_finds_what_is_missing_later(tmp_path):
     demo_process = start("json=True", "keep=True", TMPDIR=str(tmp_path))

@@ -126,6 +126,7 @@ def learn(session, name):
     return effects
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("name", recordings(QUICK))
 def test_the_samples_of_a_recording_get_the_right_verdict_and_the_better_model(
     name, tmp_path, environment
@@ -267,6 +268,7 @@ def test_an_odd_goal_is_a_message(loaded, goal, said):
     assert not answer.result.verdict
 
 
+@pytest.mark.wide
 def test_a_cancelled_diagnosis_ends_and_meanwhile_the_node_answers_but_does_no_other_work(loaded):
     heard, before = [], loaded.model_file.read_bytes()
     latest = list(loaded.diagnosis)

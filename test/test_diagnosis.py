@@ -33,6 +33,7 @@ def entry(document, name):
 # ------------------------------------------------------------------------- what it says
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("seed", range(3))
 def test_where_nothing_is_hidden_it_says_stop_looking_and_proposes_nothing(seed):
     found = diagnose(MODEL, clean(seed))
@@ -79,6 +80,7 @@ def test_what_it_proposes_add_accepts(play):
     assert step.model.history[-1]["effect"] == "backlash"
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("name", vf.KINDS)
 def test_each_kind_of_physics_is_called_by_its_name(name):
     """0.6 sigma of the residual, 150 samples; bench/find_effects.py draws hundreds."""
@@ -93,6 +95,7 @@ def test_each_kind_of_physics_is_called_by_its_name(name):
     assert after.position_rms < 1.12 * floor.position_rms
 
 
+@pytest.mark.wide
 def test_two_at_once_are_both_found():
     kinds = [vf.KINDS["backlash"], vf.KINDS["base drift"]]
     found = diagnose(MODEL, hiding(kinds, 0.6, seed=2)[0])
@@ -100,6 +103,7 @@ def test_two_at_once_are_both_found():
     assert found.verdict.word == "explained"
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("name", vf.OUTSIDE)
 def test_what_nobody_catalogued_is_not_explained(name):
     kind = vf.Kind((), vf.OUTSIDE[name], 0.5e-3)
@@ -107,6 +111,7 @@ def test_what_nobody_catalogued_is_not_explained(name):
     assert found.verdict.word in ("unexplained", "partly_explained")
 
 
+@pytest.mark.wide
 def test_an_unknown_gear_ratio_is_found_and_add_finds_it_too():
     ripple = hidden.GearRipple((4e-4, 3e-4, 3.5e-4), (0.3, 1.2, 2.0), 37.3)
     data = measured(4, effects=[ripple], n_poses=110)
@@ -120,6 +125,7 @@ def test_an_unknown_gear_ratio_is_found_and_add_finds_it_too():
     assert ratio == pytest.approx(best["settings"]["ratio"], rel=1e-6)
 
 
+@pytest.mark.wide
 def test_the_same_poses_at_another_size_of_noise_give_the_same_name():
     """F tests do not care how large the stated noise is; the verdict does."""
     data, _ = hiding([vf.KINDS["backlash"]], 0.6, seed=5)
@@ -158,6 +164,7 @@ def all_of_steel_warming_up():
     return dataset(vf.samples(day, [growth], vf.FINE, 0), vf.FINE)
 
 
+@pytest.mark.wide
 def test_temperature_that_rises_evenly_cannot_tell_growth_from_drift():
     """Their lookalike is named, and so is what would separate them."""
     found = diagnose(MODEL, all_of_steel_warming_up())
@@ -168,6 +175,7 @@ def test_temperature_that_rises_evenly_cannot_tell_growth_from_drift():
     assert document["measure_next"]["advice"]
 
 
+@pytest.mark.wide
 def test_poses_planned_to_tell_two_explanations_apart_do_so():
     plan = diagnose(MODEL, all_of_steel_warming_up()).document()["measure_next"]["plan"]
     assert plan is not None
@@ -176,6 +184,7 @@ def test_poses_planned_to_tell_two_explanations_apart_do_so():
     assert len(temperatures) > 1
 
 
+@pytest.mark.wide
 def test_without_any_noise_figure_it_cannot_know_but_still_names_the_best():
     data = measured(2, effects=[vr.Backlash((6e-4, 6e-4, 6e-4))], n_replicates=0)
     guessed = Dataset.from_arrays(
@@ -208,6 +217,7 @@ def test_orientation_that_the_model_holds_still_is_not_at_noise():
     assert "larger model" in found.verdict.summary
 
 
+@pytest.mark.wide
 def test_the_larger_model_is_a_candidate_like_any_other():
     data = measured(4)
     found = diagnose(new_model("delta24"), data)
@@ -219,6 +229,7 @@ def test_the_larger_model_is_a_candidate_like_any_other():
 # --------------------------------------------------------------------------- what it takes
 
 
+@pytest.mark.wide
 def test_a_users_own_effect_takes_part(tmp_path, monkeypatch):
     (tmp_path / "my_lab").mkdir()
     (tmp_path / "my_lab" / "__init__.py").write_text("")
@@ -283,6 +294,7 @@ def test_it_says_what_it_does_and_stops_when_told():
     assert any("testing" in stage or "identifying" in stage for stage in stages)
 
 
+@pytest.mark.wide
 def test_gross_outliers_are_set_aside_and_named_before_a_robust_diagnosis():
     data, _ = hiding([vf.KINDS["backlash"]], 0.6, seed=6)
     data.r[[20, 60, 100]] += [[2e-3, 0, 0], [0, -3e-3, 0], [0, 0, 5e-3]]

@@ -25,6 +25,7 @@ def found_in(data):
     return diagnose(new_model("delta54"), data)
 
 
+@pytest.mark.wide
 def test_noise_twice_as_large_as_stated_is_noise():
     found = found_in(noisy(vb.twice, 0))
     assert found.verdict.word == "at_noise"
@@ -33,6 +34,7 @@ def test_noise_twice_as_large_as_stated_is_noise():
     assert found.base.fitted.estimate.chi2_per_dof > 3
 
 
+@pytest.mark.wide
 def test_noise_half_as_large_as_stated_hides_no_play():
     half = vf.KINDS["backlash"].make(0.1e-3, np.random.default_rng(0))
     found = found_in(noisy(lambda *a: 0.5 * vb.white(*a), 0, [half]))
@@ -40,6 +42,7 @@ def test_noise_half_as_large_as_stated_hides_no_play():
     assert found.noise.misstated == pytest.approx(0.5, abs=0.06)
 
 
+@pytest.mark.wide
 def test_noise_that_wanders_is_no_drift():
     found = found_in(noisy(vb.correlated, 0))
     assert not found.effects
@@ -49,6 +52,7 @@ def test_noise_that_wanders_is_no_drift():
     assert "shuffled" in drift.reason or "wanders" in drift.reason
 
 
+@pytest.mark.wide
 def test_a_drift_in_white_noise_is_still_a_drift():
     day, kind = vf.session(1), vf.KINDS["base drift"]
     drift = sized(kind.make, kind.size, 0.8, day, vr.THESIS_NOISE, 1)
@@ -57,6 +61,7 @@ def test_a_drift_in_white_noise_is_still_a_drift():
     assert not found.noise_shape.correlated
 
 
+@pytest.mark.wide
 def test_noise_that_grows_outwards_is_said_to_grow():
     found = found_in(noisy(vb.growing, 0))
     assert not found.effects

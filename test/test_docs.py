@@ -107,6 +107,7 @@ def execute(words, folder):
     return ended.value.code, printed.getvalue().splitlines()
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize(("command", "lines"), list(cases()))
 def test_the_tutorial_shows_what_the_command_prints(run, command, lines):
     if measured_elsewhere(command) and not TABLE.exists():
@@ -118,6 +119,7 @@ def test_the_tutorial_shows_what_the_command_prints(run, command, lines):
         assert any(like(line, p) for p in printed), f"not printed: {line}\n" + "\n".join(printed)
 
 
+@pytest.mark.wide
 def test_the_python_page_shows_what_its_lines_print(tmp_path, monkeypatch):
     for name in ("bags", "config"):
         (tmp_path / name).symlink_to(ROOT / name)

@@ -83,6 +83,7 @@ def own(model, name):
     return mine & ~model.fixed
 
 
+@pytest.mark.wide
 @each_pair
 def test_an_effect_that_was_only_added_changes_nothing(mechanism, name):
     plain = without(mechanism, name)
@@ -98,6 +99,7 @@ def test_an_effect_that_was_only_added_changes_nothing(mechanism, name):
     np.testing.assert_array_equal(after, before)
 
 
+@pytest.mark.wide
 @each_pair
 def test_every_free_number_is_felt(mechanism, name):
     model, rng = without(mechanism, name).with_effect(name), np.random.default_rng(2)
@@ -150,6 +152,7 @@ def test_numbers_have_a_physical_range_around_no_effect(mechanism, name):
         assert np.isfinite([parameter.low, parameter.high]).any(), parameter.name
 
 
+@pytest.mark.wide
 @each_pair
 def test_a_search_tries_only_numbers_that_are_not_identified(mechanism, name):
     model, rng = without(mechanism, name), np.random.default_rng(4)
@@ -187,6 +190,7 @@ def with_all(mechanism):
     return model.with_values(model.values + np.where(free, 0.5 * model.table.tolerance, 0))
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("mechanism", MECHANISMS)
 def test_with_all_effects_at_once_the_direct_problem_undoes_the_inverse(mechanism):
     model, rng = with_all(mechanism), np.random.default_rng(3)

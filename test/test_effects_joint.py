@@ -467,6 +467,7 @@ def test_a_hidden_effect_is_found_with_its_size_and_the_error_at_poses_left_out_
     assert before["position_rms"] > document["held_out"]["after"]["position_rms"]
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("case", [*CASES, SWALLOWED], ids=str)
 def test_without_noise_it_is_found_exactly(case):
     found, _ = identified(case, measured(case.robot, [case.hidden], errorless=True), hold_out=0)
@@ -474,6 +475,7 @@ def test_without_noise_it_is_found_exactly(case):
         assert found.model.value(f"{case.effect}.{name}") == pytest.approx(planted, abs=1e-9), name
 
 
+@pytest.mark.wide
 def test_a_gear_of_unknown_ratio_is_found_by_scanning_and_then_refined():
     name, true = "gear_transmission_error", 47.3
     data = measured(DELTA, [ve.GearRipple(true, RIPPLE, PHASE)], n=150)

@@ -342,6 +342,7 @@ def true_model(case):
     return model.with_values(model.table.vector({**case.robot.twin.parameters, **numbers}))
 
 
+@pytest.mark.wide
 @each
 def test_the_direct_problem_under_load_agrees_with_the_virtual_robot(case):
     reading = case.robot.poses(20, seed=2)
@@ -357,6 +358,7 @@ def test_the_direct_problem_under_load_agrees_with_the_virtual_robot(case):
     np.testing.assert_allclose(answer.rotation, R, atol=50 * case.apart)
 
 
+@pytest.mark.wide
 @each
 def test_what_is_hidden_is_found_within_its_sigma_and_predicts_poses_left_out(case):
     data, model = measured(case), start(case)
@@ -375,6 +377,7 @@ def test_what_is_hidden_is_found_within_its_sigma_and_predicts_poses_left_out(ca
     assert without.estimate.chi2_per_dof > chi2_band(without.estimate.dof)[1]
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("case", [c for c in CASES if c.apart <= 1e-7], ids=str)
 def test_without_noise_it_is_found_as_exactly_as_the_two_tellings_agree(case):
     result = fit(start(case), measured(case, errorless=True), hold_out=0)

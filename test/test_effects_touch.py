@@ -107,6 +107,7 @@ def gauged(gauge, n=120, seed=2):
     )  # fmt: skip
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("name", HIDDEN)
 def test_what_is_wrong_with_plate_or_probe_is_found_with_its_size(name):
     gauge, planted = HIDDEN[name]

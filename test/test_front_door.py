@@ -26,6 +26,7 @@ def test_importing_the_package_imports_nothing_heavy():
     )
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("seed", [None, 1])
 def test_every_name_is_there_in_whatever_order_it_is_asked_for(seed):
     names = list(pc.__all__)

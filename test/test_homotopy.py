@@ -188,6 +188,7 @@ def test_a_rod_that_is_there_twice_leaves_no_regular_pose():
     assert all_poses(C, B, L).count_complex == 0
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("seed", [0, 2, 5])
 def test_lost_paths_are_followed_anew(seed):
     """A platform so small that paths run close to each other: some jump, and poses are missed."""

@@ -117,6 +117,7 @@ PARALLEL = vr.TABLE_5_12 | {
 }  # fmt: skip
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize(
     ("name", "true", "seen"),
     [("delta54", vr.TABLE_5_18, 6), ("delta24", PARALLEL, 3)],
@@ -167,6 +168,7 @@ def test_unweighted_chains_are_found_one_by_one():
         assert np.abs(apart).max() < 1e-5
 
 
+@pytest.mark.wide
 def test_weights_bring_smaller_errors_than_the_unweighted_merit_of_the_thesis():
     model, truth = new_model("delta54"), new_model("delta54").table.vector(vr.TABLE_5_18)
     error = {True: 0.0, False: 0.0}
@@ -181,6 +183,7 @@ def test_weights_bring_smaller_errors_than_the_unweighted_merit_of_the_thesis():
     assert error[True] < error[False]
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize(
     ("effect", "hidden"),
     [
@@ -343,6 +346,7 @@ def test_a_joint_that_never_moved_is_named_as_what_the_data_hardly_tell():
     assert np.isfinite(known.estimate.sigma).all()
 
 
+@pytest.mark.wide
 def test_a_start_far_off_is_no_obstacle():
     wild = {f"chain{i}.Lb": 1e-4 for i in (1, 2, 3)}
     near, far = (fit(new_model("delta54", p), measured(0), hold_out=0) for p in ({}, wild))

@@ -59,6 +59,7 @@ def test_at_grid_points_the_table_is_the_exact_solution():
     assert found.residual.max() < 1e-12
 
 
+@pytest.mark.wide
 def test_linear_interpolation_gains_four_times_a_halving_and_smooth_sixteen():
     assert left(9, "linear") / left(17, "linear") == pytest.approx(4, rel=0.25)
     assert left(9, "smooth") / left(17, "smooth") > 10

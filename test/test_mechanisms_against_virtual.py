@@ -110,6 +110,7 @@ def situation(case, seed, n=100):
     return model, robot.inverse(*given)
 
 
+@pytest.mark.wide
 @each_case
 @pytest.mark.parametrize("seed", range(3))
 def test_closure_is_zero_where_the_virtual_robot_closes(case, seed):
@@ -117,6 +118,7 @@ def test_closure_is_zero_where_the_virtual_robot_closes(case, seed):
     assert largest_gap(model, *poses) < 1e-12
 
 
+@pytest.mark.wide
 @each_case
 @pytest.mark.parametrize("seed", range(3))
 def test_direct_and_inverse_problem_are_solved_as_the_virtual_robot_stands(case, seed):
@@ -150,6 +152,7 @@ def test_a_closed_form_answers_as_the_virtual_robot_stands(problem, name):
     np.testing.assert_allclose(found.joints, q, rtol=1e-12, atol=1e-9)
 
 
+@pytest.mark.wide
 @each_case
 def test_every_parameter_alone_moves_both_robots_alike(case):
     """One parameter at a time, ten tolerances more: no error hides behind another."""

@@ -98,6 +98,7 @@ VIRTUAL = {  # robots of points, rods and pantographs, solved without any closur
 }
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("name", VIRTUAL)
 @pytest.mark.parametrize("seed", range(3))
 def test_mechanism_agrees_with_the_robot_of_points_and_rods(name, seed):
@@ -141,6 +142,7 @@ def test_parameters_are_as_many_as_a_complete_model_needs(name):
     assert len(new_model(name).table) == COUNTS[name]
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("name", [n for n in ALL if n not in ("rssr", "planar_stewart")])
 def test_many_poses_see_every_parameter_on_its_own(name):
     tolerances = 20.0 if name == "linear_delta" else 1.0  # else its platform hardly turns

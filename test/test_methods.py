@@ -163,6 +163,7 @@ def test_what_linear_calibration_leaves_is_of_second_order(robot):
     assert left[1] < 0.02 * left[0]
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("robot", ROBOTS)
 @pytest.mark.parametrize("method", ITERATED)
 def test_noisy_data_predict_unseen_poses(method, robot):
@@ -240,6 +241,7 @@ def test_an_expanded_closure_is_the_closure():
         assert np.corrcoef(phi, true)[0, 1] > 0.99
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("robot", ["slider_crank", "delta24", "stewart42"])
 @pytest.mark.parametrize("weighted", [True, False])
 def test_semiparametric_models_predict_unseen_poses(robot, weighted):

@@ -47,6 +47,7 @@ def prediction_errors(model, poses):
     return np.linalg.norm(answer.position - r, axis=1), np.linalg.norm(turned, axis=1)
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize(("method", "robot"), PAIRS)
 def test_a_robot_is_found_again_without_noise(method, robot):
     model, truth, _ = strayed(robot)
@@ -80,6 +81,7 @@ def test_noisy_data_bring_predictions_at_unseen_poses_near_noise(method, robot):
         assert now * (m if k else 1) < 20 * noise
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize(("method", "robot"), SOME_THEN_ALL)
 def test_the_predicted_covariance_is_the_spread_over_200_draws(method, robot):
     """Noise so small that the methods are linear in it, as the covariance takes them to be.

@@ -34,6 +34,7 @@ def ideal():
     return vr.Delta({**vr.TABLE_5_12, **{k: vr.TABLE_5_18[k] for k in small}})
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("method", METHODS)
 def test_every_method_goes_from_recording_to_model_file(method, ideal, tmp_path, capsys):
     write_model(new_model("delta24"), tmp_path / "model.yaml")
@@ -55,6 +56,7 @@ def test_every_method_goes_from_recording_to_model_file(method, ideal, tmp_path,
         assert sigma[i] == pytest.approx(entry["sigma"], rel=1e-6)
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("method", METHODS)
 def test_every_method_finds_an_effect_or_says_that_it_cannot(method, ideal):
     data = measured(7, robot=ideal, effects=[ECCENTRIC])
@@ -83,6 +85,7 @@ def test_every_method_refuses_what_the_data_cannot_carry(method, ideal):
         fit(model, data, method=method, fix=["*"])
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("method", METHODS)
 def test_what_the_poses_cannot_tell_is_named_by_every_method(method):
     """On the line through its middle a chain shows arm, rod, distance, height and zero alone."""

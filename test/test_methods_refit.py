@@ -78,6 +78,7 @@ def test_the_parameters_kept_keep_their_covariance_in_the_model_file(calibrated,
     )
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("draws", [50, pytest.param(200, marks=pytest.mark.slow)])
 def test_the_sigma_of_refitted_parameters_is_their_spread_over_draws(draws):
     """Both sessions are measured anew in every draw: the kept parameters err, too."""
@@ -165,6 +166,7 @@ def spoilt():
     return data, replace(data, r=r)
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize(
     ("loss", "bias"), [("huber", 1.5), ("soft_l1", 1.5), ("cauchy", 1.1), ("arctan", 1.1)]
 )

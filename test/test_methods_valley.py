@@ -23,6 +23,7 @@ def found(seed, prior, start=None):
         return estimate(start or model, observations, ~model.fixed, prior), model, observations
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("prior", [False, True])
 @pytest.mark.parametrize("seed", [0, 43, 45])
 def test_a_valley_whose_floor_bends_takes_tens_of_steps_not_hundreds(seed, prior):

@@ -13,6 +13,7 @@ def drawn(seed):
     return rng.standard_normal((N, 6)), 10.0 * np.arange(N), rng.uniform(-0.06, 0.06, (N, 3))
 
 
+@pytest.mark.wide
 def test_white_noise_has_no_shape_but_for_one_time_in_a_hundred():
     shapes = [noise_shape(*drawn(seed)) for seed in range(60)]
     assert sum(s.correlated for s in shapes) <= 3

@@ -340,6 +340,7 @@ def test_delta51_is_the_thesis_mock_up():
     assert np.abs(found.rotation - R).max() < 1e-9
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("seed", range(5))
 def test_model_54_and_joint_points_describe_the_same_robots(seed):
     """With the hubs p_i free: both ways, all parameters random, poses and joints equal."""

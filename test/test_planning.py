@@ -153,6 +153,7 @@ def test_an_optimal_set_beats_the_median_random_one_in_every_index(sixteen):
     assert ours.indices.noise_amplification > random.indices.noise_amplification
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("criterion", ["D", "prediction", "condition"])
 def test_every_planned_pose_is_solvable_inside_and_away_from_singularities(criterion):
     model = noisy()
@@ -259,6 +260,7 @@ def test_degenerate_plans_are_clear_errors(arguments, words):
         plan(noisy(), **arguments)
 
 
+@pytest.mark.wide
 def test_without_noise_figures_symmetry_or_reach_there_is_no_plan():
     with pytest.raises(FitError, match=r"states no noise\.joint"):
         plan(new_model("delta54"), 20)

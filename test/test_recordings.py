@@ -48,6 +48,7 @@ def chi2(result):
     return result.estimate.chi2_per_dof * result.estimate.dof
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("name", [n for n in RECORDINGS if n != "delta_latency"])
 def test_every_visit_becomes_a_sample_reached_from_where_the_truth_says(name):
     data, dwells = dataset(name), truth(name)["dwells_arrive_leave_pose_direction"]
@@ -97,6 +98,7 @@ def test_argos_measures_orientations_only():
     )
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("name", RECORDINGS)
 def test_the_noise_is_stated_and_not_guessed(name):
     noise, found = truth(name)["noise"], refitted(name).observations

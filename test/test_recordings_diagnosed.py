@@ -41,6 +41,7 @@ def called(document):
     return [{name, *document["swaps"].get(name, [])} for name in document["effects"]]
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize(
     "name", [n if n in FIRST else pytest.param(n, marks=pytest.mark.slow) for n in NAMES]
 )

@@ -104,6 +104,7 @@ def test_what_is_late_is_sent_at_once_and_the_rest_in_time(sent):
     assert when == pytest.approx(due[:501] + late, abs=1e-9)
 
 
+@pytest.mark.wide
 def test_every_message_arrives_in_order_with_its_own_stamp(client, tmp_path):
     joints = listen(client, JointState, "joint_states")
     poses = listen(client, PoseWithCovarianceStamped, "measured_pose")

@@ -285,6 +285,7 @@ def test_a_robot_without_any_missing_effect_has_a_page_too():
     assert "two-models" not in text
 
 
+@pytest.mark.wide
 def test_orientations_alone_are_shown_at_the_platform_axis():
     noise, rng = vr.Noise(5e-5, 5e-6, 3e-4), np.random.default_rng(0)
     robot, home = va.Argos(va.spherical(va.TABLE_5_22)), va.Argos.home_turn

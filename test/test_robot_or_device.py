@@ -23,6 +23,7 @@ def refracted():
     return dataset(vf.samples(day, [bent], vf.FINE, 0), vf.FINE)
 
 
+@pytest.mark.wide
 def test_what_the_device_may_have_made_is_not_called_explained(refracted):
     found = diagnose(new_model("delta54"), refracted)
     robots = [name for name in found.effects if name not in ("device_field", "device_axes")]
@@ -38,6 +39,7 @@ def test_and_it_is_not_added_unless_somebody_insists(refracted):
     assert "may be the measuring device's" in step.model.history[-1]["forced"]
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("kind", ["eccentricity", "joint compliance"])
 def test_what_no_usual_error_of_the_device_makes_stays_the_robots(kind):
     data, _ = hiding([vf.KINDS[kind]], 0.4, 1)

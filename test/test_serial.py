@@ -319,6 +319,7 @@ def test_links_that_make_no_good_model_are_refused_with_the_reason(links, words)
         load_mechanism("serial", links=links)
 
 
+@pytest.mark.wide
 def test_a_scara_errs_more_than_a_delta_of_the_same_tolerances(monkeypatch):
     """Section 3.6: 0.5 mm and 0.2 mm on the mean for one draw of each; here medians of many."""
     monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "bench"))

@@ -81,6 +81,7 @@ def test_the_nominal_deltas_loop_is_what_paper_and_pencil_say():
     assert [n for n, f in zip(model.table.names, model.fixed, strict=True) if f] == ["L"]
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("loop", vs.TWELVE)
 def test_a_loop_closes_where_the_virtual_arms_hold_its_rod(loop):
     robot = vs.random_delta(1)
@@ -119,6 +120,7 @@ def test_one_loop_is_found_as_far_as_its_angles_see_it():
 # --------------------------------------------------------------------------- all loops
 
 
+@pytest.mark.wide
 def test_without_noise_the_loops_give_every_distance_in_arms_and_rods():
     robot = vs.random_delta(0)
     exact = recordings(robot, vs.SIX, sigma=1e-6 * SIGMA, noise=0)
@@ -128,6 +130,7 @@ def test_without_noise_the_loops_give_every_distance_in_arms_and_rods():
     assert np.abs(distances(vr.Delta(vr.TABLE_5_12)) - distances(robot)).max() > 1e-3
 
 
+@pytest.mark.wide
 def test_estimates_scatter_as_their_covariance_says():
     """Robots drawn from the tolerances, so that priors and data have their say."""
     check_covariance(range(5))
@@ -171,6 +174,7 @@ def rms(rows):
     return float(np.sqrt(np.mean(np.square(np.concatenate(rows)))))
 
 
+@pytest.mark.wide
 def test_loops_put_together_from_their_covariances_agree_with_their_closures():
     robot = vs.random_delta(0)
     start, data = measured_rods(robot), recordings(robot, vs.TWELVE)
@@ -185,6 +189,7 @@ def test_loops_put_together_from_their_covariances_agree_with_their_closures():
     assert shape_error(once.model, robot) < 2 * shape_error(anew.model, robot)
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("seed", [0, 1])
 def test_the_whole_robot_gets_better_though_its_platform_was_in_no_loop(seed):
     robot = vs.random_delta(seed)
@@ -195,6 +200,7 @@ def test_the_whole_robot_gets_better_though_its_platform_was_in_no_loop(seed):
     assert after < before / 4
 
 
+@pytest.mark.wide
 def test_model_24_comes_back_as_model_54():
     robot = vr.MOCK_UP
     found = short_cut(new_model("delta24"), recordings(robot, vs.SIX))
@@ -215,6 +221,7 @@ def robot():
     return vs.random_delta(2)
 
 
+@pytest.mark.wide
 def test_loops_see_three_arms_and_six_rods_but_no_size(robot):
     """4 numbers an axis, 3 a ball, 1 a rod, less 6 of the frame and the size: 29."""
     found = short_cut(new_model("delta54"), recordings(robot, vs.SIX))
@@ -233,6 +240,7 @@ def test_a_rod_and_balls_that_are_in_no_loop_are_named(robot):
     assert all(w.startswith("the loops cannot tell") for w in found.warnings)
 
 
+@pytest.mark.wide
 def test_what_no_loop_sees_keeps_its_tolerance(robot):
     found = short_cut(measured_rods(robot), recordings(robot, vs.TWELVE), fix=RODS_1)
     table = found.model.table
@@ -266,6 +274,7 @@ def test_bad_input_is_a_clear_error(robot):
         identify(model, one[0][0], nameless)
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("ball", ["11:21:11", "12:22:11"])
 def test_a_ball_named_wrongly_is_found_out(robot, ball):
     """By the loop itself, or by the others: alone, a plausible loop fits it to the noise."""
@@ -275,6 +284,7 @@ def test_a_ball_named_wrongly_is_found_out(robot, ball):
         short_cut(new_model("delta54"), wrong)
 
 
+@pytest.mark.wide
 def test_an_encoder_set_to_zero_between_two_loops_is_a_warning(robot):
     data = recordings(robot, vs.TWELVE)
     data[3] = (data[3][0], replace(data[3][1], q=data[3][1].q + [5e-3, 0, 0]))
@@ -314,6 +324,7 @@ def bag(tmp_path_factory):
     return write_bag(tmp_path_factory.mktemp("short_cut") / "bag", messages)
 
 
+@pytest.mark.wide
 def test_the_command_writes_a_model_from_recorded_loops(run, robot, bag, tmp_path):
     start, out = tmp_path / "m.yaml", tmp_path / "out.yaml"
     write_model(measured_rods(robot), start)

@@ -42,6 +42,7 @@ def test_a_bag_loads_to_as_many_samples_as_poses(robot, tmp_path, storage):
     assert not data.dropped
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("seed", range(4))
 def test_poses_visited_again_are_seen_as_replicates(robot, tmp_path, seed):
     data = recorded(simulate(robot, 10, seed, replicates=10), tmp_path, robot)
@@ -65,6 +66,7 @@ def test_quiet_instruments_show_the_robot_itself(robot, tmp_path):
     assert np.sqrt(data.pose_cov[0, 0, 0]) == pytest.approx(1e-5)
 
 
+@pytest.mark.wide
 def test_noise_is_one_draw_a_dwell_of_the_stated_size(robot, tmp_path):
     data = recorded(simulate(robot, 150, seed=3), tmp_path, robot)
     error = data.r - Kinematics(robot).direct(data.q).position

@@ -52,6 +52,7 @@ def apart(found, expected):
 PARTS = ("joints", "position", "rotation")
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("name", sorted(ALL))
 @pytest.mark.parametrize("solver", SERVED)
 def test_a_solver_gives_newtons_answer_or_refuses(solver, name):
@@ -69,6 +70,7 @@ def test_a_solver_gives_newtons_answer_or_refuses(solver, name):
                 solve(model, *given, {}, solver=solver)
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("name", sorted(SIX_RODS | SPHERICAL | {"argos27"}))
 def test_the_first_of_all_poses_is_the_one_answer(name):
     model, expected = strayed(name)

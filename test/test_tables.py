@@ -199,6 +199,7 @@ def test_sixteen_poses_calibrate_and_eight_do_not(mock_up):
 # -------------------------------------------------------------------------------------------- argos
 
 
+@pytest.mark.wide
 def test_the_argos_parameters_are_found_again_and_are_those_of_the_thesis():
     for name in argos.ROBOTS:
         fresh, kept = argos.study(name, 2), KEPT["argos"][name]
@@ -239,6 +240,7 @@ def test_identified_errors_are_those_of_table_2_but_for_second_order():
         assert row["linear"]["mean"] == pytest.approx(row["expected"], abs=0.2)
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("tool", parallelogram.TOOLS)
 def test_improved_calibration_beats_the_classical_one_on_the_parallelogram(tool):
     kept, fresh = (
@@ -251,6 +253,7 @@ def test_improved_calibration_beats_the_classical_one_on_the_parallelogram(tool)
     assert improved < classical / 10 < none / 50
 
 
+@pytest.mark.wide
 def test_improved_calibration_beats_the_classical_one_on_the_delta():
     fresh = delta51.study(3, 0.25)
     for label, kept in KEPT["paper"]["delta51"][delta51.LABELS[0.25]].items():

@@ -57,6 +57,7 @@ def test_as_many_rows_are_left_as_coordinates_were_measured(coordinates):
     assert (system.informative == len(coordinates.split())).all()
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize(
     ("kind", "effect"), [("backlash", "backlash"), ("gear ripple", "gear_transmission_error")]
 )

@@ -269,6 +269,7 @@ def data_file(name: str) -> Path:
     return next(f for f in (make_bags.BAGS / name).iterdir() if f.name != "metadata.yaml")
 
 
+@pytest.mark.wide
 def test_a_recording_regenerates_identically() -> None:
     assert make_bags.check("delta_clean")
 
@@ -337,6 +338,7 @@ def test_the_page_is_what_the_program_writes() -> None:
     assert (make_bags.BAGS / "README.md").read_text() == make_bags.readme(make_bags.BAGS)
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("name", ALL)
 def test_what_is_hidden_is_written_down(name: str) -> None:
     hidden = yaml.safe_load((make_bags.BAGS / "truth" / f"{name}.yaml").read_text())

@@ -155,6 +155,7 @@ COUNTS = {"stewart42": 42, "planar_stewart": 18, "argos27": 27, "linear_delta": 
 COUNTS |= {"slider_crank": 3}
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("name", COUNTS)
 def test_a_complete_model_has_as_many_independent_parameters_as_the_thesis_counts(name):
     build, parameters = ROBOTS[name]
@@ -182,6 +183,7 @@ def test_the_scara_has_sixteen_independent_parameters():
     assert seen(sensitivities(vs.Serial, parameters, q)) == 16
 
 
+@pytest.mark.wide
 def test_three_of_the_papers_fifty_one_parameters_say_what_others_say():
     hubs = {k: v for k, v in delta51().items() if ".p_" in k}
     free = {k: v for k, v in strayed(delta51(), 1).items() if k not in hubs}
@@ -298,6 +300,7 @@ def bilinear(R, angles):
     return np.sin(t1 - a), second, third
 
 
+@pytest.mark.wide
 def test_the_nominal_argos_has_four_regular_orientations():
     q = np.array([0.1, -0.2, 0.3])
     half_turns = [np.diag(d) for d in ((1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1))]
@@ -319,6 +322,7 @@ def test_a_spherical_argos_turns_about_a_centre_that_stays():
     np.testing.assert_allclose(IDENTIFIED.turned(q[0], R[0] @ turn([0.05, 0, 0])), R[0], atol=1e-12)
 
 
+@pytest.mark.wide
 def test_model_9_has_nine_independent_parameters_in_orientations_alone():
     nine = {k: va.TABLE_5_22[k] for k in va.ANGLES}
     q, _, _ = IDENTIFIED.inverse(R=orientations(40, 5))
@@ -537,6 +541,7 @@ def paper_columns(robot, q, r, R):
     return moved, caused
 
 
+@pytest.mark.wide
 def test_small_errors_move_the_papers_delta_as_equation_12_says():
     parameters, q = delta51(), np.array([[0.5, 0.6, 0.4]])
     robot = vp.Delta51(parameters)
