@@ -2,5 +2,21 @@
 
 import os
 
+import pytest
+
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(name, "1")
+
+
+@pytest.fixture
+def run_cli(capsys):
+    """What the command line prints in this process, which must end well."""
+    from parallel_cal.cli.main import main
+
+    def run(*arguments):
+        with pytest.raises(SystemExit) as stopped:
+            main([str(a) for a in arguments])
+        assert not stopped.value.code
+        return capsys.readouterr().out
+
+    return run

@@ -13,7 +13,7 @@ ROOMS = (
     "base model mechanisms effects sensors kinematics recordings identification planning "
     "diagnosis short_cut session reporting nodes cli"
 ).split()
-ARROWS = 59  # between rooms; a new one needs a reason, and this number says so
+ARROWS = 60  # between rooms; a new one needs a reason, and this number says so
 
 
 def imports(path):

@@ -1,5 +1,7 @@
 """How many parameters a complete model has: the thesis' formulas, its table, and the rank."""
 
+import json
+
 import numpy as np
 import pytest
 from test_serial import PUMA
@@ -169,3 +171,14 @@ def test_a_robot_that_cannot_be_assembled_is_refused():
     model = new_model("parallelogram", {"l2": 0.1})
     with pytest.raises(ModelError, match="0 of 5 poses around home close"):
         completeness.closed_poses(model, 5, np.random.default_rng(0))
+
+
+def test_the_command_shows_a_mechanism_s_numbers_and_whether_they_are_complete(run_cli):
+    shown = run_cli("mechanisms", "planar_stewart")
+    assert shown.splitlines()[-1].endswith("complete with both frames anywhere")
+    assert "pantograph's distance from the motor axis" in run_cli("mechanisms", "argos27")
+    given = json.loads(run_cli("mechanisms", "delta_nominal", "--json"))
+    assert given["completeness"]["frames"] == 1
+    assert given["completeness"]["rank"] == len(given["parameters"]) == 6
+    more = run_cli("mechanisms", "cable")
+    assert "26 parameters, 20 of them independent" in more

@@ -94,22 +94,11 @@ def test_json_says_whether_others_may_exist_and_the_screen_does_too(five_bar, tm
     asked = ("inverse", tmp_path / "own.yaml", "--position", "0 0.4 0")
     every = json.loads(run_cli(*asked, "--all", "--json"))
     assert (len(every["solutions"]), every["complete"]) == (4, False)
-    assert "4 solutions found; others may exist" in run_cli(*asked, "--all")
+    assert "4 solutions found, home branch first; 4 within limits; others may exist" in run_cli(
+        *asked, "--all"
+    )
     assert "complete" not in json.loads(run_cli(*asked, "--json"))
     assert "others may exist" not in run_cli(*asked)
-
-
-@pytest.fixture
-def run_cli(capsys):
-    from parallel_cal.cli.main import main
-
-    def run(*arguments):
-        with pytest.raises(SystemExit) as stopped:
-            main([str(a) for a in arguments])
-        assert not stopped.value.code
-        return capsys.readouterr().out
-
-    return run
 
 
 COMPLETE = {  # mechanism: how many poses of its home's joints, and joint sets of its home's pose

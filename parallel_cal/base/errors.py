@@ -37,6 +37,13 @@ def told(name: str, error: Exception) -> ModelError:
     return ModelError(f"{name}: {type(error).__name__}: {' '.join(str(error).split())}{place}")
 
 
+def nearest(word: str, known: list[str]) -> str:
+    """`; did you mean 'backlash'?` where one of the known words is near."""
+    from difflib import get_close_matches
+
+    return "".join(f"; did you mean '{n}'?" for n in get_close_matches(word, known, n=1))
+
+
 class SolveError(ParallelCalError):
     """A direct or inverse problem cannot be posed (unsolved samples are a status, not this)."""
 

@@ -126,8 +126,7 @@ def _finish(step: Step, output: Path | None, as_json: bool) -> None:
         return console.emit(step.document() | written)
     from parallel_cal.reporting import text
 
-    without = step.rival if step.name == "add" else None  # judged like the new model
-    console.say(text.fitted(step.result, without))
+    console.say(text.show(step))
     if written:
         console.say(f"written: {output} (sha256 {written['hash'][:12]})")
 

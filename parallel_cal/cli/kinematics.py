@@ -193,11 +193,17 @@ def _one(
             for r in rows
         ],
     )  # fmt: skip
-    if solutions.complete is False:
-        n = solutions.solved.sum()
-        console.say(f"{n} solution{'' if n == 1 else 's'} found; others may exist")
+    if solutions.complete is not None:
+        console.say(_how_many(solutions))
     for covariance in covariances or []:
         console.say(f"1 sigma from the fit: {words(covariance.diagonal() ** 0.5)}")
+
+
+def _how_many(found: Solutions) -> str:
+    n, usable = found.solved.sum(), found.ok.sum()
+    known = "" if found.complete else "; others may exist"
+    first = ", home branch first" if n > 1 else ""
+    return f"{n} solution{'' if n == 1 else 's'} found{first}; {usable} within limits{known}"
 
 
 def _pose_sigma(sigma: np.ndarray) -> str:

@@ -15,13 +15,17 @@ if TYPE_CHECKING:
     from parallel_cal.model.mechanism import Mechanism
     from parallel_cal.model.sensor import Sensor
 
+SHOWN = "name unit nominal tolerance group label".split()  # of a parameter
+
+Option = Annotated[
+    list[str] | None, typer.Option(metavar="KEY=VALUE", help="option of the mechanism")
+]
+
 
 def new(
     mechanism: Annotated[str, typer.Argument(help="see 'parallel-cal mechanisms'")],
     output: Out,
-    option: Annotated[
-        list[str] | None, typer.Option(metavar="KEY=VALUE", help="option of the mechanism")
-    ] = None,
+    option: Option = None,
     sensor: Annotated[
         list[str] | None,
         typer.Option(metavar="NAME: {KEY: VALUE}", help="measuring set-up, 'probe: {height: 0.3}'"),
@@ -71,10 +75,16 @@ def _sensor(item: str) -> Sensor:
     raise ParallelCalError(f"--sensor {item}: expected 'NAME' or 'NAME: {{KEY: VALUE, ...}}'")
 
 
-def mechanisms(as_json: Json = False) -> None:
-    """List the mechanisms: joints, coordinates, parameters."""
+def mechanisms(
+    name: Annotated[str | None, typer.Argument(help="one of them, or your own's path")] = None,
+    option: Option = None,
+    as_json: Json = False,
+) -> None:
+    """List the mechanisms, or one's parameters and whether they describe every such robot."""
     from parallel_cal.model.shelf import shelf_names
 
+    if name is not None:
+        return _one_mechanism(name, option or [], as_json)
     rows = [_mechanism_row(name) for name in shelf_names("mechanisms")]
     if as_json:
         return console.emit({"mechanisms": rows})
@@ -89,6 +99,27 @@ def mechanisms(as_json: Json = False) -> None:
     )  # fmt: skip
 
 
+def _one_mechanism(name: str, options: list[str], as_json: bool) -> None:
+    """Its numbers, and how many of those that a complete model has are among them (eq. 3.3)."""
+    from parallel_cal.identification.completeness import check
+    from parallel_cal.reporting.readable import in_unit
+
+    m = _mechanism(name, options)
+    counted = check(m)
+    if as_json:
+        numbers = [{k: getattr(p, k) for k in SHOWN} for p in m.parameters]
+        return console.emit(
+            _row(name, type(m), m) | {"parameters": numbers, "completeness": counted.document()}
+        )
+    console.say(f"{name}: {_sentence(sys.modules[type(m).__module__].__doc__)}")
+    rows = []
+    for p in m.parameters:
+        value, unit = in_unit(p.nominal, p.unit)
+        rows.append((p.name, value, in_unit(p.tolerance, p.unit)[0], unit, p.label))
+    console.table(("parameter", "nominal", "tolerance", "unit", ""), rows)
+    console.say(counted.sentence)
+
+
 def _mechanism_row(name: str) -> dict[str, Any]:
     from parallel_cal.model.mechanism import Mechanism
     from parallel_cal.model.shelf import load_class, options_of
@@ -96,7 +127,12 @@ def _mechanism_row(name: str) -> dict[str, Any]:
     cls: Any = load_class("mechanisms", name, Mechanism)
     options = options_of(cls)
     # One that cannot be built without options says so instead.
-    m = None if any("=" not in option for option in options) else cls()
+    return _row(name, cls, None if any("=" not in option for option in options) else cls())
+
+
+def _row(name: str, cls: Any, m: Mechanism | None) -> dict[str, Any]:
+    from parallel_cal.model.shelf import options_of
+
     return {
         "name": name,
         "joints": list(m.joints) if m else [],
@@ -104,7 +140,7 @@ def _mechanism_row(name: str) -> dict[str, Any]:
         "parameters": len(m.parameters) if m else None,
         "moves": list(m.moves if m else cls.moves),
         "controls": list(m.controls if m else cls.controls),
-        "options": options,
+        "options": options_of(cls),
         "description": _sentence(sys.modules[cls.__module__].__doc__),
     }
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
@@ -56,6 +56,27 @@ class Completeness:
     def redundant(self) -> int:
         """Parameters too many."""
         return self.parameters - self.rank
+
+    @property
+    def frames(self) -> int | None:
+        """With how many of {B} and {P} arbitrarily located nothing is missing (None: something)."""
+        return next((F for F in (2, 1, 0) if self.complete(F)), None)
+
+    @property
+    def sentence(self) -> str:
+        counted = f"{self.parameters} parameters, {self.rank} of them independent"
+        if self.frames is None:
+            missing = self.needed - self.rank
+            return f"{counted}; {missing} more would let every such robot stand anywhere"
+        if self.frames == 2:
+            return f"{counted}: complete with both frames anywhere"
+        where = ("both frames", "one frame")[self.frames]
+        return (
+            f"{counted}: complete with {where} given; with both anywhere {self.needed} are needed"
+        )
+
+    def document(self) -> dict[str, int | None]:
+        return asdict(self) | {"frames": self.frames, "redundant": self.redundant}
 
 
 def check(

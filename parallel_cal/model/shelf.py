@@ -9,7 +9,7 @@ from inspect import signature
 from types import ModuleType
 from typing import Any
 
-from parallel_cal.base.errors import ModelError, ParallelCalError, told
+from parallel_cal.base.errors import ModelError, ParallelCalError, nearest, told
 from parallel_cal.model.declaration import check
 from parallel_cal.model.effect import Effect
 from parallel_cal.model.mechanism import Mechanism
@@ -71,9 +71,10 @@ def load_module(shelf: str, name: str, error: type[ParallelCalError] = ModelErro
     except ModuleNotFoundError as missing:
         if missing.name is None or not path.startswith(missing.name):
             raise told(path, missing) from missing
+        names = shelf_names(shelf)
         raise error(
-            f"no {shelf.split('.')[-1].rstrip('s')} '{name}': expected one of "
-            f"{', '.join(shelf_names(shelf))}, or the Python path of your own (my_pkg.my_file)"
+            f"no {shelf.split('.')[-1].rstrip('s')} '{name}': expected one of {', '.join(names)}, "
+            f"or the Python path of your own (my_pkg.my_file){nearest(name, names)}"
         ) from None
     except Exception as raised:
         raise told(path, raised) from raised

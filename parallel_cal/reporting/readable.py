@@ -109,4 +109,4 @@ def columns(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def _numeric(text: str) -> bool:
-    return text.strip("+-0123456789.e ") == ""
+    return text.strip("<+-0123456789.e ") == ""

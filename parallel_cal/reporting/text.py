@@ -21,16 +21,24 @@ from parallel_cal.reporting.readable import (
     small,
     unit_of,
 )
+from parallel_cal.session.steps import Step
 
 CANDIDATES, SAMPLES, PATTERNS = 8, 10, 5  # that a person reads
+SMALLEST = 1e-99  # p-value: what is below says no more
 BEYOND_CHANCE = 0.05  # of what errors go with
 
 
 @singledispatch
 def show(result: Any) -> str:
-    """A result of `fit`, `compare` or `diagnose` as the command line prints it."""
+    """A result of `fit`, `add`, `remove`, `compare` or `diagnose` as the command line prints it."""
     kind = type(result).__name__
-    raise TypeError(f"show takes what fit, compare or diagnose gives, not {kind}")
+    raise TypeError(f"show takes what fit, add, remove, compare or diagnose gives, not {kind}")
+
+
+@show.register
+def stepped(step: Step) -> str:
+    """A step's identification; an effect added is held against the same fit without it."""
+    return fitted(step.result, step.rival if step.name == "add" else None)
 
 
 @show.register
@@ -167,7 +175,7 @@ def _candidate(entry: Entry) -> tuple[str, ...]:
     ratio, share = (alone.ratio, alone.share_explained) if alone else (None, None)
     return (
         entry.name,
-        f"{p:.2g}" if p > 1e-99 else "0",
+        f"{p:.2g}" if p > SMALLEST else f"<{SMALLEST:.0g}",
         fixed(ratio, 100, 1) + " %",
         fixed(share, 100, 0) + " %",
         fixed(entry.first_picks, 100, 0) + " %",

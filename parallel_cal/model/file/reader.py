@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from parallel_cal.base.errors import ModelError, ModelFileError
+from parallel_cal.base.errors import ModelError
 from parallel_cal.model.effect import Effect
 from parallel_cal.model.file import checks
-from parallel_cal.model.file.schema import FilePart, NumberPart, suggestion, validated
+from parallel_cal.model.file.schema import FilePart, NumberPart, validated
 from parallel_cal.model.file.sensoroptions import own_numbers, read_sensor
 from parallel_cal.model.file.yamltext import Document, Path
 from parallel_cal.model.mechanism import Home, Mechanism, Workspace
@@ -79,13 +79,13 @@ class Reader:
         entry = self._document.data.get("mechanism")
         options = entry.get("options", {}) if isinstance(entry, dict) else {}
         name = entry.get("name") if isinstance(entry, dict) else entry
-        known = shelf_names("mechanisms")
         if not isinstance(name, str) or not isinstance(options, dict):
-            raise self._error(("mechanism",), f"{name!r} found, expected one of {', '.join(known)}")
+            known = ", ".join(shelf_names("mechanisms"))
+            raise self._error(("mechanism",), f"{name!r} found, expected one of {known}")
         try:
             return load_mechanism(name, **options)
         except ModelError as error:
-            raise self._unknown(("mechanism",), name, known, error) from None
+            raise self._error(("mechanism",), str(error)) from None
 
     def _sensor(self, path: Path, name: str, entry: dict[str, Any]) -> Sensor:
         options = entry.get("options", {})
@@ -106,14 +106,8 @@ class Reader:
             try:
                 loaded.append(load((key, i), name, entry))
             except ModelError as error:
-                raise self._unknown((key, i, "name"), name, shelf_names(key), error) from None
+                raise self._error((key, i, "name"), str(error)) from None
         return loaded
-
-    def _unknown(
-        self, path: Path, name: str, known: list[str], error: ModelError
-    ) -> ModelFileError:
-        near = "" if name in known else suggestion(name, known)
-        return self._error(path, f"{error}{near if 'did you mean' in near else ''}")
 
     # ------------------------------------------------------------------ this robot's mechanism
 

@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, JsonValue, ValidationError
 
+from parallel_cal.base.errors import nearest
 from parallel_cal.model.file.yamltext import Document, Path
 
 Positive = Annotated[float, Field(gt=0)]
@@ -202,9 +203,6 @@ def _known_at(path: Path) -> list[str]:
 
 def suggestion(word: str, known: list[str]) -> str:
     """The nearest known words, or all of them where none is near and they are few."""
-    from difflib import get_close_matches
-
-    near = get_close_matches(word, known, n=1, cutoff=0.6)
-    if near:
-        return f"; did you mean '{near[0]}'?"
+    if near := nearest(word, known):
+        return near
     return f"; expected one of {', '.join(known[:24])}" if known else ""
