@@ -5,6 +5,7 @@
 import os
 import shutil
 import signal
+import time
 from dataclasses import replace
 from pathlib import Path
 from unittest import mock
@@ -538,3 +539,96 @@ def test_parameters_refused_together_leave_the_model_as_it_is(robot):
     assert "direction_threshold" in together.reason
     assert robot.fk([0.5] * 3).model_hash == before
     assert robot.model_file() == str(robot.file)
+
+
+# ------------------------------------------------------------------ what takes long
+
+
+@pytest.fixture(scope="module")
+def stewart(tmp_path_factory):
+    """A node on a Stewart platform, whose requests may take one second."""
+    with mock.patch.dict(os.environ):
+        folder, namespace = tmp_path_factory.mktemp("stewart"), own_domain() + "_stewart"
+        file = shutil.copy(CONFIG / "stewart_general.yaml", folder / "robot.yaml")
+        limits = {"request_time": 1.0, "request_poses": 500}
+        process = NodeProcess(NODE, folder, namespace, model_file=str(file), **limits)
+        client = Client("tester", namespace, [process])
+        client.kinematics = Kinematics(read_model(file))
+        client.home = np.array(client.kinematics.model.mechanism.home.joints)
+        yield client
+        client.close()
+        assert process.end(signal.SIGTERM) == 0
+
+
+@pytest.mark.wide
+def test_a_request_over_its_budget_is_answered_with_what_was_done(stewart):
+    """One second is far too little for every pose of 200; the first ones are there."""
+    rows = configurations(np.tile(stewart.home, (200, 1)))
+    name = f"{NODE}/compute_fk"
+    answer = stewart.call(ComputeFK, name, configurations=rows, all_solutions=True)
+    assert "over budget" in answer.message
+    assert len(answer.results) == 200
+    first, last = answer.results[0].solutions, answer.results[-1].solutions
+    assert first[0].status == Solution.CONVERGED
+    assert [one.status for one in last] == [Solution.NOT_TRIED]
+    done = sum(r.solutions[0].status != Solution.NOT_TRIED for r in answer.results)
+    assert f"{done} of 200 were answered" in answer.message
+
+
+@pytest.mark.wide
+def test_more_configurations_than_a_request_may_ask_for_are_not_tried(stewart):
+    rows = configurations(np.tile(stewart.home, (600, 1)))
+    answer = stewart.call(ComputeFK, f"{NODE}/compute_fk", configurations=rows)
+    assert "500 of 600 were answered" in answer.message
+    assert [r.solutions[0].status for r in answer.results[499:501]] == [0, Solution.NOT_TRIED]
+
+
+@pytest.mark.wide
+def test_a_solver_that_builds_a_table_is_refused(stewart):
+    rows = configurations(stewart.home)
+    for solver in ("lookup_table", "lookup_table:size=400"):
+        answer = stewart.call(ComputeFK, f"{NODE}/compute_fk", configurations=rows, solver=solver)
+        assert "builds a table" in answer.message
+        assert not answer.results
+
+
+@pytest.mark.wide
+def test_poses_go_on_while_a_request_is_worked_on(stewart):
+    """No pose waits for a request: of 100 joint states sent one by one while it runs, each is
+    answered before it."""
+    client, node = stewart, stewart._node
+    states, heard = node.create_publisher(JointState, "joint_states", 10), []
+    node.create_subscription(PoseStamped, f"{NODE}/pose", heard.append, 10)
+    names = list(client.kinematics.model.joints)
+    state = JointState(name=names, position=client.home.tolist())
+
+    def answered():
+        states.publish(state)
+        return bool(heard)
+
+    client.wait(answered, "a pose")
+    rows = configurations(np.tile(client.home, (300, 1)))
+    running = client.ask(ComputeFK, f"{NODE}/compute_fk", configurations=rows, all_solutions=True)
+    for _ in range(100):
+        n = len(heard)
+        states.publish(state)
+        client.wait(lambda n=n: len(heard) > n, "a pose")
+    assert not running.done()
+    assert "over budget" in client.answer(running, "the rest").message
+
+
+@mock.patch.dict(os.environ)
+def test_a_signal_ends_the_node_within_two_seconds_whatever_runs(tmp_path):
+    namespace = own_domain() + "_busy"
+    file = CONFIG / "stewart_general.yaml"
+    process = NodeProcess(NODE, tmp_path, namespace, model_file=str(file), request_time=600.0)
+    client = Client("tester", namespace, [process])
+    home = list(read_model(file).mechanism.home.joints)
+    rows = configurations(np.tile(home, (5000, 1)))
+    one = client.call(ComputeFK, f"{NODE}/compute_fk", configurations=rows[:1])
+    assert not one.message
+    client.ask(ComputeFK, f"{NODE}/compute_fk", configurations=rows, all_solutions=True)
+    begin = time.monotonic()
+    assert process.end(signal.SIGTERM) == 0
+    assert time.monotonic() - begin < 2
+    client.close()

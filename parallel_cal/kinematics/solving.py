@@ -79,6 +79,13 @@ def solvers() -> dict[str, str]:
     return {name: " ".join(doc.split("\n\n")[-1].split()) for name, doc in docs.items()}
 
 
+def builds(solver: str) -> str:
+    """What a solver on the shelf builds before its first answer, where that takes long."""
+    name = solver.partition(":")[0]
+    on_shelf = name in shelf_names(SHELF)
+    return getattr(load_module(SHELF, name), "BUILDS", "") if on_shelf else ""
+
+
 def _chosen(text: str, problem: str, every: bool) -> Callable[..., Solutions]:
     """A solver's function by `NAME[:option=value,...]`: a file on the shelf solvers/, or the one at
     a Python path; SolveError where it has none for this."""

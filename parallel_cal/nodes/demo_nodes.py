@@ -17,8 +17,8 @@ from parallel_cal_msgs.srv import AddEffect, ComputeFK, ListSamples, LoadSamples
 from parallel_cal.base.rotation import rotation_vector
 from parallel_cal.model.effect import CONDITIONS
 from parallel_cal.nodes.client import Client, NodeError, Process, own_domain
+from parallel_cal.nodes.computing import SOLVED
 from parallel_cal.nodes.conversions import pose_numbers
-from parallel_cal.nodes.requests import SOLVED
 from parallel_cal.recordings.bag import list_topics
 
 Feedback = Callable[[str, float], None]

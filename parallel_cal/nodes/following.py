@@ -61,15 +61,17 @@ class Memory:
 
     def joints(self, model: Model) -> np.ndarray | None:
         """The last joints (nq,), None before the first joint state."""
-        if any(joint not in self._joints for joint in model.joints):
+        known = self._joints  # another thread may exchange it
+        if any(joint not in known for joint in model.joints):
             return None
-        return np.array([self._joints[joint] for joint in model.joints])
+        return np.array([known[joint] for joint in model.joints])
 
     def conditions(self, model: Model) -> dict[str, float] | None:
         """What is known of the conditions the model's effects depend on."""
         if not model.conditions:
             return None
-        going = {f"direction.{joint}": sign for joint, sign in self.tracker.direction.items()}
+        directions = self.tracker.direction.copy()  # another thread may add to it
+        going = {f"direction.{joint}": sign for joint, sign in directions.items()}
         known = self.heard | going
         return {name: known[name] for name in model.conditions if name in known}
 

@@ -19,15 +19,19 @@ from parallel_cal.nodes.file_watch import FileWatch
 from parallel_cal.nodes.following import Memory
 from parallel_cal.nodes.model_server import Attempt, ModelServer
 from parallel_cal.nodes.parameters import ACCEPTED, LATCHED, WAITING, Setting, absolute, declare
-from parallel_cal.nodes.requests import answer
-from parallel_cal.nodes.run import every, foreign_publishers, run
+from parallel_cal.nodes.requests import Budget, answer, warm_up
+from parallel_cal.nodes.run import Beside, every, foreign_publishers, run
 from parallel_cal.nodes.streams import Streams
 from parallel_cal.nodes.tally import Tally, model_diagnostics, traffic_diagnostics
+from parallel_cal.nodes.worker import Worker
 
 PARAMETERS = {
     "model_file": Setting("", "model file in use (YAML); setting it loads, a bad file is rejected"),
     "watch_model_file": Setting(True, "load the file again whenever it is written"),
     "time_from_start": Setting(0.1, "s in which a joint command is to be reached", (0, 3600)),
+    "request_poses": Setting(10_000, "most configurations or targets of one request", (1, 10**7)),
+    "request_time": Setting(5.0, "s that a request may take", (0.01, 3600)),
+    "request_memory": Setting(2048, "MB that requests may take", (64, 10**6), fixed=True),
     "direction_threshold": Setting(5e-4, "rad or m; smaller motions have no direction", (0, 1)),
 }
 
@@ -41,11 +45,12 @@ class KinematicsNode(Node):
         self._tally, self._failure, self._adopting = Tally(), "", False
         self._memory = Memory(self._parameter("direction_threshold"))
         self._server = ModelServer(self._report)
+        self._worker = Worker(self._parameter("request_memory"), f"{__package__}.computing")
         self._status = self.create_publisher(ModelStatus, "~/model_status", LATCHED)
         self._changed = self.create_guard_condition(self._reload_changed)
         self._watch = FileWatch(self._changed.trigger)
         self._load(self._parameter("model_file"), "startup")
-        # What is in this group answers at once; the default group may take its time.
+        # What is in this group answers at once, the streams; all else may take its time.
         self._front = MutuallyExclusiveCallbackGroup()
         self._offer_services()
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
@@ -99,6 +104,8 @@ class KinematicsNode(Node):
         attempt = self._server.load(absolute(path), source)
         if not attempt.ok:
             self._watch_file()
+        elif self._server.current is not None:
+            warm_up(self._worker, self._server.current)
         return attempt
 
     def _reload_changed(self) -> None:
@@ -129,8 +136,9 @@ class KinematicsNode(Node):
     # ------------------------------------------------------------------ services
 
     def _offer_services(self) -> None:
+        requests = Beside()
         for type, name in ((ComputeFK, "compute_fk"), (ComputeIK, "compute_ik")):
-            self._serve(type, name, partial(self._answer, name), self._front)
+            self._serve(type, name, partial(self._answer, name), requests)
         self._serve(LoadModel, "load_model", self._load_model)
         self._serve(Trigger, "reload", self._reload)
 
@@ -139,7 +147,8 @@ class KinematicsNode(Node):
 
     def _answer(self, name: str, request: Any, response: Any) -> Any:
         served = self._server.current  # one reference for the whole request
-        answer(served, self._server.last.reason, request, response)
+        budget = Budget(self._parameter("request_poses"), self._parameter("request_time"))
+        answer(self._worker, budget, served, self._server.last.reason, request, response)
         self._tally.add(name, "refused" if response.message else "answered", response.message)
         return response
 
@@ -157,7 +166,12 @@ class KinematicsNode(Node):
         message.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(message)
 
+    def end_work(self) -> None:
+        """Stop what is at work for a request, if any."""
+        self._worker.end()
+
     def destroy_node(self) -> None:
+        self.end_work()
         self._watch.stop()
         super().destroy_node()
 

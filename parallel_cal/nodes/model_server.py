@@ -30,6 +30,7 @@ class Served:
     kinematics: Kinematics
     hash: str
     path: str
+    text: str = ""
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,8 @@ class ModelServer:
         if not str(path):
             raise ModelFileError("no model file: set the parameter model_file or call load_model")
         text = model_text(path)
-        served, before = Served(*_tested(text, path), model_hash(text), str(path)), self.current
+        served = Served(*_tested(text, path), model_hash(text), str(path), text)
+        before = self.current
         if before is not None and before.hash == served.hash:
             self._exchange_for(replace(before, path=served.path))
             return f"{path}: the same content as before ({served.hash[:12]})"

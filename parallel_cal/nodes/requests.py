@@ -1,17 +1,19 @@
-"""Answers to ComputeFK and ComputeIK requests, each from one model alone."""
+"""Answers to ComputeFK and ComputeIK requests, each from one model alone, within a budget."""
 
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from threading import Thread
 from typing import Any
 
 import numpy as np
-from parallel_cal_msgs.msg import SolutionSet
+from parallel_cal_msgs.msg import Solution, SolutionSet
 
 from parallel_cal.base.errors import SolveError
-from parallel_cal.kinematics import solving
-from parallel_cal.kinematics.kinematics import Solutions, Status
+from parallel_cal.nodes.computing import Answer, Problems, answers, warm
 from parallel_cal.nodes.conversions import (
     conditions_of,
     invalid_solution,
@@ -20,15 +22,30 @@ from parallel_cal.nodes.conversions import (
     solution_messages,
 )
 from parallel_cal.nodes.model_server import Served
+from parallel_cal.nodes.worker import OverBudget, Worker, WorkError
 
 Rows = tuple[np.ndarray, ...]
-At = dict[str, float] | None
-# A singular pose has no finite covariance.
-SOLVED = (Status.CONVERGED, Status.OUTSIDE_LIMITS)
+PATIENCE = 60.0  # s for building a model's functions on a busy machine
 
 
-def answer(served: Served | None, why_none: str, request: Any, response: Any) -> Any:
-    """The response of either service; a request that cannot be understood gets a message."""
+@dataclass(frozen=True)
+class Budget:
+    """What one request may take: configurations or targets, and seconds."""
+
+    poses: int
+    seconds: float
+
+
+def answer(
+    worker: Worker,
+    budget: Budget,
+    served: Served | None,
+    why_none: str,
+    request: Any,
+    response: Any,
+) -> Any:
+    """The response of either service; a request that cannot be understood gets a message, and one
+    that is over its budget what was done in it."""
     if served is None:
         response.message = f"no model in use: {why_none}"
         return response
@@ -36,40 +53,36 @@ def answer(served: Served | None, why_none: str, request: Any, response: Any) ->
     try:
         if hasattr(request, "targets"):
             response.joint_names = served.model.joints
-            response.results = _inverse(served, request)
+            given, problem = [_target(target) for target in request.targets], "inverse"
         else:
-            response.results = _direct(served, request)
-    except Exception as error:  # a user's own mechanism may raise anything; the node stays up
+            given, problem = _configurations(served, request), "direct"
+        at = conditions_of(served.model, request.conditions)
+        response.results, response.message = _solved(
+            worker, budget, served, request, given, problem, at
+        )
+    except Exception as error:  # whatever it is, the node stays up and the caller hears of it
         response.results, response.message = [], str(error) or type(error).__name__
     return response
 
 
-def _direct(served: Served, request: Any) -> list[SolutionSet]:
-    model, at = served.model, conditions_of(served.model, request.conditions)
-    names = request.joint_names
+def warm_up(worker: Worker, served: Served) -> None:
+    """Let the worker make itself ready for a model, while nobody waits for it."""
+    Thread(target=_warm, args=(worker, served, False, True), daemon=True).start()
+
+
+def _warm(worker: Worker, served: Served, *every: bool) -> None:
+    with suppress(WorkError, OverBudget):  # the request itself will say why
+        for each in every:
+            list(worker.work(PATIENCE, warm, served.text, each))
+
+
+def _configurations(served: Served, request: Any) -> list[Rows | str]:
+    model, names = served.model, request.joint_names
     order = joint_order(names, model.joints) if names else None
     if names and len(names) != len(model.joints):
         extra = ", ".join(n for n in names if n not in model.joints) or "one of them twice"
         raise SolveError(f"joint_names: {extra} besides {', '.join(model.joints)}")
-    given = [_configuration(c.positions, order, len(model.joints)) for c in request.configurations]
-    solve = _solver(served, request, at)
-    noise = model.noise.joint or 0.0
-
-    def covariance(solution: Solutions) -> np.ndarray:
-        return served.kinematics.direct_covariance(solution, at, noise)
-
-    return _sets(served, request, given, solve, covariance)
-
-
-def _inverse(served: Served, request: Any) -> list[SolutionSet]:
-    at = conditions_of(served.model, request.conditions)
-    given = [_target(target) for target in request.targets]
-    solve = _solver(served, request, at)
-
-    def covariance(solution: Solutions) -> np.ndarray:
-        return served.kinematics.inverse_covariance(solution, at)
-
-    return _sets(served, request, given, solve, covariance)
+    return [_configuration(c.positions, order, len(model.joints)) for c in request.configurations]
 
 
 def _configuration(positions: Any, order: list[int] | None, n: int) -> Rows | str:
@@ -86,71 +99,56 @@ def _target(pose: Any) -> Rows | str:
         return str(error)
 
 
-def _solver(served: Served, request: Any, at: At) -> Callable[..., Solutions]:
-    """How this request wants its rows solved."""
-    every, k, model = request.all_solutions, served.kinematics, served.kinematics.model
-    inverse = hasattr(request, "targets")
-    if every or request.solver:
-        named: Callable[..., Solutions] = solving.inverse if inverse else solving.direct
-
-        def by_name(*rows: Any) -> Solutions:
-            found = named(model, *rows, at or {}, every, request.solver)
-            return found[0] if np.ndim(rows[0]) == 1 and not every else found
-
-        return by_name
-    if inverse:
-        return lambda r, R: k.inverse(*solving.controlled_pose(model, r, R), at)
-    return lambda q: k.direct(q, at)
-
-
-def _sets(
+def _solved(
+    worker: Worker,
+    budget: Budget,
     served: Served,
     request: Any,
     given: Sequence[Rows | str],
-    solve: Callable[..., Solutions],
-    covariance: Callable[[Solutions], np.ndarray],
-) -> list[SolutionSet]:
-    """One set a row: solved together where each has one answer, one by one where all count."""
-    good = [row for row in given if not isinstance(row, str)]
-    if request.all_solutions or len(good) == 1:
-        found = [solve(*row) for row in good]
-        messages = [solution_messages(each) for each in found]
-    elif good:
-        found = [solve(*(np.array(part) for part in zip(*good, strict=True)))]
-        messages = [[message] for message in solution_messages(found[0])]
-    else:
-        found, messages = [], []
-    if request.with_covariance and served.model.covariance is not None:
-        _add_covariances(found, messages, covariance)
-    answered = iter(messages)
-    # Only a search for all solutions counts them, and then each row has a search of its own.
-    counted = iter(found if request.all_solutions else [])
-    return [
-        SolutionSet(solutions=[invalid_solution(row)], count_complex=-1)
-        if isinstance(row, str)
-        else SolutionSet(solutions=next(answered), **_counted(next(counted, None)))
-        for row in given
-    ]
+    problem: str,
+    at: dict[str, float] | None,
+) -> tuple[list[SolutionSet], str]:
+    """One set a row, and a message where the budget was over before the last of them."""
+    good = [row for row in given[: budget.poses] if not isinstance(row, str)]
+    done, over = list[Answer](), len(given) > budget.poses
+    if good:
+        rows = tuple(np.array(part) for part in zip(*good, strict=True))
+        asked = Problems(
+            problem, rows, at, request.all_solutions, request.solver, request.with_covariance
+        )
+        # What a model's first requests build is no part of any.
+        _warm(worker, served, request.all_solutions)
+        try:
+            for piece in worker.work(budget.seconds, answers, served.text, asked):
+                done += piece
+        except OverBudget:
+            over = True
+    found = iter(done)
+    sets = [_set(row, found) for row in given[: budget.poses]]
+    late = SolutionSet(solutions=[_NOT_TRIED], count_complex=-1)
+    sets += [late] * (len(given) - len(sets))
+    solved = sum(one is not late and one.solutions[0] is not _NOT_TRIED for one in sets)
+    limits = f"a request may ask for {budget.poses} and take {budget.seconds:g} s"
+    return sets, f"over budget: {solved} of {len(given)} were answered; {limits}" if over else ""
 
 
-def _counted(found: Solutions | None) -> dict[str, Any]:
-    count = None if found is None else found.count_complex
-    return {
-        "count_complex": -1 if count is None else count,
-        "complete": found is not None and bool(found.complete),
-    }
+def _set(row: Rows | str, found: Iterator[Answer]) -> SolutionSet:
+    if isinstance(row, str):
+        return SolutionSet(solutions=[invalid_solution(row)], count_complex=-1)
+    answer = next(found, None)
+    if answer is None:
+        return SolutionSet(solutions=[_NOT_TRIED], count_complex=-1)
+    messages = solution_messages(answer.found)
+    for message, covariance in zip(messages, answer.covariances, strict=True):
+        if covariance is not None:
+            message.covariance = array("d", covariance.tobytes())
+    count = answer.found.count_complex
+    return SolutionSet(
+        solutions=messages,
+        count_complex=-1 if count is None else count,
+        complete=bool(answer.found.complete),
+    )
 
 
-def _add_covariances(
-    found: list[Solutions],
-    messages: list[list[Any]],
-    covariance: Callable[[Solutions], np.ndarray],
-) -> None:
-    singles = (s for several in found for s in _each(several))
-    for message, solution in zip((m for row in messages for m in row), singles, strict=True):
-        if solution.status in SOLVED:
-            message.covariance = array("d", covariance(solution).tobytes())
-
-
-def _each(found: Solutions) -> list[Solutions]:
-    return [found] if found.joints.ndim == 1 else list(found)
+_NOT_TRIED = invalid_solution("the request's budget was over before its turn")
+_NOT_TRIED.status = Solution.NOT_TRIED

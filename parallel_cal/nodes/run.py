@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
+from threading import Event, Thread
 from typing import Any, TypeVar
 
 import rclpy
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import (
     ConditionReachedException,
@@ -25,19 +28,28 @@ from parallel_cal.base.errors import ParallelCalError
 
 T = TypeVar("T")
 
+HURRY = 1.2  # s from a signal to the end, whatever is still at work
+SWITCH = 5e-4  # s that a thread beside may keep the interpreter from the one that spins
+
+
+class Beside(MutuallyExclusiveCallbackGroup):
+    """Callbacks that run one after the other in a thread beside the one that spins."""
+
 
 class FrontExecutor(SingleThreadedExecutor):
-    """Runs callbacks in the thread that spins, those of a node's default group in a second one.
+    """Runs callbacks in the thread that spins, those of a node's default group and of every
+    `Beside` in others.
 
     What must answer at once gets a callback group of its own; parameters, reloads and
     diagnostics stay in the default group. A MultiThreadedExecutor would hand over every single
-    request to another thread, which costs a sixth of its time.
+    message to another thread, which costs a sixth of its time.
     """
 
     def __init__(self, **options: Any):
         super().__init__(**options)
-        # One works; the other lets callbacks that must wait their turn go back to the wait set.
-        self._worker = ThreadPoolExecutor(2, thread_name_prefix="slow")
+        # One for each group that works at once; the last lets callbacks that must wait their turn
+        # go back to the wait set.
+        self._worker = ThreadPoolExecutor(4, thread_name_prefix="beside")
         self._handed_over: list[Task] = []
 
     def _spin_once_impl(
@@ -48,7 +60,8 @@ class FrontExecutor(SingleThreadedExecutor):
         except (ShutdownException, TimeoutException, ConditionReachedException):
             return
         handler, entity, node = ready
-        if entity is not None and entity.callback_group is node.default_callback_group:
+        group = entity and entity.callback_group
+        if isinstance(group, Beside) or (entity and group is node.default_callback_group):
             self._hand_over(handler)
         else:
             handler()
@@ -130,8 +143,10 @@ def ros(args: list[str] | None = None) -> Iterator[Callable[[], bool]]:
 
 def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
     """Spin a node until SIGINT or SIGTERM ends it; its exit status."""
+    sys.setswitchinterval(SWITCH)
     with ros(args) as go_on:
-        executor, node = FrontExecutor(), None
+        executor, node, ended = FrontExecutor(), None, Event()
+        Thread(target=_insist, args=(ended,), daemon=True).start()
         try:
             node = make_node()
             executor.add_node(node)
@@ -146,7 +161,20 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
             if rclpy.ok():  # else it is what a callback meets while the ground is taken away
                 raise
         finally:
+            if node is not None and hasattr(node, "end_work"):
+                node.end_work()
             executor.finish()
             if node is not None:
                 node.destroy_node()
+            ended.set()
     return 0
+
+
+def _insist(ended: Event) -> None:
+    """End the process where a callback that has begun does not end with ROS."""
+    while rclpy.ok():
+        if ended.wait(0.1):
+            return
+    if not ended.wait(HURRY):
+        sys.stderr.flush()
+        os._exit(0)

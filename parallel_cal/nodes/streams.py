@@ -32,6 +32,7 @@ from parallel_cal.nodes.conversions import (
 from parallel_cal.nodes.following import Memory, joints_for
 from parallel_cal.nodes.model_server import ModelServer, Served, in_words
 from parallel_cal.nodes.parameters import LATCHED, RELIABLE, SENSOR, overridable
+from parallel_cal.nodes.run import Beside
 from parallel_cal.nodes.tally import Tally
 from parallel_cal.recordings.channels import CHANNELS, named
 
@@ -50,7 +51,8 @@ class Streams:
         self._sure_pose = self._publisher(PoseWithCovarianceStamped, "~/pose_with_covariance")
         self._command = self._publisher(JointTrajectory, "joint_command")
         self._subscribe(JointState, "joint_states", SENSOR, self._on_joints)
-        self._subscribe(PoseStamped, "target_pose", RELIABLE, self._on_target)
+        # A target out of reach is searched for longer than a joint state may wait.
+        self._subscribe(PoseStamped, "target_pose", RELIABLE, self._on_target, Beside())
         for name in named("condition"):
             channel, take = CHANNELS[name], partial(self._on_condition, name)
             self._subscribe(message_class(channel.types[0]), name, SENSOR, take)
@@ -61,13 +63,15 @@ class Streams:
         options = overridable()
         return self._node.create_publisher(type, topic, RELIABLE, qos_overriding_options=options)
 
-    def _subscribe(self, type: Any, topic: str, qos: QoSProfile, take: Any) -> None:
+    def _subscribe(
+        self, type: Any, topic: str, qos: QoSProfile, take: Any, group: CallbackGroup | None = None
+    ) -> None:
         self._node.create_subscription(
             type,
             topic,
             partial(self._receive, topic, take),
             qos,
-            callback_group=self._group,
+            callback_group=group or self._group,
             qos_overriding_options=overridable(),
         )
 

@@ -24,6 +24,7 @@ from parallel_cal.kinematics.solvers._common import shaped, with_status
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.model import Model
 
+BUILDS = "a table of the whole workspace"
 SIZE = 9  # grid points along each given coordinate
 EDGE = 0.02  # of each side: how far the grid reaches beyond the workspace
 

@@ -1,0 +1,122 @@
+"""Many direct or inverse problems in pieces, for a worker; knows nothing of ROS."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from parallel_cal.base.errors import SolveError
+from parallel_cal.kinematics import solving
+from parallel_cal.kinematics.kinematics import Kinematics, Solutions, Status
+from parallel_cal.model.file.modelfile import parse_model
+
+PIECE = 0.1  # s that a piece of a request takes, about: what is done is told that often
+# A singular pose has no finite covariance.
+SOLVED = (Status.CONVERGED, Status.OUTSIDE_LIMITS)
+
+
+@dataclass(frozen=True)
+class Problems:
+    """Rows (N, ..) of joints, or of positions and rotations, and how they are to be solved."""
+
+    problem: str
+    rows: tuple[np.ndarray, ...]
+    at: dict[str, float] | None
+    every: bool
+    solver: str
+    with_covariance: bool
+
+
+@dataclass(frozen=True)
+class Answer:
+    """The solutions of one row, one or several, and their covariances where asked for and known."""
+
+    found: Solutions
+    covariances: tuple[np.ndarray | None, ...]
+
+
+def answers(text: str, asked: Problems) -> Iterator[list[Answer]]:
+    """Answers in order, a piece at a time, of the model with this file text."""
+    kinematics = _kinematics(text)
+    n, begin, size = len(asked.rows[0]), 0, 1 if asked.every or asked.solver else 16
+    while begin < n:
+        start = time.monotonic()
+        rows = tuple(part[begin : begin + size] for part in asked.rows)
+        yield [_with_covariances(kinematics, asked, f) for f in _solved(kinematics, asked, rows)]
+        begin += size
+        if not asked.every:
+            lapse = max(time.monotonic() - start, 1e-6)
+            size = int(np.clip(size * PIECE / lapse, size / 4, size * 4).clip(1, 512))
+
+
+def warm(text: str, every: bool) -> Iterator[None]:
+    """Build what a model's first requests would wait for; of `every` solution, too."""
+    _built(text, every)
+    yield None
+
+
+@lru_cache(maxsize=8)
+def _built(text: str, every: bool) -> None:
+    kinematics = _kinematics(text)
+    home, model = kinematics.model.mechanism.home, kinematics.model
+    q, r = np.array(home.joints, float), np.array(home.position, float)
+    if every:
+        solving.direct(model, q, {}, every=True)
+    else:
+        kinematics.direct(q), kinematics.inverse(r)
+
+
+@lru_cache(maxsize=4)
+def _kinematics(text: str) -> Kinematics:
+    return Kinematics(parse_model(text).robot())
+
+
+def _solved(
+    kinematics: Kinematics, asked: Problems, rows: tuple[np.ndarray, ...]
+) -> list[Solutions]:
+    """Solutions of each row; solved together where each has one answer."""
+    solve = _solver(kinematics, asked)
+    if asked.every or len(asked.rows[0]) == 1:
+        return [solve(*(part[i] for part in rows)) for i in range(len(rows[0]))]
+    return list(solve(*rows))
+
+
+def _solver(kinematics: Kinematics, asked: Problems) -> Callable[..., Solutions]:
+    """How this request wants its rows solved."""
+    inverse, model, at = asked.problem == "inverse", kinematics.model, asked.at
+    if asked.every or asked.solver:
+        if why := solving.builds(asked.solver):
+            raise SolveError(
+                f"{asked.solver.partition(':')[0]} builds {why} before it answers, which no "
+                "request waits for; use it with `parallel-cal direct --solver` or export it"
+            )
+        named: Callable[..., Solutions] = solving.inverse if inverse else solving.direct
+
+        def by_name(*rows: Any) -> Solutions:
+            found = named(model, *rows, at or {}, asked.every, asked.solver)
+            return found[0] if np.ndim(rows[0]) == 1 and not asked.every else found
+
+        return by_name
+    if inverse:
+        return lambda r, R: kinematics.inverse(*solving.controlled_pose(model, r, R), at)
+    return lambda q: kinematics.direct(q, at)
+
+
+def _with_covariances(kinematics: Kinematics, asked: Problems, found: Solutions) -> Answer:
+    singles = [found] if found.joints.ndim == 1 else list(found)
+    wanted = asked.with_covariance and kinematics.model.covariance is not None
+
+    def covariance(solution: Solutions) -> np.ndarray | None:
+        if not wanted or solution.status not in SOLVED:
+            return None
+        if asked.problem == "inverse":
+            return kinematics.inverse_covariance(solution, asked.at)
+        noise = kinematics.model.noise.joint or 0.0
+        return kinematics.direct_covariance(solution, asked.at, noise)
+
+    return Answer(found, tuple(map(covariance, singles)))
