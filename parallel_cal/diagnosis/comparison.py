@@ -64,6 +64,12 @@ class Comparison:
         at = slice(len(self.model.joints), len(self.model.joints) + 3)
         return np.where(self.observations.measured[:, at], self.observations.x[:, at], np.nan)
 
+    @property
+    def place(self) -> np.ndarray:
+        """(N, 3) m: as measured, else where the model puts the platform."""
+        n = len(self.model.joints)
+        return np.where(np.isnan(self.position), self.scene.x[:, n : n + 3], self.position)
+
     @cached_property
     def worst_first(self) -> np.ndarray:
         """Indices (N,) of the samples, by the error of the pose; where none was measured by that
@@ -80,6 +86,7 @@ class Comparison:
             "time": self.dataset.time,
             "joints": self.observations.x[:, : len(self.model.joints)],
             "position": self.position,
+            "place": self.place,
             **{f"{kind}_error": getattr(self.errors, kind) for kind in ERRORS},
             "sigmas": self.scene.sigmas,
             **norms,

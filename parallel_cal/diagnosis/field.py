@@ -27,7 +27,8 @@ class Field:
 
     @classmethod
     def of(cls, scene: Scene) -> Field:
-        """The field of a scene; without any pose measured, `noise_units` are the closure's own."""
+        """The field of a scene; without any pose measured, `noise_units` are those of what sensors
+        read, or else the closure's own."""
         n = len(scene.model.joints)
         observations = scene.observations
         moved = np.isin(np.arange(6), scene.model.mechanism.moved)
@@ -39,9 +40,11 @@ class Field:
         fixed = (pose**2 / np.where(variance > 0, variance, 1.0))[shown & ~moved]
         held = float(np.sqrt(fixed.mean())) if fixed.size else 0.0
         pose = np.where(measured, pose, 0.0)
-        if not measured.any():
-            return cls(pose, scene.by_sample(scene.residual), measured, held)
-        return cls(pose, _in_noise_units(scene, pose, measured), measured, held)
+        if measured.any():
+            return cls(pose, _pose_in_noise_units(scene, pose, measured), measured, held)
+        if np.isfinite(scene.read_apart).any():
+            return cls(pose, _readings_in_noise_units(scene), measured, held)
+        return cls(pose, scene.by_sample(scene.residual), measured, held)
 
     @property
     def kind(self) -> str | None:
@@ -56,18 +59,40 @@ class Field:
         return self.pose[:, :3] if self.kind == "position" else self.pose[:, 3:]
 
 
-def _in_noise_units(scene: Scene, pose: np.ndarray, measured: np.ndarray) -> np.ndarray:
-    """L^-1 e with L L^T the covariance of measured minus predicted pose, (N, 6), 0 where not
-    measured."""
-    n, moved, S = len(scene.model.joints), scene.model.mechanism.moved, scene.observations.S
+def _pose_in_noise_units(scene: Scene, pose: np.ndarray, measured: np.ndarray) -> np.ndarray:
+    """Measured minus predicted pose, (N, 6), by the covariance of device and joints together."""
+    n, S = len(scene.model.joints), scene.observations.S
+    by_joint = _by_joint(scene)[0]
+    total = S[:, n:, n:] + by_joint @ S[:, :n, :n] @ by_joint.transpose(0, 2, 1)
+    return _in_noise_units(pose, total, measured)
+
+
+def _readings_in_noise_units(scene: Scene) -> np.ndarray:
+    """Read minus predicted, (N, n_channels), by the covariance of sensors and joints together."""
+    n, S = len(scene.model.joints), scene.observations.S
+    by_joint, own = _by_joint(scene)[1], scene.model.structure.standard_uncertainty
+    total = by_joint @ S[:, :n, :n] @ by_joint.transpose(0, 2, 1) + np.diag(own**2)
+    return _in_noise_units(scene.read_apart, total, np.isfinite(scene.read_apart))
+
+
+def _by_joint(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """d pose / d q (N, 6, nq) along the closure, and d reading / d q (N, n_channels, nq)."""
+    n, moved = len(scene.model.joints), scene.model.mechanism.moved
     linearise = Linearisation(
         scene.model, scene.observations, np.zeros(len(scene.model.values), dtype=bool), True
     )
-    C = linearise.blocks(scene.model.values, scene.x)[1][:, : scene.model.structure.phi.shape[0]]
-    to_pose = np.zeros((len(C), 6, n))
-    to_pose[:, moved] = -np.linalg.pinv(C[:, :, [n + i for i in moved]]) @ C[:, :, :n]
-    total = S[:, n:, n:] + to_pose @ S[:, :n, :n] @ to_pose.transpose(0, 2, 1)
-    both = measured[:, :, None] & measured[:, None, :]
-    total = np.where(both, total, np.eye(6) * np.where(measured, 0.0, 1.0)[:, None, :])
-    L = np.linalg.cholesky(total)
-    return np.asarray(np.linalg.solve(L, pose[:, :, None])[:, :, 0])
+    rows = linearise.blocks(scene.model.values, scene.x)[1]
+    closure = scene.model.structure.phi.shape[0]
+    C, shown = rows[:, :closure], rows[:, closure:]
+    pose = np.zeros((len(C), 6, n))
+    pose[:, moved] = -np.linalg.pinv(C[:, :, [n + i for i in moved]]) @ C[:, :, :n]
+    return pose, shown[:, :, :n] + shown[:, :, n:] @ pose
+
+
+def _in_noise_units(apart: np.ndarray, covariance: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """L^-1 e with L L^T the covariance of what is known of e (N, k), 0 for what is not."""
+    both = known[:, :, None] & known[:, None, :]
+    covariance = np.where(both, covariance, np.eye(known.shape[1]) * ~known[:, :, None])
+    apart = np.where(known, apart, 0.0)
+    L = np.linalg.cholesky(covariance)
+    return np.asarray(np.linalg.solve(L, apart[:, :, None])[:, :, 0])

@@ -11,7 +11,7 @@ import numpy as np
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.statistics import averaged, morans_i, runs_test, smallest
-from parallel_cal.diagnosis.thresholds import LENGTHS, LEVELS, ROUGHNESS, SIGNIFICANT
+from parallel_cal.diagnosis.thresholds import CLEAR, LENGTHS, LEVELS, ROUGHNESS, SIGNIFICANT
 from parallel_cal.recordings.dataset import NUMBER
 
 
@@ -75,8 +75,8 @@ def lack_of_fit(scene: Scene, field: Field) -> LackOfFit:
     joints, places = scene.x[:, :n], scene.x[:, n : n + 3]
     group = scene.observations.group
     moran = {"joint space": morans_i(z, joints, group)}
-    if np.ptp(places, axis=0).max() > 1e-9:
-        moran["workspace"] = morans_i(z, places, group)
+    if (spread_out := told_apart(scene)[n:]).any():
+        moran["workspace"] = morans_i(z, places[:, spread_out], group)
     varied = z[:, np.any(z != 0, axis=0)]
     runs = {name: runs_test(varied[order]) for name, order in orders(scene)}
     return LackOfFit(moran, runs, smooth_map(scene, field))
@@ -92,13 +92,22 @@ def orders(scene: Scene) -> Iterator[tuple[str, np.ndarray]]:
 def regressors(scene: Scene) -> Iterator[tuple[str, np.ndarray]]:
     """What residuals may depend on (N,), poses as predicted: time, joints, place, conditions."""
     yield "time", np.asarray(scene.dataset.time)
-    for k, name in enumerate([*scene.model.joints, *"xyz"]):
-        if np.ptp(scene.x[:, k]) > 1e-9:
-            yield name, scene.x[:, k]
+    for k in np.flatnonzero(told_apart(scene)):
+        yield [*scene.model.joints, *"xyz"][k], scene.x[:, k]
     for name, values in scene.dataset.conditions.items():
         varies = len(values) and np.isfinite(values).all() and np.ptp(values) > 0
         if varies and not name.startswith(("time", NUMBER, "effort.", "reading.")):
             yield name, np.asarray(values)
+
+
+def told_apart(scene: Scene) -> np.ndarray:
+    """Which of joints and x, y, z (nq + 3,) vary by more than residuals do: touches on a plate are
+    all at one height, and the height predicted there is the residual once more."""
+    n, varied = len(scene.model.joints), np.ptp(scene.x[:, : len(scene.model.joints) + 3], axis=0)
+    if np.isfinite(scene.read_apart).any():
+        scatter = np.nanstd(scene.read_apart)
+        varied[n:][scene.x[:, n : n + 3].std(axis=0) < CLEAR * scatter] = 0.0
+    return np.asarray(varied > 1e-9)
 
 
 def smooth_map(scene: Scene, field: Field) -> SmoothMap:

@@ -8,7 +8,7 @@ import numpy as np
 
 from parallel_cal.base.confidence import SIGMAS
 from parallel_cal.diagnosis.field import Field
-from parallel_cal.diagnosis.lack_of_fit import regressors
+from parallel_cal.diagnosis.lack_of_fit import regressors, told_apart
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.statistics import normal_below, runs_test
 from parallel_cal.diagnosis.thresholds import GROSS, INFLUENTIAL, LEVELS, WINDOW
@@ -64,31 +64,33 @@ def _rolling(values: np.ndarray, window: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Region:
-    """Errors (rms of norms, mean; m and rad) in an octant of the workspace about its `middle`."""
+    """Errors (rms of norms, mean; m and rad) in an octant of the workspace about its `middle`; a
+    quarter where all was measured at one height."""
 
     region: str
     middle: np.ndarray
     samples: int
     position_rms: float
     orientation_rms: float
+    reading_rms: float
     position_bias: np.ndarray
 
 
 def regions(scene: Scene, field: Field) -> tuple[Region, ...]:
     """The eight octants of the measured workspace, worst first."""
     n = len(scene.model.joints)
-    places = scene.x[:, n : n + 3]
+    places, apart = scene.x[:, n : n + 3], told_apart(scene)[n:]
     middle = np.median(places, axis=0)
-    octant = (places > middle) @ np.array([1, 2, 4])
+    octant = ((places > middle) & apart) @ np.array([1, 2, 4])
+    kinds = (field.pose[:, :3], field.pose[:, 3:], np.nan_to_num(scene.read_apart))
     found = []
     for o in np.unique(octant):
-        errors = field.pose[octant == o]
-        sides = " ".join(f"{axis}{'>' if o >> k & 1 else '<'}" for k, axis in enumerate("xyz"))
-        position, turn = (float(np.sqrt(np.mean(np.sum(errors[:, part] ** 2, axis=1))))
-                          for part in (slice(3), slice(3, 6)))  # fmt: skip
-        bias = errors[:, :3].mean(axis=0)
-        found.append(Region(sides, middle, len(errors), position, turn, bias))
-    return tuple(sorted(found, key=lambda r: -(r.position_rms + r.orientation_rms)))
+        here = octant == o
+        sides = [f"{axis}{'>' if o >> k & 1 else '<'}" for k, axis in enumerate("xyz") if apart[k]]
+        place, turn, read = (float(np.sqrt(np.mean(np.sum(e[here] ** 2, axis=1)))) for e in kinds)
+        bias, n = field.pose[here, :3].mean(axis=0), int(here.sum())
+        found.append(Region(" ".join(sides), middle, n, place, turn, read, bias))
+    return tuple(sorted(found, key=lambda r: -(r.position_rms + r.orientation_rms + r.reading_rms)))
 
 
 @dataclass(frozen=True)
@@ -97,7 +99,7 @@ class OddSample:
 
     `sigmas` is its rms residual, the typical one taken for the noise, `p_value` the chance of one
     as large in a whole data set; `leverage` the share of the geometry's freedoms that it alone
-    decides; position_error (3,) in m.
+    decides; position_error (3,) in m; `place` (3,) m where the model puts the platform.
     """
 
     sample: int
@@ -108,6 +110,7 @@ class OddSample:
     cooks_distance: float
     leverage: float
     position_error: np.ndarray
+    place: np.ndarray
 
     @property
     def word(self) -> str:
@@ -122,7 +125,7 @@ def odd_samples(scene: Scene, field: Field) -> tuple[OddSample, ...]:
     """
     from scipy.special import chdtrc
 
-    blocks = scene.by_sample(scene.residual)
+    n, blocks = len(scene.model.joints), scene.by_sample(scene.residual)
     k = max(1, round(scene.dof / max(len(blocks), 1)))
     squared = np.sum(blocks**2, axis=1)
     scale = np.median(squared) / max(k - 2 / 3, 0.3)  # median of a chi-square is about k - 2/3
@@ -139,6 +142,7 @@ def odd_samples(scene: Scene, field: Field) -> tuple[OddSample, ...]:
             cooks_distance=float(cook[i]),
             leverage=float(leverage[i]),
             position_error=field.pose[i, :3],
+            place=scene.x[i, n : n + 3],
         )
         for i in np.flatnonzero((p < GROSS) | (cook > INFLUENTIAL))
     ]

@@ -62,6 +62,13 @@ class Scene:
         return float(self.residual @ self.residual) / self.dof if self.dof > 0 else float("nan")
 
     @cached_property
+    def read_apart(self) -> np.ndarray:
+        """What sensors read minus what was predicted (N, n_channels) m, NaN where nothing was."""
+        model, seen = self.model, self.observations
+        rows = model.structure.rows_batch(self.x, seen.a, model.values)[0]
+        return np.asarray(seen.reading - rows[:, model.structure.phi.shape[0] :])
+
+    @cached_property
     def group(self) -> np.ndarray:
         """Number (N,) of the block that a sample belongs to."""
         return blocks(self.dataset)

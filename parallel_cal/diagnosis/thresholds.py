@@ -38,6 +38,7 @@ PERMUTATIONS = 999  # of the samples, for its p-value
 RESAMPLES = 200  # of the poses, for who is picked first
 FEWEST_SIGNS = 5  # on either side of the median, for a runs test
 WINDOW = 15  # samples of a rolling mean
+CLEAR = 20.0  # times what readings scatter: a place that varies by less is no place to look along
 LEVELS = 5  # a quantity with so few values has a mean for each, and nothing rolls
 LENGTHS = (0.15, 0.25, 0.4, 0.7, 1.2)  # of the map's smoothness, in standard deviations of place
 ROUGHNESS = (0.1, 0.3, 1.0, 3.0)  # of the map: noise over smooth part, in variances

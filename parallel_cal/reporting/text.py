@@ -6,6 +6,8 @@ from collections.abc import Iterator, Mapping
 from functools import singledispatch
 from typing import Any
 
+import numpy as np
+
 from parallel_cal.diagnosis.comparison import Comparison
 from parallel_cal.diagnosis.diagnose import Diagnosis
 from parallel_cal.diagnosis.entries import Entry
@@ -104,21 +106,20 @@ def compared(comparison: Comparison) -> str:
 def _worst(comparison: Comparison) -> str:
     data, errors = comparison.dataset, comparison.errors
     norms = {kind: errors.norms(kind) for kind in ERRORS}
-    header = ("sample", "time [s]", "at [mm]", "error [um]", "|error| [um]", "turned [arcmin]")
-    rows = [
-        (
-            str(data.numbers[i]),
-            fixed(data.time[i], 1, 1),
-            fixed_vector(comparison.position[i], 1e3, 1),
-            fixed_vector(errors.position[i], 1e6, 0),
-            fixed(norms["position"][i], 1e6, 0),
-            fixed(norms["orientation"][i], ARCMIN),
-            *(fixed(v, 1e6, 0) for v in errors.reading[i]),
-        )
-        for i in comparison.worst_first[:SAMPLES]
-    ]
-    channels = comparison.model.structure.channels
-    return columns(header + tuple(f"{channel} [um]" for channel in channels), rows)
+    worst = comparison.worst_first[:SAMPLES]
+    shown = {
+        "sample": [str(number) for number in data.numbers[worst]],
+        "time [s]": [fixed(t, 1, 1) for t in data.time[worst]],
+        "at [mm]": [fixed_vector(place, 1e3, 1) for place in comparison.place[worst]],
+    }
+    if np.isfinite(norms["position"]).any():
+        shown["error [um]"] = [fixed_vector(e, 1e6, 0) for e in errors.position[worst]]
+        shown["|error| [um]"] = [fixed(e, 1e6, 0) for e in norms["position"][worst]]
+    if np.isfinite(norms["orientation"]).any():
+        shown["turned [arcmin]"] = [fixed(e, ARCMIN) for e in norms["orientation"][worst]]
+    for channel, read in zip(comparison.model.structure.channels, errors.reading.T, strict=True):
+        shown[f"{channel} [um]"] = [fixed(e, 1e6, 0) for e in read[worst]]
+    return columns(tuple(shown), list(zip(*shown.values(), strict=True)))
 
 
 def _where(comparison: Comparison) -> Iterator[str]:
@@ -135,11 +136,13 @@ def _where(comparison: Comparison) -> Iterator[str]:
         yield "errors go with nothing recorded, beyond chance"
     worst = comparison.regions[0]
     yield (
-        f"worst region: {worst.region}, {fixed(worst.position_rms, 1e6, 0)} um rms; "
+        f"worst region: {worst.region}, "
+        f"{fixed(worst.position_rms or worst.reading_rms, 1e6, 0)} um rms; "
         f"structure: p = {comparison.structure.p_value:.2g}"
     )
     for one in comparison.odd_samples[:PATTERNS]:
-        yield f"odd: sample {one.sample}, {one.sigmas:.1f} sigmas"
+        at = fixed_vector(one.place, 1e3, 1)
+        yield f"odd: sample {one.sample} at {at} mm, {one.sigmas:.1f} sigmas"
 
 
 @show.register
@@ -187,7 +190,8 @@ def _candidate(entry: Entry) -> tuple[str, ...]:
 def _odd(diagnosis: Diagnosis) -> Iterator[str]:
     for one in diagnosis.odd_samples[:CANDIDATES]:
         yield (
-            f"{one.word}: sample {one.sample} at {one.time:.1f} s, {one.sigmas:.1f} sigmas, Cook's "
+            f"{one.word}: sample {one.sample} at {fixed_vector(one.place, 1e3, 1)} mm, "
+            f"{one.time:.1f} s, {one.sigmas:.1f} sigmas, Cook's "
             f"distance {one.cooks_distance:.2f} (--data exclude={one.sample} leaves it out)"
         )
 
