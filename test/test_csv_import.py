@@ -96,8 +96,8 @@ def test_a_bad_table_is_named_by_file_line_and_column(files, change, words):
     ("change", "words"),
     [
         (("unit: deg", "unit: degree"), "map.yaml:2: joints.arm.unit: .*'deg'.*, found 'degree'"),
-        (("z], unit: mm", "z], unit: inch"), "map.yaml:4: position.unit: .*'mm', found 'inch'"),
-        (("z], unit: mm", "z]"), "map.yaml:4: position.unit: this key is missing"),
+        (("z], unit: mm", "z], unit: inch"), "map.yaml:4: position.unit: .*'mm'.*, found 'inch'"),
+        (("z], unit: mm", "z]"), "t.csv:1: column x names no unit; say so in .*map.yaml"),
         (("[x, y, z]", "[x, y]"), "map.yaml:4: position.columns: too few values"),
         (("temperature: T", "temprature: T"), "map.yaml:6: conditions.temprature: unknown "
          "condition; expected one of time, temperature, .*direction.JOINT"),
@@ -109,6 +109,106 @@ def test_a_bad_table_is_named_by_file_line_and_column(files, change, words):
 def test_a_bad_map_is_named_by_file_line_and_key(files, change, words):
     with pytest.raises(ParallelCalError, match=words):
         import_csv(*files(columns=MAP.replace(*change)))
+
+
+SHORT = "joints: {arm: {column: arm}, slide: {column: slide}}\n"
+
+
+@pytest.mark.parametrize("apart", [",", ";", "\t"])
+def test_units_of_the_header_are_taken_whatever_stands_between_cells(files, apart):
+    rows = [
+        ["arm [deg]", "slide_mm", "x (mm)", "y/um", "z in"],
+        [90, 100, 1, 2, 1],
+        [0, 5, 6, 7, 8],
+    ]
+    table = "# written by a tracker\n" + "\n".join(apart.join(map(str, row)) for row in rows)
+    data = import_csv(*files(table, SHORT + "position: {columns: [x, y, z]}"))
+    np.testing.assert_allclose(data.q[0], [np.pi / 2, 0.1])
+    np.testing.assert_allclose(data.r[0], [1e-3, 2e-6, 0.0254])
+
+
+def test_a_comma_may_be_the_decimal_point_where_cells_are_apart_otherwise(files):
+    table = "arm_deg;slide_mm;x_mm;y_mm;z_mm\n1,5;2,25;-0,5;0;1e-1\n"
+    data = import_csv(*files(table, SHORT + "position: {columns: [x, y, z]}"))
+    np.testing.assert_allclose(data.q[0], [np.radians(1.5), 2.25e-3])
+    np.testing.assert_allclose(data.r[0], [-5e-4, 0, 1e-4])
+
+
+def test_a_unit_that_the_header_contradicts_is_refused(files):
+    table = "arm_deg,slide_mm,x_mm,y_mm,z_mm\n1,2,3,4,5\n"
+    with pytest.raises(
+        ParallelCalError, match=r"t.csv:1: column x_mm is in mm, .*map.yaml says m$"
+    ):
+        import_csv(*files(table, SHORT + "position: {columns: [x, y, z], unit: m}"))
+
+
+def test_readings_alone_are_a_measurement_and_an_empty_cell_is_none(files):
+    table = "arm_deg,slide_mm,gauge_um\n1,2,30\n3,4,\n"
+    data = import_csv(*files(table, SHORT + "readings: {probe: {column: gauge}}"))
+    np.testing.assert_allclose(data.conditions["reading.probe"], [3e-5, np.nan])
+    assert not data.measured.any()
+
+
+def test_three_angles_turn_as_their_axes_say(files):
+    table = "arm_deg,slide_mm,a_deg,b_deg,c_deg\n0,0,90,0,90\n"
+    fixed, turned = (
+        import_csv(*files(table, SHORT + f"angles: {{columns: [a, b, c], axes: {axes}}}")).R[0]
+        for axes in ("xyz", "XYZ")
+    )
+    x, z = (
+        np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]]),
+        np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]]),
+    )
+    np.testing.assert_allclose(fixed, z @ x, atol=1e-12)
+    np.testing.assert_allclose(turned, x @ z, atol=1e-12)
+
+
+@pytest.fixture
+def two(files, tmp_path):
+    """two(joints, poses, join): the dataset of two tables."""
+
+    def read(joints, poses, join):
+        _, columns = files(columns=SHORT + f"position: {{columns: [x, y, z]}}\n{join}")
+        (tmp_path / "joints.csv").write_text("no,t,arm_deg,slide_mm\n" + joints)
+        (tmp_path / "poses.csv").write_text("no,t,x_mm,y_mm,z_mm\n" + poses)
+        return import_csv([tmp_path / "joints.csv", tmp_path / "poses.csv"], columns)
+
+    return read
+
+
+def test_tables_are_joined_by_an_index_and_what_has_no_partner_is_said(two):
+    data = two(
+        "3,0,30,3\n1,0,10,1\n2,0,20,2\n", "1,0,1,1,1\n2,0,2,2,2\n4,0,4,4,4\n", "join: {by: no}"
+    )
+    np.testing.assert_allclose(data.r[:, 0] / data.q[:, 1], [1, 1])
+    words = sorted(one.detail.rsplit("/", 1)[1] for one in data.dropped)
+    assert words == [
+        "joints.csv:2: nothing else with its no",
+        "poses.csv:4: nothing else with its no",
+    ]
+
+
+def test_tables_are_joined_by_the_nearest_time_within_reach(two):
+    log = "".join(f"{k},{0.1 * k},{k},{k}\n" for k in range(50))
+    data = two(log, "1,1.02,10,0,0\n2,3.96,40,0,0\n3,9,99,0,0\n", "join: {by: t, within: 0.06}")
+    np.testing.assert_allclose(data.q[:, 1], [0.010, 0.040])
+    np.testing.assert_allclose(data.r[:, 0], [0.010, 0.040])
+    [dropped] = data.dropped
+    assert "poses.csv:4" in dropped.detail
+
+
+@pytest.mark.parametrize(
+    ("join", "words"),
+    [
+        ("", "3 rows in .*joints.csv and 2 rows in .*poses.csv: say in the column map how"),
+        ("join: {by: visit}", "joints.csv:1: no column visit to join by"),
+        ("join: {by: t}", "joints.csv:3: t 0 occurs twice"),
+        ("join: {by: no, within: 0}", "join.within: "),
+    ],
+)
+def test_tables_that_cannot_be_joined_are_said(two, join, words):
+    with pytest.raises(ParallelCalError, match=words):
+        two("1,0,1,1\n2,0,2,2\n3,2,3,3\n", "1,0,1,1,1\n2,1,2,2,2\n", join)
 
 
 def run(*arguments):

@@ -40,16 +40,19 @@ def _show_info(document: dict[str, Any], as_json: bool) -> None:
 
 
 def import_csv(
-    table: Annotated[Path, typer.Argument(metavar="TABLE.csv", help="one sample a line")],
+    tables: Annotated[
+        list[Path],
+        typer.Argument(metavar="TABLE.csv...", help="one sample a line; several are joined"),
+    ],
     output: Annotated[Path, typer.Option("-o", "--output", help="samples to write (.json)")],
     columns: Annotated[Path, typer.Option(help="column map: which column is what (YAML)")],
     as_json: Json = False,
 ) -> None:
-    """Make samples of a CSV table, for every command that takes a recording."""
+    """Make samples of a table, or of several joined, for every command that takes a recording."""
     from parallel_cal.recordings import csv_import
     from parallel_cal.recordings.info import info_of
 
-    dataset = csv_import.import_csv(table, columns)
+    dataset = csv_import.import_csv(tables, columns)
     dataset.to_json(output)
     document = info_of(dataset)
     _show_info(document | {"output": str(output)} if as_json else document, as_json)

@@ -11,42 +11,71 @@ from parallel_cal.model.effect import CONDITIONS
 from parallel_cal.model.file.schema import NoisePart, Part, sentence, suggestion
 from parallel_cal.model.file.yamltext import Document, parse_yaml
 from parallel_cal.recordings.channels import named
-from parallel_cal.recordings.samples import READING
+
+Length = Literal["m", "mm", "um", "in"]
 
 
 class JointColumn(Part):
-    """A joint's readings; its name in the model file is the key."""
+    """A joint's readings; its name in the model file is the key. Without `unit` the header says."""
 
     column: str
-    unit: Literal["rad", "deg", "m", "mm"]
+    unit: Literal["rad", "deg", "m", "mm", "um", "in"] | None = None
+
+
+class ReadingColumn(Part):
+    """What a sensor read, of the model file's channel that is the key; an empty cell: nothing."""
+
+    column: str
+    unit: Length | None = None
 
 
 class PositionColumns(Part):
     """x, y and z of {P} in {B}."""
 
     columns: Annotated[list[str], Field(min_length=3, max_length=3)]
-    unit: Literal["m", "mm"]
+    unit: Length | None = None
+
+
+class AngleColumns(Part):
+    """Three turns one after the other, about fixed axes (`xyz`) or about turned ones (`XYZ`)."""
+
+    columns: Annotated[list[str], Field(min_length=3, max_length=3)]
+    axes: Annotated[str, Field(pattern="^([xyz]{3}|[XYZ]{3})$")] = "xyz"
+    unit: Literal["rad", "deg"] | None = None
+
+
+class Join(Part):
+    """Rows of several tables that belong together: equal in the column `by`, or where it holds
+    seconds the nearest, `within` so many of them."""
+
+    by: str
+    within: Annotated[float, Field(gt=0)] | None = None
 
 
 class ColumnMap(Part):
     """What a table's columns hold; others are ignored.
 
-    `orientation` is a quaternion x y z w. A condition is a column, or the number it always was.
-    Rows of equal `group` are visits of one pose. `noise` is 1 sigma as the makers state it (SI).
+    `orientation` is a quaternion x y z w; `angles` say the same. A condition is a column, or the
+    number it always was. Rows of equal `group` are visits of one pose. `noise` is 1 sigma as the
+    makers state it (SI).
     """
 
     joints: Annotated[dict[str, JointColumn], Field(min_length=1)]
     position: PositionColumns | None = None
     orientation: Annotated[list[str], Field(min_length=4, max_length=4)] | None = None
+    angles: AngleColumns | None = None
+    readings: dict[str, ReadingColumn] = Field(default_factory=dict)
     conditions: dict[str, str | float] = Field(default_factory=dict)
     group: str | None = None
+    join: Join | None = None
     noise: NoisePart = NoisePart()
 
     @property
     def columns(self) -> list[str]:
         """Every column the map names."""
         names = [joint.column for joint in self.joints.values()]
-        names += self.position.columns if self.position else []
+        names += [reading.column for reading in self.readings.values()]
+        names += [name for part in (self.position, self.angles) if part for name in part.columns]
         names += self.orientation or []
         names += [c for c in self.conditions.values() if isinstance(c, str)]
         return names + ([self.group] if self.group else [])
@@ -59,10 +88,14 @@ def read_column_map(path: Path) -> ColumnMap:
         found = ColumnMap.model_validate(document.data)
     except ValidationError as error:
         raise _invalid(document, error.errors(include_url=False)[0]) from None
-    if not found.position and not found.orientation:
-        raise document.error((), "neither position nor orientation: say what was measured")
+    if found.orientation and found.angles:
+        raise document.error(("angles",), "orientation is given, too: take one of them out")
+    if not (found.position or found.orientation or found.angles or found.readings):
+        raise document.error(
+            (), "neither position nor orientation nor readings: say what was measured"
+        )
     for name in found.conditions:
-        if name.split(".")[0] not in (*CONDITIONS, *named("condition"), READING.rstrip(".")):
+        if name.split(".")[0] not in (*CONDITIONS, *named("condition")):
             raise document.error(("conditions", name), f"unknown condition; {_conditions()}")
     return found
 
@@ -77,5 +110,5 @@ def _invalid(document: Document, error: Any) -> Exception:
 
 def _conditions() -> str:
     names = [f"{name}.JOINT" if given[2] else name for name, given in CONDITIONS.items()]
-    known = dict.fromkeys([*names, *named("condition"), f"{READING}CHANNEL"])
+    known = dict.fromkeys([*names, *named("condition")])
     return f"expected one of {', '.join(known)}"

@@ -1,68 +1,195 @@
-"""A CSV table and a column map -> Dataset: measurements that no bag was recorded of."""
+"""Tables and a column map -> Dataset: measurements that no bag was recorded of."""
 
 from __future__ import annotations
 
 import dataclasses
 import hashlib
-import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.base.rotation import quaternion_to_matrix
-from parallel_cal.recordings.columns import ColumnMap, read_column_map
+from parallel_cal.recordings.columns import (
+    ColumnMap,
+    Join,
+    read_column_map,
+)
 from parallel_cal.recordings.dataset import Dataset
-from parallel_cal.recordings.table import Table, read_table
+from parallel_cal.recordings.recording import Dropped
+from parallel_cal.recordings.samples import READING
+from parallel_cal.recordings.table import UNITS, Table, read_table, said_unit
 
-SI = {"rad": 1.0, "deg": math.pi / 180, "m": 1.0, "mm": 1e-3}
 
-
-def import_csv(path: str | Path, columns: str | Path) -> Dataset:
-    """The dataset of a CSV table, read as a column map (YAML) says.
+def import_csv(paths: str | Path | Sequence[str | Path], columns: str | Path) -> Dataset:
+    """The dataset of one table, or of several whose rows are joined, as a column map (YAML) says.
 
     DatasetError or ModelFileError naming file, line and column of what is wrong.
     """
-    wanted, table = read_column_map(Path(columns)), read_table(Path(path)).complete()
-    if missing := [name for name in wanted.columns if name not in table.header]:
-        raise DatasetError(
-            f"{path}:1: no column {', '.join(missing)}, which {columns} names; the table has "
-            f"{', '.join(table.header)}"
-        )
-    joints = [table.numbers([joint.column]) * SI[joint.unit] for joint in wanted.joints.values()]
-    r, R = _position(wanted, table), _rotation(wanted, table)
-    conditions = _conditions(wanted, table)
-    found = Dataset.from_arrays(
+    files = [Path(p) for p in ([paths] if isinstance(paths, str | Path) else paths)]
+    wanted = read_column_map(Path(columns))
+    tables, dropped = _joined([read_table(file).complete() for file in files], wanted.join)
+    found = Columns(tables, str(columns)).checked(wanted)
+    joints = [found.si([joint.column], joint.unit) for joint in wanted.joints.values()]
+    r = found.si(wanted.position.columns, wanted.position.unit) if wanted.position else None
+    R, n = _rotation(wanted, found), len(tables[0].rows)
+    readings = {
+        READING + name: found.si([one.column], one.unit, gaps=True)[:, 0]
+        for name, one in wanted.readings.items()
+    }
+    conditions = _conditions(wanted, found, n) | readings
+    data = Dataset.from_arrays(
         tuple(wanted.joints),
         np.hstack(joints),
-        np.zeros((len(table.rows), 3)) if r is None else r,
+        np.zeros((n, 3)) if r is None else r,
         R,
         measured=np.repeat([r is not None, R is not None], 3),
         pose_cov=_covariance(wanted),
         joint_sigma=wanted.noise.joint,
         conditions=conditions,
-        pose_id=_visits(wanted, table),
-        source=str(path),
-        sha256=hashlib.sha256(Path(path).read_bytes()).hexdigest(),
+        pose_id=_visits(wanted, found),
+        source=" + ".join(map(str, files)),
+        sha256=hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest(),
+        dropped=tuple(dropped),
     )
     # The order of lines is no time: drift must not be judged by it.
-    return dataclasses.replace(found, conditions=conditions)
+    return dataclasses.replace(data, conditions=conditions)
 
 
-def _position(wanted: ColumnMap, table: Table) -> np.ndarray | None:
-    given = wanted.position
-    return table.numbers(given.columns) * SI[given.unit] if given else None
+@dataclass(frozen=True)
+class Columns:
+    """The columns of tables whose rows correspond, in SI; `map` is who asks for them."""
+
+    tables: Sequence[Table]
+    map: str
+
+    def checked(self, wanted: ColumnMap) -> Columns:
+        """The same; DatasetError for a column that none, or more than one, of the tables has."""
+        for name in wanted.columns:
+            having = [str(table.path) for table in self.tables if table.find(name)]
+            if len(having) > 1:
+                raise DatasetError(
+                    f"column {name} is in {' and '.join(having)}: rename one of them"
+                )
+            if not having:
+                has = "; ".join(", ".join(t.header) for t in self.tables)
+                raise DatasetError(
+                    f"{', '.join(f'{t.path}:1' for t in self.tables)}: no column {name}, which "
+                    f"{self.map} names; the table has {has}"
+                )
+        return self
+
+    def si(self, names: Sequence[str], unit: str | None, gaps: bool = False) -> np.ndarray:
+        """(N, len(names)) in m or rad; `gaps`: an empty cell is NaN, else an error."""
+        return np.column_stack([self._column(name, unit, gaps) for name in names])
+
+    def numbers(self, names: Sequence[str]) -> np.ndarray:
+        """(N, len(names)) as they stand; DatasetError at a cell that is no finite number."""
+        return np.column_stack([t.numbers([word])[:, 0] for t, word in map(self._of, names)])
+
+    def texts(self, name: str) -> list[str]:
+        table, word = self._of(name)
+        return table.texts(word)
+
+    def _of(self, name: str) -> tuple[Table, str]:
+        return next((t, word) for t in self.tables if (word := t.find(name)) is not None)
+
+    def _column(self, name: str, unit: str | None, gaps: bool) -> np.ndarray:
+        table, word = self._of(name)
+        said = said_unit(word)[1]
+        if unit is None and said is None:
+            raise DatasetError(
+                f"{table.path}:1: column {word} names no unit; say so in {self.map} (unit: mm) "
+                f"or in the header ({word} [mm])"
+            )
+        if unit and said and unit != said:
+            raise DatasetError(
+                f"{table.path}:1: column {word} is in {said}, {self.map} says {unit}"
+            )
+        filled = [k for k, text in enumerate(table.texts(word)) if text or not gaps]
+        values = np.full(len(table.rows), np.nan)
+        values[filled] = table.select(filled).numbers([word])[:, 0] * UNITS[unit or said or ""]
+        return values
 
 
-def _rotation(wanted: ColumnMap, table: Table) -> np.ndarray | None:
-    names = wanted.orientation
-    if names is None:
+def _joined(tables: list[Table], join: Join | None) -> tuple[list[Table], list[Dropped]]:
+    """Tables of rows that correspond, and the rows that have no partner in all of them."""
+    if len(tables) == 1:
+        return tables, []
+    if join is None:
+        counts = {str(table.path): len(table.rows) for table in tables}
+        if len({*counts.values()}) > 1:
+            raise DatasetError(
+                f"{' and '.join(f'{n} rows in {p}' for p, n in counts.items())}: say in the column "
+                "map how they belong together (join: {by: COLUMN})"
+            )
+        return tables, []
+    for table in tables:
+        if table.find(join.by) is None:
+            raise DatasetError(f"{table.path}:1: no column {join.by} to join by")
+    one = min(tables, key=lambda table: len(table.rows))
+    partners = np.column_stack([_partners(one, table, join) for table in tables])
+    kept = (partners >= 0).all(axis=1)
+    if not kept.any():
+        raise DatasetError(f"no row of {one.path} has a partner by {join.by} in the other tables")
+    dropped = [
+        Dropped(0.0, "no partner", f"{one.path}:{one.lines[k]}: nothing else with its {join.by}")
+        for k in np.flatnonzero(~kept)
+    ]
+    for table, rows in zip(tables, partners[kept].T, strict=True):
+        if join.within is None and len(rest := {*range(len(table.rows))} - {*rows.tolist()}):
+            words = [f"{table.path}:{table.lines[k]}" for k in sorted(rest)]
+            dropped += [Dropped(0.0, "no partner", f"{at}: nothing else with its {join.by}")
+                        for at in words if table is not one]  # fmt: skip
+    chosen = [t.select(rows.tolist()) for t, rows in zip(tables, partners[kept].T, strict=True)]
+    return [chosen[0], *(_without(t, join.by) for t in chosen[1:])], dropped
+
+
+def _partners(one: Table, other: Table, join: Join) -> np.ndarray:
+    """The row (N,) of `other` that belongs to each row of `one`, -1 where there is none."""
+    mine, its = one.find(join.by) or "", other.find(join.by) or ""
+    if join.within is not None:
+        at, among = one.numbers([mine])[:, 0], other.numbers([its])[:, 0]
+        order = np.argsort(among, kind="stable")
+        after = np.searchsorted(among[order], at).clip(1, max(len(among) - 1, 1))
+        around = order[np.minimum(np.stack([after - 1, after]), len(among) - 1)]
+        nearest = np.where(np.diff(np.abs(among[around] - at), axis=0)[0] < 0, *around[::-1])
+        return np.where(np.abs(among[nearest] - at) <= join.within, nearest, -1)
+    texts = other.texts(its)
+    for table, words in ((other, texts), (one, one.texts(mine))):
+        first = dict(zip(words[::-1], range(len(words))[::-1], strict=True))
+        if twice := [k for k, text in enumerate(words) if first[text] < k]:
+            raise DatasetError(
+                f"{table.path}:{table.lines[twice[0]]}: {join.by} {words[twice[0]]} occurs twice"
+            )
+    rows = {text: k for k, text in enumerate(texts)}
+    return np.array([rows.get(text, -1) for text in one.texts(mine)])
+
+
+def _without(table: Table, name: str) -> Table:
+    """The same with the column it was joined by under no name that a map asks for."""
+    header = ["" if word == table.find(name) else word for word in table.header]
+    return dataclasses.replace(table, header=header)
+
+
+def _rotation(wanted: ColumnMap, found: Columns) -> np.ndarray | None:
+    if (turned := wanted.angles) is not None:
+        from scipy.spatial.transform import Rotation
+
+        turns = found.si(turned.columns, turned.unit)
+        return np.asarray(Rotation.from_euler(turned.axes, turns).as_matrix())
+    given = wanted.orientation
+    if given is None:
         return None
-    quaternions = table.numbers(names)
+    quaternions = found.numbers(given)
     length = np.linalg.norm(quaternions, axis=1)
-    if bad := [line for line, l in zip(table.lines, length, strict=True) if abs(l - 1) > 0.05]:
+    if (bad := np.flatnonzero(np.abs(length - 1) > 0.05)).size:
+        table, _ = found._of(given[0])
         raise DatasetError(
-            f"{table.path}:{bad[0]}: {', '.join(names)} are no quaternion x y z w of length 1"
+            f"{table.path}:{table.lines[bad[0]]}: {', '.join(given)} are no quaternion x y z w of "
+            "length 1"
         )
     return quaternion_to_matrix(quaternions)
 
@@ -74,15 +201,14 @@ def _covariance(wanted: ColumnMap) -> np.ndarray:
     return np.where(np.isnan(sigma), np.nan, np.diag(sigma**2))
 
 
-def _conditions(wanted: ColumnMap, table: Table) -> dict[str, np.ndarray]:
-    n = len(table.rows)
+def _conditions(wanted: ColumnMap, found: Columns, n: int) -> dict[str, np.ndarray]:
     return {
-        name: table.numbers([given])[:, 0] if isinstance(given, str) else np.full(n, given)
+        name: found.numbers([given])[:, 0] if isinstance(given, str) else np.full(n, given)
         for name, given in wanted.conditions.items()
     }
 
 
-def _visits(wanted: ColumnMap, table: Table) -> np.ndarray | None:
+def _visits(wanted: ColumnMap, found: Columns) -> np.ndarray | None:
     if wanted.group is None:
         return None
-    return np.unique(table.texts(wanted.group), return_inverse=True)[1]
+    return np.unique(found.texts(wanted.group), return_inverse=True)[1]

@@ -1,27 +1,45 @@
-"""A CSV file: a header and rows of text, read as numbers by column."""
+"""A table in a text file: a header and rows, read as numbers by column.
+
+Cells are apart by commas, semicolons or tabs; decimals by a point, or a comma where cells are not.
+"""
 
 from __future__ import annotations
 
 import csv
 import io
 import math
+import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from parallel_cal.base.errors import DatasetError
 
+UNITS = {"rad": 1.0, "deg": math.pi / 180, "m": 1.0, "mm": 1e-3, "um": 1e-6, "in": 0.0254}
+ALSO = {"°": "deg", "degree": "deg", "degrees": "deg", "µm": "um", "μm": "um", "inch": "in"}
+
 
 @dataclass(frozen=True)
 class Table:
-    """The header's names, the rows of a CSV file as text, and the line each stands in."""
+    """The header's names, the rows of a table as text, and the line each stands in."""
 
     path: Path
     header: list[str]
     rows: list[list[str]]
     lines: list[int]
+    decimal: str = "."
+
+    def find(self, name: str) -> str | None:
+        """The header's word for a column: the same, or the same and a unit (`x [mm]`, `x_mm`)."""
+        if name in self.header:
+            return name
+        return next((word for word in self.header if said_unit(word)[0] == name), None)
+
+    def select(self, rows: Sequence[int]) -> Table:
+        """Some of its rows, in that order."""
+        return replace(self, rows=[self.rows[k] for k in rows], lines=[self.lines[k] for k in rows])
 
     def complete(self) -> Table:
         """Without rows that hold nothing; DatasetError where a cell is missing or a name twice."""
@@ -36,8 +54,7 @@ class Table:
                     f"{self.path}:{self.lines[k]}: {len(self.rows[k])} cells, the header has "
                     f"{len(self.header)}"
                 )
-        rows, lines = [self.rows[k] for k in kept], [self.lines[k] for k in kept]
-        return Table(self.path, self.header, rows, lines)
+        return self.select(kept)
 
     def texts(self, name: str) -> list[str]:
         """A column's cells; empty in rows that are shorter or longer than the header."""
@@ -46,7 +63,8 @@ class Table:
 
     def column(self, name: str) -> np.ndarray:
         """(N,) numbers, NaN for what is none."""
-        return np.array([_number(text) for text in self.texts(name)], dtype=float)
+        texts = (text.replace(self.decimal, ".") for text in self.texts(name))
+        return np.array([_number(text) for text in texts], dtype=float)
 
     def numbers(self, names: Sequence[str]) -> np.ndarray:
         """(N, len(names)); DatasetError at the first cell that is not a finite number."""
@@ -60,19 +78,39 @@ class Table:
 
 
 def read_table(path: Path) -> Table:
-    """A CSV file with a header line, empty lines skipped; DatasetError where it is none."""
+    """A table with a header line, empty and leading `#` lines skipped; DatasetError where it is
+    none."""
     try:
-        reader = csv.reader(io.StringIO(path.read_text(encoding="utf-8-sig")), strict=True)
-        found = [(reader.line_num, row) for row in reader if row]
+        text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
         raise DatasetError(f"{path}: {error.strerror}: the table cannot be read") from None
-    except (UnicodeDecodeError, csv.Error) as error:
+    except UnicodeDecodeError as error:
+        raise DatasetError(f"{path}: not a CSV table: {error}") from None
+    lines = text.splitlines(keepends=True)
+    remarks = next((k for k, l in enumerate(lines) if l.strip() and l[0] != "#"), len(lines))
+    first = lines[remarks] if remarks < len(lines) else ""
+    apart = max(",;\t", key=first.count)
+    reader = csv.reader(io.StringIO("".join(lines[remarks:])), delimiter=apart, strict=True)
+    try:
+        found = [(remarks + reader.line_num, row) for row in reader if row]
+    except csv.Error as error:
         raise DatasetError(f"{path}: not a CSV table: {error}") from None
     if not found or not any(found[0][1]):
         raise DatasetError(f"{path}:1: empty; expected a header line")
     (_, header), *rows = found
     names = [name.strip() for name in header]
-    return Table(path, names, [row for _, row in rows], [line for line, _ in rows])
+    decimal = "." if apart == "," else ","
+    return Table(path, names, [row for _, row in rows], [line for line, _ in rows], decimal)
+
+
+def said_unit(word: str) -> tuple[str, str | None]:
+    """`x [mm]`, `x (mm)`, `x_mm`, `x/mm` or `x mm` as name and unit; (word, None) without one."""
+    match = re.fullmatch(r"(.+?)\s*(?:\[(.+)\]|\((.+)\)|[_/ ]\s*([^_/ ]+))", word)
+    if match is None:
+        return word, None
+    unit = next(group for group in match.groups()[1:] if group).strip()
+    unit = ALSO.get(unit, unit)
+    return (match[1], unit) if unit in UNITS else (word, None)
 
 
 def _number(text: str) -> float:
