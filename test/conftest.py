@@ -1,6 +1,10 @@
-"""One BLAS thread in every test: results do not change, and workers do not fight for cores."""
+"""One BLAS thread in every test: results do not change, and workers do not fight for cores.
+
+Nodes keep their journals out of the home folder.
+"""
 
 import os
+import tempfile
 
 import pytest
 
@@ -20,3 +24,6 @@ def run_cli(capsys):
         return capsys.readouterr().out
 
     return run
+
+
+os.environ["ROS_HOME"] = tempfile.mkdtemp(prefix="ros_home")

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 PACKAGE = Path(__file__).parents[1] / "parallel_cal"
-MAY_USE_ROSBAGS = {"bag.py", "writer.py", "replay_node.py"}
+MAY_USE_ROSBAGS = {"bag.py", "writer.py", "replay_node.py", "recorder.py"}
 
 # The rooms, each importing only from those before it; CONTRIBUTING draws them.
 ROOMS = (

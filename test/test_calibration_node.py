@@ -6,6 +6,7 @@ import dataclasses
 import json
 import os
 import shutil
+import signal
 from pathlib import Path
 from unittest import mock
 
@@ -19,7 +20,7 @@ pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy")
 pytest.importorskip("parallel_cal_msgs")
 
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from parallel_cal_msgs.action import Identify
 from parallel_cal_msgs.msg import CollectionStatus, ModelStatus
 from parallel_cal_msgs.srv import (
@@ -33,6 +34,7 @@ from parallel_cal_msgs.srv import (
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from ros_helpers import NodeProcess
+from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
@@ -42,7 +44,8 @@ from parallel_cal.model.file.modelfile import model_hash, read_model, write_mode
 from parallel_cal.model.model import Noise, new_model
 from parallel_cal.model.shelf import load_sensor
 from parallel_cal.nodes.client import Client, Process, own_domain
-from parallel_cal.recordings.bag import list_topics
+from parallel_cal.nodes.recorder import Recorder
+from parallel_cal.recordings.bag import list_topics, read_bag
 from parallel_cal.recordings.loading import load_dataset
 
 REPOSITORY = Path(__file__).parents[1]
@@ -361,6 +364,66 @@ def test_an_effect_is_added_where_it_helps_and_refused_where_not(full):
     assert added.success, added.message
     assert added.hash == model_hash(Path(output).read_bytes())
     assert [e.name for e in read_model(output).effects] == ["encoder_eccentricity"]
+
+
+def played(tmp_path, bag, by):
+    """A node that a bag was played to, then ended by a signal; its journals are in `j`."""
+    namespace, processes = own_domain() + "_journal", []
+    node = Process("calibration_node", tmp_path, namespace, journal_folder=str(tmp_path / "j"))
+    processes.append(node)
+    client = Client("tester", namespace, processes)
+    status = client.latest(CollectionStatus, "calibration_node/collection_status")
+    client.wait(lambda: bool(status), "a status")
+    listeners = client.listeners(topic.name for topic in list_topics(bag)[0])
+    replay = {"bag": str(bag), "rate": 50.0, "wait_for_subscribers": listeners}
+    processes.append(Process("replay_node", tmp_path, namespace, **replay))
+    client.wait(lambda: received(status[0]) >= sum(counts(bag)), "the bag", 120)
+    client.wait(lambda: status[0].samples == 94, "the samples", 60)
+    assert str(tmp_path / "j") in status[0].journal
+    client.close()
+    node._process.send_signal(by)
+    node._process.wait(20)
+    processes[1].end()
+    return namespace
+
+
+@pytest.mark.wide
+@pytest.mark.parametrize("by", [signal.SIGKILL, signal.SIGTERM])
+@mock.patch.dict(os.environ)
+def test_samples_outlive_their_node_however_it_ends_until_they_are_saved(tmp_path, by):
+    namespace = played(tmp_path, CLEAN, by)
+    folder = str(tmp_path / "j")
+    for expected in (94, 0):  # the second time they were saved
+        node = Process("calibration_node", tmp_path, namespace, journal_folder=folder)
+        client = Client("tester", namespace, [node])
+        status = client.latest(CollectionStatus, "calibration_node/collection_status")
+        client.wait(lambda s=status: bool(s), "a status")
+        assert status[0].samples == expected
+        if expected:
+            assert "94 samples of the run before resumed" in status[0].last_event
+            path = str(tmp_path / "s.json")
+            saved = client.call(SaveSamples, "calibration_node/save_samples", path=path)
+            assert saved.samples == 94
+            np.testing.assert_array_equal(load_dataset(path).q, load_dataset(CLEAN).q)
+        client.close()
+        assert node.end() == 0
+
+
+def test_a_raw_recording_is_a_bag_of_the_messages_as_they_came(tmp_path):
+    state = JointState(name=["a", "b"], position=[0.25, 0.5])
+    pose = PoseWithCovarianceStamped()
+    pose.header.frame_id, pose.pose.pose.position.x = "base", 0.125
+    recorder = Recorder(tmp_path / "folder")
+    for i in range(3):
+        state.header.stamp.sec = pose.header.stamp.sec = i + 1
+        recorder.write("joint_states", "sensor_msgs/msg/JointState", state, i)
+        kind = "geometry_msgs/msg/PoseWithCovarianceStamped"
+        recorder.write("measured_pose", kind, pose, i)
+    recorder.close()
+    recording = read_bag(recorder.path)
+    assert recording.joints.position.tolist() == [[0.25, 0.5]] * 3
+    assert recording.pose.position[:, 0].tolist() == [0.125] * 3
+    assert recording.joints.time.tolist() == [0.0, 1.0, 2.0]
 
 
 @pytest.mark.wide

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -599,6 +600,49 @@ def test_a_damaged_sample_file_is_refused_naming_file_and_key(robot, tmp_path):
     path.write_text("{")
     with pytest.raises(DatasetError, match="cannot read samples"):
         Dataset.from_json(path)
+
+
+def mirrored(document):
+    document["R"][2] = [[1, 0, 0], [0, 1, 0], [0, 0, -1]]
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (lambda d: d["q"].__setitem__(1, [None] * 3), "q of sample 1 holds null"),
+        (lambda d: d["time"].__setitem__(0, None), "time of sample 0 holds null"),
+        (lambda d: d["r"].pop(), "r is not"),
+        (lambda d: d["duration"].pop(), "duration is not"),
+        (lambda d: d["measured"].pop(), "measured has"),
+        (lambda d: d["pose_id"].pop(), "pose_id has"),
+        (lambda d: next(iter(d["conditions"].values())).pop(), "conditions.*has"),
+        (mirrored, "R of sample 2 is no rotation, it mirrors"),
+        (lambda d: d["R"].__setitem__(0, [[2, 0, 0], [0, 1, 0], [0, 0, 1]]), "not orthogonal"),
+        (lambda d: d.update(joint_names=["a", "a", "b"]), "joint_names"),
+        (lambda d: d.update(joint_sigma=[1e-5]), "joint_sigma"),
+        (lambda d: d.update(dropped=[{"odd": 1}]), "dropped"),
+    ],
+)
+def test_a_sample_file_with_a_column_that_is_none_is_refused_by_its_key(
+    robot, tmp_path, spoil, said
+):
+    path = tmp_path / "s.json"
+    robot.to_json(path)
+    document = json.loads(path.read_text())
+    spoil(document)
+    path.write_text(json.dumps(document))
+    with pytest.raises(DatasetError, match=said):
+        load_dataset(path)
+
+
+def test_what_is_no_regular_sample_file_of_sane_depth_is_refused(tmp_path):
+    deep, pipe, digits = (tmp_path / f"{name}.json" for name in ("deep", "pipe", "digits"))
+    deep.write_text("[" * 60_000)
+    digits.write_text('{"parallel_cal_samples": ' + "1" * 5000 + "}")
+    os.mkfifo(pipe)
+    for path in (deep, pipe, digits):
+        with pytest.raises(DatasetError, match="cannot read samples"):
+            load_dataset(path)
 
 
 # ---- look

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import os
 import time
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import geometry_msgs.msg
 from parallel_cal_msgs.msg import CollectionStatus
-from parallel_cal_msgs.srv import Compare
+from parallel_cal_msgs.srv import Compare, SaveSamples
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.event_handler import SubscriptionEventCallbacks
@@ -25,6 +27,7 @@ from parallel_cal.nodes.calibrator import Calibrator
 from parallel_cal.nodes.collector import Collection, Collector
 from parallel_cal.nodes.conversions import message_class
 from parallel_cal.nodes.jobs import in_words
+from parallel_cal.nodes.journal import Journal
 from parallel_cal.nodes.parameters import (
     ACCEPTED,
     LATCHED,
@@ -34,7 +37,7 @@ from parallel_cal.nodes.parameters import (
     declare,
     overridable,
 )
-from parallel_cal.nodes.run import every, foreign_publishers, run
+from parallel_cal.nodes.run import every, foreign_publishers, run, type_name
 from parallel_cal.nodes.sample_services import SERVICES
 from parallel_cal.recordings.channels import CHANNELS, take
 from parallel_cal.recordings.options import MODES, SampleOptions
@@ -58,6 +61,9 @@ PARAMETERS = {
     "hold_out": Setting(0.25, "share of the poses left out, where none is asked for", (0, 0.5)),
     "pose_type": Setting(POSE_TYPES[0], "type of measured_pose", POSE_TYPES, fixed=True),
     "channels": Setting("", "Python paths of channels of your own, by commas", fixed=True),
+    "journal": Setting(True, "write every sample to disk as soon as it is taken", fixed=True),
+    "journal_folder": Setting("", "where; empty = parallel_cal in ROS_HOME (~/.ros)", fixed=True),
+    "record": Setting(False, "write every message to an MCAP beside the journal, while it is true"),
     "arrow_scale": Setting(100.0, "length of residual arrows over the residuals'", (0, 1e9)),
     "look_period": Setting(0.5, "s between two looks at what came in", (0.01, 3600), fixed=True),
 }
@@ -72,12 +78,16 @@ class CalibrationNode(Node):
         # One group and not the default one: `run` then calls everything from one thread.
         self._group = MutuallyExclusiveCallbackGroup()
         self._model_joints: tuple[Any, tuple[str, ...] | None] = (None, None)
-        self._event, self._next_look = "", 0.0
+        self._event, self._trouble, self._next_look = "", "", 0.0
         self._foreign: list[str] = []
         self._dropped_before: list[Dropped] = []
         for path in filter(None, self._parameter("channels").split(",")):
             take(path)
         self._collector = Collector(self._joints(), self._options(), auto=self._auto())
+        home = absolute(os.environ.get("ROS_HOME") or "~/.ros")
+        self._folder = Path(absolute(self._parameter("journal_folder")) or f"{home}/parallel_cal")
+        self._recorder: Any = None
+        self._journal = self._opened_journal()
         self._status = self.create_publisher(CollectionStatus, "~/collection_status", LATCHED)
         self._dropped = self.create_publisher(String, "~/dropped", LATCHED)
         self._subscribe()
@@ -86,6 +96,40 @@ class CalibrationNode(Node):
         every(self._parameter("look_period"), self, self._look, self._group)
         self._dropped.publish(messages.dropped_message([]))
         self._publish_status()
+
+    def _opened_journal(self) -> Journal | None:
+        """The journal that the last run of a node of this name left, or a new one."""
+        if not self._parameter("journal"):
+            return None
+        name = self.get_fully_qualified_name().strip("/").replace("/", ".")
+        journal = Journal(self._folder, name)
+        try:
+            resumed = self._collector.resume(journal.resume())
+        except ParallelCalError as error:
+            self._trouble = self._event = f"journal not resumed: {error}"
+            self.get_logger().error(self._event)
+            return Journal(self._folder, name)
+        if resumed:
+            self._event = (
+                f"{resumed} samples of the run before resumed from {journal.path}; "
+                "clear_samples forgets them"
+            )
+            self.get_logger().warning(self._event)
+        return journal
+
+    def _keep(self) -> None:
+        """Make sure of every sample; a disk that is full ends nothing."""
+        if self._journal is None:
+            return
+        try:
+            self._journal.keep(self._collector.entries())
+        except OSError as error:
+            trouble = f"the journal cannot be written: {error.strerror}: samples are in memory only"
+            if trouble != self._trouble:
+                self._trouble = self._event = trouble
+                self.get_logger().error(trouble)
+        else:
+            self._trouble = ""
 
     def _parameter(self, name: str) -> Any:
         return self.get_parameter(name).value
@@ -152,7 +196,39 @@ class CalibrationNode(Node):
 
     def _on_message(self, channel: str, message: Any, info: dict[str, int]) -> None:
         """Received when it came in, as a recorder sees it, not when its turn came here."""
-        self._collector.receive(channel, message, info["received_timestamp"] or time.time_ns())
+        received = info["received_timestamp"] or time.time_ns()
+        self._collector.receive(channel, message, received)
+        if self._recorder is not None:
+            self._record(channel, message, received)
+
+    def _record(self, channel: str, message: Any, received: int) -> None:
+        try:
+            self._recorder.write(channel, type_name(type(message)), message, received)
+        except OSError as error:
+            self._stop_recording(f": {error.strerror}")
+
+    def _stop_recording(self, why: str = "") -> None:
+        recorder, self._recorder = self._recorder, None
+        if recorder is not None:
+            with suppress(OSError):
+                recorder.close()
+            self._say(f"recording ended{why}: {recorder.path}")
+
+    def _follow_record(self) -> None:
+        """Begin or end a recording as the parameter says."""
+        if self._parameter("record") == (self._recorder is not None):
+            return
+        if self._recorder is not None:
+            self._stop_recording()
+            return
+        from parallel_cal.nodes.recorder import Recorder  # rosbags costs half a second
+
+        try:
+            self._recorder = Recorder(self._folder)
+            self._say(f"recording to {self._recorder.path}")
+        except OSError as error:
+            self.set_parameters([Parameter("record", value=False)])
+            self._say(f"cannot record to {self._folder}: {error.strerror}")
 
     def _look(self) -> None:
         """Make samples of what came in, now and then: it takes longer the more there is."""
@@ -160,6 +236,9 @@ class CalibrationNode(Node):
         if begin < self._next_look:
             return
         self._refresh()
+        if self._trouble:
+            self._keep()
+        self._follow_record()
         self._warn_of_foreign()
         end = time.monotonic()
         self._next_look = end + (end - begin) / BUSY
@@ -182,6 +261,7 @@ class CalibrationNode(Node):
             self._event = f"dropped at {last.time:.2f} s: {last.reason} ({last.detail})"
         if self._collector.trouble and self._collector.trouble != trouble:
             self._event = self._collector.trouble
+        self._keep()
         self._publish_status()
 
     def _collect(self) -> Collection:
@@ -204,6 +284,7 @@ class CalibrationNode(Node):
             paired=c.paired,
             dropped=c.dropped_poses,
             samples=len(c),
+            journal=self._journal.path if self._journal else "",
             last_event=self._event,
         )
 
@@ -231,6 +312,9 @@ class CalibrationNode(Node):
         try:
             self._refresh()
             work(request, response)
+            self._keep()
+            if isinstance(request, SaveSamples.Request) and self._journal is not None:
+                self._journal.close(f"saved to {request.path}")
         except Exception as error:  # whatever it is, the node goes on and the caller hears of it
             self._fail(response, in_words(error))
         if hasattr(response, "message"):
@@ -244,6 +328,13 @@ class CalibrationNode(Node):
             self._say(why)
             return
         response.success, response.message = False, why
+
+    def end_work(self) -> None:
+        """Keep what came in last, however the node ends, and stop what is at work."""
+        self._collector.refresh()
+        self._keep()
+        self._stop_recording()
+        self._calibrator.stop()
 
     def destroy_node(self) -> None:
         self._calibrator.close()

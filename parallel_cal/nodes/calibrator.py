@@ -51,8 +51,12 @@ class Calibrator:
         # the node's default group: it takes seconds, and must not keep anything else waiting
         node.create_service(AddEffect, "~/add_effect", self._add_effect)
 
+    def stop(self) -> None:
+        """Ask the work to end, if any."""
+        self._one.cancel.ask()
+
     def close(self) -> None:
-        """Stop the work, if any."""
+        """Stop the work, if any, and wait for it."""
         for action in self._actions:
             action.close()
 

@@ -20,10 +20,11 @@ from numpy.typing import NDArray
 
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.nodes.inbox import Inbox
+from parallel_cal.nodes.journal import Entry, Part
 from parallel_cal.recordings.channels import CHANNELS, named, stamp_of
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.joining import fingerprint, joined
-from parallel_cal.recordings.loading import load_dataset
+from parallel_cal.recordings.loading import in_order, load_dataset
 from parallel_cal.recordings.options import SampleOptions
 from parallel_cal.recordings.recording import Dropped
 
@@ -210,6 +211,26 @@ class Collector:
         except OSError as error:
             raise DatasetError(f"{path}: cannot be written: {error.strerror}") from None
         return len(collection)
+
+    def entries(self) -> dict[int, Entry]:
+        """Every sample in use, as a journal takes it."""
+        return {
+            int(inbox.ids[i]): Entry(inbox.dataset, int(i), inbox.start_ns)
+            for inbox in self._inboxes
+            if inbox.dataset is not None
+            for i in np.flatnonzero(inbox.kept(self.auto))
+        }
+
+    def resume(self, parts: Sequence[Part]) -> int:
+        """Begin with the samples of a journal, under their numbers; how many. DatasetError, and
+        no sample, where they are of other joints."""
+        ordered = [in_order(part.dataset, self.joints) for part in parts]
+        ids = [number for part in parts for number in part.ids]
+        self._numbers = count(max(ids, default=0) + 1)
+        self._restart()
+        for k, (part, dataset) in enumerate(zip(parts, ordered, strict=True)):
+            self._inboxes.insert(k, Inbox.loaded(dataset, iter(part.ids), part.start_ns))
+        return len(ids)
 
     def load(self, path: str | Path) -> int:
         """Replace the collection by the samples of a file or a bag; on failure keep it."""

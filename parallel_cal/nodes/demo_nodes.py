@@ -60,7 +60,7 @@ class DemoNodes:
         self._namespace = own_domain()
         with ExitStack() as self._open:  # whatever fails or is interrupted here, all is ended
             self._start("kinematics_node", model_file=str(self.model_file))
-            self._start("calibration_node", model_file=str(self.model_file))
+            self._start("calibration_node", model_file=str(self.model_file), journal=False)
             self._client = Client("demo", self._namespace, self._processes, self._interrupted)
             self._open.callback(self._client.close)
             status = "calibration_node/collection_status"

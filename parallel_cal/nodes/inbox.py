@@ -42,10 +42,10 @@ class Inbox:
         self._numbers, self._seen = numbers, 0
 
     @classmethod
-    def loaded(cls, dataset: Dataset, numbers: Iterator[int]) -> Inbox:
+    def loaded(cls, dataset: Dataset, numbers: Iterator[int], start_ns: int = 0) -> Inbox:
         """A finished inbox with the samples of a file."""
         inbox = cls({}, numbers)
-        inbox._adopt(dataset, 0)
+        inbox._adopt(dataset, start_ns)
         inbox.taken = inbox.ids.tolist()
         inbox.closed = True
         return inbox

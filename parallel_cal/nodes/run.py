@@ -112,7 +112,7 @@ def foreign_publishers(node: Node) -> list[str]:
     """What is published with another type than the node expects: it never arrives, and no one
     says so."""
     found = {
-        (listening.topic_name, publisher.topic_type, _type_name(listening.msg_type))
+        (listening.topic_name, publisher.topic_type, type_name(listening.msg_type))
         for listening in node.subscriptions
         for publisher in node.get_publishers_info_by_topic(listening.topic_name)
     }
@@ -121,7 +121,7 @@ def foreign_publishers(node: Node) -> list[str]:
     ]
 
 
-def _type_name(message: type) -> str:
+def type_name(message: type) -> str:
     return f"{message.__module__.split('.')[0]}/msg/{message.__name__}"
 
 

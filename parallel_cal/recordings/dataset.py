@@ -167,8 +167,12 @@ class Dataset:
     @classmethod
     def from_json(cls, path: str | Path) -> Dataset:
         """Read a file of `to_json`; DatasetError naming the file and the key that is wrong."""
-        document = read_document(Path(path))
+        return cls.from_document(read_document(Path(path)), str(path))
+
+    @classmethod
+    def from_document(cls, document: Mapping[str, Any], name: str) -> Dataset:
+        """The samples of a file's document; DatasetError naming the file and the wrong key."""
         try:
             return cls(**{f.name: restored(f.name, document) for f in dataclasses.fields(cls)})
-        except (KeyError, TypeError, ValueError) as error:
-            raise DatasetError(f"{path}: not a complete sample file: {error!r}") from error
+        except DatasetError as error:
+            raise DatasetError(f"{name}: not a complete sample file: {error}") from None

@@ -38,7 +38,7 @@ def load_dataset(
     """
     options = (options or ReadOptions()).changed(**given)
     if holds_samples(Path(path)):
-        dataset = _in_order(Dataset.from_json(path), options.joints)
+        dataset = in_order(Dataset.from_json(path), options.joints)
     else:
         dataset = dataset_from_recording(read_bag(path, options, progress), options)
     return dataset.excluding(options.exclude)
@@ -148,7 +148,7 @@ def _stack(
     )  # fmt: skip
 
 
-def _in_order(dataset: Dataset, joints: Sequence[str] | None) -> Dataset:
+def in_order(dataset: Dataset, joints: Sequence[str] | None) -> Dataset:
     """The dataset with its joints in the wanted order; DatasetError when one is missing."""
     if joints is None or tuple(joints) == dataset.joint_names:
         return dataset

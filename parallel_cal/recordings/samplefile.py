@@ -1,14 +1,19 @@
-"""The file that samples are saved in: JSON, SI units, null for a number that was not measured."""
+"""The file that samples are saved in: JSON, SI units, null for a number that was not measured.
+
+Read with every column checked: whoever reads a Dataset takes its shapes for granted.
+"""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from parallel_cal.base.errors import DatasetError
+from parallel_cal.base.files import MEGABYTE, read_text
 from parallel_cal.recordings.recording import Dropped
 
 FILE_VERSION = 1
@@ -16,6 +21,9 @@ PER_SAMPLE = (
     "q", "r", "R", "measured", "pose_cov", "time", "duration", "scatter_q", "scatter_pose",
     "count_q", "count_pose", "pose_id",
 )  # fmt: skip
+MOST = 512 * MEGABYTE  # of a sample file: a million samples
+MAY_LACK = ("pose_cov", "scatter_q", "scatter_pose")  # null where the device does not say
+OFF_ROTATION = 1e-6  # what R R^T may differ from the identity
 
 
 def holds_samples(path: Path) -> bool:
@@ -29,9 +37,11 @@ def holds_samples(path: Path) -> bool:
 def read_document(path: Path) -> dict[str, Any]:
     """The JSON document of a sample file; DatasetError when it is none."""
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise DatasetError(f"{path}: cannot read samples: {error}") from error
+        document = json.loads(read_text(path, MOST))
+    except OSError as error:
+        raise DatasetError(f"{path}: cannot read samples: {error.strerror}") from None
+    except (ValueError, RecursionError) as error:
+        raise DatasetError(f"{path}: cannot read samples: {error}") from None
     version = document.get("parallel_cal_samples") if isinstance(document, dict) else None
     if version != FILE_VERSION:
         raise DatasetError(
@@ -41,12 +51,65 @@ def read_document(path: Path) -> dict[str, Any]:
     return document
 
 
-def restored(name: str, document: dict[str, Any]) -> Any:
-    """A field from JSON, with the type and shape it had."""
+def restored(name: str, document: Mapping[str, Any]) -> Any:
+    """A field from JSON, with the type and shape it had; DatasetError that names the key."""
+    try:
+        value = _restored(name, document)
+    except KeyError:
+        raise DatasetError(f"the key '{name}' is missing") from None
+    except (TypeError, ValueError, AttributeError, OverflowError):
+        raise DatasetError(f"{name} is not what a sample file holds there") from None
+    if name in PER_SAMPLE:
+        _check_column(name, value, len(document["time"]))
+    if name == "conditions":
+        for key, column in value.items():
+            _check_length(f"conditions.{key}", column, len(document["time"]))
+    if name == "joint_names":
+        _check_names(value)
+    if name == "joint_sigma" and value is not None:
+        _check_sigma(value, len(document["joint_names"]))
+    return value
+
+
+def _check_column(name: str, column: np.ndarray, n: int) -> None:
+    _check_length(name, column, n)
+    flat = column.reshape(n, -1)
+    if name not in MAY_LACK and not np.isfinite(flat).all():
+        i = int(np.argmin(np.isfinite(flat).all(axis=1)))
+        raise DatasetError(f"{name} of sample {i} holds null: expected numbers")
+    if name == "R" and n:
+        off = np.abs(column @ np.swapaxes(column, 1, 2) - np.eye(3)).max(axis=(1, 2))
+        mirrored = np.linalg.det(column) < 0
+        bad = (off > OFF_ROTATION) | mirrored
+        if bad.any():
+            i = int(np.argmax(bad))
+            how = "mirrors: its determinant is -1" if mirrored[i] else "is not orthogonal"
+            raise DatasetError(f"R of sample {i} is no rotation, it {how}")
+
+
+def _check_length(name: str, column: np.ndarray, n: int) -> None:
+    if column.ndim < 1 or len(column) != n:
+        raise DatasetError(f"{name} has {np.shape(column)[:1]} entries; time has {n}")
+
+
+def _check_names(names: Any) -> None:
+    good = isinstance(names, tuple) and all(isinstance(n, str) for n in names)
+    if not good or not names or len(set(names)) < len(names):
+        raise DatasetError(f"joint_names are {names}: expected a name for each joint")
+
+
+def _check_sigma(sigma: np.ndarray, joints: int) -> None:
+    if sigma.shape != (joints,) or not (sigma > 0).all():
+        raise DatasetError(f"joint_sigma is {sigma}: expected {joints} numbers above 0")
+
+
+def _restored(name: str, document: Mapping[str, Any]) -> Any:
     value = document[name]
     if name in ("count_q", "count_pose", "pose_id"):
         return np.array(value, np.int64)
     if name == "measured":
+        if np.array(value).dtype != bool:
+            raise ValueError
         return np.array(value, bool).reshape(-1, 6)
     if name in PER_SAMPLE:
         tail = {"r": (3,), "R": (3, 3), "pose_cov": (6, 6), "scatter_pose": (6,)}

@@ -1,0 +1,170 @@
+"""Samples on disk from the moment they are taken; knows nothing of ROS.
+
+One line of JSON a sample, the last line of a number counts: whatever ends the node, what was taken
+is there at the next start.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import fcntl
+import json
+import os
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from parallel_cal.base.documents import plain
+from parallel_cal.base.errors import DatasetError
+from parallel_cal.base.files import MEGABYTE, read_text
+from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.recordings.joining import joined
+
+SUFFIX = ".journal"
+MOST = 512 * MEGABYTE  # of a journal that is read again
+
+
+@dataclass(frozen=True)
+class Entry:
+    """Sample i of a dataset whose times count from `start_ns`."""
+
+    dataset: Dataset
+    i: int
+    start_ns: int
+
+    def key(self) -> bytes:
+        """Changes with what was measured."""
+        d, i = self.dataset, self.i
+        columns = (d.q, d.r, d.R, d.pose_cov, d.time, d.duration, *d.conditions.values())
+        return b"".join(column[i].tobytes() for column in columns)
+
+    def line(self, number: int) -> str:
+        alone = dataclasses.replace(
+            self.dataset.select([self.i]), dropped=(), warnings=(), sha256=""
+        )
+        document = {"id": number, "start_ns": self.start_ns, "sample": plain(alone)}
+        return json.dumps(document, allow_nan=False)
+
+
+@dataclass(frozen=True)
+class Part:
+    """Samples of one clock, with the numbers they had."""
+
+    dataset: Dataset
+    ids: list[int]
+    start_ns: int
+
+
+class Journal:
+    """Appends what changed, and is sure of it before it returns.
+
+    A file is held by one node at a time; a closed one is not resumed.
+    """
+
+    def __init__(self, folder: Path, name: str):
+        self._folder, self._name = folder, name
+        self._file: int | None = None
+        self._known: dict[int, bytes] = {}
+        self.path = ""
+
+    def resume(self) -> list[Part]:
+        """The samples of the newest journal that nobody closed, which goes on; [] for none.
+
+        DatasetError where it cannot be read."""
+        for path in sorted(self._folder.glob(f"{self._name}-*{SUFFIX}"), reverse=True):
+            try:
+                file = _held(path)
+                lines = list(_lines(path))
+            except (OSError, ValueError) as error:
+                raise DatasetError(f"{path}: not a journal: {error}") from None
+            if file is None or any("closed" in line for line in lines):
+                if file is not None:
+                    os.close(file)
+                continue
+            self._file, self.path = file, str(path)
+            kept: dict[int, Any] = {}
+            for line in lines:
+                kept[line["id"]] = line if "sample" in line else None
+            return self._parts({k: line for k, line in kept.items() if line}, path)
+        return []
+
+    def _parts(self, kept: Mapping[int, Any], path: Path) -> list[Part]:
+        parts = []
+        for start in dict.fromkeys(line["start_ns"] for line in kept.values()):
+            ids = [k for k, line in kept.items() if line["start_ns"] == start]
+            ones = [Dataset.from_document(kept[k]["sample"], str(path)) for k in ids]
+            order = sorted(range(len(ids)), key=lambda i: ones[i].time[0])
+            dataset, ids = joined([ones[i] for i in order], [1] * len(ids)), [ids[i] for i in order]
+            parts.append(Part(dataset, ids, start))
+            self._known |= {k: Entry(dataset, i, start).key() for i, k in enumerate(ids)}
+        return parts
+
+    def keep(self, entries: Mapping[int, Entry]) -> None:
+        """Make the journal hold these samples by their numbers; OSError where it cannot."""
+        now = {number: entry.key() for number, entry in entries.items()}
+        if now == self._known:
+            return
+        if self._file is None:
+            self._open()
+            self._known = {}
+        changed = [entries[k].line(k) for k, key in now.items() if self._known.get(k) != key]
+        gone = [json.dumps({"id": k}) for k in self._known if k not in now]
+        self._append(changed + gone)
+        self._known = now
+
+    def close(self, why: str) -> None:
+        """What is in it is safe elsewhere; the next change begins another one."""
+        if self._file is None:
+            return
+        self._append([json.dumps({"closed": why})])
+        os.close(self._file)
+        self._file, self.path = None, ""
+
+    def _open(self) -> None:
+        self._folder.mkdir(parents=True, exist_ok=True)
+        moment = time.strftime("%Y%m%dT%H%M%S", time.gmtime())
+        for n in range(1000):
+            path = self._folder / f"{self._name}-{moment}-{n:03d}{SUFFIX}"
+            with suppress(FileExistsError):
+                flags = os.O_CREAT | os.O_EXCL | os.O_RDWR | os.O_APPEND | os.O_CLOEXEC
+                self._file, self.path = os.open(path, flags, 0o644), str(path)
+                fcntl.flock(self._file, fcntl.LOCK_EX)
+                return
+
+    def _append(self, lines: list[str]) -> None:
+        assert self._file is not None
+        end = os.lseek(self._file, 0, os.SEEK_END)
+        # A line that a crash cut off must not take the next one with it.
+        cut = b"" if end == 0 or os.pread(self._file, 1, end - 1) == b"\n" else b"\n"
+        text = cut + "".join(line + "\n" for line in lines).encode()
+        try:
+            while text:
+                text = text[os.write(self._file, text) :]
+            os.fsync(self._file)
+        except OSError:
+            with suppress(OSError):
+                os.ftruncate(self._file, end)
+            raise
+
+
+def _held(path: Path) -> int | None:
+    """The open file, or None where another node is at it."""
+    file = os.open(path, os.O_RDWR | os.O_APPEND | os.O_NOFOLLOW | os.O_CLOEXEC)
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(file)
+        return None
+    return file
+
+
+def _lines(path: Path) -> Iterator[Any]:
+    """What can be read of a journal: a crash may have cut off its last line."""
+    for line in read_text(path, MOST).splitlines():
+        with suppress(json.JSONDecodeError):
+            said = json.loads(line)
+            if isinstance(said, dict):
+                yield said
