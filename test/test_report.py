@@ -27,8 +27,8 @@ from parallel_cal.reporting.report import report
 from parallel_cal.session.steps import fitted
 
 SECTIONS = [
-    "verdict", "numbers", "history", "what-is-left-in-space", "what-is-left-along-everything",
-    "which-effect-is-missing", "what-to-measure-next", "parameters", "what-the-data-cannot-tell",
+    "verdict", "numbers", "history", "error-budget", "what-is-left-in-space",
+    "what-is-left-along-everything", "which-effect-is-missing", "what-to-measure-next", "parameters", "what-the-data-cannot-tell",
     "unexplained-structure", "samples", "provenance",
 ]  # fmt: skip
 POLICY = (

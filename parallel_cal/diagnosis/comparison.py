@@ -14,6 +14,7 @@ from parallel_cal.diagnosis.lack_of_fit import LackOfFit, lack_of_fit
 from parallel_cal.diagnosis.noise import PureError
 from parallel_cal.diagnosis.patterns import Along, OddSample, Region, along, odd_samples, regions
 from parallel_cal.diagnosis.scene import Scene
+from parallel_cal.identification.budget import iso_9283
 from parallel_cal.identification.fit import single_threaded
 from parallel_cal.identification.noise_floor import noise_floor
 from parallel_cal.identification.observations import Observations, observe
@@ -94,6 +95,7 @@ class Comparison:
         document = {
             **self.errors.document(),
             "noise_floor": self.noise,
+            "iso_9283": iso_9283(self.errors, self.observations),
             "samples": len(self.observations),
             "channels": self.model.structure.channels,
             "rows": [{key: c[i] for key, c in columns.items()} for i in self.worst_first],

@@ -11,6 +11,7 @@ import numpy as np
 
 from parallel_cal.base.documents import plain
 from parallel_cal.base.errors import FitError
+from parallel_cal.identification.budget import Budget, Iso9283, budgets, iso_9283
 from parallel_cal.identification.checks import (
     check_plausible,
     chosen_parameters,
@@ -80,6 +81,16 @@ class Result:
         judged = np.any([np.isfinite(self.held_out.norms(kind)) for kind in kinds], axis=0)
         return self.before.select(judged)
 
+    @cached_property
+    def budgets(self) -> tuple[Budget, ...]:
+        """What geometry, each effect and noise contribute to the drawing's error."""
+        return budgets(self.model, self.observations, self.noise)
+
+    @cached_property
+    def iso_9283(self) -> tuple[Iso9283, ...]:
+        """Pose accuracy and repeatability with the identified model."""
+        return iso_9283(self.after, self.observations)
+
     @property
     def down_weighted(self) -> tuple[Doubted, ...]:
         """Samples that a robust loss gave less than half their weight."""
@@ -106,6 +117,8 @@ class Result:
                 self.estimate.spectrum.unidentifiable, self.model.table
             ),
             "weak": directions_in_words(self.estimate.spectrum.weak, self.model.table),
+            "budget": plain(self.budgets),
+            "iso_9283": plain(self.iso_9283),
             "noise_floor": self.noise.document(),
             "noise_from": self.observations.noise_from,
             "method": self.options.method,

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from html import escape
 
+from parallel_cal.identification.budget import Budget, Iso9283
 from parallel_cal.identification.prediction_errors import Summary
 from parallel_cal.reporting import figures
-from parallel_cal.reporting.markup import Plot, micro, paragraph
-from parallel_cal.reporting.readable import number, small, unit_of
+from parallel_cal.reporting.markup import Plot, micro, paragraph, table
+from parallel_cal.reporting.readable import number, small, unit_of, with_unit
 from parallel_cal.reporting.report import Report
 
 LABELS = {
@@ -55,6 +56,32 @@ def _value(e: Summary, kind: str, si: str) -> str:
     unit, factor = small(si)
     value = number(e.rms(kind), factor)
     return f"<dd>{value}<span>{escape(unit)}</span><em>{escape(kind)}</em></dd>"
+
+
+def budget(report: Report) -> str:
+    """What the drawing's error is made of, and ISO 9283's figures."""
+    if not report.budget:
+        return paragraph("No pose was measured whose error could be shared out.", "none")
+    note = (
+        "Shares add up to the rms error of the robot as it is drawn: what of it points along the "
+        "whole. By itself: the rms of the part, which others may make up for."
+    )
+    tables = [_shares(b) for b in report.budget]
+    figures = [_iso(i) for i in report.iso_9283]
+    header = ("ISO 9283", "accuracy, mean", "accuracy, worst", "repeatability", "poses, visits")
+    return paragraph(note, "note") + "".join(tables) + table(header, figures)
+
+
+def _shares(b: Budget) -> str:
+    si = unit_of(b.kind, {})
+    rows = [(p.name, with_unit(p.contribution, si), with_unit(p.alone, si)) for p in b.parts]
+    return table((f"{b.kind}, {with_unit(b.total, si)}", "share", "by itself"), rows)
+
+
+def _iso(i: Iso9283) -> tuple[str, ...]:
+    values = (i.accuracy_mean, i.accuracy_max, i.repeatability)
+    shown = (with_unit(value, unit_of(i.kind, {})) for value in values)
+    return (i.kind, *shown, f"{i.poses}, {i.visits}")
 
 
 def history(report: Report, plot: Plot) -> str:

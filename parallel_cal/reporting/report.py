@@ -13,6 +13,7 @@ from parallel_cal.diagnosis.diagnose import Diagnosis, diagnose
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.patterns import Along, Region, along, regions
 from parallel_cal.diagnosis.scene import Progress
+from parallel_cal.identification.budget import Budget, Iso9283
 from parallel_cal.model.file.modelfile import model_hash
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
@@ -62,6 +63,8 @@ class Report:
     along: tuple[Along, ...]
     regions: tuple[Region, ...]
     samples: list[contents.JudgedSample]
+    budget: tuple[Budget, ...]
+    iso_9283: tuple[Iso9283, ...]
     parameters: Mapping[str, contents.Described]
     combinations: Mapping[str, Any]
     correlated: list[contents.Correlation]
@@ -103,6 +106,8 @@ def report(
         along=along(scene, field),
         regions=regions(scene, field) if field.kind == "position" else (),
         samples=contents.samples(found),
+        budget=best.budgets,
+        iso_9283=best.iso_9283,
         parameters=contents.parameters(best),
         combinations=contents.combinations(best),
         correlated=contents.correlated(best),

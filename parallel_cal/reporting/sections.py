@@ -13,6 +13,7 @@ def body(report: Report, plot: Plot) -> str:
         overview.verdict(report),
         overview.numbers(report),
         section("History", overview.history(report, plot)),
+        section("Error budget", overview.budget(report)),
         section("What is left, in space", failures.in_space(report, plot)),
         section("What is left, along everything", failures.along_everything(report, plot)),
         section("Which effect is missing", evidence.candidates(report)),

@@ -11,6 +11,7 @@ import numpy as np
 from parallel_cal.diagnosis.comparison import Comparison
 from parallel_cal.diagnosis.diagnose import Diagnosis
 from parallel_cal.diagnosis.entries import Entry
+from parallel_cal.identification.budget import Iso9283, iso_9283
 from parallel_cal.identification.fit import Result
 from parallel_cal.identification.prediction_errors import ERRORS, Summary
 from parallel_cal.model.model import Model
@@ -65,9 +66,41 @@ def fitted(result: Result, without: Result | None = None) -> str:
             f"{result.samples} samples, {estimate.spectrum.rank} of {result.free.sum()} free "
             f"parameters identified, chi2/dof {fixed(estimate.chi2_per_dof)}",
             errors_table(judged, result.noise, result.model),
+            *budget_lines(result),
             columns(("parameter", "value", "from nominal", "sigma", "unit"), rows),
         ]
     )
+
+
+def budget_lines(result: Result) -> Iterator[str]:
+    """What the drawing's error is made of, and ISO 9283's figures with the identified model; of
+    positions where they were measured."""
+    for budget in result.budgets[:1]:
+        unit, factor = ascii_unit(budget.kind)
+        rows = [
+            (part.name, fixed(part.contribution, factor), fixed(part.alone, factor), unit)
+            for part in budget.parts
+        ]
+        total = f"{budget.kind} error of {fixed(budget.total, factor)} {unit}, of it"
+        yield columns((total, "share", "by itself", "unit"), rows)
+    yield from map(iso_line, result.iso_9283[:1])
+
+
+def iso_line(figures: Iso9283) -> str:
+    unit, factor = ascii_unit(figures.kind)
+    again = "no pose was visited again, hence no repeatability"
+    if figures.repeatability is not None:
+        again = (
+            f"repeatability RP {fixed(figures.repeatability, factor)} {unit} "
+            f"({figures.poses} poses, {figures.visits} visits)"
+        )
+    mean, worst = (fixed(a, factor) for a in (figures.accuracy_mean, figures.accuracy_max))
+    return f"ISO 9283 {figures.kind}: accuracy AP {mean} {unit}, worst {worst}; {again}"
+
+
+def ascii_unit(kind: str) -> tuple[str, float]:
+    name, factor = small(unit_of(kind, {}))
+    return name.replace("µ", "u"), factor
 
 
 def errors_table(judged: Mapping[str, Summary], noise: Summary, model: Model) -> str:
@@ -96,6 +129,7 @@ def compared(comparison: Comparison) -> str:
         [
             f"{len(comparison.observations)} samples",
             errors_table({"error": comparison.errors.summary}, comparison.noise, comparison.model),
+            *map(iso_line, iso_9283(comparison.errors, comparison.observations)[:1]),
             "worst samples:",
             _worst(comparison),
             *_where(comparison),

@@ -1,0 +1,142 @@
+"""The error budget: what geometry, each effect and noise contribute; and ISO 9283's figures."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from parallel_cal.identification.observations import Observations
+from parallel_cal.identification.prediction_errors import Errors, Summary, judgeable
+from parallel_cal.identification.predictions import predicted
+from parallel_cal.model.configuration import Configuration
+from parallel_cal.model.model import Model
+
+KINDS = {"position": slice(0, 3), "orientation": slice(3, 6)}
+
+
+@dataclass(frozen=True)
+class Part:
+    """One line of a budget: what it takes of the total, and its own rms (None: no vector of its
+    own), m or rad."""
+
+    name: str
+    contribution: float
+    alone: float | None
+
+
+@dataclass(frozen=True)
+class Budget:
+    """The error of the drawing's robot, rms, and what it is made of.
+
+    With e = measured minus nominal pose = sum of d_k, part k contributes mean(d_k . e) / rms(e):
+    contributions sum to rms(e) and may be negative where parts make up for each other. The last
+    two share what the model leaves: `noise` as it is stated, and the `rest`.
+    """
+
+    kind: str
+    total: float
+    parts: tuple[Part, ...]
+
+
+def budgets(model: Model, observations: Observations, noise: Summary) -> tuple[Budget, ...]:
+    """A budget of each kind of error that was measured."""
+    n = len(model.joints)
+    groups = dict(_groups(model))
+    values = model.values.copy()
+    for which in groups.values():
+        values[which] = model.table.nominal[which]
+    poses = [_pose(model.with_values(values), observations)]
+    for which in groups.values():
+        values[which] = model.values[which]
+        poses.append(_pose(model.with_values(values), observations))
+    poses.append(Configuration.from_rows(observations.x))
+    steps = [after.change_from(before)[:, n:] for before, after in pairwise(poses)]
+    found = []
+    for kind, part in KINDS.items():
+        judged = judgeable(model.mechanism, observations.measured[:, n:], range(6)[part])
+        if judged.any():
+            taken = [step[judged, part] for step in steps]
+            found.append(_budget(kind, list(groups), taken, noise.rms(kind)))
+    return tuple(found)
+
+
+def _groups(model: Model) -> Iterator[tuple[str, np.ndarray]]:
+    """What is budgeted, and which of the model's numbers (n_p,) it has; set-ups have none of it."""
+    names = np.array(model.table.names)
+    yield "geometry", np.isin(names, model.mechanism.parameters.names)
+    for effect in model.effects:
+        which = np.char.startswith(names, f"{effect.name}.")
+        yield effect.name, which & ~model.table.matching(effect.known())
+
+
+def _pose(model: Model, observations: Observations) -> Configuration:
+    return Configuration.from_rows(predicted(model, observations))
+
+
+def _budget(kind: str, names: list[str], steps: list[np.ndarray], noise: float | None) -> Budget:
+    e = np.sum(steps, axis=0)
+    total = _rms(e)
+    share = [float(np.mean(np.sum(step * e, axis=1))) / total if total else 0.0 for step in steps]
+    parts = [Part(n, s, _rms(step)) for n, s, step in zip(names, share, steps, strict=False)]
+    left = share[-1]
+    if noise is not None and total:
+        parts.append(Part("noise", noise**2 / total, noise))
+        left -= noise**2 / total
+    return Budget(kind, total, (*parts, Part("rest", left, None)))
+
+
+def _rms(vectors: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1))))
+
+
+@dataclass(frozen=True)
+class Iso9283:
+    """Pose accuracy and repeatability of a robot that is commanded by the model (ISO 9283, 7.2).
+
+    accuracy: distance of a pose's barycentre from where the model puts it, mean and largest over
+    the poses; repeatability: mean distance from the barycentre plus three of its standard
+    deviations, pooled over `poses` visited again, `visits` in all; None where none was. The
+    device's own noise is in both.
+    """
+
+    kind: str
+    accuracy_mean: float
+    accuracy_max: float
+    repeatability: float | None
+    poses: int
+    visits: int
+
+
+def iso_9283(errors: Errors, observations: Observations) -> tuple[Iso9283, ...]:
+    """Of each kind of error that was measured; what arrived at a pose is what was measured there,
+    whatever it was commanded by."""
+    return tuple(
+        _figures(kind, getattr(errors, kind)[known], observations.group[known])
+        for kind in KINDS
+        if (known := np.isfinite(errors.norms(kind))).any()
+    )
+
+
+def _figures(kind: str, e: np.ndarray, group: np.ndarray) -> Iso9283:
+    e = np.nan_to_num(e)
+    _, inverse, visits = np.unique(group, return_inverse=True, return_counts=True)
+    sums = np.zeros((len(visits), 3))
+    np.add.at(sums, inverse, e)
+    middle = sums / visits[:, None]
+    accuracy = np.linalg.norm(middle, axis=1)
+    again = visits[inverse] > 1
+    # n visits scatter about their own mean by (n - 1) / n of their variance
+    widened = np.sqrt(visits / np.maximum(visits - 1, 1))[inverse]
+    l = (widened * np.linalg.norm(e - middle[inverse], axis=1))[again]
+    repeatability = float(l.mean() + 3 * l.std()) if len(l) else None
+    return Iso9283(
+        kind,
+        float(accuracy.mean()),
+        float(accuracy.max()),
+        repeatability,
+        int((visits > 1).sum()),
+        int(visits[visits > 1].sum()),
+    )
