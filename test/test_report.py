@@ -28,8 +28,8 @@ from parallel_cal.session.steps import fitted
 
 SECTIONS = [
     "verdict", "numbers", "history", "error-budget", "what-is-left-in-space",
-    "what-is-left-along-everything", "which-effect-is-missing", "what-to-measure-next", "parameters", "what-the-data-cannot-tell",
-    "unexplained-structure", "samples", "provenance",
+    "what-is-left-along-everything", "which-effect-is-missing", "what-to-measure-next",
+    "parameters", "what-the-data-cannot-tell", "unexplained-structure", "samples", "provenance",
 ]  # fmt: skip
 POLICY = (
     "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval'; style-src 'unsafe-inline'; "
