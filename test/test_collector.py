@@ -1,5 +1,6 @@
 """Live collection gives the samples that the bag reader gives; a person can correct them."""
 
+import copy
 from itertools import islice
 from pathlib import Path
 
@@ -71,6 +72,40 @@ def same(a, b):
     assert a.conditions.keys() == b.conditions.keys()
     for name, column in a.conditions.items():
         np.testing.assert_array_equal(column, b.conditions[name], err_msg=name)
+
+
+@pytest.mark.parametrize("channel", ["joint_states", "measured_pose"])
+def test_one_message_ahead_of_its_time_costs_no_sample(messages, channel):
+    """One message 2 s ahead in a session of 40 dwells used to leave 6 of them."""
+    part = until(messages, 62)
+    at = [i for i, (topic, _, _) in enumerate(part) if topic == channel][300]
+    topic, log, message = part[at]
+    ahead = copy.deepcopy(message)
+    ahead.header.stamp.sec += 2
+    spoilt = feed(Collector(), [*part[:at], (topic, log, ahead), *part[at + 1 :]])
+    whole = feed(Collector(), part)
+    assert len(spoilt) == len(whole) > 30
+    assert (spoilt.strays, whole.strays) == (1, 0)
+    assert "the last stamped +2." in spoilt.straying()[0]
+
+
+def test_samples_from_two_publishers_at_once_are_refused_and_told(messages):
+    """A second tracker whose clock is 5 s off, both with counts of their own."""
+    collector, part = Collector(), until(messages, 30)
+    counts = {"a": 0, "b": 0}
+    for channel, log, message in part:
+        channel = channel.strip("/")
+        counts["a"] += channel == "measured_pose"
+        collector.receive(channel, message, log, counts["a"] if "pose" in channel else 0)
+        if channel == "measured_pose":
+            counts["b"] += 1
+            other = copy.deepcopy(message)
+            other.header.stamp.sec += 5
+            other.pose.pose.position.z += 0.1
+            collector.receive(channel, other, log + 1000, counts["b"] + 500)
+    collector.refresh()
+    assert len(collector) == 0
+    assert "two publishers speak at once" in collector.straying()[0]
 
 
 def test_a_replayed_recording_gives_exactly_the_samples_of_its_bag(messages, offline):

@@ -37,9 +37,9 @@ from parallel_cal.nodes.parameters import (
     declare,
     overridable,
 )
-from parallel_cal.nodes.run import every, foreign_publishers, run, type_name
+from parallel_cal.nodes.run import every, foreign_publishers, rival_publishers, run, type_name
 from parallel_cal.nodes.sample_services import SERVICES
-from parallel_cal.recordings.channels import CHANNELS, take
+from parallel_cal.recordings.channels import CHANNELS, named, take
 from parallel_cal.recordings.options import MODES, SampleOptions
 from parallel_cal.recordings.recording import Dropped
 
@@ -79,7 +79,7 @@ class CalibrationNode(Node):
         self._group = MutuallyExclusiveCallbackGroup()
         self._model_joints: tuple[Any, tuple[str, ...] | None] = (None, None)
         self._event, self._trouble, self._next_look = "", "", 0.0
-        self._foreign: list[str] = []
+        self._said: dict[str, list[str]] = {}
         self._dropped_before: list[Dropped] = []
         for path in filter(None, self._parameter("channels").split(",")):
             take(path)
@@ -197,7 +197,8 @@ class CalibrationNode(Node):
     def _on_message(self, channel: str, message: Any, info: dict[str, int]) -> None:
         """Received when it came in, as a recorder sees it, not when its turn came here."""
         received = info["received_timestamp"] or time.time_ns()
-        self._collector.receive(channel, message, received)
+        sequence = info.get("publication_sequence_number") or 0
+        self._collector.receive(channel, message, received, sequence)
         if self._recorder is not None:
             self._record(channel, message, received)
 
@@ -244,14 +245,20 @@ class CalibrationNode(Node):
         self._next_look = end + (end - begin) / BUSY
 
     def _warn_of_foreign(self) -> None:
-        before, self._foreign = self._foreign, foreign_publishers(self)
-        for text in sorted(set(self._foreign) - set(before)):
-            self._say(text)
+        streams = named("joints", "poses")
+        self._say_new("topics", [*foreign_publishers(self), *rival_publishers(self, streams)])
+
+    def _say_new(self, about: str, texts: list[str]) -> None:
+        """Say what was not said at the last look."""
+        before, self._said[about] = self._said.get(about, []), texts
+        for text in texts:
+            if text not in before:
+                self._say(text)
 
     def _refresh(self) -> None:
         self._collector.configure(self._joints(), self._options(), self._auto())
         samples, trouble = len(self._collector), self._collector.trouble
-        if not self._collector.refresh():
+        if not self._collector.refresh(time.time_ns()):
             return
         dropped = self._collector.dropped()
         if len(self._collector) != samples:
@@ -261,6 +268,7 @@ class CalibrationNode(Node):
             self._event = f"dropped at {last.time:.2f} s: {last.reason} ({last.detail})"
         if self._collector.trouble and self._collector.trouble != trouble:
             self._event = self._collector.trouble
+        self._say_new("straying", self._collector.straying())
         self._keep()
         self._publish_status()
 
@@ -284,6 +292,8 @@ class CalibrationNode(Node):
             paired=c.paired,
             dropped=c.dropped_poses,
             samples=len(c),
+            lost=c.lost,
+            strays=c.strays,
             journal=self._journal.path if self._journal else "",
             last_event=self._event,
         )

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from parallel_cal.base.errors import DatasetError
+from parallel_cal.nodes.gate import Gate
 from parallel_cal.nodes.inbox import Inbox
 from parallel_cal.nodes.journal import Entry, Part
 from parallel_cal.recordings.channels import CHANNELS, named, stamp_of
@@ -58,7 +59,7 @@ class Collector:
         self.joints, self.options, self.auto = joints, options or SampleOptions(), auto
         self.received: Counter[str] = Counter()
         self._topics, self._numbers = dict(topics or {}), count(1)
-        self._past_paired = self._past_dropped = 0
+        self._past_paired = self._past_dropped = self._past_lost = self._past_strays = 0
         self._restart()
 
     def configure(self, joints: Sequence[str] | None, options: SampleOptions, auto: bool) -> None:
@@ -73,17 +74,50 @@ class Collector:
         self._inboxes = [Inbox(self._topics, self._numbers)]
         self._at = dict.fromkeys(CHANNELS, self._inboxes[0])
         self._words: list[tuple[str, int, Any]] = []
+        self._gates: dict[tuple[str, tuple[str, ...]], Gate] = {}
 
     # ------------------------------------------------------------------ messages in
 
-    def receive(self, channel: str, message: Any, log_ns: int) -> None:
+    def receive(self, channel: str, message: Any, log_ns: int, sequence: int = 0) -> None:
         """Buffer one message of a channel; `log_ns`, when it was received, serves where its header
         has no stamp. Words have no header at all: they go with the next joint state."""
         self.received[channel] += 1
-        if CHANNELS[channel].kind == "words":
+        kind, stamp = CHANNELS[channel].kind, stamp_of(message)
+        if kind == "words":
             self._words.append((channel, log_ns, message))
-            return
-        stamp = stamp_of(message)
+        elif kind == "condition":  # a number every minute, or once: no stream to stray from
+            self._buffer(channel, message, log_ns, stamp)
+        else:
+            for said in self._gate(channel, message).take(stamp, log_ns, sequence, message):
+                self._buffer(channel, said.message, said.log, said.stamp)
+
+    def _gate(self, channel: str, message: Any) -> Gate:
+        """One for each stream: other joints, and each sensor's readings, may have a publisher of
+        their own."""
+        part: tuple[str, ...] = ()
+        if channel == "joint_states":
+            names = tuple(message.name)
+            part = tuple(self.joints or ()) if set(self.joints or ()) <= set(names) else names
+            part = part or names
+        elif CHANNELS[channel].kind == "readings":
+            part = (message.header.frame_id,)
+        return self._gates.setdefault((channel, part), Gate(channel))
+
+    @property
+    def lost(self) -> int:
+        """Messages that were sent and never came."""
+        return self._past_lost + sum(gate.lost for gate in self._gates.values())
+
+    @property
+    def strays(self) -> int:
+        """Messages that came and fit no stream."""
+        return self._past_strays + sum(gate.strays for gate in self._gates.values())
+
+    def straying(self) -> list[str]:
+        """A sentence for each stream that lost messages so."""
+        return [gate.trouble for gate in self._gates.values() if gate.trouble]
+
+    def _buffer(self, channel: str, message: Any, log_ns: int, stamp: int) -> None:
         if self._at[channel].jumps_back(channel, stamp):
             self._at[channel] = self._inbox_after(self._at[channel])
         if channel == "joint_states":
@@ -98,8 +132,11 @@ class Collector:
             self._inboxes.append(Inbox(self._topics, self._numbers))
         return self._inboxes[self._inboxes.index(inbox) + 1]
 
-    def refresh(self) -> bool:
-        """Make samples of what came in; True if anything did."""
+    def refresh(self, now_ns: int | None = None) -> bool:
+        """Make samples of what came in; True if anything did. `now_ns` where more may come."""
+        for (channel, _), gate in self._gates.items():
+            for said in gate.flush(now_ns):
+                self._buffer(channel, said.message, said.log, said.stamp)
         changed = [s.refresh(self.joints, self.options) for s in self._inboxes]
         live = self._at["joint_states"]
         if len(live.raws["joint_states"].stamp) > LONGEST:
@@ -200,6 +237,7 @@ class Collector:
         """Forget all samples and messages; how many samples there were."""
         samples, paired, dropped = len(self), self.paired, self.dropped_poses
         self._past_paired, self._past_dropped = paired, dropped
+        self._past_lost, self._past_strays = self.lost, self.strays
         self._restart()
         return samples
 

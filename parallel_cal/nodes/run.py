@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from threading import Event, Thread
@@ -119,6 +119,17 @@ def foreign_publishers(node: Node) -> list[str]:
     return [
         f"{t} is published as {is_}, expected {be}" for t, is_, be in sorted(found) if is_ != be
     ]
+
+
+def rival_publishers(node: Node, topics: Iterable[str]) -> list[str]:
+    """Topics that more than one node publishes on: nobody can say whose numbers are right."""
+    told = []
+    for topic in map(node.resolve_topic_name, topics):
+        found = node.get_publishers_info_by_topic(topic)
+        names = ", ".join(sorted(f"{p.node_namespace.rstrip('/')}/{p.node_name}" for p in found))
+        if len(found) > 1:
+            told.append(f"{topic} has {len(found)} publishers: {names}")
+    return told
 
 
 def type_name(message: type) -> str:

@@ -1,0 +1,82 @@
+"""Of a stream of messages those that stray are dropped and counted; a clock that jumps is not."""
+
+from itertools import pairwise
+
+import pytest
+
+from parallel_cal.nodes.gate import AGREE, Gate
+
+S = 1_000_000_000
+
+
+def through(stream):
+    """Names of the messages that go on, of (name, stamp s, received s, sequence)."""
+    gate = Gate("topic")
+    passed = []
+    for name, stamp, log, sequence in stream:
+        passed += gate.take(int(stamp * S), int(log * S), sequence, name)
+    passed += gate.flush()
+    return [said.message for said in passed], gate
+
+
+def steady(names, begin=0.0, log=None, sequence=1, every=0.01):
+    log = begin if log is None else log
+    return [(n, begin + every * i, log + every * i, sequence + i) for i, n in enumerate(names)]
+
+
+@pytest.mark.parametrize("off", [2.0, -2.0, 3600.0, -1e9])
+@pytest.mark.parametrize("numbered", [0, 1])
+def test_one_wild_stamp_is_dropped_and_counted(off, numbered):
+    stream = steady(range(100), begin=5000.0)
+    stream[40] = (40, stream[40][1] + off, stream[40][2], stream[40][3])
+    stream = [(n, stamp, log, numbered * sequence) for n, stamp, log, sequence in stream]
+    passed, gate = through(stream)
+    assert passed == [n for n in range(100) if n != 40]
+    assert gate.strays == 1
+    assert "1 messages dropped" in gate.trouble
+
+
+@pytest.mark.parametrize("jump", [-50.0, 50.0])
+def test_a_clock_that_jumps_is_believed_when_several_agree_and_nothing_is_lost(jump):
+    stream = steady(range(100), begin=100)
+    stream = [(n, s + jump * (n >= 50), log, i) for n, s, log, i in stream]
+    passed, gate = through(stream)
+    assert passed == list(range(100))
+    assert gate.strays == 0
+
+
+def test_a_slow_device_is_no_jumping_clock():
+    passed, gate = through(steady(range(20), every=5.0, begin=1))
+    assert passed == list(range(20))
+    assert gate.strays == 0
+
+
+def test_of_two_publishers_at_once_nothing_is_taken():
+    """Clocks 5 s apart, or the same one."""
+    for apart in (5.0, 0.0):
+        a, b = steady("a" * 300), steady("b" * 300, begin=apart, log=0.005, sequence=700)
+        passed, gate = through(sorted(a + b, key=lambda m: m[2]))
+        assert len(passed) <= 2 * AGREE
+        assert "two publishers" in gate.trouble
+
+
+def test_with_equal_counts_they_are_told_apart_too():
+    a, b = steady("a" * 300), steady("b" * 300, log=0.005)
+    passed, gate = through(sorted(a + b, key=lambda m: m[2]))
+    assert len(passed) <= 2 * AGREE
+    assert gate.strays > 590
+
+
+def test_a_publisher_that_takes_over_from_another_is_believed_after_a_while():
+    a, b = steady(range(50)), steady(range(50, 150), begin=0.6, sequence=1)
+    passed, gate = through(a + b)
+    assert passed == list(range(150))
+    assert gate.strays == 0
+
+
+def test_what_never_came_is_counted():
+    stream = steady(range(100))
+    passed, gate = through(stream[:30] + stream[37:60] + stream[61:])
+    assert len(passed) == 92
+    assert gate.lost == 8
+    assert all(b > a for a, b in pairwise(passed))
