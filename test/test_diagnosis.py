@@ -304,4 +304,6 @@ def test_gross_outliers_are_set_aside_and_named_before_a_robust_diagnosis():
     found = diagnose(MODEL, data, effects=["backlash", "base_drift", "device_axes"], loss="cauchy")
     assert found.effects == ("backlash",)
     assert found.verdict.word == "explained"
-    assert any("left out on request: sample 20, 60, 100" in w for w in found.document()["warnings"])
+    assert any(
+        "left out by --loss cauchy: sample 20, 60, 100" in w for w in found.document()["warnings"]
+    )

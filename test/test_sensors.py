@@ -454,3 +454,23 @@ def test_a_plate_described_wrongly_is_a_clear_error():
 def test_an_unknown_sensor_names_those_there_are():
     with pytest.raises(ModelError, match="no sensor 'laser': expected one of ball_bar, device"):
         load_sensor("laser")
+
+
+def test_joint_errors_of_positions_alone_are_right_with_a_target_beside_the_tool():
+    # The target hangs 60 mm beside the tool and the device is turned by 90 degrees: taking an
+    # orientation that nobody measured for "not turned" would be off by 85 mm.
+    device = vs.Device((0.8, -0.5, 0.3), (0, 0, np.pi / 2), (0.06, 0.0, 0.02))
+    robot = vs.random_delta(0, factor=0.0)
+    joints, r = vs.workspace(robot, n=20)
+    shown, _ = device.shows(r, np.tile(np.eye(3), (len(r), 1, 1)))
+    sensor = load_sensor(
+        "device_frame",
+        position=(0.8, -0.5, 0.3),
+        quaternion=(0, 0, 0.5**0.5, 0.5**0.5),
+        target_position=(0.06, 0.0, 0.02),
+    )
+    model = new_model("delta24", sensors=[sensor])
+    data = Dataset.from_arrays(model.joints, joints, shown, pose_cov=1e-10 * np.eye(6))
+    found = errors(model, observe(model, data, 1e-4))
+    assert np.abs(found.position).max() < 1e-9
+    assert np.abs(found.joint).max() < 1e-9

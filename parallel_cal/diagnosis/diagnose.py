@@ -133,7 +133,9 @@ def diagnose(
     options = replace(options or FitOptions(), **changes)
     if options.loss != "linear":
         first = fit(model, dataset, options, hold_out=0)
-        dataset = dataset.excluding([d.sample for d in first.down_weighted])
+        dataset = dataset.excluding(
+            [d.sample for d in first.down_weighted], f"by --loss {options.loss}"
+        )
     least_squares = replace(options, loss="linear")
 
     def refit(extended: Model) -> Result:

@@ -110,7 +110,10 @@ def errors(model: Model, observations: Observations) -> Errors:
     # The robot is solved in {B}; the device shows its poses in frames of its own.
     reached = kinematics.direct(seen.q, at)
     pose = shown(model, reached)
-    position, turned = model.structure.located(observations.x[:, n:], model.values)
+    # Where no orientation was measured the predicted one carries the target, not the identity.
+    known = measured[:, n + 3 :].all(axis=1)[:, None, None] | ~np.isfinite(pose.rotation)
+    at_target = Configuration(seen.q, seen.r, np.where(known, seen.R, pose.rotation)).rows
+    position, turned = model.structure.located(at_target[:, n:], model.values)
     # In the assembly mode that was measured: an arm's wrist need not be flipped as at home.
     joints = kinematics.inverse(position, turned.reshape(-1, 3, 3), at, reached)
     given = measured[:, [n + i for i in m.controlled]].all(axis=1)

@@ -125,9 +125,9 @@ class Dataset:
         own = self.conditions.get(NUMBER)
         return np.arange(len(self)) if own is None else own.astype(np.int64)
 
-    def excluding(self, numbers: Sequence[int]) -> Dataset:
-        """Without some samples, the others keeping their numbers; DatasetError for a number that
-        there is not."""
+    def excluding(self, numbers: Sequence[int], why: str = "on request") -> Dataset:
+        """Without some samples, the others keeping their numbers, with a word why; DatasetError
+        for a number that there is not."""
         if unknown := sorted(set(numbers) - set(self.numbers.tolist())):
             raise DatasetError(
                 f"{self.source}: no sample {unknown[0]} to exclude; there are {len(self)}, "
@@ -138,7 +138,7 @@ class Dataset:
         named = dataclasses.replace(
             self, conditions={**self.conditions, NUMBER: self.numbers.astype(float)}
         )
-        said = f"left out on request: sample {', '.join(map(str, sorted(numbers)))}"
+        said = f"left out {why}: sample {', '.join(map(str, sorted(numbers)))}"
         kept = named.select(~np.isin(self.numbers, list(numbers)))
         return dataclasses.replace(kept, warnings=(*self.warnings, said))
 

@@ -46,13 +46,17 @@ class Simulation:
 
 
 def with_effects(model: Model, effects: Iterable[tuple[str, Mapping[str, float]]]) -> Model:
-    """The robot that has these effects too; a number that is not given is its tolerance."""
+    """The robot that has these effects too; a number that is not given is its tolerance, one that
+    people know (a mass, a gear's ratio) what it usually is."""
     for name, given in effects:
         if all(effect.name != name for effect in model.effects):
             model = model.with_effect(name)
         values = model.values.copy()
-        own = [i for i, p in enumerate(model.table) if p.name.startswith(f"{name}.")]
-        values[own] = model.table.tolerance[own]
+        table, effect = model.table, next(e for e in model.effects if e.name == name)
+        own = table.matching([f"{name}.*"])
+        values[own] = table.tolerance[own]
+        known = table.matching(effect.known())
+        values[known] = table.nominal[known]
         for key, value in given.items():
             values[_matching(model, name, key)] = value
         model = model.with_values(values)

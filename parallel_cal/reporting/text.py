@@ -21,6 +21,7 @@ from parallel_cal.reporting.readable import (
     fixed,
     fixed_vector,
     in_unit,
+    large,
     small,
     unit_of,
 )
@@ -54,9 +55,9 @@ def fitted(result: Result, without: Result | None = None) -> str:
         "left out, before" if without is None else "left out, without it": rival.summary,
         "left out, after": result.held_out.summary,
     }
-    rows = []
+    rows, told = [], given_numbers(result.model)
     for name, p in result.parameters().items():
-        if not p.fixed:
+        if not p.fixed or name in told:
             value, unit = in_unit(p.value, p.unit)
             change, sigma = (in_unit(v, p.unit)[0] for v in (p.value - p.nominal, p.sigma))
             rows.append((name, value, change, sigma, unit))
@@ -103,6 +104,14 @@ def ascii_unit(kind: str) -> tuple[str, float]:
     return name.replace("µ", "u"), factor
 
 
+def given_numbers(model: Model) -> set[str]:
+    """What effects were given, or a search has found: gear ratios, masses."""
+    table = model.table
+    known = [table.matching(effect.known()) for effect in model.effects if effect.known()]
+    shown = np.any(known, axis=0) & (model.values != table.nominal) if known else []
+    return {name for name, one in zip(table.names, shown, strict=False) if one}
+
+
 def errors_table(judged: Mapping[str, Summary], noise: Summary, model: Model) -> str:
     """Mean and rms errors of what was measured, one column for each of before, after, ... (as
     table 5.15), beside those of noise alone where somebody knows the noise; that of the closure's
@@ -111,7 +120,10 @@ def errors_table(judged: Mapping[str, Summary], noise: Summary, model: Model) ->
     joint_units = dict(zip(model.joints, model.mechanism.joint_units, strict=True))
     rows = []
     for kind in ("position", "orientation", "reading", "joint"):
-        name, factor = small(unit_of(kind, joint_units))
+        wound = kind == "joint" and not model.mechanism.periodic  # winches turn many times
+        name, factor = (large if wound and "rad" in joint_units.values() else small)(
+            unit_of(kind, joint_units)
+        )
         if any(e.mean(kind) is not None for e in judged.values()):
             for measure, get in (("mean", Summary.mean), ("rms", Summary.rms)):
                 cells = [fixed(get(e, kind), factor) for e in judged.values()]

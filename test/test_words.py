@@ -1,0 +1,36 @@
+"""What people read: units that fit the joint, numbers found by a search, who left what out."""
+
+import numpy as np
+
+from parallel_cal.identification.prediction_errors import Summary
+from parallel_cal.model.file.modelfile import read_model
+from parallel_cal.model.model import new_model
+from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.recordings.simulate import with_effects
+from parallel_cal.reporting.text import errors_table, given_numbers
+
+
+def test_winches_err_in_degrees_and_arms_in_arcmin():
+    e = {"error": Summary(joint_mean=0.1, joint_rms=0.1)}
+    winches = errors_table(e, Summary(), read_model("config/hangprinter_hp4.yaml"))
+    assert winches.splitlines()[1].split() == ["joint", "error,", "mean", "5.73", "deg"]
+    assert "343.77  arcmin" in errors_table(e, Summary(), new_model("delta24"))
+
+
+def test_a_gear_ratio_that_was_found_is_shown_and_a_mass_that_nobody_gave_is_not():
+    model = new_model("delta24", effects=["gear_transmission_error", "joint_compliance"])
+    found = with_effects(model, [("gear_transmission_error", {"ratio": 37.0})])
+    assert given_numbers(found) == {"gear_transmission_error.ratio"}
+
+
+def test_a_simulated_compliance_hides_no_masses():
+    model = with_effects(new_model("delta24"), [("joint_compliance", {})])
+    assert model.value("joint_compliance.joint1.compliance") == 1e-3
+    assert model.value("joint_compliance.mass.platform") == 0
+    assert model.value("joint_compliance.mass.arm") == 0
+
+
+def test_samples_left_out_by_a_loss_are_not_said_to_be_left_out_on_request():
+    data = Dataset.from_arrays(["a"], np.arange(4.0)[:, None], np.zeros((4, 3)))
+    assert data.excluding([2], "by the loss").warnings == ("left out by the loss: sample 2",)
+    assert data.excluding([2]).warnings == ("left out on request: sample 2",)
