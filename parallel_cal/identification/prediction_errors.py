@@ -111,7 +111,8 @@ def errors(model: Model, observations: Observations) -> Errors:
     reached = kinematics.direct(seen.q, at)
     pose = shown(model, reached)
     # Where no orientation was measured the predicted one carries the target, not the identity.
-    known = measured[:, n + 3 :].all(axis=1)[:, None, None] | ~np.isfinite(pose.rotation)
+    turned_known = np.asarray(measured[:, n + 3 :].all(axis=1))
+    known = turned_known[:, None, None] | ~np.isfinite(pose.rotation)
     at_target = Configuration(seen.q, seen.r, np.where(known, seen.R, pose.rotation)).rows
     position, turned = model.structure.located(at_target[:, n:], model.values)
     # In the assembly mode that was measured: an arm's wrist need not be flipped as at home.
