@@ -42,7 +42,16 @@ def show(result: Any) -> str:
 @show.register
 def stepped(step: Step) -> str:
     """A step's identification; an effect added is held against the same fit without it."""
-    return fitted(step.result, step.rival if step.name == "add" else None)
+    shown = fitted(step.result, step.rival if step.name == "add" else None)
+    if step.moves is None:
+        return shown
+    measured, anywhere, worth = (
+        fixed(way, 1e6, 0) for way in (step.moves.measured, step.moves.workspace, step.moves.shown)
+    )
+    return (
+        f"{shown}\nmoves your robot by {measured} um where it was measured, {anywhere} um over its "
+        f"workspace; the errors at poses left out show {worth} um"
+    )
 
 
 @show.register

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
+from parallel_cal.base.documents import plain
 from parallel_cal.base.errors import FitError
 from parallel_cal.diagnosis.catalogue import Candidate, candidate, names_of
 from parallel_cal.diagnosis.device import imitated
@@ -12,6 +14,7 @@ from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.verdict import robot_or_device
 from parallel_cal.identification.acceptance import Acceptance, acceptance
 from parallel_cal.identification.fit import Result, fit
+from parallel_cal.identification.moves import Moves, moves
 from parallel_cal.identification.thresholds import NEGLIGIBLE
 from parallel_cal.model.effect import parse_effect
 from parallel_cal.model.model import Model
@@ -31,6 +34,11 @@ class Step:
     acceptance: Acceptance
     rival: Result | None = None
 
+    @cached_property
+    def moves(self) -> Moves | None:
+        """How far the step moves the robot beside its rival; None for a step without one."""
+        return moves(self.rival, self.result) if self.rival is not None else None
+
     @property
     def warnings(self) -> tuple[str, ...]:
         """The fit's, and what speaks against the new model where it was taken by force."""
@@ -43,6 +51,7 @@ class Step:
         if self.rival is not None:
             key = {"add": "held_out_without_effect", "remove": "held_out_with_effect"}[self.name]
             document[key] = self.rival.held_out.document()
+            document["moves_robot"] = plain(self.moves)
         return document
 
 

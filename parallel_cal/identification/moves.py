@@ -1,0 +1,50 @@
+"""How far one identification moves the robot beside another: what its controller will feel."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from parallel_cal.identification.fit import Result
+from parallel_cal.identification.predictions import condition_columns
+from parallel_cal.kinematics.kinematics import Kinematics, Solutions
+from parallel_cal.model.mechanism import poses_in_workspace
+
+
+@dataclass(frozen=True)
+class Moves:
+    """Rms way (m) of the platform from one model to another at the same joints: where it was
+    `measured`, and over the `workspace` with nothing acting; `shown`: what the errors at poses
+    left out say that it was worth, the root of the fall of their squares. None where not known."""
+
+    measured: float
+    workspace: float | None
+    shown: float | None
+
+
+def moves(before: Result, after: Result) -> Moves:
+    """How far the robot (not the device) moves with another identification of the same samples."""
+    old, new = before.model.robot(), after.model.robot()
+    joints = after.observations.x[:, : len(old.joints)]
+    reached = [
+        Kinematics(robot).direct(joints, condition_columns(robot, result.observations))
+        for robot, result in ((old, before), (new, after))
+    ]
+    rng = np.random.default_rng(0)
+    target = Kinematics(old).inverse(*poses_in_workspace(old.mechanism, 200, rng))
+    anywhere = [Kinematics(robot).direct(target.joints) for robot in (old, new)]
+    rms = [e.held_out.summary.position_rms for e in (before, after)]
+    shown = None
+    if rms[0] is not None and rms[1] is not None:
+        shown = math.sqrt(max(rms[0] ** 2 - rms[1] ** 2, 0.0))
+    measured, workspace = _apart(*reached), _apart(*anywhere)
+    return Moves(measured or 0.0, workspace, shown)
+
+
+def _apart(one: Solutions, other: Solutions) -> float | None:
+    """Rms distance (m) of the poses that both have."""
+    both = one.solved & other.solved
+    off = np.linalg.norm(one.position[both] - other.position[both], axis=1)
+    return float(np.sqrt(np.mean(off**2))) if len(off) else None

@@ -1,0 +1,49 @@
+"""Before an effect is added: how far it would move the robot, and what the data say it is worth."""
+
+import json
+
+import pytest
+
+from parallel_cal.identification.fit import fit
+from parallel_cal.identification.moves import moves
+from parallel_cal.model.file.modelfile import read_model
+from parallel_cal.recordings.loading import load_dataset
+from parallel_cal.session.steps import added
+
+MODEL, BAG = "config/delta_mockup_nominal.yaml", "bags/delta_backlash"
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    model = read_model(MODEL)
+    data = load_dataset(BAG, joints=model.joints)
+    return fit(model, data, hold_out=0.25), data
+
+
+def test_an_effect_that_is_there_moves_the_robot_by_what_the_data_show(fitted):
+    base, data = fitted
+    step = added(base.model, "backlash", data)
+    assert step.moves.measured == pytest.approx(step.moves.shown, rel=0.25)
+    assert step.document()["moves_robot"]["measured"] == step.moves.measured
+
+
+def test_an_effect_that_is_not_there_moves_it_by_more(fitted):
+    base, data = fitted
+    step = added(base.model, "thermal_expansion", data, force=True)
+    assert step.moves.shown == 0
+    assert step.moves.measured > 1e-6
+
+
+def test_nothing_moves_between_a_result_and_itself(fitted):
+    base, _ = fitted
+    found = moves(base, base)
+    assert (found.measured, found.workspace, found.shown) == (0, 0, 0)
+
+
+def test_the_command_says_it_before_the_model_is_used(fitted, run_cli, tmp_path):
+    from parallel_cal.model.file.modelfile import write_model
+
+    write_model(fitted[0].model, tmp_path / "fit.yaml")
+    shown = run_cli("add", tmp_path / "fit.yaml", "backlash", BAG)
+    assert "moves your robot by 18 um where it was measured" in shown
+    json.loads(run_cli("fit", tmp_path / "fit.yaml", BAG, "--json", "--hold-out", "0"))
