@@ -86,7 +86,7 @@ def test_one_message_ahead_of_its_time_costs_no_sample(messages, channel):
     whole = feed(Collector(), part)
     assert len(spoilt) == len(whole) > 30
     assert (spoilt.strays, whole.strays) == (1, 0)
-    assert "the last stamped +2." in spoilt.straying()[0]
+    assert "the last stamped +2." in spoilt.warnings()[0]
 
 
 def test_samples_from_two_publishers_at_once_are_refused_and_told(messages):
@@ -105,7 +105,7 @@ def test_samples_from_two_publishers_at_once_are_refused_and_told(messages):
             collector.receive(channel, other, log + 1000, counts["b"] + 500)
     collector.refresh()
     assert len(collector) == 0
-    assert "two publishers speak at once" in collector.straying()[0]
+    assert "two publishers speak at once" in collector.warnings()[0]
 
 
 def test_a_replayed_recording_gives_exactly_the_samples_of_its_bag(messages, offline):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import time
 from contextlib import suppress
 from functools import partial
@@ -26,6 +27,7 @@ from parallel_cal.nodes import calibration_messages as messages
 from parallel_cal.nodes.calibrator import Calibrator
 from parallel_cal.nodes.collector import Collection, Collector
 from parallel_cal.nodes.conversions import message_class
+from parallel_cal.nodes.frames import MOVES_POSES
 from parallel_cal.nodes.jobs import in_words
 from parallel_cal.nodes.journal import Journal
 from parallel_cal.nodes.parameters import (
@@ -79,7 +81,8 @@ class CalibrationNode(Node):
         self._group = MutuallyExclusiveCallbackGroup()
         self._model_joints: tuple[Any, tuple[str, ...] | None] = (None, None)
         self._event, self._trouble, self._next_look = "", "", 0.0
-        self._said: dict[str, list[str]] = {}
+        self._warnings: list[str] = []
+        self._base = ""
         self._dropped_before: list[Dropped] = []
         for path in filter(None, self._parameter("channels").split(",")):
             take(path)
@@ -150,7 +153,10 @@ class CalibrationNode(Node):
         try:
             version = (path, _modified(path))
             if version != self._model_joints[0]:
-                self._model_joints = (version, read_model(path).joints)
+                model = read_model(path)
+                moves = any(sensor.name == MOVES_POSES for sensor in model.sensors)
+                self._base = "" if moves else model.frames["base"]
+                self._model_joints = (version, model.joints)
         except ParallelCalError as error:
             if self._model_joints[0] != str(error):
                 self.get_logger().error(f"model file: {error}")
@@ -240,20 +246,29 @@ class CalibrationNode(Node):
         if self._trouble:
             self._keep()
         self._follow_record()
-        self._warn_of_foreign()
+        self._warn()
         end = time.monotonic()
         self._next_look = end + (end - begin) / BUSY
 
-    def _warn_of_foreign(self) -> None:
-        streams = named("joints", "poses")
-        self._say_new("topics", [*foreign_publishers(self), *rival_publishers(self, streams)])
+    def _warn(self) -> None:
+        """Tell what was not told at the last look, in log and status."""
+        before, self._warnings = self._warnings, self._suspicions()
+        known = {_without_numbers(text) for text in before}
+        new = [text for text in self._warnings if _without_numbers(text) not in known]
+        for text in new:
+            self._event = text
+            self.get_logger().warning(text)
+        if self._warnings != before:
+            self._publish_status()
 
-    def _say_new(self, about: str, texts: list[str]) -> None:
-        """Say what was not said at the last look."""
-        before, self._said[about] = self._said.get(about, []), texts
-        for text in texts:
-            if text not in before:
-                self._say(text)
+    def _suspicions(self) -> list[str]:
+        """Whatever of the topics or of the samples may be wrong."""
+        said = [*foreign_publishers(self), *rival_publishers(self, named("joints", "poses"))]
+        said += self._collector.warnings()
+        frame, base = self._collector.frame, self._base
+        if frame and base and frame != base:
+            said.append(f"the poses are in frame '{frame}', the model's base is '{base}'")
+        return said
 
     def _refresh(self) -> None:
         self._collector.configure(self._joints(), self._options(), self._auto())
@@ -268,7 +283,6 @@ class CalibrationNode(Node):
             self._event = f"dropped at {last.time:.2f} s: {last.reason} ({last.detail})"
         if self._collector.trouble and self._collector.trouble != trouble:
             self._event = self._collector.trouble
-        self._say_new("straying", self._collector.straying())
         self._keep()
         self._publish_status()
 
@@ -294,6 +308,7 @@ class CalibrationNode(Node):
             samples=len(c),
             lost=c.lost,
             strays=c.strays,
+            warnings=self._warnings,
             journal=self._journal.path if self._journal else "",
             last_event=self._event,
         )
@@ -349,6 +364,11 @@ class CalibrationNode(Node):
     def destroy_node(self) -> None:
         self._calibrator.close()
         super().destroy_node()
+
+
+def _without_numbers(text: str) -> str:
+    """The same warning with another count is not told again."""
+    return re.sub(r"[-+]?[0-9.]+", "#", text)
 
 
 def _modified(path: str) -> int | None:

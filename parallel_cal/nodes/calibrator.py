@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -20,6 +21,7 @@ from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.model.model import Model
 from parallel_cal.nodes import calibration_messages as messages
 from parallel_cal.nodes.collector import Collection
+from parallel_cal.nodes.frames import in_base, lookup
 from parallel_cal.nodes.jobs import Job, JobServer, OneAtATime, Say, Work, in_words, outcome_of
 from parallel_cal.nodes.parameters import LATCHED, absolute
 from parallel_cal.nodes.run import in_front
@@ -36,7 +38,7 @@ class Calibrator:
         self._result = node.create_publisher(String, "~/result", LATCHED)
         self._diagnosis = node.create_publisher(String, "~/diagnosis", LATCHED)
         self._arrows = node.create_publisher(MarkerArray, "~/residuals", LATCHED)
-        self._one = OneAtATime()
+        self._one, self._transform = OneAtATime(), lookup(node)
         jobs = (
             Job(
                 "identify", Identify, "an identification is running; cancel it or wait",
@@ -82,13 +84,22 @@ class Calibrator:
 
     def compare(self, request: Any, response: Any) -> None:
         """A model beside the samples, nothing fitted."""
-        model, collection = read_model(self._model_file(request.model_file)), self._collect()
+        model = read_model(self._model_file(request.model_file))
+        collection = self._samples(model)
         document = self._show(model, collection).document()
         for rows in (document["rows"], document["where"]["odd_samples"]):
             messages.number_samples(rows, collection)
         response.success, response.json = True, messages.json_text(document)
         response.message = f"{len(collection)} samples compared"
         self._publish_result("compare", Outcome(True, response.message, document))
+
+    def _samples(self, model: Model) -> Collection:
+        """The samples in the model's base frame."""
+        collection = self._collect()
+        dataset, said = in_base(collection.dataset, model, self._transform)
+        if said:
+            self._say(said)
+        return replace(collection, dataset=dataset)
 
     def _show(self, model: Model, collection: Collection) -> Comparison:
         """A model beside the samples, as arrows, too."""
@@ -110,7 +121,8 @@ class Calibrator:
     # ------------------------------------------------------------------ identifying, diagnosing
 
     def _identify(self, goal: Any) -> tuple[Work, Collection]:
-        files, collection = self._files(goal.model_file, goal.output_file), self._collect()
+        files = self._files(goal.model_file, goal.output_file)
+        collection = self._samples(read_model(files[0]))
         options = FitOptions(
             method=goal.method or "implicit", free=tuple(goal.free), fix=tuple(goal.fix),
             hold_out=goal.hold_out, joint_sigma=goal.joint_sigma or self._sigma(),
@@ -119,7 +131,8 @@ class Calibrator:
         return partial(recalibrate, request, collection.dataset), collection
 
     def _diagnose(self, goal: Any) -> tuple[Work, Collection]:
-        model_file, collection = self._model_file(goal.model_file), self._collect()
+        model_file = self._model_file(goal.model_file)
+        collection = self._samples(read_model(model_file))
         hold_out = goal.hold_out or self._parameter("hold_out")
         options = FitOptions(hold_out=hold_out, joint_sigma=self._sigma())
 
@@ -167,7 +180,7 @@ class Calibrator:
         options = FitOptions(hold_out=self._parameter("hold_out"), joint_sigma=self._sigma())
         files = self._files("", request.output_file)
         wanted = Request(*files, options, request.force, request.effect)
-        collection = self._collect()
+        collection = self._samples(read_model(files[0]))
         self._one.begin("an effect is being added; wait")
         self._say(f"adding {request.effect}")
         return partial(recalibrate, wanted, collection.dataset), collection

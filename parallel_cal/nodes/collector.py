@@ -32,6 +32,7 @@ from parallel_cal.recordings.recording import Dropped
 # Joint states in an inbox, a quarter of an hour at 100 Hz; then samples stay and messages go:
 # memory has a bound.
 LONGEST = 100_000
+MANY = 20  # messages or dwells dropped for one reason that are worth a warning
 
 
 @dataclass(frozen=True)
@@ -113,9 +114,23 @@ class Collector:
         """Messages that came and fit no stream."""
         return self._past_strays + sum(gate.strays for gate in self._gates.values())
 
-    def straying(self) -> list[str]:
-        """A sentence for each stream that lost messages so."""
-        return [gate.trouble for gate in self._gates.values() if gate.trouble]
+    def warnings(self) -> list[str]:
+        """Whatever makes the samples suspicious: a sentence each."""
+        made = [inbox.dataset for inbox in self._inboxes if inbox.dataset is not None]
+        said = [warning for dataset in made for warning in dataset.warnings]
+        left_out = Counter[str]()
+        for dataset in made:
+            for item in dataset.dropped:
+                left_out[item.reason] += item.count
+        said += [f"{n} dropped: {why}" for why, n in left_out.items() if n >= MANY]
+        said += [gate.trouble for gate in self._gates.values() if gate.trouble]
+        return list(dict.fromkeys(said))
+
+    @property
+    def frame(self) -> str:
+        """The frame of the poses, empty while there are none."""
+        made = [inbox.dataset for inbox in self._inboxes if inbox.dataset is not None]
+        return made[-1].frame if made else ""
 
     def _buffer(self, channel: str, message: Any, log_ns: int, stamp: int) -> None:
         if self._at[channel].jumps_back(channel, stamp):

@@ -39,7 +39,8 @@ def save(collector: Collector, request: Any, response: Any) -> None:
 def load(collector: Collector, request: Any, response: Any) -> None:
     response.samples = collector.load(_path(request))
     response.success = True
-    response.message = f"{response.samples} samples read from {request.path}"
+    told = "".join(f"; warning: {text}" for text in collector.warnings())
+    response.message = f"{response.samples} samples read from {request.path}{told}"
 
 
 def clear(collector: Collector, request: Any, response: Any) -> None:

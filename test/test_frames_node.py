@@ -1,0 +1,104 @@
+"""Samples of another frame are moved by TF where it is there, and refused where it is not."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+
+import numpy as np
+import pytest
+
+pytestmark = pytest.mark.ros
+pytest.importorskip("rclpy")
+
+from rclpy.time import Time  # noqa: E402
+
+from parallel_cal.base.errors import DatasetError  # noqa: E402
+from parallel_cal.model.file.modelfile import read_model  # noqa: E402
+from parallel_cal.nodes.frames import Transform, in_base, lookup, moved  # noqa: E402
+from parallel_cal.recordings.dataset import Dataset  # noqa: E402
+
+ROOT = Path(__file__).parents[1]
+QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # z by 90 degrees
+STANDS = Transform(np.array([1.0, 2.0, 3.0]), QUARTER, 0.0)
+
+
+@pytest.fixture(scope="module")
+def model():
+    return read_model(ROOT / "config" / "delta_mockup_nominal.yaml")
+
+
+@pytest.fixture
+def samples(model):
+    cov = np.diag([1e-10, 4e-10, 9e-10, 1e-8, 4e-8, 9e-8])
+    made = Dataset.from_arrays(
+        model.joints, [[0.5] * 3], [[0.1, 0.2, 0.3]], [np.eye(3)], pose_cov=cov
+    )
+    return replace(made, frame="tracker")
+
+
+def test_a_pose_is_moved_by_hand_worked_numbers(samples):
+    """A quarter turn about z: x goes to y, y to -x; then 1, 2, 3 m on."""
+    there = moved(samples, STANDS, "base")
+    np.testing.assert_allclose(there.r[0], [0.8, 2.1, 3.3], atol=1e-15)
+    np.testing.assert_allclose(there.R[0], QUARTER)
+    np.testing.assert_allclose(np.diag(there.pose_cov[0]), [4e-10, 1e-10, 9e-10, 4e-8, 1e-8, 9e-8])
+    assert there.frame == "base"
+
+
+def test_what_was_not_measured_stays_so(samples):
+    blind = replace(
+        samples, measured=np.array([[True] * 3 + [False] * 3]), pose_cov=np.full((1, 6, 6), np.nan)
+    )
+    there = moved(blind, STANDS, "base")
+    np.testing.assert_array_equal(there.R, samples.R)
+    assert np.isnan(there.pose_cov).all()
+    with pytest.raises(DatasetError, match="single coordinates"):
+        moved(replace(samples, measured=np.array([[True, False] + [True] * 4])), STANDS, "base")
+
+
+def test_another_frame_without_a_transform_is_refused_and_its_own_is_taken(samples, model):
+    with pytest.raises(DatasetError, match="frame 'tracker', the model's base is 'base'"):
+        in_base(samples, model, lambda target, source: None)
+    there, said = in_base(samples, model, lambda target, source: STANDS)
+    assert (there.frame, said) == ("base", "poses moved from 'tracker' to 'base' by TF (static)")
+    own = replace(samples, frame="base")
+    assert in_base(own, model, lambda target, source: None) == (own, "")
+
+
+def test_transforms_come_from_tf2_with_their_age(monkeypatch):
+    """tf2_ros as its API has it, of which no wheel exists."""
+    found = SimpleNamespace(
+        header=SimpleNamespace(stamp=Time(seconds=40).to_msg()),
+        transform=SimpleNamespace(
+            translation=SimpleNamespace(x=1.0, y=2.0, z=3.0),
+            rotation=SimpleNamespace(x=0.0, y=0.0, z=np.sqrt(0.5), w=np.sqrt(0.5)),
+        ),
+    )
+
+    class TransformException(Exception):
+        pass
+
+    class Buffer:
+        def lookup_transform(self, target, source, time):
+            if source != "tracker":
+                raise TransformException
+            return found
+
+    tf2 = ModuleType("tf2_ros")
+    tf2.Buffer, tf2.TransformException = Buffer, TransformException
+    tf2.TransformListener = lambda buffer, node: object()
+    monkeypatch.setitem(sys.modules, "tf2_ros", tf2)
+    clock = SimpleNamespace(now=lambda: Time(seconds=42, clock_type=found_clock()))
+    look = lookup(SimpleNamespace(get_clock=lambda: clock))
+    r, R, age = look("base", "tracker")
+    np.testing.assert_allclose(r, STANDS.r)
+    np.testing.assert_allclose(R, QUARTER, atol=1e-15)
+    assert age == 2.0
+    assert look("base", "moon") is None
+
+
+def found_clock():
+    from rclpy.clock import ClockType
+
+    return ClockType.ROS_TIME
