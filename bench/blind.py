@@ -2,8 +2,10 @@
 
 Robots, sessions, physics and noise come from the independent virtual robots. A case is `fit`,
 `diagnose`, and, where it names something, `add` on the command line; the truth is the error of
-the served robot at poses that nobody measured, before and after. Usage:
-`PYTHONPATH=. python bench/blind.py [--draws N] [--jobs N] [--see WHAT] [FAMILY ...]`.
+the served robot at poses that nobody measured, before and after. With `--results` every outcome is
+kept as a line of a file, and a case that stands there already is not run again: a long study can
+be made in slices (`--minutes`). Usage: `PYTHONPATH=. python bench/blind.py [--draws N] [--jobs N]
+[--see WHAT] [--results FILE] [--minutes M] [FAMILY ...]`.
 """
 
 from __future__ import annotations
@@ -12,13 +14,14 @@ import argparse
 import contextlib
 import io
 import json
+import math
 import sys
 import tempfile
+import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import asdict, dataclass, replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -32,6 +35,7 @@ import virtual_blind as vb
 import virtual_findings as vf
 import virtual_robot as vr
 
+CLEARLY = 1.1  # of the true error before: its own uncertainty at 80 poses
 SEES = {"pose": "111111", "position": "111000", "orientation": "000111"}
 
 
@@ -58,10 +62,19 @@ class Outcome:
     before: float
     after: float
     error: str = ""
+    summary: str = ""
+
+    @property
+    def worse(self) -> bool:
+        """Whether the served robot errs more than before, by more than chance and a micrometre."""
+        return self.after > self.before * CLEARLY + 1e-6
 
     @property
     def right(self) -> bool:
-        """Whether everything hidden was named, alone or in an `A or B`, and nothing else."""
+        """Whether everything hidden was named, alone or in an `A or B`, and nothing else; noise
+        that is not as stated is to be called so."""
+        if self.case.noise and vb.CALLED[self.case.noise] not in self.summary:
+            return False
         wanted = [set(vf.KINDS[k].names) for k in self.case.kinds]
         called = [set(name.split(" or ")) for name in self.named]
         return len(called) == len(wanted) and all(any(w & c for c in called) for w in wanted)
@@ -181,7 +194,7 @@ def run(case: Case) -> Outcome:
             except RuntimeError as error:
                 refused = str(error)
         after = true_error(model, effects, day, case.seed)
-    return Outcome(case, found["verdict"], named, before, after, refused)
+    return Outcome(case, found["verdict"], named, before, after, refused, found["summary"])
 
 
 def table(outcomes: list[Outcome]) -> None:
@@ -193,7 +206,7 @@ def table(outcomes: list[Outcome]) -> None:
         groups.setdefault(f"{c.family}: {what} {c.size:g} ({c.sees})", []).append(o)
     for name, some in groups.items():
         verdicts = dict(Counter(o.verdict for o in some))
-        worse = sum(o.after > o.before * 1.1 + 1e-6 for o in some)
+        worse = sum(o.worse for o in some)
         before, after = (
             1e6 * np.nanmedian([getattr(o, side) for o in some]) for side in ("before", "after")
         )
@@ -206,17 +219,72 @@ def table(outcomes: list[Outcome]) -> None:
             print(f"    {error[:160]}")
 
 
+def shares(outcomes: list[Outcome]) -> None:
+    """What the whole must show, by family and what the device sees: counts, and their 95 %."""
+    for key in dict.fromkeys((o.case.family, o.case.sees) for o in outcomes):
+        some = [o for o in outcomes if (o.case.family, o.case.sees) == key]
+        counts = {
+            "right": sum(o.right for o in some),
+            "named": sum(bool(o.named) for o in some),
+            "explained": sum(o.verdict == "explained" for o in some),
+            "robot worse": sum(o.worse for o in some),
+            "error": sum(o.verdict == "error" for o in some),
+        }
+        told = [f"{name} {k} ({interval(k, len(some))})" for name, k in counts.items()]
+        print(f"{key[0]} ({key[1]}), {len(some)}: {', '.join(told)}")
+
+
+def interval(k: int, n: int) -> str:
+    """The 95 % interval of a share k / n (Wilson 1927)."""
+    z, p = 1.96, k / n
+    middle, half = p + z**2 / (2 * n), z * math.sqrt(p * (1 - p) / n + z**2 / (4 * n**2))
+    low, high = (max(0.0, (middle + s * half) / (1 + z**2 / n)) for s in (-1, 1))
+    return f"{low:.1%}..{high:.1%}"
+
+
+def kept(file: Path | None) -> dict[Case, Outcome]:
+    """The outcomes that a file of earlier slices holds."""
+    if file is None or not file.exists():
+        return {}
+    found = {}
+    for line in file.read_text().splitlines():
+        row = json.loads(line)
+        case = Case(**(row["case"] | {"kinds": tuple(row["case"]["kinds"])}))
+        found[case] = Outcome(**(row | {"case": case, "named": tuple(row["named"])}))
+    return found
+
+
+def made(cases: list[Case], file: Path | None, jobs: int, until: float) -> Iterable[Outcome]:
+    """The outcomes of cases one by one, written as they come, while there is time."""
+    with ProcessPoolExecutor(jobs) as pool:
+        for begin in range(0, len(cases), jobs):
+            if time.monotonic() > until:
+                return
+            for outcome in pool.map(run, cases[begin : begin + jobs]):
+                if file is not None:
+                    with file.open("a") as lines:
+                        lines.write(json.dumps(asdict(outcome)) + "\n")
+                yield outcome
+
+
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--draws", type=int, default=5)
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--see", choices=SEES, default="pose")
+    parser.add_argument("--results", type=Path)
+    parser.add_argument("--minutes", type=float, default=math.inf)
     parser.add_argument("family", nargs="*")
     given = parser.parse_args()
-    for name, cases in families(given.draws).items():
-        if not given.family or name in given.family:
-            with ProcessPoolExecutor(given.jobs) as pool:
-                table(list(pool.map(partial(run), cases(given.see))))
+    all_of = families(given.draws)
+    cases = [c for name in given.family or all_of for c in all_of[name](given.see)]
+    outcomes = {c: o for c, o in kept(given.results).items() if c in set(cases)}
+    until = time.monotonic() + 60 * given.minutes
+    new = [c for c in cases if c not in outcomes]
+    outcomes |= {o.case: o for o in made(new, given.results, given.jobs, until)}
+    done = [outcomes[c] for c in cases if c in outcomes]
+    table(done)
+    shares(done)
 
 
 if __name__ == "__main__":
