@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import virtual_effects_joint as ve
 import virtual_findings as vf
 import virtual_robot as vr
 from datasets import JOINTS, quiet
@@ -17,9 +18,10 @@ def dataset(samples, noise):
     n, cov = len(samples["q"]), np.zeros((6, 6))
     cov[range(6), range(6)] = [noise.position**2] * 3 + [noise.orientation**2] * 3
     ways = np.diff(samples["q"], axis=0, prepend=samples["home"][None])
+    come = samples.get("travel", np.column_stack([travel(way) for way in ways.T]))
     conditions = {
         **{f"direction.{j}": samples["direction"][:, i] for i, j in enumerate(JOINTS)},
-        **{f"travel.{j}": travel(ways[:, i]) for i, j in enumerate(JOINTS)},
+        **{f"travel.{j}": come[:, i] for i, j in enumerate(JOINTS)},
         **{name: samples[name] for name in ("time", "temperature", "payload")},
     }
     return Dataset.from_arrays(
@@ -35,6 +37,49 @@ def travel(ways):
     for k, way in enumerate(ways):
         out[k] = way + (out[k - 1] if k and way * out[k - 1] > 0 else 0.0)
     return out
+
+
+def driven(stations, home, keep, time, air, load):
+    """The circumstances of the samples `keep` of a robot that goes from station to station, joint
+    readings (n, nq): what each joint did is told from these alone."""
+    ways = np.diff(stations, axis=0, prepend=home[None])
+    since = np.column_stack([travel(w) for w in ways.T])[keep]
+    still = np.zeros_like(since)
+    return ve.Visit(time, air, load, np.sign(since), since, still, np.zeros(len(time)))
+
+
+def continued(samples, plan, effects, noise, seed):
+    """Samples of a session, and behind them those of its planned poses, driven in their order on
+    the virtual robot; the hall is half a kelvin off what was planned."""
+    poses = plan.poses
+    stops = [[s.joints for s in (*p.by_way_of, p)] for p in poses]
+    stations = np.array([q for one in stops for q in one])
+    keep = np.cumsum([len(one) for one in stops]) - 1
+    step, begin = 10.0, samples["time"][-1] + 600
+    asked = {k: np.array([p.conditions.get(k, np.nan) for p in poses]) for k in AMBIENT}
+    time = np.where(np.isnan(asked["time"]), begin + step * np.arange(len(poses)), asked["time"])
+    air = np.where(np.isnan(asked["temperature"]), 20.0, asked["temperature"])
+    air += 0.5 * np.sin(time / 100)
+    load = np.where(np.isnan(asked["payload"]), 0.2, asked["payload"])
+    at = driven(stations, samples["q"][-1], keep, time, air, load)
+    for k, joint in enumerate(JOINTS):
+        for kind, own in (("direction", at.direction), ("travel", at.travel)):
+            wanted = [p.conditions.get(f"{kind}.{joint}", own[i, k]) for i, p in enumerate(poses)]
+            np.testing.assert_allclose(own[:, k], wanted, atol=1e-6)
+    new = seen(stations[keep], at, effects, noise, [seed, 11])
+    new["pose_index"] = samples["pose_index"].max() + 1 + np.arange(len(poses))
+    joined = {k: np.concatenate([samples[k], new[k]]) for k in new}
+    return joined | {"home": samples["home"]}
+
+
+AMBIENT = ("time", "temperature", "payload")
+
+
+def seen(reading, at, effects, noise, seed):
+    """What is measured at joint readings (n, nq) under these circumstances."""
+    _, r, R = vr.truth(vr.MOCK_UP, effects, reading, at)
+    q_error, r_error, w_error = noise.draw(np.random.default_rng(seed), len(r))
+    return {"q": reading + q_error, "r": r + r_error, "R": vr.turn(w_error) @ R} | vars(at)
 
 
 def size_in_sigmas(effect, day, noise, model: Model | None = None) -> float:

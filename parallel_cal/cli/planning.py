@@ -100,9 +100,12 @@ def as_file(found: Plan, suffix: str) -> str:
         return json.dumps(plain(found.document()), indent=1) + "\n"
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
-    writer.writerow([*POSITION, *QUATERNION, *found.model.joints, *found.model.conditions])
-    p = found.poses
-    writer.writerows(np.hstack([p.position, p.quaternion, p.joints, found.a]).tolist())
+    p, joints, way = found.poses, found.model.joints, found.approach
+    stops = {} if way is None else {"past": way.past.joints, "turn": way.turn.joints}
+    names = [f"{stop}.{joint}" for stop in stops for joint in joints]
+    writer.writerow([*POSITION, *QUATERNION, *joints, *found.model.conditions, *names])
+    columns = [p.position, p.quaternion, p.joints, found.a, *stops.values()]
+    writer.writerows(np.hstack(columns).tolist())
     return out.getvalue()
 
 

@@ -8,27 +8,30 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from parallel_cal.base.errors import FitError, ModelError
-from parallel_cal.diagnosis.catalogue import Candidate
+from parallel_cal.diagnosis.catalogue import Candidate, recorded
 from parallel_cal.diagnosis.search import Chosen, Trial
-from parallel_cal.diagnosis.thresholds import POOL, POSES
+from parallel_cal.diagnosis.thresholds import FEW_SETTINGS, POOL, POSES, REACHES, SETTLED
 from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.observations import Observations, conditions
-from parallel_cal.model.effect import CONDITIONS
 from parallel_cal.model.model import Model, Noise
 from parallel_cal.model.shelf import load_effect
+from parallel_cal.planning.approach import Stop, fill
+from parallel_cal.planning.course import BLOCKS, Course
 from parallel_cal.planning.expectation import VAGUE, white_blocks
-from parallel_cal.planning.posepool import make_pool
+from parallel_cal.planning.posepool import Pool, inside, make_pool
 from parallel_cal.planning.selection import Choice, exchange
+from parallel_cal.recordings.dataset import Dataset
 
 
 @dataclass(frozen=True)
 class PlannedPose:
-    """A pose to measure: position (3,) m, quaternion x y z w, joints (nq,), and by name the
-    conditions to bring about."""
+    """A pose to measure: position (3,) m, quaternion x y z w, joints (nq,), where to go before it,
+    and by name the conditions that it is measured under then."""
 
     position: np.ndarray
     quaternion: np.ndarray
     joints: np.ndarray
+    by_way_of: tuple[Stop, ...]
     conditions: Mapping[str, float]
 
 
@@ -42,11 +45,13 @@ class Sigmas:
 
 @dataclass(frozen=True)
 class Separation:
-    """Poses, each under its conditions, that tell the first of two effects from the second."""
+    """Poses in the order to measure them that tell the first of two effects from the second, and
+    in words how their conditions come about."""
 
     separates: tuple[str, str]
     sigmas: Sigmas
     poses: tuple[PlannedPose, ...]
+    how: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -64,95 +69,190 @@ def next_measurement(
     """What to measure where `rivals` of each chosen effect fit as well; the poses tell the first
     of the chosen from the rival that is hardest to tell from it."""
     record = {c.name: c.missing for c in ranked if c.missing}
-    advice = [load_effect(name).separated_by for name, others in rivals.items() if others]
-    by_name = {c.name: Chosen.of(c) for c in ranked}
-    plans = [
-        plan
-        for name, others in rivals.items()
-        for other in others
-        if (plan := separating(best, name, by_name[other], seed)) is not None
+    pairs = [(name, other) for name, others in rivals.items() for other in others]
+    by_name = {c.name: c for c in ranked}
+    doubts = [
+        doubt
+        for name, other in pairs
+        for rival in disguises(by_name[other], best.fitted.dataset)
+        if (doubt := Doubt.of(best, name, rival)) is not None
     ]
-    hardest = min(plans, key=lambda plan: plan.sigmas.now, default=None)
-    return NextMeasurement(record, tuple(a for a in advice if a), hardest)
+    hardest = min(doubts, key=lambda doubt: doubt.now, default=None)
+    plan = None if hardest is None else settling(hardest, best.fitted.dataset.conditions, seed)
+    advice = [told_apart(*pair) for pair in pairs] + list(plan.how if plan else ())
+    return NextMeasurement(record, tuple(dict.fromkeys(a for a in advice if a)), plan)
 
 
-def separating(
-    best: Trial, effect: str, rival: Chosen, seed: int = 0, poses: int = POSES
-) -> Separation | None:
-    """Poses, each under its circumstances, that best tell an effect as identified from a rival.
+def disguises(rival: Candidate, dataset: Dataset) -> list[Chosen]:
+    """A rival in each of its settings, where a few are all there are: one that is beaten in the
+    best of them may come back in another. Else in the best."""
+    if rival.tried > FEW_SETTINGS:
+        return [Chosen.of(rival)]
+    scene = rival.scene
+    settings = rival.effect.scan(scene.model.mechanism, recorded(dataset)) if scene else ()
+    return [Chosen(rival.name, tuple(sorted(setting.items()))) for setting in settings]
 
-    With Z the columns of geometry and rival, and a the effect's whole signal, the two differ by
-    sqrt(a.a - a.Z (Z.Z)^-1 Z.a) sigmas: one over the sigma of a's amplitude in a model of both.
-    The planner lowers that sigma, on top of what the data so far tell. None where nothing can be
-    planned (a larger model, no reachable pool).
+
+def told_apart(name: str, other: str) -> str:
+    """What tells two effects apart: what either says of this pair, else what the first says."""
+    one, another = load_effect(name), load_effect(other)
+    return one.told_from.get(other) or another.told_from.get(name) or one.separated_by
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """An effect as identified beside a rival: a model of both, and the information (k, k) of the
+    data so far about geometry, rival and the amplitude of the effect's whole signal, which is last.
+
+    With Z the columns of geometry and rival, and a the signal, the two differ by
+    sqrt(a.a - a.Z (Z.Z)^-1 Z.a) sigmas: one over the sigma of a's amplitude.
     """
-    try:
-        model = best.fitted.model.with_effect(rival.name, rival.settings)
-        if model.mechanism is not best.fitted.model.mechanism:
+
+    effect: str
+    rival: str
+    model: Model
+    measured: np.ndarray
+    information: np.ndarray
+
+    @classmethod
+    def of(cls, best: Trial, effect: str, rival: Chosen) -> Doubt | None:
+        """None where the rival is a larger model."""
+        fitted = best.fitted
+        try:
+            model = fitted.model.with_effect(rival.name, rival.settings)
+        except ModelError:
             return None
-        observations = replace(best.fitted.observations, a=conditions(model, best.fitted.dataset))
+        if model.mechanism is not fitted.model.mechanism:
+            return None
+        observations = replace(fitted.observations, a=conditions(model, fitted.dataset))
         model = replace(model, noise=_noise(model, observations))
-        rng = np.random.default_rng(seed)
-        pool = make_pool(model, POOL, rng, symmetric=False)
-    except (FitError, ModelError):
-        return None
-    a = circumstances(model, best.fitted.dataset.conditions, len(pool.poses), rng)
-    free, measured = ~np.asarray(model.fixed), np.asarray(observations.measured.any(axis=0))
-    so_far = Linearisation(model, observations, free, True)(model.values, best.scene.x).jacobian
-    ahead = white_blocks(model, free, measured, pool.poses, a)
-    so_far, ahead = (_with_signal(J, model, free, effect) for J in (so_far, ahead))
-    size = ahead.shape[2]
-    measured_rows = so_far.reshape(-1, size)
-    before = measured_rows.T @ measured_rows + VAGUE * np.eye(size)
-    amplitude = np.zeros((size, size))
-    amplitude[-1, -1] = 1.0
-    problem = Choice(ahead, before, amplitude, "A", size)
-    chosen = exchange(problem, min(poses, len(ahead)), lambda fraction: None)
-    sigmas = Sigmas(*(_sigmas(M) for M in (before, problem.information(chosen))))
-    planned = []
-    for i in chosen:
-        pose, under = pool.poses[int(i)], dict(zip(model.conditions, a[i].tolist(), strict=True))
-        planned.append(PlannedPose(pose.position, pose.quaternion, pose.joints, under))
-    return Separation((effect, rival.name), sigmas, tuple(planned))
+        free, measured = ~np.asarray(model.fixed), np.asarray(observations.measured.any(axis=0))
+        so_far = Linearisation(model, observations, free, True)(model.values, best.scene.x)
+        doubt = cls(effect, rival.name, model, measured, np.zeros((0, 0)))
+        rows = doubt.with_signal(so_far.jacobian)
+        rows = rows.reshape(-1, rows.shape[2])
+        return replace(doubt, information=rows.T @ rows + VAGUE * np.eye(rows.shape[1]))
+
+    @property
+    def now(self) -> float:
+        """Sigmas by which the data so far tell the two apart."""
+        return _sigmas(self.information)
+
+    def with_signal(self, J: np.ndarray) -> np.ndarray:
+        """Columns in tolerances, those of the effect replaced by their sum at the identified
+        values."""
+        model, free = self.model, ~np.asarray(self.model.fixed)
+        names = [n for n, f in zip(model.table.names, free, strict=True) if f]
+        own = np.array([n.startswith(f"{self.effect}.") for n in names])
+        values = np.where(own, model.values[free], 0.0)
+        scaled = J * model.table.tolerance[free]
+        return np.concatenate([scaled[:, :, ~own], (J @ values)[:, :, None]], axis=2)
+
+    def ahead(self, pool: Pool, a: np.ndarray) -> Choice:
+        """What poses under conditions a would add; the planner lowers the amplitude's sigma."""
+        free, size = ~np.asarray(self.model.fixed), len(self.information)
+        rows = white_blocks(self.model, free, self.measured, pool.poses, a)
+        amplitude = np.diag(np.arange(size) == size - 1).astype(float)
+        return Choice(self.with_signal(rows), self.information, amplitude, "A", size)
 
 
-def _with_signal(J: np.ndarray, model: Model, free: np.ndarray, effect: str) -> np.ndarray:
-    """Columns in tolerances, those of the effect replaced by their sum at the identified values."""
-    names = [n for n, f in zip(model.table.names, free, strict=True) if f]
-    own = np.array([n.startswith(f"{effect}.") for n in names])
-    values = np.where(own, model.values[free], 0.0)
-    scaled = J * model.table.tolerance[free]
-    return np.concatenate([scaled[:, :, ~own], (J @ values)[:, :, None]], axis=2)
-
-
-def _sigmas(M: np.ndarray) -> float:
+def _sigmas(information: np.ndarray) -> float:
     """One over the standard deviation of the last parameter."""
-    return float(1 / np.sqrt(np.linalg.inv(M)[-1, -1]))
+    return float(1 / np.sqrt(np.linalg.inv(information)[-1, -1]))
+
+
+def settling(doubt: Doubt, so_far: Mapping[str, np.ndarray], seed: int = 0) -> Separation | None:
+    """As few of POSES as settle a doubt, in the workspace where they can, else as far as joint
+    limits and singularities let the robot go; the best there are where none settles it. None where
+    no pose can be reached."""
+    plans = []
+    for reach in REACHES:
+        rng = np.random.default_rng(seed)
+        try:
+            pool = make_pool(doubt.model, POOL, rng, symmetric=False, reach=reach)
+        except FitError:
+            continue
+        course = Course.after(so_far, max(POSES) // BLOCKS)
+        block = rng.integers(BLOCKS if goes_on(doubt.model) else 1, size=len(pool.poses))
+        a = circumstances(doubt.model, pool, so_far, course, block, rng)
+        problem = doubt.ahead(pool, a)
+        for n in POSES:
+            chosen = exchange(problem, min(n, len(a)), lambda fraction: None)
+            plans.append(_separation(doubt, pool, a, course, block, chosen))
+            if plans[-1].sigmas.then > SETTLED:
+                return plans[-1]
+    return max(plans, key=lambda plan: plan.sigmas.then, default=None)
+
+
+def _separation(
+    doubt: Doubt, pool: Pool, a: np.ndarray, course: Course, block: np.ndarray, chosen: np.ndarray
+) -> Separation:
+    """The chosen poses of a pool in the order to measure them: block by block, loads together."""
+    model = doubt.model
+    load = a[:, [name == "payload" for name in model.conditions]].sum(axis=1)
+    order = chosen[np.lexsort([load[chosen], block[chosen]])]
+    blocks, ordered = block[order], pool.rows(order)
+    place = np.arange(len(order)) - np.searchsorted(blocks, blocks)
+    under = in_course(model, a[order], course, blocks, place)
+    then = _sigmas(doubt.ahead(ordered, under).information(np.arange(len(order))))
+    planned = []
+    for i, pose in enumerate(ordered.poses):
+        stops = () if ordered.approach is None else ordered.approach.stops(i)
+        at = dict(zip(model.conditions, under[i].tolist(), strict=True))
+        planned.append(PlannedPose(pose.position, pose.quaternion, pose.joints, stops, at))
+    how = []
+    if outside := int((~inside(model, ordered.poses)).sum()):
+        how.append(
+            f"{outside} of the planned poses outside the model file's workspace, as far as joint "
+            "limits and singularities allow: see first that nothing is in the way"
+        )
+    if ordered.approach is not None:
+        how.append("every planned pose come to by way of its two stops: past it, and back")
+    if goes_on(model):
+        how.append(course.words(blocks, "temperature" in model.conditions))
+    pair = (doubt.effect, doubt.rival)
+    return Separation(pair, Sigmas(doubt.now, then), tuple(planned), tuple(how))
+
+
+def goes_on(model: Model) -> bool:
+    """Whether it matters to a model when a pose is measured."""
+    return bool({"time", "temperature"} & set(model.conditions))
 
 
 def circumstances(
-    model: Model, recorded: Mapping[str, np.ndarray], n: int, rng: np.random.Generator
+    model: Model,
+    pool: Pool,
+    so_far: Mapping[str, np.ndarray],
+    course: Course,
+    block: np.ndarray,
+    rng: np.random.Generator,
 ) -> np.ndarray:
-    """(n, n_conditions) drawn from what a user can bring about: both approaches, some payload,
-    a cold and a warm robot, other speeds; time goes on after the recording."""
-    a = model.condition_rows(None, n)
+    """(n, n_conditions) that a user can bring about, poses (n,) in blocks of a course: what the
+    approach does to the joints, with and without a load, at rest or as fast as recorded."""
+    a = pool.a.copy()
+    if pool.approach is not None:
+        speeds = [so_far[c] for c in so_far if c.startswith("velocity.")]
+        fastest = float(np.max(np.abs(speeds))) if speeds else 0.0
+        fill(a, model, pool.approach.ways, rng.choice([0.0, fastest], len(a)))
     for k, name in enumerate(model.conditions):
-        a[:, k] = rng.choice(_levels(name, recorded.get(name)), n)
+        if name == "payload":
+            a[:, k] = rng.choice([0.0, max(1.0, 2 * float(np.max(so_far[name])))], len(a))
+        elif name == "session":
+            a[:, k] = np.max(so_far[name])  # homed no more
+    return in_course(model, a, course, block, np.zeros(len(a)))
+
+
+def in_course(
+    model: Model, a: np.ndarray, course: Course, block: np.ndarray, place: np.ndarray
+) -> np.ndarray:
+    """Conditions a (n, n_conditions) of poses measured as number `place` (n,) of their blocks."""
+    a = a.copy()
+    for k, name in enumerate(model.conditions):
+        if name == "time":
+            a[:, k] = course.begin[block] + course.step * place
+        elif name == "temperature":
+            a[:, k] = course.temperature[block]
     return a
-
-
-def _levels(name: str, recorded: np.ndarray | None) -> list[float]:
-    kind = name.split(".")[0]
-    usual = np.array([CONDITIONS[kind][1]])
-    values = recorded if recorded is not None and len(recorded) else usual
-    low, high = float(np.min(values)), float(np.max(values))
-    around = {
-        "direction": [-1.0, 1.0],
-        "payload": [0.0, max(1.0, 2 * high)],
-        "temperature": [low - 4, (low + high) / 2, high + 4],
-        "time": [high, high + (high - low) / 2, high + (high - low)],
-    }
-    return around.get(kind, [low, (low + high) / 2, high])
 
 
 def _noise(model: Model, observations: Observations) -> Noise:

@@ -25,6 +25,7 @@ WORTH_REFINING = log(1e-3)  # log p: a scanned setting is refined between its ne
 SHUFFLES = 39  # copies with the condition shuffled between samples ...
 AS_GOOD = 1  # ... of which so many may score as well, by chance
 STRETCHES = 12  # of the session that are shuffled whole: noise may wander from sample to sample
+SLOW = 0.5  # correlation of neighbours in time: a condition that changes so may be taken for noise
 EXPLAINED = 0.7  # of the variance beyond the noise
 
 # Which effects cannot be told from each other
@@ -42,4 +43,8 @@ CLEAR = 20.0  # times what readings scatter: a place that varies by less is no p
 LEVELS = 5  # a quantity with so few values has a mean for each, and nothing rolls
 LENGTHS = (0.15, 0.25, 0.4, 0.7, 1.2)  # of the map's smoothness, in standard deviations of place
 ROUGHNESS = (0.1, 0.3, 1.0, 3.0)  # of the map: noise over smooth part, in variances
-POOL, POSES = 300, 20  # reachable poses to choose from, and chosen, to tell two effects apart
+FEW_SETTINGS = 5  # of a rival's scan: a plan is made against the one that is hardest to tell
+POOL = 300  # reachable poses to choose from, to tell two effects apart
+POSES = (20, 40, 60)  # chosen of them: as few as settle it,
+REACHES = (1.0, 2.0)  # times the workspace: what it cannot tell, poses further out may
+SETTLED = 7.0  # sigmas: two more than what is APART, for luck

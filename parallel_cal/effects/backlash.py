@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, ClassVar
 
 from parallel_cal.effects._joints import shifted
 from parallel_cal.model.effect import Effect, Seen
@@ -20,6 +21,9 @@ class Backlash(Effect):
     source = "gearbox play, 0.03-0.3 mrad for precision gears; 5-20 um for ball screws"
     lookalikes = ("hysteresis", "latency")
     separated_by = "the same poses approached from both directions, at rest"
+    told_from: ClassVar[Mapping[str, str]] = {
+        "hysteresis": "poses come to over ways of some mrad, beside long ways from the same side"
+    }
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
         joints = zip(mechanism.joints, mechanism.joint_units, strict=True)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import ClassVar
+
 from parallel_cal.effects._frames import put_back, shift_and_turn
 from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
@@ -20,6 +23,9 @@ class BaseDrift(Effect):
     physics = "A stand, tripod or frame creeps against the device as it settles and warms up."
     source = "tens of um in a session of some hours, up to 0.1 um/s while warming up"
     lookalikes = ("thermal_expansion", "zero_shift", "device_bump")
+    told_from: ClassVar[Mapping[str, str]] = {
+        "thermal_expansion": "the robot measured cold, then warm from work, then cold again"
+    }
     separated_by = "a temperature that is not monotone in time; first poses measured again at last"
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:

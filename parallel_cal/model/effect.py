@@ -58,6 +58,7 @@ class Effect(ABC):
     source: ClassVar[str]
     lookalikes: ClassVar[tuple[str, ...]] = ()
     separated_by: ClassVar[str] = ""
+    told_from: ClassVar[Mapping[str, str]] = {}  # by lookalike, where another measurement tells it
 
     @abstractmethod
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:

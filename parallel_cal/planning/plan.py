@@ -8,12 +8,14 @@ from typing import Any
 
 import numpy as np
 
+from parallel_cal.base.documents import plain
 from parallel_cal.base.errors import FitError
 from parallel_cal.identification.checks import free_mask
 from parallel_cal.identification.fit import single_threaded
 from parallel_cal.identification.methods._estimate import Sought
 from parallel_cal.kinematics.kinematics import Solutions
 from parallel_cal.model.model import Model
+from parallel_cal.planning.approach import Approaches
 from parallel_cal.planning.expectation import Expectation, View
 from parallel_cal.planning.posepool import Pool, given_pool, make_pool
 from parallel_cal.planning.selection import CRITERIA, LINEAR, Choice, anneal, exchange
@@ -60,12 +62,14 @@ class PlanOptions:
 class Plan:
     """The poses to measure, with the inputs that made the choice.
 
-    `random` is the median of 21 random sets of the same size out of the same pool.
+    `approach` says how to come to them, None where that is all the same; `random` is the median
+    of 21 random sets of the same size out of the same pool.
     """
 
     model: Model
     poses: Solutions
     a: np.ndarray
+    approach: Approaches | None
     options: PlanOptions
     free: np.ndarray
     expected: Expectation
@@ -102,6 +106,8 @@ class Plan:
             "quaternion": pose.quaternion.tolist(),
             "joints": pose.joints.tolist(),
         }
+        if self.approach is not None:
+            row["by_way_of"] = plain(self.approach.stops(i))
         at = dict(zip(self.model.conditions, self.a[i].tolist(), strict=True))
         return {**row, "conditions": at} if at else row
 
@@ -166,6 +172,7 @@ def plan(
         model=model,
         poses=pool.poses[rows],
         a=pool.a[rows],
+        approach=None if pool.approach is None else pool.approach[rows],
         options=options,
         free=sought.free,
         expected=expected,

@@ -1,4 +1,5 @@
-"""Poses that a robot could measure: in the workspace, inside limits, away from singularities."""
+"""Poses that a robot could measure: in the workspace, inside limits, away from singularities; and
+how it comes to them, where that matters."""
 
 from __future__ import annotations
 
@@ -7,37 +8,59 @@ from dataclasses import dataclass
 import numpy as np
 
 from parallel_cal.base.errors import FitError
-from parallel_cal.base.rotation import rotation_matrix, rotation_vector
+from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions
 from parallel_cal.kinematics.singularity import distances
 from parallel_cal.model.mechanism import poses_in_workspace
 from parallel_cal.model.model import Model
+from parallel_cal.planning.approach import (
+    SAME,
+    Approaches,
+    approaches,
+    controlled,
+    fill,
+    needs_approach,
+)
 
 CLEARANCE = 0.2  # of home's distance from a singularity; nearer ones are not measured at
 FOLD = 3
-SAME = 1e-6  # m and rad
 
 
 @dataclass(frozen=True)
 class Pool:
     """K groups of poses that are chosen together: one pose each, or a symmetric set.
 
-    groups (K, size) indexes poses; a (N, n_conditions) is what each is measured under.
+    groups (K, size) indexes poses; a (N, n_conditions) is what each is measured under; `approach`
+    how the robot comes to it, None where that is all the same.
     """
 
     poses: Solutions
     groups: np.ndarray
     a: np.ndarray
+    approach: Approaches | None
+
+    def rows(self, index: np.ndarray) -> Pool:
+        """Some poses, each its own group."""
+        approach = None if self.approach is None else self.approach[index]
+        return Pool(self.poses[index], np.arange(len(index))[:, None], self.a[index], approach)
 
 
-def make_pool(model: Model, n: int, rng: np.random.Generator, symmetric: bool) -> Pool:
-    """About n poses drawn in the workspace, those kept that may be measured at."""
-    r, R = poses_in_workspace(model.mechanism, n, rng)
+def make_pool(
+    model: Model, n: int, rng: np.random.Generator, symmetric: bool, reach: float = 1.0
+) -> Pool:
+    """About n poses drawn in the workspace, or in a box so many times as large (`reach`), those
+    kept that may be measured at."""
+    m = model.mechanism
+    middle = np.add(m.workspace.low, m.workspace.high) / 2
+    r, R = m.poses(middle + reach * (m.sample(n, rng) - middle))
     if symmetric:
         check_symmetric(model)
         r, R = turned_about_z(r[: -(-n // FOLD)], R[: -(-n // FOLD)])
     poses = Kinematics(model).inverse(r, R)
-    good = usable(model, poses)
+    good = usable(model, poses, reach)
+    approach = approaches(model, poses, rng, reach) if needs_approach(model) else None
+    if approach is not None:
+        good &= approach.ok
     size = FOLD if symmetric else 1
     kept = np.flatnonzero(good.reshape(-1, size).all(axis=1))
     if not len(kept):
@@ -46,22 +69,34 @@ def make_pool(model: Model, n: int, rng: np.random.Generator, symmetric: bool) -
             "away from singularities; make the workspace in the model file smaller"
         )
     rows = (kept[:, None] * size + np.arange(size)).ravel()
-    a = conditions(model, len(rows), rng)
-    return Pool(poses[rows], np.arange(len(rows)).reshape(-1, size), a)
+    groups = np.arange(len(rows)).reshape(-1, size)
+    return _pool(model, poses[rows], groups, None if approach is None else approach[rows])
 
 
 def given_pool(model: Model, poses: Solutions, rng: np.random.Generator) -> Pool:
     """The usable ones of given poses."""
     kept = poses[np.flatnonzero(usable(model, poses))]
-    return Pool(kept, np.arange(len(kept))[:, None], conditions(model, len(kept), rng))
+    approach = approaches(model, kept, rng) if needs_approach(model) else None
+    if approach is not None:
+        reached = np.flatnonzero(approach.ok)
+        kept, approach = kept[reached], approach[reached]
+    return _pool(model, kept, np.arange(len(kept))[:, None], approach)
 
 
-def usable(model: Model, poses: Solutions) -> np.ndarray:
-    """Mask (N,): solved both ways on home's branch, inside workspace and joint limits, no
-    singularity near nor between the pose and home."""
+def _pool(model: Model, poses: Solutions, groups: np.ndarray, approach: Approaches | None) -> Pool:
+    """Under neutral conditions, but for what the approach brings about."""
+    a = model.condition_rows(None, len(poses))
+    if approach is not None:
+        fill(a, model, approach.ways)
+    return Pool(poses, groups, a, approach)
+
+
+def usable(model: Model, poses: Solutions, reach: float = 1.0) -> np.ndarray:
+    """Mask (N,): solved both ways on home's branch, inside workspace (`reach` times as large) and
+    joint limits, no singularity near nor between the pose and home."""
     back = Kinematics(model).direct(np.where(poses.ok[:, None], poses.joints, np.nan))
     agree = np.abs(back.position - poses.position).max(axis=1) < SAME
-    return poses.ok & back.ok & agree & inside(model, poses) & clear(model, poses)
+    return poses.ok & back.ok & agree & inside(model, poses, reach) & clear(model, poses)
 
 
 def clear(model: Model, poses: Solutions) -> np.ndarray:
@@ -73,21 +108,11 @@ def clear(model: Model, poses: Solutions) -> np.ndarray:
     return np.asarray(far & same)
 
 
-def inside(model: Model, poses: Solutions) -> np.ndarray:
-    """Mask (N,): controlled coordinates inside the workspace's box."""
-    m = model.mechanism
-    x = np.concatenate([poses.position, rotation_vector(poses.rotation)], axis=1)
-    low, high = np.array(m.workspace.low) - SAME, np.array(m.workspace.high) + SAME
-    return np.asarray(((x[:, m.controlled] >= low) & (x[:, m.controlled] <= high)).all(axis=1))
-
-
-def conditions(model: Model, n: int, rng: np.random.Generator) -> np.ndarray:
-    """(n, n_conditions): neutral, but each joint's approach from either side at random."""
-    a = model.condition_rows(None, n)
-    for k, name in enumerate(model.conditions):
-        if name.startswith("direction."):
-            a[:, k] = rng.choice([-1.0, 1.0], n)
-    return a
+def inside(model: Model, poses: Solutions, reach: float = 1.0) -> np.ndarray:
+    """Mask (N,): controlled coordinates inside the workspace's box, `reach` times as large."""
+    low, high = np.array(model.mechanism.workspace.low), np.array(model.mechanism.workspace.high)
+    away = np.abs(controlled(model, poses) - (low + high) / 2)
+    return np.asarray((away <= reach * (high - low) / 2 + SAME).all(axis=1))
 
 
 def turned_about_z(r: np.ndarray, R: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

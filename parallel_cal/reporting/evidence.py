@@ -118,13 +118,15 @@ def measure_next(report: Report) -> str:
 def _poses(poses: Sequence[PlannedPose], units: Mapping[str, str]) -> str:
     """The poses to measure, each under its circumstances."""
     joints = [f"{name} [{large(unit)[0]}]" for name, unit in units.items()]
+    stops = ["past it [mm]", "and back to [mm]"] if poses[0].by_way_of else []
     conditions = list(poses[0].conditions)
     rows = [
         [
-            str(i), vector(pose.position, "m"), vector(pose.quaternion, "", 5),
+            str(i), *(vector(stop.position, "m") for stop in pose.by_way_of),
+            vector(pose.position, "m"), vector(pose.quaternion, "", 5),
             *(vector([q], u) for q, u in zip(pose.joints, units.values(), strict=True)),
             *(f"{pose.conditions[c]:.3g}" for c in conditions),
         ]
         for i, pose in enumerate(poses, 1)
     ]  # fmt: skip
-    return table(["", "x y z [mm]", "quaternion x y z w", *joints, *conditions], rows)
+    return table(["", *stops, "x y z [mm]", "quaternion x y z w", *joints, *conditions], rows)

@@ -1,0 +1,97 @@
+"""How to come to a pose so that every joint arrives from a known side, over a known way.
+
+Play, wind-up and lag depend on how a joint came. The robot goes past the pose, turns back at a
+place as far on its other side, and comes to it from there: whatever it did before, every joint has
+last turned back at that place.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from parallel_cal.base.rotation import rotation_vector
+from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.kinematics.solutions import Solutions
+from parallel_cal.model.model import Model
+
+KINDS = ("direction", "travel", "velocity")  # conditions that an approach brings about
+STEPS = (1 / 4, 1 / 32, 1 / 256, 1 / 1024)  # of the workspace: from long ways to a mrad
+SAME = 1e-6  # m and rad
+CLEAR = 5.0  # sigmas of a joint's reading: a shorter way has no sign
+
+
+@dataclass(frozen=True)
+class Stop:
+    """A place on the way to a pose: position (3,) m, joints (nq,)."""
+
+    position: np.ndarray
+    joints: np.ndarray
+
+
+@dataclass(frozen=True)
+class Approaches:
+    """For each of N poses where the robot goes past it and where it turns back, the joints' ways
+    (N, nq) from there, and whether all that can be driven (N,)."""
+
+    past: Solutions
+    turn: Solutions
+    ways: np.ndarray
+    ok: np.ndarray
+
+    def __getitem__(self, rows: np.ndarray) -> Approaches:
+        return Approaches(self.past[rows], self.turn[rows], self.ways[rows], self.ok[rows])
+
+    def stops(self, i: int) -> tuple[Stop, Stop]:
+        """Where the robot goes before pose i, in that order."""
+        past, turn = (Stop(s.position[i], s.joints[i]) for s in (self.past, self.turn))
+        return past, turn
+
+
+def needs_approach(model: Model) -> bool:
+    """Whether it matters to a model how its joints came."""
+    return any(name.startswith(KINDS) for name in model.conditions)
+
+
+def approaches(
+    model: Model, poses: Solutions, rng: np.random.Generator, reach: float = 1.0
+) -> Approaches:
+    """Approaches along random lines, each of any length of STEPS that can be driven in the
+    workspace (`reach` times as large)."""
+    m, robot, n = model.mechanism, Kinematics(model), len(poses)
+    low, high = np.array(m.workspace.low), np.array(m.workspace.high)
+    side = rng.uniform(-1, 1, (n, len(m.controlled)))
+    side /= np.abs(side).max(axis=1, keepdims=True)
+    away = np.concatenate([step * side * (high - low) for step in STEPS])
+    here = np.tile(controlled(model, poses), (len(STEPS), 1))
+    past, turn = (robot.inverse(*m.poses(here + sign * away)) for sign in (1, -1))
+    furthest = np.abs(here - (low + high) / 2) + np.abs(away)
+    inside = (furthest <= reach * (high - low) / 2 + SAME).all(axis=1)
+    ways = np.tile(poses.joints, (len(STEPS), 1)) - turn.joints
+    reverses = ways * (turn.joints - past.joints) < 0
+    told = np.abs(ways) > CLEAR * (model.noise.joint or 0.0)
+    ok = past.ok & turn.ok & inside & (reverses & told).all(axis=1)
+    # One at random of those that can be driven; where none can, it is marked as such.
+    rows = np.argmax(ok.reshape(-1, n) * rng.uniform(0.5, 1, (len(STEPS), n)), axis=0) * n
+    return Approaches(past, turn, ways, ok)[rows + np.arange(n)]
+
+
+def controlled(model: Model, poses: Solutions) -> np.ndarray:
+    """The coordinates (N, n_controlled) of poses that the robot controls, as `Workspace` has it."""
+    coordinates = np.concatenate([poses.position, rotation_vector(poses.rotation)], axis=1)
+    return np.asarray(coordinates[:, model.mechanism.controlled])
+
+
+def fill(a: np.ndarray, model: Model, ways: np.ndarray, speed: np.ndarray | float = 0.0) -> None:
+    """Into conditions a (N, n_conditions) what ways (N, nq) mean: direction, travel, and velocity
+    where the fastest joint moves at `speed` (N,) on them."""
+    each = {
+        "direction": np.sign(ways),
+        "travel": ways,
+        "velocity": ways / np.abs(ways).max(axis=1, keepdims=True) * np.reshape(speed, (-1, 1)),
+    }
+    for k, name in enumerate(model.conditions):
+        kind, _, joint = name.partition(".")
+        if kind in each:
+            a[:, k] = each[kind][:, model.joints.index(joint)]

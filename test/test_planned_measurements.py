@@ -1,0 +1,82 @@
+"""What is planned can be measured, and measuring it settles what was in doubt."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import virtual_robot as vr
+from findings import travel
+from settling import DOUBTS, settled
+
+from parallel_cal.diagnosis.separate import told_apart
+from parallel_cal.model.model import Noise, new_model
+from parallel_cal.planning.course import Course
+from parallel_cal.planning.plan import plan
+
+NOISE = Noise(vr.THESIS_NOISE.joint, vr.THESIS_NOISE.position, vr.THESIS_NOISE.orientation)
+
+
+@pytest.fixture(scope="module")
+def winding():
+    """A plan for drives that wind up."""
+    return plan(replace(new_model("delta54"), noise=NOISE).with_effect("hysteresis"), 16, pool=200)
+
+
+def test_each_joint_comes_from_where_it_turned_back_over_the_way_that_is_planned(winding):
+    """Driven in any order: what a joint did before its two stops is all the same."""
+    poses, names = winding.document()["poses"], [f"travel.joint{i}" for i in (1, 2, 3)]
+    order = np.random.default_rng(0).permutation(len(poses))
+    stops = [[*(s["joints"] for s in poses[i]["by_way_of"]), poses[i]["joints"]] for i in order]
+    stations = np.concatenate([[np.zeros(3)], *stops])
+    driven = np.column_stack([travel(way) for way in np.diff(stations, axis=0).T])[2::3]
+    wanted = [[poses[i]["conditions"][name] for name in names] for i in order]
+    np.testing.assert_allclose(driven, wanted, atol=1e-9)
+
+
+def test_ways_are_short_and_long(winding):
+    ways = np.abs(winding.a).max(axis=1)
+    assert ways.min() < 5e-3
+    assert ways.max() > 50e-3
+
+
+def test_a_course_is_cold_then_warm_then_cold_again_as_fast_as_it_was_seen_to_change():
+    """4 K in 1000 s were recorded, a sample in 10 s: blocks of 20 poses last 200 s."""
+    time = np.arange(0.0, 1001.0, 10.0)
+    course = Course.after({"time": time, "temperature": 18 + 0.004 * time}, 20)
+    assert course.temperature.tolist() == [18.0, 22.0, 18.0]
+    assert course.begin.tolist() == [2000.0, 3200.0, 4400.0]
+    assert course.step == 10.0
+
+
+def test_a_hall_that_never_changed_is_asked_to_change_by_what_can_be_felt():
+    course = Course.after({"time": np.arange(10.0), "temperature": np.full(10, 21.0)}, 5)
+    assert course.temperature.tolist() == [21.0, 25.0, 21.0]
+
+
+def test_advice_is_for_the_pair_that_is_in_doubt():
+    assert "short" in told_apart("hysteresis", "latency")
+    for pair in (("backlash", "hysteresis"), ("hysteresis", "backlash")):
+        assert "ways of some mrad" in told_apart(*pair)
+        assert "both directions" not in told_apart(*pair)
+    assert told_apart("base_drift", "thermal_expansion") == told_apart(
+        "thermal_expansion", "base_drift"
+    )
+
+
+@pytest.mark.wide
+@pytest.mark.parametrize("pair", DOUBTS)
+def test_what_was_planned_settles_what_was_in_doubt(pair):
+    """bench/settle.py draws twenty of each."""
+    first, then = settled(DOUBTS[pair], IN_DOUBT[pair])
+    assert first == "in doubt"
+    assert then.startswith("settled")
+
+
+IN_DOUBT = {"eccentricity/gain": 0, "thermal/drift": 0, "backlash/hysteresis": 0}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("pair", DOUBTS)
+def test_what_was_planned_settles_nine_of_ten(pair):
+    ends = [settled(DOUBTS[pair], seed)[1] for seed in range(20)]
+    assert sum(end.startswith("settled") for end in ends) >= 18
