@@ -53,6 +53,16 @@ def test_noise_that_wanders_is_no_drift():
 
 
 @pytest.mark.wide
+def test_noise_that_wanders_is_no_give_under_loads_that_were_changed_as_slowly():
+    """Two loads in turn, three times each: a device that wanders is now higher, now lower."""
+    found = found_in(noisy(vb.correlated, 5))
+    assert not found.effects
+    give = next(e for e in found.entries if e.name == "joint_compliance")
+    assert give.candidate.wanders
+    assert not next(e for e in found.entries if e.name == "backlash").candidate.wanders
+
+
+@pytest.mark.wide
 def test_a_drift_in_white_noise_is_still_a_drift():
     day, kind = vf.session(1), vf.KINDS["base drift"]
     drift = sized(kind.make, kind.size, 0.8, day, vr.THESIS_NOISE, 1)

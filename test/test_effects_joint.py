@@ -11,6 +11,7 @@ import virtual_effects_joint as ve
 import virtual_robot as vr
 from twins import hexapod, joints_near_home
 
+from parallel_cal.effects.encoder_crosstalk import SIZE
 from parallel_cal.identification.doubts import chi2_band
 from parallel_cal.identification.fit import fit
 from parallel_cal.identification.methods.implicit import estimate
@@ -160,6 +161,16 @@ def test_of_six_legs_in_a_ring_each_is_dragged_by_two_and_of_two_joints_by_the_o
     assert len(dragged("stewart42")) == 12
     assert dragged("stewart42")[:2] == ["leg1.by_leg6", "leg1.by_leg2"]
     assert load_effect("encoder_crosstalk").applies(load_mechanism("slider_crank")) != ""
+
+
+def test_neighbours_are_dragged_by_no_more_than_a_belts_length_is_off():
+    """16 thousandths of an inch on ten inches; by a wheel of 0.1 m where angle becomes travel."""
+    crosstalk = load_effect("encoder_crosstalk")
+    limits = {p.name: p.high for p in crosstalk.parameters(load_mechanism("delta24"))}
+    np.testing.assert_allclose(list(limits.values()), 1.6e-3)
+    by_unit = {units: by for units, (_, by) in SIZE.items()}
+    assert by_unit["rad", "m"] == pytest.approx(10)
+    assert by_unit["m", "rad"] == pytest.approx(0.1)
 
 
 def test_a_screw_of_4_mm_lead_is_back_after_4_mm_and_its_pitch_grows():

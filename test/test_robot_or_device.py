@@ -3,8 +3,11 @@
 import numpy as np
 import pytest
 import virtual_blind as vb
+import virtual_effects_joint as ve
 import virtual_findings as vf
+import virtual_robot as vr
 from findings import clean, dataset, hiding, sized
+from twins import hexapod
 
 from parallel_cal.base.errors import FitError
 from parallel_cal.diagnosis.device import cost
@@ -12,6 +15,7 @@ from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.identification.fit import fit
 from parallel_cal.model.model import new_model
+from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.session.steps import added
 
 
@@ -46,6 +50,58 @@ def test_what_no_usual_error_of_the_device_makes_stays_the_robots(kind):
     found = diagnose(new_model("delta54"), data)
     assert found.verdict.word == "explained"
     assert not found.robot_or_device
+
+
+@pytest.mark.wide
+@pytest.mark.parametrize("seed", [0, 1])
+def test_axes_that_lean_by_a_milliradian_keep_their_name(seed):
+    """A bent field imitates them, with three times as many numbers."""
+    data, _ = hiding([vf.KINDS["leaning axes"]], 2.0, seed)
+    found = diagnose(new_model("delta54"), data)
+    assert found.effects == ("device_axes",)
+    assert found.verdict.word == "explained"
+
+
+@pytest.mark.wide
+@pytest.mark.parametrize("bend", [(-0.94e-3, -1.27e-3), (-1.62e-3, 1.68e-3)])
+def test_light_that_bends_before_a_stewart_platform_is_the_devices(bend):
+    """Over a low workspace its parabola is a lean of the axes, which gains of the legs imitate."""
+    form = np.zeros((3, 3, 3))
+    form[:2, 2, 2] = bend
+    found = diagnose(new_model("stewart42"), before_hexapod(ve.BentSpace(tuple(form), (0, 0, 0))))
+    assert set(found.effects) <= {"device_axes", "device_field"}
+    assert found.effects
+
+
+def before_hexapod(device, seed=1):
+    """120 poses of a Stewart platform and 30 of them again, as a device shows them."""
+    robot, rng = hexapod(), np.random.default_rng([seed, 9])
+    noise = vr.Noise(2e-6, 5e-6, 10 * vr.ARCSEC)
+    r, R = (
+        robot.home + rng.uniform(-0.05, 0.05, (120, 3)),
+        vr.turn(rng.uniform(-0.2, 0.2, (120, 3))),
+    )
+    pose = rng.permutation(np.concatenate([np.arange(120), rng.choice(120, 30, replace=False)]))
+    reading = robot.inverse(r, R)[0][pose]
+    _, r, R = vr.truth(robot, [device], reading, vr.At(*np.zeros((4, 150))))
+    q_error, r_error, w_error = ve.errors(noise, 150, 6, seed)
+    sigma = np.repeat([noise.position, noise.orientation], 3)
+    return Dataset.from_arrays(
+        new_model("stewart42").joints, reading + q_error, r + r_error, vr.turn(w_error) @ R,
+        pose_cov=np.diag(sigma**2), joint_sigma=noise.joint, pose_id=pose,
+    )  # fmt: skip
+
+
+@pytest.mark.wide
+def test_a_lookalike_of_what_fits_better_but_is_out_of_range_explains_nothing():
+    """Drives that go 2 % too far: no eccentric disc, though discs may be off by as much."""
+    data = dataset(
+        vf.samples(vf.session(0), [ve.WrongPitch((0.02, -0.015, 0.018))], vr.THESIS_NOISE, 0),
+        vr.THESIS_NOISE,
+    )
+    found = diagnose(new_model("delta54"), data, effects=["encoder_gain", "encoder_eccentricity"])
+    assert found.verdict.word == "partly_explained"
+    assert "encoder_gain would explain it better, but" in found.verdict.summary
 
 
 def test_the_cost_of_a_number_is_its_misfit_and_its_square_in_tolerances():

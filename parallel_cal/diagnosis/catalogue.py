@@ -11,7 +11,13 @@ import numpy as np
 from parallel_cal.base.errors import ModelError
 from parallel_cal.diagnosis.scene import Scene, columns
 from parallel_cal.diagnosis.scoring import Score, score
-from parallel_cal.diagnosis.thresholds import SHUFFLES, STRETCHES, VISIBLE_SIGMAS, WORTH_REFINING
+from parallel_cal.diagnosis.thresholds import (
+    SHUFFLES,
+    SLOW,
+    STRETCHES,
+    VISIBLE_SIGMAS,
+    WORTH_REFINING,
+)
 from parallel_cal.identification.observations import conditions
 from parallel_cal.model.effect import Effect
 from parallel_cal.model.model import Model
@@ -42,10 +48,18 @@ class Candidate:
         """Whether the data could show the effect."""
         return self.score is not None and not self.reason
 
-    @property
+    @cached_property
     def wanders(self) -> bool:
-        """Whether it goes with time or temperature, as noise may that is not white."""
-        return bool({"time", "temperature"} & set(self.effect.needs))
+        """Whether it goes with time, temperature, or a condition that was changed as slowly (loads
+        in turn), as noise may that is not white."""
+        if {"time", "temperature"} & set(self.effect.needs):
+            return True
+        if self.scene is None or not self.effect.needs:
+            return False
+        dataset = self.scene.dataset
+        order = np.argsort(dataset.time, kind="stable")
+        names = self.effect.conditions(self.scene.model.mechanism)
+        return any(_alike(dataset.conditions[name][order]) > SLOW for name in names)
 
     @property
     def log_p(self) -> float:
@@ -78,6 +92,12 @@ class Candidate:
             again = score(scene, columns(extended, scene, new, shuffled))
             as_good += again.log_p <= self.score.log_p
         return as_good / (SHUFFLES + 1)
+
+
+def _alike(values: np.ndarray) -> float:
+    """Correlation of neighbours in a series (N,), 0 where it never changes."""
+    away = values - values.mean()
+    return float(away[1:] @ away[:-1] / max(away @ away, 1e-300))
 
 
 def names_of(model: Model, also: Iterable[str] = (), only: Iterable[str] = ()) -> list[str]:

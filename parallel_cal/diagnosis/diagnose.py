@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,6 +15,7 @@ from parallel_cal.diagnosis.entries import (
     Entry,
     NegativeControl,
     chi2_before,
+    confused,
     entries,
     negative_control,
     rivals_of,
@@ -28,7 +29,7 @@ from parallel_cal.diagnosis.scene import Progress
 from parallel_cal.diagnosis.search import Chosen, Search, Trial
 from parallel_cal.diagnosis.separate import NextMeasurement, next_measurement
 from parallel_cal.diagnosis.statistics import holm
-from parallel_cal.diagnosis.thresholds import REFITTED, SIGNIFICANT
+from parallel_cal.diagnosis.thresholds import APART, REFITTED, SIGNIFICANT
 from parallel_cal.diagnosis.verdict import Findings, Verdict, judge
 from parallel_cal.identification.fit import Result, fit, single_threaded
 from parallel_cal.identification.options import FitOptions
@@ -155,10 +156,28 @@ def diagnose(
         shape = NoiseShape.of(best.scene, left)
         tried = [search.fit(*best.chosen, Chosen.of(c)) for c in catalogue.significant(best)]
         refused = tuple(trial.reason for trial in tried if trial.reason)
-        doubtful = imitated(base.scene, [c for c in ranked if c.name in best.names], ranked)
+        taken = [c for c in ranked if c.name in best.names]
+        devices = {c.name for c in ranked if c.effect.of_device and not c.effect.needs}
+        known = imitated(base.scene, taken, ranked)
+        doubtful = [
+            c.name
+            for c in taken
+            if c.name in known or (c.name not in devices and devices & set(swaps.get(c.name, [])))
+        ]
+        better = outdone(taken, ranked, search)
         verdict = judge(
             Findings(
-                base, best, before, noise, shape, structure, left.held, swaps, refused, doubtful
+                base,
+                best,
+                before,
+                noise,
+                shape,
+                structure,
+                left.held,
+                swaps,
+                refused,
+                doubtful,
+                better,
             )
         )
         report("weighing the observations", 0.8)
@@ -181,6 +200,18 @@ def diagnose(
             robot_or_device=tuple(doubtful),
             measure_next=next_measurement(best, rivals, ranked),
         )
+
+
+def outdone(taken: Sequence[Candidate], ranked: Sequence[Candidate], search: Search) -> list[str]:
+    """Lookalikes that fit clearly better than one taken in their place, and why they were
+    refused: a name that is wrong, or a range that is."""
+    found: dict[str, str] = {}
+    for one in taken:
+        better = (c for c in ranked if c.log_p < one.log_p - APART**2 / 2 and confused(one, c))
+        for other in (c for c in better if c.name not in found and c not in taken):
+            if reason := search.fit(Chosen.of(other)).reason:
+                found[other.name] = f"{other.name} would explain it better, but {reason}"
+    return list(found.values())
 
 
 def _searched(search: Search, catalogue: _Catalogue) -> tuple[Trial, dict[str, str]]:

@@ -31,7 +31,8 @@ class Findings:
     `chi2_before` is chi2/dof of the base, on the rows of the best; `structure` and `held` (as in
     Field) are what the best leaves; `swaps` the effects that fit as well as one chosen; `refused`
     why those that are no chance could not be identified; `robot_or_device` those that an error of
-    the device explains as well.
+    the device explains as well; `outdone` what would explain it better than one chosen, and why it
+    was refused.
     """
 
     base: Trial
@@ -44,6 +45,7 @@ class Findings:
     swaps: Mapping[str, Sequence[str]]
     refused: Sequence[str]
     robot_or_device: Sequence[str]
+    outdone: Sequence[str] = ()
 
     @property
     def after(self) -> Estimate:
@@ -123,6 +125,7 @@ def _guards(found: Findings) -> list[str]:
     if chi2 > high:
         against.append(f"chi2/dof {chi2:.3g} is still above {high:.3g}")
     against += [robot_or_device(name) for name in found.robot_or_device]
+    against += found.outdone
     if structure.found:
         against.append(f"structure remains (p = {structure.p_value:.1g}{_size(structure)})")
     return against

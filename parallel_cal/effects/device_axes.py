@@ -23,7 +23,10 @@ class DeviceAxes(Effect):
 
     of_device = True
     physics = "A coordinate measuring machine's axes lean and its scales stretch."
-    source = "10-50 urad and 10-50 um/m for machines in a workshop (ISO 10360 ball plate tests)"
+    source = (
+        "10-50 urad and 10-50 um/m for machines in a workshop (ISO 10360 ball plate tests); "
+        "to 1e-3 for cameras scaled by a printed target"
+    )
     lookalikes = ("encoder_gain",)
     separated_by = "the same poses with the device turned by a quarter turn about the vertical"
 
@@ -31,9 +34,7 @@ class DeviceAxes(Effect):
         axes = _axes(mechanism)
         entries = [(f"scale_{a}", "1") for a in axes[:-1]]
         entries += [(f"square_{a}{b}", "rad") for a, b in combinations(axes, 2)]
-        return [
-            Parameter(name, unit, 0.0, 50e-6, low=-0.5e-3, high=0.5e-3) for name, unit in entries
-        ]
+        return [Parameter(name, unit, 0.0, 0.1e-3, low=-1e-3, high=1e-3) for name, unit in entries]
 
     def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
         E = ca.SX(3, 3)

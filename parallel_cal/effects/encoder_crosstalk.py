@@ -8,12 +8,15 @@ from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
 
-# of the one that is read and of its neighbour: unit, tolerance, and what no real drive exceeds
+# A coupling is at most one to one, and what is made up for of it errs as its belt's pitch does.
+USUAL, MOST = 0.2e-3, 1.6e-3
+WHEEL = 0.1  # m, radius of one that turns travel into an angle
+# of the one that is read and of its neighbour: unit, and by how much both are multiplied
 SIZE = {
-    ("rad", "rad"): ("1", 0.2e-3, 1e-3),
-    ("m", "m"): ("1", 0.2e-3, 2e-3),
-    ("rad", "m"): ("rad/m", 2e-3, 10e-3),
-    ("m", "rad"): ("m/rad", 20e-6, 0.1e-3),
+    ("rad", "rad"): ("1", 1.0),
+    ("m", "m"): ("1", 1.0),
+    ("rad", "m"): ("rad/m", 1 / WHEEL),
+    ("m", "rad"): ("m/rad", WHEEL),
 }
 
 
@@ -25,7 +28,7 @@ class EncoderCrosstalk(Effect):
     """
 
     physics = "Shafts led through one another and belts that share a frame drag their neighbours."
-    source = "coupled wrists state their ratio to 1e-3; belts and spools on one frame to 1e-3"
+    source = "toothed belts hold their length to 1.6e-3 at 10 inches, 1.0e-3 at 20 (ANSI/RMA IP-24)"
     lookalikes = ("encoder_gain", "encoder_eccentricity", "encoder_second_harmonic")
     separated_by = "poses in which one joint uses its travel while its neighbours stand still"
 
@@ -33,8 +36,8 @@ class EncoderCrosstalk(Effect):
         units = dict(zip(mechanism.joints, mechanism.joint_units, strict=True))
         sizes = [(i, j, *SIZE[units[i], units[j]]) for i, j in neighbours(mechanism)]
         return [
-            Parameter(f"{i}.by_{j}", unit, 0.0, tolerance, low=-most, high=most)
-            for i, j, unit, tolerance, most in sizes
+            Parameter(f"{i}.by_{j}", unit, 0.0, USUAL * by, low=-MOST * by, high=MOST * by)
+            for i, j, unit, by in sizes
         ]
 
     def applies(self, mechanism: Mechanism) -> str:
