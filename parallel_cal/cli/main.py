@@ -18,6 +18,7 @@ from parallel_cal.cli import (
     planning,
     recordings,
     reporting,
+    session,
     short_cut,
     showing,
 )
@@ -57,6 +58,7 @@ COMMANDS: tuple[Callable[..., None], ...] = (
 )  # fmt: skip
 for command in COMMANDS:
     app.command()(command)
+app.add_typer(session.app, name="session")
 app.command("fk", hidden=True)(kinematics.direct)
 app.command("ik", hidden=True)(kinematics.inverse)
 app.command("look", hidden=True)(recordings.info)

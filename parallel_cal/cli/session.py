@@ -1,0 +1,204 @@
+"""A calibration that is kept in a folder: options are given once, steps can be undone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from parallel_cal.cli.arguments import (
+    Bags,
+    Data,
+    EffectName,
+    Force,
+    Json,
+    Method,
+    ModelFile,
+    Out,
+    with_options,
+)
+from parallel_cal.cli.recordings import data_options
+from parallel_cal.identification.options import FitOptions
+from parallel_cal.reporting import console
+from parallel_cal.reporting.readable import fixed
+
+if TYPE_CHECKING:
+    from parallel_cal.session.session import Session, State
+
+app = typer.Typer(
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    help="A calibration kept in a folder: steps, undo and redo, branches, samples left out.",
+)
+Folder = Annotated[Path, typer.Argument(metavar="FOLDER", help="the session's folder")]
+Samples = Annotated[list[int], typer.Argument(metavar="SAMPLE...", help="their numbers")]
+
+
+def _open(folder: Path) -> Session:
+    from parallel_cal.session.session import Session
+
+    return Session(folder)
+
+
+def _say(session: Session, state: State, as_json: bool) -> None:
+    console.progress("", 1.0)
+    if state.against:
+        console.warn([state.against])
+    if as_json:
+        return console.emit(session.document())
+    console.say(_line(state))
+
+
+def _line(state: State) -> str:
+    left_out = "" if not state.excluded else f"; {len(state.excluded)} samples left out"
+    if state.position_rms is None:
+        return f"{state.step}{left_out}"
+    before, noise = (e.get("position_rms") for e in (state.before, state.noise))
+    return (
+        f"{state.step}: error at poses left out {fixed(before, 1e6, 1)} to "
+        f"{fixed(state.position_rms, 1e6, 1)} um, noise alone {fixed(noise, 1e6, 1)}{left_out}"
+    )
+
+
+@with_options
+def new(
+    folder: Folder,
+    model: ModelFile,
+    bags: Bags,
+    *,
+    method: Method = "implicit",
+    options: FitOptions,
+    data: Data = None,
+    as_json: Json = False,
+) -> None:
+    """Begin a session with a model and recordings; the options hold for every step."""
+    from dataclasses import replace
+
+    from parallel_cal.model.file.modelfile import read_model
+    from parallel_cal.session.session import Session
+
+    asked = replace(options, method=method)
+    reading = data_options(data)
+    session = Session.new(folder, read_model(model), bags, reading=reading, fitting=asked)
+    if as_json:
+        return console.emit(session.document())
+    console.say(f"{folder}: {len(session.samples)} samples; parallel-cal session fit {folder}")
+
+
+def show(folder: Folder, as_json: Json = False) -> None:
+    """The steps of the branch, and the branches beside it."""
+    session = _open(folder)
+    if as_json:
+        return console.emit(session.document())
+    for state in session.history():
+        console.say(_line(state))
+        if state.verdict:
+            console.say(f"  {state.verdict}")
+    if len(session.record.branches) > 1:
+        here = session.record.branch
+        rows = [
+            (("* " if name == here else "  ") + name, state.step, fixed(state.position_rms, 1e6, 1))
+            for name, state in session.compared().items()
+        ]
+        console.table(("branch", "last step", "left out [um]"), rows)
+
+
+def fit(folder: Folder, as_json: Json = False) -> None:
+    """Identify the model's free parameters."""
+    session = _open(folder)
+    _say(session, session.fit(console.progress), as_json)
+
+
+def add(folder: Folder, effect: EffectName, force: Force = False, as_json: Json = False) -> None:
+    """Add an effect; refused when the error at poses left out does not fall."""
+    session = _open(folder)
+    _say(session, session.add(effect, console.progress, force), as_json)
+
+
+def remove(folder: Folder, effect: EffectName, force: Force = False, as_json: Json = False) -> None:
+    """Remove an effect; refused when the error at poses left out rises."""
+    session = _open(folder)
+    _say(session, session.remove(effect, console.progress, force), as_json)
+
+
+def diagnose(folder: Folder, as_json: Json = False) -> None:
+    """What is missing in the model; the verdict is kept with the state."""
+    session = _open(folder)
+    found = session.diagnose(console.progress)
+    console.progress("", 1.0)
+    if as_json:
+        return console.emit(found.document())
+    from parallel_cal.reporting import text
+
+    console.say(text.show(found))
+
+
+def exclude(
+    folder: Folder,
+    samples: Samples,
+    reason: Annotated[str, typer.Option(help="why they do not count")] = "",
+    as_json: Json = False,
+) -> None:
+    """Leave samples out, with a reason, and identify anew."""
+    session = _open(folder)
+    _say(session, session.exclude(dict.fromkeys(samples, reason), console.progress), as_json)
+
+
+def include(folder: Folder, samples: Samples, as_json: Json = False) -> None:
+    """Take back samples that were left out, and identify anew."""
+    session = _open(folder)
+    _say(session, session.include(samples, console.progress), as_json)
+
+
+def undo(folder: Folder, as_json: Json = False) -> None:
+    """One step back."""
+    session = _open(folder)
+    _say(session, session.undo(), as_json)
+
+
+def redo(folder: Folder, as_json: Json = False) -> None:
+    """Take the step again that was undone last."""
+    session = _open(folder)
+    _say(session, session.redo(), as_json)
+
+
+def branch(
+    folder: Folder,
+    name: Annotated[str, typer.Argument(help="of the new branch")],
+    as_json: Json = False,
+) -> None:
+    """Begin a branch here, to try something beside."""
+    session = _open(folder)
+    _say(session, session.start_branch(name), as_json)
+
+
+def switch(
+    folder: Folder,
+    name: Annotated[str, typer.Argument(help="of the branch to go on with")],
+    as_json: Json = False,
+) -> None:
+    """Go on with another branch."""
+    session = _open(folder)
+    _say(session, session.switch(name), as_json)
+
+
+def save(folder: Folder, output: Out, force: Force = False, as_json: Json = False) -> None:
+    """Write the model of the last step, where nothing speaks against it, for the robot."""
+    from parallel_cal.base.errors import ParallelCalError
+    from parallel_cal.model.file.modelfile import model_hash, write_model
+
+    session = _open(folder)
+    if session.state.against and not force:
+        raise ParallelCalError(f"{session.state.against}; --force to write it all the same")
+    write_model(session.model, output)
+    sha256 = model_hash(session.model)
+    if as_json:
+        return console.emit({"output": str(output), "hash": sha256})
+    console.say(f"written: {output} (sha256 {sha256[:12]})")
+
+
+for command in (
+    new, show, fit, add, remove, diagnose, exclude, include, undo, redo, branch, switch, save,
+):  # fmt: skip
+    app.command()(command)
