@@ -1,7 +1,8 @@
 """How long a diagnosis takes beside one identification: processor time, a fresh process a case.
 
-150 poses of the independent virtual robot, and a recording in motion; 42 free parameters, the
-whole catalogue. Phases are those that a diagnosis reports while it runs.
+150 poses of the independent virtual robot, a recording in motion, both with 42 free parameters,
+and 1000 poses of a virtual arm; the whole catalogue. Phases are those that a diagnosis reports
+while it runs.
 Usage: `PYTHONPATH=. python bench/diagnosis.py`.
 """
 
@@ -20,7 +21,9 @@ from rich.table import Table
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "test"))
 
+import virtual_arm as va
 import virtual_findings as vf
+from arms import nominal, seen
 from findings import clean, hiding
 
 from parallel_cal.diagnosis.diagnose import diagnose
@@ -47,7 +50,13 @@ def in_motion() -> Any:
     return model, load_dataset(bag, joints=model.joints, mode="continuous")
 
 
-CASES = (nothing_hidden, two_effects, in_motion)
+def arm_of_six_joints() -> Any:
+    """A thousand poses of a UR5-like arm, one of its encoders off-centre."""
+    arm = va.arm("ur5", 1, hidden=(va.Play(1, eccentric=3e-4),))
+    return nominal("ur5"), seen(va.session(arm, 1000, 0, va.Tracker()))
+
+
+CASES = (nothing_hidden, two_effects, in_motion, arm_of_six_joints)
 
 
 class Phases:

@@ -50,7 +50,12 @@ Free = Annotated[
     typer.Option(help="free parameters like PATTERN, too (narrower than --fix wins)"),
 ]
 Fix = Annotated[list[str] | None, typer.Option(help="keep parameters like PATTERN fixed")]
-Prior = Annotated[bool, typer.Option("--prior", help="use tolerances as prior knowledge")]
+Prior = Annotated[
+    bool,
+    typer.Option(
+        "--prior", help="use tolerances as priors throughout, not only where the data tell less"
+    ),
+]
 Loss = Annotated[
     str, typer.Option(help="linear, or robust to bad samples: huber, soft_l1, cauchy, arctan")
 ]
@@ -76,7 +81,7 @@ def with_options(command: Callable[..., None]) -> Callable[..., None]:
     ) -> None:
         options = FitOptions(
             hold_out=hold_out, joint_sigma=joint_sigma, free=patterns(free), fix=patterns(fix),
-            prior=prior, loss=loss,
+            prior=prior or None, loss=loss,
         )  # fmt: skip
         command(**others, options=options)
 

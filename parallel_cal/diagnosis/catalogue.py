@@ -10,7 +10,7 @@ import numpy as np
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.diagnosis.scene import Scene, columns
-from parallel_cal.diagnosis.scoring import Score, score
+from parallel_cal.diagnosis.scoring import Score, quick_log_p, score
 from parallel_cal.diagnosis.thresholds import (
     SHUFFLES,
     SLOW,
@@ -89,8 +89,8 @@ class Candidate:
             shuffled = a.copy()
             other = np.concatenate([stretches[k] for k in rng.permutation(len(stretches))])
             shuffled[order[:, None], own] = a[other[:, None], own]
-            again = score(scene, columns(extended, scene, new, shuffled))
-            as_good += again.log_p <= self.score.log_p
+            again = quick_log_p(scene, columns(extended, scene, new, shuffled))
+            as_good += again <= self.score.log_p
         return as_good / (SHUFFLES + 1)
 
 
@@ -129,38 +129,41 @@ def candidate(scene: Scene, name: str) -> Candidate:
         return _wider(scene, name, effect, plain)
     a = conditions(plain, scene.dataset)
     settings = list(effect.scan(scene.model.mechanism, recorded(scene.dataset)))
-    scores = [score_of(scene, plain, setting, a) for setting in settings]
-    best = int(np.argmin([s.log_p for s in scores]))
-    setting, highest = settings[best], scores[best]
-    worth = effect.refines and highest.log_p < WORTH_REFINING
+    many = [quick_log_p(scene, of_last(scene, plain, setting, a)) for setting in settings]
+    best = int(np.argmin(many))
+    setting = settings[best]
+    worth = effect.refines and many[best] < WORTH_REFINING
     if worth and len(settings) > 1 and len(setting) == 1:
-        refined = _refined(scene, plain, settings[max(best - 1, 0) : best + 2], a)
-        setting, highest = min((setting, highest), refined, key=lambda pair: pair[1].log_p)
+        setting = _refined(scene, plain, settings[max(best - 1, 0) : best + 2], a, setting)
+    highest = score(scene, of_last(scene, plain, setting, a))
     return Candidate(name, effect, setting, highest, scene, len(settings), (), _unseen(highest))
 
 
-def score_of(scene: Scene, plain: Model, settings: Mapping[str, float], a: np.ndarray) -> Score:
-    """The score of a model's last effect with these settings, conditions a (N, n_conditions)."""
+def of_last(scene: Scene, plain: Model, settings: Mapping[str, float], a: np.ndarray) -> np.ndarray:
+    """Columns of a model's last effect with these settings, conditions a (N, n_conditions)."""
     extended = plain.with_settings(plain.effects[-1].name, settings)
-    return score(scene, columns(extended, scene, new_numbers(scene.model, extended), a))
+    return columns(extended, scene, new_numbers(scene.model, extended), a)
 
 
 def _refined(
-    scene: Scene, plain: Model, near: list[Mapping[str, float]], a: np.ndarray
-) -> tuple[Mapping[str, float], Score]:
+    scene: Scene,
+    plain: Model,
+    near: list[Mapping[str, float]],
+    a: np.ndarray,
+    best: Mapping[str, float],
+) -> Mapping[str, float]:
     """The best value between the neighbours of the best one scanned, `near` all of them."""
     from scipy.optimize import minimize_scalar
 
-    (key,) = near[0]
+    (key,) = best
     low, *_, high = sorted(setting[key] for setting in near)
-    optimum = minimize_scalar(
-        lambda value: score_of(scene, plain, {key: value}, a).log_p,
-        bounds=(low, high),
-        method="bounded",
-        options={"xatol": 1e-3 * (high - low)},
-    )
-    refined = {key: float(optimum.x)}
-    return refined, score_of(scene, plain, refined, a)
+
+    def log_p(value: float) -> float:
+        return quick_log_p(scene, of_last(scene, plain, {key: value}, a))
+
+    options = {"xatol": 1e-3 * (high - low)}
+    optimum = minimize_scalar(log_p, bounds=(low, high), method="bounded", options=options)
+    return {key: float(optimum.x)} if optimum.fun < log_p(best[key]) else best
 
 
 def _unseen(score: Score) -> str:

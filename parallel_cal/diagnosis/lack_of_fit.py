@@ -11,7 +11,14 @@ import numpy as np
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.statistics import averaged, morans_i, runs_test, smallest
-from parallel_cal.diagnosis.thresholds import CLEAR, LENGTHS, LEVELS, ROUGHNESS, SIGNIFICANT
+from parallel_cal.diagnosis.thresholds import (
+    CLEAR,
+    LENGTHS,
+    LEVELS,
+    MAPPED,
+    ROUGHNESS,
+    SIGNIFICANT,
+)
 from parallel_cal.recordings.dataset import NUMBER
 
 
@@ -121,6 +128,8 @@ def smooth_map(scene: Scene, field: Field) -> SmoothMap:
     e = averaged(field.vectors, group)
     coordinates = scene.x[:, n : n + 3] if position else scene.x[:, :n]
     places = averaged(coordinates, group)
+    thinned = np.unique(np.linspace(0, len(e) - 1, MAPPED).astype(int)) if len(e) > MAPPED else ...
+    e, places = e[thinned], places[thinned]
     spread = np.maximum(places.std(axis=0), 1e-12)
     apart = np.sum(((places[:, None] - places[None]) / spread) ** 2, axis=2)
     best = max((_left_out(apart, e, l, s) for l in LENGTHS for s in ROUGHNESS),

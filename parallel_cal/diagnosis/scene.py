@@ -73,6 +73,14 @@ class Scene:
         """Number (N,) of the block that a sample belongs to."""
         return blocks(self.dataset)
 
+    @cached_property
+    def by_seen(self) -> np.ndarray:
+        """d rows/d(q, r, R9, geometry) as the closure sees them, in noise units: (N, rows, k)."""
+        closure = self.model.structure.phi.shape[0]
+        by_seen = self.model.structure.by_seen(self.x, self.observations.a, self.model.values)[0]
+        J = by_seen.reshape(len(self.x), -1, closure).transpose(0, 2, 1)
+        return self.whitener[:, :, :closure] @ J
+
     def off_geometry(self, columns: np.ndarray) -> np.ndarray:
         """What of some columns (n, k) no change of the free parameters imitates."""
         return np.asarray(columns - self.basis @ (self.basis.T @ columns))
@@ -96,8 +104,15 @@ def columns(
     are those of the scene. FitError where a condition lacks."""
     a = conditions(extended, scene.dataset) if a is None else a
     which = tuple(int(i) for i in np.flatnonzero(new))
-    by_v = extended.structure.columns(which)(scene.x, a, extended.values)[0]
-    J = scene.whitener @ by_v.reshape(len(scene.x), len(which), scene.rows).transpose(0, 2, 1)
+    s, n = extended.structure, len(scene.x)
+    reads = any(effect.acts_on(c) for effect in extended.effects[-1:] for c in s.channels)
+    if extended.mechanism is scene.model.mechanism and not reads:
+        seen_by, moved = s.seen_by(which)
+        by_number = seen_by(scene.x, a, extended.values)[0].reshape(n, len(which), len(moved))
+        J = scene.by_seen[:, :, moved] @ by_number.transpose(0, 2, 1)
+    else:  # another closure, or a reading that changes beside it
+        by_v = s.columns(which)(scene.x, a, extended.values)[0]
+        J = scene.whitener @ by_v.reshape(n, len(which), scene.rows).transpose(0, 2, 1)
     return np.asarray(J.reshape(len(scene.residual), -1) * extended.table.tolerance[new])
 
 

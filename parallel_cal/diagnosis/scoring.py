@@ -39,21 +39,38 @@ def score(scene: Scene, B: np.ndarray) -> Score:
         return Score(0.0, 0.0, 0, 0.0, 0.0, np.zeros((len(scene.residual), 0)))
     projected = scene.off_geometry(B / lengths)
     # Twice: what a first projection of a nearly parallel column leaves is not quite orthogonal.
-    U, sizes, _ = np.linalg.svd(scene.off_geometry(projected), full_matrices=False)
-    U = U[:, sizes > VISIBLE_COLUMN]
+    left = scene.off_geometry(projected)
+    squares, directions = np.linalg.eigh(left.T @ left)
+    visible = squares[::-1] > VISIBLE_COLUMN**2
+    U = (left @ directions)[:, ::-1][:, visible] / np.sqrt(squares[::-1][visible])
     remaining = float(np.sqrt(np.mean(np.sum(projected**2, axis=0))))
     size = float(np.sqrt(np.mean(np.sum((projected * lengths) ** 2, axis=0))))
     F, log_p = f_test(scene.residual, U, scene.dof)
     return Score(F, log_p, U.shape[1], remaining, size, U)
 
 
+def quick_log_p(scene: Scene, B: np.ndarray) -> float:
+    """`score(scene, B).log_p` from the columns' Gram matrix alone, for scans: a third of the work,
+    equal to rounding."""
+    lengths = np.linalg.norm(B, axis=0)
+    B = B[:, lengths > 1e-9] / lengths[lengths > 1e-9]
+    along = scene.basis.T @ B
+    squares, directions = np.linalg.eigh(B.T @ B - along.T @ along)
+    visible = squares > VISIBLE_COLUMN**2
+    g = (directions[:, visible].T @ (B.T @ scene.residual)) / np.sqrt(squares[visible])
+    return _f_of(float(g @ g), scene.residual, len(g), scene.dof)[1]
+
+
 def f_test(r: np.ndarray, U: np.ndarray, dof: int) -> tuple[float, float]:
     """F and the logarithm of its p-value for orthonormal U (n, q); (0, 0) where q = 0."""
-    q = U.shape[1]
+    g = U.T @ r
+    return _f_of(float(g @ g), r, len(g), dof)
+
+
+def _f_of(taken: float, r: np.ndarray, q: int, dof: int) -> tuple[float, float]:
     if q == 0 or dof <= q:
         return 0.0, 0.0
-    g = U.T @ r
-    taken, left = float(g @ g), float(r @ r) - float(g @ g)
+    left = float(r @ r) - taken
     F = (taken / q) / max(left / (dof - q), 1e-300)
     return F, log_p_of(F, q, dof - q)
 

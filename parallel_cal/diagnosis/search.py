@@ -99,7 +99,7 @@ class Search:
         judgement = acceptance(after.result, before.fitted)
         if judgement.judged and judgement.against:  # else the verdict says that nothing is proven
             return after, judgement.against
-        if after.result.estimate.chi2_per_dof >= before.fitted.estimate.chi2_per_dof:
+        if _superfluous(before, after):
             return after, "explains nothing of what is left"
         if (size := _too_large(before.fitted, after.result)) > 1:
             return after, f"its numbers would be {size:.0f} times their usual size for little gain"

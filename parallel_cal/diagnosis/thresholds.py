@@ -43,6 +43,7 @@ CLEAR = 20.0  # times what readings scatter: a place that varies by less is no p
 LEVELS = 5  # a quantity with so few values has a mean for each, and nothing rolls
 LENGTHS = (0.15, 0.25, 0.4, 0.7, 1.2)  # of the map's smoothness, in standard deviations of place
 ROUGHNESS = (0.1, 0.3, 1.0, 3.0)  # of the map: noise over smooth part, in variances
+MAPPED = 400  # poses that the map is drawn from: its cost goes with their cube
 FEW_SETTINGS = 5  # of a rival's scan: a plan is made against the one that is hardest to tell
 POOL = 300  # reachable poses to choose from, to tell two effects apart
 POSES = (20, 40, 60)  # chosen of them: as few as settle it,

@@ -39,7 +39,9 @@ def free_mask(model: Model, free: Iterable[str], fix: Iterable[str]) -> np.ndarr
     return np.asarray(mask)
 
 
-def lacking(model: Model, observations: Observations, free: np.ndarray, prior: bool | Prior) -> str:
+def lacking(
+    model: Model, observations: Observations, free: np.ndarray, prior: bool | Prior | None
+) -> str:
     """What is said where poses are too few, or all of them the same; empty where they are enough.
     With a prior one equation is enough."""
     poses, first = np.unique(observations.group, return_index=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,14 +11,14 @@ from parallel_cal.base.confidence import SIGMAS
 from parallel_cal.identification.methods._estimate import Estimate
 from parallel_cal.identification.observations import SCATTER, Observations
 from parallel_cal.identification.prediction_errors import Summary
-from parallel_cal.identification.thresholds import DOUBTED, FAR, HELD
+from parallel_cal.identification.thresholds import DOUBTED, FAR, HELD, MENTIONED
 from parallel_cal.model.model import Model
 from parallel_cal.model.words import direction_in_words
 from parallel_cal.recordings.dataset import Dataset
 
 
 def on_parameters(model: Model, estimate: Estimate, free: np.ndarray) -> list[str]:
-    """Parameters that went far, combinations that the data cannot tell."""
+    """Parameters that went far, combinations that the data cannot tell or hardly tell."""
     table = model.table
     moved = (model.values - table.nominal) / table.tolerance
     words = [
@@ -27,6 +28,13 @@ def on_parameters(model: Model, estimate: Estimate, free: np.ndarray) -> list[st
     ]
     unseen = estimate.spectrum.unidentifiable
     words += [f"the data cannot tell {direction_in_words(c, model.table)}" for c in unseen]
+    if estimate.spectrum.held and (weak := estimate.spectrum.weak):
+        named = [direction_in_words(c, model.table) for c in weak[: -MENTIONED - 1 : -1]]
+        more = f"; and {len(weak) - len(named)} more" if len(weak) > len(named) else ""
+        words.append(
+            f"tolerances stand in as priors for what the data tell less of, {len(weak)} "
+            f"combination{'s' * (len(weak) > 1)}: {'; '.join(named)}{more}"
+        )
     return words
 
 
@@ -52,13 +60,15 @@ def on_noise(estimate: Estimate, observations: Observations) -> list[str]:
     return []
 
 
-def on_held(model: Model, after: Summary, noise: Summary) -> list[str]:
+def on_held(model: Model, after: Summary, noise: Callable[[], Summary]) -> list[str]:
     """What was measured to move, but the model holds at one value: chi2 does not see it."""
     words = []
     for kind, part in (("position", range(3)), ("orientation", range(3, 6))):
-        error, floor = after.rms(kind), noise.rms(kind)
-        still = not any(i in model.mechanism.moved for i in part)
-        if still and error is not None and floor is not None and error > HELD * floor:
+        error = after.rms(kind)
+        if error is None or any(i in model.mechanism.moved for i in part):
+            continue
+        floor = noise().rms(kind)
+        if floor is not None and error > HELD * floor:
             words.append(
                 f"the {kind} is off by {error / floor:.0f} times its noise, but "
                 f"{model.mechanism.name} holds it at one value: a larger model may explain it"

@@ -22,7 +22,7 @@ SETTLING = ("implicit", "forward", "inverse")
 SHELF = "identification.methods"
 
 
-def estimator(method: str, prior: bool | Prior = False, loss: str = "linear") -> Estimator:
+def estimator(method: str, prior: bool | Prior | None = False, loss: str = "linear") -> Estimator:
     """How to get an estimate from (model, observations, free); FitError where it makes no sense."""
     chosen = partial(method_named(method), prior=prior)
     if loss == "linear":

@@ -59,7 +59,6 @@ class Result:
     before: Errors
     after: Errors
     held_out: Errors
-    noise: Summary
     observations: Observations
     dataset: Dataset
     warnings: tuple[str, ...]
@@ -73,6 +72,11 @@ class Result:
     @property
     def samples(self) -> int:
         return len(self.observations)
+
+    @cached_property
+    def noise(self) -> Summary:
+        """What a perfect model of this robot would show."""
+        return noise_floor(self.model, self.observations)
 
     @cached_property
     def held_out_before(self) -> Errors:
@@ -117,6 +121,7 @@ class Result:
                 self.estimate.spectrum.unidentifiable, self.model.table
             ),
             "weak": directions_in_words(self.estimate.spectrum.weak, self.model.table),
+            "priors": self._priors(),
             "budget": plain(self.budgets),
             "iso_9283": plain(self.iso_9283),
             "noise_floor": self.noise.document(),
@@ -129,6 +134,12 @@ class Result:
             "warnings": list(self.warnings),
             "dataset": {"source": self.dataset.source, "sha256": self.dataset.sha256},
         }
+
+    def _priors(self) -> str:
+        """Of what the tolerances (or an earlier result) were taken as known."""
+        if self.options.prior:
+            return "all"
+        return "weak" if self.estimate.spectrum.held else "none"
 
     def _band(self) -> list[float | None]:
         """Where chi2/dof of a complete model lies; nowhere where nobody knows the noise."""
@@ -218,7 +229,6 @@ def fit(
         after = errors(fitted, observations)
         folds = dataset.folds(options.hold_out, options.seed) if options.hold_out > 0 else []
         held_out = _held_out(folds, judged, after, report)
-    noise = noise_floor(fitted, observations)
     return Result(
         model=replace(fitted, fixed=model.fixed if partial else ~mask),
         start=model,
@@ -228,14 +238,13 @@ def fit(
         before=before,
         after=after,
         held_out=held_out,
-        noise=noise,
         observations=observations,
         dataset=dataset,
         warnings=(
             *dataset.warnings,
             *on_parameters(fitted, estimate, mask),
             *on_noise(estimate, observations),
-            *on_held(fitted, after.summary, noise),
+            *on_held(fitted, after.summary, lambda: noise_floor(fitted, observations)),
             *on_samples(estimate, dataset, options.loss),
         ),
     )

@@ -19,44 +19,55 @@ BLOCK = 2048
 @dataclass(frozen=True)
 class Spectrum:
     """Singular values of the whitened Jacobian with columns in tolerances: a value s means
-    that moving one tolerance along that direction moves the residuals by s sigmas."""
+    that moving one tolerance along that direction (a row of `directions`) moves the residuals by
+    s sigmas; `held` says whether the tolerances were known along the weak ones."""
 
     singular_values: np.ndarray
+    directions: np.ndarray
     rank: int
     covariance: np.ndarray
     lost: np.ndarray
     unidentifiable: tuple[dict[str, float], ...]
     weak: tuple[dict[str, float], ...]
+    held: bool
 
 
 def spectrum(
-    J: np.ndarray, table: ParameterTable, free: np.ndarray, prior: bool | Prior
+    J: np.ndarray,
+    table: ParameterTable,
+    free: np.ndarray,
+    prior: bool | Prior | None,
+    held: float = 0.0,
 ) -> Spectrum:
     """Rank and covariance of the free parameters from a whitened Jacobian (n, n_free).
 
     `lost` marks parameters that take part in an unidentifiable direction: their sigma is
     infinite, the covariance holds only what the data sees (enough to predict poses like the
-    measured ones). Weak directions are seen, but worse than the tolerance knows.
+    measured ones). Weak directions are seen, but worse than the tolerance knows, which limits
+    them where it was the prior along them (`held`: the residuals' variance, 1 where the noise is
+    known, 0 where nothing was held).
     """
     tolerance = table.tolerance[free]
     names = [name for name, is_free in zip(table.names, free, strict=True) if is_free]
     _, sizes, directions = np.linalg.svd(_triangle(J, tolerance))
     rank = int(np.sum(sizes > RELATIVE_RANK * max(sizes[0], 1e-300))) if len(sizes) else 0
     seen, unseen = directions[:rank], directions[rank:]
-    covariance = (seen.T / sizes[:rank] ** 2) @ seen
+    little = sizes[:rank] < WEAK * np.sqrt(held or 1.0)
+    covariance = (seen.T / (sizes[:rank] ** 2 + held * little)) @ seen
     lost = np.sum(unseen**2, axis=0) > LOST
     if prior:
         information = (seen.T * sizes[:rank] ** 2) @ seen
-        covariance = np.linalg.inv(information + Knowledge(prior, table, free).information)
+        covariance = np.linalg.inv(information + Knowledge.of(prior, table, free).information)
         lost = np.zeros_like(lost)
-    weak = [d for d, s in zip(seen, sizes[:rank], strict=True) if s < WEAK]
     return Spectrum(
         sizes,
+        directions,
         rank,
         covariance * np.outer(tolerance, tolerance),
         lost,
         tuple(combination(d, names) for d in unseen),
-        tuple(combination(d, names) for d in weak),
+        tuple(combination(d, names) for d in seen[little]),
+        held > 0,
     )
 
 

@@ -21,8 +21,8 @@ class FitOptions:
     identifies these alone and keeps the others with the model's covariance (re-homing, warming
     up: a few poses are enough). `hold_out` is the share of the poses left out in turn (0: none),
     drawn by `seed`; `joint_sigma` (rad or m) replaces what recording and model file say. `prior`
-    is True (tolerances) or a Prior; `loss` one of scipy's (`huber`): samples that it mistrusts
-    are named.
+    is None (tolerances where the data tell less), True (throughout), False (nowhere) or a Prior;
+    `loss` one of scipy's (`huber`): samples that it mistrusts are named.
     """
 
     method: str = "implicit"
@@ -31,7 +31,7 @@ class FitOptions:
     refit: Sequence[str] = ()
     hold_out: float = 0.25
     joint_sigma: float | None = None
-    prior: bool | Prior = False
+    prior: bool | Prior | None = None
     loss: str = "linear"
     seed: int = 0
 

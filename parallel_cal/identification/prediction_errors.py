@@ -110,14 +110,6 @@ def errors(model: Model, observations: Observations) -> Errors:
     # The robot is solved in {B}; the device shows its poses in frames of its own.
     reached = kinematics.direct(seen.q, at)
     pose = shown(model, reached)
-    # Where no orientation was measured the predicted one carries the target, not the identity.
-    turned_known = np.asarray(measured[:, n + 3 :].all(axis=1))
-    known = turned_known[:, None, None] | ~np.isfinite(pose.rotation)
-    at_target = Configuration(seen.q, seen.r, np.where(known, seen.R, pose.rotation)).rows
-    position, turned = model.structure.located(at_target[:, n:], model.values)
-    # In the assembly mode that was measured: an arm's wrist need not be flipped as at home.
-    joints = kinematics.inverse(position, turned.reshape(-1, 3, 3), at, reached)
-    given = measured[:, [n + i for i in m.controlled]].all(axis=1)
     shown_rotation = np.where(np.isfinite(pose.rotation), pose.rotation, np.eye(3))
     turn = rotation_vector(seen.R @ shown_rotation.transpose(0, 2, 1))
     placed, orientation = (judgeable(m, measured[:, n:], part) for part in (range(3), range(3, 6)))
@@ -125,10 +117,34 @@ def errors(model: Model, observations: Observations) -> Errors:
     return Errors(
         where_known(placed & _solved(pose), apart),
         where_known(orientation & _solved(pose), np.where(measured[:, n + 3 :], turn, 0.0)),
-        where_known(given & _solved(joints), _unwound(m, seen.q - joints.joints)),
+        _joints_apart(kinematics, observations, reached, pose),
         _readings_apart(model, observations, pose),
         _closure(model, observations),
     )
+
+
+def _joints_apart(
+    kinematics: Kinematics, observations: Observations, reached: Solutions, pose: Solutions
+) -> np.ndarray:
+    """Read minus predicted joints (N, nq) where all that the robot controls was measured; `pose`
+    is what the device would show of the poses `reached`."""
+    model, n = kinematics.model, len(kinematics.model.joints)
+    m, apart = model.mechanism, np.full((len(observations), n), np.nan)
+    controlled = [n + i for i in m.controlled]
+    given = np.flatnonzero(observations.measured[:, controlled].all(axis=1))
+    if not len(given):
+        return apart
+    read, seen = observations.select(given), Configuration.from_rows(observations.x[given])
+    # Where no orientation was measured the predicted one carries the target, not the identity.
+    turned_known = np.asarray(read.measured[:, n + 3 :].all(axis=1))
+    known = turned_known[:, None, None] | ~np.isfinite(pose.rotation[given])
+    at_target = Configuration(seen.q, seen.r, np.where(known, seen.R, pose.rotation[given])).rows
+    position, turned = model.structure.located(at_target[:, n:], model.values)
+    at = condition_columns(model, read)
+    # In the assembly mode that was measured: an arm's wrist need not be flipped as at home.
+    found = kinematics.inverse(position, turned.reshape(-1, 3, 3), at, reached[given])
+    apart[given] = where_known(_solved(found), _unwound(m, seen.q - found.joints))
+    return apart
 
 
 def _unwound(mechanism: Mechanism, difference: np.ndarray) -> np.ndarray:
@@ -139,7 +155,7 @@ def _unwound(mechanism: Mechanism, difference: np.ndarray) -> np.ndarray:
 def _closure(model: Model, observations: Observations) -> np.ndarray:
     """Rows of the closure (N, n_rows) at measured joints and pose; NaN where a coordinate that
     the mechanism moves was not measured."""
-    phi = model.structure.rows_batch(observations.x, observations.a, model.values)[0]
+    phi = model.structure.residuals(observations.x, observations.a, model.values)[0]
     return where_known(complete(model, observations), phi[:, : model.structure.phi.shape[0]])
 
 
@@ -150,9 +166,11 @@ def complete(model: Model, observations: Observations) -> np.ndarray:
 
 def _readings_apart(model: Model, observations: Observations, pose: Solutions) -> np.ndarray:
     """Read minus predicted (N, n_channels) where the pose device would show `pose`."""
+    if not model.structure.channels:
+        return np.empty((len(observations), 0))
     n = len(model.joints)
     x = Configuration(observations.x[:, :n], pose.position, pose.rotation).rows
-    rows = model.structure.rows_batch(x, observations.a, model.values)[0]
+    rows = model.structure.residuals(x, observations.a, model.values)[0]
     predicted = rows[:, model.structure.phi.shape[0] :]
     return np.where(_solved(pose)[:, None], observations.reading - predicted, np.nan)
 

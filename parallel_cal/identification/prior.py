@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from parallel_cal.base.errors import FitError
-from parallel_cal.identification.thresholds import UNSEEN
+from parallel_cal.identification.thresholds import TURNED, UNSEEN
 from parallel_cal.model.model import Model
 from parallel_cal.model.parameters import ParameterTable
 
@@ -39,17 +39,42 @@ class Prior:
         return Prior(model.values, model.covariance + (unseen @ unseen.T) * scale)
 
 
+@dataclass(frozen=True)
 class Knowledge:
     """A prior as the free parameters feel it, in tolerances: d^T information d with d the
-    distance from `mean`; no information at all without a prior."""
+    distance from `mean` (n_free,), all of it by `tolerance` (n_free,); `free` is the mask."""
 
-    def __init__(self, prior: bool | Prior, table: ParameterTable, free: np.ndarray):
+    tolerance: np.ndarray
+    free: np.ndarray
+    mean: np.ndarray
+    information: np.ndarray
+
+    @classmethod
+    def of(cls, prior: bool | Prior, table: ParameterTable, free: np.ndarray) -> Knowledge:
+        """All that a prior says; nothing without one."""
         known = Prior.tolerances(table) if isinstance(prior, bool) else prior
-        self._tolerance, self._free = table.tolerance[free], free
-        self._mean = np.asarray(known.mean)[free]
-        covariance = known.covariance[np.ix_(free, free)]
-        scaled = covariance / np.outer(self._tolerance, self._tolerance)
-        self.information = _inverse(scaled) if prior else np.zeros_like(scaled)
+        tolerance = table.tolerance[free]
+        scaled = known.covariance[np.ix_(free, free)] / np.outer(tolerance, tolerance)
+        information = _inverse(scaled) if prior else np.zeros_like(scaled)
+        return cls(tolerance, free, np.asarray(known.mean)[free], information)
+
+    @classmethod
+    def along(
+        cls, weak: np.ndarray, unseen: np.ndarray, start: np.ndarray, model: Model,
+        free: np.ndarray, weight: float = 1.0,
+    ) -> Knowledge:  # fmt: skip
+        """The tolerances along some directions (k, n_free) alone: along `weak` ones around the
+        nominal values, along `unseen` ones around `start` (n,), as no data moved them."""
+        tolerance, nominal = model.table.tolerance[free], model.table.nominal[free]
+        away = (start[free] - nominal) / tolerance
+        mean = nominal + tolerance * (unseen.T @ (unseen @ away))
+        held = np.concatenate([weak, unseen])
+        return cls(tolerance, free, mean, weight * held.T @ held)
+
+    def alike(self, other: Knowledge) -> bool:
+        """Whether another one knows as much along directions that are nearly the same."""
+        size = max(float(np.abs(self.information).max(initial=0.0)), 1e-300)
+        return bool(np.abs(other.information - self.information).max(initial=0.0) < TURNED * size)
 
     def gradient(self, values: np.ndarray) -> np.ndarray:
         """Half the derivative of `cost` by the free parameters, in tolerances."""
@@ -60,7 +85,7 @@ class Knowledge:
         return float(self._distance(values) @ self.gradient(values))
 
     def _distance(self, values: np.ndarray) -> np.ndarray:
-        return np.asarray((values[self._free] - self._mean) / self._tolerance)
+        return np.asarray((values[self.free] - self.mean) / self.tolerance)
 
 
 def _inverse(covariance: np.ndarray) -> np.ndarray:

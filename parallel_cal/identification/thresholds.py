@@ -4,8 +4,8 @@
 FAR = 5.0  # tolerances: a parameter that moved further deserves a word
 HELD = 3.0  # of the noise: what the model holds at one value does move
 DOUBTED = 0.5  # a sample that a robust loss gives less weight than this is named
-HARDLY = 0.1  # sigmas that a tolerance moves the residuals by: ten tolerances fit as well
 NAMED = 0.1  # of a direction's largest part: smaller ones are not named
+MENTIONED = 2  # weak directions, the weakest: a document has them all
 NEGLIGIBLE = 0.01  # of the error at poses left out: what the removal of an effect may cost
 BLOCKS = 40  # stretches into which a continuous motion is cut, as if each were a pose
 
@@ -20,6 +20,9 @@ NEAR_DIRECT, NEAR_INVERSE = 0.2, 1e-4  # smallest singular value, as a share of 
 # When a search has arrived
 STEP = 1e-8  # tolerances: smaller steps change nothing a person can measure
 GAIN = 1e-10  # of chi2: steps that promise less have arrived, however long (weak directions)
+STALLED, PATIENCE = 1e-6, 10  # of chi2: what so many steps gain where nothing is left to gain
+TURNED = 1e-4  # rad: by so much directions may turn that tolerances were held along
+CHOICES = 8  # of these directions, each where the last ones led to
 FACTOR_STEP = 1e-9  # tolerances: of parameters that follow from linear factors
 NEWTON_STEP = 1e-12  # m: of the coordinates that the closure is solved for
 WEIGHT_STEP = 1e-6  # of a sample's weight under a robust loss

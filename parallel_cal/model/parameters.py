@@ -133,6 +133,11 @@ class Named:
 
         return ca.vertcat(*[self[key] for key in keys])
 
+    @property
+    def column(self) -> Any:
+        """All the entries, in their order."""
+        return self._vector
+
     def replaced(self, changes: Mapping[str, Any]) -> Named:
         """The same names with some entries changed (an effect edits a parameter this way)."""
         import casadi as ca

@@ -194,8 +194,7 @@ class Structure:
         r, R = self.placed
         numbers = Named(self.table.names, self.v)
         readings = [self._readings(s, r, R, numbers) for s in self._with_numbers]
-        phi = ca.substitute([self.phi], [self.r, self.R9], [r, ca.vec(ca.SX(R).T)])[0]
-        return ca.vertcat(phi, *readings)
+        return ca.vertcat(self._where_placed(self.phi), *readings)
 
     def _readings(self, sensor: Sensor, r: Any, R: Any, numbers: Named) -> Any:
         """What a sensor's channels show at a pose, after the effects on them."""
@@ -222,6 +221,11 @@ class Structure:
         return Batch(self.rows_function) if self.sensors else self.closure_batch
 
     @cached_property
+    def residuals(self) -> Batch:
+        """(configuration, a, v) -> rows alone, on arrays of samples."""
+        return Batch(dense("residuals", (self.configuration, self.a, self.v), (self.rows,)))
+
+    @cached_property
     def rows_compiled(self) -> Batch:
         """The same as machine code: very many samples repay the second that compiling takes."""
         return Batch(compiled(self.rows_function))
@@ -232,6 +236,33 @@ class Structure:
         inputs = (self.configuration, self.a, self.v)
         by_v = ca.jacobian(self.rows, ca.vertcat(*[self.v[i] for i in which]))
         return Batch(dense("columns", inputs, (by_v,)))
+
+    @cached_property
+    def by_seen(self) -> Batch:
+        """(configuration, a, v) -> d phi/d what the effects let the closure see: q, r, R9 and
+        geometry, column by column, on arrays of samples."""
+        seen = self.seen
+        z = ca.SX.sym("z", _column(seen).numel())
+        n, R9 = self.q.numel(), z[self.q.numel() + 3 : self.q.numel() + 12]
+        p = Named(self.mechanism.parameters.names, z[n + 12 :])
+        phi = self.mechanism.closure(z[:n], z[n : n + 3], ca.reshape(R9, 3, 3).T, p)
+        slopes = ca.Function("slopes", [z], [ca.jacobian(ca.cse(ca.SX(phi)), z)])
+        J = self._where_placed(slopes(_column(seen)))
+        return Batch(dense("by_seen", (self.configuration, self.a, self.v), (J,)))
+
+    @lru_cache(maxsize=64)  # noqa: B019
+    def seen_by(self, which: tuple[int, ...]) -> tuple[Batch, np.ndarray]:
+        """(configuration, a, v) -> d seen/d(some of v), without the entries of `seen` that these
+        leave alone; the second answer numbers those it has."""
+        J = ca.jacobian(_column(self.seen), ca.vertcat(*[self.v[i] for i in which]))
+        moved = np.unique(np.array(J.sparsity().get_triplet()[0], dtype=int))
+        inputs = (self.configuration, self.a, self.v)
+        return Batch(dense("seen_by", inputs, (self._where_placed(J[moved.tolist(), :]),))), moved
+
+    def _where_placed(self, expression: Any) -> Any:
+        """An expression of {P} in {B} where the device shows what is measured."""
+        r, R = self.placed
+        return ca.substitute([expression], [self.r, self.R9], [r, ca.vec(ca.SX(R).T)])[0]
 
     @cached_property
     def closure_configuration(self) -> ca.Function:
@@ -264,6 +295,11 @@ class Structure:
         m = self.mechanism
         joints = [m.length if unit == "rad" else 1.0 for unit in m.joint_units]
         return np.array(joints + [1.0] * 3 + [m.length] * 3)
+
+
+def _column(seen: Seen) -> Any:
+    """q, r, R9 (row-major) and the geometry as one column."""
+    return ca.vertcat(ca.SX(seen.q), ca.SX(seen.r), ca.vec(ca.SX(seen.R).T), seen.p.column)
 
 
 @lru_cache(maxsize=64)

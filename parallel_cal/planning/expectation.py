@@ -89,7 +89,7 @@ class View:
 
     def _spectrum(self, rows: np.ndarray) -> Spectrum:
         J, sought = self._A[rows].reshape(-1, self._A.shape[2]), self._sought
-        return spectrum(J, sought.model.table, sought.free, sought.prior)
+        return spectrum(J, sought.model.table, sought.free, sought.prior, held=1.0)
 
     def _weight(self, part: range) -> np.ndarray:
         G = self._G[:, list(part)]

@@ -16,6 +16,7 @@ from parallel_cal.identification.methods._estimate import (
     concluded,
 )
 from parallel_cal.identification.observations import Observations
+from parallel_cal.identification.thresholds import CHOICES, PATIENCE, STALLED
 from parallel_cal.model.model import Model
 
 # The system at parameters that lie a step (n_free,) from those of the system before (None at the
@@ -52,21 +53,21 @@ class _Point:
         return self.system.chi2 + self.known - self.system.chi2_of(other.system) - other.known
 
 
-def minimise(
-    sought: Sought, reach: Reach, advice: Callable[[System], str], iterations: int
-) -> Estimate:
+def minimise(sought: Sought, reach: Reach, advice: str, iterations: int) -> Estimate:
     """Levenberg-Marquardt (C.4) on whitened residuals, for every method that settles.
 
-    FitError where it does not, with `advice` on where it stands.
+    Directions that the data see less of than the tolerances know are chosen where they are, and
+    chosen anew where that leads to. FitError where it does not settle, with `advice`.
     """
     free, stay = sought.free, np.zeros(int(sought.free.sum()))
 
     def at(values: np.ndarray, before: System | None, step: np.ndarray) -> _Point | None:
         system = reach(values, before, step)
-        if system is None:
-            return None
-        normal = NormalEquations(system, values, sought.tolerance, sought.known)
-        return _Point(values, system, normal, sought.known.cost(values))
+        return None if system is None else held(values, system)
+
+    def held(values: np.ndarray, system: System) -> _Point:
+        normal = NormalEquations(system, values, sought.tolerance, known)
+        return _Point(values, system, normal, known.cost(values))
 
     def ahead(point: _Point, damping: float) -> tuple[_Point | None, float]:
         step, promised = point.normal.step(damping)
@@ -74,13 +75,18 @@ def minimise(
         values[free] += step
         return at(values, point.system, step), promised
 
-    start = at(np.array(sought.model.values), None, stay)
-    if start is None:
+    first = reach(np.array(sought.model.values), None, stay)
+    if first is None:
         raise FitError("the starting model has no solution at some samples: start nearer")
-    here, damping = start, 1e-6
+    known, choices = sought.known(first), 1
+    here, damping, costs = held(np.array(sought.model.values), first), 1e-6, [np.inf]
     for k in range(iterations):
-        if k > 0 and here.normal.arrived:
-            return concluded(sought, here.values, here.system, k)
+        if (k > 0 and here.normal.arrived) or _stalled(costs):
+            better = sought.known(here.system)
+            if choices >= CHOICES or known.alike(better):
+                return concluded(sought, here.values, here.system, k, sought.seen(here.system))
+            known, choices, damping, costs = better, choices + 1, 1e-6, [np.inf]
+            here = held(here.values, here.system)
         tried, promised = ahead(here, damping)
         if tried is not None and here.fall_to(tried) < 0:
             # A step along a curved valley ends on its slope; a second one leads to its floor.
@@ -92,12 +98,19 @@ def minimise(
             here = tried
         else:  # costs compare only between adjusted quantities, which those measured are not yet
             here = at(here.values, here.system, stay) or here
+        costs.append(here.system.chi2 + here.known)
         if damping > 1e12:
             break
     raise FitError(
         f"identification did not converge in {iterations} iterations (chi2 "
-        f"{here.system.chi2:.3g} of {len(here.system.residual)} samples): {advice(here.system)}"
+        f"{here.system.chi2:.3g} of {len(here.system.residual)} samples): {advice}"
     )
+
+
+def _stalled(costs: list[float]) -> bool:
+    """Whether the last steps gained nothing worth mentioning: the minimum is reached, however
+    far it extends."""
+    return len(costs) > PATIENCE and costs[-PATIENCE - 1] - costs[-1] < STALLED * costs[-1]
 
 
 def concluded_at(
@@ -112,7 +125,8 @@ def concluded_at(
     `covariance` (n_free, n_free), that of the method, replaces that of the weighted optimum.
     """
     linearise = Linearisation(sought.model, observations, sought.free, True)
-    found = concluded(sought, values, linearise(values, linearise.start()), iterations)
+    system = linearise(values, linearise.start())
+    found = concluded(sought, values, system, iterations, sought.seen(system, held=False))
     whole = np.zeros_like(found.covariance)
     whole[np.ix_(sought.free, sought.free)] = covariance
     return replace(found, covariance=whole)

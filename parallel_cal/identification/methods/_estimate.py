@@ -48,15 +48,34 @@ class Sought:
 
     model: Model
     free: np.ndarray
-    prior: bool | Prior = False
+    prior: bool | Prior | None = False
+    assumed: bool = False  # whether nobody measured the noise: chi2 alone says how large it is
 
     @cached_property
     def tolerance(self) -> np.ndarray:
         return np.asarray(self.model.table.tolerance[self.free])
 
-    @cached_property
-    def known(self) -> Knowledge:
-        return Knowledge(self.prior, self.model.table, self.free)
+    def seen(self, system: System, held: bool = True) -> Spectrum:
+        """What the data see at a point; without a prior of all (None) the tolerances are known
+        where the data tell less, if that was made use of (`held`)."""
+        weight = self._variance(system) if held and self.prior is None else 0.0
+        return spectrum(system.columns, self.model.table, self.free, self.prior, weight)
+
+    def known(self, system: System) -> Knowledge:
+        """The prior; None is the tolerances along directions that the data at a point tell
+        less of."""
+        table, free = self.model.table, self.free
+        if self.prior is not None:
+            return Knowledge.of(self.prior, table, free)
+        found, variance = self.seen(system), self._variance(system)
+        weak = found.directions[found.rank - len(found.weak) : found.rank]
+        unseen, start = found.directions[found.rank :], self.model.values
+        return Knowledge.along(weak, unseen, start, self.model, free, variance)
+
+    def _variance(self, system: System) -> float:
+        """Of the residuals in noise units, where only the noise's proportions are known."""
+        dof = int(system.informative.sum()) - int(self.free.sum())
+        return max(system.chi2, 1e-300) / max(dof, 1) if self.assumed else 1.0
 
 
 class NormalEquations:
@@ -88,10 +107,11 @@ class NormalEquations:
         return bool(short or left < GAIN * self._chi2)
 
 
-def concluded(sought: Sought, values: np.ndarray, system: System, iterations: int) -> Estimate:
+def concluded(
+    sought: Sought, values: np.ndarray, system: System, iterations: int, seen: Spectrum
+) -> Estimate:
     """The estimate at parameters where a method has settled."""
     free = sought.free
-    seen = spectrum(system.columns, sought.model.table, free, sought.prior)
     covariance = np.zeros((len(values), len(values)))
     covariance[np.ix_(free, free)] = seen.covariance
     lost = np.zeros(len(values), dtype=bool)

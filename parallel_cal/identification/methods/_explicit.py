@@ -83,12 +83,12 @@ class Prediction:
         T = inverse @ C * self._observations.measured[:, None, :]
         return self._white(residual, inverse @ J, T)
 
-    def least(self, prior: bool | Prior) -> Estimate:
+    def least(self, prior: bool | Prior | None) -> Estimate:
         """Parameters that minimise the residuals; FitError where it does not converge."""
         return minimise(
-            Sought(self._model, self._free, prior),
+            Sought(self._model, self._free, prior, self._observations.noise_assumed),
             lambda values, before, step: self(values),
-            lambda system: "leave out samples near singularities, or use the implicit method",
+            "leave out samples near singularities, or use the implicit method",
             ITERATIONS,
         )
 

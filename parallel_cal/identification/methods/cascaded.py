@@ -23,7 +23,7 @@ from parallel_cal.model.model import Model
 
 
 def estimate(
-    model: Model, observations: Observations, free: np.ndarray, prior: bool | Prior = False
+    model: Model, observations: Observations, free: np.ndarray, prior: bool | Prior | None = False
 ) -> Estimate:
     """Parameters by two linear steps and eq. 5.35, without weights, as in the thesis.
 

@@ -12,7 +12,7 @@ from parallel_cal.model.model import Model
 
 
 def estimate(
-    model: Model, observations: Observations, free: np.ndarray, prior: bool | Prior = False
+    model: Model, observations: Observations, free: np.ndarray, prior: bool | Prior | None = False
 ) -> Estimate:
     """Parameters that minimise the pose errors of eq. 5.22, in units of their noise.
 

@@ -13,7 +13,7 @@ from parallel_cal.identification.methods._estimate import (
     concluded,
 )
 from parallel_cal.identification.observations import Observations
-from parallel_cal.identification.prior import Prior
+from parallel_cal.identification.prior import Knowledge, Prior
 from parallel_cal.model.model import Model
 
 
@@ -21,7 +21,7 @@ def estimate(
     model: Model,
     observations: Observations,
     free: np.ndarray,
-    prior: bool | Prior = False,
+    prior: bool | Prior | None = False,
     weighted: bool = True,
 ) -> Estimate:
     """One Gauss-Newton step of implicit calibration: J dp = -f (eq. 5.29), by SVD.
@@ -30,15 +30,17 @@ def estimate(
     `weighted=False` is the thesis' equation. chi2 is that of the closure at the values found,
     so it shows what the linearisation left out.
     """
-    sought = Sought(model, free, prior)
+    sought = Sought(model, free, prior, observations.noise_assumed)
     tolerance = sought.tolerance
     linearise = Linearisation(model, observations, free, weighted)
     system = linearise(np.array(model.values), linearise.start())
-    step, _ = NormalEquations(system, model.values, tolerance, sought.known).step(0.0)
+    known = sought.known(system) if weighted else Knowledge.of(prior or False, model.table, free)
+    step, _ = NormalEquations(system, model.values, tolerance, known).step(0.0)
     values = np.array(model.values)
     values[free] += step
     if weighted:
-        return concluded(sought, values, linearise(values, system.adjusted(step)), 1)
+        end = linearise(values, system.adjusted(step))
+        return concluded(sought, values, end, 1, sought.seen(end))
     J = system.columns * tolerance
     influence = -np.linalg.pinv(J) * tolerance[:, None]
     covariance = spread(influence, model, values, observations)

@@ -125,7 +125,7 @@ def closure_rows(model: Model, observations: Observations) -> tuple[np.ndarray, 
 
 
 def estimate(
-    model: Model, observations: Observations, free: np.ndarray, prior: bool | Prior = False
+    model: Model, observations: Observations, free: np.ndarray, prior: bool | Prior | None = False
 ) -> Estimate:
     """Parameters whose factors come nearest to the best linear factors.
 

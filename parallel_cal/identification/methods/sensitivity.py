@@ -29,7 +29,7 @@ def estimate(
     model: Model,
     observations: Observations,
     free: np.ndarray,
-    prior: bool | Prior = False,
+    prior: bool | Prior | None = False,
     iterations: int = 1,
 ) -> Estimate:
     """Base parameters by the linear least squares of eq. 26; the others stay as they are.
@@ -53,7 +53,8 @@ def estimate(
         values[where[kept]] += tolerance[kept] * step
     end = prediction(values)
     assert end is not None
-    found = concluded(Sought(model, free), values, end, iterations)
+    sought = Sought(model, free)
+    found = concluded(sought, values, end, iterations, sought.seen(end, held=False))
     covariance = np.zeros_like(found.covariance)
     inverse = np.linalg.pinv(columns[:, kept].T @ columns[:, kept])
     base = where[kept]

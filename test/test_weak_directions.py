@@ -1,0 +1,117 @@
+"""Where the data tell less than the tolerances do: tolerances stand in there, and nowhere else."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import virtual_robot as vr
+from datasets import as_dataset, measured, quiet
+from test_unmeasured import only
+
+from parallel_cal.diagnosis.comparison import compare
+from parallel_cal.identification.doubts import chi2_band
+from parallel_cal.identification.fit import fit, single_threaded
+from parallel_cal.identification.linearisation import System
+from parallel_cal.identification.methods._descent import minimise
+from parallel_cal.identification.methods._estimate import Sought
+from parallel_cal.identification.methods.implicit import estimate
+from parallel_cal.identification.observations import ASSUMED, observe
+from parallel_cal.identification.prior import Prior
+from parallel_cal.model.model import new_model
+
+ALL = new_model("delta54")
+
+
+def sight(seed=0, **session):
+    """A whole Delta, seen by a device that shows positions alone."""
+    data = only("x y z", measured(seed, **session))
+    return observe(ALL, data)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_positions_alone_identify_the_whole_delta(seed):
+    """Its platform's tilt is not seen: a dozen directions run off without a hold."""
+    found = estimate(ALL, sight(seed), ~ALL.fixed, None)
+    assert found.iterations < 20
+    low, high = chi2_band(found.dof)
+    assert low < found.chi2_per_dof < high
+    away = (found.values - ALL.table.nominal) / ALL.table.tolerance
+    assert np.abs(away).max() < 3
+    elsewhere = compare(ALL.with_values(found.values), measured(7))
+    assert elsewhere.errors.summary.position_rms < 1.3 * elsewhere.noise.position_rms
+
+
+def test_it_is_said_in_one_line_and_in_the_document():
+    result = fit(ALL, only("x y z", measured(0)), hold_out=0)
+    said = [w for w in result.warnings if w.startswith("tolerances stand in as priors")]
+    document = result.document()
+    assert len(said) == 1
+    assert f"{len(document['weak'])} combinations" in said[0]
+    assert document["weak"][-1]["text"] in said[0]  # the weakest first
+    assert document["priors"] == "weak"
+    assert len(document["unidentifiable"]) == 1
+    none = fit(new_model("delta24"), measured(0), hold_out=0)
+    assert none.document()["weak"] == []
+    assert not any("stand in" in w for w in none.warnings)
+
+
+def test_what_the_data_tell_comes_out_as_without_any_prior():
+    """With a thousandth of the noise that is stated, everything is linear: tolerances a hundred
+    times as wide leave the same numbers, to a twentieth of their scatter, along each direction
+    that the data see better than the tolerances; along the others they run off."""
+    draw = vr.dwell_samples(vr.Delta({**vr.TABLE_5_12}), seed=1, noise=quiet(1e-3))
+    observations, free = observe(ALL, only("x y z", as_dataset(draw))), ~ALL.fixed
+    found = estimate(ALL, observations, free, None)
+    vague = Prior(ALL.table.nominal, np.diag((100 * ALL.table.tolerance) ** 2))
+    without = estimate(ALL, observations, free, vague)
+    seen, apart = found.spectrum, (found.values - without.values)[free]
+    scatter = 1e-3 / seen.singular_values
+    along = np.abs(seen.directions @ (apart / ALL.table.tolerance[free])) / scatter
+    strong = seen.singular_values > 1
+    assert strong.sum() == 30
+    assert along[strong].max() < 0.05
+    assert along[~strong].max() > 0.5
+
+
+@pytest.mark.wide
+def test_sigmas_are_the_spread_over_robots_and_noise():
+    ratio, rng = [], np.random.default_rng(0)
+    table, free = ALL.table, ~ALL.fixed
+    with single_threaded():
+        for seed in range(30):
+            true = table.nominal + free * table.tolerance * rng.standard_normal(len(table))
+            robot = vr.Delta({**vr.TABLE_5_12, **table.mapping(true)})
+            found = estimate(ALL, sight(seed, robot=robot), free, None)
+            known = free & np.isfinite(found.sigma)
+            ratio.append(((found.values - true) / np.where(known, found.sigma, np.inf))[known])
+    rms = np.sqrt(np.mean(np.concatenate(ratio) ** 2))
+    assert 0.85 < rms < 1.15
+
+
+def test_only_the_ratio_of_assumed_noise_counts_for_what_is_held():
+    """Ten times the figures that nobody measured: the same estimates."""
+    seen = sight(2)
+    assumed = replace(seen, noise_from={"joint": ASSUMED, "pose": ASSUMED})
+    loud = replace(assumed, S=100 * assumed.S)
+    one, ten = (estimate(ALL, o, ~ALL.fixed, None) for o in (assumed, loud))
+    assert one.chi2_per_dof == pytest.approx(100 * ten.chi2_per_dof, rel=1e-3)
+    assert np.abs((one.values - ten.values) / ALL.table.tolerance).max() < 1e-3
+    assert len(one.spectrum.weak) == len(ten.spectrum.weak) > 5
+
+
+def test_a_floor_that_is_rough_is_a_floor():
+    """Rounding as rough as 1e-2 sigma always promises a little more: ten steps that gain nothing
+    of chi2 = 1e4 are the end."""
+    model = new_model("slider_crank")
+    free = np.arange(len(model.table)) == 0
+    tolerance, steps = model.table.tolerance[0], []
+
+    def reach(values, before, step):
+        away = (values[0] - model.table.nominal[0]) / tolerance
+        steps.append(away)
+        residual = np.array([[100.0, 50 * (away - 1) + 0.01 * (-1) ** len(steps)]])
+        return System(residual, np.array([[[0.0], [50 / tolerance]]]), np.array([2]), np.copy)
+
+    found = minimise(Sought(model, free), reach, "", 50)
+    assert found.iterations < 20
+    assert (found.values[0] - model.table.nominal[0]) / tolerance == pytest.approx(1, abs=1e-3)
