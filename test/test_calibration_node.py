@@ -20,6 +20,7 @@ pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy")
 pytest.importorskip("parallel_cal_msgs")
 
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from parallel_cal_msgs.action import Identify
 from parallel_cal_msgs.msg import CollectionStatus, ModelStatus
@@ -364,6 +365,20 @@ def test_an_effect_is_added_where_it_helps_and_refused_where_not(full):
     assert added.success, added.message
     assert added.hash == model_hash(Path(output).read_bytes())
     assert [e.name for e in read_model(output).effects] == ["encoder_eccentricity"]
+
+
+def test_diagnostics_tell_of_the_samples_and_of_every_stream(full):
+    told = {}
+
+    def hear(message):
+        told.update({s.name.split(": ")[1]: s for s in message.status})
+
+    full.client._node.create_subscription(DiagnosticArray, "/diagnostics", hear, 10)
+    full.client.wait(lambda: {"samples", "joint_states"} <= told.keys(), "diagnostics")
+    counts = {v.key: v.value for v in told["joint_states"].values}
+    assert int(counts["Events since startup"]) >= 15277
+    assert counts["Lost since startup"] == "0"
+    assert {v.key: v.value for v in told["samples"].values}["samples"] == "94"
 
 
 def played(tmp_path, bag, by):

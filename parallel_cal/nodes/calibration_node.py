@@ -5,12 +5,14 @@ from __future__ import annotations
 import os
 import re
 import time
+from collections import defaultdict
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import geometry_msgs.msg
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from parallel_cal_msgs.msg import CollectionStatus
 from parallel_cal_msgs.srv import Compare, SaveSamples
 from rcl_interfaces.msg import SetParametersResult
@@ -28,6 +30,7 @@ from parallel_cal.nodes.calibrator import Calibrator
 from parallel_cal.nodes.collector import Collection, Collector
 from parallel_cal.nodes.conversions import message_class
 from parallel_cal.nodes.frames import MOVES_POSES
+from parallel_cal.nodes.health import Stream
 from parallel_cal.nodes.jobs import in_words
 from parallel_cal.nodes.journal import Journal
 from parallel_cal.nodes.parameters import (
@@ -41,6 +44,7 @@ from parallel_cal.nodes.parameters import (
 )
 from parallel_cal.nodes.run import every, foreign_publishers, rival_publishers, run, type_name
 from parallel_cal.nodes.sample_services import SERVICES
+from parallel_cal.nodes.tally import diagnostics
 from parallel_cal.recordings.channels import CHANNELS, named, take
 from parallel_cal.recordings.options import MODES, SampleOptions
 from parallel_cal.recordings.recording import Dropped
@@ -82,6 +86,7 @@ class CalibrationNode(Node):
         self._model_joints: tuple[Any, tuple[str, ...] | None] = (None, None)
         self._event, self._trouble, self._next_look = "", "", 0.0
         self._warnings: list[str] = []
+        self._health: defaultdict[str, Stream] = defaultdict(Stream)
         self._base = ""
         self._dropped_before: list[Dropped] = []
         for path in filter(None, self._parameter("channels").split(",")):
@@ -97,7 +102,12 @@ class CalibrationNode(Node):
         self._calibrator = Calibrator(self, self._collect, self._say, self._group)
         self._offer_services()
         every(self._parameter("look_period"), self, self._look, self._group)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        every(1.0, self, self._diagnose, self._group)
         self._dropped.publish(messages.dropped_message([]))
+        journal = f"journal in {self._folder}" if self._journal else "no journal"
+        model = self._parameter("model_file") or "none: set the parameter model_file"
+        self.get_logger().info(f"collecting; model file {model}; {journal}")
         self._publish_status()
 
     def _opened_journal(self) -> Journal | None:
@@ -203,6 +213,9 @@ class CalibrationNode(Node):
     def _on_message(self, channel: str, message: Any, info: dict[str, int]) -> None:
         """Received when it came in, as a recorder sees it, not when its turn came here."""
         received = info["received_timestamp"] or time.time_ns()
+        health = self._health[channel]
+        health.heard(info.get("publication_sequence_number"))
+        health.done(received)
         sequence = info.get("publication_sequence_number") or 0
         self._collector.receive(channel, message, received, sequence)
         if self._recorder is not None:
@@ -260,6 +273,26 @@ class CalibrationNode(Node):
             self.get_logger().warning(text)
         if self._warnings != before:
             self._publish_status()
+
+    def _diagnose(self) -> None:
+        """Once a second: the samples and each stream that was ever heard."""
+        name, level = self.get_fully_qualified_name(), DiagnosticStatus.OK
+        if self._warnings:
+            level = DiagnosticStatus.WARN
+        if self._trouble:
+            level = DiagnosticStatus.ERROR
+        said = "; ".join(filter(None, [self._trouble, *self._warnings]))
+        status = self._collection_status()
+        counts = ("samples", "paired", "dropped", "lost", "strays", "journal", "last_event")
+        items = {key: str(getattr(status, key)) for key in counts}
+        message = DiagnosticArray(
+            status=[
+                diagnostics(f"{name}: samples", level, said or "as it should be", items),
+                *(h.diagnosis(name, topic) for topic, h in self._health.items()),
+            ]
+        )
+        message.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(message)
 
     def _suspicions(self) -> list[str]:
         """Whatever of the topics or of the samples may be wrong."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Iterable, Sequence
+from functools import lru_cache
 from importlib import import_module
 from typing import Any
 
@@ -51,12 +52,17 @@ def joint_order(names: Sequence[str], joints: Sequence[str]) -> list[int]:
     return [list(names).index(joint) for joint in joints]
 
 
+@lru_cache(maxsize=64)
+def _order(names: tuple[str, ...], joints: tuple[str, ...]) -> list[int]:
+    return joint_order(names, joints)
+
+
 def matched_joints(message: Any, joints: Sequence[str]) -> tuple[np.ndarray, np.ndarray | None]:
     """Positions (nq,) and velocities of a JointState in the model's order.
 
     Velocities are None where they are left empty or not finite, as drivers without them have it.
     """
-    order = joint_order(message.name, joints)
+    order = _order(tuple(message.name), tuple(joints))
     if len(message.position) != len(message.name):
         raise SolveError(f"{len(message.position)} positions for {len(message.name)} joint names")
     q = np.asarray(message.position)[order]
@@ -97,6 +103,13 @@ def pose_message(r: np.ndarray, quaternion: np.ndarray) -> Pose:
     x, y, z = r.tolist()
     a, b, c, d = quaternion.tolist()
     return Pose(position=Point(x=x, y=y, z=z), orientation=Quaternion(x=a, y=b, z=c, w=d))
+
+
+def set_pose(pose: Pose, r: np.ndarray, quaternion: np.ndarray) -> None:
+    """The same into a message that is there already."""
+    p, o = pose.position, pose.orientation
+    p.x, p.y, p.z = r.tolist()
+    o.x, o.y, o.z, o.w = quaternion.tolist()
 
 
 def solution_messages(found: Solutions) -> list[Solution]:

@@ -9,18 +9,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from parallel_cal.nodes.sources import Source, Sources
+
 JUMP = 1_000_000_000  # ns; a stamp further off than this is astray, or of another clock
 AGREE = 3  # messages that must follow each other on another clock before it is believed
 SILENT = 300_000_000  # ns for which the publisher before says nothing, until another is believed
 MIXED = 2_000_000_000  # ns after the last sign of two publishers in which nothing is taken
-REACH = 10_000  # messages that one publisher may lose in a row and still be known
-
-
-@dataclass(eq=False)
-class Source:
-    """A publisher, known by its count of messages."""
-
-    sequence: int
 
 
 @dataclass(frozen=True)
@@ -41,14 +35,18 @@ class Gate:
         self._name = name
         self._last: Said | None = None
         self._held: list[Said] = []
-        self._sources: list[Source] = []
+        self._sources = Sources()
         self._mixed: int | None = None
-        self.strays = self.lost = 0
+        self.strays = 0
         self.trouble = ""
+
+    @property
+    def lost(self) -> int:
+        return self._sources.lost
 
     def take(self, stamp: int, log: int, sequence: int, message: Any) -> Sequence[Said]:
         """The messages that may go on now, this one among them or not."""
-        said = Said(stamp, log, sequence, message, self._source(sequence))
+        said = Said(stamp, log, sequence, message, self._sources.of(sequence))
         last, held = self._last, self._held
         if last is None or (said.source is last.source and _near(said, last)):
             if held and last is not None:
@@ -99,19 +97,6 @@ class Gate:
         if said:
             self.strays += len(said)
             self.trouble = f"{self._name}: {self.strays} messages dropped, the last {why}"
-
-    def _source(self, sequence: int) -> Source | None:
-        """Whose count this one goes on; what is left out between was lost."""
-        if not sequence:
-            return None
-        behind = [s for s in self._sources if 0 < sequence - s.sequence <= REACH]
-        if not behind:
-            self._sources = [*self._sources[-7:], Source(sequence)]
-            return self._sources[-1]
-        source = max(behind, key=lambda s: s.sequence)
-        self.lost += sequence - source.sequence - 1
-        source.sequence = sequence
-        return source
 
 
 def _near(one: Said, other: Said) -> bool:

@@ -161,6 +161,7 @@ class KinematicsNode(Node):
             status=[
                 model_diagnostics(name, served, self._server.last, self._failure),
                 traffic_diagnostics(name, self._tally, unheard, foreign_publishers(self)),
+                *self._streams.diagnoses(name),
             ]
         )
         message.header.stamp = self.get_clock().now().to_msg()
@@ -168,6 +169,7 @@ class KinematicsNode(Node):
 
     def end_work(self) -> None:
         """Stop what is at work for a request, if any."""
+        self._streams.end()
         self._worker.end()
 
     def destroy_node(self) -> None:

@@ -14,9 +14,8 @@ from rclpy.callback_groups import CallbackGroup
 from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Header
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from parallel_cal.base.errors import SolveError
@@ -26,16 +25,21 @@ from parallel_cal.nodes.conversions import (
     finite,
     matched_joints,
     message_class,
-    pose_message,
     pose_numbers,
+    set_pose,
 )
 from parallel_cal.nodes.following import Memory, joints_for
+from parallel_cal.nodes.health import Stream
 from parallel_cal.nodes.model_server import ModelServer, Served, in_words
 from parallel_cal.nodes.parameters import LATCHED, RELIABLE, SENSOR, overridable
+from parallel_cal.nodes.pump import Messages, Pump
 from parallel_cal.nodes.run import Beside
 from parallel_cal.nodes.tally import Tally
 from parallel_cal.recordings.channels import CHANNELS, named
 
+# Room for what comes while the interpreter is busy; a tenth of a second at 1 kHz.
+STATES = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
+BEHIND = 20  # joint states that may wait and still be answered each
 QUIET = 5.0  # s between two lines of the log about refused messages
 
 
@@ -47,10 +51,16 @@ class Streams:
     ):
         self._node, self._server, self._group = node, server, group
         self._memory, self._tally = memory, tally
+        self.health: dict[str, Stream] = {}
+        self._answer = PoseStamped()
         self._pose = self._publisher(PoseStamped, "~/pose")
         self._sure_pose = self._publisher(PoseWithCovarianceStamped, "~/pose_with_covariance")
         self._command = self._publisher(JointTrajectory, "joint_command")
-        self._subscribe(JointState, "joint_states", SENSOR, self._on_joints)
+        self.health["joint_states"] = Stream()
+        self._pump = Pump(
+            node, JointState, "joint_states", STATES, self._on_states,
+            qos_overriding_options=overridable(),
+        )  # fmt: skip
         # A target out of reach is searched for longer than a joint state may wait.
         self._subscribe(PoseStamped, "target_pose", RELIABLE, self._on_target, Beside())
         for name in named("condition"):
@@ -66,6 +76,7 @@ class Streams:
     def _subscribe(
         self, type: Any, topic: str, qos: QoSProfile, take: Any, group: CallbackGroup | None = None
     ) -> None:
+        self.health[topic] = Stream()
         self._node.create_subscription(
             type,
             topic,
@@ -90,15 +101,30 @@ class Streams:
             event_callbacks=quiet,
         )
 
-    def _receive(self, channel: str, take: Any, message: Any) -> None:
+    def _receive(self, channel: str, take: Any, message: Any, info: Any) -> None:
         """Count a message, and say why where it leads to nothing."""
         self._tally.add(channel, "received")
+        health = self.health.get(channel)
+        if health is not None:
+            health.heard(info["publication_sequence_number"])
         try:
             take(message)
+            if health is not None:
+                health.done(info["received_timestamp"])
         except Exception as error:  # a user's own mechanism may raise anything; the node stays up
             self._tally.add(channel, "refused", str(error))
+            if health is not None:
+                health.refused(str(error))
             log = self._node.get_logger()
             log.warning(f"{channel} refused: {error}", throttle_duration_sec=QUIET)
+
+    def end(self) -> None:
+        """Answer no more joint states."""
+        self._pump.end()
+
+    def diagnoses(self, name: str) -> list[Any]:
+        """One DiagnosticStatus a topic; called once a second."""
+        return [health.diagnosis(name, topic) for topic, health in self.health.items()]
 
     def _served(self) -> Served:
         served = self._server.current  # one reference for the whole message
@@ -113,6 +139,15 @@ class Streams:
 
     # ------------------------------------------------------------------ poses
 
+    def _on_states(self, waiting: Messages) -> None:
+        """Where too many wait, the newest: the others would be answered too late, and count as
+        skipped."""
+        for _, info in waiting[:-BEHIND]:
+            self._tally.add("joint_states", "skipped")
+            self.health["joint_states"].skipped(info["publication_sequence_number"])
+        for message, info in waiting[-BEHIND:]:
+            self._receive("joint_states", self._on_joints, message, info)
+
     def _on_joints(self, message: JointState) -> None:
         """Joint readings -> ~/pose, at the time of the readings."""
         served = self._served()
@@ -122,12 +157,13 @@ class Streams:
         found = served.kinematics.direct(q, self._memory.conditions(model))
         if found.status not in (Status.CONVERGED, Status.OUTSIDE_LIMITS):
             raise SolveError(in_words(found.status))
-        header = Header(stamp=stamp, frame_id=model.frames["base"])
-        pose = pose_message(found.position, found.quaternion)
-        self._pose.publish(PoseStamped(header=header, pose=pose))
+        answer = self._answer  # one message for all: building another takes a third of the time
+        answer.header.stamp, answer.header.frame_id = stamp, model.frames["base"]
+        set_pose(answer.pose, found.position, found.quaternion)
+        self._pose.publish(answer)
         if model.covariance is not None and self._sure_pose.get_subscription_count():
-            sure = PoseWithCovariance(pose=pose, covariance=self._covariance(served, found))
-            self._sure_pose.publish(PoseWithCovarianceStamped(header=header, pose=sure))
+            sure = PoseWithCovariance(pose=answer.pose, covariance=self._covariance(served, found))
+            self._sure_pose.publish(PoseWithCovarianceStamped(header=answer.header, pose=sure))
         self._tally.add("joint_states", "answered")
         if found.status == Status.OUTSIDE_LIMITS:
             self._tally.add("joint_states", "outside limits")

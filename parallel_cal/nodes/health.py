@@ -1,0 +1,82 @@
+"""How a node's streams do: rate, loss and latency of each, told as diagnostic_updater would."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter, deque
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticStatus
+
+from parallel_cal.nodes.sources import Sources
+from parallel_cal.nodes.tally import diagnostics
+
+WINDOW = 10  # s that rates and shares are told of
+LATE = 0.1  # s from reception to answer that is worth a warning (99 of 100 are below)
+SOME, MOST = 1e-3, 0.1  # share of messages lost or refused that is a warning, an error
+
+
+class Stream:
+    """One topic: counts since the start, and second by second in a window."""
+
+    def __init__(self) -> None:
+        self.total: Counter[str] = Counter()
+        self._last = Counter[str]()
+        self._seconds: deque[Counter[str]] = deque(maxlen=WINDOW)
+        self._latencies: deque[int] = deque(maxlen=2000)
+        self._sources = Sources()
+        self.reason = ""
+
+    def heard(self, sequence: int | None) -> None:
+        """Count a message, and by its publisher's count those that never came before it."""
+        self.total["received"] += 1
+        self._sources.of(sequence)
+
+    def skipped(self, sequence: int | None) -> None:
+        """Count a message that came too late to be answered."""
+        self.heard(sequence)
+        self.total["skipped"] += 1
+
+    def done(self, received_ns: int) -> None:
+        """A message was answered: how long after it came in."""
+        self._latencies.append(time.time_ns() - received_ns)
+
+    def refused(self, reason: str) -> None:
+        self.total["refused"] += 1
+        self.reason = reason
+
+    def _tick(self) -> None:
+        self.total["lost"] = self._sources.lost
+        self._seconds.append(self.total - self._last)
+        self._last = self.total.copy()
+
+    def diagnosis(self, name: str, topic: str) -> Any:
+        """One DiagnosticStatus, asked for once a second: WARN where a thousandth is lost, skipped
+        or refused, ERROR for a tenth."""
+        self._tick()
+        window = sum(self._seconds, Counter[str]())
+        seconds, came = max(len(self._seconds), 1), max(window["received"] + window["lost"], 1)
+        ordered = sorted(self._latencies)
+        p99 = ordered[int(0.99 * (len(ordered) - 1))] * 1e-9 if ordered else 0.0
+        shares = {kind: window[kind] / came for kind in ("lost", "skipped", "refused")}
+        wrong = [f"{share:.2%} {kind}" for kind, share in shares.items() if share > SOME]
+        wrong += [f"{1e3 * p99:.0f} ms late"] * (p99 > LATE)
+        level = DiagnosticStatus.WARN if wrong else DiagnosticStatus.OK
+        if max(shares.values()) > MOST:
+            level = DiagnosticStatus.ERROR
+        items = {
+            "Events in window": str(window["received"]),
+            "Events since startup": str(self.total["received"]),
+            "Duration of window (s)": str(seconds),
+            "Actual frequency (Hz)": f"{window['received'] / seconds:.1f}",
+            "Lost in window": str(window["lost"]),
+            "Lost since startup": str(self.total["lost"]),
+            "Skipped in window": str(window["skipped"]),
+            "Skipped since startup": str(self.total["skipped"]),
+            "Refused in window": str(window["refused"]),
+            "Refused since startup": str(self.total["refused"]),
+            "Last reason": self.reason,
+            "Latency p99 (ms)": f"{1e3 * p99:.2f}",
+        }
+        said = "; ".join(wrong) if wrong else "as it should be" if window else "silent"
+        return diagnostics(f"{name}: {topic}", level, said, items)

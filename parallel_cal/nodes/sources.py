@@ -1,0 +1,40 @@
+"""Publishers told apart by their counts of messages, and what of theirs never came."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+REACH = 10_000  # messages that one publisher may lose in a row and still be known
+MOST = 8  # publishers of one topic that are remembered
+
+
+@dataclass(eq=False)
+class Source:
+    """A publisher: the count of its last message."""
+
+    sequence: int
+
+
+class Sources:
+    """The publishers of one topic; `lost` counts what they left out."""
+
+    def __init__(self) -> None:
+        self._known: list[Source] = []
+        self.lost = 0
+
+    def of(self, sequence: int | None) -> Source | None:
+        """Whose count this one goes on; None where messages are not counted."""
+        if not sequence:
+            return None
+        last = self._known[-1] if self._known else None
+        if last is not None and sequence == last.sequence + 1:  # as nearly always
+            last.sequence = sequence
+            return last
+        behind = [s for s in self._known if 0 < sequence - s.sequence <= REACH]
+        if not behind:
+            self._known = [*self._known[1 - MOST :], Source(sequence)]
+            return self._known[-1]
+        source = max(behind, key=lambda s: s.sequence)
+        self.lost += sequence - source.sequence - 1
+        source.sequence = sequence
+        return source
