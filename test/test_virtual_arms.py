@@ -1,10 +1,13 @@
 """Arms of six and seven joints by Denavit and Hartenberg's own matrices: found, compared, named."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import virtual_arm as va
 from arms import nominal, seen
 
+from parallel_cal.base.rotation import quaternion_to_matrix, rotation_vector
 from parallel_cal.diagnosis.catalogue import new_numbers, not_recorded, recorded
 from parallel_cal.diagnosis.comparison import compare
 from parallel_cal.diagnosis.diagnose import diagnose
@@ -94,3 +97,53 @@ def test_what_a_joint_hides_is_named(kind, effect, pose):
     assert found.effects[:1] == (effect,)
     best = found.best.fitted
     assert best.held_out.summary.position_rms < 1.3 * best.noise.position_rms
+
+
+@pytest.mark.parametrize("kind", ["ur5", pytest.param("wam", marks=pytest.mark.wide)])
+@pytest.mark.parametrize("pose", [True, False], ids=["pose", "position"])
+@pytest.mark.parametrize("frame", ["tracker", pytest.param("", marks=pytest.mark.wide)])
+def test_a_tracker_that_stands_anywhere_is_registered_and_said(kind, pose, frame):
+    robot = va.arm(kind, 1)
+    data, model = seen(va.session(robot, 80), pose, frame), nominal(kind)
+    before = compare(model, data)
+    assert 0.3e-3 < before.errors.summary.position_rms < 4e-3  # the robot's own, no more
+    where = before.registration
+    assert where.words in before.dataset.warnings
+    assert before.document()["registration"]["frame"] == (frame or "device")
+    assert np.abs(np.array(where.position) - va.FAR_AWAY.shift).max() < 20e-3
+    turned = rotation_vector(quaternion_to_matrix(where.quaternion))
+    assert np.abs(turned - va.FAR_AWAY.turned).max() < 20e-3
+    assert np.abs(np.array(where.target_position) - va.FAR_AWAY.target).max() < 5e-3
+
+    result = fit(model, data)
+    assert sum(w.startswith(f"frame '{frame or 'device'}' was registered to 'base'")
+               for w in result.warnings) == 1  # fmt: skip
+    assert result.document()["registration"]["base"] == "base"
+    assert result.held_out.summary.position_rms < 1.15 * result.noise.position_rms
+    # Nothing of the frames that the robot's own numbers say already is left free to run.
+    assert len(result.document()["unidentifiable"]) == (0 if pose else 3)
+    moved = (result.model.values - result.model.table.nominal) / result.model.table.tolerance
+    assert np.abs(moved).max() < 4
+    fresh = seen(va.session(robot, 60, 2, va.FAR_AWAY.exact()), pose, frame)
+    unseen = compare(result.model, fresh, joint_sigma=1e-5)
+    assert unseen.registration is None  # the model says where the device stands
+    assert unseen.errors.summary.position_rms < 30e-6
+
+
+def test_a_device_in_the_base_is_left_where_it_is():
+    """And so is one that a robot's errors alone put a little off."""
+    robot = va.arm("ur5", 1)
+    for frame in ("", "base"):
+        data = seen(va.session(robot, 40, 0, HERE), True, frame)
+        assert compare(nominal("ur5"), data).registration is None
+    near = va.Tracker((0.004, -0.003, 0.002), (0.002, 0.0, -0.003))
+    assert compare(nominal("ur5"), seen(va.session(robot, 40, 0, near))).registration is None
+
+
+def test_a_tracker_moved_to_another_place_is_found_again():
+    robot = va.arm("ur5", 1)
+    known = fit(nominal("ur5"), seen(va.session(robot, 60), True, "tracker"), hold_out=0).model
+    elsewhere = replace(va.FAR_AWAY, shift=(1.0, 1.5, -0.2), turned=(0.1, 0.3, -2.5))
+    again = compare(known, seen(va.session(robot, 40, 3, elsewhere), True, "tracker"))
+    assert np.abs(np.array(again.registration.position) - elsewhere.shift).max() < 20e-3
+    assert again.errors.summary.position_rms < 60e-6

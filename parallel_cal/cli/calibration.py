@@ -144,7 +144,7 @@ def compare(
     judged, dataset = model_and_data(model, bags, data)
     compared = comparison.compare(judged, dataset, joint_sigma)
     console.progress("", 1.0)
-    console.warn(dataset.warnings)
+    console.warn(compared.dataset.warnings)
     if as_json:
         return console.emit(compared.document())
     from parallel_cal.reporting import text

@@ -19,6 +19,7 @@ from parallel_cal.identification.fit import single_threaded
 from parallel_cal.identification.noise_floor import noise_floor
 from parallel_cal.identification.observations import Observations, observe
 from parallel_cal.identification.prediction_errors import ERRORS, Errors, Summary, errors
+from parallel_cal.identification.registration import Registration, registered, said
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
 
@@ -32,6 +33,7 @@ class Comparison:
     observations: Observations
     errors: Errors
     noise: Summary
+    registration: Registration | None = None
 
     @cached_property
     def scene(self) -> Scene:
@@ -95,6 +97,7 @@ class Comparison:
         document = {
             **self.errors.document(),
             "noise_floor": self.noise,
+            "registration": self.registration,
             "iso_9283": iso_9283(self.errors, self.observations),
             "samples": len(self.observations),
             "channels": self.model.structure.channels,
@@ -112,7 +115,10 @@ class Comparison:
 
 
 def compare(model: Model, dataset: Dataset, joint_sigma: float | None = None) -> Comparison:
-    """Predictions of a model beside what was measured, fitting nothing."""
+    """Predictions of a model beside what was measured, fitting nothing but the frames of a device
+    that nobody has described."""
+    model, registration = registered(model, dataset, joint_sigma)
+    dataset = said(dataset, registration)
     observations = observe(model, dataset, joint_sigma)
     with single_threaded():
         return Comparison(
@@ -121,4 +127,5 @@ def compare(model: Model, dataset: Dataset, joint_sigma: float | None = None) ->
             observations,
             errors(model, observations),
             noise_floor(model, observations),
+            registration,
         )

@@ -33,6 +33,7 @@ from parallel_cal.diagnosis.thresholds import APART, REFITTED, SIGNIFICANT
 from parallel_cal.diagnosis.verdict import Findings, Verdict, judge
 from parallel_cal.identification.fit import Result, fit, single_threaded
 from parallel_cal.identification.options import FitOptions
+from parallel_cal.identification.registration import Registration, registered, said
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
 
@@ -61,6 +62,7 @@ class Diagnosis:
     odd_samples: tuple[OddSample, ...]
     swaps: Mapping[str, list[str]]
     robot_or_device: tuple[str, ...]
+    registration: Registration | None
     measure_next: NextMeasurement
 
     @property
@@ -106,6 +108,7 @@ class Diagnosis:
             "structure": self.structure,
             "odd_samples": self.odd_samples,
             "measure_next": self.measure_next,
+            "registration": self.registration,
             "warnings": best.warnings,
             "dataset": {"source": self.dataset.source, "sha256": self.dataset.sha256},
         }
@@ -132,6 +135,8 @@ def diagnose(
     """
     report = progress or (lambda stage, fraction: None)
     options = replace(options or FitOptions(), **changes)
+    model, registration = registered(model, dataset, options.joint_sigma, options)
+    dataset = said(dataset, registration)
     if options.loss != "linear":
         first = fit(model, dataset, options, hold_out=0)
         dataset = dataset.excluding(
@@ -198,6 +203,7 @@ def diagnose(
             odd_samples=odd_samples(best.scene, left),
             swaps=swaps,
             robot_or_device=tuple(doubtful),
+            registration=registration,
             measure_next=next_measurement(best, rivals, ranked),
         )
 

@@ -35,6 +35,7 @@ from parallel_cal.identification.observations import Observations, observe
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.prediction_errors import Errors, Summary, errors, improvement
 from parallel_cal.identification.refit import considered
+from parallel_cal.identification.registration import Registration, registered, said
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
 
@@ -62,6 +63,7 @@ class Result:
     observations: Observations
     dataset: Dataset
     warnings: tuple[str, ...]
+    registration: Registration | None = None
 
     @property
     def refit(self) -> tuple[str, ...]:
@@ -131,6 +133,7 @@ class Result:
             "refit": list(self.refit),
             "down_weighted": plain(self.down_weighted),
             "iterations": self.estimate.iterations,
+            "registration": plain(self.registration),
             "warnings": list(self.warnings),
             "dataset": {"source": self.dataset.source, "sha256": self.dataset.sha256},
         }
@@ -199,6 +202,8 @@ def fit(
     """
     options = replace(options or FitOptions(), **changes)
     report = progress or (lambda stage, fraction: None)
+    model, registration = registered(model, dataset, options.joint_sigma, options)
+    dataset = said(dataset, registration)
     mask, partial = chosen_parameters(model, options)
     estimate_with = estimator(options.method, options.prior, options.loss)
     if partial:
@@ -240,6 +245,7 @@ def fit(
         held_out=held_out,
         observations=observations,
         dataset=dataset,
+        registration=registration,
         warnings=(
             *dataset.warnings,
             *on_parameters(fitted, estimate, mask),

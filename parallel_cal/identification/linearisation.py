@@ -72,15 +72,19 @@ class Linearisation:
         self._complete = not (self._unknown.any() or self._unread.any())
 
     def start(self) -> np.ndarray:
-        """The measured configurations; where nothing of a pose was measured, the model's own."""
+        """The measured configurations; coordinates that were not measured, and orientations of
+        which nothing was, are the model's own."""
         x, n = self._observations.x.copy(), self._n
-        blind = self._unknown[:, [n + i for i in self._model.mechanism.moved]].all(axis=1)
-        if blind.any():
+        unplaced, unturned = self._unknown[:, n : n + 3], self._unknown[:, n + 3 :].all(axis=1)
+        blind = np.flatnonzero(unplaced.any(axis=1) | unturned)
+        if len(blind):
             at = dict(zip(self._model.conditions, self._observations.a[blind].T, strict=True))
             pose = shown(self._model, Kinematics(self._model).direct(x[blind, :n], at))
-            rows = pose.configuration.rows
-            solved = np.isfinite(rows).all(axis=1)
-            x[np.flatnonzero(blind)[solved]] = rows[solved]
+            own, here = pose.configuration.rows, x[blind]
+            solved = np.isfinite(own).all(axis=1)[:, None]
+            turned = np.repeat(unturned[blind, None], 9, axis=1)
+            taken = np.hstack([np.zeros((len(blind), n), bool), unplaced[blind], turned])
+            x[blind] = np.where(taken & solved, own, here)
         return x
 
     def __call__(self, values: np.ndarray, x: np.ndarray) -> System:

@@ -34,3 +34,9 @@ INDEPENDENT = 1e-11  # of the largest singular value, every column brought to le
 CLOSED = 1e-11  # m: residual of a pose that counts as consistent
 PART_OF_TRAVEL = 0.15  # of each joint's range, to both sides of home
 FRAME_UNIT = 1e-3  # m, and rad at the mechanism's length: what a frame's error is counted in
+
+# Where a device stands that nobody has described
+FAR_OFF, EXPLAINS = 3.0, 10.0  # times what tolerances let poses be off, and times what is then left
+OUTLYING = 6.0  # times the usual distance: such poses have no say in it
+PLAIN = 1e-9  # of the largest singular value: below, no pose tells
+ADDS = 1e-4  # of a unit column: what a frame's number says that the robot's do not

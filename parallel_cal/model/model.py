@@ -133,15 +133,33 @@ class Model:
 
     def with_effects(self, effects: tuple[Effect, ...]) -> Model:
         """The model with these effects; numbers that it has already keep value and mask."""
-        table = structure_of(self.mechanism, effects, self.sensors).table
+        return self._with_parts(effects, self.sensors)
+
+    def with_sensors(self, sensors: tuple[Sensor, ...]) -> Model:
+        """The model with these sensors; numbers that it has already keep value, mask and
+        covariance."""
+        changed = self._with_parts(self.effects, sensors)
+        if self.covariance is None:
+            return changed
+        own, names = self.table.names, changed.table.names
+        kept = [i for i, name in enumerate(names) if name in own]
+        before = [own.index(names[i]) for i in kept]
+        covariance = np.zeros((len(names), len(names)))
+        covariance[np.ix_(kept, kept)] = np.asarray(self.covariance)[np.ix_(before, before)]
+        return replace(changed, covariance=covariance)
+
+    def _with_parts(self, effects: tuple[Effect, ...], sensors: tuple[Sensor, ...]) -> Model:
+        table = structure_of(self.mechanism, effects, sensors).table
         known = dict(zip(self.table.names, zip(self.values, self.fixed, strict=True), strict=True))
-        given = table.matching(pattern for effect in effects for pattern in effect.known())
+        parts: tuple[Effect | Sensor, ...] = (*effects, *sensors)
+        given = table.matching(p for part in parts for p in part.known())
         fresh = zip(table.nominal, given, strict=True)
         kept = [known.get(p.name, new) for p, new in zip(table, fresh, strict=True)]
         values, fixed = (np.array(column) for column in zip(*kept, strict=True))
         return replace(
-            self, effects=effects, values=values, fixed=fixed.astype(bool), covariance=None
-        )
+            self, effects=effects, sensors=sensors, values=values, fixed=fixed.astype(bool),
+            covariance=None,
+        )  # fmt: skip
 
     def widened(self) -> Model:
         """The same robot in the next larger model (delta24 -> delta54): equal poses.

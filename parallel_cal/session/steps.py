@@ -75,7 +75,9 @@ def added(model: Model, effect: str, dataset: Dataset, force: bool = False, **op
     model.with_effect(name)  # a wrong name is better said before a search
     scene = Scene.of(base.model, base.dataset, base.observations, base.free)
     one = candidate(scene, name)  # with the settings that fit best to what the base leaves
-    result = fit(model.with_effect(name, settings or one.settings), dataset, **options)
+    # From where the base began, so that a device's frame lies where it was found there.
+    result = fit(base.start.with_effect(name, settings or one.settings), base.dataset, **options)
+    result = replace(result, registration=base.registration)
     found = acceptance(result, base, f" with '{name}'")
     if not found.against and imitated(scene, [one], _device(scene)):
         found = replace(found, against=robot_or_device(name))
@@ -92,9 +94,10 @@ def removed(
     model: Model, effect: str, dataset: Dataset, force: bool = False, **options: Any
 ) -> Step:
     """Identify anew without one of the effects; FitError when that costs accuracy."""
-    smaller = model.without_effect(effect)
+    model.without_effect(effect)  # a wrong name is better said before a fit
     with_it = fit(model, dataset, **options)
-    result = fit(smaller, dataset, **options)
+    result = fit(with_it.start.without_effect(effect), with_it.dataset, **options)
+    result = replace(result, registration=with_it.registration)
     found = acceptance(result, with_it, f" without '{effect}'", NEGLIGIBLE)
     return _step("remove", result, _judged(found, force), with_it, effect)
 
@@ -131,5 +134,6 @@ def _unusual(result: Result) -> dict[str, Any]:
     """What was not plain least squares of all free parameters on all samples."""
     loss = result.options.loss if result.options.loss != "linear" else None
     samples = [doubted.sample for doubted in result.down_weighted]
-    how = {"loss": loss, "refit": list(result.refit), "down_weighted": samples}
+    how: dict[str, Any] = {"loss": loss, "refit": list(result.refit), "down_weighted": samples}
+    how["registered"] = result.registration.words if result.registration else None
     return {key: value for key, value in how.items() if value}

@@ -1,0 +1,404 @@
+"""Where a pose device stands and where its target sits, when nobody has said: found from poses.
+
+Measured and predicted poses differ by the frames alone: r + R t = F r' + f, R T = F R'. A linear
+start and a descent over rotations find them (Kabsch's problem with an unknown target; AX = YB);
+what the robot itself errs by stays.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from parallel_cal.base.rotation import (
+    matrix_to_quaternion,
+    quaternion_to_matrix,
+    rotation_matrix,
+    rotation_vector,
+)
+from parallel_cal.identification.checks import free_mask
+from parallel_cal.identification.linearisation import Linearisation
+from parallel_cal.identification.methods import implicit
+from parallel_cal.identification.observability import independent
+from parallel_cal.identification.observations import Observations, observe
+from parallel_cal.identification.options import FitOptions
+from parallel_cal.identification.predictions import condition_columns, predicted
+from parallel_cal.identification.thresholds import (
+    ADDS,
+    EXPLAINS,
+    FAR_OFF,
+    NEWTON_STEP,
+    OUTLYING,
+    PLAIN,
+)
+from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.model.configuration import Configuration
+from parallel_cal.model.model import Model
+from parallel_cal.model.shelf import load_sensor
+from parallel_cal.recordings.dataset import Dataset
+
+SENSOR = "device_frame"
+STEPS = 60
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class Frames:
+    """{B} -> {device} (f, F) and {P} -> {target} (t, T): positions (3,) m, rotations (3, 3)."""
+
+    f: Array
+    F: Array
+    t: Array
+    T: Array
+
+    def moved(self, step: Array) -> Frames:
+        """After a small step (12,) of f, F (a left turn), t, T (a left turn)."""
+        F, T = rotation_matrix(step[3:6]) @ self.F, rotation_matrix(step[9:]) @ self.T
+        return Frames(self.f + step[:3], F, self.t + step[6:9], T)
+
+
+NOWHERE_ELSE = Frames(np.zeros(3), np.eye(3), np.zeros(3), np.eye(3))
+
+
+@dataclass(frozen=True)
+class Registration:
+    """How a device's frame was found to lie in the base, and its target in the platform.
+
+    `why` says what it was looked for; positions in m, quaternions x y z w.
+    """
+
+    frame: str
+    base: str
+    platform: str
+    why: str
+    position: tuple[float, ...]
+    quaternion: tuple[float, ...]
+    target_position: tuple[float, ...]
+    target_quaternion: tuple[float, ...]
+
+    @property
+    def words(self) -> str:
+        """`frame 'tracker' was registered to 'base': 2.1 -1.3 0.4 m, rotation 3 -4 115 deg ...`"""
+        turned = [_degrees(q) for q in (self.quaternion, self.target_quaternion)]
+        target = " ".join(f"{1e3 * v:.2f}" for v in self.target_position)
+        also = f", rotation {turned[1]} deg" if turned[1] != "0.000 0.000 0.000" else ""
+        return (
+            f"frame '{self.frame}' was registered to '{self.base}' ({self.why}): "
+            f"{' '.join(f'{v:.5f}' for v in self.position)} m, rotation {turned[0]} deg; "
+            f"its target in '{self.platform}': {target} mm{also}"
+        )
+
+    def document(self) -> dict[str, Any]:
+        return dict(vars(self))
+
+
+def _degrees(quaternion: tuple[float, ...]) -> str:
+    vector = np.degrees(rotation_vector(quaternion_to_matrix(quaternion)))
+    return " ".join(f"{v + 0.0:.3f}" for v in np.round(vector, 3))
+
+
+def registered(
+    model: Model,
+    dataset: Dataset,
+    joint_sigma: float | None = None,
+    options: FitOptions | None = None,
+) -> tuple[Model, Registration | None]:
+    """The model with the sensor `device_frame` where the poses come in a frame that is not its
+    base, or lie so far off that only frames explain it; the same model where neither is so.
+
+    Where a fit follows, with `options`, the robot's free numbers share in the fit of the frames;
+    those numbers of the frames stay free that the robot's do not already say.
+    """
+    frame, base = dataset.frame or "device", model.frames["base"]
+    described = _device(model) is not None
+    observations = observe(model, dataset, joint_sigma)
+    there = _Poses.of(model, observations)
+    elsewhere = dataset.frame not in ("", base) and not described
+    if there is None or not (elsewhere or there.off):
+        return model, None
+    found = there.frames()
+    if not (elsewhere or there.explained(found)):
+        return model, None
+    placed = _with_frames(model, found)
+    if options is not None:
+        placed = _settled(placed, observations, options)
+    why = "another frame" if elsewhere else "in its own, nothing fitted"
+    return placed, _registration(placed, frame, why)
+
+
+def said(dataset: Dataset, registration: Registration | None) -> Dataset:
+    """The dataset with a word on where its poses were found to lie."""
+    if registration is None:
+        return dataset
+    return replace(dataset, warnings=(*dataset.warnings, registration.words))
+
+
+@dataclass(frozen=True)
+class _Poses:
+    """Poses as predicted in {B} and as the device shows them; `placed` and `turned` (N,) say
+    which positions and orientations were measured. Lengths of an angle are `length` times it."""
+
+    r: Array
+    R: Array
+    seen_r: Array
+    seen_R: Array
+    placed: Array
+    turned: Array
+    length: float
+    turns: bool
+    now: Frames  # as the model has them
+    expected: Array  # rms (2,) of position and `length` times orientation that tolerances allow
+
+    @classmethod
+    def of(cls, model: Model, observations: Observations) -> _Poses | None:
+        """None where too little was measured, or the model moves nothing of it."""
+        n, m = len(model.joints), model.mechanism
+        seen = Configuration.from_rows(observations.x)
+        reached = Kinematics(model).direct(seen.q, condition_columns(model, observations))
+        solved = reached.solved
+        moves = [any(i in m.moved for i in part) for part in (range(3), range(3, 6))]
+        placed = solved & observations.measured[:, n : n + 3].all(axis=1) & moves[0]
+        turned = solved & observations.measured[:, n + 3 :].all(axis=1)
+        if max(placed.sum(), turned.sum() * moves[1]) < 4:
+            return None
+        C, J = model.structure.jacobians(reached.configuration.rows, observations.a, model.values)
+        moved = [n + i for i in m.moved]
+        free = ~np.asarray(model.fixed) & (model.table.tolerance > 0)
+        with np.errstate(all="ignore"):
+            by = np.linalg.pinv(np.nan_to_num(C[:, :, moved])) @ np.nan_to_num(J[:, :, free])
+        spread = np.zeros((len(C), 6))
+        frame = model.table.tolerance[_numbers(model)]
+        turned_by = np.array([p.unit == "rad" for p in model.table])[_numbers(model)]
+        shifts, turns = (np.sum(frame[k] ** 2) for k in (~turned_by, turned_by))
+        reach = float(np.median(np.linalg.norm(seen.r[placed], axis=1))) if placed.any() else 0.0
+        spread[:, m.moved] = np.sqrt(np.sum((by * model.table.tolerance[free]) ** 2, axis=2))
+        sizes = [
+            np.sqrt(np.median(np.sum(spread[solved][:, part] ** 2, axis=1)) + more)
+            for part, more in ((slice(3), shifts + turns * reach**2), (slice(3, 6), turns))
+        ]
+        return cls(
+            reached.position, reached.rotation, seen.r, seen.R, placed, turned, m.length,
+            moves[1], _frames_of(model), np.array([sizes[0], m.length * sizes[1]]),
+        )  # fmt: skip
+
+    def frames(self) -> Frames:
+        """Those that bring measured and predicted poses nearest to each other, the odd tenth of
+        them left out of the last word."""
+        everything = np.ones(len(self.r), dtype=bool)
+        ends = [self._descended(start, everything) for start in self._starts()]
+        best = min(ends, key=lambda end: float(np.median(self._sizes(end))))
+        sizes = self._sizes(best)
+        return self._descended(best, sizes <= OUTLYING * np.median(sizes[self._used]))
+
+    @property
+    def off(self) -> bool:
+        """Whether positions, or orientations, are further off than the robot's tolerances let
+        them be."""
+        return bool((self._usual(self.now) > FAR_OFF * self.expected).any())
+
+    def explained(self, found: Frames) -> bool:
+        """Whether frames explain most of that."""
+        before, after = self._usual(self.now), self._usual(found)
+        off = before > FAR_OFF * self.expected
+        return bool((off & (before > EXPLAINS * after)).any())
+
+    @property
+    def _used(self) -> Array:
+        return np.asarray(self.placed | self.turned)
+
+    def _usual(self, frames: Frames) -> Array:
+        """Median (2,) of position, and of length times orientation; 0 where not measured."""
+        sizes = np.linalg.norm(self._residual(frames).reshape(-1, 2, 3), axis=2)
+        masks = (self.placed, self.turned)
+        return np.array([np.median(sizes[k, i]) if k.any() else 0.0 for i, k in enumerate(masks)])
+
+    def _sizes(self, frames: Frames) -> Array:
+        return np.asarray(np.linalg.norm(self._residual(frames), axis=1))
+
+    def _residual(self, frames: Frames) -> Array:
+        """(N, 6): position (m), then orientation times length; zero where not measured."""
+        place = self.seen_r @ frames.F.T + frames.f - self.r - self.R @ frames.t
+        turn = rotation_vector(frames.F @ self.seen_R @ (self.R @ frames.T).transpose(0, 2, 1))
+        place = np.where(self.placed[:, None], place, 0.0)
+        turn = np.where(self.turned[:, None], self.length * turn, 0.0)
+        return np.nan_to_num(np.hstack([place, turn]))
+
+    def _descended(self, frames: Frames, used: Array) -> Frames:
+        """Gauss-Newton over the frames; what no pose tells stays as it is."""
+        for _ in range(STEPS):
+            residual = self._residual(frames)[used].ravel()
+            J = self._jacobian(frames)[used].reshape(len(residual), 12)
+            step = -np.linalg.lstsq(J, residual, rcond=PLAIN)[0]
+            frames = frames.moved(np.clip(step, -1, 1))
+            if np.abs(step).max() < NEWTON_STEP:
+                break
+        return frames
+
+    def _jacobian(self, frames: Frames) -> Array:
+        """d residual / d (f, F, t, T): (N, 6, 12)."""
+        J, R = np.zeros((len(self.r), 6, 12)), np.nan_to_num(self.R)
+        J[:, :3, :3] = np.eye(3)
+        J[:, :3, 3:6] = -_cross(self.seen_r @ frames.F.T)
+        J[:, :3, 6:9] = -R if self.turns else 0.0
+        J[:, 3:, 3:6] = self.length * np.eye(3)
+        J[:, 3:, 9:] = -self.length * R if self.turns else 0.0
+        J[:, :3] *= self.placed[:, None, None]
+        J[:, 3:] *= self.turned[:, None, None]
+        return J
+
+    def _starts(self) -> list[Frames]:
+        """From positions with the target in {P}'s origin, and anywhere; from orientations."""
+        starts = [self.now]
+        if self.placed.sum() >= 3:
+            starts.append(self._from_positions(np.zeros(3)))
+            if self.turns:
+                starts.append(self._from_positions(self._linear_target()))
+        if self.turns and self.turned.sum() >= 3:
+            R, seen = self.R[self.turned], self.seen_R[self.turned]
+            # The sum of tr(F R' T^T R^T) is vec(F)^T K vec(T): its greatest pair of vectors.
+            K = np.einsum("nac,nbd->abcd", R, seen).reshape(9, 9)
+            left = np.linalg.svd(K)[0]
+            for sign in (1, -1):
+                F = _nearest_rotation(sign * left[:, 0].reshape(3, 3))
+                starts.append(self._around(F))
+        return starts
+
+    def _from_positions(self, t: Array) -> Frames:
+        """Kabsch's rotation for a target at t in {P}."""
+        ours = (self.r + self.R @ t)[self.placed]
+        theirs = self.seen_r[self.placed]
+        F = _nearest_rotation((ours - ours.mean(axis=0)).T @ (theirs - theirs.mean(axis=0)))
+        return self._around(F, t)
+
+    def _linear_target(self) -> Array:
+        """t of the 15 numbers that solve M r' + f = r + R t, M any matrix."""
+        ours, theirs, R = (a[self.placed] for a in (self.r, self.seen_r, self.R))
+        n = len(ours)
+        A = np.zeros((n, 3, 15))
+        for i in range(3):
+            A[:, i, 3 * i : 3 * i + 3] = theirs
+        A[:, :, 9:12], A[:, :, 12:] = np.eye(3), -R
+        return np.asarray(np.linalg.lstsq(A.reshape(-1, 15), ours.ravel(), rcond=PLAIN)[0][12:])
+
+    def _around(self, F: Array, t: Array | None = None) -> Frames:
+        """The other frames that go with F."""
+        T = np.eye(3)
+        if self.turned.any() and self.turns:
+            R, seen = self.R[self.turned], self.seen_R[self.turned]
+            T = _nearest_rotation((R.transpose(0, 2, 1) @ F @ seen).sum(axis=0))
+        if not self.placed.any():
+            return Frames(np.zeros(3), F, np.zeros(3), T)
+        away = (self.r - self.seen_r @ F.T)[self.placed]
+        if t is None:
+            n = len(away)
+            A = np.concatenate([np.tile(np.eye(3), (n, 1, 1)), -self.R[self.placed]], axis=2)
+            both = np.linalg.lstsq(A.reshape(-1, 6), away.ravel(), rcond=PLAIN)[0]
+            return Frames(both[:3], F, both[3:], T)
+        return Frames((away + self.R[self.placed] @ t).mean(axis=0), F, t, T)
+
+
+def _cross(v: Array) -> Array:
+    """(N, 3, 3) with cross(v) w = v x w."""
+    zero = np.zeros(len(v))
+    x, y, z = np.nan_to_num(v).T
+    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
+    return np.moveaxis(np.array(rows), -1, 0)
+
+
+def _nearest_rotation(M: Array) -> Array:
+    """The rotation R for which tr(R^T M) is greatest."""
+    left, _, right = np.linalg.svd(M)
+    return np.asarray(left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right)
+
+
+def _with_frames(model: Model, frames: Frames) -> Model:
+    """The model whose sensor `device_frame` has these frames as nominal ones."""
+    now: Any = _device(model) or load_sensor(SENSOR)
+    sensor = replace(
+        now,
+        position=_tuple(frames.f),
+        quaternion=_tuple(matrix_to_quaternion(frames.F)),
+        target_position=_tuple(frames.t),
+        target_quaternion=_tuple(matrix_to_quaternion(frames.T)),
+    )
+    others = tuple(s for s in model.sensors if s.name != SENSOR)
+    model = model.with_sensors((*others, sensor))
+    own = [
+        name.startswith(("device_frame.frame.", "device_frame.target."))
+        for name in model.table.names
+    ]
+    return model.with_values(np.where(own, 0.0, model.values), model.covariance)
+
+
+def _tuple(values: Array) -> Any:
+    return tuple(float(v) for v in values)
+
+
+def _device(model: Model) -> Any:
+    """The sensor that says where the pose device stands; None where the model has none."""
+    known = [sensor for sensor in model.sensors if sensor.name == SENSOR]
+    return known[0] if known else None
+
+
+def _numbers(model: Model) -> Array:
+    """Mask of that sensor's numbers."""
+    return np.array([name.startswith(f"{SENSOR}.") for name in model.table.names])
+
+
+def _settled(model: Model, observations: Observations, options: FitOptions) -> Model:
+    """The frames where the robot is nearest to nominal; free are those of their numbers that what
+    is free of the robot does not say already."""
+    own = _numbers(model)
+    if options.refit:
+        free = model.table.matching(options.refit) | own
+    else:
+        free = free_mask(model, options.free, options.fix)
+    if not (free & own).any():
+        return model
+    found = implicit.estimate(model, observations, free, prior=None)
+    model = _with_frames(model, _frames_of(model.with_values(found.values)))
+    robot = np.where(own, 0.0, found.values)
+    linearise = Linearisation(model, observations, free, weighted=True)
+    # Where the closure holds: elsewhere equal motions differ a little.
+    system = linearise(robot, predicted(model.with_values(robot), observations))
+    columns = system.columns * model.table.tolerance[free]
+    order = np.argsort(own[free], kind="stable")  # the robot's first
+    sizes = np.linalg.norm(columns, axis=0)
+    unit = columns / np.where(sizes > PLAIN * sizes.max(), sizes, np.inf)
+    adds = np.zeros(int(free.sum()), dtype=bool)
+    adds[order] = independent(np.asarray(np.linalg.qr(unit[:, order], mode="r")), ADDS)
+    fixed = model.fixed.copy()
+    fixed[np.flatnonzero(free)[own[free] & ~adds]] = True
+    return replace(model, fixed=fixed)
+
+
+def _frames_of(model: Model) -> Frames:
+    """The frames that a model's sensor says, those of the base and the platform without one."""
+    device = _device(model)
+    if device is None:
+        return NOWHERE_ELSE
+    numbers, parts = model.table.mapping(model.values), []
+    for name, position, quaternion in (
+        ("frame", device.position, device.quaternion),
+        ("target", device.target_position, device.target_quaternion),
+    ):
+        shift, turn = (
+            np.array([numbers.get(f"device_frame.{name}.{kind}{a}", 0.0) for a in "xyz"])
+            for kind in ("", "r")
+        )
+        angle = np.linalg.norm(turn)  # Cayley's: 2 tan(angle / 2) along the axis
+        vector = turn * (2 * np.arctan(angle / 2) / angle if angle > 0 else 1.0)
+        R = rotation_matrix(vector) @ quaternion_to_matrix(quaternion)
+        parts += [np.array(position) + shift, R]
+    return Frames(*parts)
+
+
+def _registration(model: Model, frame: str, why: str) -> Registration:
+    sensor: Any = _device(model)
+    base, platform = model.frames["base"], model.frames["platform"]
+    return Registration(
+        frame, base, platform, why, sensor.position, sensor.quaternion, sensor.target_position,
+        sensor.target_quaternion,
+    )  # fmt: skip
