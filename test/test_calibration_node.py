@@ -22,6 +22,8 @@ pytest.importorskip("parallel_cal_msgs")
 
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetState
 from parallel_cal_msgs.action import Identify
 from parallel_cal_msgs.msg import CollectionStatus, ModelStatus
 from parallel_cal_msgs.srv import (
@@ -74,7 +76,8 @@ class Robot:
         self.processes = []
         shutil.copy(PRESET, self.model_file)
         for node in ("kinematics_node", "calibration_node"):
-            self.start(node, model_file=str(self.model_file))
+            files = {"model_file": str(self.model_file), "allowed_folders": f"{folder}:/no"}
+            self.start(node, **files)
         self.client = Client("tester", self.namespace, self.processes)
         self.latched = {
             "status": self.client.latest(CollectionStatus, "calibration_node/collection_status"),
@@ -244,13 +247,25 @@ def test_a_bad_model_file_is_a_message(full):
     assert not full.call(Compare, "compare", model_file=str(path)).success
 
 
+def test_no_request_overwrites_what_is_not_of_its_kind_or_lies_elsewhere(full):
+    before = full.model_file.read_bytes()
+    for path in (str(full.model_file), "/dev/null", str(full.folder / ".." / "x.json")):
+        answer = full.call(SaveSamples, "save_samples", path=path)
+        assert not answer.success
+        assert "no samples file" in answer.message or "allowed_folders" in answer.message
+    result = full.identified(output_file=str(full.folder / "s.json"), force=True)
+    assert "no model file" in result.message
+    assert full.model_file.read_bytes() == before
+    refused = full.call(AddEffect, "add_effect", effect="antigravity.effect")
+    assert "allow_foreign_modules" in refused.message
+
+
 def test_odd_goals_are_messages(full):
     model = full.fresh_model("odd.yaml")
     goals = [
         {"method": "magic"},
         {"fix": ["nothing.*"]},
         {"hold_out": 7.0},
-        {"hold_out": -1.0},
         {"joint_sigma": -1.0},
         {"joint_sigma": float("nan")},
         {"joint_sigma": float("inf")},
@@ -281,6 +296,43 @@ def test_an_identified_model_is_written_and_served_under_the_same_hash(full):
     )
     full.client.wait(lambda: full.result()["hash"] == result.hash, "the latched result")
     assert full.result()["document"] == json.loads(result.json)
+
+
+def test_a_hold_out_of_zero_is_the_parameter_and_below_it_only_force_writes(full):
+    model = full.fresh_model("held.yaml")
+    before = Path(model).read_bytes()
+    none = full.identified(model_file=model, hold_out=-1.0)
+    assert not none.success
+    assert "nothing was written" in none.message
+    assert Path(model).read_bytes() == before
+    usual = full.identified(model_file=model)
+    assert usual.success, usual.message
+    assert usual.held_out_after < 35e-6
+    full.identified(model_file=full.fresh_model("other.yaml"))
+    after = Path(full.folder / "other.yaml").read_bytes()
+    undone = full.call(Trigger, "undo")
+    assert undone.success, undone.message
+    assert Path(full.folder / "other.yaml").read_bytes() == PRESET.read_bytes()
+    assert Path(full.folder / "other.yaml.previous").read_bytes() == after
+
+
+def test_a_node_that_is_deactivated_collects_nothing_and_goes_on_when_active(full):
+    def change(to):
+        request = {"transition": Transition(id=to)}
+        assert full.client.call(ChangeState, "calibration_node/change_state", **request).success
+
+    state = full.client.call(GetState, "calibration_node/get_state").current_state
+    assert state.label == "active"
+    change(Transition.TRANSITION_DEACTIVATE)
+    publisher = full.client._node.create_publisher(JointState, "joint_states", 10)
+    full.client.wait(lambda: publisher.get_subscription_count() > 0, "the node")
+    before = full.call(ListSamples, "list_samples").status.joint_states_received
+    for _ in range(20):
+        publisher.publish(JointState(name=["joint1"], position=[0.0]))
+    assert publisher.wait_for_all_acked()
+    assert full.call(ListSamples, "list_samples").status.joint_states_received == before
+    change(Transition.TRANSITION_ACTIVATE)
+    full.client._node.destroy_publisher(publisher)
 
 
 def test_a_model_that_is_as_good_already_is_refused_unless_forced(full):
@@ -409,7 +461,8 @@ def test_samples_outlive_their_node_however_it_ends_until_they_are_saved(tmp_pat
     namespace = played(tmp_path, CLEAN, by)
     folder = str(tmp_path / "j")
     for expected in (94, 0):  # the second time they were saved
-        node = Process("calibration_node", tmp_path, namespace, journal_folder=folder)
+        files = {"journal_folder": folder, "allowed_folders": str(tmp_path)}
+        node = Process("calibration_node", tmp_path, namespace, **files)
         client = Client("tester", namespace, [node])
         status = client.latest(CollectionStatus, "calibration_node/collection_status")
         client.wait(lambda s=status: bool(s), "a status")
@@ -499,7 +552,10 @@ def test_with_a_clock_that_stands_still_a_topic_of_another_type_is_told_and_path
     os.environ["HOME"] = str(tmp_path)
     shutil.copy(PRESET, tmp_path / "robot.yaml")
     namespace = own_domain() + "_still"
-    parameters = {"model_file": "~/robot.yaml", "use_sim_time": True}
+    allowed = f"~:{REPOSITORY}"
+    parameters = {
+        "model_file": "~/robot.yaml", "use_sim_time": True, "allowed_folders": allowed
+    }  # fmt: skip
     node = Process("calibration_node", tmp_path, namespace, **parameters)
     client = Client("tester", namespace, [node])
     status = client.latest(CollectionStatus, "calibration_node/collection_status")

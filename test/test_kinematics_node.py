@@ -25,7 +25,13 @@ from geometry_msgs.msg import (
     PoseWithCovarianceStamped,
     Quaternion,
 )
-from parallel_cal_msgs.msg import Condition, JointConfiguration, ModelStatus, Solution
+from parallel_cal_msgs.msg import (
+    CommandStatus,
+    Condition,
+    JointConfiguration,
+    ModelStatus,
+    Solution,
+)
 from parallel_cal_msgs.srv import ComputeFK, ComputeIK, LoadModel
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, SetParameters, SetParametersAtomically
@@ -78,7 +84,8 @@ class Robot:
         self.known = {}
         shutil.copy(NOMINAL, self.file)
         self.learn(NOMINAL), self.learn(IDENTIFIED)
-        self.process = NodeProcess(NODE, folder, self.namespace, model_file=str(self.file))
+        files = {"model_file": str(self.file), "allowed_folders": f"{folder}:{CONFIG}"}
+        self.process = NodeProcess(NODE, folder, self.namespace, **files)
         self.client = Client("tester", self.namespace, [self.process])
         self.status = self.client.latest(ModelStatus, f"{NODE}/model_status")
         self.diagnostics = {}
@@ -355,6 +362,24 @@ def test_the_same_file_again_is_said_to_be_the_same(robot):
     assert "same content" in robot.call(Trigger, "reload").message
 
 
+def test_files_outside_the_allowed_folders_and_modules_of_strangers_are_refused(robot):
+    (robot.folder / "link.yaml").symlink_to("/etc/passwd")
+    for path in (
+        "/etc/passwd",
+        "/dev/zero",
+        f"{robot.folder}/../x.yaml",
+        robot.folder / "link.yaml",
+    ):
+        refused = robot.call(LoadModel, "load_model", path=str(path))
+        assert not refused.success
+        assert "not in a folder that requests may use" in refused.message
+        assert "allowed_folders" in robot.set(model_file=path).reason
+    (robot.folder / "foreign.yaml").write_text("parallel_cal: 1\nmechanism: antigravity.robot\n")
+    refused = robot.call(LoadModel, "load_model", path=str(robot.folder / "foreign.yaml"))
+    assert "allow_foreign_modules" in refused.message
+    assert "allow_foreign_modules" in robot.fk([0.5] * 3, solver="antigravity.robot").message
+
+
 # ------------------------------------------------------------------ streams
 
 
@@ -446,6 +471,8 @@ def test_a_topic_that_is_published_with_another_type_is_told(robot):
 def test_a_target_becomes_the_command_of_the_calibrated_inverse_and_others_nothing(robot):
     targets = robot.client._node.create_publisher(PoseStamped, "target_pose", 10)
     heard = heard_on(robot, JointTrajectory, "joint_command")
+    spoken = heard_on(robot, CommandStatus, f"{NODE}/command_status")
+    be_at(robot, robot.kinematics.inverse(np.array([0.0101, 0.02, 0.2])).joints)
     good = PoseStamped(pose=pose((0.01, 0.02, 0.2)))
     good.header.frame_id = "base"
     publish_until(robot, targets, good, heard)
@@ -454,6 +481,9 @@ def test_a_target_becomes_the_command_of_the_calibrated_inverse_and_others_nothi
     assert heard[0].joint_names == NAMES
     assert list(point.positions) == expected.joints.tolist()
     assert point.time_from_start.nanosec == 100_000_000
+    robot.client.wait(lambda: bool(spoken), "its status")
+    assert (spoken[-1].status, spoken[-1].message) == (CommandStatus.ACCEPTED, "")
+    assert spoken[-1].singularity > 0.1
     bad = {
         "unreachable": PoseStamped(pose=pose((0, 0, 0.9))),
         "not finite": PoseStamped(pose=pose((0, 0, np.nan))),
@@ -469,6 +499,37 @@ def test_a_target_becomes_the_command_of_the_calibrated_inverse_and_others_nothi
         told = robot.wait_for_diagnosis("traffic", lambda s, n=before: refused(robot) == n + 1)
         assert reason in told["target_pose refused: last reason"]
         assert len(heard) == commands
+        robot.client.wait(lambda r=reason: r in spoken[-1].message, "the status of the target")
+        assert spoken[-1].status == CommandStatus.REFUSED
+
+
+def be_at(robot, q):
+    """Let the node know that the robot is at joints q: a pose comes of it."""
+    publisher = robot.client._node.create_publisher(JointState, "joint_states", 10)
+    heard = heard_on(robot, PoseStamped, f"{NODE}/pose")
+    publish_until(robot, publisher, JointState(name=NAMES, position=list(map(float, q))), heard)
+
+
+def test_a_jump_is_given_the_time_it_needs_and_one_out_of_the_workspace_is_refused(robot):
+    """120 mm in 0.1 s used to be passed on."""
+    targets = robot.client._node.create_publisher(PoseStamped, "target_pose", 10)
+    heard = heard_on(robot, JointTrajectory, "joint_command")
+    told = heard_on(robot, CommandStatus, f"{NODE}/command_status")
+    here, there = np.array([-0.05, -0.05, 0.2]), np.array([0.035, 0.035, 0.2])
+    q = robot.kinematics.inverse(here).joints
+    be_at(robot, q)
+    publish_until(robot, targets, PoseStamped(pose=pose(there)), heard)
+    low, high = np.array(robot.kinematics.model.mechanism.joint_limits).T
+    goal = robot.kinematics.inverse(there).joints
+    needed = float(np.max(1.5 * np.abs(goal - q) / (high - low)))
+    given = heard[-1].points[0].time_from_start
+    assert given.sec + given.nanosec * 1e-9 == pytest.approx(needed, rel=1e-6)
+    robot.client.wait(lambda: told and told[-1].status == CommandStatus.SLOWED, "the status")
+    assert "velocity" in told[-1].message
+    targets.publish(PoseStamped(pose=pose((0.0, 0.0, 0.262))))
+    robot.client.wait(lambda: told[-1].status == CommandStatus.REFUSED, "the refusal")
+    assert "workspace" in told[-1].message
+    assert all(list(command.points[0].positions) == goal.tolist() for command in heard)
 
 
 def all_answered(robot, channel):
@@ -529,7 +590,9 @@ def test_a_parameter_that_is_not_allowed_is_refused_while_running(robot):
         refused = robot.set(time_from_start=value)
         assert not refused.successful
         assert "time_from_start" in refused.reason
-        assert "expected a number from 0 to 3600" in refused.reason
+        real = isinstance(value, float)
+        words = "Min: 0.0, Max: 3600.0" if real else "expected a number from 0 to 3600"
+        assert words in refused.reason
     assert robot.call(ComputeFK, "compute_fk", configurations=configurations([0.5] * 3)).results
 
 

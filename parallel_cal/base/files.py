@@ -38,6 +38,8 @@ def write_atomically(path: str | Path, text: str) -> None:
     OSError, with the file's own name, where the folder cannot be written.
     """
     target = Path(path).resolve()
+    if target.exists() and not target.is_file():
+        raise OSError(errno.EINVAL, "it is not a regular file", str(path))
     try:
         _replace(target, text)
     except OSError as error:  # it names the part that nobody asked for

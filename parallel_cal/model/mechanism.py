@@ -65,6 +65,7 @@ class Mechanism(ABC):
     home: Home
     workspace: Workspace
     joint_limits: tuple[tuple[float, float], ...]
+    joint_rates: tuple[tuple[float, float], ...] = ()  # velocity, acceleration; inf = not known
     closed_forms: tuple[str, ...] = ()  # "direct", "inverse": whose candidates are all there are
     length: float = 0.1
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)  # m/s^2 in {B}

@@ -15,6 +15,23 @@ from parallel_cal.model.effect import Effect
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.sensor import Sensor
 
+_own_allowed = True
+
+
+def forbid_foreign() -> None:
+    """From here on this process imports nothing by a Python path from outside the package."""
+    global _own_allowed
+    _own_allowed = False
+
+
+def require_allowed(path: str, error: type[ParallelCalError] = ModelError) -> None:
+    """An `error` for a module from outside the package where these are forbidden."""
+    if not _own_allowed and not path.startswith("parallel_cal."):
+        raise error(
+            f"{path}: modules from outside the package are not imported here; the node's parameter "
+            "allow_foreign_modules says otherwise"
+        )
+
 
 def load_mechanism(name: str, /, **options: Any) -> Mechanism:
     """A mechanism by file name (`delta54`) or Python path (`my_pkg.my_robot`)."""
@@ -64,6 +81,7 @@ def load_class(shelf: str, name: str, base: type) -> type:
 def load_module(shelf: str, name: str, error: type[ParallelCalError] = ModelError) -> ModuleType:
     """parallel_cal/<shelf>/<name>.py, or the file at a Python path; an `error` for neither."""
     path = name if "." in name else f"parallel_cal.{shelf}.{name}"
+    require_allowed(path, error)
     try:
         if path.startswith(".") or name.startswith("_"):  # a path of files; no public name
             raise ModuleNotFoundError(name=path)

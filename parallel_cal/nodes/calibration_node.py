@@ -18,24 +18,28 @@ from parallel_cal_msgs.srv import Compare, SaveSamples
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from std_msgs.msg import String
+from std_srvs.srv import Trigger
 
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.model.file.modelfile import read_model
+from parallel_cal.model.shelf import forbid_foreign
 from parallel_cal.nodes import calibration_messages as messages
 from parallel_cal.nodes.calibrator import Calibrator
 from parallel_cal.nodes.collector import Collection, Collector
 from parallel_cal.nodes.conversions import message_class
+from parallel_cal.nodes.folders import Folders
 from parallel_cal.nodes.frames import MOVES_POSES
 from parallel_cal.nodes.health import Stream
 from parallel_cal.nodes.jobs import in_words
 from parallel_cal.nodes.journal import Journal
+from parallel_cal.nodes.managed import AUTOSTART, Managed
 from parallel_cal.nodes.parameters import (
     ACCEPTED,
     LATCHED,
+    SECURITY,
     WAITING,
     Setting,
     absolute,
@@ -72,15 +76,20 @@ PARAMETERS = {
     "record": Setting(False, "write every message to an MCAP beside the journal, while it is true"),
     "arrow_scale": Setting(100.0, "length of residual arrows over the residuals'", (0, 1e9)),
     "look_period": Setting(0.5, "s between two looks at what came in", (0.01, 3600), fixed=True),
+    **SECURITY,
+    **AUTOSTART,
 }
 
 
-class CalibrationNode(Node):
+class CalibrationNode(Managed):
     """The calibration node; topics and services are listed in docs/ros.md."""
 
     def __init__(self) -> None:
         super().__init__("calibration_node")
+        self._folders: Folders | None = None  # what is said at the start is trusted
         declare(self, PARAMETERS, self._on_parameters)
+        if not self._parameter("allow_foreign_modules"):
+            forbid_foreign()
         # One group and not the default one: `run` then calls everything from one thread.
         self._group = MutuallyExclusiveCallbackGroup()
         self._model_joints: tuple[Any, tuple[str, ...] | None] = (None, None)
@@ -94,12 +103,15 @@ class CalibrationNode(Node):
         self._collector = Collector(self._joints(), self._options(), auto=self._auto())
         home = absolute(os.environ.get("ROS_HOME") or "~/.ros")
         self._folder = Path(absolute(self._parameter("journal_folder")) or f"{home}/parallel_cal")
+        named = (absolute(self._parameter(name)) for name in ("model_file", "output_file"))
+        usual = [self._folder, *(Path(path).parent for path in named if path)]
+        self._folders = Folders(self._parameter("allowed_folders"), usual)
         self._recorder: Any = None
         self._journal = self._opened_journal()
         self._status = self.create_publisher(CollectionStatus, "~/collection_status", LATCHED)
         self._dropped = self.create_publisher(String, "~/dropped", LATCHED)
         self._subscribe()
-        self._calibrator = Calibrator(self, self._collect, self._say, self._group)
+        self._calibrator = Calibrator(self, self._collect, self._say, self._group, self._folders)
         self._offer_services()
         every(self._parameter("look_period"), self, self._look, self._group)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
@@ -109,6 +121,7 @@ class CalibrationNode(Node):
         model = self._parameter("model_file") or "none: set the parameter model_file"
         self.get_logger().info(f"collecting; model file {model}; {journal}")
         self._publish_status()
+        self.start()
 
     def _opened_journal(self) -> Journal | None:
         """The journal that the last run of a node of this name left, or a new one."""
@@ -175,10 +188,13 @@ class CalibrationNode(Node):
 
     def _on_parameters(self, changes: list[Parameter]) -> SetParametersResult:
         """Refuse a model file that cannot be read."""
-        file = next((c.value for c in changes if c.name == "model_file"), "")
+        named = {c.name: c.value for c in changes if c.name in ("model_file", "output_file")}
         try:
-            if file:
-                read_model(absolute(file))
+            for name, file in named.items():
+                if file and self._folders is not None:
+                    self._folders.to_read(file)
+                if file and name == "model_file":
+                    read_model(absolute(file))
         except Exception as error:  # a user's own mechanism may raise anything
             return SetParametersResult(successful=False, reason=in_words(error))
         return ACCEPTED
@@ -212,6 +228,8 @@ class CalibrationNode(Node):
 
     def _on_message(self, channel: str, message: Any, info: dict[str, int]) -> None:
         """Received when it came in, as a recorder sees it, not when its turn came here."""
+        if not self.active:
+            return
         received = info["received_timestamp"] or time.time_ns()
         health = self._health[channel]
         health.heard(info.get("publication_sequence_number"))
@@ -355,10 +373,14 @@ class CalibrationNode(Node):
     # ------------------------------------------------------------------ services
 
     def _offer_services(self) -> None:
+        assert self._folders is not None
+        folders = self._folders
         works: dict[str, Any] = {
-            name: (type, partial(f, self._collector)) for name, (type, f) in SERVICES.items()
+            name: (type, partial(f, self._collector, folders))
+            for name, (type, f) in SERVICES.items()
         }
         works["compare"] = (Compare, self._calibrator.compare)
+        works["undo"] = (Trigger, self._calibrator.undo)
         for name, (type, work) in works.items():
             on_call = partial(self._serve, work)
             self.create_service(

@@ -21,23 +21,30 @@ from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.model.model import Model
 from parallel_cal.nodes import calibration_messages as messages
 from parallel_cal.nodes.collector import Collection
+from parallel_cal.nodes.folders import Folders
 from parallel_cal.nodes.frames import in_base, lookup
 from parallel_cal.nodes.jobs import Job, JobServer, OneAtATime, Say, Work, in_words, outcome_of
-from parallel_cal.nodes.parameters import LATCHED, absolute
+from parallel_cal.nodes.parameters import LATCHED
 from parallel_cal.nodes.run import in_front
-from parallel_cal.session.goals import Cancel, Outcome, Request, examine, recalibrate
+from parallel_cal.session.goals import Cancel, Outcome, Request, examine, recalibrate, undone
 
 
 class Calibrator:
     """Services, actions and latched topics; `collect` gives the samples, `say` tells of events."""
 
     def __init__(
-        self, node: Node, collect: Callable[[], Collection], say: Say, group: CallbackGroup
+        self,
+        node: Node,
+        collect: Callable[[], Collection],
+        say: Say,
+        group: CallbackGroup,
+        folders: Folders,
     ):
-        self._node, self._collect, self._say = node, collect, say
+        self._node, self._collect, self._say, self._folders = node, collect, say, folders
         self._result = node.create_publisher(String, "~/result", LATCHED)
         self._diagnosis = node.create_publisher(String, "~/diagnosis", LATCHED)
         self._arrows = node.create_publisher(MarkerArray, "~/residuals", LATCHED)
+        self._written = ""  # the model file that undo is about; empty: the node's own
         self._one, self._transform = OneAtATime(), lookup(node)
         jobs = (
             Job(
@@ -68,17 +75,28 @@ class Calibrator:
     def _sigma(self) -> float | None:
         return self._parameter("joint_sigma") or None
 
+    def _hold_out(self, goal: Any) -> float:
+        """One meaning in every goal: 0 is the node's parameter, below 0 is none."""
+        if goal.hold_out < 0:
+            return 0.0
+        return float(goal.hold_out or self._parameter("hold_out"))
+
+    def undo(self, request: Any, response: Any) -> None:
+        """The model file before the last one that was written, and back again if asked twice."""
+        _, path = self._files("", self._written)
+        response.success, response.message = True, undone(path)
+
     def _files(self, model_file: str, output_file: str) -> tuple[str, str]:
         """Where the model is read, and where the new one goes."""
         model_file = self._model_file(model_file)
         output_file = output_file or self._parameter("output_file") or model_file
-        return model_file, absolute(output_file)
+        return model_file, self._folders.to_write(output_file, "model")
 
     def _model_file(self, given: str) -> str:
         path = given or self._parameter("model_file")
         if not path:
             raise ModelFileError("no model file: set the parameter model_file or name one")
-        return absolute(path)
+        return self._folders.to_read(path)
 
     # ------------------------------------------------------------------ comparing
 
@@ -125,7 +143,7 @@ class Calibrator:
         collection = self._samples(read_model(files[0]))
         options = FitOptions(
             method=goal.method or "implicit", free=tuple(goal.free), fix=tuple(goal.fix),
-            hold_out=goal.hold_out, joint_sigma=goal.joint_sigma or self._sigma(),
+            hold_out=self._hold_out(goal), joint_sigma=goal.joint_sigma or self._sigma(),
         )  # fmt: skip
         request = Request(*files, options, goal.force)
         return partial(recalibrate, request, collection.dataset), collection
@@ -133,8 +151,7 @@ class Calibrator:
     def _diagnose(self, goal: Any) -> tuple[Work, Collection]:
         model_file = self._model_file(goal.model_file)
         collection = self._samples(read_model(model_file))
-        hold_out = goal.hold_out or self._parameter("hold_out")
-        options = FitOptions(hold_out=hold_out, joint_sigma=self._sigma())
+        options = FitOptions(hold_out=self._hold_out(goal), joint_sigma=self._sigma())
 
         def work(tell: Callable[..., None], cancel: Cancel) -> Outcome:
             outcome = examine(model_file, collection.dataset, options, tell, cancel)
@@ -144,6 +161,8 @@ class Calibrator:
         return work, collection
 
     def _recalibrated(self, kind: str, outcome: Outcome, collection: Collection | None) -> None:
+        if outcome.hash:
+            self._written = outcome.path
         self._publish_result(kind, outcome)
         self._conclude(outcome, collection)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -11,14 +12,25 @@ from parallel_cal_msgs.msg import ModelStatus
 from parallel_cal_msgs.srv import ComputeFK, ComputeIK, LoadModel
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
+from parallel_cal.base.errors import ParallelCalError
+from parallel_cal.model.shelf import forbid_foreign
 from parallel_cal.nodes.file_watch import FileWatch
+from parallel_cal.nodes.folders import Folders
 from parallel_cal.nodes.following import Memory
+from parallel_cal.nodes.managed import AUTOSTART, Managed
 from parallel_cal.nodes.model_server import Attempt, ModelServer
-from parallel_cal.nodes.parameters import ACCEPTED, LATCHED, WAITING, Setting, absolute, declare
+from parallel_cal.nodes.parameters import (
+    ACCEPTED,
+    LATCHED,
+    SECURITY,
+    WAITING,
+    Setting,
+    absolute,
+    declare,
+)
 from parallel_cal.nodes.requests import Budget, answer, warm_up
 from parallel_cal.nodes.run import Beside, every, foreign_publishers, run
 from parallel_cal.nodes.streams import Streams
@@ -29,23 +41,41 @@ PARAMETERS = {
     "model_file": Setting("", "model file in use (YAML); setting it loads, a bad file is rejected"),
     "watch_model_file": Setting(True, "load the file again whenever it is written"),
     "time_from_start": Setting(0.1, "s in which a joint command is to be reached", (0, 3600)),
+    "full_travel": Setting(
+        1.0, "s in which a joint that the file gives no velocity may cross its range", (1e-3, 3600)
+    ),
+    "singularity_margin": Setting(
+        0.02, "least scaled singular value on the way of a joint command, 0 = singular", (0, 1)
+    ),
     "request_poses": Setting(10_000, "most configurations or targets of one request", (1, 10**7)),
     "request_time": Setting(5.0, "s that a request may take", (0.01, 3600)),
     "request_memory": Setting(2048, "MB that requests may take", (64, 10**6), fixed=True),
     "direction_threshold": Setting(5e-4, "rad or m; smaller motions have no direction", (0, 1)),
+    **SECURITY,
+    **AUTOSTART,
 }
 
 
-class KinematicsNode(Node):
+class KinematicsNode(Managed):
     """The kinematics node; topics and services are listed in docs/ros.md."""
 
     def __init__(self) -> None:
         super().__init__("kinematics_node")
+        self._folders: Folders | None = None  # what is said at the start is trusted
         declare(self, PARAMETERS, self._on_parameters)
+        if not self._parameter("allow_foreign_modules"):
+            forbid_foreign()
+        file = absolute(self._parameter("model_file"))
+        usual = [Path(file).parent] if file else []
+        self._folders = Folders(self._parameter("allowed_folders"), usual)
         self._tally, self._failure, self._adopting = Tally(), "", False
         self._memory = Memory(self._parameter("direction_threshold"))
         self._server = ModelServer(self._report)
-        self._worker = Worker(self._parameter("request_memory"), f"{__package__}.computing")
+        self._worker = Worker(
+            self._parameter("request_memory"),
+            f"{__package__}.computing",
+            foreign=self._parameter("allow_foreign_modules"),
+        )
         self._status = self.create_publisher(ModelStatus, "~/model_status", LATCHED)
         self._changed = self.create_guard_condition(self._reload_changed)
         self._watch = FileWatch(self._changed.trigger)
@@ -56,6 +86,7 @@ class KinematicsNode(Node):
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._streams = Streams(self, self._server, self._memory, self._tally, self._front)
         every(1.0, self, self._tick)
+        self.start()
 
     def _parameter(self, name: str) -> Any:
         return self.get_parameter(name).value
@@ -85,13 +116,21 @@ class KinematicsNode(Node):
         """Load a new model file, or say why the parameter cannot have this value."""
         values = {p.name: p.value for p in parameters}
         if "model_file" in values and not self._adopting:
-            attempt = self._load(values["model_file"], "parameter")
+            try:
+                path = self._allowed(values["model_file"])
+            except ParallelCalError as error:
+                return SetParametersResult(successful=False, reason=str(error))
+            attempt = self._load(path, "parameter")
             if not attempt.ok:
                 return SetParametersResult(successful=False, reason=attempt.reason)
         if "direction_threshold" in values:
             self._memory.tracker.threshold = values["direction_threshold"]
         self._watch_file(**values)
         return ACCEPTED
+
+    def _allowed(self, path: str) -> str:
+        """A path that a request may name; ParallelCalError for another one."""
+        return path if self._folders is None else self._folders.to_read(path)
 
     def _watch_file(self, **changed: Any) -> None:
         names = ("watch_model_file", "model_file")
@@ -112,11 +151,14 @@ class KinematicsNode(Node):
         self._load(self._parameter("model_file"), "watch")
 
     def _load_model(self, request: Any, response: Any) -> Any:
-        attempt = self._load(request.path, "service")
-        if attempt.ok:
-            self._adopt(attempt.path)
+        try:
+            attempt = self._load(self._allowed(request.path), "service")
+            if attempt.ok:
+                self._adopt(attempt.path)
+            response.success, response.message = attempt.ok, attempt.reason
+        except ParallelCalError as error:
+            response.success, response.message = False, str(error)
         served = self._server.current
-        response.success, response.message = attempt.ok, attempt.reason
         response.hash = served.hash if served is not None else ""
         return response
 
@@ -146,6 +188,9 @@ class KinematicsNode(Node):
         self.create_service(type, f"~/{name}", on_call, qos_profile=WAITING, callback_group=group)
 
     def _answer(self, name: str, request: Any, response: Any) -> Any:
+        if not self.active:
+            response.message = "the node is not active"
+            return response
         served = self._server.current  # one reference for the whole request
         budget = Budget(self._parameter("request_poses"), self._parameter("request_time"))
         answer(self._worker, budget, served, self._server.last.reason, request, response)

@@ -7,8 +7,16 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
-from rclpy.exceptions import InvalidParameterTypeException
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+from rclpy.exceptions import (
+    InvalidParameterTypeException,
+    InvalidParameterValueException,
+)
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
@@ -45,6 +53,23 @@ class Setting(NamedTuple):
             return not self.allowed or value in self.allowed
         return bool(self.allowed[0] <= value <= self.allowed[-1])
 
+    def descriptor(self) -> ParameterDescriptor:
+        """What `ros2 param describe` and the parameter tools show of it."""
+        made = ParameterDescriptor(
+            description=self.what,
+            dynamic_typing=isinstance(self.default, float),
+            read_only=self.fixed,
+            additional_constraints=self.expected() if isinstance(self.default, str) else "",
+        )
+        if self.allowed and not isinstance(self.default, str):
+            low, high = self.allowed
+            if isinstance(self.default, float):
+                real = FloatingPointRange(from_value=float(low), to_value=float(high))
+                made.floating_point_range = [real]
+            else:
+                made.integer_range = [IntegerRange(from_value=int(low), to_value=int(high))]
+        return made
+
     def expected(self) -> str:
         """What a value must be, in words."""
         if not self.allowed:
@@ -71,13 +96,9 @@ def declare(
     allowed and has the last word.
     """
     for name, setting in settings.items():
-        real = isinstance(setting.default, float)
-        descriptor = ParameterDescriptor(
-            description=setting.what, dynamic_typing=real, read_only=setting.fixed
-        )
         try:
-            value = node.declare_parameter(name, setting.default, descriptor).value
-        except InvalidParameterTypeException:
+            value = node.declare_parameter(name, setting.default, setting.descriptor()).value
+        except (InvalidParameterTypeException, InvalidParameterValueException):
             value = None
         if not setting.allows(value):
             expected = f"expected {setting.expected()}: {setting.what}"
@@ -92,6 +113,18 @@ def declare(
         return accept(changes)
 
     node.add_on_set_parameters_callback(check)
+
+
+# What nodes that take requests have in common.
+SECURITY = {
+    "allowed_folders": Setting(
+        "", "folders by colons that requests may name files in; empty = those of the files named "
+        "at the start, and the journal's", fixed=True,
+    ),
+    "allow_foreign_modules": Setting(
+        False, "import mechanisms, effects, solvers by Python path", fixed=True
+    ),
+}  # fmt: skip
 
 
 def absolute(path: str) -> str:

@@ -10,47 +10,47 @@ from std_srvs.srv import Trigger
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.nodes.calibration_messages import sample_messages
 from parallel_cal.nodes.collector import Collector
-from parallel_cal.nodes.parameters import absolute
+from parallel_cal.nodes.folders import Folders
 
 
-def take(collector: Collector, request: Any, response: Any) -> None:
+def take(collector: Collector, folders: Folders, request: Any, response: Any) -> None:
     number = collector.take()
     response.success, response.message = True, f"sample {number} taken"
 
 
-def remove(collector: Collector, request: Any, response: Any) -> None:
+def remove(collector: Collector, folders: Folders, request: Any, response: Any) -> None:
     collector.remove(request.id)
     response.success, response.message = True, f"sample {request.id} removed"
 
 
-def list_all(collector: Collector, request: Any, response: Any) -> None:
+def list_all(collector: Collector, folders: Folders, request: Any, response: Any) -> None:
     if len(collector):
         collection = collector.collection()
         response.samples = sample_messages(collection)
         response.joint_names = list(collection.dataset.joint_names)
 
 
-def save(collector: Collector, request: Any, response: Any) -> None:
-    response.samples = collector.save(_path(request))
+def save(collector: Collector, folders: Folders, request: Any, response: Any) -> None:
+    response.samples = collector.save(folders.to_write(_path(request), "samples"))
     response.success = True
     response.message = f"{response.samples} samples written to {request.path}"
 
 
-def load(collector: Collector, request: Any, response: Any) -> None:
-    response.samples = collector.load(_path(request))
+def load(collector: Collector, folders: Folders, request: Any, response: Any) -> None:
+    response.samples = collector.load(folders.to_read(_path(request)))
     response.success = True
     told = "".join(f"; warning: {text}" for text in collector.warnings())
     response.message = f"{response.samples} samples read from {request.path}{told}"
 
 
-def clear(collector: Collector, request: Any, response: Any) -> None:
+def clear(collector: Collector, folders: Folders, request: Any, response: Any) -> None:
     response.success, response.message = True, f"{collector.clear()} samples cleared"
 
 
 def _path(request: Any) -> str:
     if not request.path:
         raise DatasetError("no path given")
-    return absolute(request.path)
+    return str(request.path)
 
 
 SERVICES = {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from typing import Any
 
@@ -10,10 +11,10 @@ from geometry_msgs.msg import (
     PoseWithCovariance,
     PoseWithCovarianceStamped,
 )
+from parallel_cal_msgs.msg import CommandStatus
 from rclpy.callback_groups import CallbackGroup
 from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -30,11 +31,13 @@ from parallel_cal.nodes.conversions import (
 )
 from parallel_cal.nodes.following import Memory, joints_for
 from parallel_cal.nodes.health import Stream
+from parallel_cal.nodes.managed import Managed
 from parallel_cal.nodes.model_server import ModelServer, Served, in_words
 from parallel_cal.nodes.parameters import LATCHED, RELIABLE, SENSOR, overridable
 from parallel_cal.nodes.pump import Messages, Pump
 from parallel_cal.nodes.run import Beside
 from parallel_cal.nodes.tally import Tally
+from parallel_cal.nodes.way import Bounds, way_to
 from parallel_cal.recordings.channels import CHANNELS, named
 
 # Room for what comes while the interpreter is busy; a tenth of a second at 1 kHz.
@@ -47,7 +50,7 @@ class Streams:
     """The topics of a node that answer each message with one of another topic."""
 
     def __init__(
-        self, node: Node, server: ModelServer, memory: Memory, tally: Tally, group: CallbackGroup
+        self, node: Managed, server: ModelServer, memory: Memory, tally: Tally, group: CallbackGroup
     ):
         self._node, self._server, self._group = node, server, group
         self._memory, self._tally = memory, tally
@@ -62,6 +65,7 @@ class Streams:
             qos_overriding_options=overridable(),
         )  # fmt: skip
         # A target out of reach is searched for longer than a joint state may wait.
+        self._told = self._publisher(CommandStatus, "~/command_status")
         self._subscribe(PoseStamped, "target_pose", RELIABLE, self._on_target, Beside())
         for name in named("condition"):
             channel, take = CHANNELS[name], partial(self._on_condition, name)
@@ -103,6 +107,8 @@ class Streams:
 
     def _receive(self, channel: str, take: Any, message: Any, info: Any) -> None:
         """Count a message, and say why where it leads to nothing."""
+        if not self._node.active:
+            return
         self._tally.add(channel, "received")
         health = self.health.get(channel)
         if health is not None:
@@ -176,13 +182,40 @@ class Streams:
 
     def _on_target(self, message: PoseStamped) -> None:
         """A target -> joint command; nothing is published for one that is not safely reached."""
+        status = CommandStatus(stamp=message.header.stamp, status=CommandStatus.REFUSED)
+        status.time_from_start = status.singularity = math.nan
+        try:
+            self._command_way(message, status)
+        except Exception as error:
+            status.message = str(error) or type(error).__name__
+            raise
+        finally:
+            self._told.publish(status)
+
+    def _command_way(self, message: PoseStamped, status: CommandStatus) -> None:
+        """Send a command, with as much time as its way needs, and say so in the status."""
         served = self._served()
         model, frame = served.model, message.header.frame_id
         if frame and frame != model.frames["base"]:
             raise SolveError(f"frame_id '{frame}', expected '{model.frames['base']}' or none")
         r, R = controlled_pose(model, *pose_numbers(message.pose))
+        start = self._memory.joints(model)
+        if start is None:
+            raise SolveError("no joint state was heard yet: where the robot is is not known")
         found = joints_for(served, self._memory, r, R)
-        seconds = self._node.get_parameter("time_from_start").value
+        asked, crossing, least = (
+            self._node.get_parameter(name).value
+            for name in ("time_from_start", "full_travel", "singularity_margin")
+        )
+        at, bounds = self._memory.conditions(model), Bounds(crossing, least)
+        way = way_to(served.kinematics, start, found, at, bounds)
+        seconds = max(asked, way.seconds)
+        status.time_from_start, status.singularity = seconds, way.singularity
+        status.status = CommandStatus.ACCEPTED
+        if way.seconds > asked:
+            status.status = CommandStatus.SLOWED
+            status.message = f"{seconds:.3g} s in place of {asked:.3g}: {way.why}"
+            self._tally.add("target_pose", "slowed", status.message)
         point = JointTrajectoryPoint(positions=found.joints.tolist())
         point.time_from_start = Duration(seconds=seconds).to_msg()
         self._command.publish(JointTrajectory(joint_names=list(model.joints), points=[point]))

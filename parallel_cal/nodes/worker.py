@@ -22,6 +22,7 @@ from threading import Lock, Thread
 from typing import Any
 
 from parallel_cal.base.errors import ParallelCalError
+from parallel_cal.model.shelf import forbid_foreign
 
 MEGABYTE = 1 << 20
 START = 60.0  # s that a new process may take on a busy machine; not counted as work
@@ -40,9 +41,10 @@ class WorkError(ParallelCalError):
 class Worker:
     """Does one piece of work at a time; whoever comes meanwhile waits for its turn."""
 
-    def __init__(self, memory: int, *modules: str):
-        """`memory` in MB; `modules` are imported while nobody waits for them yet."""
-        self._memory, self._modules = memory, modules
+    def __init__(self, memory: int, *modules: str, foreign: bool = True):
+        """`memory` in MB; `modules` are imported while nobody waits for them yet, `foreign` ones
+        only where that is true."""
+        self._memory, self._modules, self._foreign = memory, modules, foreign
         self._turn, self._ended = Lock(), False
         self._process: subprocess.Popen[bytes] | None = None
         self._pipe: Connection | None = None
@@ -54,7 +56,7 @@ class Worker:
         # The same path as here, and nothing of the folder that the node happens to stand in.
         code = (
             f"import sys; sys.path[:] = {sys.path!r}; from {__name__} import serve; "
-            f"serve({theirs.fileno()}, {self._memory}, {self._modules!r})"
+            f"serve({theirs.fileno()}, {self._memory}, {self._modules!r}, {self._foreign})"
         )
         self._process = subprocess.Popen(
             [sys.executable, "-c", code],
@@ -139,7 +141,7 @@ class Worker:
                 self._kill()
 
 
-def serve(descriptor: int, memory: int, modules: tuple[str, ...]) -> None:
+def serve(descriptor: int, memory: int, modules: tuple[str, ...], foreign: bool) -> None:
     """The worker's side: do what comes down the pipe until the node is gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the node, which ends its worker
     os.nice(POLITE)
@@ -148,6 +150,8 @@ def serve(descriptor: int, memory: int, modules: tuple[str, ...]) -> None:
     Thread(target=_end_with, args=(parent,), daemon=True).start()
     for name in modules:
         import_module(name)
+    if not foreign:
+        forbid_foreign()
     taken = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     most = taken + memory * MEGABYTE
     resource.setrlimit(resource.RLIMIT_AS, (most, most))

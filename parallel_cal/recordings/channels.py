@@ -15,6 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from parallel_cal.base.errors import BagError, told
+from parallel_cal.model.shelf import require_allowed
 
 Kind = Literal["joints", "poses", "condition", "words", "readings"]
 
@@ -114,6 +115,7 @@ def named(*kinds: Kind) -> list[str]:
 
 def take(path: str) -> None:
     """Add the channels of a user's own module, by Python path, under the names they have there."""
+    require_allowed(path, BagError)
     try:
         own = {k: v for k, v in vars(import_module(path)).items() if isinstance(v, Channel)}
     except Exception as error:

@@ -5,19 +5,28 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 from threading import Lock
 from typing import Any
 
-from parallel_cal.base.errors import ParallelCalError
+from parallel_cal.base.errors import ModelFileError, ParallelCalError
+from parallel_cal.base.files import write_atomically
 from parallel_cal.diagnosis.diagnose import Diagnosis, diagnose
 from parallel_cal.identification.observations import observe
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.prediction_errors import errors
-from parallel_cal.model.file.modelfile import model_hash, read_model, write_model
+from parallel_cal.model.file.modelfile import (
+    model_hash,
+    model_text,
+    parse_model,
+    read_model,
+    write_model,
+)
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.session.steps import Step, added, fitted
 
+PREVIOUS = ".previous"  # behind the name of a model file that was replaced
 Tell = Callable[[str, float, float], None]  # stage, fraction, mean position error so far in m
 
 
@@ -72,6 +81,7 @@ class Outcome:
     hash: str = ""
     step: Step | None = None
     diagnosis: Diagnosis | None = None
+    path: str = ""
 
     @property
     def model(self) -> Model | None:
@@ -123,10 +133,38 @@ def _written(request: Request, step: Step, cancel: Cancel) -> Outcome:
         message = f"{reason}; nothing was written (force writes it all the same)"
         return Outcome(False, message, document, step=step)
     cancel.commit()
+    _keep_previous(request.output_file)
     write_model(step.model, request.output_file)
     although = f" by force although {reason}" if reason else ""
     message = f"{step.acceptance.errors}; written to {request.output_file}{although}"
-    return Outcome(True, message, document, model_hash(step.model), step)
+    hash = model_hash(step.model)
+    return Outcome(True, message, document, hash, step, path=request.output_file)
+
+
+def _keep_previous(path: str) -> None:
+    """Lay a model file that is about to be replaced aside, beside itself."""
+    if Path(path).exists():
+        _write(path + PREVIOUS, model_text(path))
+
+
+def undone(path: str) -> str:
+    """Exchange a model file with the one that it replaced; a sentence. ModelFileError where there
+    is none, or it can no longer be read."""
+    before = path + PREVIOUS
+    if not Path(before).exists():
+        raise ModelFileError(f"{path}: nothing to undo, there is no {before}")
+    text, now = model_text(before), model_text(path)
+    parse_model(text, before)
+    _write(path, text)
+    _write(before, now)
+    return f"{path}: {model_hash(text)[:12]} again, was {model_hash(now)[:12]}"
+
+
+def _write(path: str, text: str) -> None:
+    try:
+        write_atomically(path, text)
+    except OSError as error:
+        raise ModelFileError(f"{path}: cannot be written: {error.strerror}") from None
 
 
 def examine(

@@ -29,11 +29,14 @@ class MechanismPart(Part):
 
 
 class JointPart(Part):
-    """One joint: its name in joint_states is the key; limits in its unit, none = endless."""
+    """One joint: its name in joint_states is the key; limits in its unit, none = endless; the most
+    that joint commands may ask of it, per s and s^2."""
 
     unit: str
     low: float | None = None
     high: float | None = None
+    velocity: Positive | None = None
+    acceleration: Positive | None = None
 
 
 class HomePart(Part):

@@ -31,8 +31,10 @@ def _setup(model: Model) -> Iterator[str]:
     m = model.mechanism
     yield from _mechanism(model)
     yield "joints:"
-    for joint, unit, (low, high) in zip(m.joints, m.joint_units, m.joint_limits, strict=True):
-        limits = {"low": low, "high": high}
+    rates = m.joint_rates or ((math.inf, math.inf),) * len(m.joints)
+    rows = zip(m.joints, m.joint_units, m.joint_limits, rates, strict=True)
+    for joint, unit, (low, high), (velocity, acceleration) in rows:
+        limits = {"low": low, "high": high, "velocity": velocity, "acceleration": acceleration}
         finite = {key: float(v) for key, v in limits.items() if math.isfinite(v)}
         yield f"  {flow(joint)}: {flow({'unit': unit, **finite})}"
     yield "home:"

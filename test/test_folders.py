@@ -1,0 +1,69 @@
+"""Which files a request may read and replace."""
+
+import pytest
+
+from parallel_cal.base.errors import ModelError, ParallelCalError
+from parallel_cal.model import shelf
+from parallel_cal.nodes.folders import Folders
+
+MODEL, SAMPLES = "parallel_cal: 1\n", '{"parallel_cal_samples": 1}'
+
+
+@pytest.fixture
+def folders(tmp_path):
+    (tmp_path / "in" / "deep").mkdir(parents=True)
+    (tmp_path / "out").mkdir()
+    return Folders("", [tmp_path / "in"])
+
+
+def test_what_lies_below_is_allowed_and_nothing_else(folders, tmp_path):
+    assert folders.to_read(str(tmp_path / "in" / "deep" / "m.yaml"))
+    for outside in ("out/m.yaml", "in/../out/m.yaml", "inside.yaml"):
+        with pytest.raises(ParallelCalError, match="not in a folder"):
+            folders.to_read(str(tmp_path / outside))
+
+
+def test_no_link_leads_out(folders, tmp_path):
+    (tmp_path / "in" / "link").symlink_to(tmp_path / "out")
+    (tmp_path / "in" / "own").symlink_to(tmp_path / "in" / "deep")
+    with pytest.raises(ParallelCalError, match="not in a folder"):
+        folders.to_write(str(tmp_path / "in" / "link" / "m.yaml"), "model")
+    assert folders.to_write(str(tmp_path / "in" / "own" / "m.yaml"), "model")
+
+
+def test_a_file_is_replaced_by_its_own_kind_only(folders, tmp_path):
+    model, samples, other = (tmp_path / "in" / n for n in ("m.yaml", "s.json", "notes.txt"))
+    model.write_text(MODEL), samples.write_text(SAMPLES), other.write_text("mine")
+    assert folders.to_write(str(model), "model")
+    assert folders.to_write(str(samples), "samples")
+    for path, kind in (
+        (model, "samples"),
+        (samples, "model"),
+        (other, "model"),
+        (tmp_path / "in", "model"),
+    ):
+        with pytest.raises(ParallelCalError, match=f"no {kind} file"):
+            folders.to_write(str(path), kind)
+
+
+def test_listed_folders_stand_in_for_the_usual_ones(tmp_path):
+    folders = Folders(f"{tmp_path}/a:{tmp_path}/b", [tmp_path / "in"])
+    assert folders.to_read(f"{tmp_path}/b/x")
+    with pytest.raises(ParallelCalError, match="not in a folder"):
+        folders.to_read(f"{tmp_path}/in/x")
+
+
+def test_forbidden_modules_are_not_imported(monkeypatch, tmp_path):
+    """The name is judged before anything is imported: the file would leave a trace."""
+    trace = tmp_path / "trace"
+    (tmp_path / "stranger.py").write_text(f"open({str(trace)!r}, 'w')\n")
+    (tmp_path / "pkg").mkdir()
+    (tmp_path / "pkg" / "stranger.py").write_text(f"open({str(trace)!r}, 'w')\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(shelf, "_own_allowed", True)
+    shelf.forbid_foreign()
+    for load in (shelf.load_mechanism, shelf.load_effect, shelf.load_sensor):
+        with pytest.raises(ModelError, match="allow_foreign_modules"):
+            load("pkg.stranger")
+    assert not trace.exists()
+    assert shelf.load_mechanism("delta24").name == "delta24"

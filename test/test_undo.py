@@ -1,0 +1,40 @@
+"""A model file that is replaced is laid aside, and comes back."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from parallel_cal.base.errors import ModelFileError
+from parallel_cal.identification.options import FitOptions
+from parallel_cal.model.file.modelfile import model_hash
+from parallel_cal.recordings.loading import load_dataset
+from parallel_cal.session.goals import Request, recalibrate, undone
+
+ROOT = Path(__file__).parents[1]
+
+
+def test_undo_gives_the_file_before_back_and_undone_twice_the_new_one(tmp_path):
+    path = str(shutil.copy(ROOT / "config" / "delta_mockup_nominal.yaml", tmp_path / "m.yaml"))
+    before = Path(path).read_bytes()
+    request = Request(path, path, FitOptions(hold_out=0.0), force=True)
+    outcome = recalibrate(request, load_dataset(ROOT / "bags" / "delta_clean"))
+    assert outcome.success, outcome.message
+    after = Path(path).read_bytes()
+    assert after != before
+    assert Path(path + ".previous").read_bytes() == before
+    assert model_hash(before)[:12] in undone(path)
+    assert Path(path).read_bytes() == before
+    undone(path)
+    assert Path(path).read_bytes() == after
+
+
+def test_where_nothing_was_replaced_or_it_was_spoilt_undo_says_so(tmp_path):
+    path = tmp_path / "m.yaml"
+    path.write_text("parallel_cal: 1\n")
+    with pytest.raises(ModelFileError, match="nothing to undo"):
+        undone(str(path))
+    (tmp_path / "m.yaml.previous").write_text("parallel_cal: 1\nodd: 1\n")
+    with pytest.raises(ModelFileError, match=r"m\.yaml\.previous"):
+        undone(str(path))
+    assert path.read_text() == "parallel_cal: 1\n"
