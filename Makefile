@@ -17,7 +17,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 
 venv: $(STAMP)
 
-LIBRARIES := -e '.[ros,dev]'
+LIBRARIES := -e '.[ros,dev,workbench]'
 
 # $(call install,WHAT): by uv, or, where it cannot reach the index, by pip.
 define install

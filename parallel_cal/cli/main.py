@@ -21,6 +21,7 @@ from parallel_cal.cli import (
     session,
     short_cut,
     showing,
+    workbench,
 )
 from parallel_cal.reporting import console
 
@@ -54,7 +55,7 @@ COMMANDS: tuple[Callable[..., None], ...] = (
     recordings.info, recordings.import_csv, recordings.simulate, recordings.replay,
     calibration.fit, calibration.compare, calibration.add, calibration.remove,
     diagnosing.diagnose, reporting.report, short_cut.short_cut, planning.plan,
-    showing.demo, showing.bench,
+    workbench.workbench, showing.demo, showing.bench,
 )  # fmt: skip
 for command in COMMANDS:
     app.command()(command)

@@ -120,7 +120,7 @@ class Residuals:
             found=diagnosis.field.vectors if diagnosis.effects else None,
             noise_units=field.noise_units[:, used],
             regressors=dict(regressors(scene)),
-            units=dict(_units(scene)),
+            units=dict(units(scene)),
         )
 
 
@@ -131,7 +131,7 @@ def places(scene: Scene, kind: str | None) -> np.ndarray:
     return predicted.R[:, :, 2] if kind == "orientation" else predicted.r
 
 
-def _units(scene: Scene) -> Iterator[tuple[str, str]]:
+def units(scene: Scene) -> Iterator[tuple[str, str]]:
     m = scene.model.mechanism
     own = dict(zip(m.joints, m.joint_units, strict=True)) | dict.fromkeys("xyz", "m")
     for name, _ in regressors(scene):

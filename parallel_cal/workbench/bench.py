@@ -1,0 +1,165 @@
+"""A session with its long work beside it: one step at a time, with progress, cancelled at once."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+from collections.abc import Sequence
+from multiprocessing.connection import Connection
+from pathlib import Path
+from threading import Thread
+from typing import Any
+
+from parallel_cal.base.errors import ParallelCalError
+from parallel_cal.base.files import read_text, write_atomically
+from parallel_cal.model.file.modelfile import write_model
+from parallel_cal.session.session import Session
+
+STEPS = ("fit", "add", "remove", "exclude", "include")  # methods of a session
+
+
+class Bench:
+    """What all windows on a session share; `version` rises whenever something to be seen changes.
+
+    A step is done in a process of its own and is on disk when it is done: ended early, it leaves
+    the session as it was.
+    """
+
+    def __init__(self, folder: Path, output: Path | None = None):
+        """`output` is the only file outside the folder that is written: the robot's model."""
+        self.session, self.output = Session(folder), output or folder / "model.yaml"
+        self.version = 0
+        self.stage, self.fraction = "", 0.0
+        self.message, self.failed = "", False
+        self._process: Any = None
+        self._cancelled = False
+        self.view: dict[str, Any] | None = None
+        self._look()
+
+    @property
+    def busy(self) -> bool:
+        return self._process is not None
+
+    def begin(self, step: str, *given: Any) -> None:
+        """Take a step of the session, then look at what came out; nothing while one goes on."""
+        if self.busy:
+            return
+        context = multiprocessing.get_context("spawn")
+        ours, theirs = context.Pipe(duplex=False)
+        folder = self.session.folder
+        process = context.Process(target=_work, args=(folder, step, given, theirs), daemon=True)
+        self._process, self.stage, self.fraction = process, "starting", 0.0
+        self._cancelled = False
+        self.message, self.failed = "", False
+        self._changed()
+        process.start()
+        theirs.close()
+        Thread(target=self._listen, args=(process, ours), daemon=True).start()
+
+    def cancel(self) -> None:
+        """End the step that is under way; the session stays as it was."""
+        if self._process is not None:
+            self._cancelled = True
+            self._process.terminate()
+
+    def at_once(self, step: str, *given: Any) -> None:
+        """A step that takes no time: undo, redo, start_branch, switch."""
+        try:
+            getattr(self.session, step)(*given)
+            self.message, self.failed = "", False
+        except ParallelCalError as error:
+            self.message, self.failed = str(error), True
+        self._look()
+
+    def save(self) -> None:
+        """Write the present model for the robot; refused where something speaks against it."""
+        against = self.session.state.against
+        try:
+            if against:
+                raise ParallelCalError(f"{against}; not saved")
+            write_model(self.session.model, self.output)
+            self.message, self.failed = f"written: {self.output}", False
+        except (ParallelCalError, OSError) as error:
+            self.message, self.failed = str(error), True
+        self._changed()
+
+    def follow(self) -> None:
+        """Take up what another program has done in the session's folder."""
+        if not self.busy and self._taken_up():
+            self._look()
+
+    def _listen(self, process: Any, pipe: Connection) -> None:
+        said: tuple[Any, ...] = ()
+        try:
+            while True:
+                said = pipe.recv()
+                if said[0] == "progress":
+                    _, self.stage, self.fraction = said
+                    self._changed()
+        except EOFError:
+            process.join()
+        if process.exitcode == 0 and said and said[0] == "done":
+            self.message = said[1]
+        elif said and said[0] == "error":
+            self.message, self.failed = said[1], True
+        elif self._cancelled:
+            self.message = "cancelled; the session is as it was"
+        else:
+            words = f"the step's process ended with {process.exitcode}; the session is as it was"
+            self.message, self.failed = words, True
+        self._process = None
+        self._taken_up()
+        self._look(again=False)
+
+    def _taken_up(self) -> bool:
+        """Whether the session on disk is another one now; one that is gone is said, once."""
+        try:
+            return self.session.refresh()
+        except ParallelCalError as error:
+            changed = self.message != str(error)
+            self.message, self.failed = str(error), True
+            return changed
+
+    def _look(self, again: bool = True) -> None:
+        """Show the present state: what is kept of it, else look at it anew."""
+        self.view = kept(self.session)
+        self._changed()
+        if self.view is None and again:
+            self.begin("look")
+
+    def _changed(self) -> None:
+        self.version += 1
+
+
+def place(session: Session) -> Path:
+    """Where a state's view is kept; a state never changes, and so neither does its view."""
+    return session.folder / "views" / f"{session.state.number}.json"
+
+
+def kept(session: Session) -> dict[str, Any] | None:
+    try:
+        found: dict[str, Any] = json.loads(read_text(place(session), most=256 << 20))
+    except (OSError, ValueError):
+        return None
+    return found
+
+
+def _work(folder: Path, step: str, given: Sequence[Any], pipe: Connection) -> None:
+    """A process: one step of the session in `folder`, then its view, kept in a file."""
+    from parallel_cal.workbench.views import view
+
+    def progress(stage: str, fraction: float) -> None:
+        pipe.send(("progress", stage, fraction))
+
+    try:
+        session = Session(folder)
+        if step in STEPS:
+            getattr(session, step)(*given, progress=progress)
+        progress("looking at what is left", 0.0)
+        shown = view(session, progress)
+        file = place(session)
+        file.parent.mkdir(exist_ok=True)
+        write_atomically(file, json.dumps(shown))
+        pipe.send(("done", session.state.against))
+    except (ParallelCalError, OSError) as error:
+        pipe.send(("error", str(error)))

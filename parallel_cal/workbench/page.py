@@ -1,0 +1,457 @@
+"""The page: drawn with NiceGUI from a bench's view, drawn anew whenever the bench changes."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+from nicegui import ui
+
+from parallel_cal.reporting.readable import fixed
+from parallel_cal.workbench.bench import Bench
+
+POLL = 0.3  # s between two looks at the bench: two windows agree within a second
+COLOURS = {"green": "#1a7f37", "amber": "#9a6700", "grey": "#57606a"}
+QUIET, ACCENT, MARKED = "#8a94a3", "#0072b2", "#d55e00"  # Okabe and Ito: for every eye
+CLEAR = {
+    "paper_bgcolor": "rgba(0,0,0,0)",
+    "plot_bgcolor": "rgba(0,0,0,0)",
+    "font": {"color": QUIET},
+}
+CSS = """
+.q-header { background: #fff; color: #1f2328 }
+.body--dark .q-header { background: #1d1d1d; color: #e6edf3 }
+"""
+ROUND = {"t": 24, "r": 12, "l": 52, "b": 44}
+
+
+def build(bench: Bench) -> None:
+    """Every window that is opened on this server shows the bench."""
+
+    @ui.page("/", title=f"parallel-cal · {bench.session.folder.name}")
+    def _index() -> None:
+        Window(bench)
+
+
+class Window:
+    """One browser's view of the bench, with its own marked samples."""
+
+    def __init__(self, bench: Bench):
+        self.bench, self.seen, self.marked = bench, -1, set[int]()
+        self.plots: list[Any] = []
+        self.view: dict[str, Any] = {}  # the one that is drawn
+        self.along, self.component = "", 0
+        ui.dark_mode(None)  # as the browser has it
+        ui.add_css(CSS)
+        with ui.header().classes("shadow"):
+            self.head = ui.column().classes("w-full gap-1")
+        self.body = ui.column().classes("w-full max-w-screen-xl mx-auto gap-4")
+        self._draw()
+        ui.timer(POLL, self._poll)
+
+    def _poll(self) -> None:
+        self.bench.follow()
+        if self.seen != self.bench.version:
+            self._draw()
+
+    def _draw(self) -> None:
+        whole = self.seen < 0 or not self.bench.busy
+        self.seen = self.bench.version
+        self.head.clear()
+        with self.head:
+            self._header()
+        if not whole:
+            return  # while a step is under way only its progress changes
+        self.marked, self.plots = set(), []
+        self.body.clear()
+        with self.body:
+            view = self.view = self.bench.view or {}
+            if not view:
+                ui.label("Looking at the measurements: this takes a few seconds.").classes("p-4")
+                return
+            self._failing(view)
+            self._missing(view)
+            self._history()
+            self._samples(view)
+            self._parameters(view)
+            self._next(view)
+
+    # ------------------------------------------------------------------ always in view
+
+    def _header(self) -> None:
+        bench, view = self.bench, self.bench.view
+        verdict = (view or {}).get("verdict", {"colour": "grey", "words": "not looked at yet"})
+        ui.label(verdict["words"]).classes("text-base font-bold").style(
+            f"border-left: 6px solid {COLOURS[verdict['colour']]}; padding-left: 8px"
+        ).props("id=verdict role=status aria-live=polite")
+        with ui.row().classes("items-center gap-6"):
+            for tile in (view or {}).get("tiles", []):
+                self._tile(tile)
+            self._budget((view or {}).get("budget", []))
+            self._buttons()
+        if bench.busy:
+            with ui.row().classes("items-center w-full"):
+                ui.label(bench.stage).props("id=stage")
+                ui.linear_progress(bench.fraction, show_value=False).classes("w-64").props(
+                    'aria-label="progress"'
+                )
+                ui.button("Cancel", on_click=bench.cancel).props("dense outline")
+        elif bench.message:
+            ui.label(bench.message).props("id=message role=alert").style(
+                f"color: {COLOURS['amber'] if bench.failed else QUIET}"
+            )
+
+    def _tile(self, tile: dict[str, Any]) -> None:
+        with ui.column().classes("gap-0"):
+            ui.label(tile["name"]).classes("text-xs").style("opacity: 0.75")
+            for one in tile["values"]:
+                ui.label(f"{one['value']} {one['unit']}").classes("text-lg leading-tight").tooltip(
+                    f"{one['kind']}, rms at poses left out"
+                )
+
+    def _budget(self, parts: list[dict[str, Any]]) -> None:
+        if not parts:
+            return
+        with ui.column().classes("gap-0"):
+            ui.label("error budget, each by itself").classes("text-xs").style("opacity: 0.75")
+            words = [f"{p['name']} {p['alone']} {p['unit']}" for p in parts if p["name"] != "rest"]
+            ui.label(" · ".join(words)).props("id=budget")
+
+    def _buttons(self) -> None:
+        bench, record = self.bench, self.bench.session.record
+        can_redo = bool(record.forward.get(record.branch))
+        for name, step, usable in (
+            ("Undo", "undo", record.state.parent is not None),
+            ("Redo", "redo", can_redo),
+        ):
+            button = ui.button(name, on_click=partial(bench.at_once, step)).props("dense outline")
+            button.set_enabled(usable and not bench.busy)
+        fit = ui.button("Fit", on_click=partial(bench.begin, "fit")).props("dense")
+        fit.set_enabled(not bench.busy)
+        with ui.button("Save", on_click=bench.save).props("dense outline") as save:
+            ui.tooltip(f"write this model to {bench.output}")
+        save.set_enabled(not bench.busy and record.state.parent is not None)
+
+    # ------------------------------------------------------------------ where it fails
+
+    def _failing(self, view: dict[str, Any]) -> None:
+        residuals = view["residuals"]
+        with self._card("Where it fails"):
+            ui.label(
+                "Drag a box in a flat view (box or lasso tool): the same samples are marked in all."
+            ).classes("text-sm").style("opacity: 0.75")
+            with ui.row().classes("w-full no-wrap max-lg:flex-wrap"):
+                if view["arrows"]:
+                    with ui.column().classes("flex-1 min-w-0 gap-0"):
+                        scale = view["arrows"]["scale"]
+                        ui.label(f"Residuals, drawn {scale:g} times as long as they are").classes(
+                            "text-sm"
+                        )
+                        figure = view["arrows"]["figure"]
+                        figure = figure | {"layout": figure["layout"] | CLEAR}
+                        ui.plotly(figure).classes("w-full").props(
+                            'role=img aria-label="residual arrows in space"'
+                        )
+                self._map(view, "x", "y")
+            names = list(residuals["along"])
+            self.along = self.along if self.along in residuals["along"] else next(iter(names), "")
+            self.component = min(self.component, len(residuals["components"]) - 1)
+            if names and residuals["components"]:
+                with ui.row().classes("items-center"):
+                    ui.select(
+                        residuals["components"],
+                        value=residuals["components"][self.component],
+                        label="residual of",
+                        on_change=lambda e: self._look_along(component=e.value),
+                    ).classes("w-32")
+                    ui.select(
+                        names,
+                        value=self.along,
+                        label="against",
+                        on_change=lambda e: self._look_along(along=e.value),
+                    ).classes("w-48")
+                with ui.row().classes("w-full no-wrap max-lg:flex-wrap"):
+                    self.flat = self._points(*self._coordinates(view))
+                    self._polar(view)
+
+    def _map(self, view: dict[str, Any], across: str, up: str) -> None:
+        place, k = view["residuals"]["place"], {"x": 0, "y": 1, "z": 2}
+        sizes = [sample["sigmas"] or 0 for sample in view["samples"]]
+        self._points(
+            [p[k[across]] for p in place],
+            [p[k[up]] for p in place],
+            f"{across} [mm]",
+            f"{up} [mm]",
+            "rms residual [sigmas] over the workspace",
+            {"color": sizes, "colorscale": "Cividis", "showscale": True, "size": 9},
+        )
+
+    def _coordinates(self, view: dict[str, Any]) -> tuple[Any, ...]:
+        residuals = view["residuals"]
+        along = residuals["along"][self.along]
+        name = residuals["components"][self.component]
+        return (
+            along["values"],
+            [row[self.component] for row in residuals["sigmas"]],
+            f"{self.along} [{along['unit']}]" if along["unit"] else self.along,
+            f"{name} [sigmas]",
+            f"residual of {name} against {self.along}",
+            {"color": residuals["colours"][self.component], "size": 7},
+        )
+
+    def _look_along(self, along: str = "", component: str = "") -> None:
+        self.along = along or self.along
+        if component:
+            self.component = self.view["residuals"]["components"].index(component)
+        self.seen = -1
+        self._draw()
+
+    def _points(
+        self, x: Any, y: Any, across: str, up: str, title: str, marker: dict[str, Any]
+    ) -> Any:
+        """A flat view whose points can be marked; a point is a sample, in the samples' order."""
+        figure = {
+            "data": [
+                {
+                    "type": "scatter",
+                    "mode": "markers",
+                    "x": x,
+                    "y": y,
+                    "marker": marker,
+                    "text": [f"sample {s['sample']}" for s in self.view["samples"]],
+                    "selected": {"marker": {"color": MARKED, "size": 11}},
+                    "unselected": {"marker": {"opacity": 0.35}},
+                }
+            ],
+            "layout": {
+                **CLEAR,
+                "height": 360,
+                "margin": ROUND,
+                "title": {"text": title, "font": {"size": 13}},
+                "xaxis": {"title": {"text": across}},
+                "yaxis": {"title": {"text": up}},
+                "dragmode": "select",
+                "uirevision": "kept",
+            },
+            "config": {"displaylogo": False},
+        }
+        plot = ui.plotly(figure).classes("flex-1 min-w-0").props(f'role=img aria-label="{title}"')
+        plot.on("plotly_selected", lambda e: self._brush(e.args))
+        plot.on("plotly_deselect", lambda: self._mark(set()))
+        self.plots.append((plot, figure))
+        return plot
+
+    def _polar(self, view: dict[str, Any]) -> None:
+        """A joint's residual round its reading: a gear's ripple is plain to the eye there."""
+        along = view["residuals"]["along"][self.along]
+        if along["unit"] != "deg" or "." in self.along:  # a joint's reading, no condition of it
+            return
+        sigmas = [row[self.component] for row in view["residuals"]["sigmas"]]
+        outer = max(3.0, max(abs(s) for s in sigmas))
+        ui.plotly(
+            {
+                "data": [
+                    {
+                        "type": "scatterpolar",
+                        "mode": "markers",
+                        "theta": along["values"],
+                        "r": [outer + s for s in sigmas],
+                        "marker": {"color": ACCENT, "size": 5},
+                        "hoverinfo": "skip",
+                    },
+                    {
+                        "type": "scatterpolar",
+                        "mode": "lines",
+                        "theta": list(range(361)),
+                        "r": [outer] * 361,
+                        "line": {"color": QUIET},
+                        "hoverinfo": "skip",
+                    },
+                ],
+                "layout": {
+                    **CLEAR,
+                    "height": 360,
+                    "showlegend": False,
+                    "margin": {"t": 30, "b": 30, "l": 30, "r": 30},
+                    "polar": {
+                        "bgcolor": "rgba(0,0,0,0)",
+                        "radialaxis": {"showticklabels": False, "range": [0, 2 * outer]},
+                    },
+                },
+                "config": {"displaylogo": False},
+            }
+        ).classes("w-96").props('role=img aria-label="residual round the joint\'s reading"')
+
+    # ------------------------------------------------------------------ marked samples
+
+    def _brush(self, args: Any) -> None:
+        points = (args or {}).get("points") or []
+        which = {int(p.get("pointIndex", p.get("pointNumber", -1))) for p in points} - {-1}
+        if which and which != self.marked:  # drawing a view anew says "nothing", too
+            self._mark(which)
+
+    def _mark(self, which: set[int]) -> None:
+        """Mark samples, by their place in the view, in every picture and in the table."""
+        self.marked = which
+        for plot, figure in self.plots:
+            if which:
+                figure["data"][0]["selectedpoints"] = sorted(which)
+            else:
+                figure["data"][0].pop("selectedpoints", None)
+            plot.update()
+        rows = self.view["samples"]
+        self.table.selected = [rows[i] for i in sorted(which)]
+        self.table.update()
+        self.count.set_text(f"{len(which)} samples marked" if which else "no sample marked")
+
+    # ------------------------------------------------------------------ what is missing
+
+    def _missing(self, view: dict[str, Any]) -> None:
+        with self._card("What is missing"):
+            for advice in view["advice"][:3]:
+                ui.label(advice).classes("text-sm")
+            if not view["candidates"]:
+                ui.label("No effect was tested yet: press Fit.")
+            for one in view["candidates"][:8]:
+                with ui.row().classes("w-full items-center no-wrap max-lg:flex-wrap"):
+                    add = ui.button("Add", on_click=partial(self.bench.begin, "add", one["name"]))
+                    look = "dense" if one["found"] else "dense outline"
+                    add.props(f'{look} aria-label="add {one["name"]}"')
+                    add.set_enabled(not self.bench.busy)
+                    with ui.column().classes("gap-0 grow"):
+                        ui.label(one["name"]).classes("font-bold" if one["found"] else "")
+                        ui.label(one["physics"]).classes("text-sm")
+                        apart = f"looks like {one['lookalikes']}; " if one["lookalikes"] else ""
+                        ui.label(one["against"] or f"{apart}told apart by {one['apart']}").classes(
+                            "text-xs"
+                        ).style("opacity: 0.75")
+                    with ui.column().classes("gap-0 items-end min-w-40"):
+                        ui.label(one["fall"] or "not refitted")
+                        ui.label(f"explains {one['explains']} · p {one['p']}").classes("text-xs")
+            if view["untested"]:
+                with ui.expansion(f"{len(view['untested'])} could not be tested"):
+                    for one in view["untested"]:
+                        ui.label(f"{one['name']}: {one['why']}").style("opacity: 0.7")
+
+    # ------------------------------------------------------------------ history
+
+    def _history(self) -> None:
+        bench, session = self.bench, self.bench.session
+        with self._card("History"):
+            rows = [
+                {
+                    "step": state.step,
+                    "before": fixed(state.before.get("position_rms"), 1e6, 1),
+                    "after": fixed(state.position_rms, 1e6, 1),
+                    "out": len(state.excluded),
+                    "verdict": state.verdict or state.against,
+                }
+                for state in session.history()
+            ]
+            self._table(
+                [("step", "step"), ("before", "left out, before [µm]"), ("after", "after [µm]"),
+                 ("out", "samples left out"), ("verdict", "verdict")],
+                rows,
+                "history",
+            )  # fmt: skip
+            with ui.row().classes("items-center"):
+                ui.select(
+                    list(session.record.branches),
+                    value=session.record.branch,
+                    label="branch",
+                    on_change=lambda e: bench.at_once("switch", e.value),
+                ).classes("w-48").set_enabled(not bench.busy)
+                name = ui.input("new branch from here").classes("w-48")
+                ui.button(
+                    "Branch", on_click=lambda: bench.at_once("start_branch", name.value or "")
+                ).props("dense outline")
+            if len(session.record.branches) > 1:
+                beside = [
+                    {"branch": k, "step": s.step, "after": fixed(s.position_rms, 1e6, 1),
+                     "out": len(s.excluded)}
+                    for k, s in session.compared().items()
+                ]  # fmt: skip
+                self._table(
+                    [("branch", "branch"), ("step", "last step"), ("after", "left out [µm]"),
+                     ("out", "samples left out")],
+                    beside,
+                    "branches",
+                )  # fmt: skip
+
+    # ------------------------------------------------------------------ samples, parameters, next
+
+    def _samples(self, view: dict[str, Any]) -> None:
+        bench = self.bench
+        with self._card("Samples"):
+            self.table = self._table(
+                [("sample", "sample"), ("time", "time [s]"), ("error", "error [µm]"),
+                 ("sigmas", "residual [sigmas]"), ("odd", "odd")],
+                view["samples"],
+                "sample",
+                selection="multiple",
+                pagination={"rowsPerPage": 8, "sortBy": "sigmas", "descending": True},
+            )  # fmt: skip
+            order = {row["sample"]: i for i, row in enumerate(view["samples"])}
+            self.table.on_select(
+                lambda e: self._mark({order[row["sample"]] for row in e.selection})
+            )
+            with ui.row().classes("items-center"):
+                self.count = ui.label("no sample marked").props("id=marked aria-live=polite")
+                why = ui.input("reason").classes("w-64")
+                ui.button("Exclude", on_click=lambda: self._exclude(why.value)).props("dense")
+            left_out = bench.session.state.excluded
+            for number, reason in left_out.items():
+                with ui.row().classes("items-center"):
+                    ui.label(f"sample {number} is left out: {reason or 'no reason given'}")
+                    ui.button(
+                        "Take back", on_click=partial(bench.begin, "include", [number])
+                    ).props("dense flat")
+
+    def _exclude(self, why: str | None) -> None:
+        rows = self.view["samples"]
+        if not self.marked:
+            self.count.set_text("no sample marked: mark some in a view or in the table first")
+            return
+        chosen = {rows[i]["sample"]: why or "" for i in sorted(self.marked)}
+        self.bench.begin("exclude", chosen)
+
+    def _parameters(self, view: dict[str, Any]) -> None:
+        if view["parameters"]:
+            with self._card("Parameters"):
+                self._table(
+                    [("name", "parameter"), ("what", "what it is"), ("value", "value"),
+                     ("sigma", "sigma"), ("unit", "unit"), ("moved", "moved [tolerances]")],
+                    view["parameters"],
+                    "name",
+                    pagination=12,
+                )  # fmt: skip
+                for line in view["cannot_tell"]:
+                    ui.label(f"The data cannot tell {line}.").classes("text-sm")
+
+    def _next(self, view: dict[str, Any]) -> None:
+        if len(view["advice"]) > 3:
+            with self._card("What to measure next"):
+                for advice in view["advice"]:
+                    ui.label(advice)
+
+    # ------------------------------------------------------------------ pieces
+
+    def _card(self, title: str) -> Any:
+        card = ui.card().classes("w-full").props(f'role=region aria-label="{title}"')
+        with card:
+            ui.label(title).classes("text-lg font-bold").props("role=heading aria-level=2")
+        return card
+
+    def _table(
+        self, columns: list[tuple[str, str]], rows: list[dict[str, Any]], key: str, **how: Any
+    ) -> Any:
+        shown = [
+            {"name": field, "label": label, "field": field, "align": "left", "sortable": True}
+            for field, label in columns
+        ]
+        how = {"row_key": key} | how
+        return (
+            ui.table(columns=shown, rows=rows, **how)
+            .classes("w-full")
+            .props("dense flat wrap-cells")
+        )

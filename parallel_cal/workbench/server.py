@@ -1,0 +1,80 @@
+"""The server: this machine's own unless a token is given, closed to pages of other origins."""
+
+from __future__ import annotations
+
+import hmac
+from pathlib import Path
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+from parallel_cal.workbench.bench import Bench
+
+RECONNECT = 60.0  # s a window may be silent: drawing in space without a graphics card takes seconds
+LOOPBACK = ("127.0.0.1", "localhost", "::1")
+
+
+class Guard:
+    """ASGI: refuses a Host or an Origin that is not this server's, and who lacks the token.
+
+    The token comes once as `?token=...`, which sets a cookie, so that it need not stay in the bar.
+    """
+
+    def __init__(self, app: Any, hosts: tuple[str, ...], token: str = ""):
+        self.app, self.hosts, self.token = app, hosts, token
+
+    async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
+        if scope["type"] not in ("http", "websocket"):
+            return await self.app(scope, receive, send)
+        headers = {k.decode("latin-1"): v.decode("latin-1") for k, v in scope["headers"]}
+        asked = parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[0]
+        if not self._known(f"//{headers.get('host', '')}") or (
+            "origin" in headers and not self._known(headers["origin"])
+        ):
+            return await self._refused(scope, send, b"foreign Host or Origin")
+        if self.token and not self._allowed(asked, headers.get("cookie", "")):
+            return await self._refused(scope, send, b"a token is needed: open the link printed")
+
+        async def with_cookie(message: Any) -> None:
+            if message["type"] == "http.response.start" and self.token and asked:
+                cookie = f"token={self.token}; HttpOnly; SameSite=Strict; Path=/"
+                message["headers"] = [*message["headers"], (b"set-cookie", cookie.encode())]
+            await send(message)
+
+        await self.app(scope, receive, with_cookie)
+
+    def _known(self, url: str) -> bool:
+        return urlsplit(url).hostname in self.hosts
+
+    def _allowed(self, asked: str, cookies: str) -> bool:
+        given = [asked, *(c.partition("=")[2] for c in cookies.split("; ") if c[:6] == "token=")]
+        return any(hmac.compare_digest(one, self.token) for one in given)
+
+    async def _refused(self, scope: Any, send: Any, why: bytes) -> None:
+        if scope["type"] == "websocket":
+            return await send({"type": "websocket.close", "code": 1008})
+        head = [(b"content-type", b"text/plain")]
+        await send({"type": "http.response.start", "status": 403, "headers": head})
+        await send({"type": "http.response.body", "body": why})
+
+
+def serve(
+    folder: Path,
+    output: Path | None = None,
+    *,
+    host: str = "127.0.0.1",
+    port: int = 8080,
+    token: str = "",
+    show: bool = True,
+) -> None:
+    """Serve the session in `folder` until the process is ended; Save writes `output`."""
+    from nicegui import app, ui
+
+    from parallel_cal.workbench.page import build
+
+    build(Bench(folder, output))
+    app.add_middleware(Guard, hosts=(*LOOPBACK, host), token=token)
+    ui.run(
+        host=host, port=port, show=show, reload=False, title="parallel-cal", favicon="📐",
+        show_welcome_message=False, dark=None, reconnect_timeout=RECONNECT,
+        uvicorn_logging_level="warning",
+    )  # fmt: skip

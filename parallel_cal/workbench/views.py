@@ -1,0 +1,220 @@
+"""What the page shows of a session's state, as plain data: computed beside the page's process."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from parallel_cal.base.documents import plain
+from parallel_cal.diagnosis.comparison import Comparison, compare
+from parallel_cal.diagnosis.entries import Entry
+from parallel_cal.diagnosis.patterns import Along
+from parallel_cal.identification.prediction_errors import Summary
+from parallel_cal.reporting import contents, multiples, spaces
+from parallel_cal.reporting.readable import (
+    in_unit,
+    large,
+    number,
+    percent,
+    probability,
+    small,
+    unit_of,
+)
+from parallel_cal.reporting.report import Report, report
+from parallel_cal.session.session import Session
+
+Progress = Callable[[str, float], None]
+View = dict[str, Any]
+AMBER, GREEN, GREY = "amber", "green", "grey"
+
+
+def view(session: Session, progress: Progress) -> View:
+    """Everything the page shows of the session's present state.
+
+    A model that was never identified on these samples is only compared with them; any other one is
+    diagnosed, and its verdict kept with the state.
+    """
+    if session.state.parent is None:
+        return _compared(compare(session.model, session.dataset, session.options.joint_sigma))
+    how = session.options
+    found = report(
+        session.model, session.dataset, progress=progress, options=how, hold_out=how.hold_out
+    )
+    verdict = found.diagnosis.verdict
+    session.judged(session.state, f"{verdict.word}: {verdict.summary}")
+    return _reported(found)
+
+
+def _compared(found: Comparison) -> View:
+    kinds = [k for k in ("position", "orientation", "reading") if found.errors.summary.rms(k)]
+    tiles = [_tile("now", found.errors.summary, kinds)]
+    if found.noise.known:
+        tiles.append(_tile("noise alone", found.noise, kinds))
+    field = found.field
+    return {
+        "verdict": {"colour": GREY, "words": "compared with the measurements; not identified yet"},
+        "tiles": tiles,
+        "budget": [],
+        "arrows": _arrows(found.scene, field, found.dataset.numbers),
+        "residuals": _residuals(found.scene, field, found.along),
+        "samples": [
+            {
+                "sample": int(found.dataset.numbers[i]),
+                "time": _round(found.dataset.time[i], 1),
+                "error": _round(1e6 * found.errors.norms("position")[i], 1),
+                "sigmas": _round(found.scene.sigmas[i], 1),
+                "odd": "",
+            }
+            for i in range(len(found.observations))
+        ],
+        "candidates": [],
+        "untested": [],
+        "parameters": [],
+        "advice": ["Fit: identify the geometry first, then see what is left."],
+        "cannot_tell": [],
+    }
+
+
+def _reported(found: Report) -> View:
+    diagnosis, errors = found.diagnosis, found.errors
+    tiles = [_tile("before", errors.before, errors.kinds), _tile("now", errors.now, errors.kinds)]
+    if errors.found is not None:
+        tiles.append(_tile(f"with {' and '.join(diagnosis.effects)}", errors.found, errors.kinds))
+    if errors.noise.known:
+        tiles.append(_tile("noise alone", errors.noise, errors.kinds))
+    scene = diagnosis.base.scene
+    words = {one.sample: one.odd for one in found.samples}
+    judged = {one.sample: one.now for one in found.samples}
+    numbers = [int(n) for n in diagnosis.dataset.numbers]
+    return {
+        "verdict": _verdict(found),
+        "tiles": tiles,
+        "budget": list(_budget(found)),
+        "arrows": _arrows(scene, contents.Field.of(scene), diagnosis.dataset.numbers),
+        "residuals": _residuals(scene, contents.Field.of(scene), found.along),
+        "samples": [
+            {
+                "sample": n,
+                "time": _round(diagnosis.dataset.time[i], 1),
+                "error": _round(1e6 * judged[n]["position"], 1),
+                "sigmas": _round(judged[n]["sigmas"], 1),
+                "odd": words[n],
+            }
+            for i, n in enumerate(numbers)
+        ],
+        "candidates": [_candidate(e, found) for e in diagnosis.entries if e.p_adjusted is not None],
+        "untested": [
+            {"name": e.name, "why": e.reason} for e in diagnosis.entries if e.p_adjusted is None
+        ],
+        "parameters": [_parameter(name, p) for name, p in found.parameters.items()],
+        "advice": list(diagnosis.measure_next.advice),
+        "cannot_tell": [
+            " ".join(f"{weight:+.2f} {name}" for name, weight in one["combination"].items())
+            for one in plain(found.combinations)["unidentifiable"]
+            if isinstance(one.get("combination"), Mapping)
+        ],
+    }
+
+
+def _verdict(found: Report) -> View:
+    """Green only where the loaded model lacks nothing that the data show."""
+    verdict, effects = found.diagnosis.verdict, found.diagnosis.effects
+    if verdict.word == "at_noise":
+        return {"colour": GREEN, "words": verdict.summary}
+    if verdict.word == "explained":
+        count = "one effect" if len(effects) == 1 else f"{len(effects)} effects"
+        return {"colour": AMBER, "words": f"{count} missing: {verdict.summary}"}
+    return {"colour": GREY if verdict.word == "cannot_know" else AMBER,
+            "words": f"{verdict.word.replace('_', ' ')}: {verdict.summary}"}  # fmt: skip
+
+
+def _tile(name: str, e: Summary, kinds: list[str]) -> View:
+    values = []
+    for kind in kinds:
+        unit, factor = small(unit_of(kind, {}))
+        values.append({"value": number(e.rms(kind), factor), "unit": unit, "kind": kind})
+    return {"name": name, "values": values}
+
+
+def _budget(found: Report) -> Iterator[View]:
+    """Parts of the first kind of error, the largest by itself first."""
+    for budget in found.budget[:1]:
+        unit, factor = small(unit_of(budget.kind, {}))
+        for part in sorted(budget.parts, key=lambda p: -(p.alone or 0.0)):
+            yield {
+                "name": part.name,
+                "alone": number(part.alone, factor),
+                "unit": unit,
+                "share": percent(part.contribution / budget.total if budget.total else None),
+            }
+
+
+def _arrows(scene: Any, field: Any, numbers: np.ndarray) -> View | None:
+    if field.kind is None:
+        return None
+    places = contents.places(scene, field.kind)
+    figure, scale = spaces.residual_arrows(places, [field.vectors], field.kind, numbers)
+    return {"figure": plain(figure), "scale": scale}
+
+
+def _residuals(scene: Any, field: Any, striking: Sequence[Along]) -> View:
+    """Residuals in sigmas (N, k) by component, and what they may go with (N,), most striking
+    first; what does not vary tells nothing."""
+    used = np.flatnonzero(np.any(field.noise_units != 0, axis=0))
+    pose = field.measured.any()
+    names = [contents.POSE[k] if pose else f"reading {k + 1}" for k in used]
+    along = {}
+    units = dict(contents.units(scene))
+    recorded = dict(contents.regressors(scene))
+    for name in (one.name for one in striking if np.ptp(recorded[one.name]) > 0):
+        values = recorded[name]
+        unit, factor = large(units[name])
+        along[name] = {"values": np.round(values * factor, 5), "unit": unit}
+    return plain(
+        {
+            "components": names,
+            "colours": [multiples.colour(name) for name in names],
+            "sigmas": np.round(field.noise_units[:, used], 3),
+            "along": along,
+            "place": np.round(1e3 * contents.places(scene, field.kind), 3),
+        }
+    )
+
+
+def _candidate(entry: Entry, found: Report) -> View:
+    kind = next(iter(found.errors.kinds), "joint")
+    unit, factor = small(unit_of(kind, found.provenance.joint_units))
+    alone, effect = entry.alone, entry.candidate.effect
+    fall = "" if alone is None else (
+        f"{number(alone.before.rms(kind), factor)} → {number(alone.after.rms(kind), factor)} {unit}"
+    )  # fmt: skip
+    return {
+        "name": entry.name,
+        "found": entry.name in found.diagnosis.effects,
+        "physics": effect.physics,
+        "lookalikes": ", ".join(entry.confused_with),
+        "apart": effect.separated_by,
+        "p": probability(entry.p_adjusted),
+        "fall": fall,
+        "explains": percent(alone.share_explained if alone else None),
+        "against": entry.reason,
+    }
+
+
+def _parameter(name: str, p: contents.Described) -> View:
+    value, unit = in_unit(p.value, p.unit)
+    sigma = None if p.sigma is None else in_unit(p.sigma, p.unit)[0]
+    return {
+        "name": name,
+        "what": p.words,
+        "value": value,
+        "sigma": "given" if p.fixed else (sigma or "-"),
+        "unit": unit,
+        "moved": _round(p.moved_tolerances, 2),
+    }
+
+
+def _round(value: Any, digits: int) -> float | None:
+    return round(float(value), digits) if np.isfinite(value) else None
