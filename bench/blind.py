@@ -73,6 +73,8 @@ class Outcome:
     def right(self) -> bool:
         """Whether everything hidden was named, alone or in an `A or B`, and nothing else; noise
         that is not as stated is to be called so."""
+        if self.verdict == "error":
+            return False
         if self.case.noise and vb.CALLED[self.case.noise] not in self.summary:
             return False
         wanted = [set(vf.KINDS[k].names) for k in self.case.kinds]

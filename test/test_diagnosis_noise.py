@@ -8,6 +8,7 @@ import virtual_robot as vr
 from findings import dataset, quiet, sized
 
 from parallel_cal.diagnosis.diagnose import diagnose
+from parallel_cal.diagnosis.noise import PureError
 from parallel_cal.model.model import new_model
 
 
@@ -78,3 +79,9 @@ def test_noise_that_grows_outwards_is_said_to_grow():
     assert found.noise_shape.grows
     assert found.verdict.word == "at_noise"
     assert "times larger far from the centre" in found.verdict.summary
+
+
+@pytest.mark.parametrize(("variance", "contradicted"), [(1.4, False), (1.6, True), (0.6, True)])
+def test_replicates_that_may_be_luck_contradict_no_stated_noise(variance, contradicted):
+    """150 degrees of freedom: 1.4 has a chance of 9e-4, 1.6 of 4e-6 and 0.6 of 3e-5."""
+    assert PureError(variance, 150).contradict is contradicted

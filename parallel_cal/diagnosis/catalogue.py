@@ -12,6 +12,7 @@ from parallel_cal.base.errors import ModelError
 from parallel_cal.diagnosis.scene import Scene, columns
 from parallel_cal.diagnosis.scoring import Score, quick_log_p, score
 from parallel_cal.diagnosis.thresholds import (
+    AS_WELL,
     SHUFFLES,
     SLOW,
     STRETCHES,
@@ -29,9 +30,9 @@ from parallel_cal.recordings.dataset import Dataset
 class Candidate:
     """One effect on these data: its score, or why it cannot have one.
 
-    `settings` are its fixed numbers as scanned, `tried` how many were; `missing` conditions were
-    not recorded, `reason` says what else stands against it. `scene` is the one it was scored in: a
-    larger model has one of its own.
+    `settings` are its fixed numbers as scanned, `tried` how many were, `sigma` how uncertain those
+    are that were refined; `missing` conditions were not recorded, `reason` says what else stands
+    against it. `scene` is the one it was scored in: a larger model has one of its own.
     """
 
     name: str
@@ -42,6 +43,7 @@ class Candidate:
     tried: int = 1
     missing: tuple[str, ...] = ()
     reason: str = ""
+    sigma: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def testable(self) -> bool:
@@ -132,11 +134,17 @@ def candidate(scene: Scene, name: str) -> Candidate:
     many = [quick_log_p(scene, of_last(scene, plain, setting, a)) for setting in settings]
     best = int(np.argmin(many))
     setting = settings[best]
+    sigma: Mapping[str, float] = {}
     worth = effect.refines and many[best] < WORTH_REFINING
     if worth and len(settings) > 1 and len(setting) == 1:
-        setting = _refined(scene, plain, settings[max(best - 1, 0) : best + 2], a, setting)
+        (key,) = setting
+        step = float(np.ptp([one[key] for one in settings[max(best - 1, 0) : best + 2]]) / 2)
+        near = (setting, *effect.multiples(setting))
+        setting, sigma = _meant([_peak(scene, plain, key, one[key], step, a) for one in near])
     highest = score(scene, of_last(scene, plain, setting, a))
-    return Candidate(name, effect, setting, highest, scene, len(settings), (), _unseen(highest))
+    return Candidate(
+        name, effect, setting, highest, scene, len(settings), (), _unseen(highest), sigma
+    )
 
 
 def of_last(scene: Scene, plain: Model, settings: Mapping[str, float], a: np.ndarray) -> np.ndarray:
@@ -145,25 +153,39 @@ def of_last(scene: Scene, plain: Model, settings: Mapping[str, float], a: np.nda
     return columns(extended, scene, new_numbers(scene.model, extended), a)
 
 
-def _refined(
-    scene: Scene,
-    plain: Model,
-    near: list[Mapping[str, float]],
-    a: np.ndarray,
-    best: Mapping[str, float],
-) -> Mapping[str, float]:
-    """The best value between the neighbours of the best one scanned, `near` all of them."""
-    from scipy.optimize import minimize_scalar
+@dataclass(frozen=True)
+class Peak:
+    """A setting that fits best among its neighbours, its log p and its sigma."""
 
-    (key,) = best
-    low, *_, high = sorted(setting[key] for setting in near)
+    key: str
+    value: float
+    log_p: float
+    sigma: float | None
+
+
+def _peak(scene: Scene, plain: Model, key: str, near: float, step: float, a: np.ndarray) -> Peak:
+    """The best value of a setting within a step of `near`: log p falls by a half where chi2 rises
+    by one, and one sigma away it does."""
+    from scipy.optimize import minimize_scalar
 
     def log_p(value: float) -> float:
         return quick_log_p(scene, of_last(scene, plain, {key: value}, a))
 
-    options = {"xatol": 1e-3 * (high - low)}
-    optimum = minimize_scalar(log_p, bounds=(low, high), method="bounded", options=options)
-    return {key: float(optimum.x)} if optimum.fun < log_p(best[key]) else best
+    optimum = minimize_scalar(
+        log_p, bounds=(near - step, near + step), method="bounded", options={"xatol": 1e-3 * step}
+    )
+    value = min((near, float(optimum.x)), key=log_p)
+    apart = step / 20
+    below, at, above = (log_p(value + away) for away in (-apart, 0.0, apart))
+    bend = (below - 2 * at + above) / apart**2
+    return Peak(key, value, at, bend**-0.5 if bend > 0 else None)
+
+
+def _meant(peaks: list[Peak]) -> tuple[dict[str, float], dict[str, float]]:
+    """The last of several settings that fits as well as the best, and its sigma."""
+    best = min(peak.log_p for peak in peaks)
+    peak = [peak for peak in peaks if peak.log_p < best + AS_WELL][-1]
+    return {peak.key: peak.value}, {} if peak.sigma is None else {peak.key: peak.sigma}
 
 
 def _unseen(score: Score) -> str:

@@ -72,6 +72,7 @@ class Entry:
             "F": score.F if score else None,
             "freedoms": score.q if score else None,
             "settings": one.settings,
+            "settings_sigma": one.sigma,
             "tried": one.tried,
             "remaining_after_geometry": self.remaining,
             "typical_size_in_sigmas": score.size if score else None,

@@ -98,7 +98,8 @@ def orders(scene: Scene) -> Iterator[tuple[str, np.ndarray]]:
 
 def regressors(scene: Scene) -> Iterator[tuple[str, np.ndarray]]:
     """What residuals may depend on (N,), poses as predicted: time, joints, place, conditions."""
-    yield "time", np.asarray(scene.dataset.time)
+    if "time" in scene.dataset.conditions:  # the order of samples is none
+        yield "time", np.asarray(scene.dataset.time)
     for k in np.flatnonzero(told_apart(scene)):
         yield [*scene.model.joints, *"xyz"][k], scene.x[:, k]
     for name, values in scene.dataset.conditions.items():

@@ -10,7 +10,7 @@ from parallel_cal.base.confidence import CHANCE
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.statistics import averaged
-from parallel_cal.diagnosis.thresholds import ENOUGH_REPLICATES
+from parallel_cal.diagnosis.thresholds import CONTRADICTED, ENOUGH_REPLICATES
 from parallel_cal.identification.doubts import chi2_band
 
 STATED = ("option", "dataset", "model file")
@@ -27,6 +27,16 @@ class PureError:
 
     variance: float | None
     dof: int
+
+    @property
+    def contradict(self) -> bool:
+        """Whether replicates are no luck of the stated noise."""
+        from scipy.special import chdtr, chdtrc
+
+        if self.variance is None or self.dof < ENOUGH_REPLICATES:
+            return False
+        squares = self.variance * self.dof
+        return bool(min(chdtr(self.dof, squares), chdtrc(self.dof, squares)) < CONTRADICTED / 2)
 
     @classmethod
     def of(cls, scene: Scene, field: Field) -> PureError:
@@ -82,9 +92,8 @@ class NoiseLevel:
         seen = PureError.of(scene, field)
         sources = set(scene.observations.noise_from.values())
         if sources <= set(STATED):
-            low, high = chi2_band(seen.dof)
-            variance = seen.variance if seen.dof >= ENOUGH_REPLICATES else None
-            if variance is None or low <= variance <= high or (variance > high and structured):
+            variance = seen.variance if seen.contradict else None
+            if variance is None or (variance > 1 and structured):
                 return cls(1.0, None, f"stated ({', '.join(sorted(sources))})", seen)
             words = f"replicates ({seen.dof} degrees of freedom)"
             return cls(variance, seen.dof, words, seen, variance**0.5)

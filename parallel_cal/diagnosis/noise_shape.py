@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -50,7 +50,9 @@ class NoiseShape:
         n = len(scene.model.joints)
         if scene.dataset.mode == "continuous":
             return cls(0.0, 1.0, 0.0, 1.0, 1.0)
-        return noise_shape(field.noise_units, scene.dataset.time, scene.x[:, n : n + 3])
+        shape = noise_shape(field.noise_units, scene.dataset.time, scene.x[:, n : n + 3])
+        known = "time" in scene.dataset.conditions  # the order of samples is none
+        return shape if known else replace(shape, correlation=0.0, correlation_p=1.0, memory=0.0)
 
 
 def noise_shape(z: np.ndarray, time: np.ndarray, places: np.ndarray, seed: int = 0) -> NoiseShape:

@@ -6,6 +6,7 @@ from parallel_cal.base.confidence import CHANCE
 
 # What is no chance
 SIGNIFICANT = CHANCE  # p-value: of an effect over the whole catalogue (Holm), of structure
+CONTRADICTED = 1e-4  # p-value of replicates, before they are believed instead of a stated noise
 GROSS = 1e-3  # p-value of an outlier, over the whole data set
 INFLUENTIAL = 1.0  # Cook's distance: without the sample, estimates move by about their sigma
 UNCERTAIN = 1.2  # of the noise alone: an error at poses left out that is larger deserves a word
@@ -22,15 +23,21 @@ HELD_STILL = 2.0  # sigmas rms of coordinates that a model holds: it lacks freed
 MOST_EFFECTS = 4  # added in one diagnosis
 REFITTED = 5  # best candidates that are identified and judged at poses left out
 WORTH_REFINING = log(1e-3)  # log p: a scanned setting is refined between its neighbours
+AS_WELL = 4.5  # of log p, three sigmas: two settings of a scan that are closer fit alike
 SHUFFLES = 39  # copies with the condition shuffled between samples ...
 AS_GOOD = 1  # ... of which so many may score as well, by chance
 STRETCHES = 12  # of the session that are shuffled whole: noise may wander from sample to sample
 SLOW = 0.5  # correlation of neighbours in time: a condition that changes so may be taken for noise
 EXPLAINED = 0.7  # of the variance beyond the noise
 
+# Where a verdict holds
+BEYOND = 0.1  # of the measured box: so far outside it the model is still the one that was judged
+FEWEST_BEYOND = 15  # of POOL poses in the workspace: fewer are no region of their own
+
 # Which effects cannot be told from each other
 ALIKE = 0.9  # canonical correlation above which two effects are one entry
 LIKE = 1.05  # of the held-out error: a swap within it tells as good a story ...
+FAMILY = 3  # members of one family in an "A or B or C": it has a name of its own
 APART = 5.0  # ... unless the data tell the two apart by as many sigmas
 
 # How tests and pictures of what is left are made

@@ -8,10 +8,20 @@ from dataclasses import dataclass
 from parallel_cal.diagnosis.lack_of_fit import LackOfFit
 from parallel_cal.diagnosis.noise import NoiseLevel
 from parallel_cal.diagnosis.noise_shape import NoiseShape
+from parallel_cal.diagnosis.region import Region
 from parallel_cal.diagnosis.search import Trial
-from parallel_cal.diagnosis.thresholds import EXPLAINED, FEWEST_DOF, HELD_STILL, LUCK, UNCERTAIN
+from parallel_cal.diagnosis.thresholds import (
+    EXPLAINED,
+    FAMILY,
+    FEWEST_DOF,
+    HELD_STILL,
+    LUCK,
+    UNCERTAIN,
+)
 from parallel_cal.identification.acceptance import UNITS, acceptance, in_words
+from parallel_cal.identification.doubts import apart
 from parallel_cal.identification.methods.implicit import Estimate
+from parallel_cal.model.shelf import load_effect
 
 
 @dataclass(frozen=True)
@@ -58,9 +68,23 @@ class Findings:
 
     @property
     def names(self) -> str:
-        """`backlash` or `A or B`, several joined by `and`."""
-        chosen = [c.name for c in self.best.chosen]
-        return " and ".join(" or ".join([name, *self.swaps.get(name, [])]) for name in chosen)
+        """`backlash`, `A or B` or a family of lookalikes, several joined by `and`."""
+        return " and ".join(called([c.name, *self.swaps.get(c.name, [])]) for c in self.best.chosen)
+
+    @property
+    def inside_before(self) -> bool:
+        """Whether the base's residuals were inside their band: nothing had to be explained."""
+        return self.chi2_before <= self.noise.band(self.base.fitted.estimate.dof)[1]
+
+
+def called(names: Sequence[str]) -> str:
+    """`A or B`; of three or more of a family `a smooth error of the joint's angle, e.g. A`."""
+    family = load_effect(names[0]).family
+    own = [name for name in names if family and load_effect(name).family == family]
+    if len(own) < FAMILY:
+        return " or ".join(names)
+    others = [name for name in names if name not in own]
+    return " or ".join([f"{family}, e.g. {names[0]}", *others])
 
 
 def share_explained(before: float, after: float, noise: float | None) -> float | None:
@@ -103,6 +127,15 @@ def judge(found: Findings) -> Verdict:
         return _nothing_found(found, errors)
     several = len(found.best.chosen) > 1
     against = tuple(_guards(found))
+    errors += _beside_noise(found)
+    if found.inside_before:
+        chi2, high = apart([found.chi2_before, found.noise.band(found.base.fitted.estimate.dof)[1]])
+        but = "".join(f"; but {words}" for words in against)
+        words = (
+            f"the residuals are inside their noise without any effect (chi2/dof {chi2}, at most "
+            f"{high}), yet {names} shows in them ({errors}): add it if that counts{but}"
+        )
+        return Verdict("at_noise", f"{words}{_noise(found)}", share, against)
     if not against:
         told = share is not None and share >= EXPLAINED  # else the excess was mostly luck
         part = f", {share:.0%} of what exceeded the noise" if told else ""
@@ -123,7 +156,8 @@ def _guards(found: Findings) -> list[str]:
     if share is not None and share < EXPLAINED and beyond_luck:
         against.append(f"only {max(share, 0):.0%} of the variance beyond the noise is explained")
     if chi2 > high:
-        against.append(f"chi2/dof {chi2:.3g} is still above {high:.3g}")
+        shown = apart([chi2, high])
+        against.append(f"chi2/dof {shown[0]} is still above {shown[1]}")
     against += [robot_or_device(name) for name in found.robot_or_device]
     against += found.outdone
     if structure.found:
@@ -145,7 +179,8 @@ def _nothing_found(found: Findings, errors: str) -> Verdict:
     noise = _noise(found)
     if chi2 <= high:
         words = f"the model explains the measurements down to their noise ({errors})"
-        advice = f"stop looking{_uncertainty(found)}"
+        region = Region.of(found.best.fitted)
+        advice = f"stop looking{region.words if region else ''}{_uncertainty(found)}"
         if found.refused:
             advice = f"yet {found.refused[0]}"
         elif found.structure.found:
@@ -156,7 +191,7 @@ def _nothing_found(found: Findings, errors: str) -> Verdict:
         nothing = f"nothing plausible explains it: {found.refused[0]}"
     return Verdict(
         "unexplained",
-        f"chi2/dof {chi2:.3g} is above {high:.3g}, but {nothing}"
+        f"chi2/dof {' is above '.join(apart([chi2, high]))}, but {nothing}"
         f"{_size(found.structure, '; a smooth part of it')} ({errors}){noise}",
     )
 
@@ -176,11 +211,21 @@ def _uncertainty(found: Findings) -> str:
         error, stated = result.held_out.summary.rms(kind), result.noise.rms(kind)
         floor = (stated or 0.0) * (found.noise.misstated or 1.0)
         if error is not None and floor and error > UNCERTAIN * floor:
+            # What parameters add in squares falls as their number of observations rises.
+            twice = (floor**2 + (error**2 - floor**2) / 2) ** 0.5
             return (
                 f"; {floor * factor:.3g} {unit} are noise, the rest is the parameters' own "
-                "uncertainty, which more poses lower"
+                f"uncertainty: twice as many poses would bring about {twice * factor:.3g} {unit}"
             )
     return ""
+
+
+def _beside_noise(found: Findings) -> str:
+    """What noise alone makes of the errors at poses left out, where it is as stated."""
+    floor = found.best.fitted.noise
+    if found.noise.misstated is not None or not floor.known:
+        return ""
+    return f"; noise alone {in_words(floor)}"
 
 
 def _size(structure: LackOfFit, before: str = ",") -> str:

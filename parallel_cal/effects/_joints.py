@@ -11,6 +11,7 @@ from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
 
+SMOOTH = "a smooth error of the joint's angle"  # family of all that waves or grows with it
 WAVE = {"sin": "sine part", "cos": "cosine part"}  # of an error that comes round: its labels
 
 
@@ -40,6 +41,7 @@ class Harmonic(Effect):
     """q_ideal = q + sin * sin(k q) + cos * cos(k q) for every joint that turns, k its `order`."""
 
     separated_by = "poses that use the whole travel of every joint"
+    family = SMOOTH
     order: ClassVar[int]
     tolerance: ClassVar[float]  # rad; no real encoder misreads by ten of it
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from parallel_cal.effects._joints import shifted
+from parallel_cal.effects._joints import SMOOTH, shifted
 from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
@@ -15,6 +15,7 @@ SIZE = {"rad": (0.5e-3, 5e-3), "m": (0.1e-3, 1e-3)}  # tolerance and what no rea
 class EncoderGain(Effect):
     """q_ideal = q + gain * q for every joint: where the reading is zero, it stays zero."""
 
+    family = SMOOTH
     physics = "A spindle's lead or a belt's pitch off by k makes the joint travel (1 + k) times."
     source = "ball screw of class C5: 20 um on 300 mm is 0.07e-3; belts and spools reach 1e-3"
     lookalikes = ("encoder_eccentricity", "encoder_second_harmonic", "device_axes")

@@ -8,7 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from parallel_cal.effects._joints import WAVE, needs_turning, shifted, turning
+from parallel_cal.effects._joints import SMOOTH, WAVE, needs_turning, shifted, turning
 from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
@@ -25,6 +25,7 @@ class GearTransmissionError(Effect):
     """
 
     fixed = ("ratio",)
+    family = SMOOTH
     physics = "Eccentric gears and wave generators advance and delay the arm once per input turn."
     source = "harmonic drives: 0.3-0.45 mrad at one and two periods per turn of the input"
 
@@ -72,6 +73,11 @@ class GearTransmissionError(Effect):
         step = np.pi / _travel(mechanism)
         for ratio in np.arange(low, high, step):
             yield {"ratio": float(ratio)}
+
+    def multiples(self, setting: Mapping[str, float]) -> Iterator[Mapping[str, float]]:
+        """Twice the ratio: what comes once per input turn is the second harmonic of a half."""
+        if 2 * setting["ratio"] <= RATIOS[1]:
+            yield {"ratio": 2 * setting["ratio"]}
 
 
 def _travel(mechanism: Mechanism) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,11 +53,21 @@ def on_noise(estimate: Estimate, observations: Observations) -> list[str]:
         if guessed:  # a robot that comes back shows more than its jitter at rest
             which = " and ".join(guessed)
             noise = f"the jitter within dwells, taken for the {which} noise that nobody stated"
+        shown = apart([estimate.chi2_per_dof, low, high])
         return [
-            f"chi2/dof {estimate.chi2_per_dof:.2f} is outside {low:.2f}..{high:.2f}: the residuals "
-            f"are {size} than {noise}"
+            f"chi2/dof {shown[0]} is outside {shown[1]}..{shown[2]}: the residuals are {size} than "
+            f"{noise}"
         ]
     return []
+
+
+def apart(values: Sequence[float]) -> list[str]:
+    """Numbers with two decimals, or as many as the first needs to differ from the others."""
+    for digits in range(2, 8):
+        shown = [f"{value:.{digits}f}" for value in values]
+        if shown[0] not in shown[1:]:
+            break
+    return shown
 
 
 def on_held(model: Model, after: Summary, noise: Callable[[], Summary]) -> list[str]:

@@ -58,6 +58,7 @@ class Effect(ABC):
     source: ClassVar[str]
     lookalikes: ClassVar[tuple[str, ...]] = ()
     separated_by: ClassVar[str] = ""
+    family: ClassVar[str] = ""  # in words, what it and others are that data seldom tell apart
     told_from: ClassVar[Mapping[str, str]] = {}  # by lookalike, where another measurement tells it
 
     @abstractmethod
@@ -91,6 +92,11 @@ class Effect(ABC):
         `recorded` are the samples' conditions and joint readings by name, (N,) each.
         """
         return ({},)
+
+    def multiples(self, setting: Mapping[str, float]) -> Iterable[Mapping[str, float]]:
+        """Settings that show the same as the best one of the scan, and are meant where they fit
+        as well: a wave's own frequency, not a half of it."""
+        return ()
 
     @property
     def name(self) -> str:

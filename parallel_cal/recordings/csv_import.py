@@ -40,7 +40,7 @@ def import_csv(paths: str | Path | Sequence[str | Path], columns: str | Path) ->
         for name, one in wanted.readings.items()
     }
     conditions = _conditions(wanted, found, n) | readings
-    data = Dataset.from_arrays(
+    return Dataset.from_arrays(
         tuple(wanted.joints),
         np.hstack(joints),
         np.zeros((n, 3)) if r is None else r,
@@ -54,8 +54,6 @@ def import_csv(paths: str | Path | Sequence[str | Path], columns: str | Path) ->
         sha256=hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest(),
         dropped=tuple(dropped),
     )
-    # The order of lines is no time: drift must not be judged by it.
-    return dataclasses.replace(data, conditions=conditions)
 
 
 @dataclass(frozen=True)

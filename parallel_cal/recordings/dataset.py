@@ -95,7 +95,7 @@ class Dataset:
         R = np.broadcast_to(np.eye(3), (n, 3, 3)) if R is None else np.array(R, float)
         cov = np.full((6, 6), np.nan) if pose_cov is None else np.array(pose_cov, float)
         given = {k: np.array(v, float) for k, v in (conditions or {}).items()}
-        time = given.setdefault("time", np.arange(n, dtype=float))
+        time = given.get("time", np.arange(n, dtype=float))  # an order is no time: not recorded
         scatter, one = np.full((n, nq), np.nan), np.ones(n, np.int64)
         if pose_id is None:
             pose_id = replicate_ids(Configuration(q, r, R), measured, scatter)

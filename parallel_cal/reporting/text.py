@@ -222,6 +222,10 @@ def _candidates(entries: tuple[Entry, ...]) -> Iterator[str]:
     tested = [entry for entry in entries if entry.p_adjusted is not None][:CANDIDATES]
     header = ("effect", "p", "left out", "explains", "first pick", "not geometry", "confused with")
     yield columns(header, [_candidate(entry) for entry in tested])
+    for entry in tested:
+        for key, sigma in entry.candidate.sigma.items():
+            best = entry.candidate.settings[key]
+            yield f"{entry.name}: {key} {best:.4g} +- {sigma:.2g} fits best"
     for entry in entries:
         told = entry in tested or entry.candidate.score is not None
         if entry.candidate.missing or (entry.reason and told):

@@ -1,0 +1,62 @@
+"""Where a verdict holds: the region that was measured, and what errors may be beyond it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from parallel_cal.base.errors import FitError
+from parallel_cal.diagnosis.thresholds import BEYOND, FEWEST_BEYOND, POOL
+from parallel_cal.identification.fit import Result
+from parallel_cal.planning.expectation import prediction_blocks
+from parallel_cal.planning.posepool import make_pool
+
+
+@dataclass(frozen=True)
+class Region:
+    """The box (m) of the positions measured, and rms position errors (m) that the parameters' own
+    uncertainty makes inside it and in the rest of the workspace."""
+
+    low: np.ndarray
+    high: np.ndarray
+    inside: float
+    beyond: float
+
+    @classmethod
+    def of(cls, result: Result) -> Region | None:
+        """None where the whole workspace was measured, or the robot does not control positions."""
+        model, axes = result.model, [k for k in result.model.mechanism.controlled if k < 3]
+        covariance, n = model.covariance, len(model.joints)
+        seen = result.observations.x[:, n : n + 3]
+        shown = result.observations.measured[:, [n + k for k in axes]].all(axis=1)
+        if not axes or covariance is None or not shown.any():
+            return None
+        low, high = seen[shown].min(axis=0), seen[shown].max(axis=0)
+        try:
+            pool = make_pool(model, POOL, np.random.default_rng(0), symmetric=False)
+        except FitError:
+            return None
+        away = np.abs(pool.poses.position - (low + high) / 2)[:, axes]
+        outside = (away > (0.5 + BEYOND) * (high - low)[axes]).any(axis=1)
+        if outside.sum() < FEWEST_BEYOND:
+            return None
+        G = prediction_blocks(model, result.free, np.ones(n + 6, bool), pool)[:, :3]
+        variance = np.einsum("nij,jk,nik->n", G, covariance[np.ix_(result.free, result.free)], G)
+        inner, outer = (
+            float(np.sqrt(np.mean(v))) if len(v) else 0.0
+            for v in (variance[~outside], variance[outside])
+        )
+        return cls(low, high, inner, outer)
+
+    @property
+    def words(self) -> str:
+        """` inside x -20..20, ... mm; ...`"""
+        box = ", ".join(
+            f"{axis} {1e3 * low:.0f}..{1e3 * high:.0f}"
+            for axis, low, high in zip("xyz", self.low, self.high, strict=True)
+        )
+        return (
+            f" inside {box} mm; in the rest of the workspace the parameters' uncertainty alone "
+            f"makes {1e6 * self.beyond:.0f} um, {1e6 * self.inside:.0f} inside"
+        )

@@ -1,0 +1,142 @@
+"""What a verdict says: names that people know, the region it holds for, digits that differ."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import virtual_effects_hidden as hidden
+import virtual_findings as vf
+import virtual_robot as vr
+from datasets import JOINTS, measured
+from findings import dataset, sized
+
+from parallel_cal.diagnosis.catalogue import candidate
+from parallel_cal.diagnosis.diagnose import diagnose
+from parallel_cal.diagnosis.field import Field
+from parallel_cal.diagnosis.noise_shape import NoiseShape
+from parallel_cal.diagnosis.region import Region
+from parallel_cal.diagnosis.search import Trial
+from parallel_cal.diagnosis.verdict import called
+from parallel_cal.identification.doubts import apart
+from parallel_cal.identification.fit import fit
+from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.model.model import new_model
+from parallel_cal.recordings.dataset import Dataset
+
+MODEL = new_model("delta54")
+
+
+def test_a_number_outside_its_limits_is_shown_with_the_digits_that_say_so():
+    assert apart([1.1712, 0.85, 1.1708]) == ["1.1712", "0.8500", "1.1708"]
+    assert apart([1.30, 1.17]) == ["1.30", "1.17"]
+
+
+def test_several_smooth_errors_of_a_joints_angle_are_called_that():
+    """Two are named both; of more, one is an example."""
+    discs = ["encoder_eccentricity", "encoder_second_harmonic", "encoder_gain"]
+    words = "a smooth error of the joint's angle, e.g. encoder_eccentricity"
+    assert called(discs) == words
+    assert called([*discs, "device_axes"]) == f"{words} or device_axes"
+    assert called(discs[:2]) == "encoder_eccentricity or encoder_second_harmonic"
+    assert called(["backlash", "hysteresis", "latency"]) == "backlash or hysteresis or latency"
+
+
+# --------------------------------------------------------------------------- where it holds
+
+
+def within(side, seed):
+    """74 poses and 20 of them again in a cube of `side` (m) in the middle of the workspace."""
+    reading, _ = vr.NOMINAL.inverse(vr.targets(74, seed, side=side))
+    day = vr.visit(reading, vr.NOMINAL.inverse(vr.NOMINAL.home)[0], 20, seed)
+    noise = vr.THESIS_NOISE
+    return dataset(vf.samples(day, [], noise, seed), noise)
+
+
+def test_a_small_cube_says_how_far_off_the_rest_of_the_workspace_may_be():
+    region = Region.of(fit(MODEL, within(0.06, 0), hold_out=0))
+    np.testing.assert_allclose(region.high - region.low, 0.06, atol=5e-3)
+    assert region.beyond > 2 * region.inside
+    assert region.words.startswith(" inside x -")
+    assert Region.of(fit(MODEL, within(0.12, 0), hold_out=0)) is None
+
+
+@pytest.mark.wide
+def test_and_so_far_off_the_robot_is_there():
+    """Rms of five robots' true errors in the rest of the workspace, beside what was said."""
+    reading, _ = vr.NOMINAL.inverse(vr.targets(300, 77))
+    _, truth, _ = vr.truth(vr.MOCK_UP, [], reading, vr.At(*np.zeros((3, 300)), np.zeros((300, 3))))
+    said, errors = [], []
+    for seed in range(5):
+        result = fit(MODEL, within(0.06, seed), hold_out=0)
+        region = Region.of(result)
+        away = np.abs(truth - (region.low + region.high) / 2)
+        outside = (away > 0.6 * (region.high - region.low)).any(axis=1)
+        found = Kinematics(result.model).direct(reading[outside])
+        errors.append(np.mean(np.sum((found.position - truth[outside]) ** 2, axis=1)))
+        said.append(region.beyond**2)
+    assert np.mean(errors) == pytest.approx(np.mean(said), rel=0.6)
+
+
+@pytest.mark.wide
+def test_stop_looking_is_said_of_the_region_that_was_measured():
+    assert "stop looking inside x -" in diagnose(MODEL, within(0.06, 1)).verdict.summary
+    assert "stop looking inside" not in diagnose(MODEL, within(0.12, 1)).verdict.summary
+
+
+@pytest.mark.wide
+def test_what_parameters_add_to_the_noise_is_said_and_what_more_poses_would_bring():
+    day = vf.session(2, n_poses=20, n_replicates=6)
+    found = diagnose(MODEL, dataset(vf.samples(day, [], vr.THESIS_NOISE, 2), vr.THESIS_NOISE))
+    assert found.verdict.word == "at_noise"
+    assert "um are noise, the rest is the parameters' own uncertainty" in found.verdict.summary
+    assert "twice as many poses would bring about" in found.verdict.summary
+
+
+# --------------------------------------------------------------------------- what it may name
+
+
+@pytest.mark.wide
+def test_what_was_inside_its_noise_already_is_not_explained():
+    day, kind = vf.session(0), vf.KINDS["backlash"]
+    faint = sized(kind.make, kind.size, 0.2, day, vr.THESIS_NOISE, 0)
+    found = diagnose(MODEL, dataset(vf.samples(day, [faint], vr.THESIS_NOISE, 0), vr.THESIS_NOISE))
+    assert found.base.fitted.estimate.chi2_per_dof < found.band[1]
+    assert found.effects == ("backlash",)
+    assert found.verdict.word == "at_noise"
+    assert "add it if that counts" in found.verdict.summary
+
+
+@pytest.mark.wide
+def test_what_is_left_beside_the_noise_can_be_read_off():
+    data = measured(0, effects=[vr.Backlash((3e-4, 2.5e-4, 2e-4))], n_poses=110)
+    summary = diagnose(MODEL, data, effects=["backlash"]).verdict.summary
+    assert "; noise alone 2" in summary or "; noise alone 3" in summary
+
+
+def test_the_order_of_samples_is_no_time():
+    data = measured(1)
+    unordered = Dataset.from_arrays(
+        JOINTS, data.q, data.r, data.R, measured=data.measured, pose_cov=data.pose_cov,
+        joint_sigma=data.joint_sigma, pose_id=data.pose_id,
+    )  # fmt: skip
+    scene = Trial((), fit(MODEL, unordered, hold_out=0)).scene
+    drift = candidate(scene, "base_drift")
+    assert drift.reason == "cannot be tested: no time recorded"
+    field = Field.of(scene)
+    wandering = replace(field, noise_units=np.cumsum(field.noise_units, axis=0))
+    assert not NoiseShape.of(scene, wandering).correlated
+
+
+# --------------------------------------------------------------------------- gears
+
+
+@pytest.mark.wide
+@pytest.mark.parametrize("seed", [0, 4])
+def test_a_gear_of_20_teeth_is_not_taken_for_one_of_10(seed):
+    """Its ripple is the second harmonic of half the ratio, too."""
+    ripple = hidden.GearRipple((4e-4, 3e-4, 3.5e-4), (0.3, 1.2, 2.0), 20.0)
+    data = dataset(vf.samples(vf.session(seed), [ripple], vr.THESIS_NOISE, seed), vr.THESIS_NOISE)
+    one = candidate(Trial((), fit(MODEL, data, hold_out=0)).scene, "gear_transmission_error")
+    sigma = one.sigma["ratio"]
+    assert 0.05 < sigma < 0.2
+    assert one.settings["ratio"] == pytest.approx(20.0, abs=3 * sigma)
