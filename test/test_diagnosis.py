@@ -12,6 +12,7 @@ from findings import clean, dataset, hiding
 
 from parallel_cal.base.errors import FitError
 from parallel_cal.diagnosis.diagnose import diagnose
+from parallel_cal.identification.fit import fit
 from parallel_cal.model.model import Noise, new_model
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.session.steps import added
@@ -307,3 +308,17 @@ def test_gross_outliers_are_set_aside_and_named_before_a_robust_diagnosis():
     assert any(
         "left out by --loss cauchy: sample 20, 60, 100" in w for w in found.document()["warnings"]
     )
+
+
+@pytest.mark.wide
+@pytest.mark.parametrize("size", [3.0, 6.0])
+def test_good_poses_that_a_robust_loss_mistrusted_count_again_once_the_effect_is_known(size):
+    data, _ = hiding([vf.KINDS["backlash"]], size, seed=6)
+    data.r[[20, 60]] += [[2e-2, 0, 0], [0, -3e-2, 0]]
+    how = {"effects": ["backlash", "base_drift"], "loss": "cauchy"}
+    aside = fit(MODEL, data, loss="cauchy", hold_out=0).down_weighted
+    found = diagnose(MODEL, data, **how)
+    assert found.effects == ("backlash",)
+    left_out = set(data.numbers) - set(found.dataset.numbers)
+    assert left_out == {20, 60}
+    assert len(aside) > 100  # of 150, before

@@ -29,7 +29,7 @@ from parallel_cal.diagnosis.scene import Progress
 from parallel_cal.diagnosis.search import Chosen, Search, Trial
 from parallel_cal.diagnosis.separate import NextMeasurement, next_measurement
 from parallel_cal.diagnosis.statistics import holm
-from parallel_cal.diagnosis.thresholds import APART, REFITTED, SIGNIFICANT
+from parallel_cal.diagnosis.thresholds import APART, MISTRUSTED, REFITTED, SIGNIFICANT
 from parallel_cal.diagnosis.verdict import Findings, Verdict, judge
 from parallel_cal.identification.fit import Result, fit, single_threaded
 from parallel_cal.identification.options import FitOptions
@@ -137,12 +137,38 @@ def diagnose(
     options = replace(options or FitOptions(), **changes)
     model, registration = registered(model, dataset, options.joint_sigma, options)
     dataset = said(dataset, registration)
-    if options.loss != "linear":
-        first = fit(model, dataset, options, hold_out=0)
-        dataset = dataset.excluding(
-            [d.sample for d in first.down_weighted], f"by --loss {options.loss}"
-        )
-    least_squares = replace(options, loss="linear")
+    names = names_of(model, also, effects)
+
+    def without(aside: list[int]) -> Diagnosis:
+        kept = dataset.excluding(aside, f"by --loss {options.loss}")
+        least_squares = replace(options, loss="linear")
+        return _diagnosed(model, kept, names, least_squares, registration, report)
+
+    def suspects(judged: Model) -> list[int]:
+        """The worst ones: where most are mistrusted it is the model that is wrong."""
+        found = fit(judged, dataset, options, hold_out=0).down_weighted
+        worst = found[: int(MISTRUSTED * len(dataset))]  # least trusted first
+        return sorted(one.sample for one in worst)
+
+    if options.loss == "linear":
+        return without([])
+    aside = suspects(model)
+    found = without(aside)
+    # A good pose may look bad only for as long as the effect is not in the model.
+    if found.effects and (again := suspects(found.best.fitted.model)) != aside:
+        found = without(again)
+    return found
+
+
+def _diagnosed(
+    model: Model,
+    dataset: Dataset,
+    names: list[str],
+    least_squares: FitOptions,
+    registration: Registration | None,
+    report: Progress,
+) -> Diagnosis:
+    """The diagnosis of samples that are all believed."""
 
     def refit(extended: Model) -> Result:
         return fit(extended, dataset, least_squares)
@@ -151,7 +177,7 @@ def diagnose(
         search = Search(model, refit, report)
         report("identifying the geometry", 0.0)
         base = search.fit()
-        catalogue = _Catalogue(names_of(model, also, effects), report)
+        catalogue = _Catalogue(names, report)
         ranked = catalogue.ranked(base)
         best, against = _searched(search, catalogue)
         swaps = search.swaps(best, rivals_of(best, ranked))

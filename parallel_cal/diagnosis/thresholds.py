@@ -24,6 +24,7 @@ MOST_EFFECTS = 4  # added in one diagnosis
 REFITTED = 5  # best candidates that are identified and judged at poses left out
 WORTH_REFINING = log(1e-3)  # log p: a scanned setting is refined between its neighbours
 AS_WELL = 4.5  # of log p, three sigmas: two settings of a scan that are closer fit alike
+MISTRUSTED = 0.25  # of the samples: so many at most does a robust loss set aside
 SHUFFLES = 39  # copies with the condition shuffled between samples ...
 AS_GOOD = 1  # ... of which so many may score as well, by chance
 STRETCHES = 12  # of the session that are shuffled whole: noise may wander from sample to sample
