@@ -311,7 +311,7 @@ def test_gross_outliers_are_set_aside_and_named_before_a_robust_diagnosis():
 
 
 @pytest.mark.wide
-@pytest.mark.parametrize("size", [3.0, 6.0])
+@pytest.mark.parametrize("size", [3.0, 4.0])
 def test_good_poses_that_a_robust_loss_mistrusted_count_again_once_the_effect_is_known(size):
     data, _ = hiding([vf.KINDS["backlash"]], size, seed=6)
     data.r[[20, 60]] += [[2e-2, 0, 0], [0, -3e-2, 0]]

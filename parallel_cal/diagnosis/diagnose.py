@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.base.documents import plain
+from parallel_cal.base.errors import FitError
 from parallel_cal.diagnosis.catalogue import Candidate, candidate, names_of
 from parallel_cal.diagnosis.device import imitated
 from parallel_cal.diagnosis.entries import (
@@ -155,9 +156,11 @@ def diagnose(
     aside = suspects(model)
     found = without(aside)
     # A good pose may look bad only for as long as the effect is not in the model.
-    if found.effects and (again := suspects(found.best.fitted.model)) != aside:
-        found = without(again)
-    return found
+    try:
+        again = suspects(found.best.fitted.model) if found.effects else aside
+    except FitError:  # with all samples an effect may be out of its range
+        return found
+    return found if again == aside else without(again)
 
 
 def _diagnosed(
