@@ -29,8 +29,9 @@ from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.dwells import approach, still_intervals, still_tolerance
 from parallel_cal.recordings.info import info
 from parallel_cal.recordings.loading import dataset_from_recording, load_dataset
-from parallel_cal.recordings.options import ReadOptions
+from parallel_cal.recordings.options import ReadOptions, SampleOptions
 from parallel_cal.recordings.recording import COORDINATES
+from parallel_cal.recordings.sampling import samples_of
 from parallel_cal.reporting.recorded import print_info
 
 BAGS = Path(__file__).parent.parent / "bags"
@@ -162,23 +163,34 @@ def test_a_platform_that_moves_while_the_joints_stand_is_dropped(tmp_path):
     assert "while the joints stand still" in dataset.dropped[0].detail
 
 
-@pytest.mark.parametrize("late", [0.2, -0.2])
-def test_poses_taken_in_motion_are_removed_where_clocks_differ_a_little(tmp_path, late):
-    dataset = dataset_of(
-        tmp_path, joint_states(ROBOT) + poses(dataclasses.replace(ROBOT, start=late))
-    )
+def late_by(late, tmp_path):
+    """A recording whose device's clock goes `late` s after that of the joints."""
+    there = joint_states(ROBOT) + poses(dataclasses.replace(ROBOT, start=late))
+    return write_bag(tmp_path / "late", there)
+
+
+@pytest.mark.parametrize("late", [0.2, -0.2, 0.5, 0.7, -0.5])
+def test_where_clocks_differ_motion_brings_them_together(tmp_path, late):
+    dataset = load_dataset(late_by(late, tmp_path))
     assert len(dataset) == 5
     np.testing.assert_allclose(dataset.r, STOPS, atol=2e-5)
-    assert reasons(dataset) == {"pose reading is an outlier"}
+    assert dataset.dropped == ()
+    assert sum("two clocks, brought to that of the joints" in w for w in dataset.warnings) == 1
+
+
+@pytest.mark.parametrize("late", [0.2, -0.2])
+def test_poses_taken_in_motion_are_removed_where_clocks_differ_a_little(tmp_path, late):
+    samples = samples_of(read_bag(late_by(late, tmp_path)), SampleOptions())
+    assert len(samples.kept) == 5
+    np.testing.assert_allclose([s.r for s in samples.kept], STOPS, atol=2e-5)
+    assert {d.reason for d in samples.dropped} == {"pose reading is an outlier"}
 
 
 @pytest.mark.parametrize("late", [0.5, 0.7, -0.5])
 def test_no_sample_is_made_of_poses_in_motion_where_clocks_differ(tmp_path, late):
-    dataset = dataset_of(
-        tmp_path, joint_states(ROBOT) + poses(dataclasses.replace(ROBOT, start=late))
-    )
-    assert len(dataset) == 1  # before the first move, or after the last
-    moving = [d for d in dataset.dropped if d.reason == "moving while measured"]
+    samples = samples_of(read_bag(late_by(late, tmp_path)), SampleOptions())
+    assert len(samples.kept) == 1  # before the first move, or after the last
+    moving = [d for d in samples.dropped if d.reason == "moving while measured"]
     assert len(moving) == 4
     assert "do their clocks agree" in moving[0].detail
 

@@ -13,6 +13,7 @@ from parallel_cal.base.errors import DatasetError
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.recordings.bag import read_bag
 from parallel_cal.recordings.channels import CHANNELS
+from parallel_cal.recordings.clocks import on_one_clock
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.joining import joined
 from parallel_cal.recordings.options import ReadOptions, SampleOptions
@@ -62,7 +63,7 @@ def load_sessions(
 
 def dataset_from_recording(recording: Recording, options: SampleOptions | None = None) -> Dataset:
     """Make a Dataset; DatasetError when nothing is usable or positions look like millimetres."""
-    options = options or SampleOptions()
+    options, recording = options or SampleOptions(), on_one_clock(recording)
     samples = samples_of(recording, options)
     warnings = [*recording.notes, *samples.warnings]
     _drop_millimetres(samples)
