@@ -1,4 +1,4 @@
-# make demo | test | check | wide | slow | bags | bench | tables | clean      (PYTHON=python3.12 make ... for another)
+# make demo | test | check | wide | slow | bags | bench | faults | tables | clean      (PYTHON=python3.12 make ... for another)
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -13,7 +13,7 @@ endif
 # Nodes under test talk to this machine only.
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 
-.PHONY: venv demo test wide check lint types slow bags bench tables clean
+.PHONY: venv demo test wide check lint types slow bags bench faults tables clean
 
 venv: $(STAMP)
 
@@ -76,6 +76,11 @@ bags: $(STAMP)
 
 bench: $(STAMP)
 	@$(BIN)/parallel-cal bench
+
+# The nodes under faults by the thousand (docs/reliability.md): half an hour; SHARE=0.1 for a part.
+SHARE ?= 1
+faults: $(STAMP)
+	@$(BIN)/python bench/faults.py --share $(SHARE)
 
 # The documents' tables and figures again (docs/tables.*): some minutes.
 tables: $(STAMP)

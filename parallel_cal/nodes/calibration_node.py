@@ -5,9 +5,10 @@ from __future__ import annotations
 import os
 import re
 import time
-from collections import defaultdict
+from collections import defaultdict, deque
 from contextlib import suppress
 from functools import partial
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +47,7 @@ from parallel_cal.nodes.parameters import (
     declare,
     overridable,
 )
+from parallel_cal.nodes.pump import Messages, Pump
 from parallel_cal.nodes.run import every, foreign_publishers, rival_publishers, run, type_name
 from parallel_cal.nodes.sample_services import SERVICES
 from parallel_cal.nodes.tally import diagnostics
@@ -95,6 +97,7 @@ class CalibrationNode(Managed):
         self._model_joints: tuple[Any, tuple[str, ...] | None] = (None, None)
         self._event, self._trouble, self._next_look = "", "", 0.0
         self._warnings: list[str] = []
+        self._waiting: deque[tuple[int, str, Any, int]] = deque()
         self._health: defaultdict[str, Stream] = defaultdict(Stream)
         self._base = ""
         self._dropped_before: list[Dropped] = []
@@ -215,11 +218,15 @@ class CalibrationNode(Managed):
 
     def _listen(self, channel: str, type: Any, qos: QoSProfile, overrides: Any = None,
                 **more: Any) -> None:  # fmt: skip
-        callback = partial(self._on_message, channel)
+        if channel == "joint_states":
+            self._pump = Pump(
+                self, type, channel, qos, self._on_states, qos_overriding_options=overrides
+            )
+            return
         self.create_subscription(
             type,
             channel,
-            callback,
+            partial(self._on_message, channel),
             qos,
             callback_group=self._group,
             qos_overriding_options=overrides,
@@ -227,7 +234,8 @@ class CalibrationNode(Managed):
         )
 
     def _on_message(self, channel: str, message: Any, info: dict[str, int]) -> None:
-        """Received when it came in, as a recorder sees it, not when its turn came here."""
+        """Keep a message until the next look; it was received when it came in, as a recorder sees
+        it, not when its turn came here."""
         if not self.active:
             return
         received = info["received_timestamp"] or time.time_ns()
@@ -235,9 +243,19 @@ class CalibrationNode(Managed):
         health.heard(info.get("publication_sequence_number"))
         health.done(received)
         sequence = info.get("publication_sequence_number") or 0
-        self._collector.receive(channel, message, received, sequence)
-        if self._recorder is not None:
-            self._record(channel, message, received)
+        self._waiting.append((received, channel, message, sequence))
+
+    def _on_states(self, waiting: Messages) -> None:
+        for message, info in waiting:
+            self._on_message("joint_states", message, info)
+
+    def _take_in(self) -> None:
+        """What came since the last look, in the order in which it came."""
+        came = [self._waiting.popleft() for _ in range(len(self._waiting))]
+        for received, channel, message, sequence in sorted(came, key=itemgetter(0)):
+            self._collector.receive(channel, message, received, sequence)
+            if self._recorder is not None:
+                self._record(channel, message, received)
 
     def _record(self, channel: str, message: Any, received: int) -> None:
         try:
@@ -322,6 +340,7 @@ class CalibrationNode(Managed):
         return said
 
     def _refresh(self) -> None:
+        self._take_in()
         self._collector.configure(self._joints(), self._options(), self._auto())
         samples, trouble = len(self._collector), self._collector.trouble
         if not self._collector.refresh(time.time_ns()):
@@ -411,6 +430,8 @@ class CalibrationNode(Managed):
 
     def end_work(self) -> None:
         """Keep what came in last, however the node ends, and stop what is at work."""
+        self._pump.end()
+        self._take_in()
         self._collector.refresh()
         self._keep()
         self._stop_recording()

@@ -35,6 +35,7 @@ def policy() -> str:
             enclave = ElementTree.SubElement(enclaves, "enclave", path=path)
             profiles = ElementTree.SubElement(enclave, "profiles")
             _profile(profiles, node)
+            node.end_work()
             node.destroy_node()
     finally:
         rclpy.try_shutdown()

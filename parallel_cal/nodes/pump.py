@@ -1,4 +1,4 @@
-"""A subscription with a thread and a wait set of its own, for a stream of a thousand a second.
+"""A subscription with a thread and a wait set of its own, for a stream of 1000 a second.
 
 An executor builds its wait set anew, with every entity of its node, for each message: half a
 millisecond of Python. This one holds one subscription, and takes all that waits in it at once.
@@ -50,6 +50,9 @@ class Pump:
             type, topic, lambda message: None, qos, callback_group=Nobody(), **options
         )
         self._most = qos.depth
+        for event in self._subscription.event_handlers:  # these an executor may well call
+            event.callback_group = node.default_callback_group
+            node.default_callback_group.add_entity(event)
         self._thread = Thread(target=self._run, name=topic, daemon=True)
         self._thread.start()
 

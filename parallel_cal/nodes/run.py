@@ -28,7 +28,7 @@ from parallel_cal.base.errors import ParallelCalError
 
 T = TypeVar("T")
 
-HURRY = 1.2  # s from a signal to the end, whatever is still at work
+HURRY = 0.8  # s from a signal to the end, whatever is still at work
 SWITCH = 5e-4  # s that a thread beside may keep the interpreter from the one that spins
 
 

@@ -42,7 +42,7 @@ from parallel_cal.recordings.channels import CHANNELS, named
 
 # Room for what comes while the interpreter is busy; a tenth of a second at 1 kHz.
 STATES = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
-BEHIND = 20  # joint states that may wait and still be answered each
+BEHIND = 50  # joint states that may wait and still be answered each, in about 5 ms
 QUIET = 5.0  # s between two lines of the log about refused messages
 
 

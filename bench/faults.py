@@ -1,0 +1,495 @@
+"""Faults by the thousand, one row each: load, faults, lost, hung, crashed, time.
+
+    python bench/faults.py [--share 0.1] [ROW ...]
+
+`lost` are samples or messages that were announced and are gone, or answers that are wrong; `hung`
+what gave no answer in its time; `crashed` processes that ended by themselves. Anything but 0 in
+these is a failure, and the exit status 1. `--share` does a part of each load.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from parallel_cal.base.errors import ParallelCalError
+from parallel_cal.model.file.modelfile import model_hash, parse_model, read_model, write_model
+from parallel_cal.nodes.collector import Collector
+from parallel_cal.nodes.journal import Journal
+from parallel_cal.nodes.worker import OverBudget, Worker, WorkError
+from parallel_cal.recordings.loading import load_dataset
+
+ROOT = Path(__file__).parents[1]
+BAG, MODEL = ROOT / "bags" / "delta_clean", ROOT / "config" / "delta_mockup_nominal.yaml"
+PATIENCE = 20.0  # s; what takes longer hangs
+
+
+@dataclass(frozen=True)
+class Row:
+    """What came of a row; `faults` tells what was done, `refused` how many were told so."""
+
+    load: int = 0
+    faults: str = ""
+    lost: int = 0
+    hung: int = 0
+    crashed: int = 0
+
+
+# ---------------------------------------------------------------------- files, in a worker
+
+
+def outcome_of(kind: str, path: str) -> Iterator[str]:
+    """`read`, or `refused` by an error of ours; anything else is raised, and is a crash."""
+    try:
+        {"bag": load_dataset, "samples": load_dataset, "model": read_model}[kind](path)
+    except ParallelCalError:
+        yield "refused"
+    else:
+        yield "read"
+
+
+def files(kind: str, n: int, mutant: Callable[[int], str]) -> Row:
+    """n files, each read in a process with limits to time and memory."""
+    from faults import outcome_of  # by a name that the worker knows, too
+
+    worker, found = Worker(2048, "faults"), {"read": 0, "refused": 0, "hung": 0, "crashed": 0}
+    for i in range(n):
+        try:
+            (what,) = worker.work(PATIENCE, outcome_of, kind, mutant(i))
+        except OverBudget:
+            what = "hung"
+        except WorkError as error:
+            what = "crashed"
+            sys.stderr.write(f"{kind} {i}: {error}\n")
+        found[what] += 1
+    worker.end()
+    faults = f"{found['refused']} refused, {found['read']} read"
+    return Row(n, faults, hung=found["hung"], crashed=found["crashed"])
+
+
+def mutated(content: bytes, rng: np.random.Generator) -> bytes:
+    """Bytes changed, cut out, doubled, swapped in blocks, cut off, or digits made others."""
+    data, kind = bytearray(content), int(rng.choice(6))
+    a, b = sorted(rng.integers(0, len(data), 2).tolist())
+    if kind == 0:
+        for at in rng.integers(0, len(data), int(rng.integers(1, 20))):
+            digit = 48 <= data[int(at)] < 58
+            data[int(at)] = int(rng.integers(48, 58) if digit else rng.integers(256))
+    elif kind == 1:
+        del data[a : min(b, a + 4096)]
+    elif kind == 2:
+        data[a:a] = data[a : min(b, a + 4096)]
+    elif kind == 3:
+        size = min(b - a, len(data) - b, 4096)
+        data[a : a + size], data[b : b + size] = data[b : b + size], data[a : a + size]
+    elif kind == 4:
+        del data[a:]
+    else:
+        digits = [i for i, byte in enumerate(data[:100_000]) if 48 <= byte < 58]
+        for at in rng.choice(digits, 3) if digits else ():
+            data[int(at)] = int(rng.integers(48, 58))
+    return bytes(data)
+
+
+def bags(n: int, folder: Path) -> Row:
+    from parallel_cal.model.model import new_model
+    from parallel_cal.recordings.simulate import simulate
+    from parallel_cal.recordings.writer import write_bag
+
+    write_bag(simulate(new_model("delta24"), poses=4, seed=0), folder / "small")
+    (data,) = (folder / "small").glob("*.mcap")
+    content, rng = data.read_bytes(), np.random.default_rng(1)
+
+    def mutant(i: int) -> str:
+        data.write_bytes(mutated(content, rng))
+        return str(data.parent)
+
+    return files("bag", n, mutant)
+
+
+def texts(kind: str, content: bytes, suffix: str, seed: int) -> Callable[[int, Path], Row]:
+    def row(n: int, folder: Path) -> Row:
+        rng, path = np.random.default_rng(seed), folder / f"file{suffix}"
+
+        def mutant(i: int) -> str:
+            path.write_bytes(mutated(content, rng))
+            return str(path)
+
+        return files(kind, n, mutant)
+
+    return row
+
+
+def models(n: int, folder: Path) -> Row:
+    return texts("model", MODEL.read_bytes(), ".yaml", 2)(n, folder)
+
+
+def sample_files(n: int, folder: Path) -> Row:
+    load_dataset(BAG).select(range(5)).to_json(folder / "five.json")
+    return texts("samples", (folder / "five.json").read_bytes(), ".json", 3)(n, folder)
+
+
+# ---------------------------------------------------------------------- what is on the disk
+
+
+def channel_messages() -> list[tuple[str, int, Any]]:
+    sys.path.insert(0, str(ROOT / "test"))
+    from test_collector import messages_of
+
+    return messages_of(BAG)
+
+
+def collecting(messages: list[Any], folder: Path, told: int) -> None:
+    """A collector with its journal, as the node has them; tells how many samples are safe."""
+    collector, journal = Collector(), Journal(folder, "node")
+    collector.resume(journal.resume())
+    for i, (channel, log, message) in enumerate(messages):
+        collector.receive(channel, message, log)
+        if i % 400 == 0:
+            collector.refresh(log)
+            journal.keep(collector.entries())
+            os.write(told, len(collector).to_bytes(4, "little"))
+
+
+def killed(n: int, folder: Path) -> Row:
+    """kill -9 while samples are collected and while model files are written."""
+    messages, rng, lost = channel_messages(), np.random.default_rng(4), 0
+    for i in range(n):
+        place, (read, write) = folder / f"kill{i}", os.pipe()
+        pid = os.fork()
+        if pid == 0:
+            collecting(messages[:6000], place, write)
+            os._exit(0)
+        os.close(write)
+        first = os.read(read, 4)
+        time.sleep(float(rng.uniform(0, 1.0)))
+        os.kill(pid, signal.SIGKILL)
+        os.waitpid(pid, 0)
+        safe = first
+        while part := os.read(read, 4):
+            safe = part
+        os.close(read)
+        resumed = sum(len(p.ids) for p in Journal(place, "node").resume())
+        lost += max(0, int.from_bytes(safe, "little") - resumed)
+    return Row(n, "kill -9 while collecting", lost=lost)
+
+
+def killed_writing(n: int, folder: Path) -> Row:
+    """kill -9 while a model file is replaced: it is one of the two that were written."""
+    path, rng, lost = folder / "m.yaml", np.random.default_rng(5), 0
+    one = read_model(MODEL)
+    two = one.with_values(one.values + 1e-9)
+    known = {model_hash(one), model_hash(two)}
+    for _ in range(n):
+        write_model(one, path)
+        pid = os.fork()
+        if pid == 0:
+            while True:
+                write_model(two, path)
+                write_model(one, path)
+        time.sleep(float(rng.uniform(0, 0.2)))
+        os.kill(pid, signal.SIGKILL)
+        os.waitpid(pid, 0)
+        lost += model_hash(path.read_text()) not in known
+        parse_model(path.read_text())
+    return Row(n, "kill -9 while a model file is written", lost=lost)
+
+
+def disk_full(n: int, folder: Path) -> Row:
+    """The disk fills at a seeded byte; with room again, everything is there."""
+    messages, rng, lost = channel_messages()[:6000], np.random.default_rng(6), 0
+    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    collector = Collector()
+    for channel, log, message in messages:
+        collector.receive(channel, message, log)
+    collector.refresh()
+    entries, limits = collector.entries(), resource.getrlimit(resource.RLIMIT_FSIZE)
+    for i in range(n):
+        journal = Journal(folder / f"full{i}", "node")
+        resource.setrlimit(resource.RLIMIT_FSIZE, (int(rng.integers(1, 30_000)), limits[1]))
+        try:
+            journal.keep(entries)
+            raise AssertionError("the disk was not full")
+        except OSError:
+            pass
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        journal.keep(entries)
+        os.close(journal._file or 0)
+        again = Journal(folder / f"full{i}", "node").resume()
+        lost += len(entries) - sum(len(p.ids) for p in again)
+    return Row(n, "disk full at a random byte, then room", lost=lost)
+
+
+def read_only(n: int, folder: Path) -> Row:
+    """A folder that cannot be written: an OSError each time, and the samples stay in memory."""
+    collector, hung = Collector(), 0
+    collector.load(BAG)
+    for _ in range(n):
+        try:
+            Journal(Path("/proc/journal"), "node").keep(collector.entries())
+            hung += 1
+        except OSError:
+            pass
+    return Row(n, "journal folder read-only", lost=94 - len(collector), hung=hung)
+
+
+def clock_jumps(n: int, folder: Path) -> Row:
+    """One wild stamp a session, at a seeded place by a seeded amount: no sample may go."""
+    import copy
+
+    messages, rng, lost = channel_messages()[:6000], np.random.default_rng(7), 0
+
+    def samples(stream: list[Any]) -> int:
+        collector = Collector()
+        for channel, log, message in stream:
+            collector.receive(channel, message, log)
+        collector.refresh()
+        return len(collector)
+
+    whole = samples(messages)
+    for _ in range(n):
+        at = int(rng.integers(1000, 5000))
+        channel, log, message = messages[at]
+        wild = copy.deepcopy(message)
+        wild.header.stamp.sec += int(rng.choice([-3600, -5, 2, 5, 3600, 10**6]))
+        lost += whole - samples([*messages[:at], (channel, log, wild), *messages[at + 1 :]])
+    return Row(n, "one wild stamp", lost=lost)
+
+
+# ---------------------------------------------------------------------- nodes on a domain
+
+
+class Pair:
+    """Both nodes as processes, a client, and joint states at 200 Hz that must all be answered."""
+
+    def __init__(self, folder: Path, **parameters: Any):
+        from parallel_cal.nodes.client import Client, Process, own_domain
+
+        self.folder, self.namespace = folder, own_domain()
+        self.model = Path(shutil.copy(MODEL, folder / "robot.yaml"))
+        files = {"model_file": str(self.model), "journal_folder": str(folder / "journal")}
+        self.nodes = [
+            Process(
+                "kinematics_node", folder, self.namespace, **parameters, model_file=str(self.model)
+            ),
+            Process("calibration_node", folder, self.namespace, **files),
+        ]
+        self.client = Client("faults", self.namespace, self.nodes)
+
+    def process(self, node: str, **parameters: Any) -> Any:
+        from parallel_cal.nodes.client import Process
+
+        return Process(node, self.folder, self.namespace, **parameters)
+
+    def memory(self) -> list[int]:
+        """Resident MB of both."""
+        status = [Path(f"/proc/{n._process.pid}/status").read_text() for n in self.nodes]
+        return [int(s.split("VmRSS:")[1].split()[0]) // 1024 for s in status]
+
+    def end(self) -> int:
+        """How many crashed, or did not end within 2 s."""
+        self.client.close()
+        late = 0
+        for node in self.nodes:
+            begin = time.monotonic()
+            if node._process.poll() is None:
+                node._process.send_signal(signal.SIGTERM)
+            late += node._process.wait(20) != 0 or time.monotonic() - begin > 2.5
+        return late
+
+
+def requests(n: int, folder: Path) -> Row:
+    """Wild numbers, lengths, names, solvers and conditions: each gets an answer."""
+    from parallel_cal_msgs.msg import Condition, JointConfiguration
+    from parallel_cal_msgs.srv import ComputeFK
+
+    pair, rng, hung, refused = Pair(folder, request_time=1.0), np.random.default_rng(8), 0, 0
+    wild = np.array([0.5, np.nan, np.inf, -np.inf, 1e308, -1e-308, 9.0, 0.0])
+    solvers = ["", "newton", "homotopy", "lookup_table:size=400", "os.system", "../x", "a" * 9999]
+    for _ in range(n):
+        rows = [
+            JointConfiguration(
+                positions=rng.choice(wild, int(rng.choice([3, 3, 3, 0, 7]))).tolist()
+            )
+            for _ in range(int(rng.choice([0, 1, 5, 200])))
+        ]
+        names = [[], ["joint1", "joint2", "joint3"], ["joint1"] * 3, [""], ["\u2603"] * 50]
+        fields = {
+            "configurations": rows,
+            "joint_names": names[int(rng.choice(len(names), p=[0.6, 0.2, 0.1, 0.05, 0.05]))],
+            "all_solutions": bool(rng.random() < 0.2),
+            "with_covariance": bool(rng.random() < 0.2),
+            "solver": str(rng.choice(solvers, p=[0.7, 0.05, 0.05, 0.05, 0.05, 0.05, 0.05])),
+            "conditions": [Condition(name="payload", value=float(rng.choice(wild)))]
+            * int(rng.random() < 0.2),
+        }
+        asked = pair.client.ask(ComputeFK, "kinematics_node/compute_fk", **fields)
+        try:
+            refused += bool(pair.client.answer(asked, "an answer", PATIENCE).message)
+        except ParallelCalError as error:
+            sys.stderr.write(f"request: {error}\n")
+            hung += 1
+    return Row(n, f"{refused} refused as a whole", hung=hung, crashed=pair.end())
+
+
+def traffic(n: int, folder: Path) -> Row:
+    """n s of a recorded session, played six times as fast again and again: memory stays."""
+    from parallel_cal_msgs.msg import CollectionStatus
+
+    pair = Pair(folder)
+    status = pair.client.latest(CollectionStatus, "calibration_node/collection_status")
+    pair.client.wait(lambda: bool(status), "a status")
+    player = pair.process("replay_node", bag=str(BAG), rate=6.0, loop=True, wait_for_subscribers=4)
+    begin, sizes, seen = time.monotonic(), [], []
+    while time.monotonic() - begin < n / 6.0:
+        until = time.monotonic() + 1.0
+        pair.client.wait(lambda until=until: time.monotonic() > until, "a second")
+        sizes.append(sum(pair.memory()))
+        seen.append(status[0].lost)
+    player.end()
+    third = len(sizes) // 3
+    grown = np.median(sizes[-third:]) / np.median(sizes[third : 2 * third]) - 1
+    words = f"{status[0].joint_states_received} joint states, memory {sizes[-1]} MB, {grown:+.0%}"
+    return Row(n, words, lost=int(seen[-1]), crashed=pair.end() + (grown > 0.25))
+
+
+PUBLISH = """
+import time, rclpy, numpy as np
+from sensor_msgs.msg import JointState
+rclpy.init(); node = rclpy.create_node("driver", namespace="{namespace}")
+states = node.create_publisher(JointState, "joint_states", 1000)
+while not states.get_subscription_count(): time.sleep(0.05)
+time.sleep(2); begin = time.perf_counter()
+message = JointState(name=["joint1", "joint2", "joint3"])
+for i in range({n} * 1000):
+    time.sleep(max(0.0, begin + i * 1e-3 - time.perf_counter()))
+    now = time.time_ns()
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(now, 10**9)
+    message.position = [0.5 + 0.1 * np.sin(0.005 * i + k) for k in range(3)]
+    states.publish(message)
+states.wait_for_all_acked()
+"""
+
+
+def stream(n: int, folder: Path) -> Row:
+    """n s of joint states at 1 kHz: those that no pose was published for, and the time it took."""
+    from diagnostic_msgs.msg import DiagnosticArray
+
+    pair, told = Pair(folder), dict[str, str]()
+
+    def hear(message: Any) -> None:
+        for status in message.status:
+            if status.name.endswith("kinematics_node: joint_states"):
+                told.update({item.key: item.value for item in status.values})
+
+    pair.client._node.create_subscription(DiagnosticArray, "/diagnostics", hear, 10)
+    code = PUBLISH.format(namespace=pair.namespace, n=n)
+    with subprocess.Popen([sys.executable, "-c", code]) as driver:
+        pair.client.wait(lambda: driver.poll() is not None, "the driver", 2 * n + 60)
+    until = time.monotonic() + 2.5
+    pair.client.wait(lambda: time.monotonic() > until, "the last count")
+    came = int(told["Events since startup"])
+    gone = int(told["Lost since startup"]) + int(told["Skipped since startup"])
+    missed = gone + 1000 * n - came if came + gone < 1000 * n else gone
+    words = f"{missed} of {1000 * n} without a pose, p99 {told['Latency p99 (ms)']} ms"
+    return Row(1000 * n, words, lost=missed if missed > n else 0, crashed=pair.end())
+
+
+def publishers(n: int, folder: Path) -> Row:
+    """Publishers that are killed in the middle of a session: the nodes go on."""
+    pair, rng = Pair(folder), np.random.default_rng(9)
+    for _ in range(n):
+        player = pair.process("replay_node", bag=str(BAG), rate=5.0)
+        wait = time.monotonic() + 2 + float(rng.uniform(0, 2))
+        pair.client.wait(lambda wait=wait: time.monotonic() > wait, "a moment")
+        player._process.kill()
+        player._process.wait()
+    hung = not answers(pair)
+    return Row(n, "publishers killed", hung=hung, crashed=pair.end())
+
+
+def participants(n: int, folder: Path) -> Row:
+    """DDS participants that come and go, half of them killed in the middle of a request."""
+    from parallel_cal_msgs.srv import ComputeFK
+
+    from parallel_cal.nodes.client import Client
+
+    pair = Pair(folder)
+    for i in range(n):
+        other = Client(f"other{i}", pair.namespace, [])
+        other._node.create_client(ComputeFK, "kinematics_node/compute_fk").call_async(
+            ComputeFK.Request()
+        )
+        other.close()
+    hung = not answers(pair)
+    return Row(n, "participants come and go", hung=hung, crashed=pair.end())
+
+
+def answers(pair: Pair) -> bool:
+    from parallel_cal_msgs.msg import JointConfiguration
+    from parallel_cal_msgs.srv import ComputeFK
+
+    rows = [JointConfiguration(positions=[0.5] * 3)]
+    try:
+        found = pair.client.call(ComputeFK, "kinematics_node/compute_fk", configurations=rows)
+    except ParallelCalError:
+        return False
+    return not found.message
+
+
+ROWS: dict[str, tuple[Callable[[int, Path], Row], int]] = {
+    "killed": (killed, 100),
+    "killed_writing": (killed_writing, 100),
+    "bags": (bags, 2000),
+    "models": (models, 1000),
+    "sample_files": (sample_files, 500),
+    "disk_full": (disk_full, 50),
+    "read_only": (read_only, 20),
+    "clock_jumps": (clock_jumps, 50),
+    "stream": (stream, 60),
+    "requests": (requests, 300),
+    "publishers": (publishers, 10),
+    "participants": (participants, 100),
+    "traffic": (traffic, 3600),
+}
+
+
+def main() -> int:
+    arguments = argparse.ArgumentParser(description=__doc__)
+    arguments.add_argument("rows", nargs="*", help=", ".join(ROWS))
+    arguments.add_argument("--share", type=float, default=1.0, help="of each load")
+    given = arguments.parse_args()
+    failed = False
+    print(f"{'row':15} {'load':>5} {'lost':>5} {'hung':>5} {'crashed':>7} {'s':>6}  faults")
+    for name in given.rows or ROWS:
+        make, load = ROWS[name]
+        with tempfile.TemporaryDirectory() as folder:
+            begin = time.monotonic()
+            row = make(max(1, round(load * given.share)), Path(folder))
+            seconds = time.monotonic() - begin
+        row = replace(row, lost=int(row.lost), hung=int(row.hung), crashed=int(row.crashed))
+        failed |= bool(row.lost or row.hung or row.crashed)
+        print(
+            f"{name:15} {row.load:5} {row.lost:5} {row.hung:5} {row.crashed:7} {seconds:6.0f}  "
+            f"{row.faults}",
+            flush=True,
+        )
+    return int(failed)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
