@@ -71,10 +71,16 @@ class Outcome:
 
     @property
     def right(self) -> bool:
-        """Whether everything hidden was named, alone or in an `A or B`, and nothing else; noise
-        that is not as stated is to be called so."""
+        """Whether everything hidden was named, alone or in an `A or B`, and nothing else.
+
+        Noise that is not as stated is to be called so; of what is no effect of the robot none may
+        be called the whole explanation, nor make the robot worse.
+        """
         if self.verdict == "error":
             return False
+        if self.case.device:
+            whole = self.verdict == "explained" and not {*self.named} <= vb.OF_DEVICE
+            return not whole and not self.worse
         if self.case.noise and vb.CALLED[self.case.noise] not in self.summary:
             return False
         wanted = [set(vf.KINDS[k].names) for k in self.case.kinds]

@@ -69,6 +69,10 @@ DEVICE: dict[str, Callable[[float, np.random.Generator], Effect]] = {
 }
 
 
+# What any of them may be called without the robot learning it.
+OF_DEVICE = {"device_bump", "device_field", "device_axes", "base_drift"}
+
+
 def white(n: int, r: Array, rng: np.random.Generator) -> Array:
     """Unit noise (n, 9) of joints, position and orientation."""
     return rng.standard_normal((n, 9))
