@@ -191,12 +191,19 @@ def _diagnosed(
         tried = [search.fit(*best.chosen, Chosen.of(c)) for c in catalogue.significant(best)]
         refused = tuple(trial.reason for trial in tried if trial.reason)
         taken = [c for c in ranked if c.name in best.names]
-        devices = {c.name for c in ranked if c.effect.of_device and not c.effect.needs}
-        known = imitated(base.scene, taken, ranked)
+        devices = [c for c in ranked if c.effect.of_device and not c.effect.needs]
+        names_of_device, known = {c.name for c in devices}, imitated(base.scene, taken, ranked)
+        # A device that is worse than any usual one is still no reason to teach the robot.
+        worst = _best_refused(devices, taken, search)
         doubtful = [
             c.name
             for c in taken
-            if c.name in known or (c.name not in devices and devices & set(swaps.get(c.name, [])))
+            if c.name not in names_of_device
+            and (
+                c.name in known
+                or names_of_device & set(swaps.get(c.name, []))
+                or worst < c.log_p - APART**2 / 2
+            )
         ]
         better = outdone(taken, ranked, search)
         verdict = judge(
@@ -235,6 +242,15 @@ def _diagnosed(
             registration=registration,
             measure_next=next_measurement(best, rivals, ranked),
         )
+
+
+def _best_refused(
+    devices: Sequence[Candidate], taken: Sequence[Candidate], search: Search
+) -> float:
+    """Log p of the device's effect that fits best of those refused which beat one taken clearly."""
+    limit = max((c.log_p for c in taken), default=-np.inf) - APART**2 / 2
+    better = [c for c in devices if c.testable and c.log_p < limit]
+    return min((c.log_p for c in better if search.fit(Chosen.of(c)).reason), default=0.0)
 
 
 def outdone(taken: Sequence[Candidate], ranked: Sequence[Candidate], search: Search) -> list[str]:
