@@ -30,7 +30,9 @@ Data = Annotated[
 EffectName = Annotated[
     str, typer.Argument(metavar="EFFECT", help="NAME or NAME:ratio=80, see 'parallel-cal effects'")
 ]
-Force = Annotated[bool, typer.Option("--force", help="write in spite of the held-out errors")]
+Force = Annotated[
+    bool, typer.Option("--force", help="write in spite of held-out errors and ranges")
+]
 Tested = Annotated[
     list[str] | None, typer.Option(help="test only this effect (repeat for several)")
 ]

@@ -53,7 +53,7 @@ def fit(
     where they must fall for the model to be written."""
     from parallel_cal.session.steps import fitted
 
-    asked = replace(options, method=method, refit=patterns(refit))
+    asked = replace(options, method=method, refit=patterns(refit), insist=force)
     start, dataset = model_and_data(model, bags, data)
     force = force or output is None  # where nothing is written nothing is refused
     step = fitted(start, dataset, force, options=asked, progress=console.progress)
@@ -77,7 +77,7 @@ def add(
     from parallel_cal.session.steps import added
 
     start, dataset = model_and_data(model, bags, data)
-    asked = replace(options, method=method)
+    asked = replace(options, method=method, insist=force)
     step = added(start, effect, dataset, force, options=asked, progress=console.progress)
     _finish(step, output, as_json)
 
@@ -99,7 +99,7 @@ def remove(
     from parallel_cal.session.steps import removed
 
     start, dataset = model_and_data(model, bags, data)
-    asked = replace(options, method=method)
+    asked = replace(options, method=method, insist=force)
     step = removed(start, effect, dataset, force, options=asked, progress=console.progress)
     _finish(step, output, as_json)
 

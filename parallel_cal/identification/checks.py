@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 
@@ -61,14 +62,29 @@ def lacking(
     )
 
 
-def check_plausible(model: Model, estimate: Estimate, free: np.ndarray) -> None:
+def check_plausible(
+    model: Model, estimate: Estimate, free: np.ndarray, insist: bool = False
+) -> tuple[Model, list[str]]:
     """A small residual bought with an absurd parameter is a failed fit, not a good one; absurd is
-    what lies more than three of its own sigmas outside its range."""
+    what lies more than three of its own sigmas outside its range.
+
+    Where somebody insists, an effect's or a sensor's number is let be, and said: the model then has
+    it with a tolerance that allows it. FitError for all others.
+    """
+    words, tolerances = [], dict(model.tolerances)
     for i, p in enumerate(model.table):
         low, high = p.plausible_range(float(estimate.sigma[i]))
-        value = model.values[i]
-        if free[i] and not low <= value <= high:
-            raise FitError(_implausible(p, float(value), estimate.chi2_per_dof))
+        value = float(model.values[i])
+        if not free[i] or low <= value <= high:
+            continue
+        said, bound = _implausible(p, value, estimate.chi2_per_dof), low if value < low else high
+        if not insist or p.group not in ("effect", "sensor") or bound == p.nominal:
+            raise FitError(said)
+        low, high = p.plausible_range()
+        bound = low if value < low else high
+        tolerances[p.name] = 1.2 * p.tolerance * (value - p.nominal) / (bound - p.nominal)
+        words.append(f"{said}: taken all the same")
+    return replace(model, tolerances=tolerances), words
 
 
 def _implausible(p: Parameter, value: float, chi2_per_dof: float) -> str:

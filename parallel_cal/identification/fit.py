@@ -230,7 +230,7 @@ def fit(
         if partial:
             estimate = considered(model, observations, mask, estimate)
         fitted = model.with_values(estimate.values, estimate.covariance)
-        check_plausible(fitted, estimate, mask)
+        fitted, insisted = check_plausible(fitted, estimate, mask, options.insist)
         after = errors(fitted, observations)
         folds = dataset.folds(options.hold_out, options.seed) if options.hold_out > 0 else []
         held_out = _held_out(folds, judged, after, report)
@@ -248,6 +248,7 @@ def fit(
         registration=registration,
         warnings=(
             *dataset.warnings,
+            *insisted,
             *on_parameters(fitted, estimate, mask),
             *on_noise(estimate, observations),
             *on_held(fitted, after.summary, lambda: noise_floor(fitted, observations)),

@@ -22,7 +22,8 @@ class FitOptions:
     up: a few poses are enough). `hold_out` is the share of the poses left out in turn (0: none),
     drawn by `seed`; `joint_sigma` (rad or m) replaces what recording and model file say. `prior`
     is None (tolerances where the data tell less), True (throughout), False (nowhere) or a Prior;
-    `loss` one of scipy's (`huber`): samples that it mistrusts are named.
+    `loss` one of scipy's (`huber`): samples that it mistrusts are named; `insist` takes an effect's
+    number that lies outside its range.
     """
 
     method: str = "implicit"
@@ -34,6 +35,7 @@ class FitOptions:
     prior: bool | Prior | None = None
     loss: str = "linear"
     seed: int = 0
+    insist: bool = False
 
     def __post_init__(self) -> None:
         """FitError for a share of the poses that is none; too large ones are refused later."""

@@ -46,6 +46,7 @@ class Model:
         default_factory=lambda: {"base": "base", "platform": "platform"}
     )
     sensors: tuple[Sensor, ...] = ()
+    tolerances: Mapping[str, float] = field(default_factory=dict)  # of effects' and sensors' own
 
     def __post_init__(self) -> None:
         values = np.array(self.values, dtype=float)
@@ -65,9 +66,9 @@ class Model:
     def structure(self) -> Structure:
         return structure_of(self.mechanism, self.effects, self.sensors)
 
-    @property
+    @cached_property
     def table(self) -> ParameterTable:
-        return self.structure.table
+        return self.structure.table.with_tolerances(self.tolerances)
 
     @property
     def joints(self) -> tuple[str, ...]:

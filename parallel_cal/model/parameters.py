@@ -33,6 +33,12 @@ class Parameter:
     high: float = np.inf
     label: str = ""
 
+    def with_tolerance(self, tolerance: float) -> Parameter:
+        """The same for a robot that strays more, or less: its range grows with its tolerance."""
+        times = tolerance / self.tolerance
+        low, high = (self.nominal + times * (v - self.nominal) for v in (self.low, self.high))
+        return replace(self, tolerance=tolerance, low=low, high=high)
+
     def plausible_range(self, sigma: float = 0.0) -> tuple[float, float]:
         """Ten tolerances around the nominal value, inside the physical bounds, and three of the
         value's own `sigma` beyond: noise may push a play of zero below zero, but not far."""
@@ -95,6 +101,12 @@ class ParameterTable(Sequence[Parameter]):
         for name, value in values.items():
             vector[self.index_of(name)] = value
         return vector
+
+    def with_tolerances(self, tolerances: Mapping[str, float]) -> ParameterTable:
+        """The same parameters with other tolerances, and ranges, where given."""
+        return ParameterTable(
+            p.with_tolerance(tolerances[p.name]) if p.name in tolerances else p for p in self
+        )
 
     def with_nominal(self, nominal: Mapping[str, float]) -> ParameterTable:
         """The same parameters around other nominal values, where given."""

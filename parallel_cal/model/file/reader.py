@@ -12,7 +12,7 @@ import numpy as np
 from parallel_cal.base.errors import ModelError
 from parallel_cal.model.effect import Effect
 from parallel_cal.model.file import checks
-from parallel_cal.model.file.schema import FilePart, NumberPart, validated
+from parallel_cal.model.file.schema import FilePart, OwnNumberPart, validated
 from parallel_cal.model.file.sensoroptions import own_numbers, read_sensor
 from parallel_cal.model.file.yamltext import Document, Path
 from parallel_cal.model.mechanism import Home, Mechanism, Workspace
@@ -54,6 +54,11 @@ class Reader:
             history=tuple(file.history),
             frames=dict(file.frames),
             sensors=tuple(sensors),
+            tolerances={
+                parameter.name: entry.tolerance
+                for path, parameter, entry in entries
+                if path[0] != "parameters" and entry.tolerance is not None
+            },
         )
         try:
             model.structure.phi  # noqa: B018  (a user's closure is read here, not when it is needed)
@@ -186,13 +191,15 @@ class Reader:
         path: Path,
         part: Effect | Sensor,
         table: ParameterTable,
-        numbers: Mapping[str, NumberPart],
-    ) -> Iterator[tuple[Path, Parameter, NumberPart]]:
+        numbers: Mapping[str, OwnNumberPart],
+    ) -> Iterator[tuple[Path, Parameter, OwnNumberPart]]:
         """The parameters of an effect or a sensor, which the file has by their short names."""
         short = {p.name.removeprefix(f"{part.name}."): p for p in table}
         checks.names(self._document, path, numbers, short)
         for name, parameter in short.items():
             checks.unit(self._document, (*path, name), parameter, numbers[name].unit)
+            if (own := numbers[name].tolerance) is not None:
+                parameter = parameter.with_tolerance(own)
             yield (*path, name), parameter, numbers[name]
 
 

@@ -76,12 +76,18 @@ class ModelNoisePart(NoisePart):
 
 
 class NumberPart(Part):
-    """One parameter of an effect; its nominal value and tolerance belong to the effect."""
+    """One number of a model."""
 
     value: float
     unit: str
     sigma: NotNegative | None = None
     fixed: bool = False
+
+
+class OwnNumberPart(NumberPart):
+    """One parameter of an effect or a sensor; `tolerance` where this robot's is another one."""
+
+    tolerance: Positive | None = None
 
 
 class ParameterPart(NumberPart):
@@ -95,7 +101,7 @@ class EffectPart(Part):
     """One effect; the order in the file is the order in which they apply."""
 
     name: str
-    parameters: dict[str, NumberPart]
+    parameters: dict[str, OwnNumberPart]
 
 
 class SensorPart(Part):
@@ -103,7 +109,7 @@ class SensorPart(Part):
 
     name: str
     options: dict[str, Any] = {}
-    parameters: dict[str, NumberPart] | None = None
+    parameters: dict[str, OwnNumberPart] | None = None
 
 
 class CovariancePart(Part):
@@ -147,9 +153,9 @@ KNOWN: dict[Path, type[Part]] = {
     ("noise",): ModelNoisePart,
     ("parameters", "*"): ParameterPart,
     ("effects", "*"): EffectPart,
-    ("effects", "*", "parameters", "*"): NumberPart,
+    ("effects", "*", "parameters", "*"): OwnNumberPart,
     ("sensors", "*"): SensorPart,
-    ("sensors", "*", "parameters", "*"): NumberPart,
+    ("sensors", "*", "parameters", "*"): OwnNumberPart,
     ("covariance",): CovariancePart,
 }
 

@@ -10,7 +10,7 @@ from typing import Any
 from pydantic import TypeAdapter, ValidationError
 
 from parallel_cal.base.errors import ModelError
-from parallel_cal.model.file.schema import NumberPart, sentence, suggestion
+from parallel_cal.model.file.schema import OwnNumberPart, sentence, suggestion
 from parallel_cal.model.file.yamltext import Document, Path
 from parallel_cal.model.parameters import ParameterTable
 from parallel_cal.model.sensor import Sensor
@@ -40,11 +40,11 @@ def read_sensor(document: Document, path: Path, name: str, options: Mapping[str,
         raise document.error(path, "a number is not finite") from None
 
 
-def own_numbers(sensor: Sensor, table: ParameterTable) -> dict[str, NumberPart]:
+def own_numbers(sensor: Sensor, table: ParameterTable) -> dict[str, OwnNumberPart]:
     """The numbers of a sensor whose entry gives none: nominal, fixed where it knows them."""
     fixed = table.matching(sensor.known())
     return {
-        p.name.removeprefix(f"{sensor.name}."): NumberPart(
+        p.name.removeprefix(f"{sensor.name}."): OwnNumberPart(
             value=p.nominal, unit=p.unit, fixed=bool(known)
         )
         for p, known in zip(table, fixed, strict=True)

@@ -93,7 +93,9 @@ def _numbers(model: Model, part: Effect | Sensor) -> Iterator[str]:
     yield "  parameters:" if len(table) else "  parameters: {}"
     for parameter in table:
         name, i = parameter.name.removeprefix(f"{part.name}."), model.table.index_of(parameter.name)
-        yield f"    {flow(name)}: {flow(_entry(model, i, parameter, {}))}"
+        given = model.tolerances.get(parameter.name)
+        own = {} if given is None else {"tolerance": float(given)}
+        yield f"    {flow(name)}: {flow(_entry(model, i, parameter, own))}"
 
 
 def _entry(model: Model, i: int, parameter: Parameter, own: Mapping[str, float]) -> dict[str, Any]:

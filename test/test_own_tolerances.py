@@ -1,0 +1,80 @@
+"""Tolerances of an effect's own numbers: those of this robot, from its model file."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import virtual_robot as vr
+from datasets import measured
+
+from parallel_cal.base.errors import FitError, ModelFileError
+from parallel_cal.identification.fit import fit
+from parallel_cal.model.file.modelfile import dump_model, read_model, write_model
+from parallel_cal.model.model import new_model
+from parallel_cal.model.parameters import Parameter
+from parallel_cal.session.steps import fitted
+
+NAME = "backlash.joint1.width"
+BELT = vr.Backlash((3e-2, 2e-2, 2.5e-2))  # 1.7 degrees of play: beyond what any gear has
+
+
+def with_key(path, key, model):
+    """The file of a model with one more key in one of its effect's entries."""
+    line = next(x for x in dump_model(model).splitlines() if x.startswith("    joint1.width"))
+    path.write_text(dump_model(model).replace(line, line.replace("unit: rad", f"unit: rad, {key}")))
+    return path
+
+
+def test_a_range_grows_with_its_tolerance():
+    play = Parameter("play", "rad", 0.0, 1e-4, low=0.0, high=1e-3)
+    wide = play.with_tolerance(5e-4)
+    assert (wide.low, wide.tolerance) == (0.0, 5e-4)
+    assert wide.high == pytest.approx(5e-3)
+    assert wide.plausible_range() == pytest.approx((0.0, 5e-3))
+
+
+def test_a_model_file_says_how_far_this_robot_strays(tmp_path):
+    model = new_model("delta54").with_effect("backlash")
+    usual = model.table[NAME]
+    read = read_model(with_key(tmp_path / "belt.yaml", "tolerance: 0.02", model))
+    assert read.table[NAME].tolerance == 0.02
+    assert read.table[NAME].high == pytest.approx(usual.high * 0.02 / usual.tolerance)
+    assert read.table["backlash.joint2.width"] == model.table["backlash.joint2.width"]
+    write_model(read, tmp_path / "again.yaml")
+    assert read_model(tmp_path / "again.yaml").tolerances == {NAME: 0.02}
+    found = fit(read.without_effect("backlash").with_effect("backlash"), measured(3), hold_out=0)
+    assert found.model.table[NAME].tolerance == 0.02
+
+
+@pytest.mark.parametrize(
+    ("key", "words"),
+    [
+        ("tolerance: 0", r"belt.yaml:\d+: effects.0.parameters.joint1.width.tolerance: expected a"),
+        ("tolerance: wide", r"belt.yaml:\d+: .*joint1.width.tolerance: expected a number"),
+        ("tolerances: 1", r"belt.yaml:\d+: .*unknown key; did you mean 'tolerance'"),
+    ],
+)
+def test_a_wrong_one_is_named_with_its_line(tmp_path, key, words):
+    model = new_model("delta54").with_effect("backlash")
+    with pytest.raises(ModelFileError, match=words):
+        read_model(with_key(tmp_path / "belt.yaml", key, model))
+
+
+def test_who_insists_gets_a_number_outside_its_range_and_a_file_that_can_be_read(tmp_path):
+    data = measured(7, effects=[BELT])
+    model = new_model("delta54").with_effect("backlash")
+    with pytest.raises(FitError, match=r"^backlash.joint1.width would have to be"):
+        fitted(model, data, hold_out=0)
+    step = fitted(model, data, True, hold_out=0, insist=True)
+    said = [w for w in step.warnings if w.endswith("taken all the same")]
+    assert len(said) == 3
+    write_model(step.model, tmp_path / "belt.yaml")
+    again = read_model(tmp_path / "belt.yaml")
+    assert again.value(NAME) == pytest.approx(3e-2, rel=0.02)
+    assert np.isfinite(fit(again, data, hold_out=0).estimate.chi2)  # nothing is left to insist on
+
+
+def test_no_insistence_makes_sense_of_an_absurd_arm():
+    data = measured(0)
+    with pytest.raises(FitError, match=r"chain1.La_x went to"):
+        fit(new_model("delta54"), replace(data, r=1.1 * data.r), hold_out=0, insist=True)
