@@ -78,3 +78,22 @@ def test_no_insistence_makes_sense_of_an_absurd_arm():
     data = measured(0)
     with pytest.raises(FitError, match=r"chain1.La_x went to"):
         fit(new_model("delta54"), replace(data, r=1.1 * data.r), hold_out=0, insist=True)
+
+
+def test_a_winch_behind_a_gear_strays_by_what_its_line_does():
+    """50 um of line at the platform: R / (gear advantage) of it a radian of the motor."""
+    cable = new_model("cable")
+    for name in ("zero_shift", "backlash"):
+        model = cable.with_effect(name)
+        numbers = [p for p in model.table if p.name.startswith(name) and "motor1" in p.name]
+        in_metres = {"zero_shift": (50e-6, 0.5e-3), "backlash": (20e-6, 0.2e-3)}[name]
+        R, gear, advantage = (cable.value(n) for n in ("spool1.R", "line1.gear", "line1.advantage"))
+        expected = [s * gear * advantage / R for s in in_metres]
+        assert [numbers[0].tolerance, numbers[0].high] == pytest.approx(expected)
+    # A radian of a motor lets out as much as the closure says.
+    x = np.concatenate([np.zeros(4), [0.1, 0.05, 0.3], np.eye(3).ravel()])
+    step = x + 1e-4 * np.eye(len(x))[0]
+    before, after = (np.array(cable.structure.closure(q, [], cable.values)[0]) for q in (x, step))
+    assert abs(after - before)[0, 0] == pytest.approx(1e-4 * cable.mechanism.winds[0], rel=1e-6)
+    play = new_model("delta24").with_effect("backlash").table["backlash.joint1.width"]
+    assert play.tolerance == 0.3e-3  # an arm's joint strays as arms do

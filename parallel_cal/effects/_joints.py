@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from typing import Any, ClassVar
 
 import casadi as ca
@@ -24,6 +24,18 @@ def turning(mechanism: Mechanism) -> list[str]:
 def needs_turning(mechanism: Mechanism) -> str:
     """What `Effect.applies` answers for an effect of joints that turn."""
     return "" if turning(mechanism) else "no joint turns"
+
+
+def sizes(
+    mechanism: Mechanism, size: Mapping[str, tuple[float, ...]]
+) -> list[tuple[str, str, tuple[float, ...]]]:
+    """Joint, unit, and what an error of it measures, `size` by unit; where a joint winds a line,
+    behind a gear and on a spool, what it does to the line counts."""
+    joints = list(zip(mechanism.joints, mechanism.joint_units, strict=True))
+    if not mechanism.winds:
+        return [(joint, unit, size[unit]) for joint, unit in joints]
+    lines = zip(joints, mechanism.winds, strict=True)
+    return [(joint, unit, tuple(s / metres for s in size["m"])) for (joint, unit), metres in lines]
 
 
 def shifted(

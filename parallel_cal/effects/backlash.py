@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
-from parallel_cal.effects._joints import shifted
+from parallel_cal.effects._joints import shifted, sizes
 from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
@@ -26,11 +26,9 @@ class Backlash(Effect):
     }
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
-        joints = zip(mechanism.joints, mechanism.joint_units, strict=True)
-        sizes = [(joint, unit, *SIZE[unit]) for joint, unit in joints]
         return [
             Parameter(f"{joint}.width", unit, 0.0, tolerance, low=0.0, high=most, label="play")
-            for joint, unit, tolerance, most in sizes
+            for joint, unit, (tolerance, most) in sizes(mechanism, SIZE)
         ]
 
     def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from parallel_cal.effects._joints import shifted
+from parallel_cal.effects._joints import shifted, sizes
 from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
@@ -28,11 +28,9 @@ class ZeroShift(Effect):
     separated_by = "some poses measured both at the beginning and at the end of every session"
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
-        joints = zip(mechanism.joints, mechanism.joint_units, strict=True)
-        sizes = [(joint, unit, *SIZE[unit]) for joint, unit in joints]
         return [
             Parameter(f"{joint}.since{k}", unit, 0.0, tolerance, low=-most, high=most)
-            for joint, unit, tolerance, most in sizes
+            for joint, unit, (tolerance, most) in sizes(mechanism, SIZE)
             for k in LATER
         ]
 

@@ -61,6 +61,15 @@ class Cable(Mechanism):
         ]
         self.parameters = ParameterTable([*(p for line in lines for p in line), *radii])
 
+    @property
+    def winds(self) -> tuple[float, ...]:
+        """m of line that a radian of each motor lets out at the platform."""
+        p = {parameter.name: parameter.nominal for parameter in self.parameters}
+        lines = enumerate(self.spools, start=1)
+        return tuple(
+            p[f"spool{k}.R"] / (p[f"line{i}.gear"] * p[f"line{i}.advantage"]) for i, k in lines
+        )
+
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
         """|P - A| - |A| - (line let out + offset): length error of each line, in metres."""
         lines = [p[f"line{i + 1}"] for i in range(len(self.joints))]

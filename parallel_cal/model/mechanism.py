@@ -141,6 +141,11 @@ class Mechanism(ABC):
         return module.removeprefix("parallel_cal.mechanisms.")
 
     @property
+    def winds(self) -> tuple[float, ...]:
+        """m of line that a radian of each joint lets out; empty where none winds a line."""
+        return ()
+
+    @property
     def joint_units(self) -> tuple[str, ...]:
         """Each joint's unit, rad or m; a mechanism that has both overrides this."""
         return (self.joint_unit,) * len(self.joints)
