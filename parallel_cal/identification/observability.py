@@ -47,7 +47,7 @@ def spectrum(
     them where it was the prior along them (`held`: the residuals' variance, 1 where the noise is
     known, 0 where nothing was held).
     """
-    tolerance = table.tolerance[free]
+    tolerance = (table.likely if held else table.tolerance)[free]
     names = [name for name, is_free in zip(table.names, free, strict=True) if is_free]
     _, sizes, directions = np.linalg.svd(_triangle(J, tolerance))
     rank = int(np.sum(sizes > RELATIVE_RANK * max(sizes[0], 1e-300))) if len(sizes) else 0

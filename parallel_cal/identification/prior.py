@@ -66,9 +66,10 @@ class Knowledge:
         """The tolerances along some directions (k, n_free) alone: along `weak` ones around the
         nominal values, along `unseen` ones around `start` (n,), as no data moved them."""
         tolerance, nominal = model.table.tolerance[free], model.table.nominal[free]
-        away = (start[free] - nominal) / tolerance
-        mean = nominal + tolerance * (unseen.T @ (unseen @ away))
-        held = np.concatenate([weak, unseen])
+        likely = model.table.likely[free]
+        away = (start[free] - nominal) / likely
+        mean = nominal + likely * (unseen.T @ (unseen @ away))
+        held = np.concatenate([weak, unseen]) * (tolerance / likely)
         return cls(tolerance, free, mean, weight * held.T @ held)
 
     def alike(self, other: Knowledge) -> bool:

@@ -77,6 +77,14 @@ class ParameterTable(Sequence[Parameter]):
     def tolerance(self) -> np.ndarray:
         return np.array([p.tolerance for p in self._parameters], dtype=float)
 
+    @cached_property
+    def likely(self) -> np.ndarray:
+        """How far each is likely to be from nominal (1 sigma): its tolerance; of an effect's number
+        the range, within which no size is likelier than another, as a standard deviation."""
+        return np.array(
+            [USUAL / 3**0.5 * p.tolerance if p.group == "effect" else p.tolerance for p in self]
+        )
+
     def index_of(self, name: str) -> int:
         """Position of a parameter in the vector; ModelError for an unknown name."""
         if name not in self._index:
