@@ -64,7 +64,7 @@ def test_columns_through_what_the_closure_sees_are_the_columns_themselves():
     data = seen(va.session(va.arm("ur5", 1), 40, 0, HERE))
     result = fit(nominal("ur5"), data, hold_out=0)
     scene = Scene.of(result.model, data, result.observations, result.free)
-    for name in ("backlash", "base_drift", "device_axes", "gear_transmission_error"):
+    for name in ("backlash", "base_compliance", "device_axes", "gear_transmission_error"):
         model = result.model.with_effect(name)
         assert not not_recorded(model, data)
         settings = next(iter(model.effects[-1].scan(model.mechanism, recorded(data))))
