@@ -44,7 +44,7 @@ def measure() -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         model_file = Path(shutil.copy(PRESET, Path(folder) / "robot.yaml"))
         nominal, parts = model_file.read_bytes(), []
-        with DemoNodes(model_file) as session:
+        with DemoNodes(model_file, BAG.parent) as session:
             session.load(BAG)
             diagnosis = json.loads(session.diagnose(0.25, quiet).json)
             for fold in range(FOLDS):

@@ -7,6 +7,7 @@ from parallel_cal.base.confidence import CHANCE
 # What is no chance
 SIGNIFICANT = CHANCE  # p-value: of an effect over the whole catalogue (Holm), of structure
 CONTRADICTED = 1e-4  # p-value of replicates, before they are believed instead of a stated noise
+CERTAIN = 1e-12  # p-value of what is there, though residuals are inside their noise without it
 GROSS = 1e-3  # p-value of an outlier, over the whole data set
 INFLUENTIAL = 1.0  # Cook's distance: without the sample, estimates move by about their sigma
 UNCERTAIN = 1.2  # of the noise alone: an error at poses left out that is larger deserves a word

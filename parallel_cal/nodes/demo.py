@@ -45,7 +45,7 @@ def main(
             begin, hidden = time.monotonic(), None if bag else HIDDEN
             bag = Path(bag or BAG)
             model_file, story = _prepared([bag, *filter(None, [hidden])], folder), Story(json, keep)
-            with _nodes(model_file, interrupted) as nodes, story:
+            with _nodes(model_file, bag.parent, interrupted) as nodes, story:
                 document = _calibrate(nodes, bag, rate, story) | {"model_file": str(model_file)}
                 story.calibrated(document)
                 if hidden:
@@ -83,14 +83,14 @@ def _prepared(bags: Sequence[Path], folder: Path) -> Path:
     return Path(shutil.copy(PRESET, folder / "robot.yaml"))
 
 
-def _nodes(model_file: Path, interrupted: Callable[[], bool]) -> DemoNodes:
+def _nodes(model_file: Path, bags: Path, interrupted: Callable[[], bool]) -> DemoNodes:
     try:
         from parallel_cal.nodes.demo_nodes import DemoNodes
     except ImportError as error:
         raise ParallelCalError(
             f"ROS 2 is missing ({error}): run 'make demo', or install the extra 'ros' and msg_defs"
         ) from None
-    return DemoNodes(model_file, interrupted)
+    return DemoNodes(model_file, bags, interrupted)
 
 
 def _calibrate(nodes: DemoNodes, bag: Path, rate: float, story: Story) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -52,15 +53,24 @@ class Answers:
 class DemoNodes:
     """kinematics_node and calibration_node on one model file; a context that ends them all."""
 
-    def __init__(self, model_file: Path, interrupted: Callable[[], bool] = lambda: False):
+    def __init__(
+        self,
+        model_file: Path,
+        recordings: Path,
+        interrupted: Callable[[], bool] = lambda: False,
+    ):
+        """`recordings` is the folder whose files calibration_node may be asked to load."""
         self.model_file, self._interrupted = model_file, interrupted
+        folders = (model_file.parent, recordings)
+        self._allowed = os.pathsep.join(str(folder.resolve()) for folder in folders)
         self._processes: list[Process] = []
 
     def __enter__(self) -> DemoNodes:
         self._namespace = own_domain()
         with ExitStack() as self._open:  # whatever fails or is interrupted here, all is ended
             self._start("kinematics_node", model_file=str(self.model_file))
-            self._start("calibration_node", model_file=str(self.model_file), journal=False)
+            given = {"model_file": str(self.model_file), "allowed_folders": self._allowed}
+            self._start("calibration_node", journal=False, **given)
             self._client = Client("demo", self._namespace, self._processes, self._interrupted)
             self._open.callback(self._client.close)
             status = "calibration_node/collection_status"
