@@ -242,6 +242,7 @@ def test_a_diagnosis_reports_its_stages_its_verdict_and_the_rest_of_the_error(lo
     assert loaded.model_file.read_bytes() == before
 
 
+@pytest.mark.wide
 def test_odd_samples_are_named_as_the_node_names_them(loaded):
     listed = {sample.id for sample in loaded.call(ListSamples, "list_samples").samples}
     compared = json.loads(loaded.call(Compare, "compare").json, parse_constant=pytest.fail)

@@ -20,6 +20,7 @@ NEEDS_OPTIONS = {"serial"}  # a chain is described in its file: test_serial.py
 NEEDS_PRIOR = {"rssr"}  # one angle against another tells little: the tolerances must help
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("name", sorted(set(shelf_names("mechanisms")) - NEEDS_OPTIONS))
 def test_file_bag_samples_and_fit_work_with(name, tmp_path):
     model = parse_model(dump_model(new_model(name)), name)
