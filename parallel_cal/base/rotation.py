@@ -97,6 +97,12 @@ def _single_quaternion(R: np.ndarray) -> np.ndarray:
     return np.array(q) / (size if q[3] >= 0 else -size)
 
 
+def nearest_rotation(M: np.ndarray) -> np.ndarray:
+    """The rotation R (3, 3) for which tr(R^T M) is greatest."""
+    left, _, right = np.linalg.svd(M)
+    return np.asarray(left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right)
+
+
 def rotation_vector(R: np.ndarray) -> np.ndarray:
     """(..., 3, 3) rotation matrices to (..., 3) rotation vectors (rad)."""
     q = matrix_to_quaternion(R)

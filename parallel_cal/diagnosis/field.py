@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from parallel_cal.diagnosis.scene import Scene
-from parallel_cal.identification.linearisation import Linearisation
+from parallel_cal.identification.linearisation import Linearisation, by_joint
 from parallel_cal.model.configuration import Configuration
 
 
@@ -77,16 +77,13 @@ def _readings_in_noise_units(scene: Scene) -> np.ndarray:
 
 def _by_joint(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     """d pose / d q (N, 6, nq) along the closure, and d reading / d q (N, n_channels, nq)."""
-    n, moved = len(scene.model.joints), scene.model.mechanism.moved
     linearise = Linearisation(
         scene.model, scene.observations, np.zeros(len(scene.model.values), dtype=bool), True
     )
-    rows = linearise.blocks(scene.model.values, scene.x)[1]
-    closure = scene.model.structure.phi.shape[0]
-    C, shown = rows[:, :closure], rows[:, closure:]
-    pose = np.zeros((len(C), 6, n))
-    pose[:, moved] = -np.linalg.pinv(C[:, :, [n + i for i in moved]]) @ C[:, :, :n]
-    return pose, shown[:, :, :n] + shown[:, :, n:] @ pose
+    moved_by, reading = by_joint(scene.model, linearise.blocks(scene.model.values, scene.x)[1])
+    pose = np.zeros((len(moved_by), 6, len(scene.model.joints)))
+    pose[:, scene.model.mechanism.moved] = moved_by
+    return pose, reading
 
 
 def _in_noise_units(apart: np.ndarray, covariance: np.ndarray, known: np.ndarray) -> np.ndarray:

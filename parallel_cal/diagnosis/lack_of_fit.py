@@ -10,7 +10,7 @@ import numpy as np
 
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.scene import Scene
-from parallel_cal.diagnosis.statistics import averaged, morans_i, runs_test, smallest
+from parallel_cal.diagnosis.statistics import morans_i, runs_test, smallest
 from parallel_cal.diagnosis.thresholds import (
     CLEAR,
     LENGTHS,
@@ -20,6 +20,7 @@ from parallel_cal.diagnosis.thresholds import (
     SIGNIFICANT,
 )
 from parallel_cal.recordings.dataset import NUMBER
+from parallel_cal.recordings.replicates import averaged
 
 
 @dataclass(frozen=True)

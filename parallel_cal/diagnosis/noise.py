@@ -9,9 +9,9 @@ import numpy as np
 from parallel_cal.base.confidence import CHANCE
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.scene import Scene
-from parallel_cal.diagnosis.statistics import averaged
 from parallel_cal.diagnosis.thresholds import CONTRADICTED, ENOUGH_REPLICATES
 from parallel_cal.identification.doubts import chi2_band
+from parallel_cal.recordings.replicates import averaged
 
 STATED = ("option", "dataset", "model file")
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.observations import Observations, blocks, conditions
-from parallel_cal.identification.predictions import predicted
+from parallel_cal.identification.predictions import predicted, read_apart
 from parallel_cal.identification.thresholds import RELATIVE_RANK
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
@@ -64,9 +64,7 @@ class Scene:
     @cached_property
     def read_apart(self) -> np.ndarray:
         """What sensors read minus what was predicted (N, n_channels) m, NaN where nothing was."""
-        model, seen = self.model, self.observations
-        rows = model.structure.rows_batch(self.x, seen.a, model.values)[0]
-        return np.asarray(seen.reading - rows[:, model.structure.phi.shape[0] :])
+        return read_apart(self.model, self.observations, self.x)
 
     @cached_property
     def group(self) -> np.ndarray:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from parallel_cal.diagnosis.thresholds import FEWEST_SIGNS, NEIGHBOURS, PERMUTATIONS
+from parallel_cal.recordings.replicates import averaged
 
 
 def holm(p_values: np.ndarray) -> np.ndarray:
@@ -42,14 +43,6 @@ def morans_i(
     seen = index(np.arange(n))
     drawn = [index(rng.permutation(n)) for _ in range(PERMUTATIONS)]
     return seen, (1 + sum(d >= seen for d in drawn)) / (1 + PERMUTATIONS)
-
-
-def averaged(values: np.ndarray, group: np.ndarray) -> np.ndarray:
-    """Rows (N, k) averaged within groups, one row a group."""
-    names, inverse, count = np.unique(group, return_inverse=True, return_counts=True)
-    sums = np.zeros((len(names), values.shape[1]))
-    np.add.at(sums, inverse, values)
-    return np.asarray(sums / count[:, None])
 
 
 def nearest(places: np.ndarray, k: int) -> np.ndarray:

@@ -13,6 +13,7 @@ from parallel_cal.identification.prediction_errors import Errors, Summary, judge
 from parallel_cal.identification.predictions import predicted
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model
+from parallel_cal.recordings.replicates import averaged
 
 KINDS = {"position": slice(0, 3), "orientation": slice(3, 6)}
 
@@ -65,10 +66,9 @@ def budgets(model: Model, observations: Observations, noise: Summary) -> tuple[B
 
 def _groups(model: Model) -> Iterator[tuple[str, np.ndarray]]:
     """What is budgeted, and which of the model's numbers (n_p,) it has; set-ups have none of it."""
-    names = np.array(model.table.names)
-    yield "geometry", np.isin(names, model.mechanism.parameters.names)
+    yield "geometry", np.isin(model.table.names, model.mechanism.parameters.names)
     for effect in model.effects:
-        which = np.char.startswith(names, f"{effect.name}.")
+        which = model.table.matching([f"{effect.name}.*"])
         yield effect.name, which & ~model.table.matching(effect.known())
 
 
@@ -123,9 +123,7 @@ def iso_9283(errors: Errors, observations: Observations) -> tuple[Iso9283, ...]:
 def _figures(kind: str, e: np.ndarray, group: np.ndarray) -> Iso9283:
     e = np.nan_to_num(e)
     _, inverse, visits = np.unique(group, return_inverse=True, return_counts=True)
-    sums = np.zeros((len(visits), 3))
-    np.add.at(sums, inverse, e)
-    middle = sums / visits[:, None]
+    middle = averaged(e, group)
     accuracy = np.linalg.norm(middle, axis=1)
     again = visits[inverse] > 1
     # n visits scatter about their own mean by (n - 1) / n of their variance

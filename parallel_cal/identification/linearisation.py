@@ -191,3 +191,13 @@ class Linearisation:
         measured = Configuration.from_rows(self._observations.x[part])
         away = measured.change_from(Configuration.from_rows(x))
         return np.where(self._observations.measured[part], away, 0.0)
+
+
+def by_joint(model: Model, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """d pose / d q (N, n_moved, nq) along the closure, and d reading / d q (N, n_channels, nq), of
+    rows' derivatives by (q, r, w) as `blocks` gives them."""
+    n, closure = len(model.joints), model.structure.phi.shape[0]
+    C, shown_by = rows[:, :closure], rows[:, closure:]
+    moved = [n + i for i in model.mechanism.moved]
+    pose = -np.linalg.pinv(C[:, :, moved]) @ C[:, :, :n]
+    return pose, shown_by[:, :, :n] + shown_by[:, :, moved] @ pose

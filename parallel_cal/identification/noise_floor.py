@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from parallel_cal.identification.linearisation import Linearisation
+from parallel_cal.identification.linearisation import Linearisation, by_joint
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prediction_errors import (
     Errors,
@@ -30,8 +30,7 @@ def noise_floor(model: Model, observations: Observations, seed: int = 0) -> Summ
     none = np.zeros(len(model.values), dtype=bool)
     linearise = Linearisation(model, observations, none, weighted=True)
     rows = linearise.blocks(model.values, linearise.start())[1]  # where the platform is
-    C, shown_by = rows[:, :closure], rows[:, closure:]
-    moved = [n + i for i in m.moved]
+    C, (to_pose, to_reading) = rows[:, :closure], by_joint(model, rows)
     solved_for = [*range(n), *[n + i for i in m.passive]]
     given = [n + i for i in m.controlled]
     rng = np.random.default_rng(seed)
@@ -39,16 +38,14 @@ def noise_floor(model: Model, observations: Observations, seed: int = 0) -> Summ
     noise = np.einsum(
         "nij,dnj->dni", np.linalg.cholesky(observations.S + 1e-30 * np.eye(n + 6)), draws
     )
-    to_pose = -np.linalg.pinv(C[:, :, moved]) @ C[:, :, :n]
     to_joint = -(np.linalg.pinv(C[:, :, solved_for]) @ C[:, :, given])[:, :n]
     pose = noise[:, :, n:].copy()
     pose[:, :, m.moved] -= np.einsum("nij,dnj->dni", to_pose, noise[:, :, :n])
     joint = noise[:, :, :n] - np.einsum("nij,dnj->dni", to_joint, noise[:, :, given])
-    by_joint = shown_by[:, :, :n] + shown_by[:, :, moved] @ to_pose
     read = model.structure.standard_uncertainty * rng.standard_normal(
-        (*draws.shape[:2], shown_by.shape[1])
+        (*draws.shape[:2], to_reading.shape[1])
     )
-    read -= np.einsum("nij,dnj->dni", by_joint, noise[:, :, :n])
+    read -= np.einsum("nij,dnj->dni", to_reading, noise[:, :, :n])
     read = np.where(np.isfinite(observations.reading), read, np.nan)
     pose = np.where(observations.measured[:, n:], pose, 0.0)
     placed, turned = (

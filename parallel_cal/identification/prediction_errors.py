@@ -10,8 +10,8 @@ import numpy as np
 
 from parallel_cal.base.rotation import rotation_vector
 from parallel_cal.identification.observations import Observations
-from parallel_cal.identification.predictions import condition_columns, shown
-from parallel_cal.kinematics.kinematics import Kinematics, Solutions, Status
+from parallel_cal.identification.predictions import condition_columns, read_apart, shown
+from parallel_cal.kinematics.kinematics import Kinematics, Solutions
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.model import Model
@@ -115,8 +115,8 @@ def errors(model: Model, observations: Observations) -> Errors:
     placed, orientation = (judgeable(m, measured[:, n:], part) for part in (range(3), range(3, 6)))
     apart = np.where(measured[:, n : n + 3], seen.r - pose.position, 0.0)
     return Errors(
-        where_known(placed & _solved(pose), apart),
-        where_known(orientation & _solved(pose), np.where(measured[:, n + 3 :], turn, 0.0)),
+        where_known(placed & pose.solved, apart),
+        where_known(orientation & pose.solved, np.where(measured[:, n + 3 :], turn, 0.0)),
         _joints_apart(kinematics, observations, reached, pose),
         _readings_apart(model, observations, pose),
         _closure(model, observations),
@@ -143,7 +143,7 @@ def _joints_apart(
     at = condition_columns(model, read)
     # In the assembly mode that was measured: an arm's wrist need not be flipped as at home.
     found = kinematics.inverse(position, turned.reshape(-1, 3, 3), at, reached[given])
-    apart[given] = where_known(_solved(found), _unwound(m, seen.q - found.joints))
+    apart[given] = where_known(found.solved, _unwound(m, seen.q - found.joints))
     return apart
 
 
@@ -166,13 +166,9 @@ def complete(model: Model, observations: Observations) -> np.ndarray:
 
 def _readings_apart(model: Model, observations: Observations, pose: Solutions) -> np.ndarray:
     """Read minus predicted (N, n_channels) where the pose device would show `pose`."""
-    if not model.structure.channels:
-        return np.empty((len(observations), 0))
     n = len(model.joints)
     x = Configuration(observations.x[:, :n], pose.position, pose.rotation).rows
-    rows = model.structure.residuals(x, observations.a, model.values)[0]
-    predicted = rows[:, model.structure.phi.shape[0] :]
-    return np.where(_solved(pose)[:, None], observations.reading - predicted, np.nan)
+    return where_known(pose.solved, read_apart(model, observations, x))
 
 
 def judgeable(mechanism: Mechanism, measured: np.ndarray, part: range) -> np.ndarray:
@@ -180,10 +176,6 @@ def judgeable(mechanism: Mechanism, measured: np.ndarray, part: range) -> np.nda
     the mechanism moves was measured; where it moves none, all three were."""
     moved = [i for i in part if i in mechanism.moved]
     return np.asarray(measured[:, moved or list(part)].all(axis=1))
-
-
-def _solved(solutions: Solutions) -> np.ndarray:
-    return np.isin(solutions.status, (Status.CONVERGED, Status.OUTSIDE_LIMITS, Status.SINGULAR))
 
 
 def where_known(known: np.ndarray, difference: np.ndarray) -> np.ndarray:

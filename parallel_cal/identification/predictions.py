@@ -32,3 +32,12 @@ def predicted(model: Model, observations: Observations) -> np.ndarray:
     pose = shown(model, Kinematics(model).direct(joints, condition_columns(model, observations)))
     x = Configuration(joints, pose.position, pose.rotation).rows
     return np.where(np.isfinite(x).all(axis=1)[:, None], x, observations.x)
+
+
+def read_apart(model: Model, observations: Observations, x: np.ndarray) -> np.ndarray:
+    """What sensors read minus what they would at x (N, nq+12): (N, n_channels) m, NaN where
+    nothing was read."""
+    if not model.structure.channels:
+        return np.empty((len(observations), 0))
+    rows = model.structure.residuals(x, observations.a, model.values)[0]
+    return np.asarray(observations.reading - rows[:, model.structure.phi.shape[0] :])

@@ -14,6 +14,7 @@ import numpy as np
 
 from parallel_cal.base.rotation import (
     matrix_to_quaternion,
+    nearest_rotation,
     quaternion_to_matrix,
     rotation_matrix,
     rotation_vector,
@@ -261,7 +262,7 @@ class _Poses:
             K = np.einsum("nac,nbd->abcd", R, seen).reshape(9, 9)
             left = np.linalg.svd(K)[0]
             for sign in (1, -1):
-                F = _nearest_rotation(sign * left[:, 0].reshape(3, 3))
+                F = nearest_rotation(sign * left[:, 0].reshape(3, 3))
                 starts.append(self._around(F))
         return starts
 
@@ -269,7 +270,7 @@ class _Poses:
         """Kabsch's rotation for a target at t in {P}."""
         ours = (self.r + self.R @ t)[self.placed]
         theirs = self.seen_r[self.placed]
-        F = _nearest_rotation((ours - ours.mean(axis=0)).T @ (theirs - theirs.mean(axis=0)))
+        F = nearest_rotation((ours - ours.mean(axis=0)).T @ (theirs - theirs.mean(axis=0)))
         return self._around(F, t)
 
     def _linear_target(self) -> Array:
@@ -287,7 +288,7 @@ class _Poses:
         T = np.eye(3)
         if self.turned.any() and self.turns:
             R, seen = self.R[self.turned], self.seen_R[self.turned]
-            T = _nearest_rotation((R.transpose(0, 2, 1) @ F @ seen).sum(axis=0))
+            T = nearest_rotation((R.transpose(0, 2, 1) @ F @ seen).sum(axis=0))
         if not self.placed.any():
             return Frames(np.zeros(3), F, np.zeros(3), T)
         away = (self.r - self.seen_r @ F.T)[self.placed]
@@ -305,12 +306,6 @@ def _cross(v: Array) -> Array:
     x, y, z = np.nan_to_num(v).T
     rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
     return np.moveaxis(np.array(rows), -1, 0)
-
-
-def _nearest_rotation(M: Array) -> Array:
-    """The rotation R for which tr(R^T M) is greatest."""
-    left, _, right = np.linalg.svd(M)
-    return np.asarray(left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right)
 
 
 def _with_frames(model: Model, frames: Frames) -> Model:

@@ -132,15 +132,18 @@ def _joined(tables: list[Table], join: Join | None) -> tuple[list[Table], list[D
     kept = (partners >= 0).all(axis=1)
     if not kept.any():
         raise DatasetError(f"no row of {one.path} has a partner by {join.by} in the other tables")
+    unpaired = [(one, np.flatnonzero(~kept).tolist())]
+    if join.within is None:  # of a log, most rows belong to no sample
+        for table, rows in zip(tables, partners[kept].T, strict=True):
+            if table is not one:
+                unpaired.append((table, sorted({*range(len(table.rows))} - {*rows.tolist()})))
     dropped = [
-        Dropped(0.0, "no partner", f"{one.path}:{one.lines[k]}: nothing else with its {join.by}")
-        for k in np.flatnonzero(~kept)
+        Dropped(
+            0.0, "no partner", f"{table.path}:{table.lines[k]}: nothing else with its {join.by}"
+        )
+        for table, rest in unpaired
+        for k in rest
     ]
-    for table, rows in zip(tables, partners[kept].T, strict=True):
-        if join.within is None and len(rest := {*range(len(table.rows))} - {*rows.tolist()}):
-            words = [f"{table.path}:{table.lines[k]}" for k in sorted(rest)]
-            dropped += [Dropped(0.0, "no partner", f"{at}: nothing else with its {join.by}")
-                        for at in words if table is not one]  # fmt: skip
     chosen = [t.select(rows.tolist()) for t, rows in zip(tables, partners[kept].T, strict=True)]
     return [chosen[0], *(_without(t, join.by) for t in chosen[1:])], dropped
 

@@ -92,10 +92,16 @@ def replicate_noise(ids: Ids, at: Configuration, measured: Bools) -> ReplicateNo
 
 
 def _about_mean(values: Array, group: NDArray[np.intp]) -> Array:
-    """Rows (M, k) minus the mean of their group."""
-    size = np.bincount(group)
-    sums = np.stack([np.bincount(group, column) for column in values.T], axis=1)
-    return values - (sums / size[:, None])[group] if len(group) else values
+    """Rows (M, k) minus the mean of their group, groups numbered from 0."""
+    return values - averaged(values, group)[group]
+
+
+def averaged(values: np.ndarray, group: np.ndarray) -> np.ndarray:
+    """Rows (N, k) averaged within groups, one row a group."""
+    names, inverse, count = np.unique(group, return_inverse=True, return_counts=True)
+    sums = np.zeros((len(names), values.shape[1]))
+    np.add.at(sums, inverse, values)
+    return np.asarray(sums / count[:, None])
 
 
 def _pooled(deviation: Array, group: NDArray[np.intp]) -> Array:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from parallel_cal.base.errors import DatasetError
+from parallel_cal.base.rotation import nearest_rotation
 from parallel_cal.recordings.options import SampleOptions
 from parallel_cal.recordings.recording import Array, Bools, Dropped, JointStream
 
@@ -71,8 +72,7 @@ def max_gap(joints: JointStream, options: SampleOptions) -> float:
 
 def mean_rotation(R: Array) -> Array:
     """Mean (3, 3) of rotations (n, 3, 3): the rotation closest to all of them by chords."""
-    u, _, vt = np.linalg.svd(R.mean(axis=0))
-    return u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    return nearest_rotation(R.mean(axis=0))
 
 
 def sample_sd(values: Array) -> Array:

@@ -10,7 +10,7 @@ import numpy as np
 
 from parallel_cal.base.errors import SolveError
 from parallel_cal.base.rotation import matrix_to_quaternion, rotation_matrix
-from parallel_cal.kinematics.kinematics import Kinematics, Status
+from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.effect import parse_effect
 from parallel_cal.model.mechanism import poses_in_workspace
 from parallel_cal.model.model import Model, Noise
@@ -27,7 +27,6 @@ AIR, WARMING, PERIOD = 21.0, 3.0, 180.0  # degC, degC, s: the workshop's tempera
 ARCSEC = np.pi / 180 / 3600
 # Of instruments a model file says nothing about: those of the thesis (sections 2.3.2 and 4.2).
 TYPICAL = {"rad": 25 * ARCSEC, "m": 10e-6, "position": 10e-6, "orientation": 15 * ARCSEC}
-SOLVED = (Status.CONVERGED, Status.OUTSIDE_LIMITS, Status.SINGULAR)
 NEAR = 0.02  # of a joint's travel
 TRIES = 20  # draws a pose before the workspace counts as unreachable
 
@@ -120,7 +119,7 @@ def _measured(model: Model, motion: _Motion, errors: _Errors, covariance: np.nda
     at = {key: column[seen] for key, column in motion.at.items()}
     answer = Kinematics(model).direct(motion.joints[seen], at)
     # On its straight way between two poses a robot may pass where it has no solution.
-    solved = np.isin(answer.status, SOLVED)
+    solved = answer.solved
     position, rotation = errors.of_pose(answer.position, answer.rotation, motion.dwell[seen])
     m = int(solved.sum())
     return PoseStream(

@@ -107,20 +107,19 @@ class Residuals:
     units: Mapping[str, str]
 
     @classmethod
-    def of(cls, diagnosis: Diagnosis, field: Field) -> Residuals:
-        scene = diagnosis.base.scene
+    def of(cls, scene: Scene, field: Field, found: np.ndarray | None = None) -> Residuals:
         used = np.flatnonzero(np.any(field.noise_units != 0, axis=0))
-        pose = field.measured.any()
+        read = "reading" if np.isfinite(scene.read_apart).any() else "equation"
         return cls(
             kind=field.kind,
-            components=[POSE[k] if pose else f"equation {k + 1}" for k in used],
-            sample=diagnosis.dataset.numbers,
+            components=[POSE[k] if field.kind else f"{read} {k + 1}" for k in used],
+            sample=scene.dataset.numbers,
             place=places(scene, field.kind),
             now=field.vectors,
-            found=diagnosis.field.vectors if diagnosis.effects else None,
+            found=found,
             noise_units=field.noise_units[:, used],
             regressors=dict(regressors(scene)),
-            units=dict(units(scene)),
+            units=dict(_units(scene)),
         )
 
 
@@ -131,7 +130,7 @@ def places(scene: Scene, kind: str | None) -> np.ndarray:
     return predicted.R[:, :, 2] if kind == "orientation" else predicted.r
 
 
-def units(scene: Scene) -> Iterator[tuple[str, str]]:
+def _units(scene: Scene) -> Iterator[tuple[str, str]]:
     m = scene.model.mechanism
     own = dict(zip(m.joints, m.joint_units, strict=True)) | dict.fromkeys("xyz", "m")
     for name, _ in regressors(scene):

@@ -102,7 +102,9 @@ def report(
         diagnosis=found,
         errors=errors,
         history=contents.history(found, errors),
-        residuals=contents.Residuals.of(found, field),
+        residuals=contents.Residuals.of(
+            scene, field, found.field.vectors if found.effects else None
+        ),
         along=along(scene, field),
         regions=regions(scene, field) if field.kind == "position" else (),
         samples=contents.samples(found),

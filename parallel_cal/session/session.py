@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import fcntl
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
@@ -21,7 +21,6 @@ from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.base.files import read_text, write_atomically
 from parallel_cal.diagnosis.diagnose import Diagnosis, diagnose
 from parallel_cal.identification.options import FitOptions
-from parallel_cal.identification.prediction_errors import Summary
 from parallel_cal.model.file.modelfile import read_model, write_model
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
@@ -132,21 +131,19 @@ class Session:
         return read_model(self.folder / self.state.model)
 
     @cached_property
-    def _everything(self) -> Dataset:
-        """All samples of the recordings."""
+    def samples(self) -> Dataset:
+        """All samples, those that are excluded here, too."""
         joints = read_model(self.folder / self.record.states[0].model).joints
         options = ReadOptions(**self.record.reading)
         return load_sessions(self.record.recordings, options, joints=joints)
 
     @property
-    def samples(self) -> Dataset:
-        """All samples, those that are excluded here, too."""
-        return self._everything
-
-    @property
     def dataset(self) -> Dataset:
         """The samples that count here."""
-        return self._everything.excluding(sorted(self.state.excluded), "in this session")
+        return self._counted(self.state.excluded)
+
+    def _counted(self, excluded: Collection[int]) -> Dataset:
+        return self.samples.excluding(sorted(excluded), "in this session")
 
     @property
     def options(self) -> FitOptions:
@@ -217,7 +214,7 @@ class Session:
     def _refitted(
         self, words: str, excluded: Mapping[int, str], progress: Progress | None
     ) -> State:
-        data = self.samples.excluding(sorted(excluded), "in this session")
+        data = self._counted(excluded)
         step = fitted(self.model, data, True, options=self.options, progress=progress)
         return self._committed(words, step, excluded)
 
@@ -297,9 +294,9 @@ class Session:
                 step=words,
                 model=f"models/{number}.yaml",
                 excluded=start.excluded if excluded is None else dict(excluded),
-                before=_known(step.result.held_out_before.summary),
-                errors=_known(step.result.held_out.summary),
-                noise=_known(step.result.noise),
+                before=plain(step.result.held_out_before.summary.document()),
+                errors=plain(step.result.held_out.summary.document()),
+                noise=plain(step.result.noise.document()),
                 against=step.acceptance.against,
             )
             write_model(step.model, self.folder / state.model)
@@ -348,10 +345,6 @@ class Session:
     def _write(self, record: Record) -> None:
         write_atomically(self.folder / FILE, record.model_dump_json(indent=1) + "\n")
         self.record = record
-
-
-def _known(summary: Summary) -> dict[str, float | None]:
-    return {key: plain(value) for key, value in summary.document().items()}
 
 
 def _changed(options: Any, usual: Any) -> dict[str, Any]:

@@ -152,7 +152,7 @@ class Window:
                         ui.plotly(figure).classes("w-full").props(
                             'role=img aria-label="residual arrows in space"'
                         )
-                self._map(view, "x", "y")
+                self._map(view)
             names = list(residuals["along"])
             self.along = self.along if self.along in residuals["along"] else next(iter(names), "")
             self.component = min(self.component, len(residuals["components"]) - 1)
@@ -171,17 +171,17 @@ class Window:
                         on_change=lambda e: self._look_along(along=e.value),
                     ).classes("w-48")
                 with ui.row().classes("w-full no-wrap max-lg:flex-wrap"):
-                    self.flat = self._points(*self._coordinates(view))
+                    self._points(*self._coordinates(view))
                     self._polar(view)
 
-    def _map(self, view: dict[str, Any], across: str, up: str) -> None:
-        place, k = view["residuals"]["place"], {"x": 0, "y": 1, "z": 2}
+    def _map(self, view: dict[str, Any]) -> None:
+        place = view["residuals"]["place"]
         sizes = [sample["sigmas"] or 0 for sample in view["samples"]]
         self._points(
-            [p[k[across]] for p in place],
-            [p[k[up]] for p in place],
-            f"{across} [mm]",
-            f"{up} [mm]",
+            [p[0] for p in place],
+            [p[1] for p in place],
+            "x [mm]",
+            "y [mm]",
             "rms residual [sigmas] over the workspace",
             {"color": sizes, "colorscale": "Cividis", "showscale": True, "size": 9},
         )

@@ -52,13 +52,13 @@ def _compared(found: Comparison) -> View:
     tiles = [_tile("now", found.errors.summary, kinds)]
     if found.noise.known:
         tiles.append(_tile("noise alone", found.noise, kinds))
-    field = found.field
+    residuals = contents.Residuals.of(found.scene, found.field)
     return {
         "verdict": {"colour": GREY, "words": "compared with the measurements; not identified yet"},
         "tiles": tiles,
         "budget": [],
-        "arrows": _arrows(found.scene, field, found.dataset.numbers),
-        "residuals": _residuals(found.scene, field, found.along),
+        "arrows": _arrows(residuals),
+        "residuals": _residuals(residuals, found.along),
         "samples": [
             {
                 "sample": int(found.dataset.numbers[i]),
@@ -84,7 +84,6 @@ def _reported(found: Report) -> View:
         tiles.append(_tile(f"with {' and '.join(diagnosis.effects)}", errors.found, errors.kinds))
     if errors.noise.known:
         tiles.append(_tile("noise alone", errors.noise, errors.kinds))
-    scene = diagnosis.base.scene
     words = {one.sample: one.odd for one in found.samples}
     judged = {one.sample: one.now for one in found.samples}
     numbers = [int(n) for n in diagnosis.dataset.numbers]
@@ -92,8 +91,8 @@ def _reported(found: Report) -> View:
         "verdict": _verdict(found),
         "tiles": tiles,
         "budget": list(_budget(found)),
-        "arrows": _arrows(scene, contents.Field.of(scene), diagnosis.dataset.numbers),
-        "residuals": _residuals(scene, contents.Field.of(scene), found.along),
+        "arrows": _arrows(found.residuals),
+        "residuals": _residuals(found.residuals, found.along),
         "samples": [
             {
                 "sample": n,
@@ -151,34 +150,29 @@ def _budget(found: Report) -> Iterator[View]:
             }
 
 
-def _arrows(scene: Any, field: Any, numbers: np.ndarray) -> View | None:
-    if field.kind is None:
+def _arrows(residuals: contents.Residuals) -> View | None:
+    if residuals.kind is None:
         return None
-    places = contents.places(scene, field.kind)
-    figure, scale = spaces.residual_arrows(places, [field.vectors], field.kind, numbers)
+    figure, scale = spaces.residual_arrows(
+        residuals.place, [residuals.now], residuals.kind, residuals.sample
+    )
     return {"figure": plain(figure), "scale": scale}
 
 
-def _residuals(scene: Any, field: Any, striking: Sequence[Along]) -> View:
+def _residuals(residuals: contents.Residuals, striking: Sequence[Along]) -> View:
     """Residuals in sigmas (N, k) by component, and what they may go with (N,), most striking
     first; what does not vary tells nothing."""
-    used = np.flatnonzero(np.any(field.noise_units != 0, axis=0))
-    pose = field.measured.any()
-    names = [contents.POSE[k] if pose else f"reading {k + 1}" for k in used]
     along = {}
-    units = dict(contents.units(scene))
-    recorded = dict(contents.regressors(scene))
-    for name in (one.name for one in striking if np.ptp(recorded[one.name]) > 0):
-        values = recorded[name]
-        unit, factor = large(units[name])
-        along[name] = {"values": np.round(values * factor, 5), "unit": unit}
+    for name in (one.name for one in striking if np.ptp(residuals.regressors[one.name]) > 0):
+        unit, factor = large(residuals.units[name])
+        along[name] = {"values": np.round(residuals.regressors[name] * factor, 5), "unit": unit}
     return plain(
         {
-            "components": names,
-            "colours": [multiples.colour(name) for name in names],
-            "sigmas": np.round(field.noise_units[:, used], 3),
+            "components": residuals.components,
+            "colours": [multiples.colour(name) for name in residuals.components],
+            "sigmas": np.round(residuals.noise_units, 3),
             "along": along,
-            "place": np.round(1e3 * contents.places(scene, field.kind), 3),
+            "place": np.round(1e3 * residuals.place, 3),
         }
     )
 

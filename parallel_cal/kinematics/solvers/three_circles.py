@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from parallel_cal.base.rotation import nearest_rotation
 from parallel_cal.kinematics.solutions import Solutions, Status, stacked
 from parallel_cal.kinematics.solvers._common import (
     home_first,
@@ -127,6 +128,5 @@ def _triangles(z: complex, terms: list[Any], pairs: dict[tuple[int, int], np.nda
 def placed(B: np.ndarray, P: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The pose (r, R) that brings points B (n, 3) nearest to P (n, 3)."""
     b, p = B - B.mean(axis=0), P - P.mean(axis=0)
-    left, _, right = np.linalg.svd(p.T @ b)
-    turn = left @ np.diag([1, 1, np.linalg.det(left @ right)]) @ right
+    turn = nearest_rotation(p.T @ b)
     return P.mean(axis=0) - turn @ B.mean(axis=0), turn
