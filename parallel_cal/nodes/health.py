@@ -23,7 +23,7 @@ class Stream:
         self.total: Counter[str] = Counter()
         self._last = Counter[str]()
         self._seconds: deque[Counter[str]] = deque(maxlen=WINDOW)
-        self._latencies: deque[int] = deque(maxlen=2000)
+        self._latencies: deque[int] = deque(maxlen=1000 * WINDOW)
         self._sources = Sources()
         self.reason = ""
 

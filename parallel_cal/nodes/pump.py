@@ -1,7 +1,8 @@
 """A subscription with a thread and a wait set of its own, for a stream of 1000 a second.
 
 An executor builds its wait set anew, with every entity of its node, for each message: half a
-millisecond of Python. This one holds one subscription, and takes all that waits in it at once.
+millisecond of Python. This one holds one subscription, and takes all that waits in it at once. Its
+events are waited for here, too: in an executor's wait set they wake it at every message.
 """
 
 from __future__ import annotations
@@ -50,9 +51,6 @@ class Pump:
             type, topic, lambda message: None, qos, callback_group=Nobody(), **options
         )
         self._most = qos.depth
-        for event in self._subscription.event_handlers:  # these an executor may well call
-            event.callback_group = node.default_callback_group
-            node.default_callback_group.add_entity(event)
         self._thread = Thread(target=self._run, name=topic, daemon=True)
         self._thread.start()
 
@@ -63,18 +61,24 @@ class Pump:
 
     def _run(self) -> None:
         handle, type = self._subscription.handle, self._subscription.msg_type
-        context = self._node.context
+        events, context = self._subscription.event_handlers, self._node.context
+        with context.handle:
+            waiting = rclpy_implementation.WaitSet(1, 0, 0, 0, 0, len(events), context.handle)
         while not self._ended and context.ok():
-            with handle, context.handle:
-                waiting = rclpy_implementation.WaitSet(1, 0, 0, 0, 0, 0, context.handle)
+            messages: Messages = []
+            with handle:
                 waiting.clear_entities()
                 waiting.add_subscription(handle)
+                for event in events:
+                    event.add_to_wait_set(waiting)
                 waiting.wait(PATIENCE)
-                messages: Messages = []
                 while len(messages) <= self._most:
                     one = handle.take_message(type, False)
                     if one is None:
                         break
                     messages.append(one)
+            for event in events:
+                if event.is_ready(waiting):
+                    event.callback(event.take_data())
             if messages:
                 self._take(messages)

@@ -1,0 +1,82 @@
+"""A subscription with a thread of its own: what the executor beside it notices of a stream."""
+
+import time
+
+import pytest
+
+pytestmark = pytest.mark.ros
+rclpy = pytest.importorskip("rclpy")
+
+from rclpy.executors import SingleThreadedExecutor  # noqa: E402
+from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
+from sensor_msgs.msg import JointState  # noqa: E402
+
+from parallel_cal.nodes.client import own_domain  # noqa: E402
+from parallel_cal.nodes.pump import Pump  # noqa: E402
+
+QOS = QoSProfile(depth=1000)
+
+
+class CountingExecutor(SingleThreadedExecutor):
+    """Counts how often it looked at a timer: once for each wait set it built."""
+
+    looks = 0
+
+    def can_execute(self, entity):
+        self.looks += isinstance(entity, rclpy.timer.Timer)
+        return super().can_execute(entity)
+
+
+@pytest.fixture
+def node():
+    context, namespace = rclpy.Context(), own_domain()
+    rclpy.init(context=context)
+    node = rclpy.create_node("listener", namespace=namespace, context=context)
+    node.create_timer(3600.0, lambda: None)
+    yield node
+    rclpy.try_shutdown(context=context)
+
+
+def wait_until(executor, ready):
+    end = time.monotonic() + 30
+    while not ready():
+        assert time.monotonic() < end
+        executor.spin_once(timeout_sec=0.02)
+
+
+def test_an_executor_sleeps_while_messages_come_in_beside_it(node):
+    """500 messages, which it would otherwise wake and look through its entities for."""
+    executor, taken = CountingExecutor(context=node.context), []
+    executor.add_node(node)
+    pump = Pump(node, JointState, "joint_states", QOS, taken.extend)
+    publisher = node.create_publisher(JointState, "joint_states", QOS)
+    wait_until(executor, lambda: publisher.get_subscription_count() == 1)
+    for _ in range(5):  # what discovery wakes it for
+        executor.spin_once(timeout_sec=0.02)
+    before = executor.looks
+    spun = 0
+    while len(taken) < 500 and spun < 3000:
+        publisher.publish(JointState(name=["joint1"], position=[0.5]))
+        executor.spin_once(timeout_sec=0.002)  # returns when it is over, or when it was woken
+        spun += 1
+    pump.end()
+    assert [info["publication_sequence_number"] for _, info in taken[:3]] == [1, 2, 3]
+    assert executor.looks - before <= 1.5 * spun
+
+
+def test_a_publisher_that_offers_too_little_is_told(node, capfd):
+    executor = SingleThreadedExecutor(context=node.context)
+    executor.add_node(node)
+    pump = Pump(node, JointState, "joint_states", QOS, lambda messages: None)
+    little = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+    node.create_publisher(JointState, "joint_states", little)
+    told = ""
+
+    def heard():
+        nonlocal told
+        told += capfd.readouterr().err
+        return "No messages will be received" in told
+
+    wait_until(executor, heard)
+    pump.end()
+    assert "RELIABILITY" in told
