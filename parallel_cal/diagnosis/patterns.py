@@ -34,11 +34,12 @@ class Along:
 
 def along(scene: Scene, field: Field) -> tuple[Along, ...]:
     """The residuals along every regressor, most striking first."""
-    entries = [_along(name, values, field.noise_units) for name, values in regressors(scene)]
+    entries = [mean_along(name, values, field.noise_units) for name, values in regressors(scene)]
     return tuple(sorted(entries, key=lambda entry: -entry.strength))
 
 
-def _along(name: str, values: np.ndarray, z: np.ndarray) -> Along:
+def mean_along(name: str, values: np.ndarray, z: np.ndarray) -> Along:
+    """The rolling mean of z (N, k) along values (N,); a mean for each of a few levels."""
     order = np.argsort(values, kind="stable")
     levels = np.unique(values)
     if len(levels) <= LEVELS:  # as direction or payload: a mean for each level, nothing rolls

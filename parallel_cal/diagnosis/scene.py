@@ -79,6 +79,12 @@ class Scene:
         J = by_seen.reshape(len(self.x), -1, closure).transpose(0, 2, 1)
         return self.whitener[:, :, :closure] @ J
 
+    @cached_property
+    def by_measured(self) -> np.ndarray:
+        """d rows/d(q, r, w) at the predicted configurations, in noise units: (N, rows, nq + 6)."""
+        linearise = Linearisation(self.model, self.observations, np.zeros_like(self.free), True)
+        return np.asarray(self.whitener @ linearise.blocks(self.model.values, self.x)[1])
+
     def off_geometry(self, columns: np.ndarray) -> np.ndarray:
         """What of some columns (n, k) no change of the free parameters imitates."""
         return np.asarray(columns - self.basis @ (self.basis.T @ columns))

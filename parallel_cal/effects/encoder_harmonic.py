@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+import numpy as np
+
 from parallel_cal.effects._joints import Harmonic
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Parameter
@@ -35,3 +37,6 @@ class EncoderHarmonic(Harmonic):
     ) -> Iterator[Mapping[str, float]]:
         """Every order that a mounting has."""
         return ({"order": float(order)} for order in ORDERS)
+
+    def period(self, setting: Mapping[str, float]) -> float:
+        return 2 * np.pi / setting["order"]

@@ -79,6 +79,10 @@ class GearTransmissionError(Effect):
         if 2 * setting["ratio"] <= RATIOS[1]:
             yield {"ratio": 2 * setting["ratio"]}
 
+    def period(self, setting: Mapping[str, float]) -> float:
+        """A turn of the gear's input."""
+        return 2 * np.pi / setting["ratio"]
+
 
 def _travel(mechanism: Mechanism) -> float:
     limits = dict(zip(mechanism.joints, mechanism.joint_limits, strict=True))

@@ -63,6 +63,10 @@ class ScrewPitchError(Effect):
         for turns in np.arange(1 / long, 1 / short, 1 / (2 * travel)):
             yield {"lead": float(1 / turns)}
 
+    def period(self, setting: Mapping[str, float]) -> float:
+        """The lead: a turn of the screw."""
+        return setting["lead"]
+
 
 def _sliding(mechanism: Mechanism) -> list[str]:
     joints = zip(mechanism.joints, mechanism.joint_units, strict=True)

@@ -98,6 +98,10 @@ class Effect(ABC):
         as well: a wave's own frequency, not a half of it."""
         return ()
 
+    def period(self, setting: Mapping[str, float]) -> float | None:
+        """After how much of a joint's reading (rad or m) its pattern comes round, where it does."""
+        return None
+
     @property
     def name(self) -> str:
         return type(self).__module__.removeprefix("parallel_cal.effects.")

@@ -18,7 +18,7 @@ from parallel_cal.identification.observability import directions_in_words
 from parallel_cal.identification.prediction_errors import ERRORS, Summary
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.effect import CONDITIONS
-from parallel_cal.model.mechanism import POSE
+from parallel_cal.model.mechanism import POSE, Mechanism
 from parallel_cal.model.words import describe
 
 STRONG = 0.98  # correlation of two parameters that the data hardly tell apart
@@ -131,13 +131,17 @@ def places(scene: Scene, kind: str | None) -> np.ndarray:
 
 
 def _units(scene: Scene) -> Iterator[tuple[str, str]]:
-    m = scene.model.mechanism
-    own = dict(zip(m.joints, m.joint_units, strict=True)) | dict.fromkeys("xyz", "m")
     for name, _ in regressors(scene):
-        kind, _, joint = name.partition(".")
-        stated = CONDITIONS[kind][0] if kind in CONDITIONS else ""
-        # A condition of a joint is stated for turns.
-        yield name, own.get(name) or stated.replace("rad", own.get(joint, "rad"))
+        yield name, unit_along(scene.model.mechanism, name)
+
+
+def unit_along(m: Mechanism, name: str) -> str:
+    """SI unit of a joint, a coordinate or a condition; empty where nobody states one."""
+    own = dict(zip(m.joints, m.joint_units, strict=True)) | dict.fromkeys("xyz", "m")
+    kind, _, joint = name.partition(".")
+    stated = CONDITIONS[kind][0] if kind in CONDITIONS else ""
+    # A condition of a joint is stated for turns.
+    return own.get(name) or stated.replace("rad", own.get(joint, "rad"))
 
 
 @dataclass(frozen=True)

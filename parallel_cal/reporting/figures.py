@@ -22,6 +22,38 @@ def thinned(n: int, most: int) -> np.ndarray:
     return np.unique(np.linspace(0, n - 1, min(n, most)).astype(int))
 
 
+def side_by_side(
+    panels: Sequence[Sequence[Spec]],
+    axes: Sequence[tuple[str, str]],
+    heights: Sequence[float],
+    columns: int = 3,
+) -> Spec:
+    """Small multiples as one figure: traces a panel, titles (across, up), one range of heights;
+    the first panel's traces are named in the legend."""
+    data: list[Spec] = []
+    layout: Spec = {}
+    rows, wide = -(-len(panels) // columns), min(columns, max(len(panels), 1))
+    width, height = (1 - 0.07 * (wide - 1)) / wide, (1 - 0.25 * (rows - 1) / rows) / rows
+    for k, (traces, (across, up)) in enumerate(zip(panels, axes, strict=True)):
+        mark, (row, column) = str(k + 1) if k else "", divmod(k, columns)
+        data += [
+            t | {"xaxis": f"x{mark}", "yaxis": f"y{mark}", "showlegend": not k} for t in traces
+        ]
+        left, low = column * (width + 0.07), 1 - row * (height + 0.25 / rows) - height
+        layout[f"xaxis{mark}"] = {
+            "domain": [left, min(left + width, 1.0)], "anchor": f"y{mark}",
+            "title": {"text": escape(across), "standoff": 4}, "nticks": 6,
+        }  # fmt: skip
+        layout[f"yaxis{mark}"] = {
+            "domain": [max(low, 0.0), min(low + height, 1.0)], "anchor": f"x{mark}",
+            "title": {"text": escape(up), "standoff": 4}, "range": list(heights), "nticks": 5,
+        }  # fmt: skip
+    legend = {"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0}
+    margin = {"t": 44, "r": 8, "l": 48, "b": 44}
+    about = {"height": 30 + 220 * rows, "showlegend": True, "legend": legend, "margin": margin}
+    return {"data": data, "layout": layout | about}
+
+
 def history(rows: Sequence[Mapping[str, Any]], floor: Summary, kind: str, si: str) -> Spec:
     """Errors of a kind at poses left out, step by step, with the floor of the noise."""
     unit, factor = small(si)

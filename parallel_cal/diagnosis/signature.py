@@ -1,0 +1,169 @@
+"""What a candidate would leave in the residuals, beside what is there: along what tells most."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from parallel_cal.diagnosis.catalogue import Candidate
+from parallel_cal.diagnosis.lack_of_fit import regressors
+from parallel_cal.diagnosis.scene import Scene
+from parallel_cal.model.mechanism import POSE
+
+BINS = 8  # of an abscissa, to see whether a pattern follows it
+MOST = 3  # panels of an effect that touches no joint by itself
+RESOLVED = 1e-3  # how far from one a component's own share in its estimate may be
+
+
+@dataclass(frozen=True)
+class Components:
+    """What the rows of a scene say of some quantities, by weighted least squares: `names` (k),
+    a sample's values (N, k) from a column of the scene, `sigma` (N, k); NaN where not told."""
+
+    names: tuple[str, ...]
+    inverse: np.ndarray
+    sigma: np.ndarray
+
+    @classmethod
+    def of(cls, names: Sequence[str], A: np.ndarray) -> Components:
+        """Of whitened rows A (N, rows, k) by a unit of each quantity; what no sample tells is left
+        out."""
+        inverse = np.linalg.pinv(A, rcond=1e-6)
+        share = np.einsum("ikr,irk->ik", inverse, A)
+        sigma = np.where(abs(share - 1) < RESOLVED, np.linalg.norm(inverse, axis=2), np.nan)
+        told = np.asarray(np.isfinite(sigma).any(axis=0))
+        kept = tuple(name for name, one in zip(names, told.tolist(), strict=True) if one)
+        return cls(kept, inverse[:, told], sigma[:, told])
+
+    def values(self, rows: np.ndarray) -> np.ndarray:
+        """(N, k) of rows (N, rows) in noise units."""
+        return np.where(np.isfinite(self.sigma), (self.inverse @ rows[:, :, None])[:, :, 0], np.nan)
+
+
+def joints(scene: Scene) -> Components:
+    """Measured joint minus the inverse of the measured pose, to first order (rad or m): a reading
+    too large by d leaves T (d phi/dq) d in the rows. Only a part of the pose may be measured."""
+    n = len(scene.model.joints)
+    return Components.of(scene.model.joints, scene.by_measured[:, :, :n])
+
+
+def measured(scene: Scene) -> Components:
+    """Measured minus predicted pose (m, rad) where any was measured, else what sensors read."""
+    n, observations = len(scene.model.joints), scene.observations
+    shown = [k for k in scene.model.mechanism.moved if observations.measured[:, n + k].any()]
+    pose = Components.of([POSE[k] for k in shown], scene.by_measured[:, :, [n + k for k in shown]])
+    channels = scene.model.structure.channels
+    return pose if pose.names or not channels else Components.of(
+        channels, -scene.whitener[:, :, -len(channels) :]
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Panel:
+    """A component's residual (N,) in its sigmas along what tells most, `at` (N,) in SI units, and
+    the candidate's `pattern` (N,) in it; a pattern that comes round is laid into one `period`.
+    Samples that do not tell it are left out; `sample` (N,) numbers the others."""
+
+    component: str
+    abscissa: str
+    period: float | None
+    sample: np.ndarray
+    at: np.ndarray
+    residual: np.ndarray
+    pattern: np.ndarray
+
+
+@dataclass(frozen=True)
+class Signature:
+    """A candidate's pattern: that part of the residuals which it explains and no geometry does,
+    U U^T r; `joints` (N, nq) in rad or m, NaN where not told, and the telling panels."""
+
+    effect: str
+    joints: np.ndarray
+    panels: tuple[Panel, ...]
+
+
+def signature(one: Candidate) -> Signature:
+    """The pattern of a candidate that could be tested."""
+    scene, score = one.scene, one.score
+    if scene is None or score is None:
+        raise ValueError(f"{one.name} could not be tested: {one.reason}")
+    found = score.U @ (score.U.T @ scene.residual)
+    of_joints = joints(scene)
+    shown = np.full((len(scene.x), len(scene.model.joints)), np.nan)
+    places = [scene.model.joints.index(name) for name in of_joints.names]
+    shown[:, places] = of_joints.values(scene.by_sample(found))
+    return Signature(one.name, shown, tuple(_panels(one, scene, of_joints, found)))
+
+
+def _panels(
+    one: Candidate, scene: Scene, of_joints: Components, found: np.ndarray
+) -> Iterator[Panel]:
+    """One for each joint that has numbers of its own, else the few that follow something most."""
+    mechanism, known = scene.model.mechanism, dict(regressors(scene))
+    own = {p.name.split(".")[0] for p in one.effect.parameters(mechanism)}
+    if touched := [joint for joint in of_joints.names if joint in own]:
+        for joint in touched:
+            needed = [n for n in one.effect.conditions(mechanism) if n.endswith(f".{joint}")]
+            shared = [n for n in one.effect.needs if n in known]
+            abscissa = next((n for n in (*needed, *shared) if n in known), joint)
+            yield from _panel(one, of_joints, found, joint, abscissa)
+        return
+    shown = measured(scene)
+    z = np.nan_to_num(shown.values(scene.by_sample(found)) / shown.sigma)
+    needed = [name for name in one.effect.needs if name in known]
+    along = needed or [name for name in known if name in (*mechanism.joints, *"xyz")]
+    pairs = [
+        (follows(known[name], z[:, k]), component, name)
+        for k, component in enumerate(shown.names)
+        for name in along
+    ]
+    best: dict[str, str] = {}
+    for _, component, name in sorted(pairs, reverse=True):
+        best.setdefault(component, name)
+    for component, name in list(best.items())[:MOST]:
+        yield from _panel(one, shown, found, component, name)
+
+
+def _panel(
+    one: Candidate, shown: Components, found: np.ndarray, component: str, abscissa: str
+) -> Iterator[Panel]:
+    """Nothing where the abscissa never changes."""
+    scene, k = one.scene, shown.names.index(component)
+    assert scene is not None
+    values = dict(regressors(scene)).get(abscissa)
+    if values is None:
+        return
+    period = one.effect.period(one.settings) if abscissa == component else None
+    if period is not None and period < np.ptp(values) / 2:
+        values = values % period
+    else:
+        period = None
+    residual, pattern = (
+        (shown.values(scene.by_sample(column)) / shown.sigma)[:, k]
+        for column in (scene.residual, found)
+    )
+    told = np.isfinite(residual)
+    yield Panel(
+        component,
+        abscissa,
+        period,
+        scene.dataset.numbers[told],
+        values[told],
+        residual[told],
+        pattern[told],
+    )
+
+
+def follows(values: np.ndarray, pattern: np.ndarray) -> float:
+    """Mean square of a pattern (N,) that its means over ranges of an abscissa (N,) show."""
+    levels, index = np.unique(values, return_inverse=True)
+    if len(levels) > BINS:
+        order = np.argsort(values, kind="stable")
+        index = np.empty(len(values), dtype=int)
+        index[order] = np.arange(len(values)) * BINS // len(values)
+    count = np.bincount(index)
+    means = np.bincount(index, pattern) / np.maximum(count, 1)
+    return float(count @ means**2 / len(values))

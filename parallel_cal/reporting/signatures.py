@@ -1,0 +1,101 @@
+"""The pattern that a candidate would leave, laid over what is measured, in sigmas."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from parallel_cal.diagnosis.patterns import mean_along
+from parallel_cal.diagnosis.signature import Panel, Signature
+from parallel_cal.diagnosis.thresholds import LEVELS
+from parallel_cal.model.mechanism import Mechanism
+from parallel_cal.reporting.contents import unit_along
+from parallel_cal.reporting.figures import QUIET, Spec, side_by_side, thinned
+from parallel_cal.reporting.multiples import POINTS, rounded
+from parallel_cal.reporting.readable import large, number
+
+MEASURED, PATTERN = "#0072b2", "#d55e00"  # Okabe and Ito
+BAND = "rgba(138,148,163,0.28)"
+
+
+def figure(found: Signature, mechanism: Mechanism) -> Spec:
+    """A panel for each joint that the effect touches, else for what follows something most:
+    measured residuals (grey points), their rolling mean with the 99 % band about none, and the
+    candidate's pattern, rolling alike."""
+    panels = [list(_traces(panel, mechanism)) for panel in found.panels]
+    axes = [
+        (_across(panel, mechanism), f"{panel.component} residual [σ]") for panel in found.panels
+    ]
+    sizes = [float(np.quantile(abs(panel.residual), 0.98)) for panel in found.panels]
+    size = max([2.0, *sizes])
+    return side_by_side(panels, axes, [-size, size])
+
+
+def in_words(found: Signature, mechanism: Mechanism) -> str:
+    """What the picture shows, for those who do not see it."""
+    told = (f"{p.component} against {_across(p, mechanism)}" for p in found.panels)
+    return f"{found.effect}: residual of {', '.join(told)}, in sigmas, its pattern laid over"
+
+
+def _across(panel: Panel, mechanism: Mechanism) -> str:
+    unit, factor = large(unit_along(mechanism, panel.abscissa))
+    if panel.abscissa.startswith("direction."):
+        return f"{panel.abscissa.partition('.')[2]} came falling (−1), growing (+1)"
+    within = f", within {number(panel.period, factor)} {unit}" if panel.period else ""
+    return f"{panel.abscissa}{within}" + (f" [{unit}]" if unit else "")
+
+
+def _traces(panel: Panel, mechanism: Mechanism) -> Iterator[Spec]:
+    """Points, band, and the two means."""
+    factor = large(unit_along(mechanism, panel.abscissa))[1]
+    at, both = panel.at, np.column_stack([panel.residual, panel.pattern])
+    means = mean_along(panel.abscissa, at, both)
+    few = len(np.unique(at)) <= LEVELS
+    step = float(np.min(np.diff(means.at), initial=np.inf)) if few and len(means.at) > 1 else 0.0
+    kept = thinned(len(at), POINTS)
+    spread = 0.2 * step * np.random.default_rng(0).uniform(-1, 1, len(kept))
+    yield {
+        "type": "scatter", "mode": "markers", "name": "measured", "hoverinfo": "text",
+        "x": rounded((at[kept] + spread) * factor), "y": rounded(panel.residual[kept]),
+        "marker": {"size": 4, "color": QUIET, "opacity": 0.45},
+        "text": [f"sample {n}" for n in panel.sample[kept]],
+    }  # fmt: skip
+    x, wide = means.at * factor, 0.3 * step * factor
+    across, up = _boxes(x, means.band, wide) if few else _around(x, means.band)
+    yield {
+        "type": "scatter", "mode": "lines", "name": "99 % of means if nothing depends on it",
+        "x": gaps(across), "y": gaps(up), "fill": "toself", "fillcolor": BAND,
+        "line": {"width": 0}, "hoverinfo": "skip",
+    }  # fmt: skip
+    blue, orange = {"color": MEASURED, "width": 2}, {"color": PATTERN, "width": 3, "dash": "dash"}
+    for name, mean, look in (
+        ("measured, mean", means.mean[:, 0], blue),
+        ("this effect's pattern", means.mean[:, 1], orange),
+    ):
+        across, up = _strokes(x, mean, wide) if few else (x, mean)  # where nothing rolls
+        yield {
+            "type": "scatter", "mode": "lines", "name": name, "x": gaps(across), "y": gaps(up),
+            "line": look, "hovertemplate": "%{y:.2f} σ",
+        }  # fmt: skip
+
+
+def _around(x: np.ndarray, half: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return np.concatenate([x, x[::-1]]), np.concatenate([half, -half[::-1]])
+
+
+def _boxes(x: np.ndarray, half: np.ndarray, wide: float) -> tuple[np.ndarray, np.ndarray]:
+    """A rectangle about each (x, 0), gaps between them."""
+    none = np.full(len(x), np.nan)
+    across = [x - wide, x + wide, x + wide, x - wide, x - wide, none]
+    up = [half, half, -half, -half, half, none]
+    return np.column_stack(across).ravel(), np.column_stack(up).ravel()
+
+
+def _strokes(x: np.ndarray, y: np.ndarray, wide: float) -> tuple[np.ndarray, np.ndarray]:
+    return np.column_stack([x - wide, x + wide, np.full(len(x), np.nan)]).ravel(), np.repeat(y, 3)
+
+
+def gaps(values: np.ndarray) -> list[float | None]:
+    """Numbers for a line that is broken where they are not known."""
+    return [float(f"{v:.5g}") if np.isfinite(v) else None for v in values]
