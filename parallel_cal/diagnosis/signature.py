@@ -78,7 +78,7 @@ class Panel:
 @dataclass(frozen=True)
 class Signature:
     """A candidate's pattern: that part of the residuals which it explains and no geometry does,
-    U U^T r; `joints` (N, nq) in rad or m, NaN where not told, and the telling panels."""
+    U U^T r; `joints` (N, k) of the joints that the data tell (rad or m), and the telling panels."""
 
     effect: str
     joints: np.ndarray
@@ -92,10 +92,8 @@ def signature(one: Candidate) -> Signature:
         raise ValueError(f"{one.name} could not be tested: {one.reason}")
     found = score.U @ (score.U.T @ scene.residual)
     of_joints = joints(scene)
-    shown = np.full((len(scene.x), len(scene.model.joints)), np.nan)
-    places = [scene.model.joints.index(name) for name in of_joints.names]
-    shown[:, places] = of_joints.values(scene.by_sample(found))
-    return Signature(one.name, shown, tuple(_panels(one, scene, of_joints, found)))
+    panels = tuple(_panels(one, scene, of_joints, found))
+    return Signature(one.name, of_joints.values(scene.by_sample(found)), panels)
 
 
 def _panels(

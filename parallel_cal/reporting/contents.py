@@ -13,6 +13,7 @@ from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.lack_of_fit import SmoothMap, regressors
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.search import Trial
+from parallel_cal.diagnosis.signature import joints
 from parallel_cal.identification.fit import Estimated, Result
 from parallel_cal.identification.observability import directions_in_words
 from parallel_cal.identification.prediction_errors import ERRORS, Summary
@@ -120,6 +121,32 @@ class Residuals:
             noise_units=field.noise_units[:, used],
             regressors=dict(regressors(scene)),
             units=dict(_units(scene)),
+        )
+
+
+@dataclass(frozen=True)
+class JointResiduals:
+    """Measured joint minus the inverse of the measured pose (N, k) with its sigma, over the reading
+    (N, k), rad or m as `units` say; of the joints that what was measured tells, NaN where not."""
+
+    joints: tuple[str, ...]
+    units: tuple[str, ...]
+    sample: np.ndarray
+    readings: np.ndarray
+    errors: np.ndarray
+    sigma: np.ndarray
+
+    @classmethod
+    def of(cls, scene: Scene) -> JointResiduals:
+        found, mechanism = joints(scene), scene.model.mechanism
+        at = [mechanism.joints.index(name) for name in found.names]
+        return cls(
+            joints=found.names,
+            units=tuple(mechanism.joint_units[k] for k in at),
+            sample=scene.dataset.numbers,
+            readings=scene.x[:, at],
+            errors=found.values(scene.by_sample(scene.residual)),
+            sigma=found.sigma,
         )
 
 

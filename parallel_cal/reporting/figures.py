@@ -14,6 +14,8 @@ from parallel_cal.reporting.readable import large, number, small
 
 Spec = dict[str, Any]
 ACCENT, QUIET, WARNING = "#3b7dd8", "#8a94a3", "#d55e00"
+MEASURED, PATTERN = "#0072b2", "#d55e00"  # Okabe and Ito: a mean, what an effect would show
+LEGEND = {"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0}
 FAR = 5.0  # tolerances
 
 
@@ -48,10 +50,63 @@ def side_by_side(
             "domain": [max(low, 0.0), min(low + height, 1.0)], "anchor": f"x{mark}",
             "title": {"text": escape(up), "standoff": 4}, "range": list(heights), "nticks": 5,
         }  # fmt: skip
-    legend = {"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0}
     margin = {"t": 44, "r": 8, "l": 48, "b": 44}
-    about = {"height": 30 + 220 * rows, "showlegend": True, "legend": legend, "margin": margin}
+    about = {"height": 30 + 220 * rows, "showlegend": True, "legend": LEGEND, "margin": margin}
     return {"data": data, "layout": layout | about}
+
+
+def circles(
+    panels: Sequence[Sequence[Spec]],
+    names: Sequence[str],
+    sector: tuple[float, float],
+    size: float,
+    unit: str,
+    columns: int = 3,
+) -> Spec:
+    """Polar small multiples as one figure: radii from -size to size, nothing in the middle."""
+    rows, wide = -(-len(panels) // columns), min(columns, len(panels))
+    data: list[Spec] = []
+    layout: Spec = {"annotations": []}
+    for k, (traces, name) in enumerate(zip(panels, names, strict=True)):
+        mark, (row, column) = f"polar{k + 1 if k else ''}", divmod(k, columns)
+        data += [
+            t | {"type": "scatterpolar", "subplot": mark, "showlegend": not k and i > 0}
+            for i, t in enumerate(traces)
+        ]
+        x, y = (
+            [column / wide, (column + 0.92) / wide],
+            [1 - (row + 1) / rows, 1 - (row + 0.1) / rows],
+        )
+        ticks = [-size / 2, 0.0, size / 2]
+        layout[mark] = {
+            "domain": {"x": x, "y": y}, "sector": list(sector), "bgcolor": "rgba(0,0,0,0)",
+            "radialaxis": {
+                "range": [-2 * size, size], "tickvals": ticks, "angle": sector[0],
+                "ticktext": [f"{t:+.2g}" if t else f"0 {unit}" for t in ticks],
+                "tickfont": {"size": 10}, "gridcolor": "rgba(138,148,163,0.35)",
+            },
+            "angularaxis": {"nticks": 12, "tickfont": {"size": 10}, "ticksuffix": "°",
+                            "gridcolor": "rgba(138,148,163,0.35)"},
+        }  # fmt: skip
+        layout["annotations"].append(
+            {"text": escape(name), "x": x[0], "xanchor": "left", "y": y[0], "yanchor": "bottom",
+             "xref": "paper", "yref": "paper", "showarrow": False}
+        )  # fmt: skip
+    about = {"height": 60 + 300 * rows, "showlegend": True, "legend": LEGEND}
+    return {
+        "data": data,
+        "layout": layout | about | {"margin": {"t": 44, "r": 30, "l": 30, "b": 30}},
+    }
+
+
+def rounded(values: np.ndarray) -> list[float]:
+    """Five digits: a picture needs no more, and a page is smaller."""
+    return [float(f"{v:.5g}") for v in values]
+
+
+def gaps(values: np.ndarray) -> list[float | None]:
+    """The same for a line that is broken where a number is not known."""
+    return [float(f"{v:.5g}") if np.isfinite(v) else None for v in values]
 
 
 def history(rows: Sequence[Mapping[str, Any]], floor: Summary, kind: str, si: str) -> Spec:

@@ -9,7 +9,7 @@ import numpy as np
 from parallel_cal.diagnosis.patterns import Along
 from parallel_cal.diagnosis.thresholds import LEVELS
 from parallel_cal.reporting.contents import Residuals
-from parallel_cal.reporting.figures import QUIET, Spec, thinned
+from parallel_cal.reporting.figures import QUIET, Spec, rounded, thinned
 from parallel_cal.reporting.readable import large
 
 # Okabe and Ito's palette: told apart by the colour-blind, on light and dark grounds
@@ -109,8 +109,3 @@ def colour(name: str) -> str:
     """Of a pose component, or of an equation by its number."""
     palette = list(COMPONENTS.values())
     return COMPONENTS.get(name) or palette[int(name.split()[-1]) % len(palette)]
-
-
-def rounded(values: np.ndarray) -> list[float]:
-    """Five digits: a picture needs no more, and a page is smaller."""
-    return [float(f"{v:.5g}") for v in values]

@@ -11,11 +11,19 @@ from parallel_cal.diagnosis.signature import Panel, Signature
 from parallel_cal.diagnosis.thresholds import LEVELS
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.reporting.contents import unit_along
-from parallel_cal.reporting.figures import QUIET, Spec, side_by_side, thinned
-from parallel_cal.reporting.multiples import POINTS, rounded
+from parallel_cal.reporting.figures import (
+    MEASURED,
+    PATTERN,
+    QUIET,
+    Spec,
+    gaps,
+    rounded,
+    side_by_side,
+    thinned,
+)
 from parallel_cal.reporting.readable import large, number
+from parallel_cal.reporting.rounds import POINTS
 
-MEASURED, PATTERN = "#0072b2", "#d55e00"  # Okabe and Ito
 BAND = "rgba(138,148,163,0.28)"
 
 
@@ -60,6 +68,7 @@ def _traces(panel: Panel, mechanism: Mechanism) -> Iterator[Spec]:
         "x": rounded((at[kept] + spread) * factor), "y": rounded(panel.residual[kept]),
         "marker": {"size": 4, "color": QUIET, "opacity": 0.45},
         "text": [f"sample {n}" for n in panel.sample[kept]],
+        "customdata": panel.sample[kept].tolist(),
     }  # fmt: skip
     x, wide = means.at * factor, 0.3 * step * factor
     across, up = _boxes(x, means.band, wide) if few else _around(x, means.band)
@@ -94,8 +103,3 @@ def _boxes(x: np.ndarray, half: np.ndarray, wide: float) -> tuple[np.ndarray, np
 
 def _strokes(x: np.ndarray, y: np.ndarray, wide: float) -> tuple[np.ndarray, np.ndarray]:
     return np.column_stack([x - wide, x + wide, np.full(len(x), np.nan)]).ravel(), np.repeat(y, 3)
-
-
-def gaps(values: np.ndarray) -> list[float | None]:
-    """Numbers for a line that is broken where they are not known."""
-    return [float(f"{v:.5g}") if np.isfinite(v) else None for v in values]

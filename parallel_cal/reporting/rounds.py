@@ -1,0 +1,145 @@
+"""Each joint's own residual against its own reading, straight and round: ripples are plain."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from parallel_cal.diagnosis.patterns import mean_along
+from parallel_cal.diagnosis.signature import Signature
+from parallel_cal.reporting.contents import JointResiduals
+from parallel_cal.reporting.figures import (
+    MEASURED,
+    PATTERN,
+    QUIET,
+    Spec,
+    circles,
+    gaps,
+    rounded,
+    side_by_side,
+    thinned,
+)
+from parallel_cal.reporting.readable import large, number
+
+SMOOTH = 0.5  # of a pattern's variance: neighbours that differ by more are no line
+FINE, NEAR = 40, 5  # points of a curve a period, samples that one is the mean of
+POINTS = 2000  # a joint: more hide each other
+SPARE = 5.0  # deg of a sector beside what was measured
+
+
+def straight(found: JointResiduals, candidate: Signature | None = None) -> Spec:
+    """A panel a joint, measured joint minus inverse of the measured pose over the joint's reading;
+    a candidate's pattern laid over."""
+    panels, axes, size = [], [], _size(found)
+    for k, joint in enumerate(found.joints):
+        unit, factor = large(found.units[k])
+        fine, small = _fine(found.units[k])
+        traces = _traces(found, candidate, k, factor, small)
+        panels.append([trace | {"type": "scatter"} for trace in traces])
+        axes.append((f"{joint} [{unit}]", f"{joint} residual [{fine}]"))
+    return side_by_side(panels, axes, [-size, size])
+
+
+def around(found: JointResiduals, candidate: Signature | None = None) -> Spec | None:
+    """The same round the reading, outwards where the joint reads too much; None where no joint
+    turns."""
+    turning = [k for k, unit in enumerate(found.units) if unit == "rad"]
+    if not turning:
+        return None
+    factor, (fine, small) = large("rad")[1], _fine("rad")
+    sector, panels = _sector(found.readings[:, turning] * factor), []
+    zero = {
+        "mode": "lines", "x": rounded(np.linspace(*sector, 181)), "y": [0.0] * 181,
+        "line": {"color": QUIET, "width": 1}, "hoverinfo": "skip",
+    }  # fmt: skip
+    for k in turning:
+        traces = [zero, *_traces(found, candidate, k, factor, small)]
+        panels.append([_bent(trace) for trace in traces])
+    return circles(panels, [found.joints[k] for k in turning], sector, _size(found), fine)
+
+
+def _size(found: JointResiduals) -> float:
+    """Half the height that shows all but the wildest, in the small unit."""
+    scaled = [abs(found.errors[:, k]) * _fine(unit)[1] for k, unit in enumerate(found.units)]
+    return 1.1 * max((float(np.nanquantile(one, 0.99)) for one in scaled), default=1.0)
+
+
+def _fine(unit: str) -> tuple[str, float]:
+    return {"rad": ("mrad", 1e3), "m": ("µm", 1e6)}[unit]
+
+
+def _sector(theta: np.ndarray) -> tuple[float, float]:
+    """What was measured, some spare; all round where that is more than a half."""
+    low, high = float(theta.min()) - SPARE, float(theta.max()) + SPARE
+    return (low, high) if high - low < 180 else (0.0, 360.0)
+
+
+def _traces(
+    found: JointResiduals, candidate: Signature | None, k: int, factor: float, small: float
+) -> list[Spec]:
+    """The pattern below the points; over what comes round faster no mean rolls."""
+    points, mean = _points(found, k, factor, small), _mean(found, k, factor, small)
+    if candidate is None:
+        return [points, mean]
+    period = next((p.period for p in candidate.panels if p.component == found.joints[k]), None)
+    laid = _pattern(found, candidate.joints[:, k], period, k, factor, small)
+    return [laid, points] if period else [points, mean, laid]
+
+
+def _points(found: JointResiduals, k: int, factor: float, small: float) -> Spec:
+    kept = thinned(len(found.sample), POINTS)
+    x, y, numbers = found.readings[kept, k], found.errors[kept, k] * small, found.sample[kept]
+    return {
+        "mode": "markers", "name": "measured", "x": rounded(x * factor), "y": gaps(y),
+        "marker": {"size": 4, "color": QUIET, "opacity": 0.8},
+        "text": [f"sample {n}: {number(v)}" for n, v in zip(numbers, y, strict=True)],
+        "customdata": numbers.tolist(), "hoverinfo": "text",
+    }  # fmt: skip
+
+
+def _mean(found: JointResiduals, k: int, factor: float, small: float) -> Spec:
+    told = np.isfinite(found.errors[:, k])
+    means = mean_along("", found.readings[told, k], found.errors[told, k, None])
+    return {
+        "mode": "lines", "name": "measured, mean", "x": rounded(means.at * factor),
+        "y": rounded(means.mean[:, 0] * small), "line": {"color": MEASURED, "width": 2},
+        "hoverinfo": "skip",
+    }  # fmt: skip
+
+
+def _pattern(
+    found: JointResiduals,
+    pattern: np.ndarray,
+    period: float | None,
+    k: int,
+    factor: float,
+    small: float,
+) -> Spec:
+    """A fine curve where it comes round, a line where neighbours are alike, else points."""
+    told = np.isfinite(pattern)
+    x, y = found.readings[told, k], pattern[told]
+    order = np.argsort(x, kind="stable")
+    x, y = x[order], y[order]
+    if period is not None:
+        fine = np.linspace(x[0], x[-1], round(FINE * (x[-1] - x[0]) / period))
+        x, y = fine, _repeated(x, y, period, fine)
+    is_line = period is not None or np.mean(np.diff(y) ** 2) < SMOOTH * np.var(y)
+    return {
+        "mode": "lines" if is_line else "markers", "name": "this effect's pattern",
+        "x": rounded(x * factor), "y": rounded(y * small), "hoverinfo": "skip",
+        "line": {"color": PATTERN, "width": 2}, "marker": {"color": PATTERN, "size": 4},
+    }  # fmt: skip
+
+
+def _repeated(x: np.ndarray, y: np.ndarray, period: float, at: np.ndarray) -> np.ndarray:
+    """A pattern y (N,) at readings x (N,) that comes round, at others: the mean of samples near
+    within the period."""
+    order = np.argsort(x % period, kind="stable")
+    around = np.take(y[order], np.arange(-(NEAR // 2), len(y) + NEAR // 2), mode="wrap")
+    smooth = np.convolve(around, np.full(NEAR, 1 / NEAR), mode="valid")
+    return np.interp(at, (x % period)[order], smooth, period=period)
+
+
+def _bent(flat: Spec) -> Spec:
+    """A flat trace bent round: x is the angle (deg), y the radius."""
+    spec = {key: value for key, value in flat.items() if key not in ("x", "y")}
+    return spec | {"theta": flat["x"], "r": flat["y"]}

@@ -1,0 +1,100 @@
+"""Each joint's own residual against its own reading, straight and round."""
+
+from dataclasses import replace
+
+import numpy as np
+import plotly.graph_objects as go
+import pytest
+import virtual_effects_joint as vj
+import virtual_robot as vr
+from datasets import measured
+
+from parallel_cal.diagnosis.catalogue import candidate
+from parallel_cal.diagnosis.comparison import compare
+from parallel_cal.diagnosis.scene import Scene
+from parallel_cal.diagnosis.signature import signature
+from parallel_cal.identification.fit import fit
+from parallel_cal.model.model import new_model
+from parallel_cal.reporting import rounds
+from parallel_cal.reporting.contents import JointResiduals
+
+RATIO, SIZE, PHASE = 80.0, (4e-4, 3e-4, 5e-4), (0.3, 1.0, 2.0)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    data = measured(0, effects=[vj.GearRipple(RATIO, SIZE, PHASE)], n_poses=120)
+    result = fit(new_model("delta54"), data, hold_out=0)
+    return Scene.of(result.model, data, result.observations, result.free)
+
+
+@pytest.fixture(scope="module")
+def found(scene):
+    return JointResiduals.of(scene)
+
+
+@pytest.fixture(scope="module")
+def gear(scene):
+    return signature(candidate(scene, "gear_transmission_error"))
+
+
+def trace(figure, name, axis="xaxis", mark="x"):
+    return next(t for t in figure["data"] if t.get("name") == name and t[axis] == mark)
+
+
+def test_a_panel_a_joint_shows_each_sample_at_its_reading_with_its_number(found):
+    drawn = rounds.straight(found)
+    go.Figure(drawn)
+    titles = [drawn["layout"][f"yaxis{k}"]["title"]["text"] for k in ("", "2", "3")]
+    assert titles == [f"joint{k} residual [mrad]" for k in (1, 2, 3)]
+    points = trace(drawn, "measured", mark="x2")
+    np.testing.assert_allclose(points["x"], np.degrees(found.readings[:, 1]), rtol=1e-4)
+    np.testing.assert_allclose(points["y"], 1e3 * found.errors[:, 1], rtol=1e-4)
+    assert points["customdata"] == found.sample.tolist()
+
+
+def test_a_gears_ripple_is_laid_over_as_the_wave_that_it_is(found, gear):
+    laid = trace(rounds.straight(found, gear), "this effect's pattern", mark="x3")
+    assert laid["mode"] == "lines"
+    q, drawn = np.radians(laid["x"]), 1e-3 * np.array(laid["y"])
+    turned = RATIO * q + PHASE[2]
+    # The arm is ahead of its reading by the ripple: the joint reads too little by as much.
+    true = -SIZE[2] * (np.sin(turned) + np.sin(2 * turned) / 3)
+    assert np.corrcoef(drawn, true)[0, 1] > 0.97
+    assert np.std(drawn) == pytest.approx(np.std(true), rel=0.15)
+
+
+def test_play_is_laid_over_as_points_since_neighbours_differ():
+    data = measured(0, effects=[vr.Backlash((6e-4, 5e-4, 4e-4))])
+    result = fit(new_model("delta54"), data, hold_out=0)
+    scene = Scene.of(result.model, data, result.observations, result.free)
+    one = signature(candidate(scene, "backlash"))
+    laid = trace(rounds.straight(JointResiduals.of(scene), one), "this effect's pattern")
+    assert laid["mode"] == "markers"
+
+
+def test_round_the_reading_outwards_is_a_joint_that_reads_too_much(found, gear):
+    drawn = rounds.around(found, gear)
+    go.Figure(drawn)
+    points = trace(drawn, "measured", "subplot", "polar3")
+    np.testing.assert_allclose(points["theta"], np.degrees(found.readings[:, 2]), rtol=1e-4)
+    np.testing.assert_allclose(points["r"], 1e3 * found.errors[:, 2], rtol=1e-4)
+    axis = drawn["layout"]["polar"]["radialaxis"]
+    assert axis["ticktext"][1] == "0 mrad"
+    assert axis["range"][0] < -max(axis["tickvals"])  # no residual is at the middle, or beyond it
+    low, high = drawn["layout"]["polar"]["sector"]
+    assert low < np.degrees(found.readings.min()) < np.degrees(found.readings.max()) < high
+
+
+def test_sliding_joints_are_in_micrometres_and_have_no_round(found):
+    sliding = replace(found, units=("m",) * 3)
+    assert rounds.around(sliding) is None
+    drawn = rounds.straight(sliding)
+    assert drawn["layout"]["yaxis"]["title"]["text"] == "joint1 residual [µm]"
+    assert drawn["layout"]["xaxis"]["title"]["text"] == "joint1 [mm]"
+
+
+def test_a_comparison_has_its_joint_residuals_without_any_fit(scene):
+    own = JointResiduals.of(compare(scene.model, scene.dataset).scene)
+    assert own.joints == scene.model.joints
+    assert np.isfinite(own.errors).all()
