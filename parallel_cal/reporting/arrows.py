@@ -19,9 +19,20 @@ def scale_of(places: np.ndarray, fields: Sequence[np.ndarray]) -> float:
     size = max(float(np.quantile(np.linalg.norm(f, axis=1), 0.9)) for f in fields)
     if not size or not span:
         return 1.0
-    wanted = LONGEST * span / size
-    power = 10.0 ** np.floor(np.log10(wanted))
-    return float(max(step * power for step in (1, 2, 5) if step * power <= wanted))
+    return round_below(LONGEST * span / size)
+
+
+def typical(field: np.ndarray) -> float:
+    """A round size of vectors (N, 3) that nine in ten stay below, or little above."""
+    return round_below(float(np.quantile(np.linalg.norm(field, axis=1), 0.9)))
+
+
+def round_below(value: float) -> float:
+    """1, 2 or 5 times a power of ten, no larger than a value; 1 for none."""
+    if not value > 0:
+        return 1.0
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(max(step * power for step in (1, 2, 5) if step * power <= value))
 
 
 def arrows(

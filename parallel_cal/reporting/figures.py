@@ -39,7 +39,7 @@ def side_by_side(
     for k, (traces, (across, up)) in enumerate(zip(panels, axes, strict=True)):
         mark, (row, column) = str(k + 1) if k else "", divmod(k, columns)
         data += [
-            t | {"xaxis": f"x{mark}", "yaxis": f"y{mark}", "showlegend": not k} for t in traces
+            {"showlegend": not k} | t | {"xaxis": f"x{mark}", "yaxis": f"y{mark}"} for t in traces
         ]
         left, low = column * (width + 0.07), 1 - row * (height + 0.25 / rows) - height
         layout[f"xaxis{mark}"] = {

@@ -82,7 +82,11 @@ def _traces(
         return [points, mean]
     period = next((p.period for p in candidate.panels if p.component == found.joints[k]), None)
     laid = _pattern(found, candidate.joints[:, k], period, k, factor, small)
-    return [laid, points] if period else [points, mean, laid]
+    if period:
+        laid["line"] = {"color": PATTERN, "width": 1.5}
+        points["marker"] = {"size": 5, "color": MEASURED}
+        return [laid, points]
+    return [points, mean, laid]
 
 
 def _points(found: JointResiduals, k: int, factor: float, small: float) -> Spec:

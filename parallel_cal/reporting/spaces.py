@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from parallel_cal.diagnosis.lack_of_fit import SmoothMap
-from parallel_cal.reporting.arrows import arrows, scale_of
-from parallel_cal.reporting.figures import Spec, thinned
+from parallel_cal.reporting.arrows import arrows, scale_of, typical
+from parallel_cal.reporting.figures import PATTERN, Spec, rounded, thinned
 from parallel_cal.reporting.readable import with_unit
 
 ARROWS = 300  # more hide each other
@@ -19,14 +19,14 @@ def residual_arrows(
     places: np.ndarray, fields: Sequence[np.ndarray], kind: str, numbers: np.ndarray
 ) -> tuple[Spec, float]:
     """(figure, magnification) of residual fields (N, 3) at places (N, 3): the first is shown
-    (traces with `meta` 0), the others are hidden (1, ...)."""
+    (traces with `meta` 0), the others are hidden (1, ...); a bar says how long a size is drawn."""
     scale = scale_of(places, fields)
     traces = [
         trace | {"visible": k == 0, "meta": k}
         for k, field in enumerate(fields)
         for trace in _drawn(places, field, scale, kind, numbers)
     ]
-    return {"data": traces, "layout": space(kind)}, scale
+    return {"data": [*traces, _bar(places, fields[0], scale, kind)], "layout": space(kind)}, scale
 
 
 def side(
@@ -34,7 +34,7 @@ def side(
 ) -> tuple[Spec, float]:
     """The same of one of two models as it stands."""
     scale = scale_of(places, [field])
-    drawn = _drawn(places, field, scale, kind, numbers)
+    drawn = [*_drawn(places, field, scale, kind, numbers), _bar(places, field, scale, kind)]
     return {"data": drawn, "layout": space(kind) | {"height": 380}}, scale
 
 
@@ -61,6 +61,19 @@ def _drawn(
     sizes = np.linalg.norm(field, axis=1)
     words = [f"{n}: {with_unit(size, SI[kind])}" for n, size in zip(numbers, sizes, strict=True)]
     return arrows(places, field, scale, words, 1e3 if kind == "position" else 1.0)
+
+
+def _bar(places: np.ndarray, field: np.ndarray, scale: float, kind: str) -> Spec:
+    """A length to compare arrows with, at the lowest corner."""
+    size = typical(field)
+    x, y, z = (1e3 if kind == "position" else 1.0) * places.min(axis=0)
+    long = (1e3 if kind == "position" else 1.0) * scale * size
+    return {
+        "type": "scatter3d", "mode": "lines+text", "showlegend": False, "hoverinfo": "skip",
+        "x": rounded(np.array([x, x + long])), "y": rounded(np.array([y, y])),
+        "z": rounded(np.array([z, z])), "line": {"width": 8, "color": PATTERN},
+        "text": ["", with_unit(size, SI[kind])], "textposition": "middle right",
+    }  # fmt: skip
 
 
 def space(kind: str) -> Spec:

@@ -1,0 +1,192 @@
+"""Flat maps, plan, front and side: residual arrows, and how well the model knows its workspace."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.model.mechanism import POSE
+from parallel_cal.model.model import Model
+from parallel_cal.reporting.arrows import scale_of, typical
+from parallel_cal.reporting.figures import (
+    MEASURED,
+    PATTERN,
+    QUIET,
+    Spec,
+    gaps,
+    rounded,
+    side_by_side,
+    thinned,
+)
+from parallel_cal.reporting.readable import with_unit
+from parallel_cal.reporting.spaces import ARROWS, SI
+
+VIEWS = {"plan": (0, 1), "front": (0, 2), "side": (1, 2)}
+ACROSS, CORNERS = 7, 37  # poses across a map, points of an ellipse
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Where the platform may be, (M, 3) m in {B}, and the covariance (M, 3, 3) of its position as
+    the identified parameters leave it; `across` names the coordinates that were varied."""
+
+    places: np.ndarray
+    covariance: np.ndarray
+    across: str
+
+    @classmethod
+    def of(cls, model: Model) -> Spread | None:
+        """Three grids through the middle of the workspace, at right angles; None where the model
+        was not identified or controls fewer than two coordinates of a position."""
+        mechanism, robot = model.mechanism, model.robot()
+        axes = [k for k in range(3) if POSE[k] in mechanism.controls]
+        if model.covariance is None or len(axes) < 2:
+            return None
+        low, high = np.array(mechanism.workspace.low), np.array(mechanism.workspace.high)
+        grids = []
+        for one, other in ((a, b) for a in axes for b in axes if a < b):
+            i, j = mechanism.controls.index(POSE[one]), mechanism.controls.index(POSE[other])
+            grid = np.tile((low + high) / 2, (ACROSS**2, 1))
+            grid[:, [i, j]] = np.stack(
+                np.meshgrid(*np.linspace(low[[i, j]], high[[i, j]], ACROSS).T), axis=-1
+            ).reshape(-1, 2)
+            grids.append(grid)
+        kinematics = Kinematics(robot)
+        found = kinematics.inverse(*mechanism.poses(np.unique(np.vstack(grids), axis=0)))
+        solved = found[found.solved]
+        spread = np.array([kinematics.direct_covariance(one)[:3, :3] for one in solved])
+        return cls(solved.position, spread, "".join(POSE[k] for k in axes)) if len(spread) else None
+
+
+def residuals(
+    places: np.ndarray,
+    field: np.ndarray,
+    kind: str,
+    numbers: np.ndarray,
+) -> tuple[Spec, float]:
+    """(figure, magnification) of residuals (N, 3) at places (N, 3) from three sides, axes equal."""
+    scale, factor = scale_of(places, [field]), 1e3 if kind == "position" else 1.0
+    kept = thinned(len(places), ARROWS)
+    shown, seen = places[kept], field[kept]
+    panels = []
+    for axes in VIEWS.values():
+        drawn = _arrows(shown, seen, scale, factor, axes, numbers[kept], kind)
+        panels.append([drawn, _bar(places, field, scale, factor, axes, kind)])
+    return _three(panels, list(VIEWS.values()), " [mm]" if kind == "position" else ""), scale
+
+
+def workspace(found: Spread) -> tuple[Spec, float]:
+    """(figure, magnification) of the 1-sigma ellipses over the workspace; colour is the sigma, the
+    root of the covariance's trace."""
+    sigma = np.sqrt(np.trace(found.covariance, axis1=1, axis2=2))
+    scale = 0.5 * scale_of(found.places, [np.outer(sigma, np.eye(3)[0])])
+    views = [
+        axes for axes in VIEWS.values() if all("xyz"[k] in found.across for k in axes)
+    ]  # fmt: skip
+    middle = np.median(found.places, axis=0)
+    panels = []
+    for axes in views:
+        (rest,) = {0, 1, 2} - set(axes)
+        own = np.isclose(found.places[:, rest], middle[rest], atol=1e-6)
+        places, spread = found.places[own], found.covariance[own]
+        marks = {
+            "type": "scatter", "mode": "markers", "name": "pose", "showlegend": False,
+            "x": rounded(1e3 * places[:, axes[0]]), "y": rounded(1e3 * places[:, axes[1]]),
+            "marker": {
+                "size": 7, "color": rounded(1e6 * sigma[own]), "coloraxis": "coloraxis",
+            },
+            "text": [f"1 σ {with_unit(s, 'm')}" for s in sigma[own]], "hoverinfo": "text",
+        }  # fmt: skip
+        ellipses = _ellipses(places, spread, scale, 1e3, axes)
+        panels.append([ellipses, marks])
+    drawn = _three(panels, views, " [mm]")
+    drawn["layout"]["coloraxis"] = {
+        "colorscale": "Cividis", "cmin": 0.0, "cmax": float(f"{1e6 * sigma.max():.3g}"),
+        "colorbar": {"title": {"text": "1 σ [µm]"}, "thickness": 12},
+    }  # fmt: skip
+    return drawn, scale
+
+
+def _three(panels: list[list[Spec]], views: list[tuple[int, int]], unit: str) -> Spec:
+    """Panels with equal axes, as on a drawing."""
+    names = {axes: name for name, axes in VIEWS.items()}
+    axes = [(f"{names[a, b]}: {'xyz'[a]}{unit}", f"{'xyz'[b]}{unit}") for a, b in views]
+    drawn = side_by_side(panels, axes, [])
+    for k in range(len(panels)):
+        mark = str(k + 1) if k else ""
+        up = drawn["layout"][f"yaxis{mark}"]
+        del up["range"]
+        up |= {"scaleanchor": f"x{mark}", "constrain": "domain"}
+        drawn["layout"][f"xaxis{mark}"]["constrain"] = "domain"
+    drawn["layout"]["height"] = 380
+    return drawn
+
+
+def _arrows(
+    places: np.ndarray,
+    field: np.ndarray,
+    scale: float,
+    factor: float,
+    axes: tuple[int, int],
+    numbers: np.ndarray,
+    kind: str,
+) -> Spec:
+    ends = np.stack([places, places + scale * field, np.full_like(places, np.nan)], axis=1)
+    x, y = (factor * ends[:, :, k].ravel() for k in axes)
+    sizes = np.linalg.norm(field, axis=1)
+    words = [f"{n}: {with_unit(size, SI[kind])}" for n, size in zip(numbers, sizes, strict=True)]
+    return {
+        "type": "scatter", "mode": "lines+markers", "name": "residual", "x": gaps(x), "y": gaps(y),
+        "line": {"color": MEASURED, "width": 1.5},
+        "marker": {
+            "symbol": ["circle", "arrow", "circle"] * len(places), "size": [3, 7, 0] * len(places),
+            "angleref": "previous", "color": MEASURED,
+        },
+        "text": [text for word in words for text in (word, word, "")], "hoverinfo": "text",
+        "customdata": np.repeat(numbers, 3).tolist(),
+    }  # fmt: skip
+
+
+def _ellipses(
+    places: np.ndarray,
+    covariance: np.ndarray,
+    scale: float,
+    factor: float,
+    axes: tuple[int, int],
+) -> Spec:
+    """The 1-sigma ellipses of two coordinates about each place, magnified alike."""
+    two = covariance[np.ix_(range(len(places)), axes, axes)]
+    sizes, directions = np.linalg.eigh(two)
+    half = directions * np.sqrt(np.maximum(sizes, 0.0))[:, None, :]
+    turn = np.linspace(0, 2 * np.pi, CORNERS)
+    round_ = scale * half @ np.stack([np.cos(turn), np.sin(turn)])
+    edges = factor * (places[:, axes, None] + round_)
+    broken = np.concatenate([edges, np.full((len(places), 2, 1), np.nan)], axis=2)
+    return {
+        "type": "scatter", "mode": "lines", "name": "1 σ of the model", "hoverinfo": "skip",
+        "x": gaps(broken[:, 0].ravel()), "y": gaps(broken[:, 1].ravel()),
+        "line": {"color": QUIET, "width": 1},
+    }  # fmt: skip
+
+
+def _bar(
+    places: np.ndarray,
+    field: np.ndarray,
+    scale: float,
+    factor: float,
+    axes: tuple[int, int],
+    kind: str,
+) -> Spec:
+    """A length to compare arrows with, below the picture's left end."""
+    size = typical(field)
+    low = factor * (places.min(axis=0) - 0.12 * np.ptp(places, axis=0))
+    x, y = low[axes[0]], low[axes[1]]
+    return {
+        "type": "scatter", "mode": "lines+markers+text", "name": "scale", "showlegend": False,
+        "x": gaps(np.array([x, x + factor * scale * size])), "y": gaps(np.array([y, y])),
+        "line": {"color": PATTERN, "width": 3}, "marker": {"color": PATTERN, "size": 4},
+        "text": ["", with_unit(size, SI[kind])], "textposition": "middle right",
+        "hoverinfo": "skip",
+    }  # fmt: skip

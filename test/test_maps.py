@@ -1,0 +1,83 @@
+"""Flat maps: residual arrows from three sides, and the model's sigma over its workspace."""
+
+import numpy as np
+import plotly.graph_objects as go
+import pytest
+from datasets import measured
+
+from parallel_cal.identification.fit import fit
+from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.model.model import new_model
+from parallel_cal.reporting import maps
+
+PLACES = np.array([[0.0, 0.0, 0.1], [0.1, 0.0, 0.1], [0.0, 0.1, 0.2]])
+FIELD = np.array([[1e-4, 0.0, 0.0], [0.0, 0.0, 2e-4], [0.0, -1e-4, 0.0]])
+
+
+@pytest.fixture(scope="module")
+def identified():
+    return fit(new_model("delta54"), measured(0), hold_out=0).model
+
+
+def of(figure, name):
+    return [trace for trace in figure["data"] if trace["name"] == name]
+
+
+def test_plan_front_and_side_show_the_same_arrows_on_one_scale_with_equal_axes():
+    drawn, scale = maps.residuals(PLACES, FIELD, "position", np.array([4, 5, 6]))
+    go.Figure(drawn)
+    # 0.173 m from corner to corner; 16 % of it for 0.18 mm is 153 times: 100.
+    assert scale == 100.0
+    plan, front, side = of(drawn, "residual")
+    assert plan["x"][:2] == [0.0, 10.0]  # 0.1 mm, 100 times
+    assert plan["x"][2] is None
+    assert (front["y"][3], front["y"][4]) == (100.0, 120.0)
+    assert (side["x"][6], side["x"][7]) == (100.0, 90.0)
+    assert side["customdata"][6] == 6
+    layout = drawn["layout"]
+    assert [layout[f"yaxis{k}"]["scaleanchor"] for k in ("", "2", "3")] == ["x", "x2", "x3"]
+    assert [layout[f"xaxis{k}"]["title"]["text"] for k in ("", "2", "3")] == [
+        "plan: x [mm]", "front: x [mm]", "side: y [mm]"
+    ]  # fmt: skip
+
+
+def test_a_bar_says_how_long_a_residual_of_a_round_size_is_drawn():
+    drawn, scale = maps.residuals(PLACES, FIELD, "position", np.arange(3))
+    bar = of(drawn, "scale")[0]
+    assert bar["text"][1] == "100 µm"
+    assert bar["x"][1] - bar["x"][0] == pytest.approx(1e3 * scale * 1e-4)
+
+
+def test_the_workspace_map_has_the_sigma_that_the_answered_pose_has(identified):
+    found = maps.Spread.of(identified)
+    assert found.across == "xyz"
+    assert len(found.places) == 3 * 49 - 3 * 7 + 1  # three grids, what they share once
+    at = found.places[30]
+    k = Kinematics(identified)
+    own = k.direct_covariance(k.inverse(at))[:3, :3]
+    np.testing.assert_allclose(found.covariance[30], own, rtol=1e-6, atol=1e-18)
+    drawn, scale = maps.workspace(found)
+    go.Figure(drawn)
+    plan = of(drawn, "1 σ of the model")[0]
+    x = np.array(plan["x"][: maps.CORNERS], dtype=float)
+    middle = np.isclose(found.places[:, 2], np.median(found.places[:, 2]))
+    sigma = np.sqrt(found.covariance[middle][0, 0, 0])
+    assert np.ptp(x) / 2 == pytest.approx(1e3 * scale * sigma, rel=5e-3)
+
+
+def test_a_model_that_was_never_identified_has_no_workspace_map():
+    assert maps.Spread.of(new_model("delta54")) is None
+
+
+def test_a_robot_that_only_turns_has_no_map_of_places(identified):
+    model = new_model("argos9")
+    values = np.eye(len(model.values)) * 1e-8
+    assert maps.Spread.of(model.with_values(model.values, values)) is None
+
+
+def test_a_planar_robot_is_shown_in_plan_alone():
+    model = new_model("planar_stewart")
+    model = model.with_values(model.values, np.eye(len(model.values)) * 1e-10)
+    found = maps.Spread.of(model)
+    assert found.across == "xy"
+    assert len(of(maps.workspace(found)[0], "pose")) == 1
