@@ -10,6 +10,8 @@ import virtual_robot as vr
 from datasets import JOINTS, measured
 from findings import clean, dataset, hiding
 
+import parallel_cal.diagnosis.diagnose as diagnosing
+import parallel_cal.identification.fit as fitting
 from parallel_cal.base.errors import FitError
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.identification.fit import fit
@@ -41,6 +43,24 @@ def test_where_nothing_is_hidden_it_says_stop_looking_and_proposes_nothing(seed)
     assert found.verdict.word == "at_noise"
     assert found.effects == ()
     assert "stop looking" in found.verdict.summary
+
+
+def test_refits_look_for_no_frame_again_and_judge_no_start(monkeypatch):
+    """Where the device stands is settled before the first of them, and nobody reads the rest."""
+    asked = {"registered": 0, "errors": 0}
+
+    def counted(function):
+        def call(*arguments):
+            asked[function.__name__] += 1
+            return function(*arguments)
+
+        return call
+
+    for module, name in ((fitting, "registered"), (diagnosing, "registered"), (fitting, "errors")):
+        monkeypatch.setattr(module, name, counted(getattr(module, name)))
+    found = diagnose(MODEL, clean(0), effects=["backlash"])
+    folds = len(found.dataset.folds(0.25, 0))
+    assert asked == {"registered": 1, "errors": 2 * (folds + 1)}  # without backlash and with it
 
 
 def test_hidden_play_is_found_explained_and_measured(play):

@@ -1,5 +1,7 @@
 """A robot must not learn its device's errors: what either may have made is said to be doubtful."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import virtual_blind as vb
@@ -10,9 +12,10 @@ from findings import clean, dataset, hiding, sized
 from twins import hexapod
 
 from parallel_cal.base.errors import FitError
-from parallel_cal.diagnosis.device import cost
+from parallel_cal.diagnosis.device import cost, log_evidence
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.diagnosis.scene import Scene
+from parallel_cal.diagnosis.thresholds import EFFECT_SIZES, FIELD_SIZES
 from parallel_cal.identification.fit import fit
 from parallel_cal.model.model import new_model
 from parallel_cal.recordings.dataset import Dataset
@@ -41,6 +44,53 @@ def test_and_it_is_not_added_unless_somebody_insists(refracted):
         added(new_model("delta54"), "encoder_eccentricity", refracted)
     step = added(new_model("delta54"), "encoder_eccentricity", refracted, force=True)
     assert "may be the measuring device's" in step.model.history[-1]["forced"]
+
+
+@pytest.mark.wide
+@pytest.mark.parametrize("seed", [3, 18])
+def test_a_dent_in_the_devices_field_teaches_the_robot_nothing(seed):
+    """A spot of 20 mm, a third of a millimetre deep: waves of joint angles follow it."""
+    dented = dent(seed)
+    found = diagnose(new_model("delta54"), dented)
+    robots = [name for name in found.effects if name != "base_drift"]
+    assert robots
+    assert list(found.robot_or_device) == robots
+    assert found.verdict.word == "partly_explained"
+    for name in robots:
+        with pytest.raises(FitError, match=f"{name} may be the measuring device's"):
+            added(new_model("delta54"), name, dented)
+
+
+def dent(seed):
+    day, rng = vf.session(seed), np.random.default_rng(seed)
+    make, noise = vf.OUTSIDE["a dented field"], vr.THESIS_NOISE
+    deep = sized(make, 0.5e-3, 1.5, day, noise, rng.integers(1 << 20))
+    return dataset(vf.samples(day, [deep], noise, seed), noise)
+
+
+def test_the_evidence_of_columns_is_what_the_residuals_covariance_says():
+    rng = np.random.default_rng(0)
+    B, F, r = rng.standard_normal((30, 2)), rng.standard_normal((30, 4)), rng.standard_normal(30)
+
+    def by_hand(effect, field):
+        S = np.eye(30) + effect**2 * B @ B.T + field**2 * F @ F.T
+        return -13 * np.log(r @ np.linalg.solve(S, r)) - np.linalg.slogdet(S)[1] / 2
+
+    expected = max(by_hand(a, b) for a in EFFECT_SIZES for b in FIELD_SIZES)
+    assert log_evidence(SimpleNamespace(residual=r, dof=26), B, F) == pytest.approx(expected)
+
+
+@pytest.mark.wide
+def test_a_bad_lookalike_in_the_place_of_two_effects_is_none_of_one():
+    """Compliance and eccentricity: a sag out of its range fits better than either alone."""
+    day = vf.session(0)
+    kinds = [vf.KINDS["eccentricity"], vf.KINDS["joint compliance"]]
+    hidden = [sized(k.make, k.size, 0.8, day, vr.THESIS_NOISE, 0) for k in kinds]
+    data = dataset(vf.samples(day, hidden, vr.THESIS_NOISE, 0), vr.THESIS_NOISE)
+    found = diagnose(new_model("delta54"), data)
+    assert len(found.effects) == 2
+    assert "joint_compliance" in found.effects
+    assert found.verdict.word == "explained"
 
 
 @pytest.mark.wide

@@ -2,18 +2,33 @@
 
 Residuals tell what is missing, not on which side of the measurement. What decides is how much each
 side may plausibly do: a tolerance bounds an effect of the robot, and the device's certificate (the
-tolerances of its effects) an error of the device.
+tolerances of its effects) an error of the device. A device that does worse is betrayed by the form
+of its error: a smooth field of place that makes the data as likely as the robot's effects do.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from parallel_cal.diagnosis.catalogue import Candidate, new_numbers
 from parallel_cal.diagnosis.scene import Scene, columns
-from parallel_cal.diagnosis.thresholds import APART
+from parallel_cal.diagnosis.thresholds import (
+    APART,
+    CENTRES,
+    DECISIVE,
+    EFFECT_SIZES,
+    FIELD_LENGTHS,
+    FIELD_SIZES,
+)
+from parallel_cal.identification.linearisation import Linearisation
+
+
+def doubtful(scene: Scene, chosen: Sequence[Candidate], ranked: Sequence[Candidate]) -> list[str]:
+    """Names of the robot's effects among `chosen` that may be the device's: by the size of what
+    they do, or by its form."""
+    return list(dict.fromkeys([*imitated(scene, chosen, ranked), *placed(scene, chosen)]))
 
 
 def imitated(scene: Scene, chosen: Sequence[Candidate], ranked: Sequence[Candidate]) -> list[str]:
@@ -31,7 +46,7 @@ def imitated(scene: Scene, chosen: Sequence[Candidate], ranked: Sequence[Candida
     own = [c for c in chosen if not c.effect.of_device and c.scene is scene]
     if not device or not own:
         return []
-    known = {c.name: _columns(scene, c) for c in {c.name: c for c in (*chosen, *device)}.values()}
+    known = {c.name: _columns(scene, c) for c in {c.name: c for c in (*device, *chosen)}.values()}
 
     def price(*candidates: Candidate) -> float:
         names = dict.fromkeys(c.name for c in candidates)
@@ -56,3 +71,85 @@ def cost(scene: Scene, B: np.ndarray) -> float:
 def _columns(scene: Scene, one: Candidate) -> np.ndarray:
     extended = scene.model.with_effect(one.name, one.settings)
     return columns(extended, scene, new_numbers(scene.model, extended))
+
+
+def placed(scene: Scene, chosen: Sequence[Candidate]) -> list[str]:
+    """Names of the robot's effects among `chosen` that say no more than where the platform was.
+
+    With a smooth field of place instead, the data are likelier than with the effects alone, and
+    with both nearly no more. A bend that effects describe in fewer numbers stays the robot's.
+    """
+    own = [c for c in chosen if not c.effect.of_device and c.scene is scene]
+    fields = list(_smooth_fields(scene)) if own else []
+    if not fields:
+        return []
+    known = {c.name: scene.off_geometry(_columns(scene, c)) for c in chosen if c.scene is scene}
+    nothing = np.zeros((len(scene.residual), 0))
+
+    def likely(names: list[str], fields: Sequence[np.ndarray]) -> float:
+        B = np.hstack([nothing, *(known[name] for name in names)])
+        return max(log_evidence(scene, B, field) for field in fields)
+
+    plain = likely([*known], [nothing])
+    limit = max(plain, likely([*known], fields) - DECISIVE)
+    without = {c.name: likely([n for n in known if n != c.name], fields) for c in own}
+    return [name for name, instead in without.items() if instead > limit]
+
+
+def log_evidence(scene: Scene, B: np.ndarray, F: np.ndarray) -> float:
+    """Log of how likely the residual r (n,) is, up to a constant, where numbers of B (n, k), in
+    tolerances, and of F (n, m), in sigmas, are drawn about zero: -dof/2 log Q - 1/2 log|1 + C^T C|
+    with Q = r^T (1 + C C^T)^-1 r and C their columns off the geometry times their sizes, the
+    likeliest of a few. The noise's scale is whatever fits best.
+    """
+    C = np.hstack([B, F])
+    gram, along = C.T @ C, C.T @ scene.residual
+    total, best = float(scene.residual @ scene.residual), -np.inf
+    for effect in EFFECT_SIZES if B.shape[1] else (1.0,):
+        for field in FIELD_SIZES if F.shape[1] else (1.0,):
+            size = np.repeat([effect, field], [B.shape[1], F.shape[1]])
+            L = np.linalg.cholesky(np.eye(len(size)) + size[:, None] * gram * size)
+            y = np.linalg.solve(L, size * along)
+            Q = max(total - float(y @ y), 1e-300)
+            best = max(best, -scene.dof / 2 * np.log(Q) - float(np.log(np.diag(L)).sum()))
+    return best
+
+
+def _smooth_fields(scene: Scene) -> Iterator[np.ndarray]:
+    """Columns (n, 3 m), off the geometry, of fields of position that change over one length each;
+    none where no position was measured.
+
+    Values at m of the places, the furthest from each other, and what is likeliest in between: a
+    Gaussian process with exp(-d^2 / 2 l^2), d in standard deviations of place. A coefficient of
+    one moves the residuals by about one sigma.
+    """
+    n, seen = len(scene.model.joints), scene.observations
+    if not seen.measured[:, n : n + 3].any():
+        return
+    nothing = np.zeros(len(scene.model.values), dtype=bool)
+    rows = Linearisation(scene.model, seen, nothing, True).blocks(scene.model.values, scene.x)[1]
+    by_place = scene.whitener @ rows[:, :, n : n + 3]
+    by_place /= np.sqrt(np.sum(by_place**2) / (3 * len(by_place)))
+    places = scene.x[:, n : n + 3]
+    places = places / np.maximum(places.std(axis=0), 1e-12)
+    centres = places[_apart(places)]
+    for length in FIELD_LENGTHS:
+        L = np.linalg.cholesky(_alike(centres, centres, length) + 1e-6 * np.eye(len(centres)))
+        smooth = np.linalg.solve(L, _alike(centres, places, length)).T
+        F = np.einsum("nri,nm->nrim", by_place, smooth)
+        yield scene.off_geometry(F.reshape(len(scene.residual), -1))
+
+
+def _apart(places: np.ndarray) -> list[int]:
+    """Indices of places (N, 3), each the furthest from those before it."""
+    chosen = [int(np.argmin(np.sum((places - places.mean(axis=0)) ** 2, axis=1)))]
+    away = np.sum((places - places[chosen[0]]) ** 2, axis=1)
+    while len(chosen) < CENTRES and away.max() > 0:
+        chosen.append(int(np.argmax(away)))
+        away = np.minimum(away, np.sum((places - places[chosen[-1]]) ** 2, axis=1))
+    return chosen
+
+
+def _alike(a: np.ndarray, b: np.ndarray, length: float) -> np.ndarray:
+    apart = np.sum((a[:, None] - b[None]) ** 2, axis=2)
+    return np.asarray(np.exp(-apart / (2 * length**2)))

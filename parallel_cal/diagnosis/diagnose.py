@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,7 +11,7 @@ import numpy as np
 from parallel_cal.base.documents import plain
 from parallel_cal.base.errors import FitError
 from parallel_cal.diagnosis.catalogue import Candidate, candidate, names_of
-from parallel_cal.diagnosis.device import imitated
+from parallel_cal.diagnosis.device import doubtful
 from parallel_cal.diagnosis.entries import (
     Entry,
     NegativeControl,
@@ -32,7 +32,7 @@ from parallel_cal.diagnosis.separate import NextMeasurement, next_measurement
 from parallel_cal.diagnosis.statistics import holm
 from parallel_cal.diagnosis.thresholds import APART, MISTRUSTED, REFITTED, SIGNIFICANT
 from parallel_cal.diagnosis.verdict import Findings, Verdict, judge
-from parallel_cal.identification.fit import Result, fit, single_threaded
+from parallel_cal.identification.fit import Result, fit, fit_registered, single_threaded
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.registration import Registration, registered, said
 from parallel_cal.model.model import Model
@@ -174,7 +174,7 @@ def _diagnosed(
     """The diagnosis of samples that are all believed."""
 
     def refit(extended: Model) -> Result:
-        return fit(extended, dataset, least_squares)
+        return fit_registered(extended, dataset, least_squares)
 
     with single_threaded():
         search = Search(model, refit, report)
@@ -190,22 +190,17 @@ def _diagnosed(
         shape = NoiseShape.of(best.scene, left)
         tried = [search.fit(*best.chosen, Chosen.of(c)) for c in catalogue.significant(best)]
         refused = tuple(trial.reason for trial in tried if trial.reason)
-        taken = [c for c in ranked if c.name in best.names]
-        devices = [c for c in ranked if c.effect.of_device and not c.effect.needs]
-        names_of_device, known = {c.name for c in devices}, imitated(base.scene, taken, ranked)
-        # A device that is worse than any usual one is still no reason to teach the robot.
-        worst = _best_refused(devices, taken, search)
-        doubtful = [
+        settings = {one.name: one.settings for one in best.chosen}
+        taken = [replace(c, settings=settings[c.name]) for c in ranked if c.name in settings]
+        of_device = {c.name for c in ranked if c.effect.of_device and not c.effect.needs}
+        known = doubtful(base.scene, taken, ranked)
+        either = [
             c.name
             for c in taken
-            if c.name not in names_of_device
-            and (
-                c.name in known
-                or names_of_device & set(swaps.get(c.name, []))
-                or worst < c.log_p - APART**2 / 2
-            )
+            if c.name not in of_device
+            and (c.name in known or of_device & set(swaps.get(c.name, [])))
         ]
-        better = outdone(taken, ranked, search)
+        better = outdone(best, search, catalogue)
         verdict = judge(
             Findings(
                 base,
@@ -217,7 +212,7 @@ def _diagnosed(
                 left.held,
                 swaps,
                 refused,
-                doubtful,
+                either,
                 better,
             )
         )
@@ -238,29 +233,24 @@ def _diagnosed(
             field=left,
             odd_samples=odd_samples(best.scene, left),
             swaps=swaps,
-            robot_or_device=tuple(doubtful),
+            robot_or_device=tuple(either),
             registration=registration,
             measure_next=next_measurement(best, rivals, ranked),
         )
 
 
-def _best_refused(
-    devices: Sequence[Candidate], taken: Sequence[Candidate], search: Search
-) -> float:
-    """Log p of the device's effect that fits best of those refused which beat one taken clearly."""
-    limit = max((c.log_p for c in taken), default=-np.inf) - APART**2 / 2
-    better = [c for c in devices if c.testable and c.log_p < limit]
-    return min((c.log_p for c in better if search.fit(Chosen.of(c)).reason), default=0.0)
-
-
-def outdone(taken: Sequence[Candidate], ranked: Sequence[Candidate], search: Search) -> list[str]:
-    """Lookalikes that fit clearly better than one taken in their place, and why they were
-    refused: a name that is wrong, or a range that is."""
+def outdone(best: Trial, search: Search, catalogue: _Catalogue) -> list[str]:
+    """Lookalikes that, beside the others chosen, fit clearly better than one of them, and why they
+    were refused: a name that is wrong, or a range that is."""
     found: dict[str, str] = {}
-    for one in taken:
-        better = (c for c in ranked if c.log_p < one.log_p - APART**2 / 2 and confused(one, c))
-        for other in (c for c in better if c.name not in found and c not in taken):
-            if reason := search.fit(Chosen.of(other)).reason:
+    for name in best.names:
+        others = search.fit(*(c for c in best.chosen if c.name != name))
+        if others.result is None:
+            continue
+        ranked = catalogue.ranked(others)
+        one = next(c for c in ranked if c.name == name)
+        for other in (c for c in ranked if c.log_p < one.log_p - APART**2 / 2 and confused(one, c)):
+            if reason := search.fit(*others.chosen, Chosen.of(other)).reason:
                 found[other.name] = f"{other.name} would explain it better, but {reason}"
     return list(found.values())
 

@@ -52,12 +52,13 @@ def score(scene: Scene, B: np.ndarray) -> Score:
 def quick_log_p(scene: Scene, B: np.ndarray) -> float:
     """`score(scene, B).log_p` from the columns' Gram matrix alone, for scans: a third of the work,
     equal to rounding."""
-    lengths = np.linalg.norm(B, axis=0)
-    B = B[:, lengths > 1e-9] / lengths[lengths > 1e-9]
-    along = scene.basis.T @ B
-    squares, directions = np.linalg.eigh(B.T @ B - along.T @ along)
+    gram, along, onto = B.T @ B, scene.basis.T @ B, B.T @ scene.residual
+    lengths = np.sqrt(np.diag(gram))
+    seen = lengths > 1e-9
+    left = (gram - along.T @ along)[np.ix_(seen, seen)] / np.outer(lengths[seen], lengths[seen])
+    squares, directions = np.linalg.eigh(left)
     visible = squares > VISIBLE_COLUMN**2
-    g = (directions[:, visible].T @ (B.T @ scene.residual)) / np.sqrt(squares[visible])
+    g = (directions[:, visible].T @ (onto[seen] / lengths[seen])) / np.sqrt(squares[visible])
     return _f_of(float(g @ g), scene.residual, len(g), scene.dof)[1]
 
 

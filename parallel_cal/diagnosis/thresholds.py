@@ -7,7 +7,7 @@ from parallel_cal.base.confidence import CHANCE
 # What is no chance
 SIGNIFICANT = CHANCE  # p-value: of an effect over the whole catalogue (Holm), of structure
 CONTRADICTED = 1e-4  # p-value of replicates, before they are believed instead of a stated noise
-CERTAIN = 1e-12  # p-value of what is there, though residuals are inside their noise without it
+CERTAIN = 1e-8  # p-value of what is there, though residuals are inside their noise without it
 GROSS = 1e-3  # p-value of an outlier, over the whole data set
 INFLUENTIAL = 1.0  # Cook's distance: without the sample, estimates move by about their sigma
 UNCERTAIN = 1.2  # of the noise alone: an error at poses left out that is larger deserves a word
@@ -41,6 +41,15 @@ ALIKE = 0.9  # canonical correlation above which two effects are one entry
 LIKE = 1.05  # of the held-out error: a swap within it tells as good a story ...
 FAMILY = 3  # members of one family in an "A or B or C": it has a name of its own
 APART = 5.0  # ... unless the data tell the two apart by as many sigmas
+
+# How a smooth field of the device is made, to hold effects of the robot against
+CENTRES = 40  # places at which it has values of its own
+FIELD_LENGTHS = (0.25, 0.4, 0.7, 1.2, 2.5)  # over which it changes, in standard deviations of place
+FIELD_SIZES = (0.3, 1.0, 3.0, 10.0, 30.0)  # of it, in sigmas of a sample
+DECISIVE = (
+    5.0  # log of how much likelier one of two explanations is (Kass & Raftery 1995: 2 ln B > 10)
+)
+EFFECT_SIZES = (0.3, 1.0, 3.0)  # of the effects beside it, in tolerances
 
 # How tests and pictures of what is left are made
 NEIGHBOURS = 7  # of a sample, in Moran's I

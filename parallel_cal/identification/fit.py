@@ -57,7 +57,6 @@ class Result:
     options: FitOptions
     estimate: Estimate
     free: np.ndarray
-    before: Errors
     after: Errors
     held_out: Errors
     observations: Observations
@@ -70,6 +69,11 @@ class Result:
         """Parameters that a partial re-calibration identified; none where it was no partial one."""
         names = np.array(self.model.table.names)[self.free] if self.options.refit else ()
         return tuple(str(name) for name in names)
+
+    @cached_property
+    def before(self) -> Errors:
+        """Errors of the model that it started from."""
+        return errors(self.start, self.observations)
 
     @property
     def samples(self) -> int:
@@ -201,9 +205,16 @@ def fit(
     cannot carry it.
     """
     options = replace(options or FitOptions(), **changes)
-    report = progress or (lambda stage, fraction: None)
     model, registration = registered(model, dataset, options.joint_sigma, options)
-    dataset = said(dataset, registration)
+    result = fit_registered(model, said(dataset, registration), options, progress)
+    return replace(result, registration=registration)
+
+
+def fit_registered(
+    model: Model, dataset: Dataset, options: FitOptions, progress: Progress | None = None
+) -> Result:
+    """The same for a model that says where its device stands."""
+    report = progress or (lambda stage, fraction: None)
     mask, partial = chosen_parameters(model, options)
     estimate_with = estimator(options.method, options.prior, options.loss)
     if partial:
@@ -220,9 +231,7 @@ def fit(
         found = estimate_with(model, kept, mask)
         return errors(model.with_values(found.values), observations.select(test))
 
-    report("errors before", 0.0)
-    before = errors(model, observations)
-    report("identifying", 0.1)
+    report("identifying", 0.0)
     with single_threaded():
         estimate = estimate_with(model, observations, mask)
         if observations.noise_assumed:
@@ -240,12 +249,10 @@ def fit(
         options=options,
         estimate=estimate,
         free=mask,
-        before=before,
         after=after,
         held_out=held_out,
         observations=observations,
         dataset=dataset,
-        registration=registration,
         warnings=(
             *dataset.warnings,
             *insisted,

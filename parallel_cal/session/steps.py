@@ -9,7 +9,7 @@ from typing import Any
 from parallel_cal.base.documents import plain
 from parallel_cal.base.errors import FitError
 from parallel_cal.diagnosis.catalogue import Candidate, candidate, names_of
-from parallel_cal.diagnosis.device import imitated
+from parallel_cal.diagnosis.device import doubtful
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.verdict import robot_or_device
 from parallel_cal.identification.acceptance import Acceptance, acceptance
@@ -76,10 +76,11 @@ def added(model: Model, effect: str, dataset: Dataset, force: bool = False, **op
     scene = Scene.of(base.model, base.dataset, base.observations, base.free)
     one = candidate(scene, name)  # with the settings that fit best to what the base leaves
     # From where the base began, so that a device's frame lies where it was found there.
-    result = fit(base.start.with_effect(name, settings or one.settings), base.dataset, **options)
+    one = replace(one, settings=settings or one.settings)
+    result = fit(base.start.with_effect(name, one.settings), base.dataset, **options)
     result = replace(result, registration=base.registration)
     found = acceptance(result, base, f" with '{name}'")
-    if not found.against and imitated(scene, [one], _device(scene)):
+    if not found.against and doubtful(scene, [one], _device(scene)):
         found = replace(found, against=robot_or_device(name))
     return _step("add", result, _judged(found, force), base, name)
 
