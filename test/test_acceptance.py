@@ -67,7 +67,9 @@ def by_hand(result, *, before, after):
         known["position"] = np.outer(np.resize(sizes, n), [1.0, 0.0, 0.0])
         return Errors(**known)
 
-    return replace(result, before=errors(before), held_out=errors(after))
+    result = replace(result, held_out=errors(after))
+    vars(result)["before"] = errors(before)
+    return result
 
 
 def test_a_fall_that_all_poses_share_is_accepted_and_named(identified):

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import virtual_effects_joint as ve
 import virtual_robot as vr
 from datasets import measured
 
@@ -12,7 +13,7 @@ from parallel_cal.identification.fit import fit
 from parallel_cal.model.file.modelfile import dump_model, read_model, write_model
 from parallel_cal.model.model import new_model
 from parallel_cal.model.parameters import Parameter
-from parallel_cal.session.steps import fitted
+from parallel_cal.session.steps import added, fitted
 
 NAME = "backlash.joint1.width"
 BELT = vr.Backlash((3e-2, 2e-2, 2.5e-2))  # 1.7 degrees of play: beyond what any gear has
@@ -44,6 +45,37 @@ def test_a_model_file_says_how_far_this_robot_strays(tmp_path):
     assert read_model(tmp_path / "again.yaml").tolerances == {NAME: 0.02}
     found = fit(read.without_effect("backlash").with_effect("backlash"), measured(3), hold_out=0)
     assert found.model.table[NAME].tolerance == 0.02
+
+
+def test_a_model_file_says_so_of_effects_that_it_does_not_have_yet(tmp_path):
+    """Belts that go 12 mm too far on a metre, before a model that knows of belts."""
+    text = dump_model(new_model("delta54"))
+    belts = "tolerances:\n  encoder_gain.*.gain: 4.0e-3\n"
+    (tmp_path / "belts.yaml").write_text(text.replace("history:", f"{belts}history:"))
+    model = read_model(tmp_path / "belts.yaml")
+    usual = new_model("delta54").with_effect("encoder_gain").table["encoder_gain.joint2.gain"]
+    gain = model.with_effect("encoder_gain").table["encoder_gain.joint2.gain"]
+    assert (gain.tolerance, gain.high) == pytest.approx((4e-3, usual.high * 4e-3 / usual.tolerance))
+    assert '  "encoder_gain.*.gain": 0.004\n' in dump_model(model)
+    driven = measured(2, effects=[ve.WrongPitch((0.012, -0.01, 0.011))])
+    with pytest.raises(FitError, match=r"encoder_gain.joint\d.gain would have to be"):
+        added(new_model("delta54"), "encoder_gain", driven)
+    step = added(model, "encoder_gain", driven)
+    write_model(step.model, tmp_path / "added.yaml")
+    again = read_model(tmp_path / "added.yaml")
+    assert again.value("encoder_gain.joint1.gain") == pytest.approx(0.012, rel=0.1)
+
+
+def test_a_tolerance_of_nothing_is_named_with_its_line(tmp_path):
+    text = dump_model(new_model("delta54"))
+    for key, words in (
+        ("encoder_gian.*", r"robot.yaml:\d+: tolerances.encoder_gian.*: .*encoder_gain"),
+        ("encoder_gain.*.gian", r"robot.yaml:\d+: .*no parameter matches"),
+    ):
+        wrong = text.replace("history:", f"tolerances: {{{key}: 1.0e-3}}\nhistory:")
+        (tmp_path / "robot.yaml").write_text(wrong)
+        with pytest.raises(ModelFileError, match=words):
+            read_model(tmp_path / "robot.yaml")
 
 
 @pytest.mark.parametrize(

@@ -11,13 +11,15 @@ import virtual_robot as vr
 from findings import clean, dataset, hiding, sized
 from twins import hexapod
 
-from parallel_cal.base.errors import FitError
+from parallel_cal.base.errors import FitError, ModelError
 from parallel_cal.diagnosis.device import cost, log_evidence
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.thresholds import EFFECT_SIZES, FIELD_SIZES
 from parallel_cal.identification.fit import fit
+from parallel_cal.model.file.modelfile import read_model, write_model
 from parallel_cal.model.model import new_model
+from parallel_cal.model.shelf import load_sensor
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.session.steps import added
 
@@ -66,6 +68,58 @@ def dent(seed):
     make, noise = vf.OUTSIDE["a dented field"], vr.THESIS_NOISE
     deep = sized(make, 0.5e-3, 1.5, day, noise, rng.integers(1 << 20))
     return dataset(vf.samples(day, [deep], noise, seed), noise)
+
+
+@pytest.mark.wide
+def test_a_certificate_says_what_the_device_may_be_blamed_for():
+    """Discs 60 um off-centre, which leave 12 um that no geometry follows: no tracker errs so."""
+    disc = vr.EncoderEccentricity((2.7e-3, -1.5e-3, 0.9e-3), (-1.2e-3, 2.6e-3, 2.8e-3))
+    data = dataset(vf.samples(vf.session(0), [disc], vr.THESIS_NOISE, 0), vr.THESIS_NOISE)
+    fine, coarse = (diagnose(certified(u), data) for u in (10e-6, 100e-6))
+    assert (fine.verdict.word, fine.robot_or_device) == ("explained", ())
+    assert coarse.verdict.word == "partly_explained"
+    assert coarse.robot_or_device == fine.effects
+
+
+def certified(accuracy, **options):
+    sensor = load_sensor("certificate", volumetric_accuracy=accuracy, **options)
+    return new_model("delta54", sensors=[sensor])
+
+
+def test_its_tolerances_make_its_error_at_the_corner_of_the_workspace(tmp_path):
+    model = certified(60e-6, scale=7e-6)
+    for effect in ("device_field", "device_axes", "base_drift"):
+        model = model.with_effect(effect)
+    low, high = model.mechanism.workspace.low, model.mechanism.workspace.high
+    reach = np.linalg.norm(np.subtract(high, low)) / 2
+    bend = model.table["device_field.x_xy"]
+    # Six terms of one axis, each so large at the corner, drawn independently.
+    assert 6**0.5 * bend.tolerance * reach**2 == pytest.approx(60e-6)
+    assert bend.high == pytest.approx(10 * bend.tolerance)
+    assert model.table["device_axes.scale_x"].tolerance == 7e-6
+    assert 3**0.5 * model.table["device_axes.square_xy"].tolerance * reach == pytest.approx(60e-6)
+    assert model.table["base_drift.v_x"].tolerance == pytest.approx(3e-7)
+    bent = model.with_values(model.table.vector({"device_field.x_xy": 5 * bend.tolerance}))
+    write_model(bent, tmp_path / "bent.yaml")
+    assert read_model(tmp_path / "bent.yaml").table["device_field.x_xy"] == bend
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"kind": "laser_trackr"}, "no kind 'laser_trackr'; did you mean 'laser_tracker'"),
+        ({}, "expected a kind of device, or a volumetric_accuracy"),
+        ({"volumetric_accuracy": -1e-5}, "above 0"),
+    ],
+)
+def test_a_certificate_that_says_nothing_is_refused(options, words):
+    with pytest.raises(ModelError, match=words):
+        load_sensor("certificate", **options)
+
+
+def test_a_kind_of_device_has_what_its_data_sheets_promise():
+    tracker = new_model("delta54", sensors=[load_sensor("certificate", kind="laser_tracker")])
+    assert tracker.with_effect("device_axes").table["device_axes.scale_x"].tolerance == 10e-6
 
 
 def test_the_evidence_of_columns_is_what_the_residuals_covariance_says():

@@ -9,13 +9,14 @@ from parallel_cal.diagnosis.lack_of_fit import LackOfFit
 from parallel_cal.diagnosis.noise import NoiseLevel
 from parallel_cal.diagnosis.noise_shape import NoiseShape
 from parallel_cal.diagnosis.region import Region
-from parallel_cal.diagnosis.search import Trial
+from parallel_cal.diagnosis.search import Trial, ratio_of
 from parallel_cal.diagnosis.thresholds import (
     CERTAIN,
     EXPLAINED,
     FAMILY,
     FEWEST_DOF,
     HELD_STILL,
+    LIKE,
     LUCK,
     UNCERTAIN,
 )
@@ -75,16 +76,17 @@ class Findings:
     @property
     def inside_before(self) -> bool:
         """Whether the base's residuals were inside their band, and what fits better could be told
-        from it by little: nothing had to be explained."""
+        from it by little, or lowers errors by little: nothing had to be explained."""
         from scipy.special import chdtrc
 
         before, after = self.base.fitted.estimate, self.after
         inside = self.chi2_before <= self.noise.band(before.dof)[1]
         fall = self.chi2_before * before.dof - after.chi2_per_dof * after.dof
         taken = max(before.dof - after.dof, 1)
-        return bool(
-            inside and chdtrc(taken, max(fall, 0.0) / (self.noise.variance or 1.0)) > CERTAIN
-        )
+        certain = chdtrc(taken, max(fall, 0.0) / (self.noise.variance or 1.0)) < CERTAIN
+        ratio = ratio_of(self.base, self.best)
+        counts = ratio is None or ratio * LIKE < 1
+        return bool(inside and not (certain and counts))
 
 
 def called(names: Sequence[str]) -> str:

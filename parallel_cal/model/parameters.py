@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import fnmatch
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from fnmatch import fnmatchcase
 from functools import cached_property
 from typing import Any
 
@@ -95,7 +95,7 @@ class ParameterTable(Sequence[Parameter]):
         """Mask of the parameters whose name matches a shell pattern; each must match one."""
         mask = np.zeros(len(self), dtype=bool)
         for pattern in patterns:
-            hits = np.array([fnmatchcase(name, pattern) for name in self.names], dtype=bool)
+            hits = np.array([fnmatch.fnmatchcase(name, pattern) for name in self.names], dtype=bool)
             if not hits.any():
                 raise ModelError(
                     f"no parameter matches '{pattern}'; the model has {', '.join(self.names)}"
@@ -111,10 +111,12 @@ class ParameterTable(Sequence[Parameter]):
         return vector
 
     def with_tolerances(self, tolerances: Mapping[str, float]) -> ParameterTable:
-        """The same parameters with other tolerances, and ranges, where given."""
-        return ParameterTable(
-            p.with_tolerance(tolerances[p.name]) if p.name in tolerances else p for p in self
-        )
+        """The same parameters with other tolerances, and ranges, where given by name or shell
+        pattern; the last word counts."""
+        if not tolerances:
+            return self
+        own = {n: t for key, t in tolerances.items() for n in fnmatch.filter(self.names, key)}
+        return ParameterTable(p.with_tolerance(own[p.name]) if p.name in own else p for p in self)
 
     def with_nominal(self, nominal: Mapping[str, float]) -> ParameterTable:
         """The same parameters around other nominal values, where given."""

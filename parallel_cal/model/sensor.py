@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, replace
 from typing import Any, ClassVar, cast
 
@@ -47,6 +47,10 @@ class Sensor(ABC):
         """What the pose device shows where {P} is at (r, R) in {B}: the inverse of `pose`."""
         return r, R
 
+    def tolerances(self, table: ParameterTable, mechanism: Mechanism) -> Mapping[str, float]:
+        """Tolerances of effects' numbers by full name, where the catalogue knows less."""
+        return {}
+
     @property
     def name(self) -> str:
         return type(self).__module__.removeprefix("parallel_cal.sensors.")
@@ -67,6 +71,15 @@ class Sensor(ABC):
     def known(self) -> list[str]:
         """Patterns of its fixed parameters under their full names."""
         return [f"{self.name}.{pattern}" for pattern in self.fixed]
+
+
+def known_to(
+    sensors: Iterable[Sensor], table: ParameterTable, mechanism: Mechanism
+) -> ParameterTable:
+    """An effect's table with the tolerances that sensors know better."""
+    for sensor in sensors:
+        table = table.with_tolerances(sensor.tolerances(table, mechanism))
+    return table
 
 
 def point_on_platform(r: Any, R: Any, s: Named, name: str = "tip") -> Any:

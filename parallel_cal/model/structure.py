@@ -16,7 +16,7 @@ from parallel_cal.model.declaration import check_parameters
 from parallel_cal.model.effect import CONDITIONS, Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, ParameterTable
-from parallel_cal.model.sensor import Sensor
+from parallel_cal.model.sensor import Sensor, known_to
 from parallel_cal.model.shelf import load_effect
 
 
@@ -32,7 +32,7 @@ class Structure:
         self.mechanism, self.effects = mechanism, tuple(effects)
         self.sensors = tuple(sensors)
         self.table = ParameterTable(mechanism.parameters)
-        tables = [part.table(mechanism) for part in effects]
+        tables = [known_to(sensors, part.table(mechanism), mechanism) for part in effects]
         for table in (*tables, *(sensor.table(mechanism) for sensor in sensors)):
             self.table = self.table + table
         check_parameters(self.table)

@@ -18,7 +18,7 @@ from parallel_cal.model.file.yamltext import Document, Path
 from parallel_cal.model.mechanism import Home, Mechanism, Workspace
 from parallel_cal.model.model import Model, Noise
 from parallel_cal.model.parameters import Parameter, ParameterTable
-from parallel_cal.model.sensor import Sensor
+from parallel_cal.model.sensor import Sensor, known_to
 from parallel_cal.model.shelf import load_effect, load_mechanism, shelf_names
 
 VERSION = 1
@@ -39,6 +39,7 @@ class Reader:
         hint = checks.Hint(self._document, _full_table(mechanism, effects, sensors))
         file = validated(self._document, hint)
         self._configure(mechanism, file)
+        self._check_tolerances(mechanism, file)
         entries = self._entries(file, mechanism, effects, sensors)
         for path, parameter, entry in entries:
             checks.number(self._document, path, parameter, entry.value, entry.sigma)
@@ -54,7 +55,8 @@ class Reader:
             history=tuple(file.history),
             frames=dict(file.frames),
             sensors=tuple(sensors),
-            tolerances={
+            tolerances=file.tolerances
+            | {
                 parameter.name: entry.tolerance
                 for path, parameter, entry in entries
                 if path[0] != "parameters" and entry.tolerance is not None
@@ -138,6 +140,15 @@ class Reader:
             mechanism.gravity = (x, y, z)
         mechanism.parameters = self._own_table(mechanism, file)
 
+    def _check_tolerances(self, mechanism: Mechanism, file: FilePart) -> None:
+        """They are of numbers that effects of this mechanism have, alone or by shell pattern."""
+        for name in file.tolerances:
+            path = ("tolerances", name)
+            try:
+                load_effect(name.partition(".")[0]).table(mechanism).matching([name])
+            except ModelError as error:
+                raise self._error(path, str(error)) from None
+
     def _set_joints(self, mechanism: Mechanism, file: FilePart) -> None:
         """Names in messages and limits; the order is the mechanism's."""
         names, own = tuple(file.joints), mechanism.joints
@@ -178,7 +189,9 @@ class Reader:
         ]
         for i, (effect, entry) in enumerate(zip(effects, file.effects, strict=True)):
             path: Path = ("effects", i, "parameters")
-            found += self._part(path, effect, effect.table(mechanism), entry.parameters)
+            table = known_to(sensors, effect.table(mechanism), mechanism)
+            table = table.with_tolerances(file.tolerances)
+            found += self._part(path, effect, table, entry.parameters)
         for i, (sensor, given) in enumerate(zip(sensors, file.sensors, strict=True)):
             table = sensor.table(mechanism)
             numbers = given.parameters

@@ -138,6 +138,7 @@ class FilePart(Part):
     parameters: dict[str, ParameterPart]
     effects: list[EffectPart] = []
     sensors: list[SensorPart] = []
+    tolerances: dict[str, Positive] = {}
     covariance: CovariancePart | None = None
     history: list[dict[str, JsonValue]] = []
 

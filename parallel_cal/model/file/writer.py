@@ -23,7 +23,7 @@ parallel_cal: 1
 
 def dump_model(model: Model) -> str:
     """The file's text; ModelFileError where a number is not finite."""
-    parts = (_setup, _parameters, _effects, _sensors, _covariance, _history)
+    parts = (_setup, _parameters, _effects, _sensors, _tolerances, _covariance, _history)
     return HEAD + "".join(f"{line}\n" for part in parts for line in part(model))
 
 
@@ -85,6 +85,13 @@ def _sensors(model: Model) -> Iterator[str]:
         yield f"- name: {flow(sensor.name)}"
         yield f"  options: {flow(sensor.options)}"
         yield from _numbers(model, sensor)
+
+
+def _tolerances(model: Model) -> Iterator[str]:
+    """Those of effects that the model has not; those of its own stand beside their numbers."""
+    if others := {k: float(v) for k, v in model.tolerances.items() if k not in model.table.names}:
+        yield "tolerances:"
+        yield from (f"  {flow(name)}: {flow(value)}" for name, value in others.items())
 
 
 def _numbers(model: Model, part: Effect | Sensor) -> Iterator[str]:

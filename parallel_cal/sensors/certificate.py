@@ -1,0 +1,80 @@
+"""What the pose device's certificate says: how far it may err, and what it may be blamed for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from parallel_cal.base.errors import ModelError, nearest
+from parallel_cal.model.mechanism import Mechanism
+from parallel_cal.model.parameters import Parameter, ParameterTable
+from parallel_cal.model.sensor import Sensor
+
+# Volumetric accuracy (m) and scale (1) over a robot's space, as data sheets have them.
+KINDS = {
+    "cmm": (5e-6, 5e-6),  # ISO 10360-2: 2-5 um and 3-5 um/m
+    "laser_tracker": (30e-6, 10e-6),  # ISO 10360-10: 15 um and 6 um/m
+    "measuring_arm": (50e-6, 50e-6),  # ISO 10360-12: 30-60 um
+    "cameras": (100e-6, 100e-6),  # VDI 2634: 50-100 um with coded targets
+    "motion_capture": (300e-6, 500e-6),  # 0.2-0.5 mm after a wand calibration
+}
+USUAL = 20e-6  # m: the device that the catalogue's tolerances of drift stand for
+
+
+@dataclass(frozen=True)
+class Certificate(Sensor):
+    """The `kind` of device (one of KINDS), or its own `volumetric_accuracy` (m, 1 sigma) and
+    `scale` (1): tolerances of `device_field`, `device_axes` and `base_drift` are what makes as
+    much of an error at the workspace's corner."""
+
+    kind: str = ""
+    volumetric_accuracy: float | None = None
+    scale: float | None = None
+
+    physics = "a device errs by as much as its certificate allows, and seldom by more"
+    source = "ISO 10360, VDI 2634"
+
+    def __post_init__(self) -> None:
+        if self.kind and self.kind not in KINDS:
+            known = nearest(self.kind, list(KINDS)) or f"; expected one of {', '.join(KINDS)}"
+            raise ModelError(f"certificate: no kind '{self.kind}'{known}")
+        if self._accuracy is None or min(self._accuracy, self._scale or 1.0) <= 0:
+            raise ModelError(
+                "certificate: expected a kind of device, or a volumetric_accuracy (m) and a scale "
+                "above 0"
+            )
+
+    @property
+    def _accuracy(self) -> float | None:
+        return self.volumetric_accuracy or KINDS.get(self.kind, (None, None))[0]
+
+    @property
+    def _scale(self) -> float | None:
+        return self.scale or KINDS.get(self.kind, (None, None))[1]
+
+    def parameters(self, mechanism: Mechanism) -> list[Parameter]:
+        return []
+
+    def tolerances(self, table: ParameterTable, mechanism: Mechanism) -> Mapping[str, float]:
+        accuracy, reach = self._accuracy or USUAL, _reach(mechanism)
+        found = {}
+        for p in table:
+            effect, _, number = p.name.partition(".")
+            if effect == "device_field":  # six numbers an axis
+                found[p.name] = accuracy / (6**0.5 * reach**2)
+            elif effect == "device_axes":  # up to three
+                own = self._scale if number.startswith("scale") else None
+                found[p.name] = own or accuracy / (3**0.5 * reach)
+            elif effect == "base_drift":
+                found[p.name] = p.tolerance * accuracy / USUAL
+        return found
+
+
+def _reach(mechanism: Mechanism) -> float:
+    """From the middle of the workspace to its corner (m)."""
+    low, high = (np.array(corner) for corner in (mechanism.workspace.low, mechanism.workspace.high))
+    along = [c in ("x", "y", "z") for c in mechanism.controls]
+    half = float(np.linalg.norm((high - low)[along])) / 2
+    return half if half > 0 else mechanism.length
