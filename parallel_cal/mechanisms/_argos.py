@@ -10,6 +10,7 @@ import numpy as np
 from parallel_cal.base.rotation import rot_x, rot_y
 from parallel_cal.mechanisms._delta import DEGREE, MM
 from parallel_cal.model.closed_form import joint_angles
+from parallel_cal.model.drawing import Line, ring
 from parallel_cal.model.mechanism import Home, Mechanism, Workspace
 from parallel_cal.model.parameters import Named
 
@@ -18,6 +19,7 @@ RADIUS = 110 * MM  # of the mock-up: {p} lies this far from all three ball centr
 # between the motor axes 2 and 3, and the others likewise. As a rotation vector:
 HOME_TURN = float(np.arccos(-1 / 3) / np.sqrt(2))
 REACH = 30 * DEGREE
+ARC = tuple(np.radians(np.arange(-60, 61, 10)).tolist())  # of a pantograph's circle, drawn
 
 
 class Argos(Mechanism):
@@ -43,6 +45,23 @@ class Argos(Mechanism):
     def joint_candidates(self, r: Any, R: Any, p: Named) -> list[tuple[Any, ...]]:
         """Both angles of every motor, the centre at rest (eqs 6.50-6.53, 6.62-6.63, 6.7.3)."""
         return joint_angles(self, ca.DM(self.home.position), R, p)
+
+
+def pantographs(circles: list[tuple[Any, ...]], r: Any, R: Any) -> list[Line]:
+    """Of circles C, u, radius and balls B in {p}: an arc about each ball's place, the pantograph
+    to the ball, and the platform."""
+    lines, balls = [], []
+    for i, (C, u, radius, B) in enumerate(circles, start=1):
+        ball, own = r + R @ B, f"chain{i}."
+        out = (ball - C) / ca.norm_2(ball - C)
+        across = ca.cross(u, out)
+        arc = tuple(C + radius * (ca.cos(w) * out + ca.sin(w) * across) for w in ARC)
+        lines += [
+            Line("driven", arc, (f"{own}alpha0", f"{own}Omega", f"{own}Phi", f"{own}gamma")),
+            Line("rod", (C, ball), tuple(own + name for name in ("R", "dR", "da", "dc"))),
+        ]
+        balls.append(ball)
+    return [*lines, ring("platform", balls, "*.omega", "*.phi")]
 
 
 def orientations(q: Any, p: Named) -> list[tuple[Any, Any]]:

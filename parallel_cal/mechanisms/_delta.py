@@ -7,6 +7,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from parallel_cal.model.drawing import Line, ring
 from parallel_cal.model.mechanism import Home, Mechanism, Workspace
 from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 
@@ -63,6 +64,20 @@ def pair_errors(rods: tuple[list[Any], list[Any], list[Any]], r: Any, R: Any, p:
     first, second = ca.vertcat(*errors[::2]), ca.vertcat(*errors[1::2])
     to_metres = 0.25 / ca.vertcat(*[p[f"chain{i + 1}"].Lb for i in range(3)])
     return ca.vertcat((first + second) * to_metres, (first - second) * to_metres)
+
+
+def rod_pairs(rods: tuple[list[Any], list[Any], list[Any]], r: Any, R: Any) -> list[Line]:
+    """The bars of three pairs, their six rods and the platform; `rods` as of `pair_errors`."""
+    C, tops = rods[0], [r + R @ B for B in rods[1]]
+    lines = []
+    for i, k in enumerate((0, 2, 4), start=1):
+        own, length = f"chain{i}.", (f"chain{i}.Lb", f"chain{i}.dLb", f"rod{i}?.l")
+        lines += [
+            Line("driven", (C[k], C[k + 1]), (f"{own}dC_?", f"{own}dalpha", f"{own}dbeta")),
+            Line("rod", (C[k], tops[k]), length),
+            Line("rod", (C[k + 1], tops[k + 1]), length),
+        ]
+    return [*lines, ring("platform", tops, "*.b_?", "*.d_?")]
 
 
 def pair_lengths(p: Named) -> list[Any]:

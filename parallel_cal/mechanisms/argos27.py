@@ -8,8 +8,9 @@ from typing import Any
 import casadi as ca
 
 from parallel_cal.base.rotation import rot_x, rot_z
-from parallel_cal.mechanisms._argos import RADIUS, Argos
+from parallel_cal.mechanisms._argos import RADIUS, Argos, pantographs
 from parallel_cal.mechanisms._delta import DEGREE, MM
+from parallel_cal.model.drawing import Line
 from parallel_cal.model.mechanism import POSE
 from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 
@@ -106,6 +107,10 @@ class Argos27(Argos):
         """Of the circles that carry the balls, one a chain: centres C and unit normals u in {b},
         radii, and the balls' places B in {p}."""
         return list(zip(*[self.circle(q[i], chain_of(p, i)) for i in range(3)], strict=True))
+
+    def drawing(self, q: Any, r: Any, R: Any, p: Named) -> list[Line]:
+        """The pantographs' circles, the balls on them and the platform."""
+        return pantographs(list(zip(*self.circles(q, p), strict=True)), r, R)
 
     def circle(self, angle: Any, c: Named) -> tuple[Any, Any, Any, Any]:
         """One chain's circle and ball (eqs 3.17-3.21, transformations of table 3.15)."""

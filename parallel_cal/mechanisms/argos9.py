@@ -8,8 +8,9 @@ from typing import Any
 import casadi as ca
 
 from parallel_cal.base.rotation import rot_x, rot_z
-from parallel_cal.mechanisms._argos import Argos
+from parallel_cal.mechanisms._argos import Argos, pantographs
 from parallel_cal.mechanisms.argos27 import angle_parameters, widened
+from parallel_cal.model.drawing import Line
 from parallel_cal.model.parameters import Named, ParameterTable
 
 
@@ -26,6 +27,12 @@ class Argos9(Argos):
         """Eq. 3.26 times the radius: each ball's distance from its circle's plane, in metres."""
         u, v = self.normals(q, p), self.balls(p)
         return self.length * ca.vertcat(*[ca.dot(u[i], R @ v[i]) for i in range(3)])
+
+    def drawing(self, q: Any, r: Any, R: Any, p: Named) -> list[Line]:
+        """The great circles, the balls on them and the platform."""
+        both = zip(self.normals(q, p), self.balls(p), strict=True)
+        circles = [(ca.DM.zeros(3), u, self.length, self.length * v) for u, v in both]
+        return pantographs(circles, r, R)
 
     def normals(self, q: Any, p: Named) -> list[Any]:
         """u_i: normals of the three pantograph planes in {b}."""

@@ -7,6 +7,7 @@ from typing import Any
 
 from parallel_cal.mechanisms._argos import Argos
 from parallel_cal.mechanisms.argos9 import Argos9
+from parallel_cal.model.drawing import Line
 from parallel_cal.model.parameters import Named, ParameterTable
 
 
@@ -18,10 +19,18 @@ class ArgosNominal(Argos):
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
         """Model 9's closure (eq. 3.26) with the angles of eq. 3.27."""
+        return Argos9(self.length).closure(q, r, R, self._wide(p))
+
+    def drawing(self, q: Any, r: Any, R: Any, p: Named) -> list[Line]:
+        """As model 9."""
+        return Argos9(self.length).drawing(q, r, R, self._wide(p))
+
+    @staticmethod
+    def _wide(p: Named) -> Named:
+        """Model 9's parameters."""
         offsets = {f"chain{i + 1}.alpha0": p[f"chain{i + 1}"].alpha0 for i in range(3)}
         table = Argos9.parameters
-        wide = Named(table.names, [offsets.get(row.name, row.nominal) for row in table])
-        return Argos9(self.length).closure(q, r, R, wide)
+        return Named(table.names, [offsets.get(row.name, row.nominal) for row in table])
 
     def widen(self, values: Mapping[str, float]) -> tuple[str, dict[str, float]]:
         """Model 9 with right angles."""

@@ -10,6 +10,7 @@ import numpy as np
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.model.closed_form import three_spheres
+from parallel_cal.model.drawing import Line
 from parallel_cal.model.mechanism import Home, Mechanism, Workspace
 from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 
@@ -83,6 +84,14 @@ class Cable(Mechanism):
         """Metres of line that one radian of motor i lets out."""
         c = p[f"line{i + 1}"]
         return p[f"spool{self.spools[i]}"].R / (c.gear * c.advantage)
+
+    def drawing(self, q: Any, r: Any, R: Any, p: Named) -> list[Line]:
+        """The lines from the end point to their anchors."""
+        lines = [(f"line{i + 1}", p[f"line{i + 1}"]) for i in range(len(self.joints))]
+        return [
+            Line("rod", (r, c.vector("A_x", "A_y", "A_z")), (f"{name}.A_?", f"{name}.offset"))
+            for name, c in lines
+        ]
 
     def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
         """Where spheres about the anchors meet: of four lines one point, of three lines two."""

@@ -10,6 +10,7 @@ import casadi as ca
 from parallel_cal.base.rotation import rot_x, rot_z
 from parallel_cal.mechanisms._delta import POSITION, Delta, chain_parameters
 from parallel_cal.model.closed_form import joint_angles, positions
+from parallel_cal.model.drawing import Line, axis, ring
 from parallel_cal.model.parameters import Named
 
 BODIES = {"arms": ("*.La_?",), "rods": ("*.Lb",), "base": ("*.D_?",)}
@@ -44,6 +45,20 @@ class Delta24(Delta):
         T = rot_z(c.theta) @ rot_x(c.alpha)
         D, La = c.vector("D_x", "D_y", "D_z"), ca.vertcat(c.La_x, c.La_y, 0)
         return T @ D, T @ (D + rot_z(angle) @ La)
+
+    def drawing(self, q: Any, r: Any, R: Any, p: Named) -> list[Line]:
+        """Motor axes, arms and the rods that meet in one point: no platform has a size."""
+        chains, hubs, lines = self.chains(p), [], []
+        for i, c in enumerate(chains, start=1):
+            (hub, C), own = self.arm(q[i - 1], c), f"chain{i}."
+            along = (rot_z(c.theta) @ rot_x(c.alpha))[:, 2]
+            hubs.append(hub)
+            lines += [
+                axis(hub, along, self.length, f"{own}theta", f"{own}alpha"),
+                Line("driven", (hub, C), (f"{own}La_x", f"{own}La_y", "La")),
+                Line("rod", (C, r), (f"{own}Lb", "Lb")),
+            ]
+        return [ring("base", hubs, "*.D_?", "R"), *lines]
 
     def rod_lengths(self, p: Named) -> list[Any]:
         """Lb of both rods of each pair."""

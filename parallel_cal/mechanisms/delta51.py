@@ -24,9 +24,10 @@ from parallel_cal.base.rotation import (
     rotation_matrix,
     rotation_vector,
 )
-from parallel_cal.mechanisms._delta import DEGREE, MM, Delta
+from parallel_cal.mechanisms._delta import DEGREE, MM, Delta, rod_pairs
 from parallel_cal.mechanisms.delta54 import Delta54
 from parallel_cal.model.closed_form import joint_angles, positions
+from parallel_cal.model.drawing import Line, axis, ring
 from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 
 # Eq. 10: direction of each motor axis u_i; here those of the thesis' mock-up.
@@ -189,6 +190,20 @@ class Delta51(Delta):
     def joint_candidates(self, r: Any, R: Any, p: Named) -> list[tuple[Any, ...]]:
         """Both angles of each joint at which its two rods close on average."""
         return joint_angles(_Middle(), r, R, p)
+
+    def drawing(self, q: Any, r: Any, R: Any, p: Named) -> list[Line]:
+        """Motor axes, arms to the rods' balls, six rods and the platform."""
+        rods, lines = self.rods(q, p), []
+        chains = [p[f"chain{i}"] for i in (1, 2, 3)]
+        hubs = [c.vector("p_x", "p_y", "p_z") for c in chains]
+        for i, (hub, c) in enumerate(zip(hubs, chains, strict=True)):
+            turn = exponential(c.vector("beta_x", "beta_y", "beta_z")) @ rot_z(THETA[i])
+            one, other = rods[0][2 * i : 2 * i + 2]
+            lines += [
+                axis(hub, turn[:, 0], self.length, f"chain{i + 1}.beta_?"),
+                Line("driven", (one, hub, other), (f"rod{i + 1}?.a_?",)),
+            ]
+        return [ring("base", hubs, "*.p_?"), *lines, *rod_pairs(rods, r, R)]
 
     def rod_lengths(self, p: Named) -> list[Any]:
         return [p[f"rod{rod}"].l for rod in RODS]

@@ -16,8 +16,10 @@ from parallel_cal.mechanisms._delta import (
     chain_parameters,
     pair_errors,
     pair_lengths,
+    rod_pairs,
 )
 from parallel_cal.mechanisms.delta24 import Delta24
+from parallel_cal.model.drawing import Line, axis, ring
 from parallel_cal.model.parameters import Named
 
 PARALLELOGRAM = {  # set P1 (eq. 3.14): errors of the spatial parallelogram
@@ -78,6 +80,19 @@ class Delta54(Delta):
             return C, T @ (b + side * d), c.Lb + side * c.dLb
 
         return [rod(1), rod(-1)]
+
+    def drawing(self, q: Any, r: Any, R: Any, p: Named) -> list[Line]:
+        """Motor axes, arms, bars, six rods and the platform."""
+        rods, chains = self.rods(q, p), [p[f"chain{i + 1}"] for i in range(3)]
+        hubs, lines = [self._hub(c) for c in chains], []
+        for i, (hub, c) in enumerate(zip(hubs, chains, strict=True), start=1):
+            bar = rods[0][2 * i - 2 : 2 * i]
+            along, own = (rot_z(c.theta) @ rot_x(c.alpha))[:, 2], f"chain{i}."
+            lines += [
+                axis(hub, along, self.length, f"{own}theta", f"{own}alpha"),
+                Line("driven", (hub, (bar[0] + bar[1]) / 2), (f"{own}La_x", f"{own}La_y")),
+            ]
+        return [ring("base", hubs, "*.D_?"), *lines, *rod_pairs(rods, r, R)]
 
     def rod_lengths(self, p: Named) -> list[Any]:
         return pair_lengths(p)

@@ -8,8 +8,9 @@ import casadi as ca
 import numpy as np
 
 from parallel_cal.base.rotation import rot_x, rot_y, rot_z
-from parallel_cal.mechanisms._delta import DEGREE, MM, pair_errors, pair_lengths
+from parallel_cal.mechanisms._delta import DEGREE, MM, pair_errors, pair_lengths, rod_pairs
 from parallel_cal.model.closed_form import positions
+from parallel_cal.model.drawing import Line
 from parallel_cal.model.mechanism import Home, Mechanism, Workspace
 from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 
@@ -35,6 +36,7 @@ CHAIN = {
     "b_y": ("m", 0.0, 0.2 * MM, "P2"),
     "b_z": ("m", 0.0, 0.2 * MM, "P2"),
 }
+RAIL = ("D_?", "alpha", "beta")
 HANGING = float(np.sqrt(ROD**2 - OFFSET**2))  # carriage above platform
 BODIES = {"rods": ("*.Lb", "*.dLb"), "base": ("*.D_?", "*.b_?")}  # with the platform
 
@@ -78,6 +80,16 @@ class LinearDelta(Mechanism):
                 C.append(T @ (b + D + self.rail(c) * q[i] + side * (d + dC)))
                 B.append(T @ (b + side * d))
         return C, B, self.rod_lengths(p)
+
+    def drawing(self, q: Any, r: Any, R: Any, p: Named) -> list[Line]:
+        """Rails, the carriages on them, six rods and the platform."""
+        lines = []
+        for i in range(3):
+            c, T = p[f"chain{i + 1}"], rot_z(i * 120 * DEGREE)
+            start = T @ (c.vector("b_x", "b_y", "b_z") + c.vector("D_x", "D_y", "D_z"))
+            end = start + T @ self.rail(c) * self.joint_limits[i][1]
+            lines.append(Line("base", (start, end), tuple(f"chain{i + 1}.{n}" for n in RAIL)))
+        return [*lines, *rod_pairs(self.rods(q, p), r, R)]
 
     def rod_lengths(self, p: Named) -> list[Any]:
         return pair_lengths(p)

@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 
 from parallel_cal.base.rotation import rot_z
+from parallel_cal.model.drawing import Line
 from parallel_cal.model.mechanism import Home, Mechanism, Workspace
 from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 
@@ -61,6 +62,16 @@ class Parallelogram(Mechanism):
         A1, A2 = ca.vertcat(-p.a1_x, 0), ca.vertcat(p.a2_x, p.a2_y)
         B1, B2 = ca.vertcat(-p.b1_x, p.h), ca.vertcat(p.b2_x, p.h + p.b2_y)
         return A1, A2, C + R @ B1, C + R @ B2
+
+    def drawing(self, q: Any, r: Any, R: Any, p: Named) -> list[Line]:
+        """Base, crank, rod, and the platform with its tool."""
+        A1, A2, B1, B2 = (ca.vertcat(point, 0) for point in self._points(r[:2], R[:2, :2], p))
+        return [
+            Line("base", (A1, ca.DM.zeros(3), A2), ("a?_?",)),
+            Line("driven", (A1, B1), ("q0", "l1")),
+            Line("rod", (A2, B2), ("l2",)),
+            Line("platform", (B1, B2, r, B1), ("b?_?", "h")),
+        ]
 
     def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
         """Both assemblies in closed form: parallelogram and antiparallelogram (eqs 42-52)."""

@@ -8,6 +8,7 @@ from typing import Any
 import casadi as ca
 
 from parallel_cal.mechanisms.parallelogram import NOMINAL, Parallelogram
+from parallel_cal.model.drawing import Line
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 
@@ -40,6 +41,14 @@ class ParallelogramSimple(Mechanism):
     def _tool(q: Any, p: Named) -> Any:
         angle = q + p.q0
         return ca.vertcat(p.l * ca.sin(angle), -p.l * ca.cos(angle) - p.h)
+
+    def drawing(self, q: Any, r: Any, R: Any, p: Named) -> list[Line]:
+        """The bar and the tool below its end."""
+        end = r + ca.vertcat(0, p.h, 0)
+        return [
+            Line("driven", (ca.DM.zeros(3), end), ("q0", "l")),
+            Line("platform", (end, r), ("h",)),
+        ]
 
     def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
         return [(ca.vertcat(self._tool(q, p), 0), ca.DM.eye(3))]

@@ -9,6 +9,8 @@ import numpy as np
 
 from parallel_cal.base.rotation import rot_z
 from parallel_cal.mechanisms.stewart42 import one_leg, ring
+from parallel_cal.model.drawing import Line
+from parallel_cal.model.drawing import ring as closed
 from parallel_cal.model.mechanism import Home, Mechanism, Workspace
 from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 
@@ -67,6 +69,18 @@ class PlanarStewart(Mechanism):
     def extended(q: Any, c: Named) -> Any:
         """|L0 + q exp(i delta)|: the slide does not quite run along the leg."""
         return ca.sqrt(c.L0**2 + q**2 + 2 * c.L0 * q * ca.cos(c.delta))
+
+    def drawing(self, q: Any, r: Any, R: Any, p: Named) -> list[Line]:
+        """Both triangles and the legs between them."""
+        legs = [p[f"leg{i + 1}"] for i in range(3)]
+        C = [ca.vertcat(c.C_x, c.C_y, 0) for c in legs]
+        tops = [r + R @ ca.vertcat(c.B_x, c.B_y, 0) for c in legs]
+        between = enumerate(zip(C, tops, strict=True), start=1)
+        return [
+            closed("base", C, "*.C_?"),
+            *[Line("driven", ends, (f"leg{i}.L0", f"leg{i}.delta")) for i, ends in between],
+            closed("platform", tops, "*.B_?"),
+        ]
 
     def start(self, q: Any, p: Named) -> tuple[Any, Any]:
         """Home."""

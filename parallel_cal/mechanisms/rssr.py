@@ -14,6 +14,7 @@ import numpy as np
 
 from parallel_cal.base.rotation import rot_x, rot_z
 from parallel_cal.model.closed_form import joint_angles
+from parallel_cal.model.drawing import Line, axis
 from parallel_cal.model.mechanism import Home, Mechanism, Workspace
 from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 
@@ -72,6 +73,22 @@ class Rssr(Mechanism):
     def ball(crank: Named) -> Any:
         """A crank's ball at reading zero, its axis being z."""
         return rot_z(crank.q0)[:, 0] * crank.r + ca.vertcat(0, 0, crank.s)
+
+    def drawing(self, q: Any, r: Any, R: Any, p: Named) -> list[Line]:
+        """Both axes, their cranks and the rod between the cranks' balls."""
+        to_input = rot_x(p.alpha)
+        foot, along = ca.vertcat(p.a, 0, 0), to_input[:, 2]
+        hub, own = foot + along * p.input.s, ca.vertcat(0, 0, p.output.s)
+        C, B = foot + to_input @ rot_z(q[0]) @ self.ball(p.input), R @ self.ball(p.output)
+        up = ca.DM([0, 0, 1])
+        return [
+            Line("base", (own, ca.DM.zeros(3), foot, hub), ("a", "alpha", "*.s")),
+            axis(hub, along, BAR),
+            axis(own, up, BAR),
+            Line("driven", (hub, C), ("input.r", "input.q0")),
+            Line("platform", (own, B), ("output.r", "output.q0")),
+            Line("rod", (C, B), ("L",)),
+        ]
 
     def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
         """Both output angles: the rod's ball meets the output circle twice (cf. eq. 6.24)."""

@@ -13,6 +13,7 @@ import numpy as np
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.rotation import matrix_to_quaternion, rot_x, rot_y, rot_z
+from parallel_cal.model.drawing import Line, axis
 from parallel_cal.model.mechanism import POSE, Home, Mechanism, Workspace
 from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 
@@ -94,6 +95,18 @@ class Serial(Mechanism):
         """Eq. 3.7 as a closure: position difference (m) and rotation difference (rad)."""
         position, rotation = self.pose(q, p)
         return ca.vertcat(r - position, rotation_difference(rotation, R))
+
+    def drawing(self, q: Any, r: Any, R: Any, p: Named) -> list[Line]:
+        """Every link from its frame to the next, and the axes of its joints."""
+        lines, at, turned, used = [], ca.DM.zeros(3), ca.DM.eye(3), 0
+        for link in self.links:
+            turn, shift = link.transform(q[used] if link.joint else 0, p)
+            if link.joint:
+                lines.append(axis(at, turned[:, 2], 0.2 * self.length, f"{link.name}.alpha"))
+            after, kind = at + turned @ shift, "driven" if link.joint else "base"
+            lines.append(Line(kind, (at, after), (f"{link.name}.*",)))
+            at, turned, used = after, turned @ turn, used + (1 if link.joint else 0)
+        return lines
 
     def pose(self, q: Any, p: Named) -> tuple[Any, Any]:
         """Position and rotation of {P} in {B}: the product of the links (eq. 3.7)."""

@@ -7,6 +7,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from parallel_cal.model.drawing import Line
 from parallel_cal.model.mechanism import Home, Mechanism, Workspace
 from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 
@@ -39,6 +40,16 @@ class SliderCrank(Mechanism):
         """Eq. 5.10 divided by 2 b: length error of the rod, in metres."""
         x = r[0]
         return (p.a**2 + x**2 - p.b**2 - 2 * p.a * x * ca.cos(q[0] + p.q0)) / (2 * p.b)
+
+    def drawing(self, q: Any, r: Any, R: Any, p: Named) -> list[Line]:
+        """Crank, rod, and the slider's way."""
+        origin, way = ca.DM.zeros(3), ca.DM([A, 0, 0])
+        pin = p.a * ca.vertcat(ca.cos(q[0] + p.q0), ca.sin(q[0] + p.q0), 0)
+        return [
+            Line("base", (origin, 2 * way)),
+            Line("driven", (origin, pin), ("a", "q0")),
+            Line("rod", (pin, r), ("b",)),
+        ]
 
     def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
         """Both solutions of eq. 5.11."""

@@ -8,6 +8,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from parallel_cal.model.drawing import Line
+from parallel_cal.model.drawing import ring as closed
 from parallel_cal.model.mechanism import Home, Mechanism, Workspace
 from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 
@@ -100,6 +102,17 @@ class Stewart42(Mechanism):
         """Legs half way between their balls."""
         C, B, _ = self.rods(q, p)
         return {"leg": [(c + r + R @ b) / 2 for c, b in zip(C, B, strict=True)]}
+
+    def drawing(self, q: Any, r: Any, R: Any, p: Named) -> list[Line]:
+        """Both hexagons and the legs between them."""
+        C, B, _ = self.rods(q, p)
+        tops = [r + R @ b for b in B]
+        legs = enumerate(zip(C, tops, strict=True), start=1)
+        return [
+            closed("base", C, "*.C_?"),
+            *[Line("driven", ends, (f"leg{i}.L0",)) for i, ends in legs],
+            closed("platform", tops, "*.B_?"),
+        ]
 
     def joint_candidates(self, r: Any, R: Any, p: Named) -> list[tuple[Any, ...]]:
         """The only solution: a leg's length is positive."""

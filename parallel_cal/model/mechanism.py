@@ -14,6 +14,7 @@ import numpy as np
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.rotation import quaternion_to_matrix, rotation_matrix, rotation_vector
 from parallel_cal.model.configuration import Configuration
+from parallel_cal.model.drawing import Line
 from parallel_cal.model.parameters import Named, ParameterTable
 
 POSE = ("x", "y", "z", "rx", "ry", "rz")
@@ -129,6 +130,10 @@ class Mechanism(ABC):
     def centres(self, q: Any, r: Any, R: Any, p: Named) -> Mapping[str, list[Any]]:
         """Of each kind in `parts` the links' centres of mass in {B}, (3, 1) m each."""
         return {}
+
+    def drawing(self, q: Any, r: Any, R: Any, p: Named) -> list[Line]:
+        """The lines of its picture at (q, r, R), points as CasADi columns of the same symbols."""
+        return []
 
     def widen(self, values: Mapping[str, float]) -> tuple[str, dict[str, float]]:
         """The larger model this one is a special case of, and its parameter values."""

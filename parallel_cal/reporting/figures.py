@@ -175,7 +175,7 @@ def parameter_bars(parameters: Mapping[str, Described]) -> Spec:
         "x": [p.moved_tolerances for _, p in rows], "y": [escape(name) for name, _ in rows],
         "error_x": {"array": sigma, "thickness": 1.2, "width": 2, "color": QUIET},
         "marker": {"color": [_bar_colour(p) for _, p in rows]},
-        "hovertext": [_in_words(p) for _, p in rows], "hoverinfo": "text",
+        "hovertext": [in_words(p) for _, p in rows], "hoverinfo": "text",
     }  # fmt: skip
     return {
         "data": [bars],
@@ -195,7 +195,7 @@ def _bar_colour(p: Described) -> str:
     return WARNING if abs(p.moved_tolerances) > FAR else ACCENT
 
 
-def _in_words(p: Described) -> str:
+def in_words(p: Described) -> str:
     unit, factor = large(p.unit)
     sigma = f" ± {number(p.sigma, factor, 2)}" if p.sigma is not None else ", not identified"
     value, nominal = (number(v, factor, 6) for v in (p.value, p.nominal))

@@ -1,0 +1,105 @@
+"""Draws docs/mechanisms/*.svg, and docs/mechanisms.md about them: `python docs/mechanisms.py`.
+
+Each mechanism draws itself at home (`Mechanism.drawing`), its parameters named.
+"""
+
+from __future__ import annotations
+
+from html import escape
+from pathlib import Path
+
+import numpy as np
+
+from parallel_cal.model.mechanism import Mechanism
+from parallel_cal.model.model import Model, new_model
+from parallel_cal.model.shelf import load_mechanism, shelf_names
+from parallel_cal.reporting.drawings import Drawn, flat, labelled, lines
+
+DOCS = Path(__file__).parent
+LINKS = ({"joint": "R", "axes": "parallel", "a": 0.3}, {"joint": "R", "a": 0.2})
+OPTIONS = {"serial": {"links": LINKS}}  # an arm of two links, for the picture
+WIDTH, HEIGHT, EDGE = 460, 360, 46
+AZIMUTH, ELEVATION = np.radians([-50.0, 18.0])
+STYLE = """
+text { font: 12px sans-serif; fill: #24292f; paint-order: stroke; stroke: #fff; stroke-width: 3px }
+polyline { fill: none; stroke-linecap: round; stroke-linejoin: round }
+.base { stroke: #8a94a3; stroke-width: 2 } .axis { stroke: #8a94a3; stroke-dasharray: 5 3 }
+.driven { stroke: #0072b2; stroke-width: 4 } .rod { stroke: #009e73; stroke-width: 2.5 }
+.platform { stroke: #cc79a7; stroke-width: 3.5 }
+@media (prefers-color-scheme: dark) { text { fill: #e6edf3; stroke: #0d1117 } }"""
+HEAD = """# Mechanisms
+
+Each mechanism of the shelf, drawn by itself at home from the points that its closure ties together:
+what a motor moves (blue), what follows (green), the platform (rose), base and axes (grey). Names are
+those of the parameters, chain by chain alike; `parallel-cal mechanisms NAME` lists them with their
+tolerances. Made by `make gallery`.
+"""
+
+
+def view(parts: list[Drawn]) -> np.ndarray:
+    """Rows (2, 3) that turn {B} into the picture's right and up."""
+    if flat(parts):
+        return np.eye(3)[:2]
+    (s, c), (se, ce) = ((np.sin(a), np.cos(a)) for a in (AZIMUTH, ELEVATION))
+    return np.array([[-s, c, 0.0], [-c * se, -s * se, ce]])
+
+
+def picture(model: Model) -> str:
+    """A model's geometry at home, as SVG."""
+    parts = lines(model)
+    turn = view(parts)
+    places = np.vstack([part.points for part in parts]) @ turn.T
+    low, span = places.min(axis=0), np.ptp(places, axis=0)
+    scale = min((WIDTH - 2 * EDGE) / max(span[0], 1e-9), (HEIGHT - 2 * EDGE) / max(span[1], 1e-9))
+    corner = (np.array([WIDTH, HEIGHT]) - scale * span) / 2
+
+    def on_paper(points: np.ndarray) -> np.ndarray:
+        x, y = (corner + scale * (points @ turn.T - low)).T
+        return np.column_stack([x, HEIGHT - y])
+
+    drawn = [
+        f'<polyline class="{part.kind}" points="'
+        + " ".join(f"{x:.1f},{y:.1f}" for x, y in on_paper(part.points))
+        + '"/>'
+        for part in parts
+    ]
+    taken: list[tuple[float, float]] = []
+    for part in labelled(parts):
+        x, y = on_paper(part.middle[None])[0]
+        half = 3.1 * len(part.label)
+        x = float(np.clip(x, half + 4, WIDTH - half - 4))
+        while any(abs(y - other) < 14 for _, other in taken):
+            y += 2.0
+        taken.append((x, y))
+        drawn.append(
+            f'<text x="{x:.0f}" y="{y:.0f}" text-anchor="middle">{escape(part.label)}</text>'
+        )
+    head = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {HEIGHT}">'
+    return f"{head}\n<style>{STYLE}\n</style>\n" + "\n".join(drawn) + "\n</svg>\n"
+
+
+def what(mechanism: Mechanism) -> str:
+    """A mechanism's own first line."""
+    return (type(mechanism).__doc__ or "").strip().splitlines()[0]
+
+
+def page() -> str:
+    """The page, one picture a mechanism."""
+    parts = [HEAD]
+    for name in shelf_names("mechanisms"):
+        mechanism = load_mechanism(name, **OPTIONS.get(name, {}))
+        words = f"{what(mechanism)} {len(mechanism.parameters)} parameters."
+        parts.append(f"## {name}\n\n{words}\n\n![{name}](mechanisms/{name}.svg)\n")
+    return "\n".join(parts)
+
+
+def main() -> None:
+    (DOCS / "mechanisms").mkdir(exist_ok=True)
+    for name in shelf_names("mechanisms"):
+        model = new_model(load_mechanism(name, **OPTIONS.get(name, {})))
+        (DOCS / "mechanisms" / f"{name}.svg").write_text(picture(model), encoding="utf-8")
+    (DOCS / "mechanisms.md").write_text(page(), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,151 @@
+"""A mechanism as it draws itself, its parameters named, at any configuration."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from html import escape
+
+import casadi as ca
+import numpy as np
+
+from parallel_cal.model.model import Model
+from parallel_cal.reporting.contents import Described
+from parallel_cal.reporting.figures import FAR, QUIET, WARNING, Spec, gaps, in_words, rounded
+from parallel_cal.reporting.spaces import space
+
+# Okabe and Ito's palette; what moves with a motor, what follows, what carries the tool.
+COLOURS = {
+    "base": QUIET, "axis": QUIET, "driven": "#0072b2", "rod": "#009e73", "platform": "#cc79a7",
+}  # fmt: skip
+WIDTHS = {"base": 4, "axis": 2, "driven": 8, "rod": 5, "platform": 7}
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A line of a mechanism: `points` (m, 3) m in {B}, and the parameters that it shows."""
+
+    kind: str
+    points: np.ndarray
+    parameters: tuple[str, ...]
+
+    @property
+    def middle(self) -> np.ndarray:
+        """Half way along it."""
+        steps = np.linalg.norm(np.diff(self.points, axis=0), axis=1)
+        way = np.concatenate([[0.0], np.cumsum(steps)])
+        return np.array([np.interp(way[-1] / 2, way, column) for column in self.points.T])
+
+    @property
+    def label(self) -> str:
+        """`chain1: Lb dLb`; of lines that show all chains' the names alone."""
+        parts = [name.rpartition(".") for name in self.parameters]
+        owners = list(dict.fromkeys(owner for owner, _, _ in parts))
+        short = " ".join(dict.fromkeys(name for _, _, name in parts))
+        return f"{owners[0]}: {short}" if len(owners) == 1 and owners[0] else short
+
+
+def lines(model: Model, x: np.ndarray | None = None) -> list[Drawn]:
+    """Of a model's geometry at a configuration (nq + 12,), at home by default."""
+    s, names = model.structure, model.mechanism.parameters.names
+    x = model.mechanism.home.configuration if x is None else x
+    parts = model.mechanism.drawing(s.q, s.r, s.R, s.geometry)
+    if not parts:
+        return []
+    columns = [ca.horzcat(*[ca.SX(point) for point in part.points]) for part in parts]
+    evaluate = ca.Function("drawing", [s.configuration, s.v], columns)
+    points = evaluate.call([ca.DM(x), ca.DM(model.values)])
+    return [
+        Drawn(
+            part.kind,
+            np.array(at).T,
+            tuple(name for name in names if any(fnmatchcase(name, one) for one in part.shows)),
+        )
+        for part, at in zip(parts, points, strict=True)
+    ]
+
+
+def drawing(
+    model: Model, x: np.ndarray | None = None, found: Mapping[str, Described] | None = None
+) -> Spec | None:
+    """The mechanism in space, one label for each kind of parameter, all of them where the pointer
+    is; lines whose parameters moved far are marked where `found` tells. None where nothing is
+    drawn."""
+    parts = lines(model, x)
+    if not parts:
+        return None
+    groups: dict[tuple[str, bool], list[Drawn]] = {}
+    for part in parts:
+        groups.setdefault((part.kind, _far(part, found or {})), []).append(part)
+    traces = [_trace(kind, far, own, found or {}) for (kind, far), own in groups.items()]
+    named = labelled(parts)
+    at = 1e3 * np.array([part.middle for part in named]).reshape(-1, 3)
+    words = {
+        "type": "scatter3d", "mode": "text", "name": "parameters", "hoverinfo": "skip",
+        "x": rounded(at[:, 0]), "y": rounded(at[:, 1]), "z": rounded(at[:, 2]),
+        "text": [escape(part.label) for part in named], "textfont": {"size": 11},
+    }  # fmt: skip
+    layout = {"height": 460, "showlegend": True, "legend": {"orientation": "h", "y": 0, "x": 0},
+              "margin": {"l": 0, "r": 0, "t": 0, "b": 0}, "scene": _cube(parts)}  # fmt: skip
+    return {"data": [*traces, words | {"showlegend": False}], "layout": layout}
+
+
+def flat(parts: list[Drawn]) -> bool:
+    """Whether all of it lies at one height."""
+    return bool(np.ptp(np.vstack([part.points for part in parts])[:, 2]) < 1e-6)
+
+
+def _cube(parts: list[Drawn]) -> Spec:
+    """Axes of one length, also where all is flat: that is looked at from above."""
+    points = 1e3 * np.vstack([part.points for part in parts])
+    middle, half = (points.min(0) + points.max(0)) / 2, 0.55 * np.ptp(points, axis=0).max()
+    axes: Spec = {
+        f"{a}axis": {"title": {"text": f"{a} [mm]"}, "range": [float(m - half), float(m + half)]}
+        for a, m in zip("xyz", middle, strict=True)
+    }
+    camera = space("position")["scene"]["camera"]
+    if flat(parts):
+        axes["zaxis"]["visible"] = False
+        camera = {"eye": {"x": 0, "y": 0, "z": 1.6}, "up": {"x": 0, "y": 1, "z": 0}}
+    return axes | {"aspectmode": "cube", "camera": camera}
+
+
+def labelled(parts: list[Drawn]) -> list[Drawn]:
+    """Of the lines whose parameters are named alike, chain by chain, one: that furthest from those
+    chosen before it."""
+    alike: dict[tuple[str, ...], list[Drawn]] = {}
+    for part in parts:
+        if part.parameters:
+            key = tuple(name.rpartition(".")[2] for name in part.parameters)
+            alike.setdefault(key, []).append(part)
+    chosen: list[Drawn] = []
+    for own in alike.values():
+        chosen.append(max(own, key=lambda part: _apart(part, chosen)))
+    return chosen
+
+
+def _apart(part: Drawn, others: list[Drawn]) -> float:
+    away = (float(np.linalg.norm(part.middle - other.middle)) for other in others)
+    return min(away, default=0.0)
+
+
+def _far(part: Drawn, found: Mapping[str, Described]) -> bool:
+    own = (found[name] for name in part.parameters if name in found)
+    return any(abs(p.moved_tolerances) > FAR for p in own if not p.fixed)
+
+
+def _trace(kind: str, far: bool, parts: list[Drawn], found: Mapping[str, Described]) -> Spec:
+    points, words = [], []
+    for part in parts:
+        told = [in_words(found[n]) if n in found else escape(n) for n in part.parameters]
+        points.append(np.vstack([part.points, np.full(3, np.nan)]))
+        words += ["<br>".join(told) or kind] * (len(part.points) + 1)
+    at = 1e3 * np.vstack(points)
+    return {
+        "type": "scatter3d", "mode": "lines",
+        "name": f"{kind}, moved over {FAR:g} tolerances" if far else kind,
+        "x": gaps(at[:, 0]), "y": gaps(at[:, 1]), "z": gaps(at[:, 2]),
+        "line": {"width": WIDTHS[kind], "color": WARNING if far else COLOURS[kind]},
+        "text": words, "hoverinfo": "text",
+    }  # fmt: skip
