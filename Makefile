@@ -1,4 +1,4 @@
-# make demo | test | check | wide | slow | bags | bench | faults | tables | clean      (PYTHON=python3.12 make ... for another)
+# make demo | test | check | wide | slow | bags | bench | faults | tables | gallery | clean      (PYTHON=python3.12 make ... for another)
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -13,7 +13,7 @@ endif
 # Nodes under test talk to this machine only.
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 
-.PHONY: venv demo test wide check lint types slow bags bench faults tables clean
+.PHONY: venv demo test wide check lint types slow bags bench faults tables gallery clean
 
 venv: $(STAMP)
 
@@ -86,6 +86,11 @@ faults: $(STAMP)
 tables: $(STAMP)
 	@$(call install,matplotlib)
 	@$(BIN)/python -m bench.tables
+
+# What mechanisms and effects look like (docs/mechanisms.md, docs/gallery.md).
+gallery: $(STAMP)
+	@$(BIN)/python docs/mechanisms.py
+	@$(BIN)/python docs/gallery.py
 
 clean:
 	@rm -rf $(VENV) build install log dist *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis

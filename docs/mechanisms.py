@@ -29,10 +29,10 @@ polyline { fill: none; stroke-linecap: round; stroke-linejoin: round }
 @media (prefers-color-scheme: dark) { text { fill: #e6edf3; stroke: #0d1117 } }"""
 HEAD = """# Mechanisms
 
-Each mechanism of the shelf, drawn by itself at home from the points that its closure ties together:
-what a motor moves (blue), what follows (green), the platform (rose), base and axes (grey). Names are
-those of the parameters, chain by chain alike; `parallel-cal mechanisms NAME` lists them with their
-tolerances. Made by `make gallery`.
+Each mechanism of the shelf, drawn by itself at home from the points that its closure ties
+together: what a motor moves (blue), what follows (green), the platform (rose), base and axes
+(grey). Names are those of the parameters, chain by chain alike; `parallel-cal mechanisms NAME`
+lists them with their tolerances. Made by `make gallery`.
 """
 
 

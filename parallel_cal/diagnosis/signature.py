@@ -90,28 +90,47 @@ def signature(one: Candidate) -> Signature:
     scene, score = one.scene, one.score
     if scene is None or score is None:
         raise ValueError(f"{one.name} could not be tested: {one.reason}")
-    found = score.U @ (score.U.T @ scene.residual)
+    found = explained(one)
     of_joints = joints(scene)
     panels = tuple(_panels(one, scene, of_joints, found))
     return Signature(one.name, of_joints.values(scene.by_sample(found)), panels)
 
 
+def explained(one: Candidate) -> np.ndarray:
+    """U U^T r (n,): of the scene's residual what a candidate's columns take, off the geometry."""
+    assert one.scene is not None
+    assert one.score is not None
+    return np.asarray(one.score.U @ (one.score.U.T @ one.scene.residual))
+
+
+def laid_over(panel: Panel, other: Candidate) -> np.ndarray:
+    """The pattern (N,) of another candidate of the same scene in a panel's component."""
+    scene = other.scene
+    assert scene is not None
+    shown = joints(scene) if panel.component in scene.model.joints else measured(scene)
+    values = shown.values(scene.by_sample(explained(other))) / shown.sigma
+    told = np.isin(scene.dataset.numbers, panel.sample)
+    return np.asarray(values[told, shown.names.index(panel.component)])
+
+
 def _panels(
     one: Candidate, scene: Scene, of_joints: Components, found: np.ndarray
 ) -> Iterator[Panel]:
-    """One for each joint that has numbers of its own, else the few that follow something most."""
+    """One for each joint with numbers or conditions of its own, else what follows one most."""
     mechanism, known = scene.model.mechanism, dict(regressors(scene))
+    conditions = one.effect.conditions(mechanism)
     own = {p.name.split(".")[0] for p in one.effect.parameters(mechanism)}
+    own |= {name.partition(".")[2] for name in conditions}
     if touched := [joint for joint in of_joints.names if joint in own]:
         for joint in touched:
-            needed = [n for n in one.effect.conditions(mechanism) if n.endswith(f".{joint}")]
+            needed = [name for name in conditions if name.endswith(f".{joint}")]
             shared = [n for n in one.effect.needs if n in known]
             abscissa = next((n for n in (*needed, *shared) if n in known), joint)
             yield from _panel(one, of_joints, found, joint, abscissa)
         return
     shown = measured(scene)
     z = np.nan_to_num(shown.values(scene.by_sample(found)) / shown.sigma)
-    needed = [name for name in one.effect.needs if name in known]
+    needed = [name for name in conditions if name in known]
     along = needed or [name for name in known if name in (*mechanism.joints, *"xyz")]
     pairs = [
         (follows(known[name], z[:, k]), component, name)
