@@ -18,7 +18,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -26,10 +26,10 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.base.errors import ParallelCalError
+from parallel_cal.base.worker import OverBudget, Worker, WorkError
 from parallel_cal.model.file.modelfile import model_hash, parse_model, read_model, write_model
 from parallel_cal.nodes.collector import Collector
 from parallel_cal.nodes.journal import Journal
-from parallel_cal.nodes.worker import OverBudget, Worker, WorkError
 from parallel_cal.recordings.loading import load_dataset
 
 ROOT = Path(__file__).parents[1]
@@ -52,24 +52,23 @@ class Row:
 # ---------------------------------------------------------------------- files, in a worker
 
 
-def outcome_of(kind: str, path: str) -> Iterator[str]:
+def outcome_of(kind: str, path: str) -> str:
     """`read`, or `refused` by an error of ours; anything else is raised, and is a crash."""
     try:
         {"bag": load_dataset, "samples": load_dataset, "model": read_model}[kind](path)
     except ParallelCalError:
-        yield "refused"
-    else:
-        yield "read"
+        return "refused"
+    return "read"
 
 
 def files(kind: str, n: int, mutant: Callable[[int], str]) -> Row:
     """n files, each read in a process with limits to time and memory."""
     from faults import outcome_of  # by a name that the worker knows, too
 
-    worker, found = Worker(2048, "faults"), {"read": 0, "refused": 0, "hung": 0, "crashed": 0}
+    worker, found = Worker(2048), {"read": 0, "refused": 0, "hung": 0, "crashed": 0}
     for i in range(n):
         try:
-            (what,) = worker.work(PATIENCE, outcome_of, kind, mutant(i))
+            what = worker.work(outcome_of, kind, mutant(i), seconds=PATIENCE)
         except OverBudget:
             what = "hung"
         except WorkError as error:

@@ -19,7 +19,7 @@ from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.prediction_errors import Errors
 from parallel_cal.model.file.modelfile import read_model, write_model
 from parallel_cal.model.model import new_model
-from parallel_cal.session.goals import Request, recalibrate
+from parallel_cal.session.goals import Request, proposed, written
 from parallel_cal.session.steps import added, fitted
 
 FACES = ("command line", "node")
@@ -48,7 +48,7 @@ def answer(clean, identified, tmp_path):
         output = tmp_path / f"{face}.yaml"
         if face == "node":
             request = Request(str(model), str(output), FitOptions(hold_out=hold_out), force, effect)
-            outcome = recalibrate(request, clean)
+            outcome = written(request, proposed(request, clean))
             return outcome.success, outcome.message, output
         words = ["add", model, effect] if effect else ["fit", model]
         words += [samples, "-o", output, "--hold-out", hold_out, *(["--force"] if force else [])]
@@ -157,7 +157,7 @@ def test_an_effect_that_is_there_is_taken_by_all_three(tmp_path):
     data.to_json(samples)
     assert diagnose(start, data, effects=["backlash"]).effects == ("backlash",)
     request = Request(str(model), str(tmp_path / "node.yaml"), effect="backlash")
-    assert recalibrate(request, data).success
+    assert written(request, proposed(request, data)).success
     words = ["add", str(model), "backlash", str(samples), "-o", str(tmp_path / "line.yaml")]
     assert CliRunner().invoke(app, words).exit_code == 0
     nothing = diagnose(start, data, effects=["backlash"], hold_out=0)

@@ -9,7 +9,7 @@ from parallel_cal.base.errors import ModelFileError
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.file.modelfile import model_hash
 from parallel_cal.recordings.loading import load_dataset
-from parallel_cal.session.goals import Request, recalibrate, undone
+from parallel_cal.session.goals import Request, proposed, undone, written
 
 ROOT = Path(__file__).parents[1]
 
@@ -18,7 +18,7 @@ def test_undo_gives_the_file_before_back_and_undone_twice_the_new_one(tmp_path):
     path = str(shutil.copy(ROOT / "config" / "delta_mockup_nominal.yaml", tmp_path / "m.yaml"))
     before = Path(path).read_bytes()
     request = Request(path, path, FitOptions(hold_out=0.0), force=True)
-    outcome = recalibrate(request, load_dataset(ROOT / "bags" / "delta_clean"))
+    outcome = written(request, proposed(request, load_dataset(ROOT / "bags" / "delta_clean")))
     assert outcome.success, outcome.message
     after = Path(path).read_bytes()
     assert after != before

@@ -1,55 +1,71 @@
-"""The process beside a node: pieces as they come, and an end to time and memory."""
+"""The process beside: what it tells as it comes, and an end to time, memory and patience."""
 
 import itertools
 import os
 import signal
+import time
 
 import numpy as np
 import pytest
 
-from parallel_cal.nodes.worker import OverBudget, Worker, WorkError
+from parallel_cal.base.worker import OverBudget, Unwanted, Worker, WorkError
+
+
+def nothing():
+    """Done first, so that what this file imports is no part of the work's memory."""
 
 
 @pytest.fixture(scope="module")
 def worker():
-    worker = Worker(256, __name__)
+    worker = Worker(256, nothing)
     yield worker
     worker.end()
 
 
-def count(n):
-    yield from range(n)
+def count(n, tell):
+    for i in range(n):
+        tell(i)
+    return n
 
 
-def count_for_ever():
-    yield from itertools.count()
+def count_for_ever(tell):
+    for i in itertools.count():
+        tell(i)
 
 
 def raise_one(n):
-    yield n
     raise ValueError("it went wrong")
 
 
 def take_memory(megabytes):
-    yield np.ones(megabytes << 17).size
+    return np.ones(megabytes << 17).size
 
 
 def crash():
-    yield 1
     os.kill(os.getpid(), signal.SIGSEGV)
 
 
-def test_pieces_come_in_order(worker):
-    assert list(worker.work(10, count, 5)) == [0, 1, 2, 3, 4]
+def never_return():
+    while True:
+        time.sleep(3600)
 
 
-def test_what_was_done_is_there_when_the_time_is_over(worker):
+def told(worker, n):
+    told = []
+    assert worker.work(count, n, seconds=10, tell=told.append) == n
+    return told
+
+
+def test_what_is_told_comes_in_order_and_then_the_result(worker):
+    assert told(worker, 5) == [0, 1, 2, 3, 4]
+
+
+def test_what_was_told_is_there_when_the_time_is_over(worker):
     done = []
-    with pytest.raises(OverBudget):  # noqa: PT012 - the pieces before it are what counts
-        for piece in worker.work(0.2, count_for_ever):
-            done.append(piece)
+    with pytest.raises(OverBudget):
+        worker.work(count_for_ever, seconds=0.2, tell=done.append)
     assert done[:3] == [0, 1, 2]
-    assert list(worker.work(10, count, 2)) == [0, 1]
+    assert told(worker, 2) == [0, 1]
 
 
 @pytest.mark.parametrize(
@@ -64,12 +80,19 @@ def test_what_goes_wrong_there_is_a_sentence_here_and_the_next_work_is_done(
     worker, what, given, reason
 ):
     with pytest.raises(WorkError, match=reason):
-        list(worker.work(10, what, *given))
-    assert list(worker.work(10, count, 2)) == [0, 1]
+        worker.work(what, *given, seconds=10)
+    assert told(worker, 2) == [0, 1]
+
+
+def test_work_that_nobody_wants_any_more_ends_though_it_would_never_return(worker):
+    asked = iter([True, True, False])
+    with pytest.raises(Unwanted):
+        worker.work(never_return, wanted=lambda: next(asked))
+    assert told(worker, 2) == [0, 1]
 
 
 def test_an_ended_worker_says_so():
     worker = Worker(64)
     worker.end()
     with pytest.raises(WorkError, match="the node ends"):
-        list(worker.work(10, count, 2))
+        worker.work(nothing)

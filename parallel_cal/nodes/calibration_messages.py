@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Iterable, MutableMapping
 from typing import Any
 
@@ -88,21 +87,16 @@ def identify_result(outcome: Outcome) -> Identify.Result:
     """NaN for errors that are not known."""
     message = Identify.Result(success=outcome.success, message=outcome.message, hash=outcome.hash)
     message.json = json_text(outcome.document) if outcome.document else ""
-    found = outcome.step and outcome.step.result
-    kinds = (found.before, found.after, found.held_out_before, found.held_out) if found else ()
-    means = [errors.summary.position_mean for errors in kinds] or [None] * 4
-    known = [math.nan if mean is None else mean for mean in means]
-    message.position_before, message.position_after = known[:2]
-    message.held_out_before, message.held_out_after = known[2:]
+    message.position_before, message.position_after = outcome.means[:2]
+    message.held_out_before, message.held_out_after = outcome.means[2:]
     return message
 
 
 def diagnose_result(outcome: Outcome) -> Diagnose.Result:
     """Success means that there is a verdict, whichever it is."""
     message = Diagnose.Result(success=outcome.success, message=outcome.message)
-    if outcome.diagnosis is not None:
-        message.verdict = outcome.diagnosis.verdict.word
-        message.json = json_text(outcome.document)
+    message.verdict = outcome.verdict
+    message.json = json_text(outcome.document) if outcome.document else ""
     return message
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from parallel_cal_msgs.action import Diagnose, Identify
@@ -15,18 +16,28 @@ from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
 from parallel_cal.base.errors import ModelFileError, ParallelCalError
+from parallel_cal.base.worker import Worker
 from parallel_cal.diagnosis.comparison import Comparison, compare
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.model.model import Model
 from parallel_cal.nodes import calibration_messages as messages
 from parallel_cal.nodes.collector import Collection
+from parallel_cal.nodes.computing import prepare
 from parallel_cal.nodes.folders import Folders
 from parallel_cal.nodes.frames import in_base, lookup
-from parallel_cal.nodes.jobs import Job, JobServer, OneAtATime, Say, Work, in_words, outcome_of
-from parallel_cal.nodes.parameters import LATCHED
+from parallel_cal.nodes.jobs import Job, JobServer, OneAtATime, Say, Work, in_words
+from parallel_cal.nodes.parameters import LATCHED, absolute
 from parallel_cal.nodes.run import in_front
-from parallel_cal.session.goals import Cancel, Outcome, Request, examine, recalibrate, undone
+from parallel_cal.session.goals import (
+    PREVIOUS,
+    Outcome,
+    Request,
+    examine,
+    proposed,
+    undone,
+    written,
+)
 
 
 class Calibrator:
@@ -44,8 +55,9 @@ class Calibrator:
         self._result = node.create_publisher(String, "~/result", LATCHED)
         self._diagnosis = node.create_publisher(String, "~/diagnosis", LATCHED)
         self._arrows = node.create_publisher(MarkerArray, "~/residuals", LATCHED)
-        self._written = ""  # the model file that undo is about; empty: the node's own
-        self._one, self._transform = OneAtATime(), lookup(node)
+        self._worker = Worker(first=partial(prepare, self._parameter("allow_foreign_modules")))
+        self._written = ""  # the model file that was written last
+        self._one, self._transform = OneAtATime(self._worker), lookup(node)
         jobs = (
             Job(
                 "identify", Identify, "an identification is running; cancel it or wait",
@@ -61,11 +73,13 @@ class Calibrator:
         node.create_service(AddEffect, "~/add_effect", self._add_effect)
 
     def stop(self) -> None:
-        """Ask the work to end, if any."""
+        """End the work, if any."""
         self._one.cancel.ask()
+        self._worker.end()
 
     def close(self) -> None:
-        """Stop the work, if any, and wait for it."""
+        """The same, and wait for the threads that waited for it."""
+        self.stop()
         for action in self._actions:
             action.close()
 
@@ -82,9 +96,12 @@ class Calibrator:
         return float(goal.hold_out or self._parameter("hold_out"))
 
     def undo(self, request: Any, response: Any) -> None:
-        """The model file before the last one that was written, and back again if asked twice."""
-        _, path = self._files("", self._written)
-        response.success, response.message = True, undone(path)
+        """The model file before the last one that was written, by whomever, and back again if asked
+        twice."""
+        usual = (self._parameter("output_file"), self._model_file(""))
+        paths = [absolute(path) for path in (self._written, *usual) if path]
+        path = next((path for path in paths if Path(path + PREVIOUS).exists()), paths[0])
+        response.success, response.message = True, undone(self._folders.to_write(path, "model"))
 
     def _files(self, model_file: str, output_file: str) -> tuple[str, str]:
         """Where the model is read, and where the new one goes."""
@@ -146,19 +163,18 @@ class Calibrator:
             hold_out=self._hold_out(goal), joint_sigma=goal.joint_sigma or self._sigma(),
         )  # fmt: skip
         request = Request(*files, options, goal.force)
-        return partial(recalibrate, request, collection.dataset), collection
+        return Work(proposed, (request, collection.dataset), partial(written, request)), collection
 
     def _diagnose(self, goal: Any) -> tuple[Work, Collection]:
         model_file = self._model_file(goal.model_file)
         collection = self._samples(read_model(model_file))
         options = FitOptions(hold_out=self._hold_out(goal), joint_sigma=self._sigma())
 
-        def work(tell: Callable[..., None], cancel: Cancel) -> Outcome:
-            outcome = examine(model_file, collection.dataset, options, tell, cancel)
+        def numbered(outcome: Outcome) -> Outcome:
             messages.number_samples(outcome.document.get("odd_samples", ()), collection)
             return outcome
 
-        return work, collection
+        return Work(examine, (model_file, collection.dataset, options), numbered), collection
 
     def _recalibrated(self, kind: str, outcome: Outcome, collection: Collection | None) -> None:
         if outcome.hash:
@@ -186,7 +202,7 @@ class Calibrator:
             outcome = Outcome(False, in_words(error))
             in_front(self._node, self._say, outcome.message)
         else:
-            outcome = outcome_of(work, self._end_with_the_node, self._one.cancel)
+            outcome = self._one.outcome_of(work)
             in_front(self._node, self._effect_added, outcome, collection)
         response.success, response.message = outcome.success, outcome.message
         response.json = messages.json_text(outcome.document) if outcome.document else ""
@@ -202,12 +218,7 @@ class Calibrator:
         collection = self._samples(read_model(files[0]))
         self._one.begin("an effect is being added; wait")
         self._say(f"adding {request.effect}")
-        return partial(recalibrate, wanted, collection.dataset), collection
-
-    def _end_with_the_node(self, *progress: Any) -> None:
-        """Nobody else can cancel a service."""
-        if not self._node.context.ok():
-            self._one.cancel.ask()
+        return Work(proposed, (wanted, collection.dataset), partial(written, wanted)), collection
 
     def _effect_added(self, outcome: Outcome, collection: Collection) -> None:
         self._one.end()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -14,6 +14,7 @@ from parallel_cal.base.errors import SolveError
 from parallel_cal.kinematics import solving
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions, Status
 from parallel_cal.model.file.modelfile import parse_model
+from parallel_cal.model.shelf import forbid_foreign
 
 PIECE = 0.1  # s that a piece of a request takes, about: what is done is told that often
 # A singular pose has no finite covariance.
@@ -40,28 +41,29 @@ class Answer:
     covariances: tuple[np.ndarray | None, ...]
 
 
-def answers(text: str, asked: Problems) -> Iterator[list[Answer]]:
-    """Answers in order, a piece at a time, of the model with this file text."""
+def prepare(foreign: bool) -> None:
+    """What a new process does first; modules outside the package only where that is true."""
+    if not foreign:
+        forbid_foreign()
+
+
+def answer(text: str, asked: Problems, tell: Callable[[list[Answer]], None]) -> None:
+    """Tell answers in order, a piece at a time, of the model with this file text."""
     kinematics = _kinematics(text)
     n, begin, size = len(asked.rows[0]), 0, 1 if asked.every or asked.solver else 16
     while begin < n:
         start = time.monotonic()
         rows = tuple(part[begin : begin + size] for part in asked.rows)
-        yield [_with_covariances(kinematics, asked, f) for f in _solved(kinematics, asked, rows)]
+        tell([_with_covariances(kinematics, asked, f) for f in _solved(kinematics, asked, rows)])
         begin += size
         if not asked.every:
             lapse = max(time.monotonic() - start, 1e-6)
             size = int(np.clip(size * PIECE / lapse, size / 4, size * 4).clip(1, 512))
 
 
-def warm(text: str, every: bool) -> Iterator[None]:
-    """Build what a model's first requests would wait for; of `every` solution, too."""
-    _built(text, every)
-    yield None
-
-
 @lru_cache(maxsize=8)
-def _built(text: str, every: bool) -> None:
+def warm(text: str, every: bool) -> None:
+    """Build what a model's first requests would wait for; of `every` solution, too."""
     kinematics = _kinematics(text)
     home, model = kinematics.model.mechanism.home, kinematics.model
     q, r = np.array(home.joints, float), np.array(home.position, float)

@@ -1,22 +1,56 @@
-"""Long work behind an action: one goal at a time, in a thread of its own, cancelled at once."""
+"""Long work behind an action: one goal at a time, in a process of its own, cancelled at once."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from threading import Thread
-from typing import Any
+from threading import Lock, Thread
+from typing import Any, NamedTuple
 
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
 
 from parallel_cal.base.errors import ParallelCalError
+from parallel_cal.base.worker import Unwanted, Worker
 from parallel_cal.nodes.collector import Collection
-from parallel_cal.session.goals import Cancel, Cancelled, Outcome
+from parallel_cal.session.goals import Outcome
 
-Work = Callable[[Callable[..., None], Cancel], Outcome]  # tells its feedback's fields in order
+
+class Cancelled(Exception):
+    """The goal was cancelled; nothing was written."""
+
+
+class Cancel:
+    """Either the goal is cancelled or the file is written, never both."""
+
+    def __init__(self) -> None:
+        self._lock, self.asked, self._committed = Lock(), False, False
+
+    def ask(self) -> bool:
+        """Ask the work to stop; False when it is too late."""
+        with self._lock:
+            self.asked = not self._committed
+            return self.asked
+
+    def commit(self) -> None:
+        """From here on it is too late to cancel; Cancelled if it already was."""
+        with self._lock:
+            if self.asked:
+                raise Cancelled
+            self._committed = True
+
+
+class Work(NamedTuple):
+    """`function(*given)` in the worker, which tells its feedback's fields in order, and then
+    `finish` here with its outcome."""
+
+    function: Callable[..., Outcome]
+    given: tuple[Any, ...]
+    finish: Callable[[Outcome], Outcome]
+
+
 Prepare = Callable[[Any], tuple[Work, Collection]]
 Finished = Callable[[Outcome, Collection | None], None]
 Say = Callable[[str], None]
@@ -25,8 +59,8 @@ Say = Callable[[str], None]
 class OneAtATime:
     """All long work of a node shares one, so that only one piece of it runs."""
 
-    def __init__(self) -> None:
-        self.cancel, self._running = Cancel(), ""
+    def __init__(self, worker: Worker) -> None:
+        self.cancel, self._running, self._worker = Cancel(), "", worker
 
     def begin(self, running: str) -> None:
         """`running` is what others are told meanwhile; ParallelCalError with what they were."""
@@ -37,6 +71,20 @@ class OneAtATime:
     def end(self) -> None:
         """Free for the next piece of work."""
         self._running = ""
+
+    def outcome_of(self, work: Work, tell: Callable[..., None] | None = None) -> Outcome:
+        """What work comes to, whatever it raises."""
+        cancel = self.cancel
+        try:
+            outcome = self._worker.work(
+                work.function, *work.given, tell=tell, wanted=lambda: not cancel.asked
+            )
+            cancel.commit()
+            return work.finish(outcome)
+        except (Cancelled, Unwanted):
+            return Outcome(False, "cancelled; nothing was written")
+        except Exception as error:
+            return Outcome(False, in_words(error))
 
 
 @dataclass(frozen=True)
@@ -113,7 +161,7 @@ class JobServer:
             if self._node.context.ok():
                 goal.publish_feedback(self._feedback(*values))
 
-        outcome = outcome_of(work, tell, self._one.cancel)
+        outcome = self._one.outcome_of(work, tell)
         if self._node.context.ok():
             goal.execute(partial(self._end, outcome, collection))
 
@@ -128,16 +176,6 @@ class JobServer:
             goal.abort()
         self._job.finished(outcome, collection)
         return self._job.answer(outcome)
-
-
-def outcome_of(work: Work, tell: Callable[..., None], cancel: Cancel) -> Outcome:
-    """What work comes to, whatever it raises."""
-    try:
-        return work(tell, cancel)
-    except Cancelled:
-        return Outcome(False, "cancelled; nothing was written")
-    except Exception as error:
-        return Outcome(False, in_words(error))
 
 
 def in_words(error: Exception) -> str:

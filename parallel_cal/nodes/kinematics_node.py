@@ -16,7 +16,9 @@ from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
 from parallel_cal.base.errors import ParallelCalError
+from parallel_cal.base.worker import Worker
 from parallel_cal.model.shelf import forbid_foreign
+from parallel_cal.nodes.computing import prepare
 from parallel_cal.nodes.file_watch import FileWatch
 from parallel_cal.nodes.folders import Folders
 from parallel_cal.nodes.following import Memory
@@ -35,7 +37,6 @@ from parallel_cal.nodes.requests import Budget, answer, warm_up
 from parallel_cal.nodes.run import Beside, every, foreign_publishers, run
 from parallel_cal.nodes.streams import Streams
 from parallel_cal.nodes.tally import Tally, model_diagnostics, traffic_diagnostics
-from parallel_cal.nodes.worker import Worker
 
 PARAMETERS = {
     "model_file": Setting("", "model file in use (YAML); setting it loads, a bad file is rejected"),
@@ -71,11 +72,8 @@ class KinematicsNode(Managed):
         self._tally, self._failure, self._adopting = Tally(), "", False
         self._memory = Memory(self._parameter("direction_threshold"))
         self._server = ModelServer(self._report)
-        self._worker = Worker(
-            self._parameter("request_memory"),
-            f"{__package__}.computing",
-            foreign=self._parameter("allow_foreign_modules"),
-        )
+        first = partial(prepare, self._parameter("allow_foreign_modules"))
+        self._worker = Worker(self._parameter("request_memory"), first)
         self._status = self.create_publisher(ModelStatus, "~/model_status", LATCHED)
         self._changed = self.create_guard_condition(self._reload_changed)
         self._watch = FileWatch(self._changed.trigger)

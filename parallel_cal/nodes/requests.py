@@ -13,7 +13,9 @@ import numpy as np
 from parallel_cal_msgs.msg import Solution, SolutionSet
 
 from parallel_cal.base.errors import SolveError
-from parallel_cal.nodes.computing import Answer, Problems, answers, warm
+from parallel_cal.base.worker import OverBudget, Worker, WorkError
+from parallel_cal.nodes import computing
+from parallel_cal.nodes.computing import Answer, Problems
 from parallel_cal.nodes.conversions import (
     conditions_of,
     invalid_solution,
@@ -22,7 +24,6 @@ from parallel_cal.nodes.conversions import (
     solution_messages,
 )
 from parallel_cal.nodes.model_server import Served
-from parallel_cal.nodes.worker import OverBudget, Worker, WorkError
 
 Rows = tuple[np.ndarray, ...]
 PATIENCE = 60.0  # s for building a model's functions on a busy machine
@@ -73,7 +74,7 @@ def warm_up(worker: Worker, served: Served) -> None:
 def _warm(worker: Worker, served: Served, *every: bool) -> None:
     with suppress(WorkError, OverBudget):  # the request itself will say why
         for each in every:
-            list(worker.work(PATIENCE, warm, served.text, each))
+            worker.work(computing.warm, served.text, each, seconds=PATIENCE)
 
 
 def _configurations(served: Served, request: Any) -> list[Rows | str]:
@@ -119,8 +120,9 @@ def _solved(
         # What a model's first requests build is no part of any.
         _warm(worker, served, request.all_solutions)
         try:
-            for piece in worker.work(budget.seconds, answers, served.text, asked):
-                done += piece
+            worker.work(
+                computing.answer, served.text, asked, seconds=budget.seconds, tell=done.extend
+            )
         except OverBudget:
             over = True
     found = iter(done)

@@ -1,61 +1,37 @@
-"""Goals of the calibration node, ROS-free: identify and write the better model, or diagnose."""
+"""Goals of the calibration node, ROS-free: identify and write the better model, or diagnose.
+
+What takes long is a function of its own that writes nothing, and what it returns can be pickled: it
+may be done in another process.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from threading import Lock
 from typing import Any
 
 from parallel_cal.base.errors import ModelFileError, ParallelCalError
 from parallel_cal.base.files import write_atomically
-from parallel_cal.diagnosis.diagnose import Diagnosis, diagnose
+from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.identification.observations import observe
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.prediction_errors import errors
 from parallel_cal.model.file.modelfile import (
+    dump_model,
     model_hash,
     model_text,
     parse_model,
     read_model,
-    write_model,
 )
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.session.steps import Step, added, fitted
 
 PREVIOUS = ".previous"  # behind the name of a model file that was replaced
+UNKNOWN = (math.nan,) * 4
 Tell = Callable[[str, float, float], None]  # stage, fraction, mean position error so far in m
-
-
-class Cancelled(Exception):
-    """The goal was cancelled; nothing was written."""
-
-
-class Cancel:
-    """Either the goal is cancelled or the file is written, never both."""
-
-    def __init__(self) -> None:
-        self._lock, self._asked, self._committed = Lock(), False, False
-
-    def ask(self) -> bool:
-        """Ask the work to stop; False when it is too late."""
-        with self._lock:
-            self._asked = not self._committed
-            return self._asked
-
-    def check(self) -> None:
-        """Raise Cancelled if it was asked for."""
-        if self._asked:
-            raise Cancelled
-
-    def commit(self) -> None:
-        """From here on it is too late to cancel; Cancelled if it already was."""
-        with self._lock:
-            self.check()
-            self._committed = True
 
 
 @dataclass(frozen=True)
@@ -72,36 +48,30 @@ class Request:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of it: a sentence, a document and what it is made of; a hash if a file was
-    written."""
+    """What came of it: a sentence, a document, the new model or the best one found as the `text` of
+    a model file, and its hash and path once that is written. `means` are mean position errors in m:
+    before, after, and both at poses left out; NaN where not known."""
 
     success: bool
     message: str
     document: dict[str, Any] = field(default_factory=dict)
+    text: str = ""
+    means: tuple[float, ...] = UNKNOWN
+    verdict: str = ""
     hash: str = ""
-    step: Step | None = None
-    diagnosis: Diagnosis | None = None
     path: str = ""
 
     @property
     def model(self) -> Model | None:
         """The new model, or the best one found."""
-        if self.diagnosis is not None:
-            return self.diagnosis.best.fitted.model
-        return None if self.step is None else self.step.model
+        return parse_model(self.text) if self.text else None
 
 
-def recalibrate(
-    request: Request, dataset: Dataset, tell: Tell | None = None, cancel: Cancel | None = None
-) -> Outcome:
-    """Identify a model file on samples and write the better model; a failure is a message.
-
-    Cancelled comes through at the next step of the work, and then nothing is written.
-    """
-    cancel, position_error = cancel or Cancel(), math.nan
+def proposed(request: Request, dataset: Dataset, tell: Tell | None = None) -> Outcome:
+    """Identify a model file on samples: a success may be `written`, a failure is a message."""
+    position_error = math.nan
 
     def report(stage: str, fraction: float) -> None:
-        cancel.check()
         if tell:
             tell(stage, fraction, position_error)
 
@@ -118,7 +88,7 @@ def recalibrate(
             step = fitted(model, dataset, **how)
         position_error = _or_nan(step.result.after.summary.position_mean)
         report("judging", 1.0)
-        return _written(request, step, cancel)
+        return _judged(request, step)
     except ParallelCalError as error:
         return Outcome(False, str(error))
 
@@ -127,18 +97,28 @@ def _or_nan(value: float | None) -> float:
     return math.nan if value is None else value
 
 
-def _written(request: Request, step: Step, cancel: Cancel) -> Outcome:
-    reason, document = step.acceptance.against, step.document()
+def _judged(request: Request, step: Step) -> Outcome:
+    """What is said of the step once it is written, or why it is not."""
+    reason, found = step.acceptance.against, step.result
+    kinds = (found.before, found.after, found.held_out_before, found.held_out)
+    means = tuple(_or_nan(kind.summary.position_mean) for kind in kinds)
+    text = dump_model(step.model)
+    parse_model(text, f"{request.output_file} (not written)")
     if reason and not request.force:
         message = f"{reason}; nothing was written (force writes it all the same)"
-        return Outcome(False, message, document, step=step)
-    cancel.commit()
-    _keep_previous(request.output_file)
-    write_model(step.model, request.output_file)
+        return Outcome(False, message, step.document(), text, means)
     although = f" by force although {reason}" if reason else ""
     message = f"{step.acceptance.errors}; written to {request.output_file}{although}"
-    hash = model_hash(step.model)
-    return Outcome(True, message, document, hash, step, path=request.output_file)
+    return Outcome(True, message, step.document(), text, means)
+
+
+def written(request: Request, outcome: Outcome) -> Outcome:
+    """Write the model that was proposed, and keep the file before; what was refused stays so."""
+    if not outcome.success:
+        return outcome
+    _keep_previous(request.output_file)
+    _write(request.output_file, outcome.text)
+    return replace(outcome, hash=model_hash(outcome.text), path=request.output_file)
 
 
 def _keep_previous(path: str) -> None:
@@ -172,17 +152,12 @@ def examine(
     dataset: Dataset,
     options: FitOptions,
     tell: Callable[[str, float], None],
-    cancel: Cancel,
 ) -> Outcome:
-    """Diagnose a model file on samples; it writes nothing, and a failure is a message.
-
-    Cancelled comes through at the next step.
-    """
+    """Diagnose a model file on samples; it writes nothing, and a failure is a message."""
     done = 0.0
 
     def report(stage: str, fraction: float) -> None:
         nonlocal done
-        cancel.check()
         done = max(done, fraction)  # a search that begins anew does not take anything back
         tell(stage, done)
 
@@ -191,5 +166,6 @@ def examine(
         found = diagnose(read_model(model_file), dataset, options=options, progress=report)
     except ParallelCalError as error:
         return Outcome(False, str(error))
-    message = f"{found.verdict.word}: {found.verdict.summary}"
-    return Outcome(True, message, found.document(), diagnosis=found)
+    word, text = found.verdict.word, dump_model(found.best.fitted.model)
+    message = f"{word}: {found.verdict.summary}"
+    return Outcome(True, message, found.document(), text, verdict=word)

@@ -1,20 +1,21 @@
-"""A process beside a node for what may take long, take memory or crash; knows nothing of ROS.
+"""A process beside this one for what may take long, take memory or crash.
 
-The node's streams never wait for it: it has an interpreter of its own, a lower priority, a limit to
-its memory, and is ended when its time is over. What is asked of it next starts another one.
+Nobody's streams or windows wait for it: it has an interpreter of its own, a lower priority and, if
+wanted, a limit to its memory, and is ended when its time is over or nobody wants its work any more.
+What is asked of it next starts another one.
 """
 
 from __future__ import annotations
 
+import math
 import os
 import resource
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
-from importlib import import_module
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -22,16 +23,19 @@ from threading import Lock, Thread
 from typing import Any
 
 from parallel_cal.base.errors import ParallelCalError
-from parallel_cal.model.shelf import forbid_foreign
 
 MEGABYTE = 1 << 20
 START = 60.0  # s that a new process may take on a busy machine; not counted as work
 POLITE = 5  # added to the process' niceness
-PROMPT = 0.05  # s between two looks at whether the node ends
+PROMPT = 0.05  # s between two looks at whether the work is still wanted
 
 
 class OverBudget(ParallelCalError):
     """The time for a piece of work is over."""
+
+
+class Unwanted(ParallelCalError):
+    """A piece of work was ended because nobody wants it any more."""
 
 
 class WorkError(ParallelCalError):
@@ -41,22 +45,21 @@ class WorkError(ParallelCalError):
 class Worker:
     """Does one piece of work at a time; whoever comes meanwhile waits for its turn."""
 
-    def __init__(self, memory: int, *modules: str, foreign: bool = True):
-        """`memory` in MB; `modules` are imported while nobody waits for them yet, `foreign` ones
-        only where that is true."""
-        self._memory, self._modules, self._foreign = memory, modules, foreign
+    def __init__(self, memory: int | None = None, first: Callable[[], None] | None = None):
+        """`memory` in MB, beyond what it has after `first`, which a new process does before all
+        else. The process is started by its first work."""
+        self._memory, self._first = memory, first
         self._turn, self._ended = Lock(), False
         self._process: subprocess.Popen[bytes] | None = None
         self._pipe: Connection | None = None
         self.ended_early = 0  # processes that were ended, or ended by themselves, before their work
-        self._start()
 
     def _start(self) -> None:
         self._pipe, theirs = Pipe()
-        # The same path as here, and nothing of the folder that the node happens to stand in.
+        # The same path as here, and nothing of the folder that this process happens to stand in.
         code = (
             f"import sys; sys.path[:] = {sys.path!r}; from {__name__} import serve; "
-            f"serve({theirs.fileno()}, {self._memory}, {self._modules!r}, {self._foreign})"
+            f"serve({theirs.fileno()}, {self._memory})"
         )
         self._process = subprocess.Popen(
             [sys.executable, "-c", code],
@@ -65,13 +68,21 @@ class Worker:
             env=os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
         )
         theirs.close()
+        self._pipe.send(self._first)
 
     def work(
-        self, seconds: float, make: Callable[..., Iterator[Any]], *given: Any
-    ) -> Iterator[Any]:
-        """What the generator `make(*given)` yields there, as it comes.
+        self,
+        function: Callable[..., Any],
+        *given: Any,
+        seconds: float = math.inf,
+        tell: Callable[..., None] | None = None,
+        wanted: Callable[[], bool] = lambda: True,
+    ) -> Any:
+        """What `function(*given)` returns there; all of it is pickled.
 
-        OverBudget when the time is over, WorkError with what it raised or how its process ended.
+        With `tell` the function is given a `tell` of its own, and what it tells there is told
+        here. OverBudget when the time is over, Unwanted soon after the work is `wanted` no more,
+        WorkError with what it raised or how its process ended.
         """
         with self._turn:
             if self._ended:
@@ -79,39 +90,48 @@ class Worker:
             if self._process is None:
                 self._start()
             try:
-                yield from self._parts(seconds, make, given)
-            except (OverBudget, EOFError, OSError, GeneratorExit) as error:
-                how = self._kill(patience=0.0 if isinstance(error, OverBudget) else 1.0)
+                return self._result((function, given, tell is not None), seconds, tell, wanted)
+            except WorkError:
+                raise
+            except BaseException as error:
+                left = isinstance(error, (EOFError, OSError))  # its end, not ours
+                how = self._kill(patience=1.0 if left else 0.0)
                 self.ended_early += 1
                 if not self._ended:
                     self._start()
-                if isinstance(error, (OverBudget, GeneratorExit)):
-                    raise
-                raise WorkError("the node ends" if self._ended else how) from None
+                if left:
+                    raise WorkError("the node ends" if self._ended else how) from None
+                raise
 
-    def _parts(
-        self, seconds: float, make: Callable[..., Iterator[Any]], given: tuple[Any, ...]
-    ) -> Iterator[Any]:
+    def _result(
+        self,
+        asked: tuple[Any, ...],
+        seconds: float,
+        tell: Callable[..., None] | None,
+        wanted: Callable[[], bool],
+    ) -> Any:
         assert self._pipe is not None
-        self._pipe.send((make, given))
         end = time.monotonic() + START
         while True:
             left = end - time.monotonic()
             if left <= 0:
                 raise OverBudget("over budget")
+            if not wanted():
+                raise Unwanted("ended before it was done")
             if self._ended:
                 raise EOFError
             if not self._pipe.poll(min(left, PROMPT)):
                 continue
             kind, value = self._pipe.recv()
-            if kind == "begun":
+            if kind == "ready":
+                self._pipe.send(asked)
                 end = time.monotonic() + seconds
-                continue
-            if kind == "failed":
+            elif kind == "told" and tell is not None:
+                tell(*value)
+            elif kind == "failed":
                 raise WorkError(value)
-            if kind == "done":
-                return
-            yield value
+            elif kind == "done":
+                return value
 
     def _kill(self, patience: float = 0.0) -> str:
         """End the process, unless it does so itself (s); how it ended, in words."""
@@ -141,46 +161,46 @@ class Worker:
                 self._kill()
 
 
-def serve(descriptor: int, memory: int, modules: tuple[str, ...], foreign: bool) -> None:
-    """The worker's side: do what comes down the pipe until the node is gone."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the node, which ends its worker
+def serve(descriptor: int, memory: int | None) -> None:
+    """The worker's side: do what comes down the pipe until the other process is gone."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the one that ends its worker
     os.nice(POLITE)
     pipe = Connection(descriptor)
     parent = os.getppid()
     Thread(target=_end_with, args=(parent,), daemon=True).start()
-    for name in modules:
-        import_module(name)
-    if not foreign:
-        forbid_foreign()
-    taken = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-    most = taken + memory * MEGABYTE
-    resource.setrlimit(resource.RLIMIT_AS, (most, most))
+    if first := pipe.recv():
+        first()
+    if memory is not None:
+        taken = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+        most = taken + memory * MEGABYTE
+        resource.setrlimit(resource.RLIMIT_AS, (most, most))
     while True:
+        pipe.send(("ready", None))
         try:
-            make, given = pipe.recv()
+            function, given, telling = pipe.recv()
         except EOFError:
             return
-        pipe.send(("begun", ""))
-        pipe.send(_done(pipe, make, given))
+        pipe.send(_done(pipe, function, given, telling))
 
 
 def _done(
-    pipe: Connection, make: Callable[..., Iterator[Any]], given: tuple[Any, ...]
-) -> tuple[str, str]:
+    pipe: Connection, function: Callable[..., Any], given: tuple[Any, ...], telling: bool
+) -> tuple[str, Any]:
+    def tell(*said: Any) -> None:
+        pipe.send(("told", said))
+
     try:
-        for part in make(*given):
-            pipe.send(("part", part))
+        return "done", function(*given, **({"tell": tell} if telling else {}))
     except ParallelCalError as error:
         return "failed", str(error)
     except MemoryError:
         return "failed", "it takes more memory than it may"
     except Exception as error:  # a user's own mechanism may raise anything
-        return "failed", str(error) or type(error).__name__
-    return "done", ""
+        return "failed", f"{type(error).__name__}: {error}"
 
 
 def _end_with(parent: int) -> None:
-    """A node that was killed tells nobody."""
+    """A process that was killed tells nobody."""
     while os.getppid() == parent:
         time.sleep(0.5)
     os._exit(1)
