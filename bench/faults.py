@@ -308,7 +308,7 @@ class Pair:
             begin = time.monotonic()
             if node._process.poll() is None:
                 node._process.send_signal(signal.SIGTERM)
-            late += node._process.wait(20) != 0 or time.monotonic() - begin > 2.5
+            late += node._process.wait(20) != 0 or time.monotonic() - begin > 2.0
         return late
 
 
@@ -461,6 +461,31 @@ def cpu_seconds(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
+def terminated(n: int, folder: Path) -> Row:
+    """SIGTERM to both nodes in the middle of a diagnosis and of a long request."""
+    from parallel_cal_msgs.action import Diagnose
+    from parallel_cal_msgs.msg import JointConfiguration
+    from parallel_cal_msgs.srv import ComputeFK, LoadSamples
+
+    late, longest = 0, 0.0
+    for i in range(n):
+        place = folder / f"end{i}"
+        place.mkdir()
+        pair, heard = Pair(place, request_time=600.0), list[Any]()
+        samples = str(shutil.copytree(BAG, place / "bag"))
+        pair.client.call(LoadSamples, "calibration_node/load_samples", path=samples)
+        pair.client.send_goal(Diagnose, "calibration_node/diagnose", heard.append)
+        rows = [JointConfiguration(positions=[0.5] * 3)] * 5000
+        name = "kinematics_node/compute_fk"
+        pair.client.ask(ComputeFK, name, configurations=rows, all_solutions=True)
+        pair.client.wait(lambda heard=heard: len(heard) > 1, "the diagnosis")
+        begin = time.monotonic()
+        late += pair.end()
+        longest = max(longest, time.monotonic() - begin)
+    words = f"SIGTERM in a diagnosis and a request, both ended in {longest:.2f} s at most"
+    return Row(n, words, crashed=late)
+
+
 def publishers(n: int, folder: Path) -> Row:
     """Publishers that are killed in the middle of a session: the nodes go on."""
     pair, rng = Pair(folder), np.random.default_rng(9)
@@ -513,6 +538,7 @@ ROWS: dict[str, tuple[Callable[[int, Path], Row], int]] = {
     "read_only": (read_only, 20),
     "clock_jumps": (clock_jumps, 50),
     "stream": (stream, 60),
+    "terminated": (terminated, 20),
     "requests": (requests, 300),
     "publishers": (publishers, 10),
     "participants": (participants, 100),

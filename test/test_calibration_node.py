@@ -316,14 +316,83 @@ def test_a_hold_out_of_zero_is_the_parameter_and_below_it_only_force_writes(full
     assert Path(full.folder / "other.yaml.previous").read_bytes() == after
 
 
-def test_a_node_that_is_deactivated_collects_nothing_and_goes_on_when_active(full):
+def test_undo_is_about_whichever_of_its_model_files_replaced_another(robot, tmp_path):
+    """Also of a run before, and where the file that results go to was never written."""
+    model = Path(shutil.copy(PRESET, tmp_path / "m.yaml"))
+    before = model.read_bytes()
+    older = b"# old\n" + before
+    (tmp_path / "m.yaml.previous").write_bytes(older)
+    namespace = own_domain() + "_undo"
+    files = {"model_file": str(model), "output_file": str(tmp_path / "never.yaml")}
+    node = Process("calibration_node", tmp_path, namespace, journal=False, **files)
+    client = Client("tester", namespace, [node])
+    answer = client.call(Trigger, "calibration_node/undo")
+    assert answer.success, answer.message
+    assert model.read_bytes() == older
+    assert (tmp_path / "m.yaml.previous").read_bytes() == before
+    client.close()
+    assert node.end() == 0
+
+
+ENDLESS = """
+import time
+from pathlib import Path
+
+
+def estimate(model, observations, free, prior=False):
+    Path(__file__).with_name("begun").touch()
+    while True:
+        time.sleep(3600)
+"""
+
+
+def test_a_user_s_own_method_that_never_returns_ends_when_its_goal_is_cancelled(
+    collected, tmp_path, monkeypatch
+):
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "endless.py").write_text(ENDLESS)
+    begun = tmp_path / "mine" / "begun"
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
+    shutil.copy(PRESET, tmp_path / "m.yaml")
+    namespace = own_domain() + "_endless"
+    node = Process(
+        "calibration_node", tmp_path, namespace, journal=False, allow_foreign_modules=True,
+        model_file=str(tmp_path / "m.yaml"), allowed_folders=f"{tmp_path}:{collected.folder}",
+    )  # fmt: skip
+    client, heard = Client("tester", namespace, [node]), []
+    samples = str(collected.folder / "s.json")
+    assert client.call(LoadSamples, "calibration_node/load_samples", path=samples).success
+    identify = "calibration_node/identify"
+    handle = client.send_goal(Identify, identify, heard.append, method="mine.endless")
+    client.wait(begun.exists, "its beginning")
+    client.answer(handle.cancel_goal_async(), "the cancel")
+    assert client.answer(handle.get_result_async(), "the end").status == CANCELED
+    again = client.send_goal(Identify, identify, heard.append)
+    assert client.answer(again.get_result_async(), "the result").result.success
+    begun.unlink()
+    client.send_goal(Identify, identify, heard.append, method="mine.endless")
+    client.wait(begun.exists, "its beginning")
+    client.close()
+    assert node.end() == 0
+
+
+def test_a_node_that_is_deactivated_refuses_collects_nothing_and_goes_on_when_active(full):
     def change(to):
         request = {"transition": Transition(id=to)}
         assert full.client.call(ChangeState, "calibration_node/change_state", **request).success
 
     state = full.client.call(GetState, "calibration_node/get_state").current_state
     assert state.label == "active"
+    heard = []
+    running = full.identify(heard.append, model_file=full.fresh_model("off.yaml"), hold_out=0.01)
     change(Transition.TRANSITION_DEACTIVATE)
+    assert "cancelled" in full.outcome(running).result.message
+    assert not full.client.send_goal(Identify, "calibration_node/identify", print).accepted
+    assert "inactive: activate it first" in full.status.last_event
+    for type, name in ((Trigger, "clear_samples"), (AddEffect, "add_effect"), (Compare, "compare")):
+        answer = full.call(type, name)
+        assert not answer.success
+        assert "the node is inactive: activate it first" in answer.message
     publisher = full.client._node.create_publisher(JointState, "joint_states", 10)
     full.client.wait(lambda: publisher.get_subscription_count() > 0, "the node")
     before = full.call(ListSamples, "list_samples").status.joint_states_received
@@ -333,6 +402,7 @@ def test_a_node_that_is_deactivated_collects_nothing_and_goes_on_when_active(ful
     assert full.call(ListSamples, "list_samples").status.joint_states_received == before
     change(Transition.TRANSITION_ACTIVATE)
     full.client._node.destroy_publisher(publisher)
+    assert len(full.call(ListSamples, "list_samples").samples) == 94
 
 
 def test_a_model_that_is_as_good_already_is_refused_unless_forced(full):

@@ -19,6 +19,7 @@ from parallel_cal_msgs.srv import Compare, SaveSamples
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from std_msgs.msg import String
@@ -409,6 +410,8 @@ class CalibrationNode(Managed):
     def _serve(self, work: Any, request: Any, response: Any) -> Any:
         """Bring the samples up to date, do it, and answer with a message whatever happens."""
         try:
+            if self.refusal:
+                raise ParallelCalError(self.refusal)
             self._refresh()
             work(request, response)
             self._keep()
@@ -427,6 +430,10 @@ class CalibrationNode(Managed):
             self._say(why)
             return
         response.success, response.message = False, why
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self._calibrator.cancel()
+        return super().on_deactivate(state)
 
     def end_work(self) -> None:
         """Keep what came in last, however the node ends, and stop what is at work."""

@@ -11,7 +11,6 @@ from typing import Any
 from parallel_cal_msgs.action import Diagnose, Identify
 from parallel_cal_msgs.srv import AddEffect
 from rclpy.callback_groups import CallbackGroup
-from rclpy.node import Node
 from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
@@ -27,6 +26,7 @@ from parallel_cal.nodes.computing import prepare
 from parallel_cal.nodes.folders import Folders
 from parallel_cal.nodes.frames import in_base, lookup
 from parallel_cal.nodes.jobs import Job, JobServer, OneAtATime, Say, Work, in_words
+from parallel_cal.nodes.managed import Managed
 from parallel_cal.nodes.parameters import LATCHED, absolute
 from parallel_cal.nodes.run import in_front
 from parallel_cal.session.goals import (
@@ -45,7 +45,7 @@ class Calibrator:
 
     def __init__(
         self,
-        node: Node,
+        node: Managed,
         collect: Callable[[], Collection],
         say: Say,
         group: CallbackGroup,
@@ -72,9 +72,13 @@ class Calibrator:
         # the node's default group: it takes seconds, and must not keep anything else waiting
         node.create_service(AddEffect, "~/add_effect", self._add_effect)
 
-    def stop(self) -> None:
-        """End the work, if any."""
+    def cancel(self) -> None:
+        """End the work, if any; the next goal is served."""
         self._one.cancel.ask()
+
+    def stop(self) -> None:
+        """End the work, if any, and serve no other."""
+        self.cancel()
         self._worker.end()
 
     def close(self) -> None:
@@ -210,6 +214,8 @@ class Calibrator:
         return response
 
     def _prepare_effect(self, request: Any) -> tuple[Work, Collection]:
+        if self._node.refusal:
+            raise ParallelCalError(self._node.refusal)
         if not request.effect:
             raise ParallelCalError("no effect named, e.g. encoder_eccentricity")
         options = FitOptions(hold_out=self._parameter("hold_out"), joint_sigma=self._sigma())

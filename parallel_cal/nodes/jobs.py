@@ -10,11 +10,11 @@ from typing import Any, NamedTuple
 
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.callback_groups import CallbackGroup
-from rclpy.node import Node
 
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.base.worker import Unwanted, Worker
 from parallel_cal.nodes.collector import Collection
+from parallel_cal.nodes.managed import Managed
 from parallel_cal.session.goals import Outcome
 
 
@@ -110,7 +110,7 @@ class JobServer:
     keep the executor spinning, blocking would keep it from serving anything else.
     """
 
-    def __init__(self, node: Node, one: OneAtATime, job: Job, say: Say, group: CallbackGroup):
+    def __init__(self, node: Managed, one: OneAtATime, job: Job, say: Say, group: CallbackGroup):
         self._node, self._one, self._job, self._say = node, one, job, say
         self._thread: Thread | None = None
         fields = job.type.Feedback.get_fields_and_field_types()
@@ -135,6 +135,8 @@ class JobServer:
 
     def _on_goal(self, goal: Any) -> GoalResponse:
         try:
+            if self._node.refusal:
+                raise ParallelCalError(self._node.refusal)
             self._one.begin(self._job.running)
         except ParallelCalError as busy:
             self._say(f"goal rejected: {busy}")

@@ -150,6 +150,8 @@ class KinematicsNode(Managed):
 
     def _load_model(self, request: Any, response: Any) -> Any:
         try:
+            if self.refusal:
+                raise ParallelCalError(self.refusal)
             attempt = self._load(self._allowed(request.path), "service")
             if attempt.ok:
                 self._adopt(attempt.path)
@@ -169,6 +171,9 @@ class KinematicsNode(Managed):
             self._adopting = False
 
     def _reload(self, request: Any, response: Any) -> Any:
+        if self.refusal:
+            response.success, response.message = False, self.refusal
+            return response
         attempt = self._load(self._parameter("model_file"), "service")
         response.success, response.message = attempt.ok, attempt.reason
         return response
@@ -186,8 +191,8 @@ class KinematicsNode(Managed):
         self.create_service(type, f"~/{name}", on_call, qos_profile=WAITING, callback_group=group)
 
     def _answer(self, name: str, request: Any, response: Any) -> Any:
-        if not self.active:
-            response.message = "the node is not active"
+        if self.refusal:
+            response.message = self.refusal
             return response
         served = self._server.current  # one reference for the whole request
         budget = Budget(self._parameter("request_poses"), self._parameter("request_time"))

@@ -16,6 +16,16 @@ class Managed(LifecycleNode):
 
     active = False
 
+    @property
+    def refusal(self) -> str:
+        """Why nothing is answered now; empty while the node is active."""
+        if self.active:
+            return ""
+        # rclpy's own question for the state is public only as a service
+        state = self._state_machine.current_state[1]
+        then = "configure it and " if state == "unconfigured" else ""
+        return f"the node is {state}: {then}activate it first (ros2 lifecycle set)"
+
     def start(self) -> None:
         """Become active, unless a manager is to say when; called at the construction's end."""
         if self.get_parameter("autostart").value:
