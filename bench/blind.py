@@ -5,7 +5,8 @@ Robots, sessions, physics and noise come from the independent virtual robots. A 
 the served robot at poses that nobody measured, before and after. With `--results` every outcome is
 kept as a line of a file, and a case that stands there already is not run again: a long study can
 be made in slices (`--minutes`). Usage: `PYTHONPATH=. python bench/blind.py [--draws N] [--jobs N]
-[--see WHAT] [--results FILE] [--minutes M] [FAMILY ...]`.
+[--see WHAT,WHAT] [--results FILE] [--minutes M] [FAMILY ...]`; WHAT is pose, position,
+orientation, plane or ball_bar.
 """
 
 from __future__ import annotations
@@ -34,9 +35,22 @@ import findings
 import virtual_blind as vb
 import virtual_findings as vf
 import virtual_robot as vr
+from printers import PRINTERS
 
 CLEARLY = 1.1  # of the true error before: its own uncertainty at 80 poses
-SEES = {"pose": "111111", "position": "111000", "orientation": "000111"}
+SEES = {"pose": "111111", "position": "111000", "orientation": "000111", "plane": "000000",
+        "ball_bar": "000000"}  # fmt: skip
+CENTRE = np.array([0.02, -0.01, 0.05])  # of the ball-bar's fixed ball (m): under the workspace
+HEIGHT = 0.2  # of the plate that a gauge stands on (m)
+GOALS = {  # family -> what is counted, and the share that it must (not) reach
+    "null": (("named", "<=", 0.01),),
+    "single": (("right", ">=", 0.97),),
+    "pairs": (("right", ">=", 0.97),),
+    "outside": (("explained", "<=", 0.02), ("robot worse", "<=", 0.0)),
+    "device": (("robot worse", "<=", 0.0),),
+    "noise": (("right", ">=", 0.9),),
+    "printers": (("right", ">=", 0.97), ("robot worse", "<=", 0.0)),
+}
 
 
 @dataclass(frozen=True)
@@ -63,11 +77,14 @@ class Outcome:
     after: float
     error: str = ""
     summary: str = ""
+    seconds: float = 0.0  # of the processor
+    uncertain: float = 0.0  # m, rms: what the served model says of its own positions
 
     @property
     def worse(self) -> bool:
-        """Whether the served robot errs more than before, by more than chance and a micrometre."""
-        return self.after > self.before * CLEARLY + 1e-6
+        """Whether the served robot errs more than before, by more than chance, a micrometre, and
+        the uncertainty of its model: that of one number a pose leaves much open."""
+        return self.after > self.before + max((CLEARLY - 1) * self.before, self.uncertain) + 1e-6
 
     @property
     def right(self) -> bool:
@@ -83,7 +100,10 @@ class Outcome:
             return not whole and not self.worse
         if self.case.noise and vb.CALLED[self.case.noise] not in self.summary:
             return False
-        wanted = [set(vf.KINDS[k].names) for k in self.case.kinds]
+        if self.case.family == "printers":
+            wanted = [{name} for name in PRINTERS[self.case.kinds[0]].names]
+        else:
+            wanted = [set(vf.KINDS[k].names) for k in self.case.kinds]
         called = [set(name.split(" or ")) for name in self.named]
         return len(called) == len(wanted) and all(any(w & c for c in called) for w in wanted)
 
@@ -115,11 +135,17 @@ def families(draws: int) -> dict[str, Callable[[str], Iterator[Case]]]:
         for name in vb.NOISE:
             yield from (Case("noise", s, noise=name, sees=sees) for s in range(draws))
 
-    return {f.__name__: f for f in (null, single, pairs, outside, device, noise)}
+    def printers(sees: str) -> Iterator[Case]:
+        for name in PRINTERS:
+            yield from (Case("printers", s, (name,), sees="touches") for s in range(draws))
+
+    return {f.__name__: f for f in (null, single, pairs, outside, device, noise, printers)}
 
 
 def session(case: Case) -> tuple[Any, list[vr.Effect], vr.Noise]:
-    day, rng = vf.session(case.seed), np.random.default_rng(case.seed)
+    """The day, what hides, and the instruments; a gauge needs more poses than a tracker."""
+    visits = (360, 60) if SEES[case.sees] == "000000" else (120, 30)
+    day, rng = vf.session(case.seed, *visits), np.random.default_rng(case.seed)
     kinds = [vf.KINDS[k] for k in case.kinds]
     noise = min((k.noise for k in kinds), key=lambda n: n.position, default=vr.THESIS_NOISE)
     effects = [findings.sized(k.make, k.size, case.size, day, noise, case.seed) for k in kinds]
@@ -140,16 +166,34 @@ def measured(case: Case, day: Any, effects: list[vr.Effect], noise: vr.Noise) ->
     seen = quiet | {"q": quiet["q"] + q, "r": quiet["r"] + r, "R": vr.turn(w) @ quiet["R"]}
     data = findings.dataset(seen, noise)
     mask = np.tile(np.array(list(SEES[case.sees])) == "1", (len(data), 1))
+    read = {
+        "plane": {"reading.probe": quiet["r"][:, 2] - HEIGHT},
+        "ball_bar": {"reading.ball_bar": np.linalg.norm(quiet["r"] - CENTRE, axis=1)},
+    }.get(case.sees, {})
     return replace(
         data,
+        conditions=data.conditions | {k: v + noise.position * units[:, 3] for k, v in read.items()},
         measured=mask,
         r=np.where(mask[:, :3], data.r, 0.0),
         R=np.where(mask[:, 3:].all(axis=1)[:, None, None], data.R, np.eye(3)),
     )
 
 
-def true_error(model_file: Path, effects: list[vr.Effect], day: Any, seed: int) -> float:
-    """Rms position error (m) of the served robot at unseen poses under unseen circumstances."""
+def setup(case: Case, noise: vr.Noise) -> list[str]:
+    """What `new` is told of a gauge over a plate, or of a ball-bar roughly where it stands."""
+    centre = [float(v) for v in np.round(CENTRE, 2)]
+    sensors = {
+        "plane": f"probe: {{height: {HEIGHT}, sigma: {noise.position}}}",
+        "ball_bar": f"ball_bar: {{centre: {centre}, sigma: {noise.position}}}",
+    }
+    return ["--sensor", sensors[case.sees]] if case.sees in sensors else []
+
+
+def true_error(
+    model_file: Path, effects: list[vr.Effect], day: Any, seed: int
+) -> tuple[float, float]:
+    """Rms position error (m) of the served robot at unseen poses under unseen circumstances, and
+    how large the model believes it to be."""
     from parallel_cal.kinematics.kinematics import Kinematics
     from parallel_cal.model.file.modelfile import read_model
 
@@ -163,8 +207,12 @@ def true_error(model_file: Path, effects: list[vr.Effect], day: Any, seed: int) 
     conditions = {f"direction.{j}": at.direction[:, i] for i, j in enumerate(names)}
     conditions |= {f"travel.{j}": findings.travel(ways[:, i]) for i, j in enumerate(names)}
     conditions |= {"temperature": at.temperature, "payload": at.payload, "time": at.time}
-    found = Kinematics(read_model(model_file).robot()).direct(other.reading, conditions)
-    return float(np.sqrt(np.mean(np.sum((found.position - r) ** 2, axis=1))))
+    served = Kinematics(read_model(model_file).robot())
+    found = served.direct(other.reading, conditions)
+    error = np.sqrt(np.mean(np.sum((found.position - r) ** 2, axis=1)))
+    some = [{k: v[i] for k, v in conditions.items()} for i in range(10)]
+    own = [np.trace(served.direct_covariance(found[i], at)[:3, :3]) for i, at in enumerate(some)]
+    return float(error), float(np.sqrt(np.mean(own)))
 
 
 def called(*arguments: object) -> Any:
@@ -182,14 +230,49 @@ def called(*arguments: object) -> Any:
 
 
 def run(case: Case) -> Outcome:
+    """The outcome of a case, and what it cost."""
+    begin = time.process_time()
+    return replace(outcome(case), seconds=round(time.process_time() - begin, 2))
+
+
+def printed(case: Case) -> Outcome:
+    """A delta printer known by touches of its bed: errors are those of heights not touched."""
+    from parallel_cal.diagnosis.comparison import compare
+    from parallel_cal.model.file.modelfile import read_model
+
+    kind = PRINTERS[case.kinds[0]]
+    fresh = kind.touches(300, case.seed, draw=1, noise=0.0)
+    with tempfile.TemporaryDirectory() as folder:
+        data, model = Path(folder) / "data.json", Path(folder) / "model.yaml"
+        kind.touches(200, case.seed).to_json(data)
+
+        def height() -> float:
+            return compare(read_model(model), fresh).errors.summary.reading_rms or np.nan
+
+        called("new", kind.mechanism, "--sensor", f"probe: {kind.sensor}", "-o", model)
+        try:
+            called("fit", model, data, "-o", model)
+            before = height()
+            found = called("diagnose", model, data)
+            for name in found["effects"]:
+                called("add", model, name, data, "-o", model)
+        except RuntimeError as error:
+            return Outcome(case, "error", (), np.nan, np.nan, str(error))
+        named = tuple(found["effects"])
+        return Outcome(case, found["verdict"], named, before, height(), "", found["summary"])
+
+
+def outcome(case: Case) -> Outcome:
+    if case.family == "printers":
+        return printed(case)
     day, effects, noise = session(case)
     with tempfile.TemporaryDirectory() as folder:
         data, model = Path(folder) / "data.json", Path(folder) / "model.yaml"
         measured(case, day, effects, noise).to_json(data)
-        called("new", "delta54", "-o", model)
+        called("new", "delta54", *setup(case, noise), "-o", model)
         try:
             called("fit", model, data, "-o", model)
-            before = true_error(model, effects, day, case.seed)
+            before, _ = true_error(model, effects, day, case.seed)
             found = called("diagnose", model, data)
         except RuntimeError as error:
             return Outcome(case, "error", (), np.nan, np.nan, str(error))
@@ -201,8 +284,9 @@ def run(case: Case) -> Outcome:
                 called("add", model, name, data, "-o", model)
             except RuntimeError as error:
                 refused = str(error)
-        after = true_error(model, effects, day, case.seed)
-    return Outcome(case, found["verdict"], named, before, after, refused, found["summary"])
+        after, own = true_error(model, effects, day, case.seed)
+    words = found["summary"]
+    return Outcome(case, found["verdict"], named, before, after, refused, words, uncertain=own)
 
 
 def table(outcomes: list[Outcome]) -> None:
@@ -228,7 +312,7 @@ def table(outcomes: list[Outcome]) -> None:
 
 
 def shares(outcomes: list[Outcome]) -> None:
-    """What the whole must show, by family and what the device sees: counts, and their 95 %."""
+    """What the whole must show, by family and what the device sees: counts, their 95 %, goals."""
     for key in dict.fromkeys((o.case.family, o.case.sees) for o in outcomes):
         some = [o for o in outcomes if (o.case.family, o.case.sees) == key]
         counts = {
@@ -239,14 +323,20 @@ def shares(outcomes: list[Outcome]) -> None:
             "error": sum(o.verdict == "error" for o in some),
         }
         told = [f"{name} {k} ({interval(k, len(some))})" for name, k in counts.items()]
-        print(f"{key[0]} ({key[1]}), {len(some)}: {', '.join(told)}")
+        seconds = np.mean([o.seconds for o in some if o.seconds] or [0.0])
+        print(f"{key[0]} ({key[1]}), {len(some)}: {', '.join(told)}; {seconds:.1f} s a draw")
+        for name, sign, goal in GOALS.get(key[0], ()):
+            share = counts[name] / len(some)
+            reached = share >= goal if sign == ">=" else share <= goal
+            print(f"    goal: {name} {sign} {goal:.0%}: {'reached' if reached else 'MISSED'}")
 
 
 def interval(k: int, n: int) -> str:
-    """The 95 % interval of a share k / n (Wilson 1927)."""
-    z, p = 1.96, k / n
-    middle, half = p + z**2 / (2 * n), z * math.sqrt(p * (1 - p) / n + z**2 / (4 * n**2))
-    low, high = (max(0.0, (middle + s * half) / (1 + z**2 / n)) for s in (-1, 1))
+    """The exact 95 % interval of a share k / n (Clopper and Pearson 1934)."""
+    from scipy.stats import beta
+
+    low = beta.ppf(0.025, k, n - k + 1) if k else 0.0
+    high = beta.ppf(0.975, k + 1, n - k) if k < n else 1.0
     return f"{low:.1%}..{high:.1%}"
 
 
@@ -279,13 +369,15 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--draws", type=int, default=5)
     parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--see", choices=SEES, default="pose")
+    parser.add_argument("--see", type=lambda text: text.split(","), default=["pose"])
     parser.add_argument("--results", type=Path)
     parser.add_argument("--minutes", type=float, default=math.inf)
     parser.add_argument("family", nargs="*")
     given = parser.parse_args()
+    if unknown := [see for see in given.see if see not in SEES]:
+        parser.error(f"--see {','.join(unknown)}: expected some of {','.join(SEES)}")
     all_of = families(given.draws)
-    cases = [c for name in given.family or all_of for c in all_of[name](given.see)]
+    cases = [c for s in given.see for name in given.family or all_of for c in all_of[name](s)]
     outcomes = {c: o for c, o in kept(given.results).items() if c in set(cases)}
     until = time.monotonic() + 60 * given.minutes
     new = [c for c in cases if c not in outcomes]

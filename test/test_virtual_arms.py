@@ -17,6 +17,7 @@ from parallel_cal.identification.doubts import chi2_band
 from parallel_cal.identification.fit import fit
 from parallel_cal.identification.observations import conditions
 from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.model.shelf import load_sensor
 
 HERE = va.Tracker()  # in {B} itself, its target in {P}
 
@@ -97,6 +98,24 @@ def test_what_a_joint_hides_is_named(kind, effect, pose):
     assert found.effects[:1] == (effect,)
     best = found.best.fitted
     assert best.held_out.summary.position_rms < 1.3 * best.noise.position_rms
+
+
+@pytest.mark.wide
+@pytest.mark.parametrize("kind", ["ur5", "wam"])
+@pytest.mark.parametrize("effect", list(HIDDEN))
+def test_what_a_joint_hides_is_named_behind_an_unknown_frame_and_target(kind, effect):
+    """By the whole catalogue, from positions of a target that nobody measured in {P}; the device is
+    said to be a tracker: one that bends its space by 0.1 mm over a metre could have made it."""
+    robot = va.arm(kind, 4, hidden=(HIDDEN[effect],))
+    data = seen(va.session(robot, 120, 5), False, "tracker")
+    tracker = load_sensor("certificate", kind="laser_tracker")
+    found = diagnose(nominal(kind).with_sensors((tracker,)), data)
+    assert found.registration is not None
+    called = {effect} | {name for name, swaps in found.swaps.items() if effect in swaps}
+    assert found.effects
+    assert found.effects[0] in called
+    assert not found.robot_or_device
+    assert found.verdict.word in ("explained", "at_noise")
 
 
 @pytest.mark.parametrize("kind", ["ur5", pytest.param("wam", marks=pytest.mark.wide)])

@@ -11,7 +11,7 @@ import numpy as np
 from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.observations import Observations, blocks, conditions
 from parallel_cal.identification.predictions import predicted, read_apart
-from parallel_cal.identification.thresholds import RELATIVE_RANK
+from parallel_cal.identification.thresholds import RELATIVE_RANK, WEAK
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
 
@@ -48,8 +48,8 @@ class Scene:
         linearise = Linearisation(model, observations, free, True)
         system, T = linearise(model.values, x), linearise.whiteners(model.values, x)
         r = system.residual.reshape(-1)
-        J = system.jacobian.reshape(len(r), -1) * model.table.tolerance[free]
-        basis = orthonormal(J, RELATIVE_RANK)
+        J = system.jacobian.reshape(len(r), -1) * model.table.likely[free]
+        basis = orthonormal(J, RELATIVE_RANK, WEAK)  # what a fit holds takes nothing away
         residual = r - basis @ (basis.T @ r)
         dof = int(system.informative.sum()) - basis.shape[1]
         rows = system.residual.shape[1]
@@ -120,12 +120,12 @@ def columns(
     return np.asarray(J.reshape(len(scene.residual), -1) * extended.table.tolerance[new])
 
 
-def orthonormal(J: np.ndarray, least: float) -> np.ndarray:
-    """A basis of the columns' span, directions below `least` of the largest left out."""
+def orthonormal(J: np.ndarray, least: float, weak: float = 0.0) -> np.ndarray:
+    """A basis of the columns' span, directions below `least` of the largest, or `weak`, left."""
     if not J.shape[1] or not J.any():
         return np.zeros((len(J), 0))
     left, sizes, _ = np.linalg.svd(J, full_matrices=False)
-    return np.asarray(left[:, sizes > least * sizes[0]])
+    return np.asarray(left[:, sizes > max(least * sizes[0], weak)])
 
 
 Progress = Callable[[str, float], None]

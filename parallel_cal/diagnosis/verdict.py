@@ -182,7 +182,7 @@ def robot_or_device(name: str) -> str:
     return (
         f"{name} may be the measuring device's, whose usual errors explain as much (measure the "
         "same poses with the device turned or moved aside, with a second one, or an artefact of "
-        "known length)"
+        "known length; or say in the model file what its certificate promises)"
     )
 
 

@@ -30,6 +30,7 @@ class Spectrum:
     unidentifiable: tuple[dict[str, float], ...]
     weak: tuple[dict[str, float], ...]
     held: bool
+    taken: float  # degrees of freedom: of a weak direction that was held, the data's share
 
 
 def spectrum(
@@ -68,6 +69,7 @@ def spectrum(
         tuple(combination(d, names) for d in unseen),
         tuple(combination(d, names) for d in seen[little]),
         held > 0,
+        rank - float(np.sum(held / (sizes[:rank][little] ** 2 + held))) if held else float(rank),
     )
 
 

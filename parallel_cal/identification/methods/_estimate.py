@@ -116,7 +116,7 @@ def concluded(
     covariance[np.ix_(free, free)] = seen.covariance
     lost = np.zeros(len(values), dtype=bool)
     lost[free] = seen.lost
-    dof = int(system.informative.sum()) - seen.rank
+    dof = round(float(system.informative.sum()) - seen.taken)
     return Estimate(
         values,
         covariance,
