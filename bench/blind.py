@@ -235,6 +235,17 @@ def run(case: Case) -> Outcome:
     return replace(outcome(case), seconds=round(time.process_time() - begin, 2))
 
 
+def added(model: Path, data: Path, effects: list[str]) -> str:
+    """Why one of the effects was not taken into the model file; empty where all were."""
+    refused = ""
+    for name in effects:
+        try:
+            called("add", model, name, data, "-o", model)
+        except RuntimeError as error:
+            refused = str(error)
+    return refused
+
+
 def printed(case: Case) -> Outcome:
     """A delta printer known by touches of its bed: errors are those of heights not touched."""
     from parallel_cal.diagnosis.comparison import compare
@@ -254,12 +265,10 @@ def printed(case: Case) -> Outcome:
             called("fit", model, data, "-o", model)
             before = height()
             found = called("diagnose", model, data)
-            for name in found["effects"]:
-                called("add", model, name, data, "-o", model)
         except RuntimeError as error:
             return Outcome(case, "error", (), np.nan, np.nan, str(error))
-        named = tuple(found["effects"])
-        return Outcome(case, found["verdict"], named, before, height(), "", found["summary"])
+        named, refused = tuple(found["effects"]), added(model, data, found["effects"])
+        return Outcome(case, found["verdict"], named, before, height(), refused, found["summary"])
 
 
 def outcome(case: Case) -> Outcome:
@@ -278,12 +287,7 @@ def outcome(case: Case) -> Outcome:
             return Outcome(case, "error", (), np.nan, np.nan, str(error))
         swaps = found["swaps"]
         named = tuple(" or ".join([n, *swaps.get(n, [])]) for n in found["effects"])
-        refused = ""
-        for name in found["effects"]:
-            try:
-                called("add", model, name, data, "-o", model)
-            except RuntimeError as error:
-                refused = str(error)
+        refused = added(model, data, found["effects"])
         after, own = true_error(model, effects, day, case.seed)
     words = found["summary"]
     return Outcome(case, found["verdict"], named, before, after, refused, words, uncertain=own)
