@@ -316,6 +316,27 @@ def test_a_hold_out_of_zero_is_the_parameter_and_below_it_only_force_writes(full
     assert Path(full.folder / "other.yaml.previous").read_bytes() == after
 
 
+def test_a_tracker_s_frame_is_registered_as_on_the_command_line_and_it_is_said(full):
+    """The tracker shows everything 1, 2, 3 m further on."""
+    clean = load_dataset(CLEAN)
+    away = dataclasses.replace(clean, r=clean.r + [1.0, 2.0, 3.0], frame="tracker")
+    away.to_json(full.folder / "away.json")
+    assert full.call(LoadSamples, "load_samples", path=str(full.folder / "away.json")).success
+    result = full.identified(model_file=full.fresh_model("away.yaml"), hold_out=0.25)
+    assert result.success, result.message
+    assert result.held_out_after < 35e-6
+    assert "where it stands is found from the samples" in " ".join(full.status.warnings)
+    full.client.wait(
+        lambda: any("'tracker' was registered to 'base'" in w for w in full.status.warnings),
+        "the registration",
+    )
+    assert full.call(LoadSamples, "load_samples", path=str(full.folder / "s.json")).success
+    assert full.call(Compare, "compare").success
+    full.client.wait(
+        lambda: not any("was registered" in w for w in full.status.warnings), "its end"
+    )
+
+
 def test_undo_is_about_whichever_of_its_model_files_replaced_another(robot, tmp_path):
     """Also of a run before, and where the file that results go to was never written."""
     model = Path(shutil.copy(PRESET, tmp_path / "m.yaml"))

@@ -137,6 +137,26 @@ def test_every_measurement_is_counted_as_paired_or_dropped(messages):
     assert collector.paired >= poses - 1
 
 
+def test_poses_on_another_clock_are_brought_to_that_of_the_joints_and_it_is_said(messages, offline):
+    """0.4 s late: the samples, and how many measurements were paired, are those of one clock."""
+    late = [
+        (channel, log, copy.deepcopy(m) if "pose" in channel else m) for channel, log, m in messages
+    ]
+    for channel, _, message in late:
+        if "pose" in channel:
+            stamp = message.header.stamp
+            carry, stamp.nanosec = divmod(stamp.nanosec + 400_000_000, 10**9)
+            stamp.sec += carry
+    collector = feed(Collector(), late)
+    found = collector.collection().dataset
+    assert len(found) == len(offline)
+    np.testing.assert_allclose(found.r, offline.r, atol=5e-6)
+    np.testing.assert_array_equal(found.q, offline.q)
+    [said] = [text for text in collector.warnings() if "two clocks" in text]
+    assert float(said.split(" was stamped ")[1].split()[0]) == pytest.approx(0.4, abs=1e-3)
+    assert collector.paired == feed(Collector(), messages).paired
+
+
 def test_a_measurement_without_joint_readings_around_it_is_dropped(messages):
     start = messages[0][1]
     gap = [

@@ -17,6 +17,7 @@ from parallel_cal.base.errors import DatasetError  # noqa: E402
 from parallel_cal.model.file.modelfile import read_model  # noqa: E402
 from parallel_cal.nodes.frames import Transform, in_base, lookup, moved  # noqa: E402
 from parallel_cal.recordings.dataset import Dataset  # noqa: E402
+from parallel_cal.recordings.loading import load_dataset  # noqa: E402
 
 ROOT = Path(__file__).parents[1]
 QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # z by 90 degrees
@@ -57,13 +58,36 @@ def test_what_was_not_measured_stays_so(samples):
         moved(replace(samples, measured=np.array([[True, False] + [True] * 4])), STANDS, "base")
 
 
-def test_another_frame_without_a_transform_is_refused_and_its_own_is_taken(samples, model):
+def test_another_frame_without_a_transform_is_refused_where_the_samples_do_not_tell_it(
+    samples, model
+):
     with pytest.raises(DatasetError, match="frame 'tracker', the model's base is 'base'"):
         in_base(samples, model, lambda target, source: None)
     there, said = in_base(samples, model, lambda target, source: STANDS)
     assert (there.frame, said) == ("base", "poses moved from 'tracker' to 'base' by TF (static)")
-    own = replace(samples, frame="base")
-    assert in_base(own, model, lambda target, source: None) == (own, "")
+
+
+def test_a_tracker_s_frame_is_registered_by_the_samples_as_the_command_line_does_it():
+    """The tracker shows Q r + s with Q a quarter turn: it stands at -Q^T s = (-2, 1, -3) m."""
+    model = read_model(ROOT / "config" / "delta_mockup_identified.yaml")
+    own = load_dataset(ROOT / "bags" / "delta_clean")
+    shown = moved(own, STANDS, "tracker")
+    there, said = in_base(shown, model, lambda target, source: None, 1e-4)
+    assert there is shown
+    assert said.startswith("frame 'tracker' was registered to 'base' (another frame): ")
+    numbers = said.split("): ")[1].split(" m, rotation ")
+    np.testing.assert_allclose(np.array(numbers[0].split(), float), [-2, 1, -3], atol=2e-3)
+    turned = np.array(numbers[1].split(" deg")[0].split(), float)
+    np.testing.assert_allclose(turned, [0, 0, -90], atol=0.05)
+    assert in_base(own, model, lambda target, source: None, 1e-4) == (own, "")
+
+
+def test_poses_of_the_right_name_in_the_wrong_place_are_registered_too():
+    model = read_model(ROOT / "config" / "delta_mockup_identified.yaml")
+    wrong = moved(load_dataset(ROOT / "bags" / "delta_clean"), STANDS, "base")
+    there, said = in_base(wrong, model, lambda target, source: None, 1e-4)
+    assert there is wrong
+    assert "registered to 'base' (in its own, nothing fitted)" in said
 
 
 def test_transforms_come_from_tf2_with_their_age(monkeypatch):

@@ -337,8 +337,11 @@ class CalibrationNode(Managed):
         said += self._collector.warnings()
         frame, base = self._collector.frame, self._base
         if frame and base and frame != base:
-            said.append(f"the poses are in frame '{frame}', the model's base is '{base}'")
-        return said
+            said.append(
+                f"the poses are in frame '{frame}', the model's base is '{base}': where it stands "
+                "is found from the samples, unless TF tells it"
+            )
+        return [*said, self._calibrator.registered] if self._calibrator.registered else said
 
     def _refresh(self) -> None:
         self._take_in()

@@ -56,6 +56,7 @@ class Calibrator:
         self._diagnosis = node.create_publisher(String, "~/diagnosis", LATCHED)
         self._arrows = node.create_publisher(MarkerArray, "~/residuals", LATCHED)
         self._worker = Worker(first=partial(prepare, self._parameter("allow_foreign_modules")))
+        self.registered = ""  # where the frame of the samples used last was found to stand
         self._written = ""  # the model file that was written last
         self._one, self._transform = OneAtATime(self._worker), lookup(node)
         jobs = (
@@ -133,9 +134,10 @@ class Calibrator:
         self._publish_result("compare", Outcome(True, response.message, document))
 
     def _samples(self, model: Model) -> Collection:
-        """The samples in the model's base frame."""
+        """The samples in the model's base frame, or registered to it where they are used."""
         collection = self._collect()
-        dataset, said = in_base(collection.dataset, model, self._transform)
+        dataset, said = in_base(collection.dataset, model, self._transform, self._sigma())
+        self.registered = said if dataset is collection.dataset else ""
         if said:
             self._say(said)
         return replace(collection, dataset=dataset)

@@ -1,4 +1,5 @@
-"""Samples in the model's base frame: as they are, moved by TF where it is there, or refused."""
+"""Samples in the model's base frame: as they are, moved by TF where it is there, registered by
+themselves as the command line does it, or refused."""
 
 from __future__ import annotations
 
@@ -13,6 +14,7 @@ from rclpy.time import Time
 
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.base.rotation import quaternion_to_matrix
+from parallel_cal.identification.registration import registered
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
 
@@ -37,24 +39,31 @@ def foreign_frame(dataset: Dataset, model: Model) -> str:
     return "" if accounted or dataset.frame in ("", own) else dataset.frame
 
 
-def in_base(dataset: Dataset, model: Model, look: Look) -> tuple[Dataset, str]:
-    """The samples in the model's base frame, and what was done to them in words.
+def in_base(
+    dataset: Dataset, model: Model, look: Look, joint_sigma: float | None = None
+) -> tuple[Dataset, str]:
+    """The samples in the model's base frame by TF, or as they are, where whoever uses them finds
+    out where their frame stands; in words, what was or will be done to them.
 
-    DatasetError where their frame is another one and no transform is known.
+    DatasetError where their frame is another one, no transform is known and they are too few to
+    tell.
     """
     frame, base = foreign_frame(dataset, model), model.frames["base"]
+    found = look(base, frame) if frame else None
+    if found is not None:
+        age = "static" if found.age == 0.0 else f"{found.age:.1f} s old"
+        return moved(dataset, found, base), f"poses moved from '{frame}' to '{base}' by TF ({age})"
+    _, registration = registered(model, dataset, joint_sigma)
+    if registration is not None:
+        return dataset, registration.words
     if not frame:
         return dataset, ""
-    found = look(base, frame)
-    if found is None:
-        raise DatasetError(
-            f"the poses are in frame '{frame}', the model's base is '{base}', and no transform "
-            f"between them is known: publish it (TF, where tf2 is installed) or the poses in "
-            f"'{base}', name the frame in the model file (frames.base), or give the model the "
-            f"sensor {MOVES_POSES}"
-        )
-    age = "static" if found.age == 0.0 else f"{found.age:.1f} s old"
-    return moved(dataset, found, base), f"poses moved from '{frame}' to '{base}' by TF ({age})"
+    raise DatasetError(
+        f"the poses are in frame '{frame}', the model's base is '{base}', no transform between "
+        "them is known, and these samples do not tell it: take more of them, publish it (TF, where "
+        f"tf2 is installed) or the poses in '{base}', name the frame in the model file "
+        f"(frames.base), or give the model the sensor {MOVES_POSES}"
+    )
 
 
 def moved(dataset: Dataset, by: Transform, frame: str) -> Dataset:

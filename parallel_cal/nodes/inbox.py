@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from parallel_cal.base.errors import DatasetError, ParallelCalError
 from parallel_cal.recordings.channels import CHANNELS, named
 from parallel_cal.recordings.cleaning import assemble
+from parallel_cal.recordings.clocks import on_one_clock
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.loading import dataset_from_recording
 from parallel_cal.recordings.options import ReadOptions, SampleOptions
@@ -101,7 +102,8 @@ class Inbox:
     def _make_samples(self, joints: Sequence[str] | None, options: SampleOptions) -> None:
         try:
             heard = {name: raw for name, raw in self.raws.items() if raw.stamp}
-            recording = assemble(heard, ReadOptions(joints=joints), "live")
+            # Once here, so that what is counted as paired is what samples are made of.
+            recording = on_one_clock(assemble(heard, ReadOptions(joints=joints), "live"))
             self._count(recording, options)
             self._adopt(dataset_from_recording(recording, options), recording.start_ns)
         except ParallelCalError as error:
