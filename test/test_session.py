@@ -6,9 +6,10 @@ import shutil
 
 import pytest
 
-from parallel_cal.base.errors import FitError
+from parallel_cal.base.errors import BagError, FitError
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.file.modelfile import read_model
+from parallel_cal.recordings.loading import load_dataset
 from parallel_cal.session.session import Session, SessionError
 
 MODEL, BAG = "config/delta_mockup_nominal.yaml", "bags/delta_backlash"
@@ -148,9 +149,38 @@ def test_a_folder_without_a_session_and_one_with_are_told(session, tmp_path):
         Session(tmp_path)
     with pytest.raises(SessionError, match="holds a session already"):
         Session.new(session.folder, read_model(MODEL), [BAG])
-    with pytest.raises(SessionError, match="at least one recording"):
-        Session.new(tmp_path / "new", read_model(MODEL), [])
+    with pytest.raises(BagError):
+        Session.new(tmp_path / "new", read_model(MODEL), [tmp_path / "none"])
     assert not (tmp_path / "new").exists()
+
+
+def test_samples_can_be_taken_while_a_session_goes_on(session, tmp_path):
+    every = load_dataset(BAG)
+    live = Session.new(tmp_path / "live", read_model(MODEL), [])
+    with pytest.raises(SessionError, match="no samples yet"):
+        live.fit()
+    live.take(every.select(range(60)).to_json)
+    fit = live.fit()
+    live.exclude({4: "bumped", 7: "bumped"})
+    live.take(every.select([*range(7), *range(8, 80)]).to_json)  # one was removed at the cell
+    assert live.state.excluded == {4: "bumped"}
+    assert len(live.dataset) == 78
+    assert live.state.errors == {}  # nothing was identified on these yet
+    assert live.fit().before["position_rms"] == pytest.approx(fit.errors["position_rms"], rel=0.2)
+    for _ in range(4):
+        live.undo()
+    assert len(Session(live.folder).dataset) == 60
+
+
+def test_what_is_identified_can_be_chosen_anew_and_that_is_undone_too(session):
+    fixed = session.choose(fix=["chain1.*"], prior=True)
+    assert fixed.step == "fix chain1.*, prior True"
+    assert (session.options.fix, session.options.prior) == (["chain1.*"], True)
+    assert session.options.hold_out == 0.5
+    again = Session(session.folder)
+    assert again.exclude({3: ""}).fitting == fixed.fitting
+    assert again.undo() == fixed
+    assert again.undo().fitting == {}
 
 
 def test_the_command_line_takes_the_same_steps_and_remembers_options(session, run_cli, tmp_path):

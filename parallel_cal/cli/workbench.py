@@ -65,5 +65,7 @@ def _ready(
         return
     if model.is_dir():
         raise ParallelCalError(f"{model}: no session in this folder; give a model file and BAG")
+    if not bags:
+        raise ParallelCalError(f"{folder}: a new session needs at least one recording, or --ros")
     reading = data_options(data)
     Session.new(folder, read_model(model), bags, reading=reading, fitting=options)

@@ -10,10 +10,11 @@ import dataclasses
 import fcntl
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import cached_property
 from pathlib import Path
 from typing import Any
+from uuid import uuid4
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from parallel_cal.base.documents import plain
@@ -43,13 +44,19 @@ class _Part(BaseModel):
 
 class State(_Part):
     """A model and the samples it is judged by; `errors` are those at poses left out, `before` those
-    of the step's start, `noise` what a perfect model would show: summaries, empty where unknown."""
+    of the step's start, `noise` what a perfect model would show: summaries, empty where unknown.
+
+    `taken` is a file of samples taken since the session began, `fitting` what is identified
+    otherwise than at its beginning; both hold until changed, as `excluded` does.
+    """
 
     number: int
     parent: int | None
     step: str
     model: str
     excluded: Mapping[int, str] = {}
+    taken: str = ""
+    fitting: Mapping[str, Any] = {}
     before: Mapping[str, float | None] = {}
     errors: Mapping[str, float | None] = {}
     noise: Mapping[str, float | None] = {}
@@ -85,6 +92,7 @@ class Session:
         """Open a session; SessionError where the folder holds none, or one that cannot be read."""
         self.folder = Path(folder)
         self.record = self._read()
+        self._samples: dict[tuple[str, ...], Dataset] = {}
 
     @classmethod
     def new(
@@ -98,15 +106,15 @@ class Session:
     ) -> Session:
         """Begin one with a model and recordings; SessionError where the folder has one already.
 
-        Options are those of every step that follows.
+        Options are those of every step that follows. Without a recording, samples are to be
+        `take`n.
         """
         target = Path(folder)
         if (target / FILE).exists():
             raise SessionError(f"{target}: holds a session already; open it or name another folder")
-        if not recordings:
-            raise SessionError(f"{target}: a session needs at least one recording")
         paths = [str(Path(path).resolve()) for path in recordings]
-        load_sessions(paths, reading, joints=model.joints)  # better said now than at the first step
+        if paths:  # better said now than at the first step
+            load_sessions(paths, reading, joints=model.joints)
         (target / "models").mkdir(parents=True, exist_ok=True)
         first = State(number=0, parent=None, step="begin", model="models/0.yaml")
         write_model(model, target / first.model)
@@ -130,12 +138,22 @@ class Session:
     def model(self) -> Model:
         return read_model(self.folder / self.state.model)
 
-    @cached_property
+    @property
+    def recordings(self) -> list[str]:
+        """Those that the session began with, and the file of what was taken since."""
+        taken = [str(self.folder / self.state.taken)] if self.state.taken else []
+        return [*self.record.recordings, *taken]
+
+    @property
     def samples(self) -> Dataset:
-        """All samples, those that are excluded here, too."""
-        joints = read_model(self.folder / self.record.states[0].model).joints
-        options = ReadOptions(**self.record.reading)
-        return load_sessions(self.record.recordings, options, joints=joints)
+        """All samples, those that are excluded here, too; SessionError where there are none yet."""
+        if not (paths := tuple(self.recordings)):
+            raise SessionError(f"{self.folder}: no samples yet; take some first")
+        if paths not in self._samples:
+            joints = read_model(self.folder / self.record.states[0].model).joints
+            options = ReadOptions(**self.record.reading)
+            self._samples[paths] = load_sessions(paths, options, joints=joints)
+        return self._samples[paths]
 
     @property
     def dataset(self) -> Dataset:
@@ -147,7 +165,7 @@ class Session:
 
     @property
     def options(self) -> FitOptions:
-        return FitOptions(**self.record.fitting)
+        return FitOptions(**{**self.record.fitting, **self.state.fitting})
 
     def history(self, branch: str | None = None) -> list[State]:
         """The states from the beginning to a branch's last one."""
@@ -202,21 +220,42 @@ class Session:
         if unknown := sorted(set(samples) - known):
             raise SessionError(f"no sample {unknown[0]}; there are {len(known)}")
         excluded = {**self.state.excluded, **samples}
-        return self._refitted(f"exclude {_listed(samples)}", excluded, progress)
+        return self._refitted(f"exclude {_listed(samples)}", progress, excluded=excluded)
 
     def include(self, samples: Sequence[int], progress: Progress | None = None) -> State:
         """Take samples back that were excluded, and identify anew."""
         if missing := [n for n in samples if n not in self.state.excluded]:
             raise SessionError(f"sample {missing[0]} is not excluded")
         kept = {n: why for n, why in self.state.excluded.items() if n not in samples}
-        return self._refitted(f"include {_listed(samples)}", kept, progress)
+        return self._refitted(f"include {_listed(samples)}", progress, excluded=kept)
 
-    def _refitted(
-        self, words: str, excluded: Mapping[int, str], progress: Progress | None
-    ) -> State:
-        data = self._counted(excluded)
-        step = fitted(self.model, data, True, options=self.options, progress=progress)
-        return self._committed(words, step, excluded)
+    def choose(self, progress: Progress | None = None, **options: Any) -> State:
+        """Identify anew, from here on with other options of a fit: free, fix, prior, loss, ..."""
+        fitting = {**self.state.fitting, **{key: plain(v) for key, v in options.items()}}
+        words = ", ".join(f"{key} {_said(value)}" for key, value in options.items())
+        return self._refitted(words, progress, fitting=fitting)
+
+    def _refitted(self, words: str, progress: Progress | None, **changes: Any) -> State:
+        data = self._counted(changes.get("excluded", self.state.excluded))
+        options = FitOptions(
+            **{**self.record.fitting, **changes.get("fitting", self.state.fitting)}
+        )
+        step = fitted(self.model, data, True, options=options, progress=progress)
+        return self._committed(words, step, **changes)
+
+    def take(self, write: Callable[[Path], None]) -> State:
+        """Samples measured since the session began, in a file of its own that `write` makes: those
+        that were taken before, and what came since. The model stays as it is."""
+        file = self.folder / "samples" / f"{uuid4().hex}.json"
+        file.parent.mkdir(exist_ok=True)
+        write(file)
+        reading = ReadOptions(**self.record.reading)
+        paths = [*self.record.recordings, str(file)]
+        data = load_sessions(paths, reading, joints=self.model.joints)
+        before = self.samples if self.recordings else data
+        kept = {n: why for n, why in self.state.excluded.items() if _same(before, data, n)}
+        changes = {"taken": str(file.relative_to(self.folder)), "excluded": kept}
+        return self._advanced(f"take {len(data)} samples", None, **changes)
 
     def diagnose(self, progress: Progress | None = None, **options: Any) -> Diagnosis:
         """What is missing in the model of this state; its verdict is kept with the state."""
@@ -279,27 +318,33 @@ class Session:
 
     # ------------------------------------------------------------------ on disk
 
-    def _committed(
-        self, words: str, step: Step, excluded: Mapping[int, str] | None = None
-    ) -> State:
-        """A step's model and state, written, as the branch's last ones."""
+    def _committed(self, words: str, step: Step, **changes: Any) -> State:
+        """A step as the branch's last state, with its errors."""
+        return self._advanced(
+            words,
+            step.model,
+            before=plain(step.result.held_out_before.summary.document()),
+            errors=plain(step.result.held_out.summary.document()),
+            noise=plain(step.result.noise.document()),
+            against=step.acceptance.against,
+            **changes,
+        )
+
+    def _advanced(self, words: str, model: Model | None, **changes: Any) -> State:
+        """A new last state of the branch, written with its model (None: the one there is); what
+        holds until changed stays as it was, unless `changes` names it."""
         start = self.state
         with self._changing() as record:
             if record.state != start:
                 raise SessionError("the session was changed meanwhile: look at it and try again")
             number = len(record.states)
+            kept = {"excluded": start.excluded, "taken": start.taken, "fitting": start.fitting}
+            file = start.model if model is None else f"models/{number}.yaml"
             state = State(
-                number=number,
-                parent=start.number,
-                step=words,
-                model=f"models/{number}.yaml",
-                excluded=start.excluded if excluded is None else dict(excluded),
-                before=plain(step.result.held_out_before.summary.document()),
-                errors=plain(step.result.held_out.summary.document()),
-                noise=plain(step.result.noise.document()),
-                against=step.acceptance.against,
+                number=number, parent=start.number, step=words, model=file, **{**kept, **changes}
             )
-            write_model(step.model, self.folder / state.model)
+            if model is not None:
+                write_model(model, self.folder / file)
             self._move(record, number, [], states=[*record.states, state])
         return self.state
 
@@ -351,6 +396,16 @@ def _changed(options: Any, usual: Any) -> dict[str, Any]:
     """What differs from the usual, as JSON has it."""
     given = {field.name: getattr(options, field.name) for field in dataclasses.fields(options)}
     return {key: plain(v) for key, v in given.items() if v != getattr(usual, key)}
+
+
+def _said(value: Any) -> str:
+    return ", ".join(value) or "none" if isinstance(value, (list, tuple)) else str(value)
+
+
+def _same(one: Dataset, other: Dataset, number: int) -> bool:
+    """Whether two datasets mean the same sample by a number."""
+    q = [d.q[d.numbers == number] for d in (one, other)]
+    return bool(len(q[0]) and np.array_equal(*q))
 
 
 def _listed(samples: Any) -> str:
