@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -14,22 +14,35 @@ from parallel_cal.cli.recordings import data_options
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.reporting import console
 
+if TYPE_CHECKING:
+    from parallel_cal.nodes.watch import Watch
+
 
 @with_options
 def workbench(
     model: Annotated[
-        Path, typer.Argument(metavar="MODEL.yaml", help="model file, or a session's folder")
-    ],
+        Path | None,
+        typer.Argument(metavar="MODEL.yaml", help="model file, or a session's folder"),
+    ] = None,
     bags: Annotated[
         list[Path] | None, typer.Argument(help="recordings, for a new session; several: sessions")
     ] = None,
     *,
+    ros: Annotated[
+        bool, typer.Option("--ros", help="beside the running nodes; none: start both on MODEL.yaml")
+    ] = False,
+    namespace: Annotated[str, typer.Option(help="of the nodes, with --ros")] = "",
     session: Annotated[
         Path | None, typer.Option(help="the session's folder [default: MODEL.session]")
     ] = None,
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--output", help="what Save writes [default: model.yaml in the folder]"),
+        typer.Option(
+            "-o",
+            "--output",
+            help="what Save writes [default: the nodes' model file; without --ros: model.yaml in "
+            "the session's folder]",
+        ),
     ] = None,
     host: Annotated[str, typer.Option(help="address to listen at")] = "127.0.0.1",
     port: Annotated[int, typer.Option(help="port to listen at")] = 8080,
@@ -45,16 +58,49 @@ def workbench(
 
     if host not in LOOPBACK and not token:
         raise ParallelCalError(f"--host {host}: others can come in; give a --token that they need")
-    folder = model if model.is_dir() else session or model.with_suffix(".session")
-    _ready(folder, model, bags or [], options, data)
-    address = f"http://{host}:{port}/" + (f"?token={token}" if token else "")
-    console.note(f"{folder}: {address} (Ctrl-C ends it; the session stays)")
-    serve(folder, output, host=host, port=port, token=token, show=browser)
+    watch = _watch(namespace) if ros else None
+    try:
+        served = Path(watch.model_file()) if watch and watch.model_file() else None
+        if (model := model or served) is None:
+            raise ParallelCalError(
+                "no model: give MODEL.yaml" + (" to start the nodes on" if ros else "")
+            )
+        folder = model if model.is_dir() else session or model.with_suffix(".session")
+        _ready(folder, model, bags or [], options, data, ros)
+        output = output or served or folder / "model.yaml"
+        if watch and not served:
+            _start(watch, folder, output)
+        address = f"http://{host}:{port}/" + (f"?token={token}" if token else "")
+        console.note(f"{folder}: {address} (Ctrl-C ends it; the session stays)")
+        serve(folder, output, watch, host=host, port=port, token=token, show=browser)
+    finally:
+        if watch:
+            watch.close()
+
+
+def _watch(namespace: str) -> Watch:
+    if find_spec("rclpy") is None:
+        raise ParallelCalError("--ros needs ROS 2: pip install 'parallel_cal[ros]'")
+    from parallel_cal.nodes.watch import Watch
+
+    return Watch(namespace)
+
+
+def _start(watch: Watch, folder: Path, model_file: Path) -> None:
+    """Both nodes on the file that Save writes: the session's model, where there is none yet."""
+    from parallel_cal.model.file.modelfile import write_model
+    from parallel_cal.session.session import Session
+
+    if not model_file.exists():
+        write_model(Session(folder).model, model_file)
+    watch.start(folder, model_file)
+    console.note(f"started kinematics_node and calibration_node on {model_file}")
 
 
 def _ready(
-    folder: Path, model: Path, bags: list[Path], options: FitOptions, data: list[str] | None
-) -> None:
+    folder: Path, model: Path, bags: list[Path], options: FitOptions, data: list[str] | None,
+    ros: bool,
+) -> None:  # fmt: skip
     """A session in the folder: the one that is there, else a new one."""
     from parallel_cal.model.file.modelfile import read_model
     from parallel_cal.session.session import FILE, Session
@@ -65,7 +111,7 @@ def _ready(
         return
     if model.is_dir():
         raise ParallelCalError(f"{model}: no session in this folder; give a model file and BAG")
-    if not bags:
+    if not (bags or ros):
         raise ParallelCalError(f"{folder}: a new session needs at least one recording, or --ros")
     reading = data_options(data)
     Session.new(folder, read_model(model), bags, reading=reading, fitting=options)

@@ -4,18 +4,28 @@ from __future__ import annotations
 
 import json
 import multiprocessing
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from multiprocessing.connection import Connection
 from pathlib import Path
 from threading import Thread
-from typing import Any
+from typing import Any, Protocol
 
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.base.files import read_text, write_atomically
-from parallel_cal.model.file.modelfile import write_model
+from parallel_cal.model.file.modelfile import model_hash, write_model
 from parallel_cal.session.session import Session
 
-STEPS = ("fit", "add", "remove", "exclude", "include")  # methods of a session
+STEPS = ("fit", "add", "remove", "exclude", "include", "choose")  # methods of a session
+
+
+class Live(Protocol):
+    """Nodes at a robot, as `nodes.watch` follows them."""
+
+    def snapshot(self) -> dict[str, Any]: ...
+
+    def save_samples(self, path: Path) -> None: ...
+
+    def close(self) -> None: ...
 
 
 class Bench:
@@ -25,9 +35,11 @@ class Bench:
     the session as it was.
     """
 
-    def __init__(self, folder: Path, output: Path | None = None):
-        """`output` is the only file outside the folder that is written: the robot's model."""
+    def __init__(self, folder: Path, output: Path | None = None, live: Live | None = None):
+        """`output` is the only file outside the folder that is written: the robot's model; `live`
+        are the nodes at the robot."""
         self.session, self.output = Session(folder), output or folder / "model.yaml"
+        self.live = live
         self.version = 0
         self.stage, self.fraction = "", 0.0
         self.message, self.failed = "", False
@@ -40,14 +52,16 @@ class Bench:
     def busy(self) -> bool:
         return self._process is not None
 
-    def begin(self, step: str, *given: Any) -> None:
+    def begin(self, step: str, *given: Any, **options: Any) -> None:
         """Take a step of the session, then look at what came out; nothing while one goes on."""
         if self.busy:
             return
         context = multiprocessing.get_context("spawn")
         ours, theirs = context.Pipe(duplex=False)
         folder = self.session.folder
-        process = context.Process(target=_work, args=(folder, step, given, theirs), daemon=True)
+        process = context.Process(
+            target=_work, args=(folder, step, given, options, theirs), daemon=True
+        )
         self._process, self.stage, self.fraction = process, "starting", 0.0
         self._cancelled = False
         self.message, self.failed = "", False
@@ -63,11 +77,11 @@ class Bench:
             self._process.terminate()
 
     def at_once(self, step: str, *given: Any) -> None:
-        """A step that takes no time: undo, redo, start_branch, switch."""
+        """A step that takes no time: undo, redo, start_branch, switch, take."""
         try:
             getattr(self.session, step)(*given)
             self.message, self.failed = "", False
-        except ParallelCalError as error:
+        except (ParallelCalError, OSError) as error:
             self.message, self.failed = str(error), True
         self._look()
 
@@ -82,6 +96,11 @@ class Bench:
         except (ParallelCalError, OSError) as error:
             self.message, self.failed = str(error), True
         self._changed()
+
+    @property
+    def hash(self) -> str:
+        """sha256 (hex) of the present model, as the nodes tell it."""
+        return model_hash(read_text(self.session.folder / self.session.state.model))
 
     def follow(self) -> None:
         """Take up what another program has done in the session's folder."""
@@ -144,7 +163,9 @@ def kept(session: Session) -> dict[str, Any] | None:
     return found
 
 
-def _work(folder: Path, step: str, given: Sequence[Any], pipe: Connection) -> None:
+def _work(
+    folder: Path, step: str, given: Sequence[Any], options: Mapping[str, Any], pipe: Connection
+) -> None:
     """A process: one step of the session in `folder`, then its view, kept in a file."""
     from parallel_cal.workbench.views import view
 
@@ -154,7 +175,7 @@ def _work(folder: Path, step: str, given: Sequence[Any], pipe: Connection) -> No
     try:
         session = Session(folder)
         if step in STEPS:
-            getattr(session, step)(*given, progress=progress)
+            getattr(session, step)(*given, progress=progress, **options)
         progress("looking at what is left", 0.0)
         shown = view(session, progress)
         file = place(session)

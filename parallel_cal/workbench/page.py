@@ -9,20 +9,25 @@ from nicegui import ui
 
 from parallel_cal.reporting.readable import fixed
 from parallel_cal.workbench.bench import Bench
+from parallel_cal.workbench.live import LiveCard
+from parallel_cal.workbench.looks import (
+    ACCENT,
+    CLEAR,
+    COLOURS,
+    CSS,
+    MARKED,
+    QUIET,
+    ROUND,
+    card,
+    table,
+)
 
+EMPTY = (
+    "Looking at the measurements: this takes a few seconds.",
+    "No samples yet. Move the robot from pose to pose, hold it still at each for a second, "
+    "and take the samples as soon as there are twenty or more.",
+)
 POLL = 0.3  # s between two looks at the bench: two windows agree within a second
-COLOURS = {"green": "#1a7f37", "amber": "#9a6700", "grey": "#57606a"}
-QUIET, ACCENT, MARKED = "#8a94a3", "#0072b2", "#d55e00"  # Okabe and Ito: for every eye
-CLEAR = {
-    "paper_bgcolor": "rgba(0,0,0,0)",
-    "plot_bgcolor": "rgba(0,0,0,0)",
-    "font": {"color": QUIET},
-}
-CSS = """
-.q-header { background: #fff; color: #1f2328 }
-.body--dark .q-header { background: #1d1d1d; color: #e6edf3 }
-"""
-ROUND = {"t": 24, "r": 12, "l": 52, "b": 44}
 
 
 def build(bench: Bench) -> None:
@@ -45,7 +50,10 @@ class Window:
         ui.add_css(CSS)
         with ui.header().classes("shadow"):
             self.head = ui.column().classes("w-full gap-1")
-        self.body = ui.column().classes("w-full max-w-screen-xl mx-auto gap-4")
+        with ui.column().classes("w-full max-w-screen-xl mx-auto gap-4"):
+            if bench.live is not None:
+                LiveCard(bench, bench.live)
+            self.body = ui.column().classes("w-full gap-4")
         self._draw()
         ui.timer(POLL, self._poll)
 
@@ -67,7 +75,9 @@ class Window:
         with self.body:
             view = self.view = self.bench.view or {}
             if not view:
-                ui.label("Looking at the measurements: this takes a few seconds.").classes("p-4")
+                ui.label(EMPTY[self.bench.view is not None]).classes("p-4")
+                if self.bench.view is not None:
+                    self._history()
                 return
             self._failing(view)
             self._missing(view)
@@ -80,7 +90,7 @@ class Window:
 
     def _header(self) -> None:
         bench, view = self.bench, self.bench.view
-        verdict = (view or {}).get("verdict", {"colour": "grey", "words": "not looked at yet"})
+        verdict = (view or {}).get("verdict", {"colour": "grey", "words": "nothing measured yet"})
         ui.label(verdict["words"]).classes("text-base font-bold").style(
             f"border-left: 6px solid {COLOURS[verdict['colour']]}; padding-left: 8px"
         ).props("id=verdict role=status aria-live=polite")
@@ -127,7 +137,7 @@ class Window:
             button = ui.button(name, on_click=partial(bench.at_once, step)).props("dense outline")
             button.set_enabled(usable and not bench.busy)
         fit = ui.button("Fit", on_click=partial(bench.begin, "fit")).props("dense")
-        fit.set_enabled(not bench.busy)
+        fit.set_enabled(bool(bench.view) and not bench.busy)
         with ui.button("Save", on_click=bench.save).props("dense outline") as save:
             ui.tooltip(f"write this model to {bench.output}")
         save.set_enabled(not bench.busy and record.state.parent is not None)
@@ -136,7 +146,7 @@ class Window:
 
     def _failing(self, view: dict[str, Any]) -> None:
         residuals = view["residuals"]
-        with self._card("Where it fails"):
+        with card("Where it fails"):
             ui.label(
                 "Drag a box in a flat view (box or lasso tool): the same samples are marked in all."
             ).classes("text-sm").style("opacity: 0.75")
@@ -307,7 +317,7 @@ class Window:
     # ------------------------------------------------------------------ what is missing
 
     def _missing(self, view: dict[str, Any]) -> None:
-        with self._card("What is missing"):
+        with card("What is missing"):
             for advice in view["advice"][:3]:
                 ui.label(advice).classes("text-sm")
             if not view["candidates"]:
@@ -337,7 +347,7 @@ class Window:
 
     def _history(self) -> None:
         bench, session = self.bench, self.bench.session
-        with self._card("History"):
+        with card("History"):
             rows = [
                 {
                     "step": state.step,
@@ -348,7 +358,7 @@ class Window:
                 }
                 for state in session.history()
             ]
-            self._table(
+            table(
                 [("step", "step"), ("before", "left out, before [µm]"), ("after", "after [µm]"),
                  ("out", "samples left out"), ("verdict", "verdict")],
                 rows,
@@ -371,7 +381,7 @@ class Window:
                      "out": len(s.excluded)}
                     for k, s in session.compared().items()
                 ]  # fmt: skip
-                self._table(
+                table(
                     [("branch", "branch"), ("step", "last step"), ("after", "left out [µm]"),
                      ("out", "samples left out")],
                     beside,
@@ -382,8 +392,8 @@ class Window:
 
     def _samples(self, view: dict[str, Any]) -> None:
         bench = self.bench
-        with self._card("Samples"):
-            self.table = self._table(
+        with card("Samples"):
+            self.table = table(
                 [("sample", "sample"), ("time", "time [s]"), ("error", "error [µm]"),
                  ("sigmas", "residual [sigmas]"), ("odd", "odd")],
                 view["samples"],
@@ -417,8 +427,8 @@ class Window:
 
     def _parameters(self, view: dict[str, Any]) -> None:
         if view["parameters"]:
-            with self._card("Parameters"):
-                self._table(
+            with card("Parameters"):
+                table(
                     [("name", "parameter"), ("what", "what it is"), ("value", "value"),
                      ("sigma", "sigma"), ("unit", "unit"), ("moved", "moved [tolerances]")],
                     view["parameters"],
@@ -430,28 +440,6 @@ class Window:
 
     def _next(self, view: dict[str, Any]) -> None:
         if len(view["advice"]) > 3:
-            with self._card("What to measure next"):
+            with card("What to measure next"):
                 for advice in view["advice"]:
                     ui.label(advice)
-
-    # ------------------------------------------------------------------ pieces
-
-    def _card(self, title: str) -> Any:
-        card = ui.card().classes("w-full").props(f'role=region aria-label="{title}"')
-        with card:
-            ui.label(title).classes("text-lg font-bold").props("role=heading aria-level=2")
-        return card
-
-    def _table(
-        self, columns: list[tuple[str, str]], rows: list[dict[str, Any]], key: str, **how: Any
-    ) -> Any:
-        shown = [
-            {"name": field, "label": label, "field": field, "align": "left", "sortable": True}
-            for field, label in columns
-        ]
-        how = {"row_key": key} | how
-        return (
-            ui.table(columns=shown, rows=rows, **how)
-            .classes("w-full")
-            .props("dense flat wrap-cells")
-        )

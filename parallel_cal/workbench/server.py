@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
-from parallel_cal.workbench.bench import Bench
+from parallel_cal.workbench.bench import Bench, Live
 
 RECONNECT = 60.0  # s a window may be silent: drawing in space without a graphics card takes seconds
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
@@ -60,18 +60,20 @@ class Guard:
 def serve(
     folder: Path,
     output: Path | None = None,
+    live: Live | None = None,
     *,
     host: str = "127.0.0.1",
     port: int = 8080,
     token: str = "",
     show: bool = True,
 ) -> None:
-    """Serve the session in `folder` until the process is ended; Save writes `output`."""
+    """Serve the session in `folder` until the process is ended; Save writes `output`, `live` are
+    the nodes at the robot."""
     from nicegui import app, ui
 
     from parallel_cal.workbench.page import build
 
-    build(Bench(folder, output))
+    build(Bench(folder, output, live))
     app.add_middleware(Guard, hosts=(*LOOPBACK, host), token=token)
     ui.run(
         host=host, port=port, show=show, reload=False, title="parallel-cal", favicon="📐",

@@ -34,9 +34,11 @@ def view(session: Session, progress: Progress) -> View:
     """Everything the page shows of the session's present state.
 
     A model that was never identified on these samples is only compared with them; any other one is
-    diagnosed, and its verdict kept with the state.
+    diagnosed, and its verdict kept with the state. Without samples there is nothing to see yet.
     """
-    if session.state.parent is None:
+    if not session.recordings:
+        return {}
+    if not session.state.errors:
         return _compared(compare(session.model, session.dataset, session.options.joint_sigma))
     how = session.options
     found = report(

@@ -1,0 +1,229 @@
+"""What running nodes tell, gathered for somebody who looks on: plain data, nothing of ROS in it."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from bisect import bisect_left
+from collections import deque
+from contextlib import suppress
+from pathlib import Path
+from threading import Lock, Thread
+from typing import Any
+
+import numpy as np
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from parallel_cal_msgs.msg import CollectionStatus, ModelStatus
+from parallel_cal_msgs.srv import SaveSamples
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import NodeNameNonExistentError
+from std_msgs.msg import String
+
+from parallel_cal.base.errors import ParallelCalError
+from parallel_cal.nodes.client import PATIENCE, NodeError, Process
+from parallel_cal.nodes.parameters import LATCHED, SENSOR
+from parallel_cal.nodes.run import type_name
+
+SILENT = 5.0  # s without a word, after which a node that tells something each second is missed
+KEPT = 1200  # errors of the last poses: a minute at 20 Hz
+HELD = 600  # poses, predicted or measured, that wait for the other
+LEVELS = {b"\x00": "ok", b"\x01": "warn", b"\x02": "error", b"\x03": "stale"}
+MEASURED = {type_name(t): t for t in (PoseWithCovarianceStamped, PoseStamped)}
+KINEMATICS, CALIBRATION = "kinematics_node", "calibration_node"
+
+
+class Watch:
+    """Listens to both nodes of a namespace in a thread of its own until `close`."""
+
+    def __init__(self, namespace: str = ""):
+        self.namespace, self._processes = "/" + namespace.strip("/"), list[Process]()
+        self._context, self._lock = rclpy.Context(), Lock()
+        rclpy.init(context=self._context)
+        self._node = rclpy.create_node(
+            "workbench", namespace=self.namespace, context=self._context, enable_rosout=False
+        )
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        self._streams: dict[str, dict[str, Any]] = {}
+        self._heard: dict[str, float] = {}
+        self._model: dict[str, Any] = {}
+        self._samples: dict[str, Any] = {}
+        self._dropped: list[dict[str, Any]] = []
+        self._predicted: deque[tuple[float, np.ndarray]] = deque(maxlen=HELD)
+        self._waiting: deque[tuple[float, np.ndarray]] = deque(maxlen=HELD)
+        self._errors: deque[tuple[float, float]] = deque(maxlen=KEPT)
+        self._measured = ""  # the topic of the measured pose, once it is found
+        listen = self._node.create_subscription
+        listen(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
+        listen(ModelStatus, f"{KINEMATICS}/model_status", self._on_model, LATCHED)
+        listen(CollectionStatus, f"{CALIBRATION}/collection_status", self._on_samples, LATCHED)
+        listen(String, f"{CALIBRATION}/dropped", self._on_dropped, LATCHED)
+        listen(PoseStamped, f"{KINEMATICS}/pose", self._on_predicted, SENSOR)
+        self._node.create_timer(1.0, self._find_measured)
+        self._save = self._node.create_client(SaveSamples, f"{CALIBRATION}/save_samples")
+        self._thread = Thread(target=self._spin, daemon=True)
+        self._thread.start()
+
+    def start(self, folder: Path, model_file: Path) -> None:
+        """Both nodes on a model file, with logs and journal in a folder; they end with `close`."""
+        folders = os.pathsep.join(str(f.resolve()) for f in (folder, model_file.parent))
+        given = {"model_file": str(model_file.resolve()), "allowed_folders": folders}
+        journal = {"journal_folder": str(folder.resolve())}
+        self._processes += [
+            Process(KINEMATICS, folder, self.namespace, **given),
+            Process(CALIBRATION, folder, self.namespace, **given, **journal),
+        ]
+
+    def close(self) -> None:
+        """Listen no more, and end what was started."""
+        self._executor.shutdown(timeout_sec=1.0)
+        rclpy.try_shutdown(context=self._context)
+        self._thread.join(2.0)
+        for process in self._processes:
+            process.end()
+
+    def snapshot(self) -> dict[str, Any]:
+        """What is known now: `streams`, `model`, `samples`, `dropped`, `errors` of measured poses
+        [s ago, m], and the `trouble` that there is."""
+        with self._lock:
+            now = time.monotonic()
+            return {
+                "streams": list(self._streams.values()),
+                "model": dict(self._model),
+                "samples": dict(self._samples),
+                "dropped": list(self._dropped),
+                "errors": [(t - now, e) for t, e in self._errors],
+                "trouble": list(self._trouble(now)),
+            }
+
+    def save_samples(self, path: Path) -> None:
+        """Have calibration_node write what was collected; NodeError where it does not."""
+        if not self._save.wait_for_service(PATIENCE):
+            raise NodeError(f"{CALIBRATION} in {self.namespace} does not answer: is it running?")
+        future = self._save.call_async(SaveSamples.Request(path=str(path)))
+        end = time.monotonic() + PATIENCE
+        while not future.done():
+            if time.monotonic() > end:
+                raise NodeError(f"{CALIBRATION} has not saved its samples in {PATIENCE:.0f} s")
+            time.sleep(0.02)
+        if not future.result().success:
+            raise NodeError(f"{CALIBRATION}: {future.result().message}")
+
+    def model_file(self, patience: float = 3.0) -> str:
+        """The file of the model that is served; "" where nobody serves one."""
+        end = time.monotonic() + patience
+        while not self._model and time.monotonic() < end:
+            time.sleep(0.05)
+        return str(self._model.get("file", ""))
+
+    def _spin(self) -> None:
+        with suppress(ExternalShutdownException):
+            self._executor.spin()
+
+    def _trouble(self, now: float) -> Any:
+        for process in self._processes:
+            try:
+                process.check()
+            except ParallelCalError as error:
+                yield str(error)
+        for node in (KINEMATICS, CALIBRATION):
+            heard = self._heard.get(node)
+            if heard is None:
+                yield f"nothing heard of {self.namespace.rstrip('/')}/{node}: is it running?"
+            elif now - heard > SILENT:
+                yield f"{node} is silent since {now - heard:.0f} s"
+
+    # ------------------------------------------------------------------ what is heard
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        own = self.namespace.rstrip("/") + "/"
+        with self._lock:
+            for status in message.status:
+                who, _, what = status.name.partition(": ")
+                node = who.removeprefix(own)
+                if not who.startswith(own) or node not in (KINEMATICS, CALIBRATION):
+                    continue
+                self._heard[node] = time.monotonic()
+                values = {item.key: item.value for item in status.values}
+                self._streams[status.name] = {
+                    "node": node,
+                    "what": what,
+                    "level": LEVELS.get(bytes(status.level), "error"),
+                    "said": status.message,
+                    "rate": values.get("Actual frequency (Hz)", ""),
+                    "received": values.get("Events since startup", ""),
+                    "lost": values.get("Lost since startup", ""),
+                    "late": values.get("Latency p99 (ms)", ""),
+                }
+
+    def _on_model(self, message: ModelStatus) -> None:
+        with self._lock:
+            changed = message.hash != self._model.get("hash")
+            self._model = {
+                "ok": message.ok,
+                "file": message.model_file,
+                "hash": message.hash,
+                "effects": list(message.effects),
+                "source": message.source,
+                "reason": message.reason,
+                "since": _seconds(message.stamp) if changed else self._model["since"],
+            }
+
+    def _on_samples(self, message: CollectionStatus) -> None:
+        counts = ("samples", "paired", "dropped", "lost", "strays", "journal", "last_event")
+        with self._lock:
+            self._samples = {key: getattr(message, key) for key in counts}
+            self._samples["warnings"] = list(message.warnings)
+
+    def _on_dropped(self, message: String) -> None:
+        with self._lock:
+            self._dropped = json.loads(message.data)
+
+    # ------------------------------------------------------------------ predicted and measured
+
+    def _find_measured(self) -> None:
+        """Listen to the pose that calibration_node listens to, under whatever name."""
+        if self._measured:
+            return
+        try:
+            heard = self._node.get_subscriber_names_and_types_by_node(CALIBRATION, self.namespace)
+        except NodeNameNonExistentError:
+            return
+        for topic, types in heard:
+            for kind in set(types) & set(MEASURED):
+                self._measured = topic
+                self._node.create_subscription(MEASURED[kind], topic, self._on_measured, SENSOR)
+                return
+
+    def _on_predicted(self, message: PoseStamped) -> None:
+        self._predicted.append((_seconds(message.header.stamp), _position(message.pose)))
+        self._match()
+
+    def _on_measured(self, message: Any) -> None:
+        pose = message.pose.pose if hasattr(message.pose, "pose") else message.pose
+        self._waiting.append((_seconds(message.header.stamp), _position(pose)))
+        self._match()
+
+    def _match(self) -> None:
+        """Each measured pose beside the prediction of its moment, between its neighbours."""
+        while self._waiting and self._predicted and self._waiting[0][0] <= self._predicted[-1][0]:
+            at, measured = self._waiting.popleft()
+            k = bisect_left(self._predicted, at, key=lambda one: one[0])
+            if k == 0:
+                continue
+            (t0, one), (t1, two) = self._predicted[k - 1], self._predicted[k]
+            predicted = one + (two - one) * (at - t0) / (t1 - t0)
+            with self._lock:
+                error = float(np.linalg.norm(measured - predicted))
+                self._errors.append((time.monotonic(), error))
+
+
+def _position(pose: Any) -> np.ndarray:
+    return np.array([pose.position.x, pose.position.y, pose.position.z])
+
+
+def _seconds(stamp: Any) -> float:
+    return float(stamp.sec + 1e-9 * stamp.nanosec)

@@ -1,0 +1,122 @@
+"""The nodes at the robot: their streams, the samples as they come, the model that they serve."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from typing import Any
+
+from nicegui import run, ui
+
+from parallel_cal.workbench.bench import Bench, Live
+from parallel_cal.workbench.looks import ACCENT, CLEAR, COLOURS, QUIET, card
+
+LOOK = 1.0  # s between two looks at the nodes
+SHOWN = 60  # s of errors that are shown
+MARKS = {"ok": "✓", "warn": "!", "error": "✗", "stale": "?"}  # colour alone tells nothing
+COLUMNS = {
+    "level": "", "node": "node", "what": "what", "rate": "rate [Hz]", "received": "received",
+    "lost": "lost", "late": "p99 [ms]", "said": "says",
+}  # fmt: skip
+
+
+class LiveCard:
+    """Looked at again and again, drawn once: what is new is put into what is there."""
+
+    def __init__(self, bench: Bench, live: Live):
+        self.bench, self.live = bench, live
+        with card("Live"):
+            self.trouble = (
+                ui.label().props("id=trouble role=alert").style(f"color: {COLOURS['amber']}")
+            )
+            self.model = ui.label().props("id=served")
+            with ui.row().classes("items-center"):
+                self.samples = ui.label().props("id=collected aria-live=polite")
+                self.take = ui.button("Take samples", on_click=self._take).props("dense")
+                with self.take:
+                    ui.tooltip("use what calibration_node has collected in this session")
+            self.warnings = ui.label().classes("text-sm").style(f"color: {COLOURS['amber']}")
+            columns = [
+                {"name": key, "label": label, "field": key, "align": "left"}
+                for key, label in COLUMNS.items()
+            ]
+            self.streams = ui.table(columns=columns, rows=[], row_key="name")
+            self.streams.classes("w-full").props('dense flat aria-label="streams"')
+            self.figure: dict[str, Any] = {
+                "data": [
+                    {"type": "scatter", "mode": "markers", "x": [], "y": [],
+                     "marker": {"color": ACCENT, "size": 4}}
+                ],
+                "layout": {
+                    **CLEAR,
+                    "height": 200,
+                    "margin": {"t": 8, "r": 12, "l": 52, "b": 36},
+                    "xaxis": {"title": {"text": "s ago"}, "range": [-SHOWN, 0]},
+                    "yaxis": {"title": {"text": "error [µm]"}, "rangemode": "tozero"},
+                },
+                "config": {"displaylogo": False, "displayModeBar": False},
+            }  # fmt: skip
+            self.error = ui.label().classes("text-sm").props("id=live-error")
+            self.chart = ui.plotly(self.figure).classes("w-full")
+            self.chart.props('role=img aria-label="error of the poses measured, over time"')
+            self.dropped = ui.expansion("nothing was dropped").classes("w-full")
+        self._said: list[Any] = []
+        ui.timer(LOOK, self._look)
+        self._look()
+
+    def _look(self) -> None:
+        told = self.live.snapshot()
+        self.trouble.set_text(" ".join(told["trouble"]))
+        self.trouble.set_visibility(bool(told["trouble"]))
+        self.model.set_text(self._served(told["model"]))
+        samples = told["samples"]
+        count = samples.get("samples", 0)
+        last = f"; {samples['last_event']}" if samples.get("last_event") else ""
+        self.samples.set_text(f"{count} samples collected{last}")
+        self.take.set_enabled(bool(count) and not self.bench.busy)
+        self.warnings.set_text("; ".join(samples.get("warnings", [])))
+        self.streams.rows = [
+            {**{k: s.get(k, "") for k in COLUMNS}, "name": f"{s['node']} {s['what']}",
+             "level": f"{MARKS[s['level']]} {s['level']}"}
+            for s in told["streams"]
+        ]  # fmt: skip
+        self.streams.update()
+        self._draw_errors(told["errors"])
+        self._list_dropped(told["dropped"])
+
+    def _served(self, model: dict[str, Any]) -> str:
+        if not model.get("hash"):
+            return f"no model is served: {model.get('reason') or 'nobody has said so yet'}"
+        same = model["hash"] == self.bench.hash
+        when = datetime.fromtimestamp(model["since"]).strftime("%H:%M:%S")
+        effects = f" ({', '.join(model['effects'])})" if model["effects"] else ""
+        is_this = "the model of this state" if same else "another model than this state's"
+        failed = "" if model["ok"] else f"; the last attempt failed: {model['reason']}"
+        return f"the robot uses {model['hash'][:12]}{effects} since {when}: {is_this}{failed}"
+
+    def _draw_errors(self, errors: list[tuple[float, float]]) -> None:
+        shown = [(t, 1e6 * e) for t, e in errors if t > -SHOWN]
+        trace = self.figure["data"][0]
+        trace["x"], trace["y"] = [round(t, 2) for t, _ in shown], [round(e, 1) for _, e in shown]
+        if not shown:
+            self.error.set_text("no pose is measured and predicted at once")
+        else:
+            mean = sum(e for _, e in shown) / len(shown)
+            self.error.set_text(f"measured minus predicted, in the last minute: mean {mean:.0f} µm")
+        self.chart.set_visibility(bool(shown))
+        if shown:
+            self.chart.update()
+
+    def _list_dropped(self, dropped: list[Any]) -> None:
+        if dropped == self._said:
+            return
+        self._said = dropped
+        self.dropped.set_text(f"{sum(one['count'] for one in dropped)} dropped")
+        self.dropped.clear()
+        with self.dropped:
+            for one in dropped[-50:]:
+                ui.label(f"{one['time']:.1f} s: {one['reason']} {one['detail']}").style(
+                    f"color: {QUIET}"
+                ).classes("text-sm")
+
+    async def _take(self) -> None:
+        await run.io_bound(self.bench.at_once, "take", self.live.save_samples)

@@ -1,0 +1,38 @@
+"""Colours and the pieces that every part of the page is made of."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from nicegui import ui
+
+COLOURS = {"green": "#1a7f37", "amber": "#9a6700", "grey": "#57606a"}
+QUIET, ACCENT, MARKED = "#8a94a3", "#0072b2", "#d55e00"  # Okabe and Ito: for every eye
+CLEAR = {
+    "paper_bgcolor": "rgba(0,0,0,0)",
+    "plot_bgcolor": "rgba(0,0,0,0)",
+    "font": {"color": QUIET},
+}
+CSS = """
+.q-header { background: #fff; color: #1f2328 }
+.body--dark .q-header { background: #1d1d1d; color: #e6edf3 }
+"""
+ROUND = {"t": 24, "r": 12, "l": 52, "b": 44}
+
+
+def card(title: str) -> Any:
+    """A region of the page with its heading."""
+    made = ui.card().classes("w-full").props(f'role=region aria-label="{title}"')
+    with made:
+        ui.label(title).classes("text-lg font-bold").props("role=heading aria-level=2")
+    return made
+
+
+def table(columns: list[tuple[str, str]], rows: list[dict[str, Any]], key: str, **how: Any) -> Any:
+    """A table of (field, heading) columns, sortable by each."""
+    shown = [
+        {"name": field, "label": label, "field": field, "align": "left", "sortable": True}
+        for field, label in columns
+    ]
+    made = ui.table(columns=shown, rows=rows, **({"row_key": key} | how))
+    return made.classes("w-full").props("dense flat wrap-cells")
