@@ -4,9 +4,10 @@ import json
 import multiprocessing
 import shutil
 
+import numpy as np
 import pytest
 
-from parallel_cal.base.errors import BagError, FitError
+from parallel_cal.base.errors import BagError, DatasetError, FitError
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.recordings.loading import load_dataset
@@ -83,7 +84,10 @@ def test_branches_stand_side_by_side(session):
 
 
 def test_an_excluded_sample_keeps_the_others_numbers_and_can_be_taken_back(session):
-    session.exclude({5: "slipped"})
+    fit = session.state
+    out = session.exclude({5: "slipped"})
+    assert out.before == fit.errors  # not those of a model that knew the samples
+    assert not out.against
     assert 5 not in session.dataset.numbers
     assert len(session.samples) == len(session.dataset) + 1
     session.include([5])
@@ -170,6 +174,32 @@ def test_samples_can_be_taken_while_a_session_goes_on(session, tmp_path):
     for _ in range(4):
         live.undo()
     assert len(Session(live.folder).dataset) == 60
+
+
+def test_a_sample_can_be_opened_to_the_readings_it_was_made_of(session, tmp_path):
+    seen = session.signals(5)
+    inside = np.abs(seen.time) < seen.duration / 2
+    assert inside.sum() > 20
+    assert np.abs(seen.joints[inside].mean(axis=0)).max() < 1e-6  # the robot stood still here
+    assert np.abs(seen.joints).max() > 1e-3  # and moved before and after
+    assert np.abs(seen.position[np.abs(seen.pose_time) < 0.3 * seen.duration]).max() < 2e-4
+    both = Session.new(tmp_path / "two", read_model(MODEL), ["bags/delta_eccentricity", BAG])
+    first = int(both.samples.conditions["session"].sum())
+    again = both.signals(len(both.samples) - first + 5)  # the same sample of the later session
+    np.testing.assert_allclose(again.time, seen.time, atol=1e-9)
+    np.testing.assert_array_equal(again.joints, seen.joints)
+    live = Session.new(tmp_path / "live", read_model(MODEL), [])
+    live.take(session.samples.to_json)
+    with pytest.raises(DatasetError, match="holds samples, not the readings"):
+        live.signals(5)
+
+
+def test_poses_are_planned_for_what_is_free_here(session, run_cli):
+    file = session.plan(8)
+    names, *rows = file.read_text().splitlines()
+    assert names.startswith("x,y,z,qx,qy,qz,qw,joint1,joint2,joint3")
+    assert len(rows) == 8
+    assert run_cli("session", "plan", session.folder, "--poses", "9").strip().endswith("9 poses")
 
 
 def test_what_is_identified_can_be_chosen_anew_and_that_is_undone_too(session):

@@ -250,7 +250,7 @@ def test_the_whole_loop_on_the_page(browser, tmp_path):
 
 
 def test_views_are_kept_as_plain_data(tmp_path):
-    from parallel_cal.workbench.bench import kept
+    from parallel_cal.workbench.bench import VERSION, kept
 
     class Kept:
         folder = tmp_path
@@ -260,7 +260,11 @@ def test_views_are_kept_as_plain_data(tmp_path):
 
     assert kept(Kept) is None
     (tmp_path / "views").mkdir()
-    Path(tmp_path / "views" / "3.json").write_text(json.dumps({"tiles": []}))
+    whole = {"version": VERSION, "view": {"tiles": []}}
+    Path(tmp_path / "views" / "3.json").write_text(json.dumps(whole))
     assert kept(Kept) == {"tiles": []}
+    older = whole | {"version": VERSION - 1}
+    Path(tmp_path / "views" / "3.json").write_text(json.dumps(older))
+    assert kept(Kept) is None
     Path(tmp_path / "views" / "3.json").write_text("{ half")
     assert kept(Kept) is None

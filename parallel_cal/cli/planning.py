@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,7 +14,6 @@ from parallel_cal.reporting import console
 from parallel_cal.reporting.readable import fixed, fixed_vector
 
 if TYPE_CHECKING:
-    from parallel_cal.model.model import Model
     from parallel_cal.planning.plan import Plan
 
 ARCMIN = 60 * 180 / math.pi
@@ -47,9 +45,14 @@ def plan(
     from parallel_cal.base.files import write_atomically
     from parallel_cal.model.file.modelfile import read_model
     from parallel_cal.planning import plan as planning
+    from parallel_cal.recordings.simulate import with_noise
 
+    own = read_model(model)
+    known = with_noise(own)
+    if known.noise != own.noise:
+        console.note(f"{model} states no noise of joints or device: typical instruments are taken")
     found = planning.plan(
-        with_noise(read_model(model), str(model)), poses, criterion=criterion, method=method,
+        known, poses, criterion=criterion, method=method,
         pool=pool, symmetric=symmetric, free=patterns(free), fix=patterns(fix), prior=prior,
         seed=seed, progress=console.progress,
     )  # fmt: skip
@@ -66,47 +69,14 @@ def plan(
         console.say(f"{output}: {len(found)} poses")
 
 
-def with_noise(model: Model, source: str) -> Model:
-    """The model with typical noise where its file says nothing of joints or of the device."""
-    from parallel_cal.model.model import Noise
-    from parallel_cal.recordings.simulate import stated_noise
-
-    own, stated = model.noise, stated_noise(model)
-    joint = stated.joint if own.joint is None else own.joint
-    device = (own.position, own.orientation)
-    if model.structure.channels and device == (None, None):
-        return replace(model, noise=replace(own, joint=joint))  # measured without a pose device
-    if own.joint is None or device == (None, None):
-        # Of a device that states one of both, the other is taken for not measured.
-        console.note(f"{source} states no noise of joints or device: typical instruments are taken")
-    position, orientation = (
-        (stated.position, stated.orientation) if device == (None, None) else device
-    )
-    return replace(model, noise=Noise(joint, position, orientation))
-
-
 def as_file(found: Plan, suffix: str) -> str:
     """The poses as CSV (m, rad), or with everything else as YAML or JSON, by the file's name."""
-    import csv
-    import io
     import json
-
-    import numpy as np
-
-    from parallel_cal.cli.tables import POSITION, QUATERNION
 
     if suffix.lower() in (".yaml", ".yml", ".json"):
         # JSON is YAML.
         return json.dumps(plain(found.document()), indent=1) + "\n"
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    p, joints, way = found.poses, found.model.joints, found.approach
-    stops = {} if way is None else {"past": way.past.joints, "turn": way.turn.joints}
-    names = [f"{stop}.{joint}" for stop in stops for joint in joints]
-    writer.writerow([*POSITION, *QUATERNION, *joints, *found.model.conditions, *names])
-    columns = [p.position, p.quaternion, p.joints, found.a, *stops.values()]
-    writer.writerows(np.hstack(columns).tolist())
-    return out.getvalue()
+    return found.csv()
 
 
 def _show(found: Plan, document: dict[str, Any]) -> None:

@@ -11,11 +11,14 @@ from parallel_cal.cli.arguments import (
     Bags,
     Data,
     EffectName,
+    Fix,
     Force,
+    Free,
     Json,
     Method,
     ModelFile,
     Out,
+    patterns,
     with_options,
 )
 from parallel_cal.cli.recordings import data_options
@@ -104,10 +107,27 @@ def show(folder: Folder, as_json: Json = False) -> None:
         console.table(("branch", "last step", "left out [um]"), rows)
 
 
-def fit(folder: Folder, as_json: Json = False) -> None:
-    """Identify the model's free parameters."""
+def fit(folder: Folder, free: Free = None, fix: Fix = None, as_json: Json = False) -> None:
+    """Identify the model's free parameters; what is freed or fixed here holds from here on."""
     session = _open(folder)
+    asked = {"free": free, "fix": fix}
+    changed = {key: patterns(given) for key, given in asked.items() if given is not None}
+    if changed:
+        return _say(session, session.choose(console.progress, **changed), as_json)
     _say(session, session.fit(console.progress), as_json)
+
+
+def plan(
+    folder: Folder,
+    poses: Annotated[int, typer.Option(min=1, help="how many to measure")] = 20,
+    as_json: Json = False,
+) -> None:
+    """Choose poses to measure next, as a CSV in the session's folder."""
+    file = _open(folder).plan(poses, console.progress)
+    console.progress("", 1.0)
+    if as_json:
+        return console.emit({"output": str(file)})
+    console.say(f"{file}: {poses} poses")
 
 
 def add(folder: Folder, effect: EffectName, force: Force = False, as_json: Json = False) -> None:
@@ -199,6 +219,6 @@ def save(folder: Folder, output: Out, force: Force = False, as_json: Json = Fals
 
 
 for command in (
-    new, show, fit, add, remove, diagnose, exclude, include, undo, redo, branch, switch, save,
+    new, show, fit, add, remove, diagnose, exclude, include, plan, undo, redo, branch, switch, save,
 ):  # fmt: skip
     app.command()(command)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -22,6 +24,7 @@ from parallel_cal.planning.selection import CRITERIA, LINEAR, Choice, anneal, ex
 
 POOL, UNSEEN, RANDOM_SETS = 1000, 200, 21
 METHODS = ("exchange", "annealing")
+PLACE = ("x", "y", "z", "qx", "qy", "qz", "qw")  # columns of a pose in a file
 
 
 @dataclass(frozen=True)
@@ -98,6 +101,23 @@ class Plan:
             "noise": vars(self.model.noise),
             "warnings": list(self.warnings),
         }
+
+    def table(self) -> tuple[list[str], np.ndarray]:
+        """Names of columns, and a row a pose: where (m, quaternion), joints (rad, m), conditions,
+        and the joints of the stops on the way where it matters how a pose is come to."""
+        stops = {} if (way := self.approach) is None else {"past": way.past, "turn": way.turn}
+        joints = self.model.joints
+        named = [f"{stop}.{joint}" for stop in stops for joint in joints]
+        columns = [self.poses.position, self.poses.quaternion, self.poses.joints, self.a]
+        columns += [stop.joints for stop in stops.values()]
+        return [*PLACE, *joints, *self.model.conditions, *named], np.hstack(columns)
+
+    def csv(self) -> str:
+        """The table as a file that other programs read."""
+        names, rows = self.table()
+        out = io.StringIO()
+        csv.writer(out, lineterminator="\n").writerows([names, *rows.tolist()])
+        return out.getvalue()
 
     def _pose(self, i: int) -> dict[str, Any]:
         pose = self.poses[i]

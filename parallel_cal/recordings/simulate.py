@@ -257,6 +257,16 @@ def stated_noise(model: Model) -> Noise:
     )
 
 
+def with_noise(model: Model) -> Model:
+    """The model with typical noise where it says nothing of joints or of the device; of a device
+    that states one of position and orientation, the other is taken for not measured."""
+    own, stated = model.noise, stated_noise(model)
+    joint, device = stated.joint, (own.position, own.orientation)
+    if device == (None, None) and not model.structure.channels:
+        device = (stated.position, stated.orientation)
+    return replace(model, noise=Noise(joint, *device))
+
+
 def _pose_sigma(noise: Noise) -> np.ndarray:
     return np.repeat([noise.position or 0.0, noise.orientation or 0.0], 3)
 

@@ -30,10 +30,10 @@ def residual_arrows(
 
 
 def side(
-    places: np.ndarray, field: np.ndarray, kind: str, numbers: np.ndarray
+    places: np.ndarray, field: np.ndarray, kind: str, numbers: np.ndarray, scale: float = 0.0
 ) -> tuple[Spec, float]:
-    """The same of one of two models as it stands."""
-    scale = scale_of(places, [field])
+    """The same of one of several models as it stands, in a scale of its own where none is given."""
+    scale = scale or scale_of(places, [field])
     drawn = [*_drawn(places, field, scale, kind, numbers), _bar(places, field, scale, kind)]
     return {"data": drawn, "layout": space(kind) | {"height": 380}}, scale
 

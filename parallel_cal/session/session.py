@@ -24,9 +24,12 @@ from parallel_cal.diagnosis.diagnose import Diagnosis, diagnose
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.file.modelfile import read_model, write_model
 from parallel_cal.model.model import Model
+from parallel_cal.planning.plan import plan
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.loading import load_sessions
 from parallel_cal.recordings.options import ReadOptions
+from parallel_cal.recordings.signals import Signals, signals
+from parallel_cal.recordings.simulate import with_noise
 from parallel_cal.session.steps import Step, added, fitted, removed
 
 VERSION = 1
@@ -241,6 +244,10 @@ class Session:
             **{**self.record.fitting, **changes.get("fitting", self.state.fitting)}
         )
         step = fitted(self.model, data, True, options=options, progress=progress)
+        if (start := self.state).errors:
+            # The model that it starts from knew these samples: its error at them proves nothing,
+            # and other samples or parameters are no reason to doubt it.
+            changes |= {"before": start.errors, "against": start.against}
         return self._committed(words, step, **changes)
 
     def take(self, write: Callable[[Path], None]) -> State:
@@ -264,6 +271,22 @@ class Session:
         found = diagnose(self.model, self.dataset, **how)
         self.judged(at, f"{found.verdict.word}: {found.verdict.summary}")
         return found
+
+    def signals(self, sample: int) -> Signals:
+        """The readings that a sample was made of; DatasetError where they were not kept."""
+        reading = ReadOptions(**self.record.reading)
+        return signals(self.samples, sample, self.recordings, reading)
+
+    def plan(self, poses: int, progress: Progress | None = None) -> Path:
+        """Poses to measure next for what is free here: a CSV of m, quaternions and joints."""
+        asked = self.options
+        found = plan(
+            with_noise(self.model), poses, progress=progress, free=asked.free, fix=asked.fix
+        )
+        file = self.folder / "plans" / f"{self.state.number}.csv"
+        file.parent.mkdir(exist_ok=True)
+        write_atomically(file, found.csv())
+        return file
 
     def judged(self, at: State, verdict: str) -> None:
         """Keep a verdict with the state it was found for."""
@@ -320,15 +343,13 @@ class Session:
 
     def _committed(self, words: str, step: Step, **changes: Any) -> State:
         """A step as the branch's last state, with its errors."""
-        return self._advanced(
-            words,
-            step.model,
-            before=plain(step.result.held_out_before.summary.document()),
-            errors=plain(step.result.held_out.summary.document()),
-            noise=plain(step.result.noise.document()),
-            against=step.acceptance.against,
-            **changes,
-        )
+        judged = {
+            "before": plain(step.result.held_out_before.summary.document()),
+            "errors": plain(step.result.held_out.summary.document()),
+            "noise": plain(step.result.noise.document()),
+            "against": step.acceptance.against,
+        }
+        return self._advanced(words, step.model, **{**judged, **changes})
 
     def _advanced(self, words: str, model: Model | None, **changes: Any) -> State:
         """A new last state of the branch, written with its model (None: the one there is); what

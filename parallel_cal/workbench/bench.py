@@ -15,7 +15,8 @@ from parallel_cal.base.files import read_text, write_atomically
 from parallel_cal.model.file.modelfile import model_hash, write_model
 from parallel_cal.session.session import Session
 
-STEPS = ("fit", "add", "remove", "exclude", "include", "choose")  # methods of a session
+# Methods of a session that take their time.
+STEPS = ("fit", "add", "remove", "exclude", "include", "choose", "plan")
 
 
 class Live(Protocol):
@@ -98,6 +99,12 @@ class Bench:
         self._changed()
 
     @property
+    def planned(self) -> Path | None:
+        """The poses to measure next, where some were planned for this state."""
+        file = self.session.folder / "plans" / f"{self.session.state.number}.csv"
+        return file if file.exists() else None
+
+    @property
     def hash(self) -> str:
         """sha256 (hex) of the present model, as the nodes tell it."""
         return model_hash(read_text(self.session.folder / self.session.state.model))
@@ -150,17 +157,21 @@ class Bench:
         self.version += 1
 
 
-def place(session: Session) -> Path:
+VERSION = 2  # of what is kept of a view: another one is looked at anew
+
+
+def place(session: Session, state: int | None = None) -> Path:
     """Where a state's view is kept; a state never changes, and so neither does its view."""
-    return session.folder / "views" / f"{session.state.number}.json"
+    number = session.state.number if state is None else state
+    return session.folder / "views" / f"{number}.json"
 
 
-def kept(session: Session) -> dict[str, Any] | None:
+def kept(session: Session, state: int | None = None) -> dict[str, Any] | None:
     try:
-        found: dict[str, Any] = json.loads(read_text(place(session), most=256 << 20))
+        found: dict[str, Any] = json.loads(read_text(place(session, state), most=256 << 20))
     except (OSError, ValueError):
         return None
-    return found
+    return found["view"] if found.get("version") == VERSION else None
 
 
 def _work(
@@ -174,13 +185,16 @@ def _work(
 
     try:
         session = Session(folder)
+        done = None
         if step in STEPS:
-            getattr(session, step)(*given, progress=progress, **options)
-        progress("looking at what is left", 0.0)
-        shown = view(session, progress)
-        file = place(session)
-        file.parent.mkdir(exist_ok=True)
-        write_atomically(file, json.dumps(shown))
-        pipe.send(("done", session.state.against))
+            done = getattr(session, step)(*given, progress=progress, **options)
+        if kept(session) is None:
+            progress("looking at what is left", 0.0)
+            shown = view(session, progress)
+            file = place(session)
+            file.parent.mkdir(exist_ok=True)
+            write_atomically(file, json.dumps({"version": VERSION, "view": shown}))
+        written = f"written: {done}" if isinstance(done, Path) else ""
+        pipe.send(("done", written or session.state.against))
     except (ParallelCalError, OSError) as error:
         pipe.send(("error", str(error)))

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import csv
 from functools import partial
+from pathlib import Path
 from typing import Any
 
-from nicegui import ui
+from nicegui import run, ui
 
 from parallel_cal.reporting.readable import fixed
 from parallel_cal.workbench.bench import Bench
+from parallel_cal.workbench.beside import Beside
 from parallel_cal.workbench.live import LiveCard
 from parallel_cal.workbench.looks import (
     ACCENT,
@@ -21,12 +24,14 @@ from parallel_cal.workbench.looks import (
     card,
     table,
 )
+from parallel_cal.workbench.readings import signals
 
 EMPTY = (
     "Looking at the measurements: this takes a few seconds.",
     "No samples yet. Move the robot from pose to pose, hold it still at each for a second, "
     "and take the samples as soon as there are twenty or more.",
 )
+PRIORS = {None: "where the data tell less", True: "throughout", False: "nowhere"}
 POLL = 0.3  # s between two looks at the bench: two windows agree within a second
 
 
@@ -54,6 +59,7 @@ class Window:
             if bench.live is not None:
                 LiveCard(bench, bench.live)
             self.body = ui.column().classes("w-full gap-4")
+        self.layer = ui.element()  # dialogs stay while the body is drawn anew
         self._draw()
         ui.timer(POLL, self._poll)
 
@@ -98,6 +104,7 @@ class Window:
             for tile in (view or {}).get("tiles", []):
                 self._tile(tile)
             self._budget((view or {}).get("budget", []))
+            self._iso((view or {}).get("iso", []))
             self._buttons()
         if bench.busy:
             with ui.row().classes("items-center w-full"):
@@ -124,8 +131,20 @@ class Window:
             return
         with ui.column().classes("gap-0"):
             ui.label("error budget, each by itself").classes("text-xs").style("opacity: 0.75")
-            words = [f"{p['name']} {p['alone']} {p['unit']}" for p in parts if p["name"] != "rest"]
+            words = [
+                f"{p['name']} {p['alone']} {p['unit']} ({p['share']})"
+                for p in parts
+                if p["name"] != "rest"
+            ]
             ui.label(" · ".join(words)).props("id=budget")
+
+    def _iso(self, words: list[str]) -> None:
+        if words:
+            with ui.column().classes("gap-0"):
+                ui.label("ISO 9283").classes("text-xs").style("opacity: 0.75")
+                ui.label(" · ".join(words)).props("id=iso").tooltip(
+                    "pose accuracy AP and repeatability RP, the device's noise included"
+                )
 
     def _buttons(self) -> None:
         bench, record = self.bench, self.bench.session.record
@@ -318,8 +337,6 @@ class Window:
 
     def _missing(self, view: dict[str, Any]) -> None:
         with card("What is missing"):
-            for advice in view["advice"][:3]:
-                ui.label(advice).classes("text-sm")
             if not view["candidates"]:
                 ui.label("No effect was tested yet: press Fit.")
             for one in view["candidates"][:8]:
@@ -375,6 +392,8 @@ class Window:
                 ui.button(
                     "Branch", on_click=lambda: bench.at_once("start_branch", name.value or "")
                 ).props("dense outline")
+                if len(session.record.branches) > 1:
+                    ui.button("Compare", on_click=self._compare).props("dense outline")
             if len(session.record.branches) > 1:
                 beside = [
                     {"branch": k, "step": s.step, "after": fixed(s.position_rms, 1e6, 1),
@@ -387,6 +406,10 @@ class Window:
                     beside,
                     "branches",
                 )  # fmt: skip
+
+    def _compare(self) -> None:
+        with self.layer:
+            Beside(self.bench.session)
 
     # ------------------------------------------------------------------ samples, parameters, next
 
@@ -409,6 +432,9 @@ class Window:
                 self.count = ui.label("no sample marked").props("id=marked aria-live=polite")
                 why = ui.input("reason").classes("w-64")
                 ui.button("Exclude", on_click=lambda: self._exclude(why.value)).props("dense")
+                ui.button("Open", on_click=self._open).props("dense outline").tooltip(
+                    "the readings that the first marked sample was made of"
+                )
             left_out = bench.session.state.excluded
             for number, reason in left_out.items():
                 with ui.row().classes("items-center"):
@@ -425,21 +451,92 @@ class Window:
         chosen = {rows[i]["sample"]: why or "" for i in sorted(self.marked)}
         self.bench.begin("exclude", chosen)
 
+    async def _open(self) -> None:
+        """Show the readings that a sample was made of."""
+        if not self.marked:
+            self.count.set_text("no sample marked: mark one in a view or in the table first")
+            return
+        sample = self.view["samples"][min(self.marked)]["sample"]
+        shown = await run.cpu_bound(signals, self.bench.session.folder, sample) or {}
+        with self.layer, ui.dialog(value=True) as dialog, ui.card().classes("w-full max-w-4xl"):
+            ui.label(f"Sample {sample}: its readings, less their means").classes("font-bold")
+            ui.label(shown.get("words", ""))
+            if figure := shown.get("figure"):
+                figure["layout"] |= CLEAR
+                ui.plotly(figure).classes("w-full").props(
+                    f'role=img aria-label="readings of sample {sample}"'
+                )
+            ui.button("Close", on_click=dialog.close).props("dense outline")
+
     def _parameters(self, view: dict[str, Any]) -> None:
-        if view["parameters"]:
-            with card("Parameters"):
-                table(
-                    [("name", "parameter"), ("what", "what it is"), ("value", "value"),
-                     ("sigma", "sigma"), ("unit", "unit"), ("moved", "moved [tolerances]")],
-                    view["parameters"],
-                    "name",
-                    pagination=12,
-                )  # fmt: skip
-                for line in view["cannot_tell"]:
-                    ui.label(f"The data cannot tell {line}.").classes("text-sm")
+        if not view["parameters"]:
+            return
+        bench = self.bench
+        with card("Parameters"):
+            rows = table(
+                [("name", "parameter"), ("what", "what it is"), ("value", "value"),
+                 ("sigma", "sigma"), ("unit", "unit"), ("moved", "moved [tolerances]")],
+                view["parameters"],
+                "name",
+                selection="multiple",
+                pagination=12,
+            )  # fmt: skip
+            with ui.row().classes("items-center"):
+                for words, fix in (("Hold marked", True), ("Free marked", False)):
+                    chosen = partial(self._choose, rows, fix)
+                    ui.button(words, on_click=chosen).props("dense").set_enabled(not bench.busy)
+                ui.select(
+                    PRIORS,
+                    value=bench.session.options.prior,
+                    label="tolerances as priors",
+                    on_change=lambda e: bench.begin("choose", prior=e.value),
+                ).classes("w-64").set_enabled(not bench.busy)
+            for line in view["cannot_tell"]:
+                ui.label(f"The data cannot tell {line}.").classes("text-sm")
+
+    def _choose(self, rows: Any, fix: bool) -> None:
+        """Hold marked parameters at their values, or identify them, from here on."""
+        names = [row["name"] for row in rows.selected]
+        if not names:
+            return ui.notify("mark parameters in the table first")
+        asked = self.bench.session.options
+        kept = {
+            key: [n for n in patterns if n not in names]
+            for key, patterns in (("fix", asked.fix), ("free", asked.free))
+        }
+        kept["fix" if fix else "free"] += names
+        self.bench.begin("choose", **kept)
 
     def _next(self, view: dict[str, Any]) -> None:
-        if len(view["advice"]) > 3:
-            with card("What to measure next"):
-                for advice in view["advice"]:
-                    ui.label(advice)
+        bench = self.bench
+        with card("What to measure next"):
+            for advice in view["advice"]:
+                ui.label(advice)
+            with ui.row().classes("items-center"):
+                count = ui.number("poses", value=20, min=1, max=500, precision=0).classes("w-24")
+                ui.button(
+                    "Plan", on_click=lambda: bench.begin("plan", int(count.value or 20))
+                ).props("dense").set_enabled(not bench.busy)
+                if planned := bench.planned:
+                    ui.button("CSV", on_click=lambda: ui.download(planned)).props("dense outline")
+            if planned:
+                self._draw_planned(planned, view)
+
+    def _draw_planned(self, file: Path, view: dict[str, Any]) -> None:
+        poses = [[1e3 * float(row[k]) for k in "xyz"] for row in csv.DictReader(file.open())]
+        traces = [
+            {
+                "type": "scatter3d", "mode": "markers", "name": name,
+                **{k: [p[i] for p in places] for i, k in enumerate("xyz")},
+                "marker": {"size": size, "color": colour},
+            }
+            for name, places, size, colour in (
+                ("measured", view["residuals"]["place"], 2, QUIET),
+                ("planned", poses, 5, MARKED),
+            )
+        ]  # fmt: skip
+        axes = {f"{k}axis": {"title": {"text": f"{k} [mm]"}} for k in "xyz"}
+        layout = {**CLEAR, "height": 380, "margin": ROUND, "scene": axes}
+        ui.plotly({"data": traces, "layout": layout}).classes("w-full").props(
+            'role=img aria-label="planned poses among those measured"'
+        )

@@ -69,10 +69,11 @@ def serve(
 ) -> None:
     """Serve the session in `folder` until the process is ended; Save writes `output`, `live` are
     the nodes at the robot."""
-    from nicegui import app, ui
+    from nicegui import app, run, ui
 
     from parallel_cal.workbench.page import build
 
+    run.process_pool_start_method = "spawn"  # forks of a process with threads may hang
     build(Bench(folder, output, live))
     app.add_middleware(Guard, hosts=(*LOOPBACK, host), token=token)
     ui.run(

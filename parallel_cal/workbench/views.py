@@ -11,6 +11,7 @@ from parallel_cal.base.documents import plain
 from parallel_cal.diagnosis.comparison import Comparison, compare
 from parallel_cal.diagnosis.entries import Entry
 from parallel_cal.diagnosis.patterns import Along
+from parallel_cal.identification.budget import Iso9283, iso_9283
 from parallel_cal.identification.prediction_errors import Summary
 from parallel_cal.reporting import contents, multiples, spaces
 from parallel_cal.reporting.readable import (
@@ -59,6 +60,7 @@ def _compared(found: Comparison) -> View:
         "verdict": {"colour": GREY, "words": "compared with the measurements; not identified yet"},
         "tiles": tiles,
         "budget": [],
+        "iso": [_iso(one) for one in iso_9283(found.errors, found.observations)],
         "arrows": _arrows(residuals),
         "residuals": _residuals(residuals, found.along),
         "samples": [
@@ -93,6 +95,7 @@ def _reported(found: Report) -> View:
         "verdict": _verdict(found),
         "tiles": tiles,
         "budget": list(_budget(found)),
+        "iso": [_iso(one) for one in found.iso_9283],
         "arrows": _arrows(found.residuals),
         "residuals": _residuals(found.residuals, found.along),
         "samples": [
@@ -152,13 +155,21 @@ def _budget(found: Report) -> Iterator[View]:
             }
 
 
+def _iso(found: Iso9283) -> str:
+    unit, factor = small(unit_of(found.kind, {}))
+    again = f", RP {number(found.repeatability, factor)} {unit}" if found.repeatability else ""
+    return f"{found.kind}: AP {number(found.accuracy_mean, factor)} {unit}{again}"
+
+
 def _arrows(residuals: contents.Residuals) -> View | None:
     if residuals.kind is None:
         return None
     figure, scale = spaces.residual_arrows(
         residuals.place, [residuals.now], residuals.kind, residuals.sample
     )
-    return {"figure": plain(figure), "scale": scale}
+    field = {"kind": residuals.kind, "places": residuals.place, "vectors": residuals.now,
+             "numbers": residuals.sample}  # fmt: skip
+    return plain({"figure": figure, "scale": scale, "field": field})
 
 
 def _residuals(residuals: contents.Residuals, striking: Sequence[Along]) -> View:
@@ -209,6 +220,7 @@ def _parameter(name: str, p: contents.Described) -> View:
         "sigma": "given" if p.fixed else (sigma or "-"),
         "unit": unit,
         "moved": _round(p.moved_tolerances, 2),
+        "fixed": p.fixed,
     }
 
 

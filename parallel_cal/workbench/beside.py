@@ -1,0 +1,85 @@
+"""Branches side by side: their errors, and their residuals in one scale, seen from one side."""
+
+from __future__ import annotations
+
+import json
+from functools import partial
+from typing import Any
+
+import numpy as np
+from nicegui import ui
+
+from parallel_cal.reporting.arrows import scale_of
+from parallel_cal.reporting.readable import fixed
+from parallel_cal.reporting.spaces import side
+from parallel_cal.session.session import Session
+from parallel_cal.workbench.bench import kept
+from parallel_cal.workbench.looks import CLEAR, table
+
+
+class Beside:
+    """A dialog with the last state of every branch."""
+
+    def __init__(self, session: Session):
+        self.camera: Any = None
+        states = session.compared()
+        views = {name: kept(session, state.number) or {} for name, state in states.items()}
+        fields = {name: v["arrows"]["field"] for name, v in views.items() if v.get("arrows")}
+        with ui.dialog(value=True).props("maximized") as dialog, ui.card():
+            ui.label("Branches side by side").classes("text-lg font-bold")
+            rows = [
+                {"branch": name, "step": s.step, "out": len(s.excluded), "verdict": s.verdict,
+                 **{k: fixed(e.get("position_rms"), 1e6, 1)
+                    for k, e in (("after", s.errors), ("noise", s.noise))}}
+                for name, s in states.items()
+            ]  # fmt: skip
+            table(
+                [("branch", "branch"), ("step", "last step"), ("after", "left out [µm]"),
+                 ("noise", "noise alone [µm]"), ("out", "samples left out"),
+                 ("verdict", "verdict")],
+                rows,
+                "branch",
+            )  # fmt: skip
+            with ui.row().classes("w-full no-wrap max-lg:flex-wrap"):
+                self.plots = [self._plot(name, fields) for name in fields]
+            for name in sorted(set(states) - set(fields)):
+                ui.label(f"{name}: its last state was not looked at yet; switch to it first")
+            ui.button("Close", on_click=dialog.close).props("dense outline")
+
+    def _plot(self, name: str, fields: dict[str, Any]) -> Any:
+        """One branch's residuals: lengths and axes are those of all."""
+        places, vectors = (
+            {k: np.array(f[key], dtype=float).reshape(-1, 3) for k, f in fields.items()}
+            for key in ("places", "vectors")
+        )
+        scale = min(scale_of(places[k], [vectors[k]]) for k in fields)
+        field = fields[name]
+        figure, _ = side(
+            places[name], vectors[name], field["kind"], np.array(field["numbers"]), scale
+        )
+        every = 1e3 * np.concatenate(list(places.values()))
+        low, high = every.min(axis=0), every.max(axis=0)
+        margin = 0.1 * (high - low).max()
+        layout = figure["layout"] | CLEAR | {"scene": dict(figure["layout"]["scene"])}
+        for k, axis in enumerate(("xaxis", "yaxis", "zaxis")):
+            ends = [float(low[k] - margin), float(high[k] + margin)]
+            layout["scene"][axis] = layout["scene"].get(axis, {}) | {"range": ends}
+        with ui.column().classes("flex-1 min-w-0 gap-0"):
+            ui.label(f"{name}: residuals drawn {scale:g} times as long as they are")
+            plot = ui.plotly(figure | {"layout": layout}).classes("w-full")
+            plot.props(f'role=img aria-label="residuals of {name}"')
+            plot.on("plotly_relayout", partial(self._turn, plot))
+        return plot
+
+    def _turn(self, turned: Any, event: Any) -> None:
+        """Turn the others as one was turned; their own word of it is no news."""
+        camera = (event.args or {}).get("scene.camera")
+        if camera is None or camera == self.camera:
+            return
+        self.camera = camera
+        for plot in self.plots:
+            if plot is not turned:
+                ui.run_javascript(
+                    f"Plotly.relayout(getElement({plot.id}).$el, "
+                    f"{{'scene.camera': {json.dumps(camera)}}})"
+                )
