@@ -2,38 +2,26 @@
 
 import asyncio
 import json
-import os
 import re
+import resource
 import shutil
 import signal
-import socket
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import pytest
+from workbench_page import LONG, Served, opened, until
 
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.session.session import Session
 
 MODEL, BAG = "config/delta_mockup_nominal.yaml", "bags/delta_backlash"
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
-LONG = 240.0  # s that anything may take on a busy machine
 
 
 @pytest.fixture
 def folder(tmp_path):
     Session.new(tmp_path / "s", read_model(MODEL), [BAG], fitting=FitOptions(hold_out=0.5))
     return tmp_path / "s"
-
-
-def until(condition, what):
-    end = time.monotonic() + LONG
-    while not condition():
-        assert time.monotonic() < end, what
-        time.sleep(0.05)
 
 
 # ------------------------------------------------------------------ without a browser
@@ -138,49 +126,16 @@ def test_the_command_says_what_it_lacks(tmp_path, capsys):
 # ------------------------------------------------------------------ in a browser
 
 
-class Served:
-    """`parallel-cal workbench` as a person starts it."""
-
-    def __init__(self, folder, output):
-        with socket.socket() as free:
-            free.bind(("127.0.0.1", 0))
-            self.port = free.getsockname()[1]
-        self.url = f"http://127.0.0.1:{self.port}/"
-        code = "import sys; from parallel_cal.cli.main import main; main(sys.argv[1:])"
-        given = [MODEL, BAG, "--session", folder, "-o", output, "--port", self.port, "--no-open"]
-        self.process = subprocess.Popen(
-            [sys.executable, "-c", code, "workbench", *map(str, given)],
-            stderr=subprocess.DEVNULL,
-            env={k: v for k, v in os.environ.items() if k != "PYTEST_CURRENT_TEST"},
-        )
-        until(self._answers, "the server's first answer")
-
-    def _answers(self):
-        assert self.process.poll() is None
-        with socket.socket() as one:
-            return one.connect_ex(("127.0.0.1", self.port)) == 0
-
-    def end(self, how=signal.SIGTERM):
-        self.process.send_signal(how)
-        self.process.wait(60)
-
-
 @pytest.fixture
 def browser():
-    if CHROMIUM is None:
-        pytest.skip("chromium is not installed")
-    api = pytest.importorskip("playwright.sync_api")
-    with api.sync_playwright() as playwright:
-        arguments = ["--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader"]
-        one = playwright.chromium.launch(executable_path=CHROMIUM, args=arguments)
+    with opened() as one:
         yield one
-        one.close()
 
 
 @pytest.mark.wide
 def test_the_whole_loop_on_the_page(browser, tmp_path):
     folder, output = tmp_path / "s", tmp_path / "robot.yaml"
-    served, asked_for = Served(folder, output), set()
+    served, asked_for = Served(MODEL, BAG, "--session", folder, "-o", output), set()
     try:
         page = browser.new_page(viewport={"width": 1280, "height": 1000})
         page.set_default_timeout(1000 * LONG)
@@ -194,7 +149,7 @@ def test_the_whole_loop_on_the_page(browser, tmp_path):
         assert "606 µm" in fitted
 
         # Brush half of the map: as many samples are marked in the table.
-        plot = page.get_by_role("img", name="rms residual").locator(".nsewdrag").first
+        plot = page.get_by_role("figure", name="rms residual").locator(".nsewdrag").first
         plot.scroll_into_view_if_needed()
         box = plot.bounding_box()
         page.mouse.move(box["x"] + 2, box["y"] + 2)
@@ -204,7 +159,7 @@ def test_the_whole_loop_on_the_page(browser, tmp_path):
         page.locator("#marked").get_by_text(re.compile(r"^\d+ samples marked")).wait_for()
         marked = int(page.locator("#marked").inner_text().split()[0])
         assert 10 < marked < 84
-        along = page.get_by_role("img", name="residual of x against")
+        along = page.get_by_role("figure", name="residual of x against")
         faint = along.locator(".scatterlayer path.point[style*='opacity: 0.35']")
         until(lambda: faint.count() == 94 - marked, "the same samples marked in the other view")
 
@@ -238,7 +193,7 @@ def test_the_whole_loop_on_the_page(browser, tmp_path):
         session = Session(folder)
         assert set(session.record.branches) == {"main", "careful"}
         assert list(session.state.excluded.values()) == ["bumped"]
-        served = Served(folder, output)
+        served = Served(MODEL, BAG, "--session", folder, "-o", output)
         page.goto(served.url)
         page.get_by_text("is left out: bumped").wait_for()
         page.get_by_role("button", name="Fit", exact=True).click()
@@ -247,6 +202,106 @@ def test_the_whole_loop_on_the_page(browser, tmp_path):
         assert Session(folder).state == session.state
     finally:
         served.end()
+
+
+@pytest.mark.wide
+def test_everything_else_on_the_page_and_no_serious_fault_of_access(browser, tmp_path):
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
+    bag = tmp_path / "bag"
+    shutil.copytree(BAG, bag)
+    folder = tmp_path / "s"
+    session = Session.new(folder, read_model(MODEL), [bag], fitting=FitOptions(hold_out=0.5))
+    session.fit()
+    session.start_branch("beside")
+    served = Served(folder)
+
+    def faults(page):
+        found = axe.run(page).response["violations"]
+        return [
+            (one["id"], one["nodes"][0]["html"][:200])
+            for one in found
+            if one["impact"] in ("serious", "critical")
+        ]
+
+    try:
+        page = browser.new_page(viewport={"width": 1280, "height": 1000})
+        page.set_default_timeout(1000 * LONG)
+        page.goto(served.url)
+        page.locator("#verdict").get_by_text("one effect missing: backlash").wait_for()
+        assert "AP" in page.locator("#iso").inner_text()
+        page.get_by_text("its pattern").first.click()
+        page.get_by_role("figure", name="backlash: residual of joint1 against").wait_for()
+        for name, words in (("sides", "from three sides"), ("uncertainty", "1-sigma ellipses")):
+            page.get_by_role("tab", name=name).click()
+            page.get_by_role("figure", name=words).wait_for()
+        assert faults(page) == []
+
+        page.get_by_role("checkbox").nth(1).click()
+        page.locator("#marked").get_by_text("1 samples marked").wait_for()
+        page.get_by_role("button", name="Open", exact=True).click()
+        page.get_by_role("figure", name="readings of sample").wait_for()
+        page.get_by_role("button", name="Close", exact=True).click()
+
+        page.get_by_label("poses").fill("8")
+        page.get_by_role("button", name="Plan", exact=True).click()
+        page.get_by_role("figure", name="planned poses").wait_for()
+        with page.expect_download() as download:
+            page.get_by_role("button", name="CSV", exact=True).click()
+        assert len(Path(download.value.path()).read_text().splitlines()) == 9
+
+        before = Session(folder).state
+        row = page.get_by_role("row").filter(has_text="chain1.Lb")
+        row.get_by_role("checkbox").click()
+        page.get_by_role("button", name="Hold marked", exact=True).click()
+        until(lambda: Session(folder).state != before, "the parameter held")
+        assert "chain1.Lb" in Session(folder).options.fix
+        until(lambda: Session(folder).state.verdict, "a look at what is left")
+
+        page.get_by_role("button", name="Compare", exact=True).click()
+        page.get_by_text("Branches side by side").wait_for()
+        page.get_by_role("figure", name="residuals of beside").wait_for()
+        page.get_by_role("figure", name="residuals of main").wait_for()
+        page.keyboard.press("Escape")
+
+        narrow = browser.new_page(viewport={"width": 800, "height": 900}, color_scheme="dark")
+        narrow.set_default_timeout(1000 * LONG)
+        narrow.goto(served.url)
+        narrow.get_by_text("Where it fails").wait_for()
+        wide = narrow.evaluate("document.documentElement.scrollWidth")
+        assert wide <= 800
+        assert faults(narrow) == []
+
+        shutil.rmtree(bag)  # what is lost meanwhile is said, and nothing else is
+        state = Session(folder).state
+        page.get_by_role("button", name="Fit", exact=True).click()
+        page.locator("#message").get_by_text("bag").wait_for()
+        assert Session(folder).state == state
+    finally:
+        served.end()
+
+
+@pytest.mark.wide
+def test_a_full_disk_is_said_and_the_session_stays_as_it_was(folder):
+    from parallel_cal.workbench.bench import Bench
+
+    bench = Bench(folder)
+    until(lambda: not bench.busy, "the first look")
+    state = bench.session.state
+    usual = resource.getrlimit(resource.RLIMIT_FSIZE)
+    try:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1000, usual[1]))  # no larger file can be written
+        bench.begin("fit")
+        until(lambda: not bench.busy, "its end")
+        bench.save()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, usual)
+    assert bench.failed
+    assert "large" in bench.message  # as the system says it
+    assert not bench.output.exists()
+    assert Session(folder).state == state
+    bench.begin("fit")
+    until(lambda: not bench.busy, "the fit")
+    assert bench.session.state.step == "fit"
 
 
 def test_views_are_kept_as_plain_data(tmp_path):

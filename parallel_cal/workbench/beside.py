@@ -67,7 +67,7 @@ class Beside:
         with ui.column().classes("flex-1 min-w-0 gap-0"):
             ui.label(f"{name}: residuals drawn {scale:g} times as long as they are")
             plot = ui.plotly(figure | {"layout": layout}).classes("w-full")
-            plot.props(f'role=img aria-label="residuals of {name}"')
+            plot.props(f'role=figure aria-label="residuals of {name}"')
             plot.on("plotly_relayout", partial(self._turn, plot))
         return plot
 

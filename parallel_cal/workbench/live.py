@@ -57,7 +57,7 @@ class LiveCard:
             }  # fmt: skip
             self.error = ui.label().classes("text-sm").props("id=live-error")
             self.chart = ui.plotly(self.figure).classes("w-full")
-            self.chart.props('role=img aria-label="error of the poses measured, over time"')
+            self.chart.props('role=figure aria-label="error of the poses measured, over time"')
             self.dropped = ui.expansion("nothing was dropped").classes("w-full")
         self._said: list[Any] = []
         ui.timer(LOOK, self._look)

@@ -16,7 +16,10 @@ CLEAR = {
 CSS = """
 .q-header { background: #fff; color: #1f2328 }
 .body--dark .q-header { background: #1d1d1d; color: #e6edf3 }
+.body--dark .q-btn--outline, .body--dark .q-btn--flat { --q-primary: #7fc0f0 }
 """
+HEAD = """<script>document.documentElement.lang = "en"</script>"""
+CHECKBOX = '<q-checkbox dense v-model="props.selected" :aria-label="{words}" />'
 ROUND = {"t": 24, "r": 12, "l": 52, "b": 44}
 
 
@@ -35,4 +38,7 @@ def table(columns: list[tuple[str, str]], rows: list[dict[str, Any]], key: str, 
         for field, label in columns
     ]
     made = ui.table(columns=shown, rows=rows, **({"row_key": key} | how))
+    if "selection" in how:
+        made.add_slot("header-selection", CHECKBOX.format(words="'mark all'"))
+        made.add_slot("body-selection", CHECKBOX.format(words="'mark ' + props.key"))
     return made.classes("w-full").props("dense flat wrap-cells")

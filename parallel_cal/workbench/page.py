@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 from functools import partial
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from parallel_cal.workbench.looks import (
     CLEAR,
     COLOURS,
     CSS,
+    HEAD,
     MARKED,
     QUIET,
     ROUND,
@@ -50,8 +52,11 @@ class Window:
         self.bench, self.seen, self.marked = bench, -1, set[int]()
         self.plots: list[Any] = []
         self.view: dict[str, Any] = {}  # the one that is drawn
-        self.along, self.component = "", 0
+        self.along, self.component, self.tab = "", 0, ""
+        self.opened = set[str]()  # effects whose pattern is looked at
         ui.dark_mode(None)  # as the browser has it
+        ui.colors(primary=ACCENT)
+        ui.add_head_html(HEAD)
         ui.add_css(CSS)
         with ui.header().classes("shadow"):
             self.head = ui.column().classes("w-full gap-1")
@@ -179,7 +184,7 @@ class Window:
                         figure = view["arrows"]["figure"]
                         figure = figure | {"layout": figure["layout"] | CLEAR}
                         ui.plotly(figure).classes("w-full").props(
-                            'role=img aria-label="residual arrows in space"'
+                            'role=figure aria-label="residual arrows in space"'
                         )
                 self._map(view)
             names = list(residuals["along"])
@@ -199,9 +204,8 @@ class Window:
                         label="against",
                         on_change=lambda e: self._look_along(along=e.value),
                     ).classes("w-48")
-                with ui.row().classes("w-full no-wrap max-lg:flex-wrap"):
-                    self._points(*self._coordinates(view))
-                    self._polar(view)
+                self._points(*self._coordinates(view))
+            self._pictures(view["pictures"])
 
     def _map(self, view: dict[str, Any]) -> None:
         place = view["residuals"]["place"]
@@ -237,8 +241,8 @@ class Window:
 
     def _points(
         self, x: Any, y: Any, across: str, up: str, title: str, marker: dict[str, Any]
-    ) -> Any:
-        """A flat view whose points can be marked; a point is a sample, in the samples' order."""
+    ) -> None:
+        """A flat view of every sample, in the samples' order."""
         figure = {
             "data": [
                 {
@@ -248,12 +252,10 @@ class Window:
                     "y": y,
                     "marker": marker,
                     "text": [f"sample {s['sample']}" for s in self.view["samples"]],
-                    "selected": {"marker": {"color": MARKED, "size": 11}},
-                    "unselected": {"marker": {"opacity": 0.35}},
+                    "customdata": [s["sample"] for s in self.view["samples"]],
                 }
             ],
             "layout": {
-                **CLEAR,
                 "height": 360,
                 "margin": ROUND,
                 "title": {"text": title, "font": {"size": 13}},
@@ -262,74 +264,57 @@ class Window:
                 "dragmode": "select",
                 "uirevision": "kept",
             },
+        }
+        self._flat(figure, title)
+
+    def _flat(self, figure: dict[str, Any], words: str) -> None:
+        """A figure whose points are samples where they carry their numbers: these can be marked."""
+        figure = {
+            "data": [_markable(trace) for trace in figure["data"]],
+            "layout": figure["layout"] | CLEAR | {"dragmode": "select"},
             "config": {"displaylogo": False},
         }
-        plot = ui.plotly(figure).classes("flex-1 min-w-0").props(f'role=img aria-label="{title}"')
+        plot = ui.plotly(figure).classes("flex-1 min-w-0 w-full")
+        plot.props(f'role=figure aria-label="{escape(words)}"')
         plot.on("plotly_selected", lambda e: self._brush(e.args))
         plot.on("plotly_deselect", lambda: self._mark(set()))
         self.plots.append((plot, figure))
-        return plot
 
-    def _polar(self, view: dict[str, Any]) -> None:
-        """A joint's residual round its reading: a gear's ripple is plain to the eye there."""
-        along = view["residuals"]["along"][self.along]
-        if along["unit"] != "deg" or "." in self.along:  # a joint's reading, no condition of it
+    def _pictures(self, pictures: list[dict[str, Any]]) -> None:
+        """One at a time, in tabs; the one that was looked at stays."""
+        if not pictures:
             return
-        sigmas = [row[self.component] for row in view["residuals"]["sigmas"]]
-        outer = max(3.0, max(abs(s) for s in sigmas))
-        ui.plotly(
-            {
-                "data": [
-                    {
-                        "type": "scatterpolar",
-                        "mode": "markers",
-                        "theta": along["values"],
-                        "r": [outer + s for s in sigmas],
-                        "marker": {"color": ACCENT, "size": 5},
-                        "hoverinfo": "skip",
-                    },
-                    {
-                        "type": "scatterpolar",
-                        "mode": "lines",
-                        "theta": list(range(361)),
-                        "r": [outer] * 361,
-                        "line": {"color": QUIET},
-                        "hoverinfo": "skip",
-                    },
-                ],
-                "layout": {
-                    **CLEAR,
-                    "height": 360,
-                    "showlegend": False,
-                    "margin": {"t": 30, "b": 30, "l": 30, "r": 30},
-                    "polar": {
-                        "bgcolor": "rgba(0,0,0,0)",
-                        "radialaxis": {"showticklabels": False, "range": [0, 2 * outer]},
-                    },
-                },
-                "config": {"displaylogo": False},
-            }
-        ).classes("w-96").props('role=img aria-label="residual round the joint\'s reading"')
+        names = [one["name"] for one in pictures]
+        self.tab = self.tab if self.tab in names else names[0]
+        with ui.tabs(on_change=lambda e: setattr(self, "tab", e.value)) as tabs:
+            for name in names:
+                ui.tab(name)
+        with ui.tab_panels(tabs, value=self.tab, animated=False).classes("w-full"):
+            for one in pictures:
+                with ui.tab_panel(one["name"]).classes("p-0"):
+                    ui.label(one["words"]).classes("text-sm")
+                    self._flat(one["figure"], one["words"])
 
     # ------------------------------------------------------------------ marked samples
 
     def _brush(self, args: Any) -> None:
         points = (args or {}).get("points") or []
-        which = {int(p.get("pointIndex", p.get("pointNumber", -1))) for p in points} - {-1}
+        which = {int(p["customdata"]) for p in points if p.get("customdata") is not None}
         if which and which != self.marked:  # drawing a view anew says "nothing", too
             self._mark(which)
 
     def _mark(self, which: set[int]) -> None:
-        """Mark samples, by their place in the view, in every picture and in the table."""
+        """Mark samples, by their numbers, in every picture and in the table."""
         self.marked = which
         for plot, figure in self.plots:
-            if which:
-                figure["data"][0]["selectedpoints"] = sorted(which)
-            else:
-                figure["data"][0].pop("selectedpoints", None)
+            for trace in figure["data"]:
+                if which and "customdata" in trace:
+                    numbers = enumerate(trace["customdata"])
+                    trace["selectedpoints"] = [i for i, n in numbers if n in which]
+                else:
+                    trace.pop("selectedpoints", None)
             plot.update()
-        rows = self.view["samples"]
-        self.table.selected = [rows[i] for i in sorted(which)]
+        self.table.selected = [row for row in self.view["samples"] if row["sample"] in which]
         self.table.update()
         self.count.set_text(f"{len(which)} samples marked" if which else "no sample marked")
 
@@ -348,10 +333,11 @@ class Window:
                     with ui.column().classes("gap-0 grow"):
                         ui.label(one["name"]).classes("font-bold" if one["found"] else "")
                         ui.label(one["physics"]).classes("text-sm")
-                        apart = f"looks like {one['lookalikes']}; " if one["lookalikes"] else ""
-                        ui.label(one["against"] or f"{apart}told apart by {one['apart']}").classes(
-                            "text-xs"
-                        ).style("opacity: 0.75")
+                        ui.label(one["against"] or _apart(one)).classes("text-xs").style(
+                            "opacity: 0.75"
+                        )
+                        if one["pattern"]:
+                            self._pattern(one["pattern"])
                     with ui.column().classes("gap-0 items-end min-w-40"):
                         ui.label(one["fall"] or "not refitted")
                         ui.label(f"explains {one['explains']} · p {one['p']}").classes("text-xs")
@@ -359,6 +345,19 @@ class Window:
                 with ui.expansion(f"{len(view['untested'])} could not be tested"):
                     for one in view["untested"]:
                         ui.label(f"{one['name']}: {one['why']}").style("opacity: 0.7")
+
+    def _pattern(self, picture: dict[str, Any]) -> None:
+        """What an effect would leave, drawn when somebody wants to see it."""
+        shown, name = ui.expansion("its pattern").classes("w-full").props("dense"), picture["name"]
+
+        def draw() -> None:
+            if shown.value and not shown.default_slot.children:
+                with shown:
+                    self._flat(picture["figure"], picture["words"])
+            self.opened = self.opened | {name} if shown.value else self.opened - {name}
+
+        shown.on_value_change(draw)
+        shown.set_value(name in self.opened)
 
     # ------------------------------------------------------------------ history
 
@@ -424,10 +423,7 @@ class Window:
                 selection="multiple",
                 pagination={"rowsPerPage": 8, "sortBy": "sigmas", "descending": True},
             )  # fmt: skip
-            order = {row["sample"]: i for i, row in enumerate(view["samples"])}
-            self.table.on_select(
-                lambda e: self._mark({order[row["sample"]] for row in e.selection})
-            )
+            self.table.on_select(lambda e: self._mark({row["sample"] for row in e.selection}))
             with ui.row().classes("items-center"):
                 self.count = ui.label("no sample marked").props("id=marked aria-live=polite")
                 why = ui.input("reason").classes("w-64")
@@ -444,19 +440,17 @@ class Window:
                     ).props("dense flat")
 
     def _exclude(self, why: str | None) -> None:
-        rows = self.view["samples"]
         if not self.marked:
             self.count.set_text("no sample marked: mark some in a view or in the table first")
             return
-        chosen = {rows[i]["sample"]: why or "" for i in sorted(self.marked)}
-        self.bench.begin("exclude", chosen)
+        self.bench.begin("exclude", dict.fromkeys(sorted(self.marked), why or ""))
 
     async def _open(self) -> None:
         """Show the readings that a sample was made of."""
         if not self.marked:
             self.count.set_text("no sample marked: mark one in a view or in the table first")
             return
-        sample = self.view["samples"][min(self.marked)]["sample"]
+        sample = min(self.marked)
         shown = await run.cpu_bound(signals, self.bench.session.folder, sample) or {}
         with self.layer, ui.dialog(value=True) as dialog, ui.card().classes("w-full max-w-4xl"):
             ui.label(f"Sample {sample}: its readings, less their means").classes("font-bold")
@@ -464,7 +458,7 @@ class Window:
             if figure := shown.get("figure"):
                 figure["layout"] |= CLEAR
                 ui.plotly(figure).classes("w-full").props(
-                    f'role=img aria-label="readings of sample {sample}"'
+                    f'role=figure aria-label="readings of sample {sample}"'
                 )
             ui.button("Close", on_click=dialog.close).props("dense outline")
 
@@ -538,5 +532,19 @@ class Window:
         axes = {f"{k}axis": {"title": {"text": f"{k} [mm]"}} for k in "xyz"}
         layout = {**CLEAR, "height": 380, "margin": ROUND, "scene": axes}
         ui.plotly({"data": traces, "layout": layout}).classes("w-full").props(
-            'role=img aria-label="planned poses among those measured"'
+            'role=figure aria-label="planned poses among those measured"'
         )
+
+
+def _markable(trace: dict[str, Any]) -> dict[str, Any]:
+    """A trace that shows which of its samples are marked, where it has any."""
+    if "customdata" not in trace:
+        return trace
+    marked = {"selected": {"marker": {"color": MARKED, "size": 11}}}
+    return trace | marked | {"unselected": {"marker": {"opacity": 0.35}}}
+
+
+def _apart(one: dict[str, Any]) -> str:
+    """What a candidate is taken for, and what tells it from that."""
+    words = [f"looks like {one['lookalikes']}"] if one["lookalikes"] else []
+    return "; ".join(words + ([f"told apart by {one['apart']}"] if one["apart"] else []))

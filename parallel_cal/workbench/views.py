@@ -11,9 +11,13 @@ from parallel_cal.base.documents import plain
 from parallel_cal.diagnosis.comparison import Comparison, compare
 from parallel_cal.diagnosis.entries import Entry
 from parallel_cal.diagnosis.patterns import Along
+from parallel_cal.diagnosis.scene import Scene
+from parallel_cal.diagnosis.signature import Signature, signature
 from parallel_cal.identification.budget import Iso9283, iso_9283
 from parallel_cal.identification.prediction_errors import Summary
-from parallel_cal.reporting import contents, multiples, spaces
+from parallel_cal.model.model import Model
+from parallel_cal.reporting import contents, maps, multiples, rounds, signatures, spaces
+from parallel_cal.reporting.figures import Spec
 from parallel_cal.reporting.readable import (
     in_unit,
     large,
@@ -63,6 +67,7 @@ def _compared(found: Comparison) -> View:
         "iso": [_iso(one) for one in iso_9283(found.errors, found.observations)],
         "arrows": _arrows(residuals),
         "residuals": _residuals(residuals, found.along),
+        "pictures": list(_pictures(residuals, found.scene, None)),
         "samples": [
             {
                 "sample": int(found.dataset.numbers[i]),
@@ -98,6 +103,7 @@ def _reported(found: Report) -> View:
         "iso": [_iso(one) for one in found.iso_9283],
         "arrows": _arrows(found.residuals),
         "residuals": _residuals(found.residuals, found.along),
+        "pictures": list(_pictures(found.residuals, diagnosis.base.scene, _first(found))),
         "samples": [
             {
                 "sample": n,
@@ -172,6 +178,39 @@ def _arrows(residuals: contents.Residuals) -> View | None:
     return plain({"figure": figure, "scale": scale, "field": field})
 
 
+def _first(found: Report) -> Signature | None:
+    """The pattern of the first effect that is missing."""
+    entries = {e.name: e for e in found.diagnosis.entries}
+    chosen = [entries[name] for name in found.diagnosis.effects if name in entries]
+    return next((signature(e.candidate) for e in chosen if e.candidate.score), None)
+
+
+def _pictures(
+    residuals: contents.Residuals, scene: Scene, laid: Signature | None
+) -> Iterator[View]:
+    """Figures to choose from, each with its name and what it shows."""
+    own = contents.JointResiduals.of(scene)
+    over = f"; the pattern of {laid.effect} laid over" if laid else ""
+    words = "each joint's reading minus what the measured pose asks for"
+    if own.joints:
+        yield _picture("joints", f"{words}, against the reading{over}", rounds.straight(own, laid))
+        if bent := rounds.around(own, laid):
+            yield _picture("joints, round", f"{words}, round the reading{over}", bent)
+    if residuals.kind is not None:
+        flat, scale = maps.residuals(
+            residuals.place, residuals.now, residuals.kind, residuals.sample
+        )
+        yield _picture("sides", f"residuals from three sides, {scale:g} times as long", flat)
+    if (spread := maps.Spread.of(scene.model)) is not None:
+        known, scale = maps.workspace(spread)
+        words = f"what the model itself leaves open: 1-sigma ellipses, {scale:g} times as large"
+        yield _picture("uncertainty", words, known)
+
+
+def _picture(name: str, words: str, figure: Spec) -> View:
+    return {"name": name, "words": words, "figure": plain(figure)}
+
+
 def _residuals(residuals: contents.Residuals, striking: Sequence[Along]) -> View:
     """Residuals in sigmas (N, k) by component, and what they may go with (N,), most striking
     first; what does not vary tells nothing."""
@@ -203,11 +242,22 @@ def _candidate(entry: Entry, found: Report) -> View:
         "physics": effect.physics,
         "lookalikes": ", ".join(entry.confused_with),
         "apart": effect.separated_by,
+        "pattern": _pattern(entry, found.diagnosis.model),
         "p": probability(entry.p_adjusted),
         "fall": fall,
         "explains": percent(alone.share_explained if alone else None),
         "against": entry.reason,
     }
+
+
+def _pattern(entry: Entry, model: Model) -> View | None:
+    """What it would leave, laid over what is there; None where it could not be tested."""
+    if entry.candidate.score is None:
+        return None
+    laid, mechanism = signature(entry.candidate), model.mechanism
+    return _picture(
+        entry.name, signatures.in_words(laid, mechanism), signatures.figure(laid, mechanism)
+    )
 
 
 def _parameter(name: str, p: contents.Described) -> View:

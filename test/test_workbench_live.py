@@ -1,0 +1,100 @@
+"""The workbench beside running nodes: a robot's samples as they come, its model exchanged."""
+
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+from ros_helpers import NodeProcess
+from workbench_page import LONG, Served, opened, until
+
+from parallel_cal.nodes.client import own_domain
+from parallel_cal.nodes.watch import Watch
+from parallel_cal.session.session import Session
+
+MODEL, BAG = Path("config/delta_mockup_nominal.yaml"), Path("bags/delta_backlash")
+pytestmark = [pytest.mark.ros, pytest.mark.wide]
+
+
+def test_the_loop_on_nodes_that_the_workbench_starts(tmp_path):
+    own_domain()
+    with opened() as browser:
+        served = Served(
+            "--ros", MODEL, "--session", tmp_path / "s", "--hold-out", 0.5, "--namespace", "cell"
+        )
+        try:
+            page = browser.new_page(viewport={"width": 1280, "height": 1000})
+            page.set_default_timeout(1000 * LONG)
+            page.goto(served.url)
+            page.get_by_text("No samples yet").wait_for()
+            page.locator("#served").get_by_text("the model of this state").wait_for()
+            replay = NodeProcess("replay_node", tmp_path, "/cell", bag=str(BAG), rate=6.0)
+            page.locator("#live-error").get_by_text("mean").wait_for()
+            page.locator("#collected").get_by_text("94 samples").wait_for()
+            assert replay.ended() == 0
+            page.get_by_role("button", name="Take samples").click()
+            page.get_by_text("Where it fails").wait_for()
+            page.get_by_role("button", name="Fit", exact=True).click()
+            page.locator("#verdict").get_by_text("one effect missing: backlash").wait_for()
+            page.get_by_role("button", name="add backlash").click()
+            page.locator("#verdict").get_by_text("down to their noise").wait_for()
+            page.locator("#served").get_by_text("another model than this state").wait_for()
+            page.get_by_role("button", name="Save", exact=True).click()
+            page.locator("#served").get_by_text("(backlash)").wait_for()
+            page.locator("#served").get_by_text("the model of this state").wait_for()
+            calibration = subprocess.run(
+                ["pgrep", "-f", f"{tmp_path}.*calibration|calibration_node.*{tmp_path}"],
+                capture_output=True, text=True,
+            ).stdout.split()  # fmt: skip
+            assert len(calibration) == 1
+            subprocess.run(["kill", "-9", calibration[0]], check=True)
+            page.locator("#trouble").get_by_text("calibration_node ended").wait_for()
+            assert len(Session(tmp_path / "s").dataset) >= 90
+        finally:
+            served.end(signal.SIGTERM)
+
+
+def test_what_nodes_tell_is_gathered_and_missed_where_nobody_speaks(tmp_path):
+    namespace = own_domain()
+    watch = Watch(namespace)
+    try:
+        until(lambda: len(watch.snapshot()["trouble"]) == 2, "nobody is there")
+        assert watch.model_file(patience=0.1) == ""
+        nodes = [
+            NodeProcess(name, tmp_path, namespace, model_file=str(MODEL.resolve()))
+            for name in ("kinematics_node", "calibration_node")
+        ]
+        until(lambda: not watch.snapshot()["trouble"], "both are heard")
+        assert watch.model_file() == str(MODEL.resolve())
+        replay = NodeProcess("replay_node", tmp_path, namespace, bag=str(BAG), rate=8.0)
+        until(lambda: watch.snapshot()["errors"], "a measured pose beside a predicted one")
+        until(lambda: watch.snapshot()["samples"].get("samples") == 94, "every sample")
+        assert replay.ended() == 0
+        told = watch.snapshot()
+        typical = sorted(error for _, error in told["errors"])[len(told["errors"]) // 2]
+        assert 3e-4 < typical < 9e-4  # the nominal model of this robot: 606 um rms
+        rates = {s["what"]: s for s in told["streams"] if s["node"] == "kinematics_node"}
+        assert rates["joint_states"]["level"] in ("ok", "warn")
+        assert int(rates["joint_states"]["received"]) > 10_000
+        with pytest.raises(Exception, match="allowed_folders"):
+            watch.save_samples(Path("/dev/shm/elsewhere.json"))
+        for node in nodes:
+            assert node.end() == 0
+        until(lambda: "silent" in " ".join(watch.snapshot()["trouble"]), "they are missed")
+    finally:
+        watch.close()
+
+
+def test_without_nodes_and_without_a_model_there_is_nothing_to_open(tmp_path, capsys):
+    own_domain()
+    code = "import sys; from parallel_cal.cli.main import main; main(sys.argv[1:])"
+    done = subprocess.run(
+        [sys.executable, "-c", code, "workbench", "--ros", "--no-open"],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 1
+    assert "no model: give MODEL.yaml to start the nodes on" in done.stderr
