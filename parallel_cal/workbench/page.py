@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Callable
 from functools import partial
 from html import escape
 from pathlib import Path
@@ -267,7 +268,7 @@ class Window:
         }
         self._flat(figure, title)
 
-    def _flat(self, figure: dict[str, Any], words: str) -> None:
+    def _flat(self, figure: dict[str, Any], words: str, **_: Any) -> None:
         """A figure whose points are samples where they carry their numbers: these can be marked."""
         figure = {
             "data": [_markable(trace) for trace in figure["data"]],
@@ -293,7 +294,7 @@ class Window:
             for one in pictures:
                 with ui.tab_panel(one["name"]).classes("p-0"):
                     ui.label(one["words"]).classes("text-sm")
-                    self._flat(one["figure"], one["words"])
+                    self._flat(**one)
 
     # ------------------------------------------------------------------ marked samples
 
@@ -348,16 +349,20 @@ class Window:
 
     def _pattern(self, picture: dict[str, Any]) -> None:
         """What an effect would leave, drawn when somebody wants to see it."""
-        shown, name = ui.expansion("its pattern").classes("w-full").props("dense"), picture["name"]
+        self._unfolded("its pattern", picture["name"], partial(self._flat, **picture))
 
-        def draw() -> None:
+    def _unfolded(self, title: str, key: str, draw: Callable[[], None]) -> None:
+        """Something that is drawn once somebody wants to see it, and then stays open."""
+        shown = ui.expansion(title).classes("w-full").props("dense")
+
+        def look() -> None:
             if shown.value and not shown.default_slot.children:
                 with shown:
-                    self._flat(picture["figure"], picture["words"])
-            self.opened = self.opened | {name} if shown.value else self.opened - {name}
+                    draw()
+            self.opened = self.opened | {key} if shown.value else self.opened - {key}
 
-        shown.on_value_change(draw)
-        shown.set_value(name in self.opened)
+        shown.on_value_change(look)
+        shown.set_value(key in self.opened)
 
     # ------------------------------------------------------------------ history
 
@@ -485,6 +490,8 @@ class Window:
                     label="tolerances as priors",
                     on_change=lambda e: bench.begin("choose", prior=e.value),
                 ).classes("w-64").set_enabled(not bench.busy)
+            if view["drawing"]:
+                self._unfolded("where they are", "drawing", partial(_space, view["drawing"]))
             for line in view["cannot_tell"]:
                 ui.label(f"The data cannot tell {line}.").classes("text-sm")
 
@@ -534,6 +541,12 @@ class Window:
         ui.plotly({"data": traces, "layout": layout}).classes("w-full").props(
             'role=figure aria-label="planned poses among those measured"'
         )
+
+
+def _space(figure: dict[str, Any]) -> None:
+    """The mechanism, its parameters named."""
+    figure = figure | {"layout": figure["layout"] | CLEAR}
+    ui.plotly(figure).classes("w-full").props('role=figure aria-label="the mechanism"')
 
 
 def _markable(trace: dict[str, Any]) -> dict[str, Any]:

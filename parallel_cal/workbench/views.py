@@ -16,7 +16,7 @@ from parallel_cal.diagnosis.signature import Signature, signature
 from parallel_cal.identification.budget import Iso9283, iso_9283
 from parallel_cal.identification.prediction_errors import Summary
 from parallel_cal.model.model import Model
-from parallel_cal.reporting import contents, maps, multiples, rounds, signatures, spaces
+from parallel_cal.reporting import contents, drawings, maps, multiples, rounds, signatures, spaces
 from parallel_cal.reporting.figures import Spec
 from parallel_cal.reporting.readable import (
     in_unit,
@@ -119,6 +119,7 @@ def _reported(found: Report) -> View:
             {"name": e.name, "why": e.reason} for e in diagnosis.entries if e.p_adjusted is None
         ],
         "parameters": [_parameter(name, p) for name, p in found.parameters.items()],
+        "drawing": plain(drawings.drawing(diagnosis.model, found=found.parameters)),
         "advice": list(diagnosis.measure_next.advice),
         "cannot_tell": [
             " ".join(f"{weight:+.2f} {name}" for name, weight in one["combination"].items())

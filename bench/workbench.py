@@ -1,0 +1,106 @@
+"""The workbench: from the command to a useful page, a step with its redraw, brushing; in Chromium."""
+
+from __future__ import annotations
+
+import shutil
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from playwright.sync_api import sync_playwright
+from timing import Row, seconds_each, show
+
+from parallel_cal.identification.fit import fit
+from parallel_cal.identification.options import FitOptions
+from parallel_cal.model.file.modelfile import read_model
+from parallel_cal.recordings.loading import load_dataset
+from parallel_cal.recordings.simulate import simulate
+from parallel_cal.session.session import Session
+
+MODEL, POSES = Path(__file__).parents[1] / "config" / "delta_mockup_nominal.yaml", 150
+PATIENCE = 120_000  # ms
+MARK = """() => {
+  const plot = document.querySelector('[aria-label^="rms residual"]');
+  const drawn = plot._fullLayout ? plot : plot.querySelector(".js-plotly-plot");
+  const points = [...Array(60).keys()].map(i => ({pointIndex: i, customdata: i}));
+  const seen = document.querySelector("#marked");
+  return new Promise(done => {
+    const begin = performance.now();
+    new MutationObserver((_, one) => { one.disconnect(); done(performance.now() - begin); })
+      .observe(seen, {childList: true, characterData: true, subtree: true});
+    drawn.emit("plotly_selected", {points: points});
+  });
+}"""
+
+
+def main() -> None:
+    model = read_model(MODEL)
+    folder = Path(tempfile.mkdtemp())
+    try:
+        made = simulate(model, POSES, effects=["backlash"], seed=1)
+        made.dataset.to_json(folder / "samples.json")
+        dataset = load_dataset(folder / "samples.json", joints=model.joints)
+        whole = Row("fit() of 150 poses", seconds_each(lambda: fit(model, dataset), least=1))
+        session = Session.new(
+            folder / "s", model, [folder / "samples.json"], fitting=FitOptions(hold_out=0.25)
+        )
+        session.fit()
+        show("workbench, 150 poses", [whole, *_on_the_page(folder / "s")])
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _on_the_page(folder: Path) -> list[Row]:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    command = [sys.executable, "-m", "parallel_cal.cli", "workbench", folder, "--no-open"]
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(
+            executable_path=shutil.which("chromium") or shutil.which("chromium-browser"),
+            args=["--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader"],
+        )
+        page = browser.new_page(viewport={"width": 1280, "height": 1000})
+        page.set_default_timeout(PATIENCE)
+        begin = time.perf_counter()
+        served = subprocess.Popen([*map(str, command), "--port", str(port)])
+        try:
+            _until_answered(port)
+            page.goto(f"http://127.0.0.1:{port}/", wait_until="commit")
+            page.locator("#verdict").wait_for()
+            rows = [Row("from the command to the first paint", time.perf_counter() - begin)]
+            page.locator("#verdict").get_by_text("missing").wait_for()
+            rows.append(Row("... to the verdict, a diagnosis", time.perf_counter() - begin))
+            page.get_by_role("button", name="add backlash").wait_for()
+            page.locator("#iso").wait_for()
+            rows.append(_step(page, "Undo", "not identified yet"))
+            rows.append(_step(page, "Redo", "missing"))
+            brushed = sorted(page.evaluate(MARK) for _ in range(1))[0]
+            return [*rows, Row("brushing: the marks in every view", brushed * 1e-3)]
+        finally:
+            served.terminate()
+            served.wait()
+
+
+def _step(page: Any, button: str, words: str) -> Row:
+    begin = time.perf_counter()
+    page.get_by_role("button", name=button, exact=True).click()
+    page.locator("#verdict").get_by_text(words).wait_for()
+    return Row(f"{button} and the page drawn anew", time.perf_counter() - begin)
+
+
+def _until_answered(port: int) -> None:
+    while True:
+        with socket.socket() as one, suppress(OSError):
+            one.connect(("127.0.0.1", port))
+            return
+        time.sleep(0.01)
+
+
+if __name__ == "__main__":
+    main()
