@@ -1,4 +1,4 @@
-"""The workbench: from the command to a useful page, a step with its redraw, brushing; in Chromium."""
+"""The workbench in Chromium: from the command to a useful page, a step, brushing."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from parallel_cal.session.session import Session
 
 MODEL, POSES = Path(__file__).parents[1] / "config" / "delta_mockup_nominal.yaml", 150
 PATIENCE = 120_000  # ms
+DRAWN = """() => document.querySelector('[aria-label^="rms residual"]')._fullLayout"""
 MARK = """() => {
-  const plot = document.querySelector('[aria-label^="rms residual"]');
-  const drawn = plot._fullLayout ? plot : plot.querySelector(".js-plotly-plot");
+  const drawn = document.querySelector('[aria-label^="rms residual"]');
   const points = [...Array(60).keys()].map(i => ({pointIndex: i, customdata: i}));
   const seen = document.querySelector("#marked");
   return new Promise(done => {
@@ -43,7 +43,7 @@ def main() -> None:
     folder = Path(tempfile.mkdtemp())
     try:
         made = simulate(model, POSES, effects=["backlash"], seed=1)
-        made.dataset.to_json(folder / "samples.json")
+        made.dataset().to_json(folder / "samples.json")
         dataset = load_dataset(folder / "samples.json", joints=model.joints)
         whole = Row("fit() of 150 poses", seconds_each(lambda: fit(model, dataset), least=1))
         session = Session.new(
@@ -76,22 +76,24 @@ def _on_the_page(folder: Path) -> list[Row]:
             rows = [Row("from the command to the first paint", time.perf_counter() - begin)]
             page.locator("#verdict").get_by_text("missing").wait_for()
             rows.append(Row("... to the verdict, a diagnosis", time.perf_counter() - begin))
-            page.get_by_role("button", name="add backlash").wait_for()
             page.locator("#iso").wait_for()
-            rows.append(_step(page, "Undo", "not identified yet"))
-            rows.append(_step(page, "Redo", "missing"))
-            brushed = sorted(page.evaluate(MARK) for _ in range(1))[0]
-            return [*rows, Row("brushing: the marks in every view", brushed * 1e-3)]
+            page.wait_for_function(DRAWN)
+            brushed = page.evaluate(MARK)
+            rows.append(Row("brushing: the marks in every view", brushed * 1e-3))
+            rows.append(_step(page, "Undo", "not identified yet", "undo"))
+            rows.append(_step(page, "Fit", "looking for what is missing", "re-fit"))
+            page.locator("#verdict").get_by_text("missing: backlash").wait_for()
+            return rows
         finally:
             served.terminate()
             served.wait()
 
 
-def _step(page: Any, button: str, words: str) -> Row:
+def _step(page: Any, button: str, words: str, name: str) -> Row:
     begin = time.perf_counter()
     page.get_by_role("button", name=button, exact=True).click()
     page.locator("#verdict").get_by_text(words).wait_for()
-    return Row(f"{button} and the page drawn anew", time.perf_counter() - begin)
+    return Row(f"{name} and the page drawn anew", time.perf_counter() - begin)
 
 
 def _until_answered(port: int) -> None:

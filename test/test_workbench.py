@@ -288,13 +288,19 @@ def test_a_full_disk_is_said_and_the_session_stays_as_it_was(folder):
     until(lambda: not bench.busy, "the first look")
     state = bench.session.state
     usual = resource.getrlimit(resource.RLIMIT_FSIZE)
+
+    def limit(most):  # no larger file can be written, here or in the worker
+        for process in (0, bench._worker._process.pid):
+            resource.prlimit(process, resource.RLIMIT_FSIZE, (most, usual[1]))
+
     try:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (1000, usual[1]))  # no larger file can be written
+        limit(1000)
         bench.begin("fit")
         until(lambda: not bench.busy, "its end")
+        assert "large" in bench.message  # as the system says it
         bench.save()
     finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, usual)
+        limit(usual[0])
     assert bench.failed
     assert "large" in bench.message  # as the system says it
     assert not bench.output.exists()

@@ -35,11 +35,12 @@ class Reached(NamedTuple):
 
 
 class Kinematics:
-    """The direct and inverse problem of one model, its tables computed once."""
+    """The direct and inverse problem of one model, its tables computed once; `quick` gives up where
+    the usual iterations do not end, where otherwise the careful solver goes on."""
 
-    def __init__(self, model: Model, compile: bool = False):
+    def __init__(self, model: Model, compile: bool = False, quick: bool = False):
         self.model = model
-        self._compile = compile
+        self._compile, self._quick = compile, quick
         self._n = len(model.joints)
         self._limits = np.array(model.mechanism.joint_limits, dtype=float).reshape(-1, 2)
 
@@ -145,7 +146,9 @@ class Kinematics:
         status[~finite] = Status.INVALID_INPUT
         x[~finite], residual[~finite] = np.nan, np.nan
         settled = (step < SETTLED) & problem.closed(residual)
-        for i in np.flatnonzero(finite & ~settled):
+        open_ = finite & ~settled
+        status[open_] = Status.NOT_CONVERGED
+        for i in np.flatnonzero(open_) if not self._quick else ():
             x[i], residual[i], status[i] = self._carefully(problem, x[i], rows[i], given[i])
         suspect = finite & ~(settled & (pivot > SUSPECT_PIVOT))
         for i in np.flatnonzero(suspect & (status == Status.CONVERGED)):

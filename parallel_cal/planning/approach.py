@@ -59,15 +59,15 @@ def approaches(
 ) -> Approaches:
     """Approaches along random lines, each of any length of STEPS that can be driven in the
     workspace (`reach` times as large)."""
-    m, robot, n = model.mechanism, Kinematics(model), len(poses)
+    m, robot, n = model.mechanism, Kinematics(model, quick=True), len(poses)
     low, high = np.array(m.workspace.low), np.array(m.workspace.high)
     side = rng.uniform(-1, 1, (n, len(m.controlled)))
     side /= np.abs(side).max(axis=1, keepdims=True)
     away = np.concatenate([step * side * (high - low) for step in STEPS])
     here = np.tile(controlled(model, poses), (len(STEPS), 1))
-    past, turn = (robot.inverse(*m.poses(here + sign * away)) for sign in (1, -1))
     furthest = np.abs(here - (low + high) / 2) + np.abs(away)
     inside = (furthest <= reach * (high - low) / 2 + SAME).all(axis=1)
+    past, turn = (robot.inverse(*m.poses(here + sign * away)) for sign in (1, -1))
     ways = np.tile(poses.joints, (len(STEPS), 1)) - turn.joints
     reverses = ways * (turn.joints - past.joints) < 0
     told = np.abs(ways) > CLEAR * (model.noise.joint or 0.0)

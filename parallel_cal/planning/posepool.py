@@ -56,7 +56,7 @@ def make_pool(
     if symmetric:
         check_symmetric(model)
         r, R = turned_about_z(r[: -(-n // FOLD)], R[: -(-n // FOLD)])
-    poses = Kinematics(model).inverse(r, R)
+    poses = Kinematics(model, quick=True).inverse(r, R)  # of many, those that are found at once
     good = usable(model, poses, reach)
     approach = approaches(model, poses, rng, reach) if needs_approach(model) else None
     if approach is not None:

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import json
-import multiprocessing
-from collections.abc import Mapping, Sequence
-from multiprocessing.connection import Connection
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from threading import Thread
 from typing import Any, Protocol
 
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.base.files import read_text, write_atomically
+from parallel_cal.base.worker import Unwanted, Worker, WorkError
 from parallel_cal.model.file.modelfile import model_hash, write_model
 from parallel_cal.session.session import Session
 
@@ -41,41 +41,31 @@ class Bench:
         are the nodes at the robot."""
         self.session, self.output = Session(folder), output or folder / "model.yaml"
         self.live = live
-        self.version = 0
+        self.version, self.seen = 0, 0
         self.stage, self.fraction = "", 0.0
         self.message, self.failed = "", False
-        self._process: Any = None
-        self._cancelled = False
+        self.busy, self._cancelled = False, False
+        self._worker = Worker(first=_prepared)
         self.view: dict[str, Any] | None = None
         self._look()
 
-    @property
-    def busy(self) -> bool:
-        return self._process is not None
+    def close(self) -> None:
+        """End whatever is under way."""
+        self._worker.end()
 
     def begin(self, step: str, *given: Any, **options: Any) -> None:
         """Take a step of the session, then look at what came out; nothing while one goes on."""
         if self.busy:
             return
-        context = multiprocessing.get_context("spawn")
-        ours, theirs = context.Pipe(duplex=False)
-        folder = self.session.folder
-        process = context.Process(
-            target=_work, args=(folder, step, given, options, theirs), daemon=True
-        )
-        self._process, self.stage, self.fraction = process, "starting", 0.0
-        self._cancelled = False
+        self.busy, self._cancelled = True, False
+        self.stage, self.fraction = "starting", 0.0
         self.message, self.failed = "", False
         self._changed()
-        process.start()
-        theirs.close()
-        Thread(target=self._listen, args=(process, ours), daemon=True).start()
+        Thread(target=self._do, args=(step, given, options), daemon=True).start()
 
     def cancel(self) -> None:
         """End the step that is under way; the session stays as it was."""
-        if self._process is not None:
-            self._cancelled = True
-            self._process.terminate()
+        self._cancelled = True
 
     def at_once(self, step: str, *given: Any) -> None:
         """A step that takes no time: undo, redo, start_branch, switch, take."""
@@ -114,28 +104,28 @@ class Bench:
         if not self.busy and self._taken_up():
             self._look()
 
-    def _listen(self, process: Any, pipe: Connection) -> None:
-        said: tuple[Any, ...] = ()
+    def _do(self, *asked: Any) -> None:
         try:
-            while True:
-                said = pipe.recv()
-                if said[0] == "progress":
-                    _, self.stage, self.fraction = said
-                    self._changed()
-        except EOFError:
-            process.join()
-        if process.exitcode == 0 and said and said[0] == "done":
-            self.message = said[1]
-        elif said and said[0] == "error":
-            self.message, self.failed = said[1], True
-        elif self._cancelled:
+            self.message = self._worker.work(
+                _work, self.session.folder, *asked, tell=self._told,
+                wanted=lambda: not self._cancelled,
+            )  # fmt: skip
+        except Unwanted:
             self.message = "cancelled; the session is as it was"
-        else:
-            words = f"the step's process ended with {process.exitcode}; the session is as it was"
-            self.message, self.failed = words, True
-        self._process = None
+        except WorkError as error:
+            self.message, self.failed = f"{error}; the session is as it was", True
         self._taken_up()
-        self._look(again=False)
+        self.view, self.seen = kept(self.session), self.seen + 1
+        self.busy = False
+        self._changed()
+
+    def _told(self, stage: str, fraction: float, view: dict[str, Any] | None = None) -> None:
+        """How far the step is, and what can be seen before all of it is."""
+        self.stage, self.fraction = stage, fraction
+        if view is not None:
+            self._taken_up()
+            self.view, self.seen = view, self.seen + 1
+        self._changed()
 
     def _taken_up(self) -> bool:
         """Whether the session on disk is another one now; one that is gone is said, once."""
@@ -146,11 +136,11 @@ class Bench:
             self.message, self.failed = str(error), True
             return changed
 
-    def _look(self, again: bool = True) -> None:
+    def _look(self) -> None:
         """Show the present state: what is kept of it, else look at it anew."""
-        self.view = kept(self.session)
+        self.view, self.seen = kept(self.session), self.seen + 1
         self._changed()
-        if self.view is None and again:
+        if self.view is None:
             self.begin("look")
 
     def _changed(self) -> None:
@@ -174,27 +164,37 @@ def kept(session: Session, state: int | None = None) -> dict[str, Any] | None:
     return found["view"] if found.get("version") == VERSION else None
 
 
+def _prepared() -> None:
+    """What a worker has at hand before it is asked."""
+    import parallel_cal.workbench.views  # noqa: F401
+
+
+@cache
+def _opened(folder: Path) -> Session:
+    """The worker's own session, with the samples that it has read."""
+    return Session(folder)
+
+
 def _work(
-    folder: Path, step: str, given: Sequence[Any], options: Mapping[str, Any], pipe: Connection
-) -> None:
-    """A process: one step of the session in `folder`, then its view, kept in a file."""
-    from parallel_cal.workbench.views import view
+    folder: Path,
+    step: str,
+    given: Sequence[Any],
+    options: Mapping[str, Any],
+    tell: Callable[..., None],
+) -> str:
+    """In the worker: one step of the session in `folder`, then its view, kept in a file; a word
+    on what came out."""
+    from parallel_cal.workbench.views import glance, view
 
-    def progress(stage: str, fraction: float) -> None:
-        pipe.send(("progress", stage, fraction))
-
-    try:
-        session = Session(folder)
-        done = None
-        if step in STEPS:
-            done = getattr(session, step)(*given, progress=progress, **options)
-        if kept(session) is None:
-            progress("looking at what is left", 0.0)
-            shown = view(session, progress)
-            file = place(session)
-            file.parent.mkdir(exist_ok=True)
-            write_atomically(file, json.dumps({"version": VERSION, "view": shown}))
-        written = f"written: {done}" if isinstance(done, Path) else ""
-        pipe.send(("done", written or session.state.against))
-    except (ParallelCalError, OSError) as error:
-        pipe.send(("error", str(error)))
+    session = _opened(folder)
+    session.refresh()
+    done = None
+    if step in STEPS:
+        done = getattr(session, step)(*given, progress=tell, **options)
+    if kept(session) is None:
+        tell("looking for what is missing", 0.0, glance(session))
+        shown = view(session, tell)
+        file = place(session)
+        file.parent.mkdir(exist_ok=True)
+        write_atomically(file, json.dumps({"version": VERSION, "view": shown}))
+    return f"written: {done}" if isinstance(done, Path) else session.state.against

@@ -50,7 +50,7 @@ class Window:
     """One browser's view of the bench, with its own marked samples."""
 
     def __init__(self, bench: Bench):
-        self.bench, self.seen, self.marked = bench, -1, set[int]()
+        self.bench, self.version, self.seen, self.marked = bench, -1, -1, set[int]()
         self.plots: list[Any] = []
         self.view: dict[str, Any] = {}  # the one that is drawn
         self.along, self.component, self.tab = "", 0, ""
@@ -71,12 +71,12 @@ class Window:
 
     def _poll(self) -> None:
         self.bench.follow()
-        if self.seen != self.bench.version:
+        if self.version != self.bench.version:
             self._draw()
 
     def _draw(self) -> None:
-        whole = self.seen < 0 or not self.bench.busy
-        self.seen = self.bench.version
+        whole = self.seen != self.bench.seen or not self.bench.busy
+        self.version, self.seen = self.bench.version, self.bench.seen
         self.head.clear()
         with self.head:
             self._header()

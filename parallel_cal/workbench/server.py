@@ -74,7 +74,9 @@ def serve(
     from parallel_cal.workbench.page import build
 
     run.process_pool_start_method = "spawn"  # forks of a process with threads may hang
-    build(Bench(folder, output, live))
+    bench = Bench(folder, output, live)
+    app.on_shutdown(bench.close)
+    build(bench)
     app.add_middleware(Guard, hosts=(*LOOPBACK, host), token=token)
     ui.run(
         host=host, port=port, show=show, reload=False, title="parallel-cal", favicon="📐",

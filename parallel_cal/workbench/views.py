@@ -35,6 +35,22 @@ View = dict[str, Any]
 AMBER, GREEN, GREY = "amber", "green", "grey"
 
 
+def glance(session: Session) -> View | None:
+    """What can be seen at once of a model that was identified, before it is diagnosed."""
+    state = session.state
+    if not (session.recordings and state.errors):
+        return None
+    shown = _compared(compare(session.model, session.dataset, session.options.joint_sigma))
+    tiles = [("before", state.before), ("now", state.errors), ("noise alone", state.noise)]
+    summaries = [(name, Summary(**known)) for name, known in tiles if known]
+    kinds = [k for k in ("position", "orientation", "reading") if summaries[0][1].rms(k)]
+    return shown | {
+        "verdict": {"colour": GREY, "words": f"{state.step}: looking for what is missing"},
+        "tiles": [_tile(name, summary, kinds) for name, summary in summaries],
+        "advice": [],
+    }
+
+
 def view(session: Session, progress: Progress) -> View:
     """Everything the page shows of the session's present state.
 
