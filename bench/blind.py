@@ -4,9 +4,9 @@ Robots, sessions, physics and noise come from the independent virtual robots. A 
 `diagnose`, and, where it names something, `add` on the command line; the truth is the error of
 the served robot at poses that nobody measured, before and after. With `--results` every outcome is
 kept as a line of a file, and a case that stands there already is not run again: a long study can
-be made in slices (`--minutes`). Usage: `PYTHONPATH=. python bench/blind.py [--draws N] [--jobs N]
-[--see WHAT,WHAT] [--results FILE] [--minutes M] [FAMILY ...]`; WHAT is pose, position,
-orientation, plane or ball_bar.
+be made in slices (`--minutes`). Usage: `PYTHONPATH=. python bench/blind.py [--draws N]
+[--first SEED] [--jobs N] [--see WHAT,WHAT] [--results FILE] [--minutes M] [FAMILY ...]`; WHAT is
+pose, position, orientation, plane or ball_bar.
 """
 
 from __future__ import annotations
@@ -108,36 +108,39 @@ class Outcome:
         return len(called) == len(wanted) and all(any(w & c for c in called) for w in wanted)
 
 
-def families(draws: int) -> dict[str, Callable[[str], Iterator[Case]]]:
-    """Name -> the cases of a family, for what the device sees."""
+def families(draws: int, first: int = 0) -> dict[str, Callable[[str], Iterator[Case]]]:
+    """Name -> the cases of a family, for what the device sees; seeds from `first` on."""
+
+    def seeds(n: int) -> range:
+        return range(first, first + n)
 
     def null(sees: str) -> Iterator[Case]:
-        yield from (Case("null", s, sees=sees) for s in range(10 * draws))
+        yield from (Case("null", s, sees=sees) for s in seeds(10 * draws))
 
     def single(sees: str) -> Iterator[Case]:
         for kind in vf.KINDS:
             for size in (0.4, 0.8, 2.0):
-                yield from (Case("single", s, (kind,), size, sees=sees) for s in range(draws))
+                yield from (Case("single", s, (kind,), size, sees=sees) for s in seeds(draws))
 
     def pairs(sees: str) -> Iterator[Case]:
         for pair in combinations(vf.KINDS, 2):
-            yield from (Case("pairs", s, pair, 0.8, sees=sees) for s in range(max(draws // 3, 1)))
+            yield from (Case("pairs", s, pair, 0.8, sees=sees) for s in seeds(max(draws // 3, 1)))
 
     def outside(sees: str) -> Iterator[Case]:
         for name in vf.OUTSIDE:
-            yield from (Case("outside", s, (), 1.5, name, sees=sees) for s in range(draws))
+            yield from (Case("outside", s, (), 1.5, name, sees=sees) for s in seeds(draws))
 
     def device(sees: str) -> Iterator[Case]:
         for name in vb.DEVICE:
-            yield from (Case("device", s, (), 1.5, name, sees=sees) for s in range(draws))
+            yield from (Case("device", s, (), 1.5, name, sees=sees) for s in seeds(draws))
 
     def noise(sees: str) -> Iterator[Case]:
         for name in vb.NOISE:
-            yield from (Case("noise", s, noise=name, sees=sees) for s in range(draws))
+            yield from (Case("noise", s, noise=name, sees=sees) for s in seeds(draws))
 
     def printers(sees: str) -> Iterator[Case]:
         for name in PRINTERS:
-            yield from (Case("printers", s, (name,), sees="touches") for s in range(draws))
+            yield from (Case("printers", s, (name,), sees="touches") for s in seeds(draws))
 
     return {f.__name__: f for f in (null, single, pairs, outside, device, noise, printers)}
 
@@ -372,6 +375,7 @@ def made(cases: list[Case], file: Path | None, jobs: int, until: float) -> Itera
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--draws", type=int, default=5)
+    parser.add_argument("--first", type=int, default=0, help="the first seed")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--see", type=lambda text: text.split(","), default=["pose"])
     parser.add_argument("--results", type=Path)
@@ -380,7 +384,7 @@ def main() -> None:
     given = parser.parse_args()
     if unknown := [see for see in given.see if see not in SEES]:
         parser.error(f"--see {','.join(unknown)}: expected some of {','.join(SEES)}")
-    all_of = families(given.draws)
+    all_of = families(given.draws, given.first)
     cases = [c for s in given.see for name in given.family or all_of for c in all_of[name](s)]
     outcomes = {c: o for c, o in kept(given.results).items() if c in set(cases)}
     until = time.monotonic() + 60 * given.minutes
