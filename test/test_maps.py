@@ -25,7 +25,7 @@ def of(figure, name):
 
 
 def test_plan_front_and_side_show_the_same_arrows_on_one_scale_with_equal_axes():
-    drawn, scale = maps.residuals(PLACES, FIELD, "position", np.array([4, 5, 6]))
+    drawn, scale = maps.residuals(PLACES, [FIELD], "position", np.array([4, 5, 6]))
     go.Figure(drawn)
     # 0.173 m from corner to corner; 16 % of it for 0.18 mm is 153 times: 100.
     assert scale == 100.0
@@ -43,7 +43,7 @@ def test_plan_front_and_side_show_the_same_arrows_on_one_scale_with_equal_axes()
 
 
 def test_a_bar_says_how_long_a_residual_of_a_round_size_is_drawn():
-    drawn, scale = maps.residuals(PLACES, FIELD, "position", np.arange(3))
+    drawn, scale = maps.residuals(PLACES, [FIELD], "position", np.arange(3))
     bar = of(drawn, "scale")[0]
     assert bar["text"][1] == "100 µm"
     assert bar["x"][1] - bar["x"][0] == pytest.approx(1e3 * scale * 1e-4)

@@ -94,7 +94,7 @@ def _step(entry: Mapping[str, Any]) -> dict[str, Any]:
 @dataclass(frozen=True)
 class Residuals:
     """What the fit leaves, a row a sample: `place` (N, 3) m, or the platform's axis, measured minus
-    predicted (N, 3) m or rad `now` and with the effects `found`, `noise_units` (N, k) by
+    predicted (N, 3) m or rad `now` and with the effects `found`, `noise_units` (N, k) of both by
     component, and what may matter (N,) with its SI unit, empty where nobody states one."""
 
     kind: str | None
@@ -104,11 +104,12 @@ class Residuals:
     now: np.ndarray
     found: np.ndarray | None
     noise_units: np.ndarray
+    noise_units_found: np.ndarray | None
     regressors: Mapping[str, np.ndarray]
     units: Mapping[str, str]
 
     @classmethod
-    def of(cls, scene: Scene, field: Field, found: np.ndarray | None = None) -> Residuals:
+    def of(cls, scene: Scene, field: Field, found: Field | None = None) -> Residuals:
         used = np.flatnonzero(np.any(field.noise_units != 0, axis=0))
         read = "reading" if np.isfinite(scene.read_apart).any() else "equation"
         return cls(
@@ -117,8 +118,9 @@ class Residuals:
             sample=scene.dataset.numbers,
             place=places(scene, field.kind),
             now=field.vectors,
-            found=found,
+            found=None if found is None else found.vectors,
             noise_units=field.noise_units[:, used],
+            noise_units_found=None if found is None else found.noise_units[:, used],
             regressors=dict(regressors(scene)),
             units=dict(_units(scene)),
         )

@@ -7,8 +7,19 @@ from collections.abc import Mapping, Sequence
 
 from parallel_cal.diagnosis.entries import Alone, Entry
 from parallel_cal.diagnosis.separate import PlannedPose
+from parallel_cal.diagnosis.signature import signature
 from parallel_cal.identification.fit import Estimated
-from parallel_cal.reporting.markup import Cell, items, paragraph, sentence, table
+from parallel_cal.reporting import signatures
+from parallel_cal.reporting.markup import (
+    Cell,
+    Plot,
+    folded,
+    items,
+    paragraph,
+    sentence,
+    table,
+    tabs,
+)
 from parallel_cal.reporting.readable import (
     MISSING,
     large,
@@ -22,9 +33,10 @@ from parallel_cal.reporting.readable import (
 from parallel_cal.reporting.report import Report
 
 ESTIMATES = 4  # numbers of an effect; gears have a dozen
+PATTERNS = 4  # that are drawn
 
 
-def candidates(report: Report) -> str:
+def candidates(report: Report, plot: Plot) -> str:
     """The catalogue, best first; below what these data cannot test, and why."""
     found = report.diagnosis
     tested = [entry for entry in found.entries if entry.p_adjusted is not None]
@@ -37,9 +49,30 @@ def candidates(report: Report) -> str:
     )
     told = [f"{name} fits no better than {', '.join(o)}" for name, o in found.swaps.items()]
     told += [f"Against it: {text}" for text in found.verdict.against]
-    shown = _tested(report, tested) if tested else paragraph("None could be tested.", "none")
-    untested = f"<h3>Not tested</h3>{table(('effect', 'why not'), rest, 'evidence')}"
-    return paragraph(note, "note") + items(told) + shown + (untested if rest else "")
+    first = [e for e in tested if e.name in found.effects or e.alone is not None]
+    later = [e for e in tested if e not in first]
+    shown = _tested(report, first) if first else paragraph("None could be tested.", "none")
+    shown += _patterns(first, report, plot)
+    if later:
+        shown += folded(f"{len(later)} more were tested and fit no better", _tested(report, later))
+    if rest:
+        listed = table(("effect", "why not"), rest, "evidence")
+        shown += folded(f"Not tested: {len(rest)}", listed)
+    return paragraph(note, "note") + items(told) + shown
+
+
+def _patterns(rows: Sequence[Entry], report: Report, plot: Plot) -> str:
+    """The patterns of the first laid over the residuals, in turn."""
+    mechanism, pages = report.diagnosis.model.mechanism, {}
+    for entry in rows[:PATTERNS]:
+        drawn = signature(entry.candidate)
+        if drawn.panels:
+            pages[entry.name] = plot(signatures.figure(drawn, mechanism))
+    note = (
+        "What each would leave, laid over the residuals of the model as it is: where the dashed "
+        "line follows the blue one and both leave the band, the effect fits."
+    )
+    return paragraph(note, "note") + tabs(pages) if pages else ""
 
 
 def _tested(report: Report, rows: Sequence[Entry]) -> str:

@@ -7,9 +7,10 @@ from html import escape
 
 from parallel_cal.diagnosis.lack_of_fit import SmoothMap
 from parallel_cal.diagnosis.patterns import Region
-from parallel_cal.reporting import spaces
+from parallel_cal.diagnosis.signature import signature
+from parallel_cal.reporting import maps, rounds, spaces
 from parallel_cal.reporting.contents import JudgedSample
-from parallel_cal.reporting.markup import Cell, Plot, paragraph, table
+from parallel_cal.reporting.markup import Cell, Plot, folded, paragraph, table, tabs
 from parallel_cal.reporting.multiples import colour, multiples
 from parallel_cal.reporting.readable import (
     number,
@@ -23,10 +24,12 @@ from parallel_cal.reporting.readable import (
 from parallel_cal.reporting.report import Report
 
 SHOWN = 400  # samples of a table, worst first
+STRIKING = 8  # panels that are open
 ALONG = (
-    "Residuals of the model as it is, in sigmas of the noise: grey every one, coloured their "
-    "rolling mean, the band where 99 % of such means lie if nothing depends on it. Of many windows "
-    "a few leave the band by chance. Most striking first."
+    "Residuals in sigmas of the noise: grey every one, coloured their rolling mean, the band where "
+    "99 % of such means lie if nothing depends on it. Of many windows a few leave the band by "
+    "chance. Most striking first, of the model as it is; what says nothing is left out (velocities "
+    "of a robot at rest)."
 )
 SWITCH = (
     '<p class="switch"><button type="button" value="0" aria-pressed="true">as it is</button>'
@@ -36,15 +39,27 @@ COLOURS = "Colour is direction: red +x, green-yellow +y, cyan -x, violet -y; lig
 
 
 def in_space(report: Report, plot: Plot) -> str:
-    """Residual arrows, and errors by octant of the workspace."""
+    """Residual arrows in space and from three sides, errors by octant, the model's own sigma."""
     left = report.residuals
     if left.kind is None:
         return paragraph("No pose was measured: there are no residuals in space.", "none")
     fields = [left.now] if left.found is None else [left.now, left.found]
     figure, scale = spaces.residual_arrows(left.place, fields, left.kind, left.sample)
+    flat, same = maps.residuals(left.place, fields, left.kind, left.sample)
     legend = _legend(left.kind, scale, len(left.sample))
-    switch = SWITCH if left.found is not None else ""
-    return legend + switch + plot(figure) + _regions(report.regions)
+    pages = {
+        "in space": legend + plot(figure),
+        "plan, front, side": paragraph(f"Drawn {same:g} times as long as they are.", "note")
+        + plot(flat),
+    }
+    if report.spread is not None:
+        ellipses, wide = maps.workspace(report.spread)
+        note = (
+            "How well the identified model knows where the platform is: 1 σ ellipses, drawn "
+            f"{wide:g} times as large as they are, and by colour. No residual is in them."
+        )
+        pages["the model's 1 σ over the workspace"] = paragraph(note, "note") + plot(ellipses)
+    return (SWITCH if left.found is not None else "") + tabs(pages) + _regions(report.regions)
 
 
 def _legend(kind: str, scale: float, count: int) -> str:
@@ -73,24 +88,50 @@ def _regions(rows: Sequence[Region]) -> str:
             for r in rows
         ],
     )  # fmt: skip
-    title = f"By octant of the workspace about ({vector(rows[0].middle, 'm', 0)}) mm"
-    return f"<details><summary>{title}</summary>{listed}</details>"
+    return folded(f"By octant of the workspace about ({vector(rows[0].middle, 'm', 0)}) mm", listed)
 
 
 def along_everything(report: Report, plot: Plot) -> str:
-    """Small multiples: joints, place, time, and every condition."""
-    panels = "".join(
-        f"<figure><figcaption><b>{escape(name)}</b> largest mean {strength:.1f} σ</figcaption>"
+    """Joints against their own readings; small multiples of joints, place, time, conditions."""
+    drawn = [
+        f"<figure><figcaption><b>{escape(name)}</b> {escape(words)}</figcaption>"
         f"{plot(figure)}</figure>"
-        for name, strength, figure in multiples(report.along, report.residuals)
-    )
-    if not panels:
+        for name, words, figure in multiples(report.along, report.residuals, report.along_found)
+    ]
+    if not drawn:
         return paragraph("Nothing varied that residuals could depend on.", "none")
     key = "".join(
         f'<span class="key"><i style="background:{colour(name)}"></i>{escape(name)}</span>'
         for name in report.residuals.components
     )
-    return paragraph(ALONG, "note") + f'<p class="note">{key}</p><div class="grid">{panels}</div>'
+    first, rest = "".join(drawn[:STRIKING]), "".join(drawn[STRIKING:])
+    parts = [
+        SWITCH if report.residuals.found is not None else "",
+        paragraph(ALONG, "note"),
+        f'<p class="note">{key}</p><div class="grid">{first}</div>',
+    ]
+    if rest:
+        title = f"{len(drawn) - STRIKING} more, less striking"
+        parts.append(folded(title, f'<div class="grid">{rest}</div>'))
+    return "".join(parts) + _joints(report, plot)
+
+
+def _joints(report: Report, plot: Plot) -> str:
+    """Each joint's own residual against its own reading, with the pattern of what was found."""
+    found = report.joints
+    if not found.joints:
+        return ""
+    taken = [e.candidate for e in report.diagnosis.entries if e.name in report.diagnosis.effects]
+    patterns = (signature(one) for one in taken if one.score is not None)
+    own = [s for s in patterns if any(p.component in found.joints for p in s.panels)]
+    candidate = own[0] if own else None
+    laid = f", the pattern of {candidate.effect} laid over" if candidate else ""
+    pages = {"over the reading": plot(rounds.straight(found, candidate))}
+    if (bent := rounds.around(found, candidate)) is not None:
+        pages["round the reading"] = plot(bent)
+    words = f"Measured joint minus inverse of the measured pose, model as it is{laid}."
+    title = "<h3>Each joint's own residual</h3>"
+    return title + paragraph(words, "note") + tabs(pages)
 
 
 def structure(report: Report, plot: Plot) -> str:
@@ -136,12 +177,12 @@ def _samples(report: Report) -> str:
     of = {kind: unit_of(kind, units) for kind in report.errors.kinds}
     names = ("", ", with effect") if report.errors.found else ("",)
     header = [
-        "sample", "time [s]", "joints", "position [mm]",
+        "sample", *(f"sigmas{name}" for name in names), "odd",
         *(f"{k} [{small(u)[0]}]{name}" for name in names for k, u in of.items()),
-        *(f"sigmas{name}" for name in names), "odd",
+        "time [s]", "joints", "position [mm]",
     ]  # fmt: skip
     rows = [_sample(row, of, units) for row in report.samples[:SHOWN]]
-    return table(header, rows, kind="sortable")
+    return table(header, rows, kind="sortable", sorted_by="sigmas")
 
 
 def _sample(row: JudgedSample, of: Mapping[str, str], units: Mapping[str, str]) -> list[Cell]:
@@ -149,14 +190,14 @@ def _sample(row: JudgedSample, of: Mapping[str, str], units: Mapping[str, str]) 
     sides = [side for side in (row.now, row.found) if side is not None]
     return [
         Cell(str(row.sample), key=row.sample, mark="odd" if row.odd else ""),
-        Cell(number(row.time, 1.0, 4), key=row.time),
-        Cell(" ".join(joints)),
-        Cell(vector(row.position, "m")),
+        *(Cell(number(side["sigmas"], 1.0, 2), key=side["sigmas"]) for side in sides),
+        Cell(row.odd),
         *(
             Cell(number(side[kind], small(unit)[1]), key=side[kind])
             for side in sides
             for kind, unit in of.items()
         ),
-        *(Cell(number(side["sigmas"], 1.0, 2), key=side["sigmas"]) for side in sides),
-        Cell(row.odd),
+        Cell(number(row.time, 1.0, 4), key=row.time),
+        Cell(" ".join(joints)),
+        Cell(vector(row.position, "m")),
     ]

@@ -6,23 +6,54 @@ from collections.abc import Mapping, Sequence
 from html import escape
 
 from parallel_cal.identification.prediction_errors import ERRORS, Summary
-from parallel_cal.reporting import figures, spaces
-from parallel_cal.reporting.contents import Residuals
-from parallel_cal.reporting.markup import Cell, Plot, facts, items, paragraph, table
-from parallel_cal.reporting.readable import known, large, number, unit_of, with_unit
+from parallel_cal.reporting import drawings, figures, spaces
+from parallel_cal.reporting.contents import Described, Residuals
+from parallel_cal.reporting.markup import Cell, Plot, facts, items, paragraph, table, tabs
+from parallel_cal.reporting.readable import (
+    day,
+    known,
+    large,
+    number,
+    rounded_to,
+    unit_of,
+    with_unit,
+)
 from parallel_cal.reporting.report import Report
 from parallel_cal.reporting.versus import Difference, Side, Versus
 
 
 def parameters(report: Report, plot: Plot) -> str:
-    """How far every free parameter moved, with its sigma."""
-    moving = [p for p in report.parameters.values() if not p.fixed]
-    far = sum(abs(p.moved_tolerances) > figures.FAR for p in moving)
+    """Every free parameter's value with its sigma, how far it moved, and where it is."""
+    moving = {name: p for name, p in report.parameters.items() if not p.fixed}
+    far = sum(abs(p.moved_tolerances) > figures.FAR for p in moving.values())
     note = (
         f"{len(moving)} free parameters; {far or 'none'} moved further than {figures.FAR:g} "
-        "tolerances from nominal. Grey bars are not identified."
+        "tolerances from nominal. Sorted anew by a click on a column's head."
     )
-    return paragraph(note, "note") + plot(figures.parameter_bars(report.parameters))
+    most = max((abs(p.moved_tolerances) for p in moving.values()), default=0.0)
+    rows = [_parameter(name, p, most) for name, p in moving.items()]
+    header = ("parameter", "moved [tolerances]", "value", "1 σ", "unit", "nominal", "what it is")
+    pages = {"values": table(header, rows, "sortable")}
+    drawn = drawings.drawing(report.diagnosis.best.fitted.model, None, report.parameters)
+    if drawn is not None:
+        about = "Point at a line: its parameters are named with their values."
+        pages["on the mechanism"] = paragraph(about, "note") + plot(drawn)
+    return paragraph(note, "note") + tabs(pages)
+
+
+def _parameter(name: str, p: Described, most: float) -> list[Cell | str]:
+    unit, factor = large(p.unit)
+    value, sigma = rounded_to(p.value, p.sigma, factor)
+    moved, far = p.moved_tolerances, abs(p.moved_tolerances) > figures.FAR
+    return [
+        Cell(name, mark="odd" if far else ""),
+        Cell(number(moved, 1.0, 2), key=moved, bar=moved / most if most else None),
+        Cell(value, key=p.value),
+        Cell(sigma, key=p.sigma),
+        unit,
+        number(p.nominal, factor, 6),
+        p.words,
+    ]
 
 
 def combinations(report: Report) -> str:
@@ -101,7 +132,7 @@ def provenance(report: Report) -> str:
         "Noise": f"{'; '.join(noise)}; judged by: {found.noise.source}",
         "chi2/dof": f"{number(base)} now, {number(best)} at best{band}",
         "Options": ", ".join(f"{key}={value}" for key, value in p.options.items()),
-        "parallel_cal": p.version,
+        "Made": f"{day(p.made)} by parallel_cal {p.version}",
     }
     warned = items(dict.fromkeys(found.best.fitted.warnings))
     return facts(rows) + (f"<h3>Warnings</h3>{warned}" if warned else "")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from parallel_cal.identification.spread import Spread
@@ -24,19 +26,20 @@ CORNERS = 37  # points of an ellipse
 
 
 def residuals(
-    places: np.ndarray,
-    field: np.ndarray,
-    kind: str,
-    numbers: np.ndarray,
+    places: np.ndarray, fields: Sequence[np.ndarray], kind: str, numbers: np.ndarray
 ) -> tuple[Spec, float]:
-    """(figure, magnification) of residuals (N, 3) at places (N, 3) from three sides, axes equal."""
-    scale, factor = scale_of(places, [field]), 1e3 if kind == "position" else 1.0
+    """(figure, magnification) of residual fields (N, 3) at places (N, 3) from three sides, axes
+    equal: the first is shown (traces with `meta` 0), the others are hidden (1, ...)."""
+    scale, factor = scale_of(places, fields), 1e3 if kind == "position" else 1.0
     kept = thinned(len(places), ARROWS)
-    shown, seen = places[kept], field[kept]
     panels = []
     for axes in VIEWS.values():
-        drawn = _arrows(shown, seen, scale, factor, axes, numbers[kept], kind)
-        panels.append([drawn, _bar(places, field, scale, factor, axes, kind)])
+        drawn = [
+            _arrows(places[kept], field[kept], scale, factor, axes, numbers[kept], kind)
+            | {"meta": k, "visible": k == 0}
+            for k, field in enumerate(fields)
+        ]
+        panels.append([*drawn, _bar(places, fields[0], scale, factor, axes, kind)])
     return _three(panels, list(VIEWS.values()), " [mm]" if kind == "position" else ""), scale
 
 

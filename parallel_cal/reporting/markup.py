@@ -10,6 +10,7 @@ from typing import Any
 
 from parallel_cal.reporting.readable import known
 
+SORTED = ' aria-sort="descending"'
 Plot = Callable[[Mapping[str, Any]], str]  # keeps a figure for the page, returns its place in it
 
 
@@ -21,20 +22,37 @@ class Cell:
     under: str = ""
     key: float | None = None
     mark: str = ""
+    bar: float | None = None  # -1 to 1, drawn beside the text
 
-    def html(self) -> str:
+    def html(self, label: str = "") -> str:
+        """As HTML; `label` is the column's name for pages too narrow for columns."""
+        label = f' data-label="{escape(label)}"' if label else ""
         key = f' data-key="{self.key:.9g}"' if known(self.key) else ""
         mark = f' class="{escape(self.mark)}"' if self.mark else ""
+        bar = ""
+        if known(self.bar):
+            wide = 50 * min(abs(self.bar), 1.0)
+            left = 50.0 if self.bar > 0 else 50.0 - wide
+            bar = f'<i class="bar"><i style="left:{left:.0f}%;width:{wide:.0f}%"></i></i>'
         under = f"<small>{escape(self.under)}</small>" if self.under else ""
-        return f"<td{key}{mark}>{escape(self.text)}{under}</td>"
+        return f"<td{label}{key}{mark}>{escape(self.text)}{bar}{under}</td>"
 
 
-def table(header: Sequence[str], rows: Iterable[Sequence[Cell | str]], kind: str = "") -> str:
-    """A table in a box that scrolls by itself."""
-    head = "".join(f'<th scope="col">{escape(name)}</th>' for name in header)
+def table(
+    header: Sequence[str],
+    rows: Iterable[Sequence[Cell | str]],
+    kind: str = "",
+    sorted_by: str = "",
+) -> str:
+    """A table in a box that scrolls by itself; `sorted_by` is the column that falls."""
+    head = "".join(
+        f'<th scope="col"{SORTED if name == sorted_by else ""}>{escape(name)}</th>'
+        for name in header
+    )
+    cells = ([c if isinstance(c, Cell) else Cell(c) for c in row] for row in rows)
     body = "".join(
-        "<tr>" + "".join((c if isinstance(c, Cell) else Cell(c)).html() for c in row) + "</tr>"
-        for row in rows
+        "<tr>" + "".join(c.html(name) for c, name in zip(row, header, strict=True)) + "</tr>"
+        for row in cells
     )
     return (
         f'<div class="box {kind}" tabindex="0"><table><thead><tr>{head}</tr></thead>'
@@ -42,9 +60,34 @@ def table(header: Sequence[str], rows: Iterable[Sequence[Cell | str]], kind: str
     )
 
 
-def section(title: str, content: str) -> str:
+def section(title: str, content: str, about: str = "", closed: bool = False) -> str:
+    """A part of the page that folds; `about` says beside its title what is in it."""
     name = "-".join(title.lower().replace(",", "").split())
-    return f'<section id="{name}"><h2>{escape(title)}</h2>{content}</section>'
+    said = f"<span>{escape(about)}</span>" if about else ""
+    head = f"<summary><h2>{escape(title)}</h2>{said}</summary>"
+    folded = f"<details{'' if closed else ' open'}>{head}{content}</details>"
+    return f'<section id="{name}">{folded}</section>'
+
+
+def tabs(pages: Mapping[str, str]) -> str:
+    """Pages that take turns in one place, by title; one alone needs no tabs."""
+    if len(pages) < 2:
+        return "".join(pages.values())
+    buttons = "".join(
+        f'<button type="button" role="tab" aria-selected="{str(not k).lower()}">'
+        f"{escape(title)}</button>"
+        for k, title in enumerate(pages)
+    )
+    shown = "".join(
+        f'<div role="tabpanel"{" hidden" if k else ""}>{content}</div>'
+        for k, content in enumerate(pages.values())
+    )
+    return f'<div class="tabs"><p role="tablist">{buttons}</p>{shown}</div>'
+
+
+def folded(title: str, content: str) -> str:
+    """What is there for those who want it."""
+    return f"<details><summary>{escape(title)}</summary>{content}</details>"
 
 
 def paragraph(text: str, kind: str = "") -> str:

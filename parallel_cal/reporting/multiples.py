@@ -20,18 +20,44 @@ COMPONENTS = {
 POINTS, STEPS = 400, 150  # of a panel's residuals, of a rolling mean
 
 
-def multiples(along: Sequence[Along], found: Residuals) -> Iterator[tuple[str, float, Spec]]:
-    """(name, strength in sigmas of a mean, figure) of all that varied, most striking first."""
+AT_REST = 1e-3  # rad/s or m/s: below it a robot that is measured stands still
+
+
+def multiples(
+    along: Sequence[Along], found: Residuals, better: Sequence[Along] = ()
+) -> Iterator[tuple[str, str, Spec]]:
+    """(name, its largest mean in words, figure) of all that varied and says something, most
+    striking first; `better` is the same with the effects found (traces with `meta` 1)."""
+    others = {entry.name: entry for entry in better}
     for entry in along:
-        if np.ptp(found.regressors[entry.name]) > 0:
-            yield entry.name, entry.strength, _panel(entry, found)
+        values = found.regressors[entry.name]
+        rests = entry.name.startswith("velocity.") and np.abs(values).max() < AT_REST
+        if np.ptp(values) > 0 and not rests:
+            yield entry.name, peak(entry), _both(entry, found, others.get(entry.name))
 
 
-def _panel(entry: Along, found: Residuals) -> Spec:
+def peak(entry: Along) -> str:
+    """The largest mean in the sigmas of the axis, beside what chance leaves."""
+    size = np.abs(entry.mean) / entry.band[:, None]
+    at = np.unravel_index(int(np.argmax(size)), size.shape)
+    return f"mean up to {abs(entry.mean[at]):.1f} σ, {size[at]:.1f} × the band"
+
+
+def _both(entry: Along, found: Residuals, better: Along | None) -> Spec:
+    """A panel as it is, hidden behind it what it is with the effects found, on one scale."""
+    drawn = _panel(entry, found, found.noise_units)
+    shown = [trace | {"meta": 0} for trace in drawn["data"]]
+    if better is not None and found.noise_units_found is not None:
+        other = _panel(better, found, found.noise_units_found)
+        shown += [trace | {"meta": 1, "visible": False} for trace in other["data"]]
+    return drawn | {"data": shown}
+
+
+def _panel(entry: Along, found: Residuals, z: np.ndarray) -> Spec:
     """Points, the mean of each component, and the 99 % band about zero."""
     unit, factor = large(found.units[entry.name])
     values, at = found.regressors[entry.name] * factor, entry.at * factor
-    band, z = entry.band, found.noise_units
+    band = entry.band
     means = entry.mean[:, np.any(entry.mean != 0, axis=0)]  # as `noise_units`, of what was measured
     few = len(np.unique(values)) <= LEVELS
     step = float(np.min(np.diff(at), initial=np.inf)) if few and len(at) > 1 else 0.0
@@ -45,8 +71,8 @@ def _panel(entry: Along, found: Residuals) -> Spec:
         "layout": {
             "height": 210,
             "xaxis": axis,
-            "yaxis": {"range": [-size, size], "nticks": 5},
-            "margin": {"t": 6, "r": 8, "l": 34, "b": 40},
+            "yaxis": {"range": [-size, size], "nticks": 5, "title": {"text": "residual [σ]"}},
+            "margin": {"t": 6, "r": 8, "l": 46, "b": 40},
         },
     }
 

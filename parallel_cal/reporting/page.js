@@ -22,32 +22,101 @@ function template() {
   };
 }
 
-// The camera's angle of view is that of the height: a narrow page would cut the sides off.
+// A picture in space is as wide as the page; its axes' numbers need some room beside it.
 function stepBack(layout, width) {
   const eye = layout.scene.camera.eye;
-  for (const axis of "xyz") eye[axis] *= layout.height / width;
+  for (const axis of "xyz") eye[axis] *= 1.15;
+  layout.height = width;
+}
+
+// Panels beside each other would be too small on a narrow page: they stand under each other.
+function stack(layout) {
+  const names = Object.keys(layout).filter((name) => /^(xaxis|polar)\d*$/.test(name));
+  const n = names.length, each = layout.height > 300 ? 320 : 230;
+  names.forEach((name, k) => {
+    const y = [1 - (k + 0.78) / n, 1 - k / n];
+    if (name.startsWith("polar")) layout[name].domain = { x: [0, 1], y };
+    else {
+      layout[name].domain = [0, 1];
+      layout[name.replace("x", "y")].domain = y;
+    }
+  });
+  layout.annotations?.forEach((note, k) => Object.assign(note, { x: 0, y: 1 - (k + 0.78) / n }));
+  layout.height = 70 + each * n;
 }
 
 const options = { responsive: true, displaylogo: false, displayModeBar: false };
-const places = document.querySelectorAll(".plot");
-for (const place of places) {
+const places = document.querySelectorAll(".plot"), NARROW = 560;
+let shown = "0"; // which of the traces that take turns
+function visible(trace) {
+  return trace.meta === undefined || String(trace.meta) === shown;
+}
+function draw(place) {
   const { data, layout } = figures[place.dataset.figure];
+  const panels = Object.keys(layout).filter((name) => /^(xaxis|polar)\d+$/.test(name));
+  if (panels.length && place.clientWidth < NARROW) stack(layout);
   if (layout.scene && place.clientWidth < layout.height) stepBack(layout, place.clientWidth);
+  for (const trace of data) trace.visible = visible(trace);
+  place.style.height = `${layout.height}px`;
   Plotly.newPlot(place, data, { ...layout, template: template() }, options);
 }
+// On a narrow page the verdict, the arrows and what is missing come first; the rest unfolds.
+if (innerWidth < NARROW) {
+  for (const name of ["history", "error-budget", "what-is-left-along-everything"]) {
+    document.querySelector(`#${name} > details`).open = false;
+  }
+}
+// What is folded away or behind a tab has no width: it is drawn when it is first seen.
+const unseen = new IntersectionObserver((entries) => {
+  for (const { isIntersecting, target } of entries) {
+    if (!isIntersecting) continue;
+    unseen.unobserve(target);
+    if (!target.data) draw(target);
+  }
+}, { rootMargin: "400px" });
+for (const place of places) unseen.observe(place);
 dark.addEventListener("change", () => {
-  for (const place of places) Plotly.relayout(place, { template: template() });
+  for (const place of places) if (place.data) Plotly.relayout(place, { template: template() });
 });
 
-// Groups of traces that take turns in the figure behind the buttons.
-for (const button of document.querySelectorAll(".switch button")) {
+// Traces that take turns do so in every view at once.
+const switches = document.querySelectorAll(".switch button");
+for (const button of switches) {
   button.addEventListener("click", () => {
-    const row = button.parentNode, place = row.nextElementSibling;
-    const visible = place.data.map((trace) => String(trace.meta) === button.value);
-    for (const other of row.children) other.setAttribute("aria-pressed", other === button);
-    Plotly.restyle(place, { visible });
+    shown = button.value;
+    for (const other of switches) other.setAttribute("aria-pressed", other.value === shown);
+    for (const place of places) {
+      if (place.data) Plotly.restyle(place, { visible: place.data.map(visible) });
+    }
   });
 }
+
+for (const list of document.querySelectorAll("[role=tablist]")) {
+  const buttons = [...list.children], panels = [...list.parentNode.children].slice(1);
+  buttons.forEach((button, k) => {
+    button.addEventListener("click", () => {
+      buttons.forEach((other, i) => other.setAttribute("aria-selected", i === k));
+      panels.forEach((panel, i) => { panel.hidden = i !== k; });
+    });
+  });
+}
+
+// The contents; a part that is gone to opens.
+const contents = document.querySelector("nav");
+for (const title of document.querySelectorAll("section h2")) {
+  const link = document.createElement("a"), part = title.closest("section");
+  link.href = `#${part.id}`;
+  link.textContent = title.textContent;
+  link.addEventListener("click", () => { part.querySelector("details").open = true; });
+  contents.append(link);
+}
+
+// Paper folds nothing.
+window.addEventListener("beforeprint", () => {
+  for (const part of document.querySelectorAll("details")) part.open = true;
+  for (const panel of document.querySelectorAll("[role=tabpanel]")) panel.hidden = false;
+  for (const place of places) if (!place.data) draw(place);
+});
 
 function sortBy(table, column, head) {
   const up = head.getAttribute("aria-sort") === "descending";

@@ -9,6 +9,7 @@ from importlib.resources import files
 from string import Template
 from typing import Any
 
+from parallel_cal.reporting.readable import day
 from parallel_cal.reporting.report import Report
 from parallel_cal.reporting.sections import body
 
@@ -25,8 +26,10 @@ def page(report: Report) -> str:
         return f'<div class="plot" data-figure="{len(drawn) - 1}" style="height:{height}px"></div>'
 
     content = body(report, plot)
+    p, samples = report.provenance, len(report.diagnosis.dataset)
     return Template(_text("page.html")).substitute(
-        title=escape(f"{report.provenance.mechanism} on {report.diagnosis.dataset.source}"),
+        title=escape(f"{p.mechanism} on {report.diagnosis.dataset.source}"),
+        made=escape(f"{day(p.made)}, {samples} samples, model {p.model_sha256[:12]}"),
         style=_text("page.css"),
         body=content,
         figures=_in_script(drawn),

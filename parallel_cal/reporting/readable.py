@@ -48,6 +48,19 @@ def number(value: float | None, factor: float = 1.0, digits: int = 3) -> str:
     return f"{scaled:.{max(digits - 1 - size, 0)}f}"
 
 
+def rounded_to(value: float, sigma: float | None, factor: float = 1.0) -> tuple[str, str]:
+    """(value, sigma) with as many decimals as the sigma's second digit has."""
+    if not known(sigma) or sigma <= 0:
+        return number(value, factor, 6), MISSING
+    decimals = max(1 - math.floor(math.log10(sigma * factor)), 0)
+    return f"{value * factor:.{decimals}f}", f"{sigma * factor:.{decimals}f}"
+
+
+def day(stamp: str) -> str:
+    """`2026-01-31 12:05 UTC` of an ISO time stamp."""
+    return f"{stamp[:10]} {stamp[11:16]} UTC"
+
+
 def with_unit(value: float | None, unit: str, scale: Any = small) -> str:
     """`32.2 µm`; a dash where the value is not known."""
     name, factor = scale(unit)

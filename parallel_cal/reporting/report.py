@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from datetime import datetime, timezone
 from typing import Any
 
 from parallel_cal import __version__
@@ -14,6 +15,7 @@ from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.patterns import Along, Region, along, regions
 from parallel_cal.diagnosis.scene import Progress
 from parallel_cal.identification.budget import Budget, Iso9283
+from parallel_cal.identification.spread import Spread
 from parallel_cal.model.file.modelfile import model_hash
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
@@ -23,9 +25,10 @@ from parallel_cal.reporting.versus import Versus
 
 @dataclass(frozen=True)
 class Provenance:
-    """Which model, data and options a report was made of, and by which version."""
+    """When and of which model, data and options a report was made, and by which version."""
 
     version: str
+    made: str
     mechanism: str
     joint_units: Mapping[str, str]
     effects: list[str]
@@ -40,6 +43,7 @@ class Provenance:
         model, data = diagnosis.model, diagnosis.dataset
         return cls(
             version=__version__,
+            made=datetime.now(timezone.utc).isoformat(timespec="minutes"),
             mechanism=model.mechanism.name,
             joint_units=dict(zip(model.joints, model.mechanism.joint_units, strict=True)),
             effects=[effect.name for effect in model.effects],
@@ -61,6 +65,9 @@ class Report:
     history: list[dict[str, Any]]
     residuals: contents.Residuals
     along: tuple[Along, ...]
+    along_found: tuple[Along, ...]
+    joints: contents.JointResiduals
+    spread: Spread | None
     regions: tuple[Region, ...]
     samples: list[contents.JudgedSample]
     budget: tuple[Budget, ...]
@@ -102,10 +109,11 @@ def report(
         diagnosis=found,
         errors=errors,
         history=contents.history(found, errors),
-        residuals=contents.Residuals.of(
-            scene, field, found.field.vectors if found.effects else None
-        ),
+        residuals=contents.Residuals.of(scene, field, found.field if found.effects else None),
         along=along(scene, field),
+        along_found=along(found.best.scene, found.field) if found.effects else (),
+        joints=contents.JointResiduals.of(scene),
+        spread=Spread.of(best.model),
         regions=regions(scene, field) if field.kind == "position" else (),
         samples=contents.samples(found),
         budget=best.budgets,

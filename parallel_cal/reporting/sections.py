@@ -9,6 +9,8 @@ from parallel_cal.reporting.report import Report
 
 def body(report: Report, plot: Plot) -> str:
     """Everything below the page's head; sections without data say so."""
+    free = sum(not p.fixed for p in report.parameters.values())
+    worst_first = f"{len(report.samples)}, worst first"
     parts = [
         overview.verdict(report),
         overview.numbers(report),
@@ -16,13 +18,13 @@ def body(report: Report, plot: Plot) -> str:
         section("Error budget", overview.budget(report)),
         section("What is left, in space", failures.in_space(report, plot)),
         section("What is left, along everything", failures.along_everything(report, plot)),
-        section("Which effect is missing", evidence.candidates(report)),
+        section("Which effect is missing", evidence.candidates(report, plot)),
         section("What to measure next", evidence.measure_next(report)),
-        section("Parameters", identified.parameters(report, plot)),
-        section("What the data cannot tell", identified.combinations(report)),
-        section("Unexplained structure", failures.structure(report, plot)),
-        section("Samples", failures.samples(report)),
-        section("Provenance", identified.provenance(report)),
+        section("Parameters", identified.parameters(report, plot), f"{free} free", closed=True),
+        section("What the data cannot tell", identified.combinations(report), closed=True),
+        section("Unexplained structure", failures.structure(report, plot), closed=True),
+        section("Samples", failures.samples(report), worst_first, closed=True),
+        section("Provenance", identified.provenance(report), closed=True),
     ]
     if report.against:
         parts.insert(

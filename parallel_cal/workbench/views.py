@@ -215,7 +215,7 @@ def _pictures(
             yield _picture("joints, round", f"{words}, round the reading{over}", bent)
     if residuals.kind is not None:
         flat, scale = maps.residuals(
-            residuals.place, residuals.now, residuals.kind, residuals.sample
+            residuals.place, [residuals.now], residuals.kind, residuals.sample
         )
         yield _picture("sides", f"residuals from three sides, {scale:g} times as long", flat)
     if (spread := maps.Spread.of(scene.model)) is not None:

@@ -1,0 +1,234 @@
+"""What a reader of the report sees: what is said fits what is drawn, and nothing is hidden."""
+
+import json
+import re
+import shutil
+from dataclasses import replace
+from datetime import datetime, timezone
+from html import unescape
+
+import numpy as np
+import pytest
+import virtual_robot as vr
+from datasets import measured
+
+from parallel_cal.model.model import new_model
+from parallel_cal.reporting.multiples import multiples, peak
+from parallel_cal.reporting.page import page
+from parallel_cal.reporting.readable import rounded_to
+from parallel_cal.reporting.report import report
+from parallel_cal.session.steps import fitted
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+DRAWS = ["--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader"]
+PARTS = {  # those of the page that fold, in their order
+    "History", "Error budget", "What is left, in space", "What is left, along everything",
+    "Which effect is missing", "What to measure next", "Parameters", "What the data cannot tell",
+    "Unexplained structure", "Samples", "Provenance",
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def made():
+    data = measured(0, effects=[vr.Backlash((6e-4, 5e-4, 4e-4))])
+    n = len(data)
+    rest = {"velocity.joint1": np.random.default_rng(0).normal(0, 2e-5, n)}
+    data = replace(data, conditions=data.conditions | rest)
+    model = fitted(new_model("delta54"), data).model
+    return report(model, data, effects=("backlash", "hysteresis", "encoder_gain", "device_axes"))
+
+
+@pytest.fixture(scope="module")
+def text(made):
+    return page(made)
+
+
+def part(text, name):
+    return re.search(rf'<section id="{name}">.*?</section>', text, flags=re.DOTALL).group()
+
+
+def figures(text):
+    found = re.search(r'<script type="application/json" id="figures">(.*?)</script>', text)
+    return json.loads(found.group(1))
+
+
+# ------------------------------------------------------------------ what is said and drawn
+
+
+def test_a_panel_says_in_the_axis_own_sigmas_how_far_its_mean_goes(made, text):
+    panels = multiples(made.along, made.residuals, made.along_found)
+    drawn = {name: (words, figure) for name, words, figure in panels}
+    assert drawn
+    captions = re.findall(r"<b>([^<]+)</b> (mean up to [^<]+)</figcaption>", text)
+    assert [(name, words) for name, (words, _) in drawn.items()] == captions
+    for entry in made.along:
+        if entry.name not in drawn:
+            continue
+        words, figure = drawn[entry.name]
+        said, times = map(float, re.search(r"up to ([\d.]+) σ, ([\d.]+) ×", words).groups())
+        own = [t for t in figure["data"] if t["meta"] == 0 and "name" in t]
+        highest = max(abs(v) for t in own for v in t["y"])
+        assert said <= highest + 0.051  # never more than the curve shows
+        assert said == pytest.approx(times * float(entry.band.min()), rel=0.6)
+        assert figure["layout"]["yaxis"]["title"]["text"] == "residual [σ]"
+        assert figure["layout"]["yaxis"]["range"][1] >= said
+
+
+def test_the_furthest_mean_is_that_which_leaves_the_band_furthest():
+    from parallel_cal.diagnosis.patterns import Along
+
+    mean, band = np.array([[1.0, -0.2], [0.1, -0.9]]), np.array([1.0, 0.3])
+    entry = Along("direction", np.array([-1.0, 1.0]), mean, band, 4.3, 0.0, 1.0)
+    assert peak(entry) == "mean up to 0.9 σ, 3.0 × the band"
+
+
+def test_velocities_of_a_robot_at_rest_are_left_out(made, text):
+    assert "velocity.joint1" in made.residuals.regressors
+    assert "velocity.joint1" not in part(text, "what-is-left-along-everything")
+
+
+def test_every_free_parameter_has_its_value_sigma_and_unit(made, text):
+    said = part(text, "parameters")
+    found = (re.findall(r"<td[^>]*>(.*?)</td>", r) for r in re.findall(r"<tr>(.*?)</tr>", said))
+    rows = {cells[0]: cells[1:] for cells in found if cells}
+    free = {name: p for name, p in made.parameters.items() if not p.fixed}
+    assert set(rows) == set(free)
+    for name, p in free.items():
+        factor, unit = (1e3, "mm") if p.unit == "m" else (180 / np.pi, "deg")
+        _, value, sigma, shown, nominal, words = rows[name]
+        assert (shown, unescape(words)) == (unit, p.words)
+        assert float(value) == pytest.approx(p.value * factor, abs=p.sigma * factor)
+        assert float(sigma) == pytest.approx(p.sigma * factor, rel=0.06)
+        assert float(nominal) == pytest.approx(p.nominal * factor, rel=1e-4, abs=1e-9)
+
+
+def test_a_value_has_as_many_decimals_as_its_sigma_allows():
+    assert rounded_to(0.24012345, 2.3e-5, 1e3) == ("240.123", "0.023")
+    assert rounded_to(-1.2345, 0.4, 1.0) == ("-1.23", "0.40")
+    assert rounded_to(1234.5, 37.0) == ("1234", "37")
+    assert rounded_to(0.5, None) == ("0.500000", "–")
+
+
+def test_samples_are_sorted_by_a_column_that_is_seen_at_once(text):
+    said = part(text, "samples")
+    heads = re.findall(r"<th[^>]*>([^<]+)</th>", said)
+    assert heads[:2] == ["sample", "sigmas"]
+    assert re.findall(r"<th[^>]*aria-sort=\"descending\">([^<]+)</th>", said) == ["sigmas"]
+    keys = [float(row[1]) for row in (re.findall(r'data-key="([^"]+)"', r)
+            for r in re.findall(r"<tr>(.*?)</tr>", said)) if row]  # fmt: skip
+    assert keys == sorted(keys, reverse=True)
+
+
+def test_the_report_says_when_it_was_made(made, text):
+    stamp = datetime.fromisoformat(made.document()["provenance"]["made"])
+    assert abs((datetime.now(timezone.utc) - stamp).total_seconds()) < 3600
+    head = re.search(r"<header>.*?</header>", text, flags=re.DOTALL).group()
+    assert stamp.strftime("%Y-%m-%d %H:%M UTC") in head
+    assert made.provenance.model_sha256[:12] in head
+
+
+def test_a_verdict_of_something_missing_is_not_green(text):
+    css = re.search(r"<style>(.*?)</style>", text, flags=re.DOTALL).group(1)
+    green = re.search(r"([^{}]*)\{ background: var\(--good\); \}", css).group(1)
+    assert "explained" not in green
+
+
+def test_patterns_joints_maps_and_the_mechanism_are_drawn_by_the_same_code(made, text):
+    titles = json.dumps([f["layout"] for f in figures(text)], ensure_ascii=False)
+    assert "joint1 came falling (−1), growing (+1)" in titles  # backlash over the direction
+    assert "joint1 residual [mrad]" in titles
+    assert "plan: x [mm]" in titles
+    kinds = [{t.get("name") for t in f["data"]} for f in figures(text)]
+    assert any({"1 σ of the model"} <= names for names in kinds)
+    assert any({"base", "driven", "rod", "platform", "parameters"} <= names for names in kinds)
+
+
+# ------------------------------------------------------------------ in a browser
+
+
+@pytest.fixture(scope="module")
+def opened(text, tmp_path_factory):
+    """Opens the page at a width, all of it looked at; and what the browser asked for or wrote."""
+    if CHROMIUM is None:
+        pytest.skip("chromium is not installed")
+    sync = pytest.importorskip("playwright.sync_api")
+    file = tmp_path_factory.mktemp("page") / "r.html"
+    file.write_text(text, encoding="utf-8")
+    with sync.sync_playwright() as p:
+        browser = p.chromium.launch(executable_path=CHROMIUM, args=DRAWS)
+
+        def at(width, scheme="light"):
+            window = browser.new_page(viewport={"width": width, "height": 900}, color_scheme=scheme)
+            window.failed, window.asked = [], []
+            window.on("pageerror", lambda e: window.failed.append(str(e)))
+            window.on("request", lambda r: window.asked.append(r.url))
+            window.goto(f"file://{file}")
+            return window
+
+        yield at
+        browser.close()
+
+
+@pytest.mark.wide
+@pytest.mark.parametrize(
+    ("width", "most", "scheme"), [(1280, 5200, "light"), (800, 6500, "light"), (400, 5200, "dark")]
+)
+def test_the_page_is_short_and_nothing_is_cut_off(opened, width, most, scheme):
+    window = opened(width, scheme)
+    height = window.evaluate("document.documentElement.scrollHeight")
+    for y in range(0, height, 700):
+        window.evaluate(f"scrollTo(0, {y})")
+        window.wait_for_timeout(60)
+    tall, wide = window.evaluate(
+        "[document.documentElement.scrollHeight, document.documentElement.scrollWidth]"
+    )
+    assert wide <= width
+    assert tall < most  # it was 8600 to 13500
+    beyond = window.evaluate(
+        "[...document.querySelectorAll('main *')].filter(e => !e.closest('.box, svg') && "
+        "e.getBoundingClientRect().right > innerWidth + 1).length"
+    )
+    assert beyond == 0
+    evidence = window.evaluate(
+        "[...document.querySelectorAll('.evidence')].map(e => e.scrollWidth - e.clientWidth)"
+    )
+    assert max(evidence) <= 1
+    assert not window.failed
+    assert len(window.asked) == 1  # itself
+    window.close()
+
+
+@pytest.mark.wide
+def test_contents_lead_to_every_part_and_open_it(opened):
+    window = opened(1280)
+    links = window.locator("nav a")
+    assert set(links.all_text_contents()) == PARTS
+    assert not window.locator("#samples > details").evaluate("d => d.open")
+    window.get_by_role("link", name="Samples").click()
+    assert window.locator("#samples > details").evaluate("d => d.open")
+    assert window.locator("#samples th").first.is_visible()
+    window.close()
+
+
+@pytest.mark.wide
+def test_the_switch_changes_every_view_at_once(opened):
+    window = opened(1280)
+    read = (
+        "[...document.querySelectorAll('.plot')].filter(p => p.data).flatMap(p => p.data)"
+        ".filter(t => t.meta !== undefined).map(t => [t.meta, t.visible])"
+    )
+    window.locator("#what-is-left-along-everything .plot").first.scroll_into_view_if_needed()
+    window.wait_for_timeout(800)
+    before = window.evaluate(read)
+    assert {meta for meta, _ in before} == {0, 1}
+    assert all(visible == (meta == 0) for meta, visible in before)
+    window.locator(".switch button[value='1']").first.click()
+    after = window.evaluate(read)
+    assert all(visible == (meta == 1) for meta, visible in after)
+    pressed = window.locator(".switch button[aria-pressed=true]").all_text_contents()
+    assert pressed == ["with the effects found"] * 2
+    # A view that is opened later shows the same.
+    window.get_by_role("tab", name="plan, front, side").click()
+    window.wait_for_timeout(800)
+    assert all(visible == (meta == 1) for meta, visible in window.evaluate(read))
+    window.close()
