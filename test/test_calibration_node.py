@@ -21,7 +21,7 @@ pytest.importorskip("rclpy")
 pytest.importorskip("parallel_cal_msgs")
 
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, Vector3Stamped
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from parallel_cal_msgs.action import Identify
@@ -223,6 +223,28 @@ def test_comparing_shows_every_sample_and_the_residuals_as_arrows(full):
     arrows = full.latched["residuals"][0].markers
     assert len(arrows) == 1 + 94
     assert arrows[1].header.frame_id == "base"
+    assert {marker.id for marker in arrows[1:]} == listed
+
+
+def test_comparing_tells_every_residual_as_plain_numbers_too(full):
+    vectors, joints, node = [], [], full.client._node
+    listening = [
+        node.create_subscription(type, f"calibration_node/residuals/{name}", kept.append, 200)
+        for type, name, kept in (
+            (Vector3Stamped, "position", vectors),
+            (JointState, "joints", joints),
+        )
+    ]
+    full.client.wait(lambda: all(s.get_publisher_count() for s in listening), "the node")
+    rows = json.loads(full.call(Compare, "compare").json)["rows"]
+    full.client.wait(lambda: len(vectors) == len(joints) == 94, "the residuals")
+    samples = {s.id: s for s in full.call(ListSamples, "list_samples").samples}
+    told = {(m.header.stamp.sec, m.header.stamp.nanosec): m.vector for m in vectors}
+    for row in rows:
+        stamp = samples[row["id"]].stamp
+        vector = told[stamp.sec, stamp.nanosec]
+        assert [vector.x, vector.y, vector.z] == pytest.approx(row["position_error"], abs=1e-12)
+    assert list(joints[0].name) == ["joint1", "joint2", "joint3"]
 
 
 def test_too_few_samples_are_refused_and_nothing_is_written(full):

@@ -13,6 +13,7 @@ from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.cli import (
     calibration,
     diagnosing,
+    exporting,
     kinematics,
     models,
     planning,
@@ -54,8 +55,8 @@ COMMANDS: tuple[Callable[..., None], ...] = (
     kinematics.direct, kinematics.inverse,
     recordings.info, recordings.import_csv, recordings.simulate, recordings.replay,
     calibration.fit, calibration.compare, calibration.add, calibration.remove,
-    diagnosing.diagnose, reporting.report, short_cut.short_cut, planning.plan,
-    workbench.workbench, showing.demo, showing.bench,
+    diagnosing.diagnose, reporting.report, exporting.export_residuals, short_cut.short_cut,
+    planning.plan, workbench.workbench, showing.demo, showing.bench,
 )  # fmt: skip
 for command in COMMANDS:
     app.command()(command)

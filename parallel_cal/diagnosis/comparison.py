@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.base.documents import plain
+from parallel_cal.base.rotation import matrix_to_quaternion
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.lack_of_fit import LackOfFit, lack_of_fit
 from parallel_cal.diagnosis.noise import PureError
@@ -20,8 +21,10 @@ from parallel_cal.identification.noise_floor import noise_floor
 from parallel_cal.identification.observations import Observations, observe
 from parallel_cal.identification.prediction_errors import ERRORS, Errors, Summary, errors
 from parallel_cal.identification.registration import Registration, registered, said
+from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.recordings.residuals import Residuals
 
 
 @dataclass(frozen=True)
@@ -80,6 +83,33 @@ class Comparison:
         kinds = [self.errors.norms(kind) for kind in ("position", "orientation", "reading")]
         norms = next((n for n in kinds if np.isfinite(n).any()), kinds[0])
         return np.argsort(-np.nan_to_num(norms, nan=-1.0), kind="stable")
+
+    def residuals(self, numbers: np.ndarray, stamps: np.ndarray) -> Residuals:
+        """As messages tell them, of samples with these numbers and stamps (ns), each (N,)."""
+        field, errors = self.field, self.errors
+        seen, reached = (Configuration.from_rows(x) for x in (self.observations.x, self.scene.x))
+        unsolved = np.isfinite(self.position).all(axis=1) & np.isnan(errors.position).any(axis=1)
+        # Without a pose there are noise units of something else.
+        sigmas = field.noise_units if field.measured.any() else np.full((len(seen.q), 6), np.nan)
+        return Residuals(
+            numbers, stamps, self.dataset.frame or self.model.frames["base"], self.model.joints,
+            errors.joint, self.scene.sigmas,
+            {
+                "/position": errors.position,
+                "/orientation": errors.orientation,
+                "/position_sigmas": np.where(np.isnan(errors.position), np.nan, sigmas[:, :3]),
+                "/orientation_sigmas": np.where(
+                    np.isnan(errors.orientation), np.nan, sigmas[:, 3:]
+                ),
+            },
+            {
+                "/measured": (self.position, matrix_to_quaternion(seen.R)),
+                "/predicted": (
+                    np.where(unsolved[:, None], np.nan, reached.r),
+                    matrix_to_quaternion(reached.R),
+                ),
+            },
+        )  # fmt: skip
 
     def document(self) -> dict[str, Any]:
         """E, one row a sample, worst first, and where the model fails."""

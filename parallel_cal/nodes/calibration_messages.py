@@ -1,4 +1,4 @@
-"""Samples, residuals and results as ROS messages."""
+"""Samples and results as ROS messages."""
 
 from __future__ import annotations
 
@@ -8,23 +8,19 @@ from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Point, PoseWithCovariance
+from geometry_msgs.msg import PoseWithCovariance
 from parallel_cal_msgs.action import Diagnose, Identify
 from parallel_cal_msgs.msg import Condition, Sample
-from std_msgs.msg import ColorRGBA, Header, String
-from visualization_msgs.msg import Marker, MarkerArray
+from std_msgs.msg import String
 
 from parallel_cal.base.documents import plain
 from parallel_cal.base.rotation import matrix_to_quaternion
-from parallel_cal.diagnosis.comparison import Comparison
-from parallel_cal.model.configuration import Configuration
 from parallel_cal.nodes.collector import Collection
 from parallel_cal.nodes.conversions import pose_message
 from parallel_cal.recordings.recording import Dropped
 from parallel_cal.session.goals import Outcome
 
 NOT_MEASURED = 1e4  # a variance above 1e3 says so
-THICKNESS = 0.004  # of an arrow, in parts of the workspace's extent
 
 
 def sample_messages(collection: Collection) -> list[Sample]:
@@ -98,32 +94,3 @@ def diagnose_result(outcome: Outcome) -> Diagnose.Result:
     message.verdict = outcome.verdict
     message.json = json_text(outcome.document) if outcome.document else ""
     return message
-
-
-def residual_markers(found: Comparison, collection: Collection, scale: float) -> MarkerArray:
-    """Arrows from each measured position along measured minus predicted, `scale` times as long."""
-    errors, ids, frame = found.errors, collection.ids, collection.dataset.frame
-    position = Configuration.from_rows(found.observations.x).r
-    extent = float(np.ptp(position, axis=0).max())
-    markers = [Marker(action=Marker.DELETEALL, header=Header(frame_id=frame), ns="residuals")]
-    for i in np.flatnonzero(np.isfinite(errors.position).all(axis=1)):
-        arrow = _arrow(position[i], errors.position[i], scale, THICKNESS * extent)
-        arrow.header, arrow.ns, arrow.id = Header(frame_id=frame), "residuals", int(ids[i])
-        markers.append(arrow)
-    return MarkerArray(markers=markers)
-
-
-def _arrow(start: Any, error: Any, scale: float, thickness: float) -> Marker:
-    """Red, green, blue say how much of the direction is along x, y, z; dark is negative."""
-    direction = error / max(float(np.linalg.norm(error)), 1e-300)
-    red, green, blue = (float(c) for c in 0.5 + 0.5 * direction)
-    arrow = Marker(type=Marker.ARROW, action=Marker.ADD)
-    arrow.pose.orientation.w = 1.0
-    arrow.points = [_point(start), _point(start + scale * error)]
-    arrow.color = ColorRGBA(r=red, g=green, b=blue, a=1.0)
-    arrow.scale.x, arrow.scale.y = thickness, 2 * thickness
-    return arrow
-
-
-def _point(r: Any) -> Point:
-    return Point(x=float(r[0]), y=float(r[1]), z=float(r[2]))

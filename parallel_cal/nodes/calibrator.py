@@ -12,7 +12,6 @@ from parallel_cal_msgs.action import Diagnose, Identify
 from parallel_cal_msgs.srv import AddEffect
 from rclpy.callback_groups import CallbackGroup
 from std_msgs.msg import String
-from visualization_msgs.msg import MarkerArray
 
 from parallel_cal.base.errors import ModelFileError, ParallelCalError
 from parallel_cal.base.worker import Worker
@@ -23,12 +22,14 @@ from parallel_cal.model.model import Model
 from parallel_cal.nodes import calibration_messages as messages
 from parallel_cal.nodes.collector import Collection
 from parallel_cal.nodes.computing import prepare
+from parallel_cal.nodes.conversions import message_class
 from parallel_cal.nodes.folders import Folders
 from parallel_cal.nodes.frames import in_base, lookup
 from parallel_cal.nodes.jobs import Job, JobServer, OneAtATime, Say, Work, in_words
 from parallel_cal.nodes.managed import Managed
 from parallel_cal.nodes.parameters import LATCHED, absolute
 from parallel_cal.nodes.run import in_front
+from parallel_cal.recordings.residuals import TOPICS, residual_messages
 from parallel_cal.session.goals import (
     PREVIOUS,
     Outcome,
@@ -38,6 +39,8 @@ from parallel_cal.session.goals import (
     undone,
     written,
 )
+
+MANY = 1000  # residuals that a listener may fall behind: all of a session come at once
 
 
 class Calibrator:
@@ -54,7 +57,12 @@ class Calibrator:
         self._node, self._collect, self._say, self._folders = node, collect, say, folders
         self._result = node.create_publisher(String, "~/result", LATCHED)
         self._diagnosis = node.create_publisher(String, "~/diagnosis", LATCHED)
-        self._arrows = node.create_publisher(MarkerArray, "~/residuals", LATCHED)
+        self._residuals = {
+            topic: node.create_publisher(
+                message_class(kind), f"~/residuals{topic}", MANY if topic else LATCHED
+            )
+            for topic, kind in TOPICS.items()
+        }
         self._worker = Worker(first=partial(prepare, self._parameter("allow_foreign_modules")))
         self.registered = ""  # where the frame of the samples used last was found to stand
         self._written = ""  # the model file that was written last
@@ -143,10 +151,12 @@ class Calibrator:
         return replace(collection, dataset=dataset)
 
     def _show(self, model: Model, collection: Collection) -> Comparison:
-        """A model beside the samples, as arrows, too."""
+        """A model beside the samples, as residuals, too."""
         found = compare(model, collection.dataset, self._sigma())
         scale = self._parameter("arrow_scale")
-        self._arrows.publish(messages.residual_markers(found, collection, scale))
+        residuals = found.residuals(collection.ids, collection.stamps)
+        for topic, _, data in residual_messages(residuals, scale):
+            self._residuals[topic].publish(data)
         return found
 
     def _publish_result(self, kind: str, outcome: Outcome) -> None:

@@ -37,12 +37,23 @@ def load_dataset(
 
     BagError or DatasetError when none can be had.
     """
+    return load_stamped(path, options, progress, **given)[0]
+
+
+def load_stamped(
+    path: str | Path,
+    options: ReadOptions | None = None,
+    progress: Progress | None = None,
+    **given: Any,
+) -> tuple[Dataset, int]:
+    """The same, and the stamp (ns) that its times count from: 0 for a file of samples."""
     options = (options or ReadOptions()).changed(**given)
     if holds_samples(Path(path)):
-        dataset = in_order(Dataset.from_json(path), options.joints)
+        dataset, start = in_order(Dataset.from_json(path), options.joints), 0
     else:
-        dataset = dataset_from_recording(read_bag(path, options, progress), options)
-    return dataset.excluding(options.exclude)
+        recording = read_bag(path, options, progress)
+        dataset, start = dataset_from_recording(recording, options), recording.start_ns
+    return dataset.excluding(options.exclude), start
 
 
 def load_sessions(

@@ -1,10 +1,10 @@
-"""A simulated session -> a rosbag2 folder; the only file that writes a bag."""
+"""A simulated session or messages -> a recording; the only file that writes a bag."""
 
 from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,50 +25,77 @@ WRITTEN = ("payload", "temperature", "joint_states", "measured_pose")
 
 def write_bag(session: Simulation, path: str | Path, storage: str = "mcap") -> None:
     """Write a session as a rosbag2 folder, whole or not at all; BagError where one stands."""
-    target = Path(path)
     if storage not in STORAGES:
         raise BagError(f"storage '{storage}' unknown; expected {' or '.join(STORAGES)}")
+    messages = _Session()
+    kinds = {name: CHANNELS[name].types[0] for name in WRITTEN}
+    stream = sorted(messages.of(session), key=lambda m: m[0])
+    data = ((n, t, messages.store.serialize_cdr(m, kinds[n])) for t, n, m in stream)
+    latched = {name for name in WRITTEN if CHANNELS[name].latched}
+    _write(Path(path), kinds, data, latched, storage, lambda folder: folder)
+
+
+def write_messages(
+    path: str | Path,
+    kinds: Mapping[str, str],
+    messages: Iterable[tuple[str, int, Any]],
+    latched: Container[str],
+) -> None:
+    """Write (topic, stamp in ns, serialized) as one MCAP file; `kinds` are the topics' types."""
+    _write(Path(path), kinds, messages, latched, "mcap", lambda folder: next(folder.glob("*.mcap")))
+
+
+def _write(
+    target: Path,
+    kinds: Mapping[str, str],
+    messages: Iterable[tuple[str, int, Any]],
+    latched: Container[str],
+    storage: str,
+    wanted: Callable[[Path], Path],
+) -> None:
+    """Whole or not at all; `wanted` is the folder or what of it takes the target's name."""
     if target.exists():
         raise BagError(f"{target}: exists already; remove it or give another name")
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=target.parent, prefix=".bag") as scratch:
             # A bag's data file carries its folder's name.
-            _write(session, Path(scratch) / target.name, storage)
-            shutil.move(Path(scratch) / target.name, target)
+            folder = Path(scratch) / target.name
+            _record(folder, kinds, messages, latched, storage)
+            shutil.move(wanted(folder), target)
     except OSError as error:
         raise BagError(f"{target}: cannot be written: {error.strerror or error}") from None
 
 
-def _write(session: Simulation, folder: Path, storage: str) -> None:
+def _record(
+    folder: Path,
+    kinds: Mapping[str, str],
+    messages: Iterable[tuple[str, int, Any]],
+    latched: Container[str],
+    storage: str,
+) -> None:
     from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
-    messages = _Messages()
+    store = Messages().store
     writer = Writer(folder, version=9, storage_plugin=StoragePlugin[storage.upper()])
     if storage == "mcap":  # inside the file; sqlite3 can only be packed as a whole
         writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
     with writer:
         topics = {
             name: writer.add_connection(
-                name,
-                CHANNELS[name].types[0],
-                typestore=messages.store,
-                offered_qos_profiles=[_quality(name)],
+                name, kind, typestore=store, offered_qos_profiles=[_quality(name in latched)]
             )
-            for name in WRITTEN
+            for name, kind in kinds.items()
         }
-        stream = sorted(messages.of(session), key=lambda m: m[0])
-        for stamp, name, message in stream:
-            data = messages.store.serialize_cdr(message, CHANNELS[name].types[0])
+        for name, stamp, data in messages:
             writer.write(topics[name], stamp, data)
 
 
-def _quality(topic: str) -> Any:
+def _quality(latched: bool) -> Any:
     """Reliable; a latched topic also reaches whoever subscribes late."""
     from rosbags import interfaces as qos
 
-    latched, forever = CHANNELS[topic].latched, qos.QosTime(9223372036, 854775807)
-    durability = qos.QosDurability
+    forever, durability = qos.QosTime(9223372036, 854775807), qos.QosDurability
     return qos.Qos(
         qos.QosHistory.KEEP_LAST,
         1 if latched else 10,
@@ -82,14 +109,40 @@ def _quality(topic: str) -> Any:
     )
 
 
-class _Messages:
-    """A session's arrays as ROS messages."""
+class Messages:
+    """What messages are made of, without ROS."""
 
     @cached_property
     def store(self) -> Any:
         from rosbags.typesys import Stores, get_typestore
 
         return get_typestore(Stores.ROS2_JAZZY)
+
+    def kind(self, name: str) -> Any:
+        return self.store.types[name.replace("/", "/msg/")]
+
+    def header(self, stamp: int, frame: str = "") -> Any:
+        time = self.kind("builtin_interfaces/Time")(stamp // 10**9, stamp % 10**9)
+        return self.kind("std_msgs/Header")(time, frame)
+
+    def vector(self, of: np.ndarray) -> Any:
+        return self.kind("geometry_msgs/Vector3")(*of.tolist())
+
+    def point(self, of: np.ndarray) -> Any:
+        return self.kind("geometry_msgs/Point")(*of.tolist())
+
+    def pose(self, position: np.ndarray, quaternion: np.ndarray) -> Any:
+        turn = self.kind("geometry_msgs/Quaternion")(*quaternion.tolist())
+        return self.kind("geometry_msgs/Pose")(self.point(position), turn)
+
+    def joint_state(self, stamp: int, names: Sequence[str], q: np.ndarray) -> Any:
+        """Position only: an encoder knows neither velocity nor effort."""
+        kind, nothing = self.kind("sensor_msgs/JointState"), np.zeros(0)
+        return kind(self.header(stamp), list(names), q, nothing, nothing)
+
+
+class _Session(Messages):
+    """A session's arrays as ROS messages."""
 
     def of(self, session: Simulation) -> Iterator[tuple[int, str, Any]]:
         """(stamp in ns, topic, message), topic by topic."""
@@ -98,41 +151,25 @@ class _Messages:
         for time, mass in zip(_stamps(payload.time), payload.value, strict=True):
             yield time, "payload", self._payload(time, platform, float(mass))
         for time, warmth in zip(_stamps(temperature.time), temperature.value, strict=True):
-            air = self._kind("sensor_msgs/Temperature")
-            yield time, "temperature", air(self._header(time), float(warmth), 0.01)
+            air = self.kind("sensor_msgs/Temperature")
+            yield time, "temperature", air(self.header(time), float(warmth), 0.01)
         joints, pose = recording.joints, recording.pose
         for time, q in zip(_stamps(joints.time), joints.position, strict=True):
-            yield time, "joint_states", self._joint_state(time, joints.names, q)
+            yield time, "joint_states", self.joint_state(time, joints.names, q)
         for i, time in enumerate(_stamps(pose.time)):
-            yield time, "measured_pose", self._pose(time, pose, i)
+            yield time, "measured_pose", self._measured(time, pose, i)
 
-    def _kind(self, name: str) -> Any:
-        return self.store.types[name.replace("/", "/msg/")]
-
-    def _header(self, stamp: int, frame: str = "") -> Any:
-        time = self._kind("builtin_interfaces/Time")(stamp // 10**9, stamp % 10**9)
-        return self._kind("std_msgs/Header")(time, frame)
-
-    def _joint_state(self, stamp: int, names: Sequence[str], q: np.ndarray) -> Any:
-        """Position only: an encoder knows neither velocity nor effort."""
-        kind, nothing = self._kind("sensor_msgs/JointState"), np.zeros(0)
-        return kind(self._header(stamp), list(names), q, nothing, nothing)
-
-    def _pose(self, stamp: int, poses: PoseStream, i: int) -> Any:
-        point = self._kind("geometry_msgs/Point")(*poses.position[i].tolist())
-        turn = self._kind("geometry_msgs/Quaternion")(*poses.quaternion[i].tolist())
-        pose = self._kind("geometry_msgs/Pose")(point, turn)
-        stated = poses.covariance[i].ravel()
-        inner = self._kind("geometry_msgs/PoseWithCovariance")(pose, stated)
-        return self._kind("geometry_msgs/PoseWithCovarianceStamped")(
-            self._header(stamp, poses.frame), inner
+    def _measured(self, stamp: int, poses: PoseStream, i: int) -> Any:
+        pose, stated = self.pose(poses.position[i], poses.quaternion[i]), poses.covariance[i]
+        inner = self.kind("geometry_msgs/PoseWithCovariance")(pose, stated.ravel())
+        return self.kind("geometry_msgs/PoseWithCovarianceStamped")(
+            self.header(stamp, poses.frame), inner
         )
 
     def _payload(self, stamp: int, frame: str, mass: float) -> Any:
         """A point mass on the platform."""
-        centre = self._kind("geometry_msgs/Vector3")(0.0, 0.0, 0.0)
-        inertia = self._kind("geometry_msgs/Inertia")(mass, centre, *[0.0] * 6)
-        return self._kind("geometry_msgs/InertiaStamped")(self._header(stamp, frame), inertia)
+        inertia = self.kind("geometry_msgs/Inertia")(mass, self.vector(np.zeros(3)), *[0.0] * 6)
+        return self.kind("geometry_msgs/InertiaStamped")(self.header(stamp, frame), inertia)
 
 
 def _stamps(time: np.ndarray) -> list[int]:
