@@ -220,6 +220,8 @@ def page() -> str:
         words = [effect.physics, f"Lookalikes: {alike or 'none'}."]
         if effect.separated_by:
             words.append(f"Told apart by {effect.separated_by}.")
+        if effect.remedy:
+            words.append(f"At the machine: {effect.remedy}.")
         parts.append(f"## {name}\n\n{' '.join(words)}\n\n![{name}](gallery/{name}.svg)\n")
     return "\n".join(parts)
 

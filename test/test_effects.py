@@ -178,6 +178,8 @@ def test_an_effect_says_what_it_is_where_it_comes_from_and_what_it_resembles(nam
     assert set(effect.needs) <= set(CONDITIONS)
     assert set(effect.lookalikes) <= set(EFFECTS) - {name}
     assert bool(effect.lookalikes) == bool(effect.separated_by)
+    assert effect.remedy
+    assert not effect.remedy.endswith(".")
 
 
 def with_all(mechanism):

@@ -180,6 +180,7 @@ def _effect_row(name: str) -> dict[str, Any]:
         "needs": list(e.needs),
         "given": list(e.fixed),
         "physics": e.physics,
+        "remedy": e.remedy,
         "source": e.source,
         "lookalikes": list(e.lookalikes),
         "separated_by": e.separated_by,

@@ -79,6 +79,7 @@ class Entry:
             "confused_with": self.confused_with,
             "lookalikes": one.effect.lookalikes,
             "separated_by": one.effect.separated_by,
+            "remedy": one.effect.remedy,
             "missing_conditions": one.missing,
             "holdout_before": alone.before if alone else None,
             "holdout_after": alone.after if alone else None,

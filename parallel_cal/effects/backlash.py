@@ -18,6 +18,7 @@ class Backlash(Effect):
 
     needs = ("direction",)
     physics = "A gear with play leaves the arm half the play behind the motor's encoder."
+    remedy = "preload or exchange the gear; until then approach poses from one side"
     source = "gearbox play, 0.03-0.3 mrad for precision gears; 5-20 um for ball screws"
     lookalikes = ("hysteresis", "latency")
     separated_by = "the same poses approached from both directions, at rest"

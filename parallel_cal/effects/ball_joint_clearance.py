@@ -21,6 +21,7 @@ class BallJointClearance(Effect):
     needs = ("payload",)
     fixed = ("mass.*", "force")
     physics = "A ball in a loose socket lies on the side that the rod's force pushes it to."
+    remedy = "exchange or preload the ball joints; springs between paired rods take the play up"
     source = "clearance of ball joints, 5-50 um"
     lookalikes = ("rod_compliance", "joint_compliance", "payload_sag")
     separated_by = "payloads that turn rods from pushed to pulled, small and large ones"

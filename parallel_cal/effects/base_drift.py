@@ -21,6 +21,7 @@ class BaseDrift(Effect):
     needs = ("time",)
     of_device = True
     physics = "A stand, tripod or frame creeps against the device as it settles and warms up."
+    remedy = "let robot and device warm up, and fix both to one base"
     source = "tens of um in a session of some hours, up to 0.1 um/s while warming up"
     lookalikes = ("thermal_expansion", "zero_shift", "device_bump")
     told_from: ClassVar[Mapping[str, str]] = {

@@ -24,6 +24,7 @@ class BedShape(Touch):
     """
 
     physics = "A bed of glass or sheet, clamped at its rim and heated, is domed or saddled."
+    remedy = "level or exchange the bed; a mesh of its heights serves it, not the robot"
     source = "printers' beds 0.1-0.3 mm over 200 mm; ground plates 5 um (ISO 8512)"
     lookalikes = ("probe_offset", "encoder_gain", "encoder_eccentricity")
     separated_by = "the plate turned by a quarter turn, or a second one"

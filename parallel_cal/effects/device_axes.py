@@ -23,6 +23,7 @@ class DeviceAxes(Effect):
 
     of_device = True
     physics = "A coordinate measuring machine's axes lean and its scales stretch."
+    remedy = "have the device calibrated, or measure with it turned by a quarter turn as well"
     source = (
         "10-50 urad and 10-50 um/m for machines in a workshop (ISO 10360 ball plate tests); "
         "to 1e-3 for cameras scaled by a printed target"

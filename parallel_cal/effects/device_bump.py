@@ -26,6 +26,7 @@ class DeviceBump(Effect):
     fixed = ("time",)
     of_device = True
     physics = "A stand, tripod or target that somebody ran into stays where it was pushed."
+    remedy = "fasten the stand, measure what came before anew"
     source = "tens of um to 1 mm, when a stand is touched or a magnetic nest is seated anew"
     lookalikes = ("base_drift", "zero_shift", "thermal_expansion")
     separated_by = "poses from the beginning, measured again at last"

@@ -20,6 +20,7 @@ class DeviceField(Effect):
 
     of_device = True
     physics = "Air that is warmer above bends a beam; slides that are not straight bend an axis."
+    remedy = "keep the air even and the beam short; have the device calibrated over its volume"
     source = "1 K/m bends light by 0.5 um/m^2; slides and cameras by 10-100 um over a metre"
     lookalikes = ("device_axes", "base_compliance")
     separated_by = "the same poses with the device moved aside or turned by a quarter turn"

@@ -28,6 +28,7 @@ class EncoderCrosstalk(Effect):
     """
 
     physics = "Shafts led through one another and belts that share a frame drag their neighbours."
+    remedy = "part cables, belts and shafts from one another, or keep the correction in the model"
     source = "toothed belts hold their length to 1.6e-3 at 10 inches, 1.0e-3 at 20 (ANSI/RMA IP-24)"
     lookalikes = ("encoder_gain", "encoder_eccentricity", "encoder_second_harmonic")
     separated_by = "poses in which one joint uses its travel while its neighbours stand still"

@@ -17,6 +17,7 @@ class EncoderGain(Effect):
 
     family = SMOOTH
     physics = "A spindle's lead or a belt's pitch off by k makes the joint travel (1 + k) times."
+    remedy = "enter the lead or pitch that was found, or keep the correction in the model"
     source = "ball screw of class C5: 20 um on 300 mm is 0.07e-3; belts and spools reach 1e-3"
     lookalikes = ("encoder_eccentricity", "encoder_second_harmonic", "device_axes")
     separated_by = "poses that use the whole travel of every joint, checked with a second device"

@@ -24,6 +24,9 @@ class EncoderHarmonic(Harmonic):
     fixed = ("order",)
     refines = False
     physics = "A ring that n screws pull out of round, or n pole pairs, misread n times per turn."
+    remedy = (
+        "loosen the ring's screws and tighten them crosswise, or keep the correction in the model"
+    )
     source = "ring encoders on 3-8 screws and magnet rings: 0.05-0.3 mrad"
     lookalikes = ("encoder_second_harmonic", "encoder_eccentricity", "gear_transmission_error")
     order, tolerance = 3, 0.3e-3

@@ -26,6 +26,7 @@ class Hysteresis(Effect):
     needs = ("travel",)
     fixed = ("*.width",)
     physics = "Friction winds up an elastic drive, which lags behind once the joint has reversed."
+    remedy = "measure behind the drive, or approach poses over the same way"
     source = "harmonic drives: 0.3-0.6 mrad between the two directions"
     lookalikes = ("backlash", "latency")
     separated_by = "the same poses approached from both directions over short and long ways"

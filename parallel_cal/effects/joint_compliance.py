@@ -23,6 +23,10 @@ class JointCompliance(Effect):
     needs = ("payload",)
     fixed = ("mass.*",)
     physics = "Between encoder and arm a shaft twists in proportion to the torque it holds."
+    remedy = (
+        "keep the correction in the model and tell it the payload; a stiffer shaft or "
+        "belt lessens it"
+    )
     source = "harmonic drives 1e-5..1e-4 rad/Nm, belts and thin shafts to 1e-3; screws 1e-8 m/N"
     lookalikes = ("rod_compliance", "payload_sag", "ball_joint_clearance")
     separated_by = "several payloads in poses all over the workspace, its edges included"

@@ -17,6 +17,7 @@ class ParallelogramErrors(Effect):
 
     widens = True
     physics = "Unequal rods and skew bars tilt a platform, bent pantographs shift its centre."
+    remedy = "exchange rods in pairs of equal length, or use the larger model"
     source = "table 5.18: half bars and rods off by 0.02-0.1 mm, axes by 0.1-0.6 degrees"
     lookalikes = ("target_offset",)
     separated_by = "orientation measured as well, or a target at a lever arm"

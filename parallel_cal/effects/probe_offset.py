@@ -18,6 +18,7 @@ class ProbeOffset(Touch):
 
     reads = ("probe", "plane", "sphere*")
     physics = "A probe beside the nozzle, or a stylus changed, touches beside the stated tip."
+    remedy = "measure where the tip is, and enter it; the robot itself is not at fault"
     source = "0.1-1 mm as mounted; styli are qualified to 2 um on a sphere"
     lookalikes = ("bed_shape", "probe_tilt")
     separated_by = "one place of the plate touched with the platform tilted to all sides"

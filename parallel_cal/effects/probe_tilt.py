@@ -24,6 +24,7 @@ class ProbeTilt(Touch):
     physics = (
         "A gauge's stem that leans meets the plate later: a cosine that changes with the pose."
     )
+    remedy = "clamp the gauge square to the plate; the robot itself is not at fault"
     source = "5-20 mrad as clamped: 10 mm at 0.1 rad of platform tilt are 5-20 um"
     lookalikes = ("probe_offset", "bed_shape")
     separated_by = "the same tilts of the platform high and low over one place of the plate"

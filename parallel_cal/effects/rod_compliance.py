@@ -17,6 +17,7 @@ class RodCompliance(Effect):
     needs = ("payload",)
     fixed = ("mass.*",)
     physics = "A rod and its two ball joints are springs: loaded by weight, they change length."
+    remedy = "tell the model the payload; stiffer rods and joints lessen it"
     source = "l/(EA) + 1/k: steel of 10 mm and 0.24 m 1.5e-8 m/N, ball joints 1e-8..1e-6 m/N"
     lookalikes = ("joint_compliance", "payload_sag", "ball_joint_clearance")
     separated_by = "several payloads at the edge of the workspace, where rods lean most"

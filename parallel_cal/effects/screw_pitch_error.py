@@ -25,6 +25,7 @@ class ScrewPitchError(Effect):
 
     fixed = ("lead",)
     physics = "A screw that wobbles or is bent advances unevenly within each turn of its own."
+    remedy = "keep the correction in the model; a ground screw lessens it"
     source = "ISO 3408-3: v_2pi of 4-8 um for ball screws of class C1-C5, tens for rolled ones"
     lookalikes = ("encoder_gain",)
     separated_by = "poses all over the stroke, not a whole number of leads apart"

@@ -22,6 +22,7 @@ class SpoolBuildup(Effect):
     """
 
     physics = "Every layer of line makes the spool larger: the same turn then moves more line."
+    remedy = "enter the spool's build-up in the firmware, or keep the correction in the model"
     source = "the Hangprinter's maker; round line has Q = d^2 / (4 width), 1 mm in 3: 0.08 mm"
     lookalikes = ("encoder_gain", "line_stretch")
     separated_by = "poses that use the whole travel of every line, near and far from its anchor"

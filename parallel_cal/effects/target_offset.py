@@ -20,6 +20,7 @@ class TargetOffset(Effect):
 
     of_device = True
     physics = "A reflector or stylus is never mounted exactly where the model has the origin."
+    remedy = "enter where the target is mounted; the robot itself is not at fault"
     source = "0.01-1 mm, as the target's mount was made or measured"
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:

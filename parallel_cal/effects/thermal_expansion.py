@@ -16,6 +16,7 @@ class ThermalExpansion(Effect):
     needs = ("temperature",)
     fixed = ("reference",)
     physics = "A part of length L is longer by alpha L for every kelvin that it is warmer."
+    remedy = "warm up before work, or tell the model the temperature"
     source = "steel 11.7e-6/K, aluminium 23e-6/K, carbon fibre -1e-6..2e-6/K, polymers to 1e-4/K"
     lookalikes = ("base_drift", "zero_shift")
     separated_by = "a temperature that rises and falls, so that it is not merely another clock"

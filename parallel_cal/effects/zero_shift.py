@@ -23,6 +23,10 @@ class ZeroShift(Effect):
     needs = ("session",)
     fixed = tuple(f"*.since{k}" for k in LATER[1:])
     physics = "Homing finds a joint's zero only as well as its switch repeats."
+    remedy = (
+        "home against an index mark or a better switch; after homing re-fit the zeros "
+        "from a few poses"
+    )
     source = "reference switches repeat within 10-100 um"
     lookalikes = ("base_drift", "thermal_expansion")
     separated_by = "some poses measured both at the beginning and at the end of every session"

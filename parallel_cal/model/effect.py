@@ -55,6 +55,7 @@ class Effect(ABC):
     widens: ClassVar[bool] = False  # what it adds is the mechanism's next larger model
     refines: ClassVar[bool] = True  # between two settings of a scan there are others
     physics: ClassVar[str]
+    remedy: ClassVar[str] = ""  # what to do about it at the machine
     source: ClassVar[str]
     lookalikes: ClassVar[tuple[str, ...]] = ()
     separated_by: ClassVar[str] = ""

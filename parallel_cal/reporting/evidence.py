@@ -92,8 +92,9 @@ def _row(entry: Entry, kind: str, unit: str, found: bool) -> list[Cell]:
     alone, effect = entry.alone, entry.candidate.effect
     # What stands against it, and what would tell it from its lookalikes.
     apart = f"told apart by {effect.separated_by}" if effect.separated_by else ""
+    cure = f" At the machine: {effect.remedy}." if found and effect.remedy else ""
     return [
-        Cell(f"{entry.rank}. {entry.name}", effect.physics, mark="found" if found else ""),
+        Cell(f"{entry.rank}. {entry.name}", effect.physics + cure, mark="found" if found else ""),
         Cell(probability(entry.p_adjusted)),
         Cell(_fall(alone, kind, unit), _estimates(alone.parameters)) if alone else Cell(MISSING),
         Cell(percent(alone.share_explained if alone else None)),

@@ -188,6 +188,7 @@ class Window:
                             'role=figure aria-label="residual arrows in space"'
                         )
                 self._map(view)
+            self._pictures(view["pictures"])
             names = list(residuals["along"])
             self.along = self.along if self.along in residuals["along"] else next(iter(names), "")
             self.component = min(self.component, len(residuals["components"]) - 1)
@@ -206,7 +207,6 @@ class Window:
                         on_change=lambda e: self._look_along(along=e.value),
                     ).classes("w-48")
                 self._points(*self._coordinates(view))
-            self._pictures(view["pictures"])
 
     def _map(self, view: dict[str, Any]) -> None:
         place = view["residuals"]["place"]
@@ -337,6 +337,8 @@ class Window:
                         ui.label(one["against"] or _apart(one)).classes("text-xs").style(
                             "opacity: 0.75"
                         )
+                        if one["found"] and one["remedy"]:
+                            ui.label(f"At the machine: {one['remedy']}.").classes("text-sm")
                         if one["pattern"]:
                             self._pattern(one["pattern"])
                     with ui.column().classes("gap-0 items-end min-w-40"):

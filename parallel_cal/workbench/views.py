@@ -259,6 +259,7 @@ def _candidate(entry: Entry, found: Report) -> View:
         "physics": effect.physics,
         "lookalikes": ", ".join(entry.confused_with),
         "apart": effect.separated_by,
+        "remedy": effect.remedy,
         "pattern": _pattern(entry, found.diagnosis.model),
         "p": probability(entry.p_adjusted),
         "fall": fall,
