@@ -8,6 +8,7 @@ from nicegui import ui
 
 COLOURS = {"green": "#1a7f37", "amber": "#9a6700", "grey": "#57606a"}
 QUIET, ACCENT, MARKED = "#8a94a3", "#0072b2", "#d55e00"  # Okabe and Ito: for every eye
+BAND = "rgba(138,148,163,0.35)"
 CLEAR = {
     "paper_bgcolor": "rgba(0,0,0,0)",
     "plot_bgcolor": "rgba(0,0,0,0)",

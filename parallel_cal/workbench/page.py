@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from html import escape
 from pathlib import Path
@@ -17,6 +17,7 @@ from parallel_cal.workbench.beside import Beside
 from parallel_cal.workbench.live import LiveCard
 from parallel_cal.workbench.looks import (
     ACCENT,
+    BAND,
     CLEAR,
     COLOURS,
     CSS,
@@ -35,6 +36,7 @@ EMPTY = (
     "and take the samples as soon as there are twenty or more.",
 )
 PRIORS = {None: "where the data tell less", True: "throughout", False: "nowhere"}
+LIKELY = "99 % of means if nothing depends on it"
 POLL = 0.3  # s between two looks at the bench: two windows agree within a second
 
 
@@ -230,7 +232,8 @@ class Window:
             f"{self.along} [{along['unit']}]" if along["unit"] else self.along,
             f"{name} [sigmas]",
             f"residual of {name} against {self.along}",
-            {"color": residuals["colours"][self.component], "size": 7},
+            {"color": residuals["colours"][self.component], "size": 7, "opacity": 0.6},
+            _means(along, self.component),
         )
 
     def _look_along(self, along: str = "", component: str = "") -> None:
@@ -241,9 +244,10 @@ class Window:
         self._draw()
 
     def _points(
-        self, x: Any, y: Any, across: str, up: str, title: str, marker: dict[str, Any]
-    ) -> None:
-        """A flat view of every sample, in the samples' order."""
+        self, x: Any, y: Any, across: str, up: str, title: str, marker: dict[str, Any],
+        means: Sequence[dict[str, Any]] = (),
+    ) -> None:  # fmt: skip
+        """A flat view of every sample, in the samples' order, and of `means` over them."""
         figure = {
             "data": [
                 {
@@ -254,7 +258,9 @@ class Window:
                     "marker": marker,
                     "text": [f"sample {s['sample']}" for s in self.view["samples"]],
                     "customdata": [s["sample"] for s in self.view["samples"]],
-                }
+                    "showlegend": False,
+                },
+                *means,
             ],
             "layout": {
                 "height": 360,
@@ -549,6 +555,22 @@ def _space(figure: dict[str, Any]) -> None:
     """The mechanism, its parameters named."""
     figure = figure | {"layout": figure["layout"] | CLEAR}
     ui.plotly(figure).classes("w-full").props('role=figure aria-label="the mechanism"')
+
+
+def _means(along: dict[str, Any], component: int) -> list[dict[str, Any]]:
+    """The rolling mean of a component, or one a level, over the band of 99 % about none."""
+    at, band = along["at"], along["band"]
+    mean = {"x": at, "y": [row[component] for row in along["means"]], "name": "mean"}
+    if along["rolls"]:
+        edges = {"x": at + at[::-1], "y": band + [-b for b in band[::-1]]}
+        grey = {"fill": "toself", "fillcolor": BAND, "line": {"width": 0}, "hoverinfo": "skip"}
+        drawn = [edges | grey | {"name": LIKELY}, mean | {"line": {"color": MARKED, "width": 2}}]
+        return [trace | {"type": "scatter", "mode": "lines"} for trace in drawn]
+    bars = {"array": band, "color": BAND, "thickness": 14, "width": 0}
+    none = {"x": at, "y": [0.0] * len(at), "error_y": bars, "marker": {"size": 1, "color": QUIET}}
+    dots = mean | {"marker": {"size": 12, "color": MARKED, "symbol": "diamond"}}
+    drawn = [none | {"name": LIKELY}, dots]
+    return [trace | {"type": "scatter", "mode": "markers"} for trace in drawn]
 
 
 def _markable(trace: dict[str, Any]) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from parallel_cal.diagnosis.entries import Entry
 from parallel_cal.diagnosis.patterns import Along
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.signature import Signature, signature
+from parallel_cal.diagnosis.thresholds import LEVELS
 from parallel_cal.identification.budget import Iso9283, iso_9283
 from parallel_cal.identification.prediction_errors import Summary
 from parallel_cal.model.model import Model
@@ -232,9 +233,19 @@ def _residuals(residuals: contents.Residuals, striking: Sequence[Along]) -> View
     """Residuals in sigmas (N, k) by component, and what they may go with (N,), most striking
     first; what does not vary tells nothing."""
     along = {}
-    for name in (one.name for one in striking if np.ptp(residuals.regressors[one.name]) > 0):
-        unit, factor = large(residuals.units[name])
-        along[name] = {"values": np.round(residuals.regressors[name] * factor, 5), "unit": unit}
+    for one in striking:
+        values = residuals.regressors[one.name]
+        if np.ptp(values) == 0:
+            continue
+        unit, factor = large(residuals.units[one.name])
+        along[one.name] = {
+            "values": np.round(values * factor, 5),
+            "unit": unit,
+            "at": np.round(one.at * factor, 5),
+            "means": np.round(one.mean[:, np.any(one.mean != 0, axis=0)], 3),
+            "band": np.round(one.band, 3),
+            "rolls": len(np.unique(values)) > LEVELS,
+        }
     return plain(
         {
             "components": residuals.components,
