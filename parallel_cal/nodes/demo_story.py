@@ -88,6 +88,12 @@ class Story:
 
     def end(self, document: Mapping[str, Any]) -> None:
         self._say(f"\n[dim]{document['seconds']:.0f} s in all; {self._left}.[/]")
+        if "hidden" in document:
+            bag = f"bags/{document['hidden']['recording']}"
+            self._say(
+                "[dim]The same on a live page, step by step:[/] . .venv/bin/activate && "
+                f"parallel-cal workbench config/delta_mockup_nominal.yaml {bag}"
+            )
 
 
 def _readable(kind: str, errors: Mapping[str, Any]) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 from parallel_cal.diagnosis.diagnose import Diagnosis
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.lack_of_fit import SmoothMap, regressors
+from parallel_cal.diagnosis.patterns import Along
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.search import Trial
 from parallel_cal.diagnosis.signature import joints
@@ -22,6 +23,7 @@ from parallel_cal.model.effect import CONDITIONS
 from parallel_cal.model.mechanism import POSE, Mechanism
 from parallel_cal.model.words import describe
 
+AT_REST = 1e-3  # rad/s or m/s: below it a robot that is measured stands still
 STRONG = 0.98  # correlation of two parameters that the data hardly tell apart
 
 
@@ -124,6 +126,14 @@ class Residuals:
             regressors=dict(regressors(scene)),
             units=dict(_units(scene)),
         )
+
+    def telling(self, along: Sequence[Along]) -> Iterator[Along]:
+        """What varied and says something: velocities of a robot at rest do not."""
+        for entry in along:
+            values = self.regressors[entry.name]
+            rests = entry.name.startswith("velocity.") and np.abs(values).max() < AT_REST
+            if np.ptp(values) > 0 and not rests:
+                yield entry
 
 
 @dataclass(frozen=True)

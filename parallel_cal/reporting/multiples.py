@@ -20,20 +20,14 @@ COMPONENTS = {
 POINTS, STEPS = 400, 150  # of a panel's residuals, of a rolling mean
 
 
-AT_REST = 1e-3  # rad/s or m/s: below it a robot that is measured stands still
-
-
 def multiples(
     along: Sequence[Along], found: Residuals, better: Sequence[Along] = ()
 ) -> Iterator[tuple[str, str, Spec]]:
     """(name, its largest mean in words, figure) of all that varied and says something, most
     striking first; `better` is the same with the effects found (traces with `meta` 1)."""
     others = {entry.name: entry for entry in better}
-    for entry in along:
-        values = found.regressors[entry.name]
-        rests = entry.name.startswith("velocity.") and np.abs(values).max() < AT_REST
-        if np.ptp(values) > 0 and not rests:
-            yield entry.name, peak(entry), _both(entry, found, others.get(entry.name))
+    for entry in found.telling(along):
+        yield entry.name, peak(entry), _both(entry, found, others.get(entry.name))
 
 
 def peak(entry: Along) -> str:

@@ -233,10 +233,8 @@ def _residuals(residuals: contents.Residuals, striking: Sequence[Along]) -> View
     """Residuals in sigmas (N, k) by component, and what they may go with (N,), most striking
     first; what does not vary tells nothing."""
     along = {}
-    for one in striking:
+    for one in residuals.telling(striking):
         values = residuals.regressors[one.name]
-        if np.ptp(values) == 0:
-            continue
         unit, factor = large(residuals.units[one.name])
         along[one.name] = {
             "values": np.round(values * factor, 5),
