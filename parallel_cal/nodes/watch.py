@@ -28,7 +28,7 @@ from parallel_cal.nodes.parameters import LATCHED, SENSOR
 from parallel_cal.nodes.run import type_name
 
 SILENT = 5.0  # s without a word, after which a node that tells something each second is missed
-KEPT = 1200  # errors of the last poses: a minute at 20 Hz
+KEPT = 6000  # errors of the last poses: a minute at 100 Hz
 HELD = 600  # poses, predicted or measured, that wait for the other
 LEVELS = {b"\x00": "ok", b"\x01": "warn", b"\x02": "error", b"\x03": "stale"}
 MEASURED = {type_name(t): t for t in (PoseWithCovarianceStamped, PoseStamped)}

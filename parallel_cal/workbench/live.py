@@ -70,8 +70,9 @@ class LiveCard:
         self.model.set_text(self._served(told["model"]))
         samples = told["samples"]
         count = samples.get("samples", 0)
-        last = f"; {samples['last_event']}" if samples.get("last_event") else ""
-        self.samples.set_text(f"{count} samples collected{last}")
+        said = f"{count} samples"
+        last = samples.get("last_event", "")
+        self.samples.set_text(said if last in ("", said) else f"{said}; {last}")
         self.take.set_enabled(bool(count) and not self.bench.busy)
         self.warnings.set_text("; ".join(samples.get("warnings", [])))
         self.streams.rows = [
