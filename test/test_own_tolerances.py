@@ -47,6 +47,25 @@ def test_a_model_file_says_how_far_this_robot_strays(tmp_path):
     assert found.model.table[NAME].tolerance == 0.02
 
 
+def test_readings_before_a_gear_may_err_by_its_ratio_more(tmp_path):
+    model = new_model("delta54").with_effect("backlash").with_effect("encoder_gain")
+    text = dump_model(model).replace(
+        "  joint2: {unit: rad,", "  joint2: {unit: rad, gearing: 30.0,"
+    )
+    (tmp_path / "geared.yaml").write_text(text)
+    read = read_model(tmp_path / "geared.yaml")
+    plain, geared = (m.table["backlash.joint2.width"] for m in (model, read))
+    assert geared.tolerance == pytest.approx(30 * plain.tolerance)
+    assert geared.high == pytest.approx(30 * plain.high)
+    for name in ("backlash.joint1.width", "encoder_gain.joint2.gain"):  # a share is a share
+        assert read.table[name] == model.table[name]
+    assert read.without_effect("backlash").with_effect("backlash").table[geared.name] == geared
+    assert "gearing: 30.0" in dump_model(read)
+    (tmp_path / "bad.yaml").write_text(text.replace("gearing: 30.0", "gearing: 0.0"))
+    with pytest.raises(ModelFileError, match=r"joints\.joint2\.gearing"):
+        read_model(tmp_path / "bad.yaml")
+
+
 def test_a_model_file_says_so_of_effects_that_it_does_not_have_yet(tmp_path):
     """Belts that go 12 mm too far on a metre, before a model that knows of belts."""
     text = dump_model(new_model("delta54"))

@@ -117,7 +117,12 @@ class Effect(ABC):
             own = self.parameters(mechanism)
         except Exception as error:
             raise told(self.name, error) from error
-        return ParameterTable(replace(p, name=f"{self.name}.{p.name}", group="effect") for p in own)
+        each = zip(mechanism.joints, mechanism.joint_gearing, strict=False)
+        gears = {joint: gear for joint, gear in each if gear != 1.0}
+        return ParameterTable(
+            replace(_geared(p, gears, mechanism), name=f"{self.name}.{p.name}", group="effect")
+            for p in own
+        )
 
     def conditions(self, mechanism: Mechanism) -> list[str]:
         """The condition columns it needs: `direction` becomes one a joint."""
@@ -131,6 +136,15 @@ class Effect(ABC):
             per_joint = CONDITIONS[need][2]
             columns += [f"{need}.{j}" for j in mechanism.joints] if per_joint else [need]
         return columns
+
+
+def _geared(p: Parameter, gears: Mapping[str, float], mechanism: Mechanism) -> Parameter:
+    """What a joint may err by, as its reading shows it that is taken before the gear."""
+    joint = p.name.partition(".")[0]
+    gear = gears.get(joint, 1.0)
+    if gear == 1.0 or p.unit != mechanism.joint_units[mechanism.joints.index(joint)]:
+        return p
+    return p.with_tolerance(gears[joint] * p.tolerance)
 
 
 def parse_effect(text: str) -> tuple[str, dict[str, float]]:

@@ -67,6 +67,7 @@ class Mechanism(ABC):
     workspace: Workspace
     joint_limits: tuple[tuple[float, float], ...]
     joint_rates: tuple[tuple[float, float], ...] = ()  # velocity, acceleration; inf = not known
+    joint_gearing: tuple[float, ...] = ()  # of the reading to the joint behind the gear; none = 1
     closed_forms: tuple[str, ...] = ()  # "direct", "inverse": whose candidates are all there are
     length: float = 0.1
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)  # m/s^2 in {B}

@@ -162,6 +162,7 @@ class Reader:
             checks.joint(self._document, name, unit, joint)
         mechanism.joints = names
         mechanism.joint_limits = tuple(_limits(joint) for joint in file.joints.values())
+        mechanism.joint_gearing = tuple(joint.gearing for joint in file.joints.values())
         rates = [(joint.velocity, joint.acceleration) for joint in file.joints.values()]
         if any(rate is not None for each in rates for rate in each):
             mechanism.joint_rates = tuple((v or math.inf, a or math.inf) for v, a in rates)

@@ -30,13 +30,15 @@ class MechanismPart(Part):
 
 class JointPart(Part):
     """One joint: its name in joint_states is the key; limits in its unit, none = endless; the most
-    that joint commands may ask of it, per s and s^2."""
+    that joint commands may ask of it, per s and s^2; how much its reading moves where the joint
+    behind the gear moves by one."""
 
     unit: str
     low: float | None = None
     high: float | None = None
     velocity: Positive | None = None
     acceleration: Positive | None = None
+    gearing: Positive = 1.0
 
 
 class HomePart(Part):

@@ -32,9 +32,11 @@ def _setup(model: Model) -> Iterator[str]:
     yield from _mechanism(model)
     yield "joints:"
     rates = m.joint_rates or ((math.inf, math.inf),) * len(m.joints)
-    rows = zip(m.joints, m.joint_units, m.joint_limits, rates, strict=True)
-    for joint, unit, (low, high), (velocity, acceleration) in rows:
+    gears = m.joint_gearing or (1.0,) * len(m.joints)
+    rows = zip(m.joints, m.joint_units, m.joint_limits, rates, gears, strict=True)
+    for joint, unit, (low, high), (velocity, acceleration), gearing in rows:
         limits = {"low": low, "high": high, "velocity": velocity, "acceleration": acceleration}
+        limits |= {"gearing": gearing} if gearing != 1.0 else {}
         finite = {key: float(v) for key, v in limits.items() if math.isfinite(v)}
         yield f"  {flow(joint)}: {flow({'unit': unit, **finite})}"
     yield "home:"
