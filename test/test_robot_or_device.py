@@ -216,3 +216,13 @@ def test_the_cost_of_a_number_is_its_misfit_and_its_square_in_tolerances():
     e = np.linalg.solve(np.eye(2) + B.T @ B, B.T @ scene.residual)
     by_hand = np.sum((scene.residual - B @ e) ** 2) + np.sum(e**2)
     assert cost(scene, B) == pytest.approx(by_hand)
+
+
+@pytest.mark.wide
+def test_a_device_effect_that_another_outdoes_is_not_added():
+    """Leaning axes are not what a stand that gives way does; what is, has an implausible size."""
+    day = vf.session(201)
+    stand = sized(vb.DEVICE["yielding stand"], 2e-5, 1.2, day, vf.FINE, 3)
+    yielding = dataset(vf.samples(day, [stand], vf.FINE, 0), vf.FINE)
+    with pytest.raises(FitError, match="device_field explains clearly better what 'device_axes'"):
+        added(new_model("delta54"), "device_axes", yielding)

@@ -16,9 +16,9 @@ from parallel_cal.diagnosis.entries import (
     Entry,
     NegativeControl,
     chi2_before,
-    confused,
     entries,
     negative_control,
+    outdoes,
     rivals_of,
 )
 from parallel_cal.diagnosis.field import Field
@@ -30,7 +30,7 @@ from parallel_cal.diagnosis.scene import Progress
 from parallel_cal.diagnosis.search import Chosen, Search, Trial
 from parallel_cal.diagnosis.separate import NextMeasurement, next_measurement
 from parallel_cal.diagnosis.statistics import holm
-from parallel_cal.diagnosis.thresholds import APART, MISTRUSTED, REFITTED, SIGNIFICANT
+from parallel_cal.diagnosis.thresholds import MISTRUSTED, REFITTED, SIGNIFICANT
 from parallel_cal.diagnosis.verdict import Findings, Verdict, judge
 from parallel_cal.identification.fit import Result, fit, fit_registered, single_threaded
 from parallel_cal.identification.options import FitOptions
@@ -249,7 +249,7 @@ def outdone(best: Trial, search: Search, catalogue: _Catalogue) -> list[str]:
             continue
         ranked = catalogue.ranked(others)
         one = next(c for c in ranked if c.name == name)
-        for other in (c for c in ranked if c.log_p < one.log_p - APART**2 / 2 and confused(one, c)):
+        for other in (c for c in ranked if outdoes(c, one)):
             if reason := search.fit(*others.chosen, Chosen.of(other)).reason:
                 found[other.name] = f"{other.name} would explain it better, but {reason}"
     return list(found.values())

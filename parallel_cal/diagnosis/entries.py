@@ -14,7 +14,7 @@ from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.scoring import canonical_correlation, resampled, score
 from parallel_cal.diagnosis.search import Chosen, Search, Trial, ratio_of
 from parallel_cal.diagnosis.statistics import holm
-from parallel_cal.diagnosis.thresholds import ALIKE, REFITTED, RESAMPLES
+from parallel_cal.diagnosis.thresholds import ALIKE, APART, REFITTED, RESAMPLES
 from parallel_cal.diagnosis.verdict import share_explained
 from parallel_cal.identification.fit import Estimated, Result
 from parallel_cal.identification.prediction_errors import Summary
@@ -163,6 +163,11 @@ def confused(one: Candidate, other: Candidate) -> bool:
     if one.scene is not other.scene:  # a larger model's rows are others
         return False
     return canonical_correlation(one.score.U, other.score.U) > ALIKE
+
+
+def outdoes(other: Candidate, one: Candidate) -> bool:
+    """Whether another effect explains clearly better what one does."""
+    return other.log_p < one.log_p - APART**2 / 2 and confused(one, other)
 
 
 def rivals_of(best: Trial, ranked: Sequence[Candidate]) -> dict[str, list[Candidate]]:

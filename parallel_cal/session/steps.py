@@ -10,6 +10,7 @@ from parallel_cal.base.documents import plain
 from parallel_cal.base.errors import FitError
 from parallel_cal.diagnosis.catalogue import Candidate, candidate, names_of
 from parallel_cal.diagnosis.device import doubtful
+from parallel_cal.diagnosis.entries import outdoes
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.verdict import robot_or_device
 from parallel_cal.identification.acceptance import Acceptance, acceptance
@@ -80,8 +81,12 @@ def added(model: Model, effect: str, dataset: Dataset, force: bool = False, **op
     result = fit(base.start.with_effect(name, one.settings), base.dataset, **options)
     result = replace(result, registration=base.registration)
     found = acceptance(result, base, f" with '{name}'")
-    if not found.against and doubtful(scene, [one], _device(scene)):
+    device = [] if found.against else _device(scene)
+    if doubtful(scene, [one], device):
         found = replace(found, against=robot_or_device(name))
+    elif better := [c.name for c in device if outdoes(c, one)]:
+        words = f"{better[0]} explains clearly better what '{name}' does (diagnose says more)"
+        found = replace(found, against=words)
     return _step("add", result, _judged(found, force), base, name)
 
 
