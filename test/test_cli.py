@@ -128,8 +128,8 @@ def test_it_imports_heavy_things_only_where_they_are_used(command, heavy):
 def test_help_names_the_commands_that_exist_and_no_other():
     listed = re.findall(r"^  ([\w-]+) ", child("--help").stdout.split("Commands:")[1], flags=re.M)
     assert listed == [
-        "new", "mechanisms", "effects", "sensors", "direct", "inverse", "info", "import-csv",
-        "simulate", "replay", "fit", "compare", "add", "remove", "diagnose", "report",
+        "new", "mechanisms", "effects", "sensors", "direct", "inverse", "info", "import",
+        "import-csv", "simulate", "replay", "fit", "compare", "add", "remove", "diagnose", "report",
         "export-residuals", "short-cut", "plan", "workbench", "demo", "bench", "session",
     ]  # fmt: skip
 

@@ -499,6 +499,15 @@ def test_linear_delta_with_leaning_rails_has_its_home(lean):
     assert np.hypot(0.1 + out, up - home.position[2]) == pytest.approx(0.25, abs=1e-12)
 
 
+def test_a_linear_deltas_towers_stand_where_its_direction_says():
+    plain, turned = (
+        Kinematics(new_model(load_mechanism("linear_delta", direction=turn))) for turn in (0, 0.7)
+    )
+    r = np.array([[0.03, -0.02, 0.1]])
+    there = r @ rotation_matrix(np.array([0, 0, 0.7])).T
+    assert turned.inverse(there).joints == pytest.approx(plain.inverse(r).joints, abs=1e-12)
+
+
 def test_linear_delta_has_two_level_poses_and_eight_joint_sets():
     kinematics = Kinematics(new_model("linear_delta"))
     pose = kinematics.direct(np.array([0.3, 0.32, 0.31]))

@@ -14,6 +14,7 @@ from parallel_cal.cli import (
     calibration,
     diagnosing,
     exporting,
+    importing,
     kinematics,
     models,
     planning,
@@ -53,13 +54,14 @@ def _options(
 COMMANDS: tuple[Callable[..., None], ...] = (
     models.new, models.mechanisms, models.effects, models.sensors,
     kinematics.direct, kinematics.inverse,
-    recordings.info, recordings.import_csv, recordings.simulate, recordings.replay,
+    recordings.info, importing.import_, recordings.import_csv, recordings.simulate,
+    recordings.replay,
     calibration.fit, calibration.compare, calibration.add, calibration.remove,
     diagnosing.diagnose, reporting.report, exporting.export_residuals, short_cut.short_cut,
     planning.plan, workbench.workbench, showing.demo, showing.bench,
 )  # fmt: skip
 for command in COMMANDS:
-    app.command()(command)
+    app.command(command.__name__.strip("_").replace("_", "-"))(command)  # `import_` is `import`
 app.add_typer(session.app, name="session")
 app.command("fk", hidden=True)(kinematics.direct)
 app.command("ik", hidden=True)(kinematics.inverse)

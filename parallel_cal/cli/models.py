@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -13,6 +14,7 @@ from parallel_cal.reporting import console
 
 if TYPE_CHECKING:
     from parallel_cal.model.mechanism import Mechanism
+    from parallel_cal.model.model import Model
     from parallel_cal.model.sensor import Sensor
 
 SHOWN = "name unit nominal tolerance group label".split()  # of a parameter
@@ -23,8 +25,16 @@ Option = Annotated[
 
 
 def new(
-    mechanism: Annotated[str, typer.Argument(help="see 'parallel-cal mechanisms'")],
     output: Out,
+    mechanism: Annotated[
+        str | None, typer.Argument(help="see 'parallel-cal mechanisms'; none with --from")
+    ] = None,
+    configuration: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--from", metavar="FILE", help="a controller's setup: config.g, printer.cfg, ..."
+        ),
+    ] = None,
     option: Option = None,
     sensor: Annotated[
         list[str] | None,
@@ -32,33 +42,62 @@ def new(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Write a model file with a mechanism's nominal values."""
+    """Write a model file with a mechanism's nominal values, or as a controller is set up."""
     from parallel_cal.model.file.modelfile import model_hash, write_model
-    from parallel_cal.model.model import new_model
 
     if output.exists():
         raise ParallelCalError(f"{output}: exists already; remove it or give another name")
+    if (mechanism is None) == (not configuration) or (configuration and option):
+        raise typer.BadParameter("expected a MECHANISM (and its options), or --from FILE")
     set_ups = [_sensor(item) for item in sensor or []]
-    model = new_model(_mechanism(mechanism, option or []), sensors=set_ups)
+    model, values, remarks = _new(mechanism, option, configuration, set_ups)
     write_model(model, output)
-    document = {"file": str(output), "mechanism": mechanism, "hash": model_hash(model)}
+    document = {"file": str(output), "mechanism": model.mechanism.name, "hash": model_hash(model)}
     if as_json:
-        return console.emit(document | {"parameters": len(model.table)})
-    console.say(f"{output}: {mechanism}, {len(model.table)} parameters at their nominal values")
+        return console.emit(document | {"parameters": len(model.table), "remarks": list(remarks)})
+    name = mechanism or model.mechanism.name
+    console.say(f"{output}: {name}, {len(model.table)} parameters {values}")
+    for remark in remarks:
+        console.say(f"- {remark}")
+
+
+def _new(
+    mechanism: str | None,
+    options: list[str] | None,
+    configuration: list[Path] | None,
+    sensors: list[Sensor],
+) -> tuple[Model, str, tuple[str, ...]]:
+    """The model, where its numbers are from, and what was not said there."""
+    from parallel_cal.model.model import new_model
+
+    if mechanism is not None:
+        model = new_model(_mechanism(mechanism, options or []), sensors=sensors)
+        return model, "at their nominal values", ()
+    from parallel_cal.importing.door import configured
+
+    files = configuration or []
+    found = configured(files)
+    model = found.model.with_sensors(tuple(sensors)) if sensors else found.model
+    return model, f"as in {', '.join(map(str, files))}", found.remarks
 
 
 def _mechanism(name: str, options: list[str]) -> Mechanism:
-    """A mechanism with options KEY=VALUE, the value as in a model file (YAML)."""
-    from parallel_cal.model.file.yamltext import parse_yaml
     from parallel_cal.model.shelf import load_mechanism
 
+    return load_mechanism(name, **options_given(options))
+
+
+def options_given(options: list[str] | None) -> dict[str, Any]:
+    """`--option KEY=VALUE`, the value as in a model file (YAML)."""
+    from parallel_cal.model.file.yamltext import parse_yaml
+
     given: dict[str, Any] = {}
-    for item in options:
+    for item in options or []:
         key, equals, text = item.partition("=")
         if not equals:
             raise ParallelCalError(f"--option {item}: expected KEY=VALUE")
         given[key] = parse_yaml(text, f"--option {key}").data
-    return load_mechanism(name, **given)
+    return given
 
 
 def _sensor(item: str) -> Sensor:

@@ -26,10 +26,10 @@ def info(
     """Show what a recording holds: topics, samples, what was dropped and why, noise."""
     from parallel_cal.recordings import info as looking
 
-    _show_info(looking.info(bag, data_options(data), bag_progress), as_json)
+    show_info(looking.info(bag, data_options(data), bag_progress), as_json)
 
 
-def _show_info(document: dict[str, Any], as_json: bool) -> None:
+def show_info(document: dict[str, Any], as_json: bool) -> None:
     if as_json:
         return console.emit(document)
     from rich.console import Console
@@ -55,7 +55,7 @@ def import_csv(
     dataset = csv_import.import_csv(tables, columns)
     dataset.to_json(output)
     document = info_of(dataset)
-    _show_info(document | {"output": str(output)} if as_json else document, as_json)
+    show_info(document | {"output": str(output)} if as_json else document, as_json)
     if not as_json:
         console.say(f"written: {output}")
 

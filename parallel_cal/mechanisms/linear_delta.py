@@ -44,7 +44,8 @@ BODIES = {"rods": ("*.Lb", "*.dLb"), "base": ("*.D_?", "*.b_?")}  # with the pla
 class LinearDelta(Mechanism):
     """Three carriages on rails, six rods of free length; all six coordinates move.
 
-    `inclination` (rad): how far the rails lean outwards, 0 for vertical ones.
+    `inclination` (rad): how far the rails lean outwards, 0 for vertical ones; `direction` (rad):
+    where the first one stands, about z from x.
     """
 
     joints = ("joint1", "joint2", "joint3")
@@ -61,8 +62,8 @@ class LinearDelta(Mechanism):
     length = 25 * MM
     bodies = BODIES
 
-    def __init__(self, inclination: float = 0.0):
-        self.inclination = float(inclination)
+    def __init__(self, inclination: float = 0.0, direction: float = 0.0):
+        self.inclination, self.direction = float(inclination), float(direction)
         self.home = Home(joints=(self._home_reading(),) * 3, position=(0.0, 0.0, LOW))
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
@@ -73,7 +74,7 @@ class LinearDelta(Mechanism):
         """The six rods' ends C in {B} and B in {P}, (3, 1) each, and their lengths."""
         C, B = [], []
         for i in range(3):
-            c, T = p[f"chain{i + 1}"], rot_z(i * 120 * DEGREE)
+            c, T = p[f"chain{i + 1}"], self.frame(i)
             b, D = c.vector("b_x", "b_y", "b_z"), c.vector("D_x", "D_y", "D_z")
             d, dC = c.vector("d_x", "d_y", "d_z"), c.vector("dC_x", "dC_y", "dC_z")
             for side in (1, -1):
@@ -85,11 +86,15 @@ class LinearDelta(Mechanism):
         """Rails, the carriages on them, six rods and the platform."""
         lines = []
         for i in range(3):
-            c, T = p[f"chain{i + 1}"], rot_z(i * 120 * DEGREE)
+            c, T = p[f"chain{i + 1}"], self.frame(i)
             start = T @ (c.vector("b_x", "b_y", "b_z") + c.vector("D_x", "D_y", "D_z"))
             end = start + T @ self.rail(c) * self.joint_limits[i][1]
             lines.append(Line("base", (start, end), tuple(f"chain{i + 1}.{n}" for n in RAIL)))
         return [*lines, *rod_pairs(self.rods(q, p), r, R)]
+
+    def frame(self, i: int) -> Any:
+        """From a chain's frame to {B}."""
+        return rot_z(self.direction + i * 120 * DEGREE)
 
     def rod_lengths(self, p: Named) -> list[Any]:
         return pair_lengths(p)

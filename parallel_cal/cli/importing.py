@@ -1,0 +1,34 @@
+"""Samples of what a machine's controller stored."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from parallel_cal.cli.arguments import Json
+from parallel_cal.cli.models import options_given
+from parallel_cal.cli.recordings import show_info
+from parallel_cal.reporting import console
+
+
+def import_(
+    kind: Annotated[str, typer.Argument(help="rrf, klipper, marlin, linuxcnc or your own's path")],
+    files: Annotated[list[Path], typer.Argument(help="what the controller stored, and its setup")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="samples to write (.json)")],
+    option: Annotated[
+        list[str] | None, typer.Option(metavar="KEY=VALUE", help="option of the importer")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Make samples of what a controller stored: touches, with the joints it believed in."""
+    from parallel_cal.importing.door import touches
+    from parallel_cal.recordings.info import info_of
+
+    dataset = touches(kind, files, **options_given(option))
+    dataset.to_json(output)
+    document = info_of(dataset)
+    show_info(document | {"output": str(output)} if as_json else document, as_json)
+    if not as_json:
+        console.say(f"written: {output}")

@@ -1,0 +1,1 @@
+"""What controllers store, as samples and as model files of their machines as configured."""

@@ -1,0 +1,150 @@
+"""Delta printers as firmwares compute them, and the shelf's mechanisms with the same numbers.
+
+All in SI. Linear: carriage i is at height z + tilt . (x, y) + sqrt(L_i^2 - |(x, y) - tower_i|^2)
++ zero_i. Rotary: arm i, of length U_i, is turned up by t from the horizontal, its end L_i from
+the effector: (dx cos t + dz sin t) 2 U = L^2 - U^2 - dx^2 - dz^2 - y^2, the elbow outwards.
+Sources: Duet documentation, "Configuring RepRapFirmware for a delta printer" and "M669";
+Klipper documentation, "Configuration reference", "Delta calibration".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from parallel_cal.importing.door import Configured
+from parallel_cal.model.mechanism import Home, Mechanism, Workspace
+from parallel_cal.model.model import Model, new_model
+from parallel_cal.model.shelf import load_mechanism, load_sensor
+from parallel_cal.recordings.recording import Array
+
+MM, DEGREE = 1e-3, np.pi / 180
+NAMES = ("joint1", "joint2", "joint3")
+CLEAR = 0.05  # m above the bed, the middle of what is used
+REPEATS = 5e-6  # m, 1 sigma of a good probe: a guess
+NOT_STATED = (
+    "towers' or motors' leans, errors between the two rods of a pair and the effector's size have "
+    "no number in the firmware: they are at the mechanism's nominal values"
+)
+GUESSED = (
+    f"the probe is taken to repeat to {REPEATS * 1e6:.0f} um: measure it, and put it in (sensors, "
+    "sigma)"
+)
+
+
+class Delta(Protocol):
+    """A delta printer as configured."""
+
+    def joints(self, r: Array) -> Array:
+        """Joints (N, 3), m or rad, at which the nozzle is believed at r (N, 3); NaN beyond."""
+
+    def mechanism(self) -> Mechanism:
+        """The shelf's mechanism around these numbers."""
+
+
+@dataclass(frozen=True)
+class Towers:
+    """A linear Delta: `first` and `trim` give the towers' angles (rad)."""
+
+    radius: Array
+    rods: Array
+    trim: Array
+    first: float = 210 * DEGREE
+    tilt: tuple[float, float] = (0.0, 0.0)
+    zero: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    end_stops: Array | None = None
+    reach: float | None = None
+
+    @property
+    def towers(self) -> Array:
+        """Where each stands (3, 2)."""
+        around = self.first + np.arange(3) * 120 * DEGREE + self.trim
+        return np.column_stack([self.radius * np.cos(around), self.radius * np.sin(around)])
+
+    def joints(self, r: Array) -> Array:
+        away = ((r[:, None, :2] - self.towers) ** 2).sum(axis=2)
+        with np.errstate(invalid="ignore"):
+            up = np.sqrt(self.rods**2 - away)
+        return (r[:, 2] + r[:, :2] @ np.array(self.tilt))[:, None] + up + np.array(self.zero)
+
+    def mechanism(self) -> Mechanism:
+        mechanism = load_mechanism("linear_delta", direction=self.first)
+        nominal: dict[str, float] = {}
+        for i in range(3):
+            nominal |= {
+                f"chain{i + 1}.D_x": self.radius[i] * np.cos(self.trim[i]),
+                f"chain{i + 1}.D_y": self.radius[i] * np.sin(self.trim[i]),
+                f"chain{i + 1}.D_z": -self.zero[i],
+                f"chain{i + 1}.Lb": self.rods[i],
+            }
+        mechanism.parameters = mechanism.parameters.with_nominal(nominal)
+        top = self.joints(np.array([[0.0, 0.0, 2 * self.rods.max()]]))[0]
+        ends = top if self.end_stops is None else self.end_stops
+        mechanism.joint_limits = tuple((-0.1, float(end)) for end in ends)
+        return _placed(mechanism, self, self.reach or 0.6 * float(self.radius.mean()))
+
+
+@dataclass(frozen=True)
+class Shoulders:
+    """A rotary Delta: `angles` are the directions of its motors about z (rad)."""
+
+    radius: float
+    heights: Array
+    arms: Array
+    rods: Array
+    angles: Array
+    limits: tuple[tuple[float, float], ...] = ((-np.pi / 2, np.pi / 2),) * 3
+    reach: float | None = None
+
+    def joints(self, r: Array) -> Array:
+        cos, sin = np.cos(self.angles), np.sin(self.angles)
+        out, across = r[:, :1] * cos + r[:, 1:2] * sin, r[:, 1:2] * cos - r[:, :1] * sin
+        dx, dz = self.radius - out, self.heights - r[:, 2:]
+        away = np.hypot(dx, dz)
+        k = (self.rods**2 - self.arms**2 - away**2 - across**2) / (2 * self.arms)
+        with np.errstate(invalid="ignore"):
+            return np.arctan2(dz, dx) - np.arccos(k / away)
+
+    def mechanism(self) -> Mechanism:
+        mechanism = load_mechanism("delta24")
+        nominal: dict[str, float] = {}
+        for i in range(3):
+            nominal |= {
+                f"chain{i + 1}.D_x": self.radius,
+                f"chain{i + 1}.D_y": self.heights[i],
+                f"chain{i + 1}.theta": self.angles[i],
+                f"chain{i + 1}.La_x": self.arms[i],
+                f"chain{i + 1}.La_y": 0.0,
+                f"chain{i + 1}.Lb": self.rods[i],
+            }
+        mechanism.parameters = mechanism.parameters.with_nominal(nominal)
+        mechanism.joint_limits = self.limits
+        return _placed(mechanism, self, self.reach or 0.6 * float(self.arms.min()))
+
+
+def _placed(mechanism: Mechanism, delta: Delta, reach: float) -> Mechanism:
+    """At home in the middle of its bed, which it uses `reach` m around."""
+    home = delta.joints(np.array([[0.0, 0.0, CLEAR]]))[0]
+    mechanism.home = Home(tuple(map(float, home)), (0.0, 0.0, CLEAR))
+    mechanism.workspace = Workspace((-reach / 2**0.5,) * 2 + (0.0,), (reach / 2**0.5,) * 2 + (0.1,))
+    return mechanism
+
+
+def configured(
+    delta: Delta,
+    tip: Array,
+    plate: tuple[float, float] = (0.0, 0.0),
+    remarks: Sequence[str] = (),
+) -> Configured:
+    """The model of a printer whose probe has its tip at `tip` (m of {P}) and whose bed is
+    z = plate . (x, y)."""
+    at = {"tip": tuple(map(float, tip))} if np.any(tip) else {}
+    probe = load_sensor("probe", height=0.0, sigma=REPEATS, **at)
+    model: Model = new_model(delta.mechanism(), sensors=[probe])
+    values = model.values.copy()
+    for axis, slope in (("rx", plate[1]), ("ry", -plate[0])):
+        values[model.table.index_of(f"probe.plate.{axis}")] = slope
+    return Configured(model.with_values(values), (NOT_STATED, GUESSED, *remarks))

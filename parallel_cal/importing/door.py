@@ -1,0 +1,45 @@
+"""The door of this room: touches that a controller stored, and the model it moves by."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from inspect import signature
+from pathlib import Path
+from typing import Any
+
+from parallel_cal.base.errors import DatasetError
+from parallel_cal.model.model import Model
+from parallel_cal.model.shelf import load_module, own, shelf_names
+from parallel_cal.recordings.dataset import Dataset
+
+SHELF = "importing.importers"
+
+
+@dataclass(frozen=True)
+class Configured:
+    """A machine as its controller is configured, and what of it no controller has a number for."""
+
+    model: Model
+    remarks: tuple[str, ...] = ()
+
+
+def touches(kind: str, paths: Sequence[Path], **options: Any) -> Dataset:
+    """The samples in a controller's files; DatasetError naming file, line and field."""
+    read = load_module(SHELF, kind, DatasetError).touches
+    takes = [str(p.replace(annotation=p.empty)) for p in [*signature(read).parameters.values()][1:]]
+    try:
+        signature(read).bind(paths, **options)
+    except TypeError as error:
+        raise DatasetError(f"{kind}: {error}; its options: {', '.join(takes) or 'none'}") from None
+    return own(kind, read)(paths, **options)  # type: ignore[no-any-return]
+
+
+def configured(paths: Sequence[Path]) -> Configured:
+    """The model of a machine by its configuration, whose file name's end says the controller's."""
+    kinds = {name: load_module(SHELF, name).CONFIGURATION for name in shelf_names(SHELF)}
+    for name, ends in kinds.items():
+        if paths[0].suffix in ends:
+            return load_module(SHELF, name).configured(paths)  # type: ignore[no-any-return]
+    known = "; ".join(f"{' or '.join(ends)} ({name})" for name, ends in kinds.items())
+    raise DatasetError(f"{paths[0]}: not a configuration that can be read; expected {known}")

@@ -1,0 +1,38 @@
+"""Settings in G-code: the last word of each command counts."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from parallel_cal.importing.stated import Place, Stated, lines
+
+WORD = re.compile(r"[A-Za-z][-+\d.:]+")
+COMMAND = re.compile(r"\s*(?:N\d+\s*)?([GM]\d+)(?![\d.])(.*)")
+
+
+def settings(paths: Sequence[Path], codes: Sequence[str]) -> Stated:
+    """The words of `codes` in files of G-code, one command a line, by `M665 L`; mm and degrees."""
+    texts: dict[str, tuple[str, Place]] = {}
+    for path in paths:
+        for place, line in lines(path):
+            take(texts, place, line, codes)
+    return Stated(texts, paths)
+
+
+def take(
+    texts: dict[str, tuple[str, Place]], place: Place, line: str, codes: Sequence[str]
+) -> str | None:
+    """Adds a line's words to those stated before; the command's name, where it is one of them."""
+    found = COMMAND.match(re.sub(r"\([^)]*\)|;.*", "", line))
+    code = found[1].upper() if found else ""
+    if code == "G20":
+        raise place.error("unit", "G20", "millimetres (G21)")
+    if code not in codes or not found:
+        return None
+    for word in found[2].split():
+        together = WORD.findall(word)  # L250R150
+        for each in together if "".join(together) == word else [word]:
+            texts[f"{code} {each[0].upper()}"] = (each[1:], place)
+    return code

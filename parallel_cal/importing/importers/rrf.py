@@ -1,0 +1,238 @@
+"""RepRapFirmware (Duet): `heightmap.csv` and `config.g` of linear and rotary Deltas.
+
+A cell of the map is the believed height of the nozzle, less the probe's trigger height, where the
+probe triggered over that point of the bed. Sources: Duet documentation, "Mesh bed compensation",
+"Configuring RepRapFirmware for a delta printer", G-code dictionary (G31, M92, M665, M666, M669).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from parallel_cal.base.errors import DatasetError
+from parallel_cal.importing import deltas
+from parallel_cal.importing.deltas import DEGREE, MM, Delta, Shoulders, Towers
+from parallel_cal.importing.door import Configured
+from parallel_cal.importing.gcode import settings
+from parallel_cal.importing.stated import Place, Stated, lines
+from parallel_cal.importing.touched import touches as touched
+from parallel_cal.model.model import new_model
+from parallel_cal.model.shelf import load_mechanism
+from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.recordings.recording import Array, Dropped
+
+CONFIGURATION = (".g",)
+CODES = ("G31", "M92", "M665", "M666", "M669")
+KINDS = "3 (linear Delta), 10 (rotary Delta) or, for `new`, 6 (Hangprinter)"
+HEAD = "RepRapFirmware height map file v2"
+LABELS = (
+    "axis0,axis1,min0,max0,min1,max1,radius,spacing0,spacing1,num0,num1",
+    "xmin,xmax,ymin,ymax,radius,xspacing,yspacing,xnum,ynum",
+    "xmin,xmax,ymin,ymax,radius,spacing,xnum,ynum",
+)
+HIGHEST = 20.0  # mm: further from its nominal plane no probe looks for a bed
+STEPS = 80.0  # a mm, or a degree, where M92 says nothing
+ANCHORS = "ABCDEFGHI"
+
+
+def touches(paths: Sequence[Path]) -> Dataset:
+    """The touches of height maps, the nozzle beside and above the probe's tip as G31 says."""
+    maps = [path for path in paths if path.suffix.lower() == ".csv"]
+    if not maps or len(maps) == len(paths):
+        raise DatasetError(
+            f"{', '.join(map(str, paths))}: expected height maps (.csv) and the configuration they "
+            "were probed with (config.g, config-override.g, in the order they are read)"
+        )
+    stated = settings([path for path in paths if path not in maps], CODES)
+    delta, unit = _delta(stated), _unit(stated)
+    read = [read_map(path) for path in maps]
+    points = np.concatenate([each[0] for each in read])
+    return touched(
+        delta,
+        (points - tip(stated)),
+        [place for each in read for place in each[1]],
+        paths,
+        [unit / stated.number(f"M92 {axis}", "steps a unit", STEPS, low=1e-3) for axis in "XYZ"],
+        visits=points[:, :2],
+        dropped=[gap for each in read for gap in each[2]],
+    )
+
+
+def configured(paths: Sequence[Path]) -> Configured:
+    """The printer as its configuration has it; M666 A and B are where the bed lies."""
+    stated = settings(paths, CODES)
+    if _kind(stated) == 6:
+        return _hangprinter(stated)
+    delta = _delta(stated)
+    plate = delta.tilt if isinstance(delta, Towers) else (0.0, 0.0)
+    return deltas.configured(delta, tip(stated), plate)
+
+
+def tip(stated: Stated) -> Array:
+    """The probe's tip in {P} (m): X and Y beside the nozzle, the trigger height Z below it."""
+    x, y, z = (stated.number(f"G31 {axis}", "the probe's offset in mm", 0.0) for axis in "XYZ")
+    return np.array([x, y, -z]) * MM
+
+
+def read_map(path: Path) -> tuple[Array, list[Place], list[Dropped]]:
+    """Points (N, 3) m of a height map, the line of each, and cells that were not probed."""
+    rows = lines(path)
+    if not rows or not rows[0][1].startswith(HEAD):
+        first = rows[0][1][:40] if rows else ""
+        raise Place(path, 1).error("the first line", first, f"'{HEAD} ...'")
+    if len(rows) < 3:
+        raise Place(path, len(rows) + 1).error("the file's end", "", f"'{LABELS[0]}' and a grid")
+    label = rows[1][1].replace(" ", "")
+    if label not in LABELS:
+        raise rows[1][0].error("the names line", rows[1][1], f"'{LABELS[0]}'")
+    axes = _grid(*rows[2], label.split(","))
+    points, places, dropped = [], [], []
+    body = [(place, line) for place, line in rows[3:] if line.strip()]
+    if len(body) != len(axes[1]):
+        end = Place(path, body[-1][0].line if body else 3)
+        raise end.error("the last row", f"{len(body)}", f"row {len(axes[1])} of the grid")
+    for y, (place, line) in zip(axes[1], body, strict=True):
+        cells = [cell.strip() for cell in line.split(",")]
+        if len(cells) != len(axes[0]):
+            raise place.error("the row's length", str(len(cells)), f"{len(axes[0])} heights")
+        for k, (x, cell) in enumerate(zip(axes[0], cells, strict=True), start=1):
+            if cell == "0" or cell.lower() == "nan":
+                where = f"{path}:{place.line}: column {k}, x {x:g} y {y:g} mm"
+                dropped.append(Dropped(0.0, "not probed", where))
+                continue
+            within = f"a height in mm within {HIGHEST:g} of the bed, or 0 where none was probed"
+            height = place.number(f"column {k}", cell, within, -HIGHEST, HIGHEST)
+            points.append((x, y, height))
+            places.append(place)
+    return np.array(points).reshape(-1, 3) * MM, places, dropped
+
+
+def _grid(place: Place, line: str, names: Sequence[str]) -> tuple[list[float], list[float]]:
+    """The grid's x and y (mm)."""
+    cells = [cell.strip() for cell in line.split(",")]
+    if len(cells) != len(names):
+        raise place.error(
+            "the grid's line", line.strip(), f"{len(names)} values: {','.join(names)}"
+        )
+    found = dict(zip(names, cells, strict=True))
+    for name, axis in (("axis0", "X"), ("axis1", "Y")):
+        if found.get(name, axis) != axis:
+            raise place.error(name, found[name], axis)
+    axes = []
+    for i, axis in enumerate("xy"):
+        field = {"low": f"{axis}min", "high": f"{axis}max", "n": f"{axis}num"}
+        field["step"] = "spacing" if "spacing" in found else f"{axis}spacing"
+        if "axis0" in found:
+            field = {"low": f"min{i}", "high": f"max{i}", "step": f"spacing{i}", "n": f"num{i}"}
+        low, high = (place.number(field[k], found[field[k]], "mm") for k in ("low", "high"))
+        step = place.number(field["step"], found[field["step"]], "mm above 0", low=1e-6)
+        text = found[field["n"]]
+        most = math.floor((high - low) / step + 1.5)
+        if not text.isdigit() or not 2 <= int(text) <= most:
+            raise place.error(field["n"], text, f"2 to {most} points from {low:g} to {high:g} mm")
+        axes.append([low + step * k for k in range(int(text))])
+    return axes[0], axes[1]
+
+
+def _kind(stated: Stated) -> int:
+    return int(stated.number("M669 K", KINDS, 3.0))
+
+
+def _unit(stated: Stated) -> float:
+    """What M92 counts the steps of: mm, or degrees."""
+    return DEGREE if _kind(stated) == 10 else MM
+
+
+def _delta(stated: Stated) -> Delta:
+    if _kind(stated) == 3:
+        return _towers(stated)
+    if _kind(stated) == 10:
+        return _shoulders(stated)
+    text, place = stated.text("M669 K", KINDS)
+    raise place.error("M669 K", text, KINDS)
+
+
+def _towers(stated: Stated) -> Towers:
+    """M665 L R H B X Y Z and M666 X Y Z A B; A and B in per cent."""
+    radius = stated.number("M665 R", "the delta radius in mm", low=1.0) * MM
+    least = "rod lengths in mm, longer than the delta radius"
+    rods = stated.numbers("M665 L", least, 3, low=radius / MM) * MM
+    trim = [stated.number(f"M665 {tower}", "degrees", 0.0, -30, 30) for tower in "XYZ"]
+    stops = [stated.number(f"M666 {tower}", "mm", 0.0) for tower in "XYZ"]
+    tilt = [stated.number(f"M666 {axis}", "per cent", 0.0, -20, 20) / 100 for axis in "AB"]
+    homed = stated.number("M665 H", "the homed height in mm", low=0.0)
+    return Towers(
+        np.full(3, radius),
+        rods,
+        np.array(trim) * DEGREE,
+        tilt=(tilt[0], tilt[1]),
+        end_stops=(homed + np.array(stops)) * MM + np.sqrt(rods**2 - radius**2),
+        reach=_reach(stated, "M665 B"),
+    )
+
+
+def _shoulders(stated: Stated) -> Shoulders:
+    """M669 K10 U L H A R B X Y Z and M666 X Y Z (degrees)."""
+    arm = "least:most degrees of an arm"
+    reach = stated.numbers("M669 A", arm, 2) if "M669 A" in stated else np.array([-45.0, 45.0])
+    trim = [stated.number(f"M669 {tower}", "degrees", 0.0, -30, 30) for tower in "XYZ"]
+    stops = [stated.number(f"M666 {tower}", "degrees", 0.0) for tower in "XYZ"]
+    return Shoulders(
+        stated.number("M669 R", "the delta radius in mm", low=0.0) * MM,
+        stated.numbers("M669 H", "heights of the arms' bearings in mm", 3, low=1.0) * MM,
+        stated.numbers("M669 U", "arm lengths in mm", 3, low=1.0) * MM,
+        stated.numbers("M669 L", "rod lengths in mm", 3, low=1.0) * MM,
+        (np.array([210.0, 330.0, 90.0]) + trim) * DEGREE,
+        tuple((reach[0] * DEGREE, (reach[1] + stop) * DEGREE) for stop in stops),
+        _reach(stated, "M669 B"),
+    )
+
+
+def _reach(stated: Stated, field: str) -> float | None:
+    if field not in stated:
+        return None
+    return stated.number(field, "the bed's radius in mm", low=1.0) * MM
+
+
+def _hangprinter(stated: Stated) -> Configured:
+    """M669 K6 N and a triple an anchor, M666 Q R U O L H: cable and spool_buildup, q = 0 at home.
+
+    With n lines on a spool of radius R, line l out turns the motor by
+    2 a g (R - sqrt(R^2 - l a n Q)) / (a n Q), g the gear, a the advantage.
+    """
+    n = int(stated.number("M669 N", "the number of anchors", 4.0, 4, len(ANCHORS)))
+    anchors = np.array(
+        [stated.numbers(f"M669 {a}", "x:y:z of the anchor in mm", 3) for a in ANCHORS[:n]]
+    )
+
+    def each(letter: str, what: str) -> Array:
+        return stated.numbers(f"M666 {letter}", what, n, low=1e-6)
+
+    radii = each("R", "spool radii in mm") * MM
+    advantages = each("U", "mechanical advantages")
+    gear = each("H", "teeth of the spools' gears") / each("L", "teeth of the motors' gears")
+    on_spool = stated.numbers("M666 O", "lines on each spool", n, 1.0, low=1.0)
+    if len({*on_spool}) > 1:
+        text, place = stated.text("M666 O", "")
+        raise place.error("M666 O", text, "as many lines on every spool")
+    alike = [*dict.fromkeys(zip(radii, advantages, strict=True))]
+    spools = [alike.index(pair) + 1 for pair in zip(radii, advantages, strict=True)]
+    mechanism = load_mechanism(
+        "cable",
+        anchors=(anchors * MM).tolist(),
+        advantages=advantages.tolist(),
+        spools=spools,
+    )
+    nominal = {f"line{i + 1}.gear": float(g) for i, g in enumerate(gear)}
+    nominal |= {f"spool{k}.R": float(r) for k, r in zip(spools, radii, strict=True)}
+    mechanism.parameters = mechanism.parameters.with_nominal(nominal)
+    buildup = stated.number("M666 Q", "the build-up in mm", low=0.0) * MM * on_spool[0]
+    model = new_model(mechanism, {"spool_buildup.Q": buildup}, effects=["spool_buildup"])
+    remarks = ["lines on spools of one radius and advantage share it"]
+    if stated.number("M666 W", "kg", 0.0) > 0:
+        remarks.append("M666 W: what the firmware corrects of the lines' stretch is left out")
+    return Configured(model, tuple(remarks))

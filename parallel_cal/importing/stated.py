@@ -1,0 +1,101 @@
+"""Numbers as a file states them: each knows its file and line, so that a wrong one is named."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from parallel_cal.base.errors import DatasetError
+from parallel_cal.base.files import read_text
+
+
+@dataclass(frozen=True)
+class Place:
+    """A line of a file."""
+
+    path: Path
+    line: int
+
+    def error(self, field: str, found: str, expected: str) -> DatasetError:
+        return DatasetError(f"{self.path}:{self.line}: {field} is '{found}', expected {expected}")
+
+    def number(
+        self, field: str, text: str, expected: str, low: float = -math.inf, high: float = math.inf
+    ) -> float:
+        """A finite number from `low` to `high`."""
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not (math.isfinite(value) and low <= value <= high):
+            raise self.error(field, text.strip(), expected)
+        return value
+
+
+@dataclass(frozen=True)
+class Stated:
+    """The texts of a configuration by field (`M665 L`, `[printer] delta_radius`)."""
+
+    texts: dict[str, tuple[str, Place]]
+    paths: Sequence[Path]
+
+    def __contains__(self, field: str) -> bool:
+        return field in self.texts
+
+    def text(self, field: str, expected: str) -> tuple[str, Place]:
+        """A field's text; DatasetError where no file has it."""
+        if field not in self.texts:
+            files = ", ".join(map(str, self.paths))
+            raise DatasetError(f"{files}: no {field}, expected {expected}")
+        return self.texts[field]
+
+    def number(
+        self,
+        field: str,
+        expected: str,
+        default: float | None = None,
+        low: float = -math.inf,
+        high: float = math.inf,
+    ) -> float:
+        if default is not None and field not in self.texts:
+            return default
+        text, place = self.text(field, expected)
+        return place.number(field, text, expected, low, high)
+
+    def numbers(
+        self,
+        field: str,
+        expected: str,
+        count: int,
+        default: float | None = None,
+        low: float = -math.inf,
+    ) -> np.ndarray:
+        """`count` numbers with colons between; one stands for all."""
+        if default is not None and field not in self.texts:
+            return np.full(count, default)
+        text, place = self.text(field, expected)
+        words = text.split(":")
+        if len(words) not in (1, count):
+            raise place.error(field, text, f"{expected}: 1 or {count} numbers")
+        values = [place.number(field, word, expected, low) for word in words]
+        return np.array(values * count if len(values) == 1 else values)
+
+
+def lines(path: Path) -> list[tuple[Place, str]]:
+    """The lines of a text file; DatasetError where it is none."""
+    try:
+        text = read_text(path, encoding="utf-8-sig")
+    except OSError as error:
+        raise DatasetError(f"{path}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise DatasetError(f"{path}:1: not text (UTF-8)") from None
+    return [(Place(path, k), line) for k, line in enumerate(text.splitlines(), start=1)]
+
+
+def sha256(paths: Iterable[Path]) -> str:
+    return hashlib.sha256(b"".join(path.read_bytes() for path in paths)).hexdigest()
