@@ -1,4 +1,4 @@
-"""What others read: residuals for ROS tools."""
+"""What others read: the model for controllers, residuals for ROS tools."""
 
 from __future__ import annotations
 
@@ -10,6 +10,24 @@ import typer
 from parallel_cal.cli.arguments import Data, JointSigma, Json, ModelFile
 from parallel_cal.cli.recordings import bag_progress, data_options
 from parallel_cal.reporting import console
+
+
+def export(
+    model: ModelFile,
+    to: Annotated[
+        str, typer.Option("--to", metavar="TARGET[:option=value,...]", help="c: C99 source")
+    ],
+    output: Annotated[Path, typer.Option("-o", "--output", help="folder to write into")],
+    as_json: Json = False,
+) -> None:
+    """Write the calibrated model for a controller: the robot alone, its effects in it."""
+    from parallel_cal.exporting import export as exporting
+    from parallel_cal.model.file.modelfile import read_model
+
+    written = exporting.export(read_model(model), to, output)
+    if as_json:
+        return console.emit({"target": to, "files": [str(path) for path in written]})
+    console.say(f"written: {', '.join(map(str, written))}")
 
 
 def export_residuals(

@@ -57,8 +57,8 @@ COMMANDS: tuple[Callable[..., None], ...] = (
     recordings.info, importing.import_, recordings.import_csv, recordings.simulate,
     recordings.replay,
     calibration.fit, calibration.compare, calibration.add, calibration.remove,
-    diagnosing.diagnose, reporting.report, exporting.export_residuals, short_cut.short_cut,
-    planning.plan, workbench.workbench, showing.demo, showing.bench,
+    diagnosing.diagnose, reporting.report, exporting.export, exporting.export_residuals,
+    short_cut.short_cut, planning.plan, workbench.workbench, showing.demo, showing.bench,
 )  # fmt: skip
 for command in COMMANDS:
     app.command(command.__name__.strip("_").replace("_", "-"))(command)  # `import_` is `import`

@@ -21,12 +21,14 @@ INLINE_BELOW = 2000  # instructions of one step that are worth repeating in the 
 class NewtonFunctions:
     """`tables`: v -> k, once a model. The others: (configuration, a, k) -> configuration,
     last step (m), norm of phi (m), smallest pivot; `solve` starts at the mechanism's own
-    start, `refine` at the given configuration. `columns`: the unknown ones of (q, r, w)."""
+    start, `refine` at the given configuration. `columns`: the unknown ones of (q, r, w).
+    `iteration` is what these are made of."""
 
     tables: ca.Function
     solve: ca.Function
     refine: ca.Function
     columns: list[int]
+    iteration: Iteration
 
 
 @lru_cache(maxsize=64)
@@ -47,10 +49,10 @@ def newton_functions(structure: Structure, problem: str) -> NewtonFunctions:
     step = _step_function(s, residual, J, symbols, columns, order)
     prepare = dense("prepare", [s.configuration, s.a, table_symbols], [before])
     tables_function = dense("tables", [s.v], [tables])
-    iterate = _Iteration(prepare, step, residual, constants.shape[0])
+    iterate = Iteration(prepare, step, residual, constants.shape[0])
     solve = iterate.function(f"{problem}_solve", from_start=True)
     refine = iterate.function(f"{problem}_refine", from_start=False)
-    return NewtonFunctions(tables_function, solve, refine, columns)
+    return NewtonFunctions(tables_function, solve, refine, columns, iterate)
 
 
 def split(s: Structure, problem: str) -> tuple[list[int], Any, Any]:
@@ -175,7 +177,10 @@ class Elimination:
 
 
 @dataclass(frozen=True)
-class _Iteration:
+class Iteration:
+    """`prepare`: (configuration, a, k) -> constants, start. `step`: (configuration, constants) ->
+    configuration, last step (m), smallest pivot. `residual`: (configuration, constants) -> phi."""
+
     prepare: ca.Function
     step: ca.Function
     residual: ca.Function

@@ -1,0 +1,1 @@
+"""The calibrated model as others compute it: controllers, tables, files of other tools."""

@@ -1,0 +1,413 @@
+/* @robot@: see @robot@.h. Newton's method of third order with the model's own closure and effects;
+ * where it does not arrive, Levenberg and Marquardt's. Every loop is bounded. */
+#include "@robot@.h"
+
+#include <math.h>
+#include <string.h>
+
+#define NQ @n_joints@       /* joints */
+#define NX (NQ + 12)        /* a configuration: joints, position, rotation */
+#define NC (NQ + 6)         /* its changes: joints, position, small turn */
+#define ROWS @rows@         /* of the closure */
+#define CONDITIONS @n_conditions@
+#define MOST @most@         /* rows, or unknowns */
+#define CONSTANTS @constants@ /* what depends on the given half alone */
+#define EFFECTS @effects@
+#define CLOSED @closed@     /* m: a closure below this is a solution */
+#define SETTLED @settled@   /* m: a last step below this leaves no error */
+#define SMALL @singular@    /* smallest scaled singular value of a regular configuration */
+#define SUSPECT @suspect@   /* a pivot below this asks for that value */
+#define ITERATIONS 2 /* of third order; twice, where the first do not arrive */
+#define DESCENTS 100
+
+enum { DIRECT, INVERSE };
+
+static const double HOME[NX] = {@home@};
+static const double SCALE[NC] = {@scale@};     /* m that a unit moves things */
+static const double LOW[NQ] = {@low@};
+static const double HIGH[NQ] = {@high@};
+static const double TURN[NQ] = {@turn@};       /* by how much a joint may be off */
+static const int UNKNOWN[2][MOST] = {{@unknown_direct@}, {@unknown_inverse@}};
+static const int UNKNOWNS[2] = {@n_direct@, @n_inverse@};
+static const int GIVEN[2][MOST] = {{@given_direct@}, {@given_inverse@}};
+static const int GIVENS[2] = {@g_direct@, @g_inverse@};
+static const int TABLE[2] = {@constants_direct@, @constants_inverse@};
+
+/* ------------------------------------------------ the model, generated from its expression */
+
+static inline double square(double x) { return x * x; }
+static inline double sign(double x) { return x < 0 ? -1 : x > 0 ? 1 : x; }
+
+@generated@
+/* ------------------------------------------------------------------ linear algebra */
+
+/* A (n, n) x = b for m right sides, row by row, by elimination with pivots; 0 where singular. */
+static int solved(int n, double *A, int m, double *b)
+{
+    for (int k = 0; k < n; ++k) {
+        int best = k;
+        for (int i = k + 1; i < n; ++i)
+            if (fabs(A[i * n + k]) > fabs(A[best * n + k])) best = i;
+        if (!(fabs(A[best * n + k]) > 0) || !isfinite(A[best * n + k])) return 0;
+        for (int j = 0; j < n && best != k; ++j) {
+            double kept = A[k * n + j];
+            A[k * n + j] = A[best * n + j], A[best * n + j] = kept;
+        }
+        for (int j = 0; j < m && best != k; ++j) {
+            double kept = b[k * m + j];
+            b[k * m + j] = b[best * m + j], b[best * m + j] = kept;
+        }
+        for (int i = k + 1; i < n; ++i) {
+            double factor = A[i * n + k] / A[k * n + k];
+            for (int j = k; j < n; ++j) A[i * n + j] -= factor * A[k * n + j];
+            for (int j = 0; j < m; ++j) b[i * m + j] -= factor * b[k * m + j];
+        }
+    }
+    for (int i = n - 1; i >= 0; --i)
+        for (int j = 0; j < m; ++j) {
+            for (int k = i + 1; k < n; ++k) b[i * m + j] -= A[i * n + k] * b[k * m + j];
+            b[i * m + j] /= A[i * n + i];
+        }
+    return 1;
+}
+
+/* J^T J, or J J^T where that is smaller; J (ROWS, n) row by row. Returns its size. */
+static int gram(int n, const double *J, double *G)
+{
+    int size = n <= ROWS ? n : ROWS;
+    for (int i = 0; i < size; ++i)
+        for (int j = 0; j < size; ++j) {
+            double sum = 0;
+            for (int k = 0; k < (n <= ROWS ? ROWS : n); ++k)
+                sum += n <= ROWS ? J[k * n + i] * J[k * n + j] : J[i * n + k] * J[j * n + k];
+            G[i * size + j] = sum;
+        }
+    return size;
+}
+
+/* The smallest singular value of J (ROWS, n), by Jacobi's rotations of the smaller Gram matrix. */
+static double smallest_singular_value(int n, const double *J)
+{
+    double G[MOST * MOST], least = HUGE_VAL;
+    int size = gram(n, J, G);
+    for (int sweep = 0; sweep < 12; ++sweep)
+        for (int p = 0; p < size; ++p)
+            for (int q = p + 1; q < size; ++q) {
+                double angle = 0.5 * atan2(2 * G[p * size + q], G[q * size + q] - G[p * size + p]);
+                double c = cos(angle), s = sin(angle);
+                for (int k = 0; k < size; ++k) {
+                    double a = G[k * size + p], b = G[k * size + q];
+                    G[k * size + p] = c * a - s * b, G[k * size + q] = s * a + c * b;
+                }
+                for (int k = 0; k < size; ++k) {
+                    double a = G[p * size + k], b = G[q * size + k];
+                    G[p * size + k] = c * a - s * b, G[q * size + k] = s * a + c * b;
+                }
+            }
+    for (int i = 0; i < size; ++i) least = fmin(least, G[i * size + i]);
+    return sqrt(fmax(least, 0));
+}
+
+/* ------------------------------------------------------------------ configurations */
+
+static int all_finite(int n, const double *x)
+{
+    for (int i = 0; i < n; ++i)
+        if (!isfinite(x[i])) return 0;
+    return 1;
+}
+
+/* The closure and its slopes by the unknowns, scaled to metres, (ROWS, n) row by row. */
+static double closure_and_slopes(int problem, const double *x, const double *a, double *phi,
+    double *J)
+{
+    double all[ROWS * NC], sum = 0;
+    int n = UNKNOWNS[problem];
+    closure(x, a, phi, all);
+    for (int i = 0; i < ROWS; ++i) {
+        sum += phi[i] * phi[i];
+        for (int j = 0; j < n; ++j) {
+            int column = UNKNOWN[problem][j];
+            J[i * n + j] = all[column * ROWS + i] / SCALE[column];
+        }
+    }
+    return sqrt(sum);
+}
+
+/* x after a change of its unknowns (m): R <- exp(w) R. */
+static void moved(int problem, const double *x, const double *step, double *to)
+{
+    double change[NC] = {0}, *w = change + NQ + 3;
+    for (int j = 0; j < UNKNOWNS[problem]; ++j) {
+        int column = UNKNOWN[problem][j];
+        change[column] = step[j] / SCALE[column];
+    }
+    double angle = sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2]);
+    double s = angle > 1e-8 ? sin(angle) / angle : 1 - angle * angle / 6;
+    double h = angle > 1e-8 ? 2 * square(sin(angle / 2) / angle) : 0.5;
+    double W[9] = {0, -w[2], w[1], w[2], 0, -w[0], -w[1], w[0], 0};
+    for (int i = 0; i < NQ + 3; ++i) to[i] = x[i] + change[i];
+    const double *R = x + NQ + 3;
+    double turned[9];
+    for (int i = 0; i < 3; ++i)
+        for (int j = 0; j < 3; ++j) {
+            double sum = 0;
+            for (int k = 0; k < 3; ++k) {
+                double squared = 0;
+                for (int l = 0; l < 3; ++l) squared += W[3 * i + l] * W[3 * l + k];
+                sum += ((i == k) + s * W[3 * i + k] + h * squared) * R[3 * k + j];
+            }
+            turned[3 * i + j] = sum;
+        }
+    memcpy(to + NQ + 3, turned, sizeof turned);
+}
+
+/* Solved angles within half a turn of home, or one further where only that is inside the limits;
+ * whether any was moved. */
+static int turned_towards_home(int problem, double *x)
+{
+    int any = 0;
+    for (int i = 0; problem == INVERSE && i < NQ; ++i) {
+        if (!(TURN[i] > 0)) continue;
+        double q = x[i] - TURN[i] * rint((x[i] - HOME[i]) / TURN[i]);
+        double other = q - TURN[i] * sign(q - HOME[i]);
+        if ((q < LOW[i] || q > HIGH[i]) && LOW[i] <= other && other <= HIGH[i]) q = other;
+        any |= q != x[i];
+        x[i] = q;
+    }
+    return any;
+}
+
+/* ------------------------------------------------------------------ solving */
+
+static int redundant(int problem) { return ROWS > UNKNOWNS[problem]; }
+
+/* Newton's iterations until the last step is small; that step (m). */
+static double iterated(int problem, int most, const double *constants, double *x, double *pivot)
+{
+    double length = HUGE_VAL, next[NX];
+    for (int i = 0; i < most && length >= SETTLED; ++i) {
+        if (problem == DIRECT)
+            direct_step(x, constants, next, &length, pivot);
+        else
+            inverse_step(x, constants, next, &length, pivot);
+        memcpy(x, next, sizeof next);
+    }
+    return length;
+}
+
+/* Levenberg-Marquardt from x, in place; a status. */
+static int descended(int problem, double *x, const double *a, double *residual)
+{
+    double phi[ROWS], J[ROWS * MOST], trial_phi[ROWS], trial_J[ROWS * MOST], trial[NX];
+    double gradient[MOST], A[MOST * MOST], step[MOST], damping = 1e-3, slope = 0;
+    int n = UNKNOWNS[problem];
+    double size = closure_and_slopes(problem, x, a, phi, J);
+    for (int round = 0; round < DESCENTS; ++round) {
+        double length = 0;
+        for (int i = 0; i < n; ++i) {
+            step[i] = 0;
+            for (int k = 0; k < ROWS; ++k) step[i] -= J[k * n + i] * phi[k];
+            for (int j = 0; j < n; ++j) {
+                A[i * n + j] = i == j ? damping : 0;
+                for (int k = 0; k < ROWS; ++k) A[i * n + j] += J[k * n + i] * J[k * n + j];
+            }
+        }
+        *residual = size;
+        if (!solved(n, A, 1, step)) return @ROBOT@_NOT_CONVERGED;
+        for (int i = 0; i < n; ++i) length += step[i] * step[i];
+        if (sqrt(length) < 1e-15) break;
+        moved(problem, x, step, trial);
+        double found = closure_and_slopes(problem, trial, a, trial_phi, trial_J);
+        if (found < size) {
+            int improved = size - found > 1e-14;
+            memcpy(x, trial, sizeof trial);
+            memcpy(phi, trial_phi, sizeof phi);
+            memcpy(J, trial_J, sizeof J);
+            size = found, damping /= 10;
+            if (!improved) break;
+        } else {
+            damping = fmax(damping * 10, 1e-12);
+            if (damping > 1e12) break;
+        }
+    }
+    for (int i = 0; i < n; ++i) {
+        gradient[i] = 0;
+        for (int k = 0; k < ROWS; ++k) gradient[i] += J[k * n + i] * phi[k];
+        slope += gradient[i] * gradient[i];
+    }
+    *residual = size;
+    int flat = sqrt(slope) < 1e-6 * size;
+    if (size < CLOSED || (flat && redundant(problem))) return @ROBOT@_CONVERGED;
+    return flat || size > 1e-6 ? @ROBOT@_UNREACHABLE : @ROBOT@_NOT_CONVERGED;
+}
+
+/* The same from where Newton's method ended and, where that fails, from `given`; the better end. */
+static int carefully(int problem, const double *given, const double *a, double *x,
+    double *residual)
+{
+    double ends[2][NX], sizes[2] = {HUGE_VAL, HUGE_VAL};
+    int status[2] = {@ROBOT@_NOT_CONVERGED, @ROBOT@_NOT_CONVERGED}, best;
+    memcpy(ends[0], x, sizeof ends[0]);
+    memcpy(ends[1], given, sizeof ends[1]);
+    for (int i = 0; i < 2; ++i) {
+        if (!all_finite(NX, ends[i])) continue;
+        status[i] = descended(problem, ends[i], a, &sizes[i]);
+        if (status[i] == @ROBOT@_CONVERGED) break;
+    }
+    best = status[0] == @ROBOT@_CONVERGED || (status[1] != @ROBOT@_CONVERGED && !(sizes[1] < sizes[0]))
+        ? 0 : 1;
+    memcpy(x, ends[best], sizeof ends[best]);
+    *residual = sizes[best];
+    return status[best];
+}
+
+/* x (in: the start, where `warm`) for what is given; a status. */
+static int answered(int problem, const double *given, const double *a, int warm, double *x,
+    double *residual)
+{
+    double before[CONSTANTS + NX], phi[ROWS], J[ROWS * MOST], pivot = 0, squares = 0;
+    int status = @ROBOT@_CONVERGED, inside = 1;
+    if (!all_finite(NX, given) || !all_finite(CONDITIONS, a)) {
+        for (int i = 0; i < NX; ++i) x[i] = NAN;
+        *residual = NAN;
+        return @ROBOT@_INVALID_INPUT;
+    }
+    if (problem == DIRECT)
+        direct_prepare(given, a, before);
+    else
+        inverse_prepare(given, a, before);
+    if (!warm) memcpy(x, before + TABLE[problem], NX * sizeof *x);
+    double length = iterated(problem, ITERATIONS, before, x, &pivot);
+    if ((turned_towards_home(problem, x) && EFFECTS) || (isfinite(length) && length >= SETTLED))
+        length = iterated(problem, ITERATIONS, before, x, &pivot);
+    if (problem == DIRECT)
+        direct_residual(x, before, phi);
+    else
+        inverse_residual(x, before, phi);
+    for (int i = 0; i < ROWS; ++i) squares += phi[i] * phi[i];
+    *residual = sqrt(squares);
+    int closed = redundant(problem) ? isfinite(*residual) : *residual < CLOSED;
+    int settled = length < SETTLED && closed;
+    if (!settled) {
+        status = carefully(problem, given, a, x, residual);
+        if (turned_towards_home(problem, x) && EFFECTS)
+            status = carefully(problem, given, a, x, residual);
+    }
+    if (status == @ROBOT@_CONVERGED && !(settled && pivot > SUSPECT)) {
+        closure_and_slopes(problem, x, a, phi, J);
+        if (smallest_singular_value(UNKNOWNS[problem], J) < SMALL) status = @ROBOT@_SINGULAR;
+    }
+    for (int i = 0; i < NQ; ++i) inside &= LOW[i] <= x[i] && x[i] <= HIGH[i];
+    return status == @ROBOT@_CONVERGED && !inside ? @ROBOT@_OUTSIDE_LIMITS : status;
+}
+
+static void row_of(const @robot@_configuration *from, double *x)
+{
+    memcpy(x, from->joints, NQ * sizeof *x);
+    memcpy(x + NQ, from->position, 3 * sizeof *x);
+    memcpy(x + NQ + 3, from->rotation, 9 * sizeof *x);
+}
+
+static void configuration_of(const double *x, @robot@_configuration *to)
+{
+    memcpy(to->joints, x, NQ * sizeof *x);
+    memcpy(to->position, x + NQ, 3 * sizeof *x);
+    memcpy(to->rotation, x + NQ + 3, 9 * sizeof *x);
+}
+
+static void conditions_of(const @robot@_conditions *at, double a[CONDITIONS + 1])
+{
+    static const @robot@_conditions neutral = @ROBOT@_NEUTRAL;
+    if (!at) at = &neutral;
+@copied@
+}
+
+int @robot@_direct(const double joints[NQ], const @robot@_conditions *at,
+    const @robot@_configuration *start, @robot@_configuration *answer, double *residual)
+{
+    double given[NX], x[NX], a[CONDITIONS + 1], left;
+    memcpy(given, HOME, sizeof given);
+    memcpy(given, joints, NQ * sizeof *given);
+    conditions_of(at, a);
+    if (start) row_of(start, x);
+    memcpy(x, joints, NQ * sizeof *x);
+    int status = answered(DIRECT, given, a, start != 0, x, &left);
+    configuration_of(x, answer);
+    if (residual) *residual = left;
+    return status;
+}
+
+int @robot@_inverse(const double position[3], const double rotation[9],
+    const @robot@_conditions *at, const @robot@_configuration *start,
+    @robot@_configuration *answer, double *residual)
+{
+    double given[NX], x[NX], a[CONDITIONS + 1], left;
+    memcpy(given, HOME, sizeof given);
+    if (!position) position = HOME + NQ;
+    if (!rotation) rotation = HOME + NQ + 3;
+@given@
+    conditions_of(at, a);
+    memcpy(x, given, sizeof x);
+    if (start) {
+        memcpy(x, start->joints, NQ * sizeof *x);
+@passive@
+    }
+    int status = answered(INVERSE, given, a, start != 0, x, &left);
+    configuration_of(x, answer);
+    if (residual) *residual = left;
+    return status;
+}
+
+/* d unknowns / d given, (n, m) row by row, along the closure; 0 where singular. */
+static int slopes(int problem, const @robot@_configuration *at_answer,
+    const @robot@_conditions *at, double *D)
+{
+    double x[NX], a[CONDITIONS + 1], phi[ROWS], all[ROWS * NC], J[ROWS * MOST];
+    double B[MOST * MOST], A[MOST * MOST], b[MOST * MOST];
+    int n = UNKNOWNS[problem], m = GIVENS[problem];
+    row_of(at_answer, x);
+    conditions_of(at, a);
+    closure_and_slopes(problem, x, a, phi, J);
+    closure(x, a, phi, all);
+    for (int i = 0; i < ROWS; ++i)
+        for (int j = 0; j < m; ++j) B[i * m + j] = -all[GIVEN[problem][j] * ROWS + i];
+    int size = n == ROWS ? n : gram(n, J, A);
+    if (n == ROWS) memcpy(A, J, n * n * sizeof *A);
+    for (int i = 0; i < size; ++i)
+        for (int j = 0; j < m; ++j) {
+            b[i * m + j] = n < ROWS ? 0 : B[i * m + j];
+            for (int k = 0; n < ROWS && k < ROWS; ++k) b[i * m + j] += J[k * n + i] * B[k * m + j];
+        }
+    if (!solved(size, A, m, b)) return 0;
+    for (int i = 0; i < n; ++i)
+        for (int j = 0; j < m; ++j) {
+            double sum = n <= ROWS ? b[i * m + j] : 0;
+            for (int k = 0; n > ROWS && k < ROWS; ++k) sum += J[k * n + i] * b[k * m + j];
+            D[i * m + j] = sum / SCALE[UNKNOWN[problem][i]];
+        }
+    return all_finite(n * m, D);
+}
+
+int @robot@_jacobian(const @robot@_configuration *answer, const @robot@_conditions *at,
+    double jacobian[6 * NQ])
+{
+    double D[MOST * MOST];
+    memset(jacobian, 0, 6 * NQ * sizeof *jacobian);
+    if (!slopes(DIRECT, answer, at, D)) return @ROBOT@_SINGULAR;
+    for (int i = 0; i < UNKNOWNS[DIRECT]; ++i)
+        memcpy(jacobian + NQ * (UNKNOWN[DIRECT][i] - NQ), D + NQ * i, NQ * sizeof *D);
+    return 0;
+}
+
+int @robot@_inverse_jacobian(const @robot@_configuration *answer, const @robot@_conditions *at,
+    double jacobian[NQ * 6])
+{
+    double D[MOST * MOST];
+    memset(jacobian, 0, NQ * 6 * sizeof *jacobian);
+    if (!slopes(INVERSE, answer, at, D)) return @ROBOT@_SINGULAR;
+    for (int i = 0; i < NQ; ++i)
+        for (int j = 0; j < GIVENS[INVERSE]; ++j)
+            jacobian[6 * i + GIVEN[INVERSE][j] - NQ] = D[i * GIVENS[INVERSE] + j];
+    return 0;
+}

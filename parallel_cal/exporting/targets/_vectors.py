@@ -1,0 +1,70 @@
+"""Python's answers at poses over the workspace, beyond it and at no pose at all, as a table."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.kinematics.solutions import Solutions
+from parallel_cal.kinematics.solving import controlled_pose
+from parallel_cal.model.mechanism import poses_in_workspace
+from parallel_cal.model.model import Model
+
+# How conditions are drawn: from these values, or about neutral by this much (1 sigma).
+DRAWN = {"direction": (-1.0, 0.0, 1.0), "session": (0.0, 1.0, 2.0)}
+SPREAD = {"temperature": 5.0, "payload": 0.0, "time": 100.0, "velocity": 0.5, "travel": 0.1}
+FAR = 20  # so many poses lie out of reach,
+READ = 1e-5  # rad or m, 1 sigma, by which joints disagree where there are more than coordinates
+BEYOND = 10.0  # by this times the mechanism's length (1 sigma)
+
+
+def vectors(model: Model, poses: int) -> str:
+    """One problem a line: inverse (1) or direct (0), status, conditions, joints, position, rotation
+    row by row; what was not given is the answer, NaN where invalid."""
+    rng = np.random.default_rng(0)
+    r, R = poses_in_workspace(model.mechanism, poses, rng)
+    r[:FAR] += BEYOND * model.mechanism.length * rng.standard_normal(r[:FAR].shape)
+    r[-1], R[-1] = np.nan, np.nan
+    r, turned = controlled_pose(model, r, R)
+    a = np.column_stack(
+        [_drawn(name, poses, rng) for name in model.conditions] or [np.empty((poses, 0))]
+    )
+    a[-2] = np.nan
+    at = {name: a[:, k] for k, name in enumerate(model.conditions)}
+    kinematics = Kinematics(model)
+    inverse = kinematics.inverse(r, turned, at)
+    home = np.array(model.mechanism.home.joints)
+    q = np.where(inverse.ok[:, None], inverse.joints, home)
+    q += READ * rng.standard_normal(q.shape)
+    q[-1] = np.nan
+    names = [*model.conditions, *model.joints, *"xyz", *(f"R{i}{j}" for i in "123" for j in "123")]
+    rows = [
+        *_rows(1, a, inverse, position=r, rotation=R),
+        *_rows(0, a, kinematics.direct(q, at), joints=q),
+    ]
+    return "\n".join([",".join(["inverse", "status", *names]), *rows]) + "\n"
+
+
+def _drawn(condition: str, n: int, rng: np.random.Generator) -> np.ndarray:
+    kind = condition.split(".")[0]
+    if kind in DRAWN:
+        return rng.choice(DRAWN[kind], n)
+    if kind == "payload":
+        return rng.uniform(0.0, 1.0, n)
+    return (20.0 if kind == "temperature" else 0.0) + SPREAD[kind] * rng.standard_normal(n)
+
+
+def _rows(problem: int, a: np.ndarray, answers: Solutions, **given: np.ndarray) -> list[str]:
+    """Lines; where nothing was solved what was given stands alone, the rest zero."""
+    parts = {name: getattr(answers, name).copy() for name in ("joints", "position", "rotation")}
+    for name, part in parts.items():
+        if name in given:
+            part[~answers.solved] = given[name][~answers.solved]
+        else:
+            part[~answers.solved] = 0.0
+    numbers = np.hstack([a, *(part.reshape(len(a), -1) for part in parts.values())])
+    status = answers.status.astype(int)
+    return [
+        f"{problem},{status[i]}," + ",".join(map(repr, row))
+        for i, row in enumerate(numbers.tolist())
+    ]

@@ -1,0 +1,172 @@
+"""One C99 file and header: direct and inverse problem, Jacobians; no dependency, no allocation.
+
+With a program that checks them against Python's answers.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from importlib.resources import files as resources
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from parallel_cal import __version__
+from parallel_cal.base.compiled import Single, dense
+from parallel_cal.base.errors import ModelError
+from parallel_cal.exporting.targets._vectors import vectors
+from parallel_cal.kinematics.newton import NewtonFunctions, newton_functions
+from parallel_cal.kinematics.solutions import CLOSED, SETTLED, SINGULAR, SUSPECT_PIVOT
+from parallel_cal.model.effect import CONDITIONS
+from parallel_cal.model.file.modelfile import model_hash
+from parallel_cal.model.model import Model
+
+PROBLEMS = ("direct", "inverse")
+HELPERS = {
+    "casadi_real": "double", "casadi_sq": "square", "casadi_sign": "sign", "casadi_fabs": "fabs",
+    "casadi_fmax": "fmax", "casadi_fmin": "fmin",
+}  # fmt: skip
+MAKEFILE = """# Checks @robot@.c against @robot@_vectors.csv, Python's answers.
+CFLAGS = -std=c99 -O2 -Wall -Wextra -Werror
+
+check: @robot@_check
+\t./@robot@_check @robot@_vectors.csv
+
+@robot@_check: @robot@_check.c @robot@.c @robot@.h
+\t$(CC) $(CFLAGS) @robot@_check.c @robot@.c -o $@ -lm
+"""
+
+
+def files(model: Model, name: str = "", poses: int = 1000) -> dict[str, str]:
+    """By file name: C source, header, check, Makefile and `poses` test vectors. `name` begins all
+    names in them, the mechanism's where not given."""
+    robot = name or re.sub(r"\W", "_", model.mechanism.name.split(".")[-1])
+    if not re.fullmatch(r"[A-Za-z]\w*", robot):
+        raise ModelError(f"name={robot}: expected a name that C takes")
+    if poses < 2:
+        raise ModelError(f"poses={poses}: expected 2 or more")
+    words = _words(model, robot)
+    templates = {
+        f"{robot}.h": _template("robot.h"),
+        f"{robot}.c": _template("robot.c"),
+        f"{robot}_check.c": _template("check.c"),
+        "Makefile": MAKEFILE,
+    }
+    written = {file: _filled(text, words) for file, text in templates.items()}
+    return written | {f"{robot}_vectors.csv": vectors(model, poses)}
+
+
+def _template(name: str) -> str:
+    return resources(__package__).joinpath("_c", name).read_text(encoding="utf-8")
+
+
+def _filled(text: str, words: Mapping[str, str]) -> str:
+    return re.sub(r"@(\w+)@", lambda found: words[found[1]], text)
+
+
+def _words(model: Model, robot: str) -> dict[str, str]:
+    """What stands for each @word@ of the templates."""
+    s, m, n = model.structure, model.mechanism, len(model.joints)
+    newton = [newton_functions(s, problem) for problem in PROBLEMS]
+    unknown = [functions.columns for functions in newton]
+    given = [list(range(n)), [n + i for i in m.controlled]]
+    constants = [functions.iteration.n_constants for functions in newton]
+    limits = np.array(m.joint_limits, dtype=float).reshape(-1, 2).T
+    names = _condition_names(model)
+    fields = [
+        f"    double {c}; /* {CONDITIONS[full.split('.')[0]][0]}, {neutral:g} */"
+        for c, full, neutral in zip(names, model.conditions, s.neutral, strict=True)
+    ]
+    words: dict[str, Any] = {
+        "robot": robot, "ROBOT": robot.upper(), "version": __version__, "hash": model_hash(model),
+        "what": ", ".join([m.name, *(effect.name for effect in model.effects)]),
+        "joints": ", ".join(model.joints), "units": ", ".join(dict.fromkeys(m.joint_units)),
+        "controls": " ".join(m.controls), "n_joints": n, "rows": s.phi.shape[0],
+        "n_conditions": len(names), "most": max(s.phi.shape[0], *map(len, unknown), n, 6),
+        "constants": max(constants), "effects": int(bool(model.effects)),
+        "closed": CLOSED, "settled": SETTLED, "singular": SINGULAR, "suspect": SUSPECT_PIVOT,
+        "home": _list(m.home.configuration), "scale": _list(s.scale), "low": _list(limits[0]),
+        "high": _list(limits[1]), "turn": _list(m.turns), "neutral": _list(s.neutral or [0.0]),
+        "generated": _generated(model, newton),
+        "conditions": "\n".join(fields or ["    double none; /* the model needs none */"]),
+        "copied": _lines(f"a[{k}] = at->{c};" for k, c in enumerate(names or ["none"])),
+        "read": _lines((f"now.{c} = row[{2 + k}];" for k, c in enumerate(names)), 8),
+        "given": _lines(_copied("given", "", m.controlled)),
+        "passive": _lines(_copied("x", "start->", m.passive), 8),
+    }  # fmt: skip
+    for problem, u, g, c in zip(PROBLEMS, unknown, given, constants, strict=True):
+        words |= {f"unknown_{problem}": _list(u), f"n_{problem}": len(u),
+                  f"given_{problem}": _list(g), f"g_{problem}": len(g),
+                  f"constants_{problem}": c}  # fmt: skip
+    return {key: str(value) for key, value in words.items()}
+
+
+def _condition_names(model: Model) -> list[str]:
+    """As members of a struct, each once."""
+    names = [re.sub(r"\W", "_", name) for name in model.conditions]
+    return [f"{c}_{k}" if names.count(c) > 1 else c for k, c in enumerate(names)]
+
+
+def _copied(to: str, source: str, coordinates: list[int]) -> list[str]:
+    """C that copies these coordinates of a pose; a rotation can only be copied as a whole."""
+    lines = [f"{to}[NQ + {i}] = {source}position[{i}];" for i in coordinates if i < 3]
+    if any(i >= 3 for i in coordinates):
+        lines.append(f"memcpy({to} + NQ + 3, {source}rotation, 9 * sizeof *{to});")
+    return lines
+
+
+def _lines(lines: Any, indent: int = 4) -> str:
+    return "\n".join(" " * indent + line for line in lines)
+
+
+def _list(values: Any) -> str:
+    return ", ".join(_number(v) for v in np.asarray(values).tolist())
+
+
+def _number(value: float) -> str:
+    return repr(value) if np.isfinite(value) else f"{'-' if value < 0 else ''}HUGE_VAL"
+
+
+# ------------------------------------------------------------------ CasADi's expressions as C
+
+
+def _generated(model: Model, newton: list[NewtonFunctions]) -> str:
+    """The functions that the templates call, the model's numbers in them."""
+    s = model.structure
+    parts = [s.closure_configuration(s.configuration, s.a, ca.DM(model.values))]
+    functions = [(dense("closure", [s.configuration, s.a], list(parts[0])), "x a", "phi slopes")]
+    for problem, of in zip(PROBLEMS, newton, strict=True):
+        step, k = of.iteration, Single(of.tables)(model.values)[0]
+        before = step.prepare(s.configuration, s.a, ca.DM(k))
+        prepare = dense(f"{problem}_prepare", [s.configuration, s.a], [before])
+        functions += [
+            (prepare, "given a", "before"),
+            (_renamed(step.step, f"{problem}_step"), "x constants", "to length pivot"),
+            (_renamed(step.residual, f"{problem}_residual"), "x constants", "phi"),
+        ]
+    return "\n".join(_c_function(f, ins.split(), outs.split()) for f, ins, outs in functions)
+
+
+def _renamed(function: ca.Function, name: str) -> ca.Function:
+    inputs = function.sx_in()
+    return ca.Function(name, inputs, function.call(inputs))
+
+
+def _c_function(function: ca.Function, inputs: list[str], outputs: list[str]) -> str:
+    """CasADi's C of an expression, with named arrays in place of its calling convention."""
+    code = ca.CodeGenerator("code.c")
+    code.add(function)
+    found = re.search(r"static int casadi_f0\(.*?\) \{\n(.*?)  return 0;\n\}", code.dump(), re.S)
+    body = found[1] if found else "casadi_"
+    for i, name in enumerate(inputs):
+        body = re.sub(rf"arg\[{i}\]\? arg\[{i}\]\[(\d+)\] : 0", rf"{name}[\1]", body)
+    for i, name in enumerate(outputs):
+        body = re.sub(rf"if \(res\[{i}\]!=0\) res\[{i}\]\[(\d+)\]=", rf"{name}[\1]=", body)
+    body = re.sub(r"casadi_\w+", lambda word: HELPERS.get(word[0], word[0]), body)
+    if strange := re.search(r"casadi_\w*|\b(arg|res|iw|w)\b", body):
+        raise ModelError(f"{function.name()}: '{strange[0]}' of its expression is not known in C")
+    taken = [f"const double *{name}" for name in inputs] + [f"double *{name}" for name in outputs]
+    unused = "".join(f"  (void){name};\n" for name in inputs)
+    return f"static void {function.name()}({', '.join(taken)})\n{{\n{body}{unused}}}\n"

@@ -1,0 +1,311 @@
+"""The exported C: compiled strictly, with sanitizers, and held against Python's answers."""
+
+import ctypes
+import shutil
+import subprocess
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pytest
+
+from parallel_cal.base.errors import ModelError
+from parallel_cal.cli.main import main
+from parallel_cal.exporting.export import export
+from parallel_cal.kinematics.kinematics import Kinematics, Status
+from parallel_cal.model.file.modelfile import write_model
+from parallel_cal.model.mechanism import poses_in_workspace
+from parallel_cal.model.model import new_model
+
+pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="no C compiler")
+
+STRICT = "gcc -std=c99 -pedantic -Wall -Wextra -Werror".split()
+EFFECTS = {"delta54": ("encoder_eccentricity", "backlash", "thermal_expansion")}
+ROBOTS = [
+    "delta54",
+    "cable",
+    *(pytest.param(name, marks=pytest.mark.wide) for name in ("stewart42", "argos27")),
+    pytest.param("linear_delta", marks=pytest.mark.wide),
+]
+
+
+@cache
+def robot(name):
+    """A robot off its nominal, with effects that are felt."""
+    model = new_model(name, effects=EFFECTS.get(name, ()))
+    table, rng = model.table, np.random.default_rng(1)
+    off = table.nominal + 0.5 * table.tolerance * rng.standard_normal(len(table))
+    return model.with_values(np.where(model.fixed, table.nominal, off))
+
+
+def run(words, folder):
+    done = subprocess.run(words, cwd=folder, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+@cache
+def folder(name, poses=1000):
+    """What was exported, its check compiled strictly and with sanitizers, and a library."""
+    kept = TemporaryDirectory(prefix="exported")
+    export(robot(name), f"c:poses={poses}", kept.name)
+    source = [f"{name}_check.c", f"{name}.c"]
+    safe = ["-O0", "-fsanitize=address,undefined", "-fno-sanitize-recover"]
+    run([*STRICT, *safe, *source, "-o", "check", "-lm"], kept.name)
+    return kept
+
+
+@cache
+def library(name):
+    kept = folder(name).name
+    run([*STRICT, "-O1", "-fPIC", "-c", f"{name}.c", "-o", "robot.o"], kept)
+    run(["gcc", "-shared", "robot.o", "-o", "robot.so", "-lm"], kept)
+    return ctypes.CDLL(f"{kept}/robot.so")
+
+
+def differences(name, poses=1000):
+    words = run(["./check", f"{name}_vectors.csv"], folder(name, poses).name).split()
+    return dict(zip(words[::2], map(float, words[1::2]), strict=True))
+
+
+def vector_lines(name):
+    return Path(folder(name).name, f"{name}_vectors.csv").read_text().splitlines()
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_it_compiles_strictly_and_agrees_with_python(name):
+    found = differences(name)
+    assert found["rows"] == 2000
+    assert found["other_status"] == 0
+    assert max(found[part] for part in ("joints", "position", "rotation")) < 1e-12
+
+
+@pytest.mark.wide
+@pytest.mark.parametrize("name", [p if isinstance(p, str) else p.values[0] for p in ROBOTS])
+def test_it_agrees_with_python_over_a_hundred_thousand_poses(name):
+    found = differences(name, 100_000)
+    assert found["rows"] == 200_000
+    assert found["other_status"] == 0
+    assert max(found[part] for part in ("joints", "position", "rotation")) < 1e-12
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_the_vectors_hold_unreachable_and_invalid_problems_too(name):
+    lines = vector_lines(name)[1:]
+    statuses = np.array([line.split(",")[:2] for line in lines], int)
+    for problem in (0, 1):
+        assert np.mean(statuses[statuses[:, 0] == problem, 1] == Status.CONVERGED) > 0.9
+        assert Status.INVALID_INPUT in statuses[statuses[:, 0] == problem, 1]
+    if name not in ("argos27", "cable"):  # which reach wherever is asked
+        assert {Status.UNREACHABLE, Status.OUTSIDE_LIMITS} & set(statuses[:, 1].tolist())
+
+
+def test_the_check_fails_where_a_number_differs(tmp_path):
+    kept = folder("cable").name
+    head, first, *rest = vector_lines("cable")[:500]
+    words = rest[-1].split(",")
+    words[2] = repr(float(words[2]) + 1e-9)
+    (tmp_path / "other.csv").write_text("\n".join([head, first, *rest[:-1], ",".join(words)]))
+    done = subprocess.run([f"{kept}/check", str(tmp_path / "other.csv")], capture_output=True)
+    assert done.returncode == 1
+    assert b"joints 1e-09" in done.stdout
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_the_object_has_no_state_and_only_its_own_names(name):
+    library(name)
+    symbols = [line.split()[-2:] for line in run(["nm", "robot.o"], folder(name).name).splitlines()]
+    assert not [s for s in symbols if s[0] in "dDbBC"]
+    public = {symbol for kind, symbol in symbols if kind == "T"}
+    own = ("direct", "inverse", "jacobian", "inverse_jacobian")
+    assert public == {f"{name}_{function}" for function in own}
+    outside = {symbol for kind, symbol in symbols if kind == "U"}
+    allowed = {"memcpy", "memset", "_GLOBAL_OFFSET_TABLE_", "__stack_chk_fail"}
+    mathematics = set(
+        "sin cos tan sqrt atan2 asin acos fabs fmax fmin floor rint sincos tanh".split()
+    )
+    assert outside <= allowed | mathematics
+
+
+# ------------------------------------------------------------------ called from elsewhere
+
+
+def structure(model):
+    n, double = len(model.joints), ctypes.c_double
+    members = [("joints", double * n), ("position", double * 3), ("rotation", double * 9)]
+    return type("configuration", (ctypes.Structure,), {"_fields_": members})
+
+
+def numbers(values):
+    flat = np.ravel(values).astype(float)
+    return (ctypes.c_double * len(flat))(*flat)
+
+
+class Exported:
+    """The functions of a library with arrays in and out."""
+
+    def __init__(self, name):
+        self.model, self._name, self._library = robot(name), name, library(name)
+        self.kind = structure(self.model)
+
+    def _call(self, function, *arguments):
+        return getattr(self._library, f"{self._name}_{function}")(*arguments)
+
+    def direct(self, q, at=None, start=None):
+        answer, left = self.kind(), ctypes.c_double()
+        begin = ctypes.byref(start) if start is not None else None
+        status = self._call("direct", numbers(q), at and numbers(at), begin,
+                            ctypes.byref(answer), ctypes.byref(left))  # fmt: skip
+        return status, answer
+
+    def inverse(self, r, R=None, at=None, start=None):
+        answer = self.kind()
+        begin = ctypes.byref(start) if start is not None else None
+        turned = None if R is None else numbers(R)
+        status = self._call("inverse", numbers(r), turned, at and numbers(at), begin,
+                            ctypes.byref(answer), None)  # fmt: skip
+        return status, answer
+
+    def jacobian(self, answer, function="jacobian"):
+        found = (ctypes.c_double * (6 * len(self.model.joints)))()
+        assert self._call(function, ctypes.byref(answer), None, found) == 0
+        return np.array(found)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_conditions_that_are_not_given_are_neutral(name):
+    exported, model = Exported(name), robot(name)
+    q = np.array(model.mechanism.home.joints) + 0.01
+    status, answer = exported.direct(q)
+    assert status == 0
+    np.testing.assert_allclose(answer.position[:], Kinematics(model).direct(q).position, atol=1e-13)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_a_warm_start_from_the_answer_before_follows_the_branch(name):
+    exported, model = Exported(name), robot(name)
+    kinematics = Kinematics(model)
+    r, R = poses_in_workspace(model.mechanism, 2, np.random.default_rng(3))
+    along = kinematics.inverse(np.linspace(*r, 50), np.broadcast_to(R[0], (50, 3, 3)))
+    path = along.joints[along.ok]
+    assert len(path) > 40
+    _, begin = exported.direct(path[0])
+    for q in path:
+        status, begin = exported.direct(q, start=begin)
+        assert status == 0
+        one = kinematics.direct(q)
+        np.testing.assert_allclose(begin.position[:], one.position, atol=1e-12)
+        status, back = exported.inverse(begin.position[:], begin.rotation[:], start=begin)
+        assert status == 0
+        np.testing.assert_allclose(back.joints[:], q, atol=1e-11)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_jacobians_are_the_differences_of_pythons_answers(name):
+    exported, model = Exported(name), robot(name)
+    kinematics, n = Kinematics(model), len(model.joints)
+    r, R = poses_in_workspace(model.mechanism, 1, np.random.default_rng(4))
+    q = kinematics.inverse(r[0], R[0]).joints
+    _, answer = exported.direct(q)
+    step = 1e-6 * np.eye(n)
+    ahead, back = (kinematics.direct(q + sign * step).configuration for sign in (1, -1))
+    expected = ahead.change_from(back)[:, n:].T / 2e-6
+    found = exported.jacobian(answer).reshape(6, n)
+    np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
+    controlled = model.mechanism.controlled
+    both = exported.jacobian(answer, "inverse_jacobian").reshape(n, 6)
+    assert not np.delete(both, controlled, axis=1).any()
+    if len(controlled) == n:
+        np.testing.assert_allclose(both[:, controlled] @ found[controlled], np.eye(n), atol=1e-8)
+    else:  # four lines hold three coordinates
+        there = found[controlled] @ both[:, controlled]
+        np.testing.assert_allclose(there, np.eye(len(controlled)), atol=1e-8)
+
+
+def test_nan_and_infinity_are_a_status_and_nothing_else_is_answered():
+    exported = Exported("delta54")
+    home = np.array(exported.model.mechanism.home.joints)
+    for bad in (np.nan, np.inf):
+        status, answer = exported.direct([bad, *home[1:]])
+        assert status == Status.INVALID_INPUT
+        assert np.isnan(answer.position[:]).all()
+        assert exported.inverse([0.0, bad, 0.1])[0] == Status.INVALID_INPUT
+        neutral = [0.0] * len(exported.model.conditions)
+        assert exported.direct(home, at=[bad, *neutral[1:]])[0] == Status.INVALID_INPUT
+
+
+def test_a_start_that_is_no_number_does_no_harm():
+    exported = Exported("delta54")
+    home = np.array(exported.model.mechanism.home.joints)
+    _, expected = exported.direct(home)
+    status, answer = exported.direct(home, start=exported.kind())  # all zero: no rotation
+    assert status in (Status.CONVERGED, Status.UNREACHABLE, Status.NOT_CONVERGED)
+    nothing = exported.kind()
+    nothing.position[0] = np.nan
+    status, answer = exported.direct(home, start=nothing)
+    assert status == Status.CONVERGED
+    np.testing.assert_allclose(answer.position[:], expected.position[:], atol=1e-10)
+
+
+def test_targets_out_of_reach_are_a_status():
+    exported = Exported("cable")
+    exported_delta = Exported("delta54")
+    assert exported_delta.inverse([0.0, 0.0, 5.0])[0] == Status.UNREACHABLE
+    assert exported.inverse([0.0, 0.0, 50.0])[0] in (Status.CONVERGED, Status.OUTSIDE_LIMITS)
+
+
+# ------------------------------------------------------------------ the command
+
+
+def test_the_command_writes_the_robot_alone_with_a_makefile_that_checks_it(tmp_path, capsys):
+    model = new_model("delta_nominal", effects=("encoder_eccentricity", "base_drift"))
+    values = {"encoder_eccentricity.joint1.sin": 1e-3, "base_drift.v_x": 1e-6}
+    model = model.with_values(model.table.vector(values))
+    write_model(model, tmp_path / "m.yaml")
+    out = tmp_path / "out"
+    words = ["export", str(tmp_path / "m.yaml"), "--to", "c:name=robot,poses=50", "-o", str(out)]
+    with pytest.raises(SystemExit) as ended:
+        main(words)
+    assert not ended.value.code
+    assert "robot.h" in capsys.readouterr().out
+    names = {"robot.c", "robot.h", "robot_check.c", "robot_vectors.csv", "Makefile"}
+    assert {path.name for path in out.iterdir()} == names
+    assert "other_status 0" in run(["make", "check"], out)
+
+
+@pytest.mark.parametrize(
+    ("target", "said"),
+    [
+        ("d", "no target 'd': expected one of c"),
+        ("c:size=3", "option 'size=3': expected one of name="),
+        ("c:poses=many", "option 'poses=many': expected one of name="),
+        ("c:poses=1", "poses=1: expected 2 or more"),
+        ("c:name=my robot", "name=my robot: expected a name that C takes"),
+    ],
+)
+def test_what_cannot_be_exported_is_said(target, said, tmp_path):
+    with pytest.raises(ModelError, match=said):
+        export(robot("cable"), target, tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_target_of_ones_own_is_a_file_on_the_python_path(tmp_path, monkeypatch):
+    (tmp_path / "my_pkg").mkdir()
+    (tmp_path / "my_pkg" / "my_target.py").write_text(
+        "def files(model, ending='txt'):\n    return {f'joints.{ending}': ' '.join(model.joints)}\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    [written] = export(robot("cable"), "my_pkg.my_target:ending=dat", tmp_path / "out")
+    assert written.name == "joints.dat"
+    assert written.read_text().split() == list(robot("cable").joints)
+
+
+def test_the_lines_of_the_page_compile(tmp_path):
+    page = (Path(__file__).parents[1] / "docs" / "export.md").read_text()
+    lines = page.split("```c\n")[1].split("```")[0]
+    around = "const double joints[3] = {0}, position[3] = {0};\ndouble residual;\n"
+    text = f'#include "delta54.h"\nint main(void)\n{{\n{around}{lines}return status;\n}}\n'
+    kept = folder("delta54").name
+    Path(kept, "page.c").write_text(text.replace("NULL", "0"))
+    run([*STRICT, "page.c", "delta54.c", "-o", "page", "-lm"], kept)
