@@ -207,7 +207,7 @@ def test_the_commands_write_samples_and_a_model_that_can_be_read(files, tmp_path
 @pytest.mark.parametrize(("words", "code", "message"), [
     (("new", "-o", "a.yaml"), 2, "--from FILE"),
     (("new", "delta24", "--from", "c.g", "-o", "a.yaml"), 2, "--from FILE"),
-    (("new", "--from", "c.stl", "-o", "a.yaml"), 1, "expected .g (rrf)"),
+    (("new", "--from", "c.stl", "-o", "a.yaml"), 1, "expected .cfg (klipper)"),
     (("import", "rrrf", "c.g", "-o", "a.json"), 1, "no importer 'rrrf': expected one of"),
     (("import", "rrf", "c.g", "-o", "a.json"), 1, "expected height maps (.csv)"),
     (("import", "rrf", "c.g", "h.csv", "-o", "a.json"), 1, "c.g: cannot be read: No such file"),

@@ -1,0 +1,183 @@
+"""Klipper's stored touches and configuration become samples and a model; or one clear line."""
+
+import numpy as np
+import pytest
+
+from parallel_cal.base.errors import ParallelCalError
+from parallel_cal.importing.door import configured, touches
+from parallel_cal.kinematics.kinematics import Kinematics
+
+MM, DEGREE = 1e-3, np.pi / 180
+LINEAR = """\
+[printer]
+kinematics: delta
+delta_radius: 140   # mm
+print_radius = 120
+
+[stepper_a]
+rotation_distance: 40
+microsteps: 16
+position_endstop: 300
+arm_length: 250
+homing_speed: 50
+[stepper_b]
+rotation_distance: 40
+microsteps: 16
+[stepper_c]
+rotation_distance: 40
+microsteps: 16
+gear_ratio: 2:1
+[gcode_macro X]
+gcode:
+    G28
+    M117 a=b
+[delta_calibrate]
+radius: 70
+
+#*# <---------------------- SAVE_CONFIG ---------------------->
+#*# DO NOT EDIT THIS BLOCK OR BELOW. The contents are auto-generated.
+#*#
+#*# [printer]
+#*# delta_radius = 150.000000
+#*#
+#*# [stepper_b]
+#*# angle = 331.000000
+#*# position_endstop = 299.500000
+#*#
+#*# [delta_calibrate]
+#*# height0 = 0.2
+#*# height0_pos = 24000.000,23960.000,48000.000
+#*# height1 = 0.0
+#*# height1_pos = 24016.000,23976.000,48032.000
+#*# manual_height0 = 0.1
+#*# manual_height0_pos = 24000.000,23960.000,48000.000
+#*# distance0 = 55.1
+#*# distance0_pos1 = 20000.0,20000.0,40000.0
+#*# distance0_pos2 = 20001.0,20000.0,40000.0
+"""
+ROTARY = """\
+[printer]
+kinematics: rotary_delta
+shoulder_radius: 50
+shoulder_height: 200
+[stepper_a]
+gear_ratio: 107.000:16, 60:16
+microsteps: 16
+full_steps_per_rotation: 400
+position_endstop: 50
+upper_arm_length: 100
+lower_arm_length: 250
+[stepper_b]
+microsteps: 16
+gear_ratio: 107.000:16, 60:16
+[stepper_c]
+microsteps: 16
+gear_ratio: 107.000:16, 60:16
+angle: 271
+[delta_calibrate]
+height0: 0
+height0_pos: 1000,2000.5,-300
+"""
+POINTS = np.array([[20, -35, 8], [-50, 10, 3], [5, 60, 40]]) * MM
+
+
+@pytest.fixture
+def file(tmp_path):
+    """file(text): its path."""
+
+    def write(text):
+        (tmp_path / "printer.cfg").write_text(text)
+        return [tmp_path / "printer.cfg"]
+
+    return write
+
+
+def test_steps_count_from_the_end_stops(file):
+    """A rod of 250 reaches 200 up over 150: carriages at 500, 499.5 and 500 mm, 300 mm above bed;
+    a step is 12.5 um, behind the gear 6.25 um."""
+    data = touches("klipper", file(LINEAR))
+    np.testing.assert_allclose(data.q[0], np.array([200, 200, 200]) * MM, atol=1e-12)
+    np.testing.assert_allclose(data.q[1], np.array([199.8, 199.8, 199.8]) * MM, atol=1e-12)
+    np.testing.assert_array_equal(data.conditions["reading.probe"], np.array([0.2, 0, 0.1]) * MM)
+    np.testing.assert_allclose(data.joint_sigma * 12**0.5, np.array([12.5, 12.5, 6.25]) * 1e-6)
+    assert data.warnings == (
+        "1 distances between touches are not used, a sample being one pose: the size stays unknown",
+    )
+    model = configured(file(LINEAR)).model
+    at = Kinematics(model).direct(data.q[:1] + 0.05).position
+    np.testing.assert_allclose(at, [[0, 0, 0.05]], atol=1e-9)
+    np.testing.assert_allclose(
+        [high for _, high in model.mechanism.joint_limits], [0.5, 0.4995, 0.5], atol=1e-12
+    )
+    assert model.value("chain2.D_y") == pytest.approx(0.15 * np.sin(DEGREE))
+
+
+def test_a_nozzle_beside_its_probe_takes_no_part_in_its_touches(file):
+    data = touches("klipper", file(LINEAR + "[probe]\nz_offset: 2\nx_offset: -20\n"))
+    assert len(data) == 2
+    assert data.warnings[0].startswith("manual heights")
+    model = configured(file(LINEAR + "[bltouch]\nz_offset: 2\ny_offset: 7\n")).model
+    assert model.sensors[0].tip == (0.0, 0.007, 0.0)
+
+
+def test_the_rotary_model_is_the_firmwares_formula(file):
+    """(dx, dy) from a shoulder to the nozzle, |elbow| = upper arm, |nozzle - elbow|^2 + across^2
+    = lower arm squared, solved here by bisection of the arm's angle."""
+    model = configured(file(ROTARY)).model
+    angles = []
+    for point in POINTS:
+        for a in np.radians([30, 150, 271]):
+            out, across = point[:2] @ [np.cos(a), np.sin(a)], point[:2] @ [-np.sin(a), np.cos(a)]
+            x, y = out - 0.05, point[2] - 0.2
+
+            def long(t, x=x, y=y, across=across):
+                return np.hypot(np.hypot(0.1 * np.cos(t) - x, 0.1 * np.sin(t) - y), across) - 0.25
+
+            low, high = np.arctan2(-y, -x) - np.pi, np.arctan2(-y, -x)  # folded out to stretched
+            for _ in range(60):
+                middle = (low + high) / 2
+                low, high = (middle, high) if long(middle) < 0 else (low, middle)
+            angles.append(low)
+    pose = Kinematics(model).direct(np.reshape(angles, (-1, 3)))
+    np.testing.assert_allclose(pose.position, POINTS, atol=1e-9)
+
+
+def test_steps_of_a_rotary_delta_are_angles(file):
+    data = touches("klipper", file(ROTARY))
+    model = configured(file(ROTARY)).model
+    top = Kinematics(model).inverse(np.array([[0, 0, 0.05]])).joints[0]
+    a_step = 2 * np.pi / 16 / (107 / 16 * 60 / 16)
+    steps = np.array([1000 / 400, 2000.5 / 200, -300 / 200])
+    np.testing.assert_allclose(data.q[0], top - a_step * steps, atol=1e-9)
+
+
+BROKEN = {
+    "kinematics": ("kinematics: delta", "kinematics: corexy", "cfg:2: [printer] kinematics is 'co"),
+    "no kinematics": ("kinematics: delta", "", "no [printer] kinematics, expected delta or"),
+    "no section": ("[printer]\nkin", "kin", "cfg:1: the line is 'kinematics: delta', expected [s"),
+    "no pair": ("microsteps: 16", "microsteps 16", "cfg:8: the line is 'microsteps 16', expected"),
+    "radius": ("150.000000", "15O", "cfg:30: [printer] delta_radius is '15O', expected mm"),
+    "short arm": ("arm_length: 250", "arm_length: 25", "cfg:10: [stepper_a] arm_length is '25'"),
+    "no arm": ("arm_length: 250", "", "no [stepper_a] arm_length, expected mm, longer"),
+    "no distance": ("[stepper_b]\nrotation_distance: 40", "[stepper_b]",
+                    "no [stepper_b] rotation_distance, expected mm a turn"),
+    "gear": ("2:1", "2", "cfg:18: [stepper_c] gear_ratio is '2', expected ratios such as"),
+    "gears": ("2:1", "2:x", "cfg:18: [stepper_c] gear_ratio is 'x', expected ratios"),
+    "endstop": ("299.500000", "nan", "cfg:34: [stepper_b] position_endstop is 'nan'"),
+    "height": ("height0 = 0.2", "height0 = high", "cfg:37: [delta_calibrate] height0 is 'high'"),
+    "position": ("24000.000,23960.000,", "24000.000,", "cfg:38: [delta_calibrate] height0_pos is"),
+    "step": ("23976.000", "2397o", "cfg:40: [delta_calibrate] height1_pos is '2397o', expected"),
+    "no position": ("height1_pos", "height1_at", "no [delta_calibrate] height1_pos, expected ste"),
+    "no touches": ("height", "weight", "no [delta_calibrate] height0, expected what DELTA_CALI"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_a_broken_file_is_named_with_line_and_field(file, name):
+    old, new, message = BROKEN[name]
+    assert old in LINEAR
+    with pytest.raises(ParallelCalError) as error:
+        touches("klipper", file(LINEAR.replace(old, new)))
+    assert message in str(error.value)
+    assert "printer.cfg" in str(error.value)
+    assert "\n" not in str(error.value)
