@@ -16,6 +16,7 @@ from io import StringIO
 from pathlib import Path
 
 import pytest
+import virtual_printer
 
 from parallel_cal.cli import main as cli
 
@@ -117,6 +118,26 @@ def test_the_tutorial_shows_what_the_command_prints(run, command, lines):
     assert code == (1 if refused else 0), "\n".join(printed)
     for line in lines:
         assert any(like(line, p) for p in printed), f"not printed: {line}\n" + "\n".join(printed)
+
+
+@pytest.mark.wide
+def test_the_printers_page_shows_what_its_commands_print(tmp_path):
+    """Its virtual printer writes the maps; the commands run in order."""
+    printer = virtual_printer.drawn(3, wobble=30e-6)
+    (tmp_path / "config.g").write_text(virtual_printer.CONFIG)
+    for name, seed, step in (("heightmap", 0, 10e-3), ("check", 1, 13e-3)):
+        file = tmp_path / f"{name}.csv"
+        file.write_text(virtual_printer.height_map(printer, seed, step))
+    page = (ROOT / "docs" / "delta_printer.md").read_text(encoding="utf-8")
+    shown = "".join(re.findall(r"^```console\n(.*?)^```$", page, flags=re.M | re.S)).splitlines()
+    assert sum(line.startswith("$ ") for line in shown) <= 15
+    printed = []
+    for line in shown:
+        if line.startswith("$ "):
+            code, printed = execute(shlex.split(line[2:]), tmp_path)
+            assert code == 0, "\n".join(printed)
+        elif line != "...":
+            assert any(like(line, p) for p in printed), f"not printed: {line}\n{printed}"
 
 
 @pytest.mark.wide

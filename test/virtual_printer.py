@@ -5,7 +5,7 @@ Like `virtual_robot`, this file shares nothing with the package.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from virtual_robot import Array
@@ -78,3 +78,60 @@ def places(n: int, seed: int) -> Array:
     rng = np.random.default_rng([seed, 32])
     out, around = REACH * np.sqrt(rng.random(n)), rng.uniform(0, 2 * np.pi, n)
     return np.column_stack([out * np.cos(around), out * np.sin(around)])
+
+
+CONFIG = """\
+; config.g of a small delta printer, as its kit's manual has it
+M92 X160 Y160 Z160            ; steps a mm
+M665 L250 R100 H300 B65       ; rods, delta radius, homed height, printable radius (mm)
+M666 X0 Y0 Z0                 ; end-stops (mm)
+G31 P500 X0 Y0 Z0.1           ; the nozzle probes, trigger height 0.1 mm
+"""
+
+
+def believed(r: Array) -> Array:
+    """Carriage heights (N, 3) of the firmware with CONFIG for the nozzle at r (N, 3)."""
+    around = np.radians([210.0, 330.0, 90.0])
+    towers = 0.1 * np.column_stack([np.cos(around), np.sin(around)])
+    away = np.linalg.norm(r[:, None, :2] - towers, axis=2)
+    return r[:, 2:] + np.sqrt(0.25**2 - away**2)
+
+
+def heights(printer: Printer, xy: Array) -> Array:
+    """Believed heights (N,) at which the nozzle touches the bed on its way down at believed xy.
+
+    Where it really is, (u, v) on the bed, its carriages are where the firmware wants them.
+    """
+    turned = replace(printer, angle=printer.angle + np.radians(210.0))
+    unknown = np.column_stack([xy, np.zeros(len(xy))])  # u, v, believed height
+
+    def missed(unknown: Array) -> Array:
+        real = np.column_stack([unknown[:, :2], printer.bed(unknown[:, :2])])
+        return turned.readings(real) - believed(np.column_stack([xy, unknown[:, 2]]))
+
+    for _ in range(20):
+        now, J = missed(unknown), np.empty((len(xy), 3, 3))
+        for k, step in enumerate(1e-7 * np.eye(3)):
+            J[:, :, k] = (missed(unknown + step) - now) / 1e-7
+        unknown = unknown - np.linalg.solve(J, now[:, :, None])[:, :, 0]
+    return unknown[:, 2]
+
+
+def height_map(printer: Printer, seed: int, step: float, noise: float = 5e-6) -> str:
+    """heightmap.csv of a grid of `step` m over the round bed, touched with some noise (m)."""
+    n = int(2 * REACH / step + 1e-9) + 1
+    line = step * (np.arange(n) - (n - 1) / 2)
+    x, y = (each.ravel() for each in np.meshgrid(line, line))
+    on_bed = np.hypot(x, y) < REACH
+    found = np.zeros(n * n)
+    found[on_bed] = heights(printer, np.column_stack([x, y])[on_bed])
+    found += noise * np.random.default_rng([seed, 34]).standard_normal(n * n)
+    cells = [f"{1e3 * h:7.3f}" if on else "      0" for h, on in zip(found, on_bed, strict=True)]
+    low, high, apart = (f"{1e3 * length:.2f}" for length in (line[0], line[-1], step))
+    rows = [",".join(cells[k * n : (k + 1) * n]) for k in range(n)]
+    return "\n".join([
+        "RepRapFirmware height map file v2 generated at 2026-11-22 10:00, min error 0, max error 0",
+        "axis0,axis1,min0,max0,min1,max1,radius,spacing0,spacing1,num0,num1",
+        f"X,Y,{low},{high},{low},{high},{1e3 * REACH:.1f},{apart},{apart},{n},{n}",
+        *rows, "",
+    ])  # fmt: skip

@@ -16,6 +16,10 @@ from parallel_cal.recordings.recording import Array, Dropped
 from parallel_cal.recordings.samples import READING
 
 PROBE = READING + "probe"
+NO_SIZE = (
+    "touches of a plate cannot tell the size: a printer too large by a hundredth touches alike; a "
+    "printed length that is measured tells it"
+)
 
 
 def touches(
@@ -63,5 +67,5 @@ def of_joints(
         source=files,
         sha256=sha256(paths),
         dropped=tuple(dropped),
-        warnings=tuple(warnings),
+        warnings=(NO_SIZE, *warnings),
     )
