@@ -15,7 +15,12 @@ from parallel_cal.reporting import console
 def export(
     model: ModelFile,
     to: Annotated[
-        str, typer.Option("--to", metavar="TARGET[:option=value,...]", help="c: C99 source")
+        str,
+        typer.Option(
+            "--to",
+            metavar="TARGET[:option=value,...]",
+            help="c, table, ... or your own's Python path",
+        ),
     ],
     output: Annotated[Path, typer.Option("-o", "--output", help="folder to write into")],
     as_json: Json = False,

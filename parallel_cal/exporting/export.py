@@ -9,7 +9,7 @@ from typing import Any
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.files import write_atomically
 from parallel_cal.model.model import Model
-from parallel_cal.model.shelf import load_module, own, shelf_names
+from parallel_cal.model.shelf import load_module, own
 
 SHELF = "exporting.targets"
 
@@ -30,12 +30,6 @@ def export(model: Model, target: str, folder: str | Path) -> list[Path]:
     for path, text in zip(paths, made.values(), strict=True):
         write_atomically(path, text)
     return paths
-
-
-def targets() -> dict[str, str]:
-    """Name and purpose of every target on the shelf: the first line of its file."""
-    docs = {name: load_module(SHELF, name).__doc__ or "" for name in shelf_names(SHELF)}
-    return {name: doc.split("\n")[0] for name, doc in docs.items()}
 
 
 def _options(files: Any, given: str) -> dict[str, Any]:

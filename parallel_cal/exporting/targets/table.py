@@ -1,0 +1,86 @@
+"""The look-up table of section 6.1: corrections to the nominal solution, with the error it leaves.
+
+For a controller that can do no more than look up and interpolate linearly.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+
+from parallel_cal.base.documents import plain
+from parallel_cal.base.errors import ModelError
+from parallel_cal.base.rotation import rotation_vector
+from parallel_cal.kinematics.kinematics import Kinematics, Solutions
+from parallel_cal.kinematics.solvers import lookup_table
+from parallel_cal.kinematics.solvers.lookup_table import LookUpTable
+from parallel_cal.model.mechanism import POSE, poses_in_workspace
+from parallel_cal.model.model import Model
+
+PROBLEMS = ("inverse", "direct")
+JUDGED = 2000  # poses over the workspace, none of them on the grid
+
+
+def files(
+    model: Model, problem: str = "inverse", size: int = 9, order: str = "linear"
+) -> dict[str, str]:
+    """A line for each of `size` grid points an axis: given coordinates, corrections (joints, or the
+    pose's x y z and small turn); beside it what it corrects, and the error that is left."""
+    if problem not in PROBLEMS:
+        raise ModelError(f"problem={problem}: expected one of {', '.join(PROBLEMS)}")
+    table = lookup_table.table_for(model, problem, None, size, order)
+    m, n = model.mechanism, len(model.joints)
+    axes, answers = (m.controls, model.joints) if problem == "inverse" else (model.joints, POSE)
+    values = table.values[..., : n if problem == "inverse" else 6]
+    grid = np.stack(np.meshgrid(*table.axes, indexing="ij"), -1)
+    rows = np.concatenate([grid, values], axis=-1).reshape(-1, len(axes) + len(answers))
+    header = ",".join([*axes, *(f"d_{name}" for name in answers)])
+    lines = [",".join(map(repr, row)) for row in rows.tolist()]
+    about = {
+        "problem": problem,
+        "interpolation": order,
+        "axes": dict(zip(axes, table.axes, strict=True)),
+        "bytes_as_float32": 4 * values.size,
+        "conditions": dict(zip(model.conditions, model.structure.neutral, strict=True)),
+        "nominal": model.table.mapping(model.table.nominal),
+        "error": _error(model, table, problem),
+    }
+    return {
+        "table.csv": "\n".join([header, *lines]) + "\n",
+        "table.json": json.dumps(plain(about), indent=1, allow_nan=False) + "\n",
+    }
+
+
+def _error(model: Model, table: LookUpTable, problem: str) -> dict[str, Any]:
+    """Of poses at random: where the robot goes less where it was sent (m, rad); direct: where it is
+    told to be less where it is. `without` is the same of the nominal solution alone."""
+    exact, m = Kinematics(model), model.mechanism
+    r, R = poses_in_workspace(m, JUDGED, np.random.default_rng(1))
+    wanted = exact.inverse(r, R)
+    order, size = table.order, len(table.axes[0])
+    if problem == "inverse":
+        found = lookup_table.inverse(model, r, R, size=size, order=order)
+        usual = table.nominal.inverse(r, R)
+        pair = [exact.direct(s.joints) for s in (found, usual)]
+    else:
+        found = lookup_table.direct(model, wanted.joints, size=size, order=order)
+        pair = [found, table.nominal.direct(wanted.joints)]
+    left, without = (_apart(model, wanted, s) for s in pair)
+    return {**left, "without": without}
+
+
+def _apart(model: Model, wanted: Solutions, s: Solutions) -> dict[str, Any]:
+    """Mean and largest difference of what the robot controls, and where it is largest."""
+    turned = rotation_vector(s.rotation @ wanted.rotation.transpose(0, 2, 1))
+    change = np.hstack([s.position - wanted.position, turned])
+    found: dict[str, Any] = {}
+    for kind, part in (("position", range(3)), ("orientation", range(3, 6))):
+        columns = [i for i in part if i in model.mechanism.controlled]
+        norm = np.linalg.norm(change[:, columns], axis=1)
+        if columns:
+            worst = int(np.nanargmax(norm))
+            found |= {f"{kind}_mean": np.nanmean(norm), f"{kind}_max": norm[worst],
+                      f"{kind}_worst_at": wanted.position[worst]}  # fmt: skip
+    return found

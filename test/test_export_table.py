@@ -1,0 +1,66 @@
+"""The exported look-up table, read and interpolated by somebody else."""
+
+import json
+
+import numpy as np
+import pytest
+import virtual_robot as vr
+from scipy.interpolate import RegularGridInterpolator
+
+from parallel_cal.base.errors import ModelError
+from parallel_cal.exporting.export import export
+from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.model.model import new_model
+
+MOCK_UP = new_model("delta54", vr.TABLE_5_18)
+
+
+def read(folder):
+    """(axes, values, what is said of it) as a controller's programmer would read the files."""
+    about = json.loads((folder / "table.json").read_text())
+    axes = [np.array(axis) for axis in about["axes"].values()]
+    rows = np.loadtxt(folder / "table.csv", delimiter=",", skiprows=1)
+    shape = [len(axis) for axis in axes]
+    assert (rows[:, 0].reshape(shape)[:, 0, 0] == axes[0]).all()
+    return axes, rows[:, len(axes) :].reshape(*shape, -1), about
+
+
+@pytest.mark.wide
+def test_the_stated_error_is_what_an_independent_robot_shows(tmp_path):
+    """Trilinear interpolation by scipy, the robot by rods and points."""
+    paths = export(MOCK_UP, "table:size=7", tmp_path)
+    assert {path.name for path in paths} == {"table.csv", "table.json"}
+    axes, values, about = read(tmp_path)
+    assert about["bytes_as_float32"] == 4 * 3 * 7**3
+    nominal = Kinematics(MOCK_UP.with_values(MOCK_UP.table.vector(about["nominal"])))
+    asked = vr.targets(2000, seed=11)
+    inside = np.all(
+        [(a[0] <= c) & (c <= a[-1]) for a, c in zip(axes, asked.T, strict=True)], axis=0
+    )
+    asked = asked[inside]
+    assert len(asked) > 500
+    joints = nominal.inverse(asked).joints + RegularGridInterpolator(axes, values)(asked)
+    left = np.linalg.norm(vr.MOCK_UP.forward(joints)[0] - asked, axis=1)
+    assert left.mean() == pytest.approx(about["error"]["position_mean"], rel=0.15)
+    assert left.max() == pytest.approx(about["error"]["position_max"], rel=0.35)
+    before = np.linalg.norm(vr.MOCK_UP.forward(nominal.inverse(asked).joints)[0] - asked, axis=1)
+    assert before.mean() == pytest.approx(about["error"]["without"]["position_mean"], rel=0.15)
+    assert left.mean() < before.mean() / 20
+
+
+@pytest.mark.wide
+def test_the_direct_table_tells_the_pose(tmp_path):
+    export(MOCK_UP, "table:problem=direct,size=7", tmp_path)
+    axes, values, about = read(tmp_path)
+    assert list(about["axes"]) == ["joint1", "joint2", "joint3"]
+    nominal = Kinematics(MOCK_UP.with_values(MOCK_UP.table.vector(about["nominal"])))
+    q, _ = vr.MOCK_UP.inverse(vr.targets(500, seed=12))
+    change = RegularGridInterpolator(axes, values, bounds_error=False)(q)
+    found = nominal.direct(q).position + change[:, :3]
+    left = np.linalg.norm(vr.MOCK_UP.forward(q)[0] - found, axis=1)
+    assert np.nanmean(left) == pytest.approx(about["error"]["position_mean"], rel=0.2)
+
+
+def test_an_unknown_problem_is_said(tmp_path):
+    with pytest.raises(ModelError, match="problem=both: expected one of inverse, direct"):
+        export(MOCK_UP, "table:problem=both", tmp_path)
