@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from parallel_cal.base.errors import ParallelCalError
-from parallel_cal.importing.door import configured, touches
+from parallel_cal.importing.door import configured, samples
 from parallel_cal.kinematics.kinematics import Kinematics
 
 MM, DEGREE = 1e-3, np.pi / 180
@@ -95,7 +95,7 @@ def file(tmp_path):
 def test_steps_count_from_the_end_stops(file):
     """A rod of 250 reaches 200 up over 150: carriages at 500, 499.5 and 500 mm, 300 mm above bed;
     a step is 12.5 um, behind the gear 6.25 um."""
-    data = touches("klipper", file(LINEAR))
+    data = samples("klipper", file(LINEAR))
     np.testing.assert_allclose(data.q[0], np.array([200, 200, 200]) * MM, atol=1e-12)
     np.testing.assert_allclose(data.q[1], np.array([199.8, 199.8, 199.8]) * MM, atol=1e-12)
     np.testing.assert_array_equal(data.conditions["reading.probe"], np.array([0.2, 0, 0.1]) * MM)
@@ -113,7 +113,7 @@ def test_steps_count_from_the_end_stops(file):
 
 
 def test_a_nozzle_beside_its_probe_takes_no_part_in_its_touches(file):
-    data = touches("klipper", file(LINEAR + "[probe]\nz_offset: 2\nx_offset: -20\n"))
+    data = samples("klipper", file(LINEAR + "[probe]\nz_offset: 2\nx_offset: -20\n"))
     assert len(data) == 2
     assert data.warnings[1].startswith("manual heights")
     model = configured(file(LINEAR + "[bltouch]\nz_offset: 2\ny_offset: 7\n")).model
@@ -143,7 +143,7 @@ def test_the_rotary_model_is_the_firmwares_formula(file):
 
 
 def test_steps_of_a_rotary_delta_are_angles(file):
-    data = touches("klipper", file(ROTARY))
+    data = samples("klipper", file(ROTARY))
     model = configured(file(ROTARY)).model
     top = Kinematics(model).inverse(np.array([[0, 0, 0.05]])).joints[0]
     a_step = 2 * np.pi / 16 / (107 / 16 * 60 / 16)
@@ -177,7 +177,7 @@ def test_a_broken_file_is_named_with_line_and_field(file, name):
     old, new, message = BROKEN[name]
     assert old in LINEAR
     with pytest.raises(ParallelCalError) as error:
-        touches("klipper", file(LINEAR.replace(old, new)))
+        samples("klipper", file(LINEAR.replace(old, new)))
     assert message in str(error.value)
     assert "printer.cfg" in str(error.value)
     assert "\n" not in str(error.value)

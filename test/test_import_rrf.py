@@ -8,7 +8,7 @@ import pytest
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.cli import main as cli
 from parallel_cal.importing.deltas import Shoulders, Towers
-from parallel_cal.importing.door import configured, touches
+from parallel_cal.importing.door import configured, samples
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.file.modelfile import parse_model
 
@@ -32,6 +32,7 @@ X,Y,-40.00,40.00,-30.00,30.00,50.00,40.00,60.00,3,2
 OLD = MAP.replace("axis0,axis1,min0,max0,min1,max1,radius,spacing0,spacing1,num0,num1",
                   "xmin,xmax,ymin,ymax,radius,xspacing,yspacing,xnum,ynum")  # fmt: skip
 OLD = OLD.replace("X,Y,-40", "-40")
+TOP = np.full(3, 0.5)
 POINTS = np.array([[20, -35, 8], [-50, 10, 3], [5, 60, 40]]) * MM
 
 
@@ -52,12 +53,14 @@ def three(*values):
 
 
 def test_carriages_of_a_linear_delta_stand_where_pythagoras_puts_them():
-    delta = Towers(three(150, 150, 150) * MM, three(250, 250, 250) * MM, three(-30, 0, 0) * DEGREE)
+    delta = Towers(
+        three(150, 150, 150) * MM, three(250, 250, 250) * MM, three(-30, 0, 0) * DEGREE, TOP
+    )
     np.testing.assert_allclose(delta.joints(np.array([[0, 0, 0.01]])), [[0.21] * 3], rtol=1e-12)
     # 70 mm from tower C at (0, 150), from tower A, trimmed to (-150, 0): 250^2 = 70^2 + 240^2
     assert delta.joints(np.array([[0, 0.08, 0.01]]))[0, 2] == pytest.approx(0.25, abs=1e-12)
     assert delta.joints(np.array([[-0.08, 0, 0.01]]))[0, 0] == pytest.approx(0.25, abs=1e-12)
-    tilted = Towers(delta.radius, delta.rods, delta.trim, tilt=(0.01, 0.02))
+    tilted = Towers(delta.radius, delta.rods, delta.trim, TOP, tilt=(0.01, 0.02))
     rise = tilted.joints(POINTS) - delta.joints(POINTS)
     np.testing.assert_allclose(rise[0], 0.01 * 0.020 - 0.02 * 0.035, atol=1e-15)
 
@@ -94,7 +97,7 @@ def test_the_model_as_configured_is_the_firmwares_formula(files, config):
 def test_a_tilted_bed_is_where_m666_says(files):
     _, path = files(LINEAR.replace("A0.00 B0.00", "A1 B-0.5").replace("X10 Y0 Z2.5", ""))
     found = configured([path]).model
-    level = Kinematics(found).direct(touches("rrf", files(path.read_text(), OLD)).q)
+    level = Kinematics(found).direct(samples("rrf", files(path.read_text(), OLD)).q)
     normal = np.array([-0.01, 0.005, 1])
     heights = level.position @ normal
     np.testing.assert_allclose(heights, three(0.1, -0.05, 0, 0.2) * MM, atol=2e-6)
@@ -105,7 +108,7 @@ def test_a_tilted_bed_is_where_m666_says(files):
 @pytest.mark.parametrize("heights", [MAP, OLD])
 def test_cells_are_touches_with_the_nozzle_beside_and_above_the_tip(files, heights):
     paths = files(LINEAR, heights)
-    data = touches("rrf", paths)
+    data = samples("rrf", paths)
     nozzle = np.array([(-50, -30, 2.6), (-10, -30, 2.45), (-50, 30, 2.5), (-10, 30, 2.7)]) * MM
     np.testing.assert_allclose(Kinematics(configured(paths[1:]).model).direct(data.q).position,
                                nozzle, atol=1e-9)  # fmt: skip
@@ -121,7 +124,7 @@ def test_later_settings_count_and_maps_of_one_grid_are_visits_of_the_same_places
     paths = files()
     (tmp_path / "override.g").write_text("M665 R149 H241\n")
     (tmp_path / "second.csv").write_text(MAP.replace("0.200", "0.210"))
-    data = touches("rrf", [*paths, tmp_path / "override.g", tmp_path / "second.csv"])
+    data = samples("rrf", [*paths, tmp_path / "override.g", tmp_path / "second.csv"])
     assert data.pose_id[:4].tolist() == data.pose_id[4:].tolist()
     model = configured([paths[1], tmp_path / "override.g"]).model
     assert model.value("chain2.D_x") == pytest.approx(0.149)
@@ -167,6 +170,7 @@ BROKEN = {
     "short rods": (LINEAR.replace("L250", "L100"), MAP, "config.g:4: M665 L is '100.000'"),
     "two rods": (LINEAR.replace("L250", "L250:251"), MAP, "config.g:4: M665 L is '250:251.000'"),
     "radius": (LINEAR.replace("R150", "R{var.r}"), MAP, "config.g:4: M665 R is '{var.r}'"),
+    "no blanks": (LINEAR.replace("R150 H", "R150H"), MAP, "config.g:4: M665 R is '150H240', exp"),
     "comma": (LINEAR.replace("H240", "H240,5"), MAP, "config.g:4: M665 H is '240,5'"),
     "inches": (LINEAR.replace("G21", "G20"), MAP, "config.g:2: unit is 'G20', expected mill"),
     "CoreXY": (LINEAR + "M669 K1\n", MAP, "config.g:7: M669 K is '1', expected 3 (linear"),
@@ -178,7 +182,7 @@ BROKEN = {
 def test_a_broken_file_is_named_with_line_and_field(files, name):
     config, heights, message = BROKEN[name]
     with pytest.raises(ParallelCalError) as error:
-        touches("rrf", files(config, heights))
+        samples("rrf", files(config, heights))
     assert message in str(error.value)
     assert "expected" in str(error.value)
     assert "\n" not in str(error.value)

@@ -23,10 +23,10 @@ def import_(
     as_json: Json = False,
 ) -> None:
     """Make samples of what a controller stored: touches, with the joints it believed in."""
-    from parallel_cal.importing.door import touches
+    from parallel_cal.importing.door import samples
     from parallel_cal.recordings.info import info_of
 
-    dataset = touches(kind, files, **options_given(option))
+    dataset = samples(kind, files, **options_given(option))
     dataset.to_json(output)
     document = info_of(dataset)
     show_info(document | {"output": str(output)} if as_json else document, as_json)

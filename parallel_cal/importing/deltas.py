@@ -47,15 +47,15 @@ class Delta(Protocol):
 
 @dataclass(frozen=True)
 class Towers:
-    """A linear Delta: `first` and `trim` give the towers' angles (rad)."""
+    """A linear Delta: `first` and `trim` give the towers' angles (rad), `end_stops` their tops."""
 
     radius: Array
     rods: Array
     trim: Array
+    end_stops: Array
     first: float = 210 * DEGREE
     tilt: tuple[float, float] = (0.0, 0.0)
     zero: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    end_stops: Array | None = None
     reach: float | None = None
 
     @property
@@ -81,9 +81,7 @@ class Towers:
                 f"chain{i + 1}.Lb": self.rods[i],
             }
         mechanism.parameters = mechanism.parameters.with_nominal(nominal)
-        top = self.joints(np.array([[0.0, 0.0, 2 * self.rods.max()]]))[0]
-        ends = top if self.end_stops is None else self.end_stops
-        mechanism.joint_limits = tuple((-0.1, float(end)) for end in ends)
+        mechanism.joint_limits = tuple((-0.1, float(top)) for top in self.end_stops)
         return _placed(mechanism, self, self.reach or 0.6 * float(self.radius.mean()))
 
 

@@ -1,4 +1,4 @@
-"""The door of this room: touches that a controller stored, and the model it moves by."""
+"""The door of this room: samples of what a controller stored, and the model it moves by."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ class Configured:
     remarks: tuple[str, ...] = ()
 
 
-def touches(kind: str, paths: Sequence[Path], **options: Any) -> Dataset:
+def samples(kind: str, paths: Sequence[Path], **options: Any) -> Dataset:
     """The samples in a controller's files; DatasetError naming file, line and field."""
-    read = load_module(SHELF, kind, DatasetError).touches
+    read = load_module(SHELF, kind, DatasetError).samples
     takes = [str(p.replace(annotation=p.empty)) for p in [*signature(read).parameters.values()][1:]]
     try:
         signature(read).bind(paths, **options)

@@ -8,12 +8,11 @@ from pathlib import Path
 
 from parallel_cal.importing.stated import Place, Stated, lines
 
-WORD = re.compile(r"[A-Za-z][-+\d.:]+")
 COMMAND = re.compile(r"\s*(?:N\d+\s*)?([GM]\d+)(?![\d.])(.*)")
 
 
 def settings(paths: Sequence[Path], codes: Sequence[str]) -> Stated:
-    """The words of `codes` in files of G-code, one command a line, by `M665 L`; mm and degrees."""
+    """The words of `codes` in files of G-code, blanks between the words, by `M665 L`."""
     texts: dict[str, tuple[str, Place]] = {}
     for path in paths:
         for place, line in lines(path):
@@ -32,7 +31,5 @@ def take(
     if code not in codes or not found:
         return None
     for word in found[2].split():
-        together = WORD.findall(word)  # L250R150
-        for each in together if "".join(together) == word else [word]:
-            texts[f"{code} {each[0].upper()}"] = (each[1:], place)
+        texts[f"{code} {word[0].upper()}"] = (word[1:], place)
     return code

@@ -30,7 +30,7 @@ KINDS = "delta or rotary_delta"
 UNUSED = "distances between touches are not used, a sample being one pose: the size stays unknown"
 
 
-def touches(paths: Sequence[Path]) -> Dataset:
+def samples(paths: Sequence[Path]) -> Dataset:
     """The heights of [delta_calibrate]; its distances and, beside an offset probe, its manual
     heights are not used, which the warnings say."""
     stated = settings(paths)

@@ -19,7 +19,7 @@ from parallel_cal.importing.deltas import DEGREE, MM, Delta, Shoulders, Towers
 from parallel_cal.importing.door import Configured
 from parallel_cal.importing.gcode import settings
 from parallel_cal.importing.stated import Place, Stated, lines
-from parallel_cal.importing.touched import touches as touched
+from parallel_cal.importing.touched import touches
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_mechanism
 from parallel_cal.recordings.dataset import Dataset
@@ -39,7 +39,7 @@ STEPS = 80.0  # a mm, or a degree, where M92 says nothing
 ANCHORS = "ABCDEFGHI"
 
 
-def touches(paths: Sequence[Path]) -> Dataset:
+def samples(paths: Sequence[Path]) -> Dataset:
     """The touches of height maps, the nozzle beside and above the probe's tip as G31 says."""
     maps = [path for path in paths if path.suffix.lower() == ".csv"]
     if not maps or len(maps) == len(paths):
@@ -51,7 +51,7 @@ def touches(paths: Sequence[Path]) -> Dataset:
     delta, unit = _delta(stated), _unit(stated)
     read = [read_map(path) for path in maps]
     points = np.concatenate([each[0] for each in read])
-    return touched(
+    return touches(
         delta,
         (points - tip(stated)),
         [place for each in read for place in each[1]],

@@ -1,0 +1,76 @@
+"""LinuxCNC: a probe log of a linear Delta and the HAL file that sets lineardeltakins up.
+
+A log that (PROBEOPEN) opened holds X Y Z A B C U V W of each touch, one a line, in the program's
+coordinates and units: probe with no offsets active. Sources: LinuxCNC documentation, "G-codes"
+(G38.x, Probe Logging), "Kinematics" and the manual page lineardeltakins(9).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from parallel_cal.base.errors import DatasetError
+from parallel_cal.importing import deltas
+from parallel_cal.importing.deltas import DEGREE, Towers
+from parallel_cal.importing.door import Configured
+from parallel_cal.importing.stated import Place, Stated, lines
+from parallel_cal.importing.touched import touches
+from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.recordings.table import UNITS
+
+CONFIGURATION = (".hal",)
+AXES = "XYZABCUVW"
+KINS = "lineardeltakins."
+NO_PROBE = np.zeros(3)
+
+
+def samples(paths: Sequence[Path], unit: str, step: float = 1e-6) -> Dataset:
+    """The touches of logs beside a .hal file, both in `unit`; `step` (m) of a motor or encoder."""
+    logs = [path for path in paths if path.suffix not in CONFIGURATION]
+    delta = _towers([path for path in paths if path not in logs], unit)
+    nozzle, places = [], []
+    for path in logs:
+        for place, line in lines(path):
+            if words := line.split():
+                if len(words) != len(AXES):
+                    raise place.error("the line", line.strip(), f"nine numbers: {' '.join(AXES)}")
+                axes = [
+                    place.number(axis, word, "a number", -1e6, 1e6)
+                    for axis, word in zip(AXES, words, strict=True)
+                ]
+                nozzle.append(np.array(axes[:3]) * UNITS[unit])
+                places.append(place)
+    return touches(delta, nozzle, places, paths, step)
+
+
+def configured(paths: Sequence[Path]) -> Configured:
+    """The machine as `setp lineardeltakins.R` and `.L` have it, in mm."""
+    remark = "lengths in the HAL file are taken for mm"
+    return deltas.configured(_towers(paths, "mm"), NO_PROBE, remarks=[remark])
+
+
+def _towers(paths: Sequence[Path], unit: str) -> Towers:
+    """R, L and J0off, J1off, J2off of lineardeltakins, whose joint 0 stands along y."""
+    if unit not in ("m", "mm", "in"):
+        raise DatasetError(f"unit={unit}: expected mm, in or m, the program's unit")
+    texts: dict[str, tuple[str, Place]] = {}
+    for path in paths:
+        for place, line in lines(path):
+            if found := re.match(r"\s*setp\s+(lineardeltakins\.\w+)\s*=?\s*([^\s#]*)", line):
+                texts[found[1]] = (found[2], place)
+    stated, size = Stated(texts, paths), UNITS[unit]
+    radius = stated.number(f"{KINS}R", f"setp, the radius in {unit}", low=1e-3)
+    rod = stated.number(f"{KINS}L", f"setp, the rods' length in {unit}, more than R", low=radius)
+    zero = [stated.number(f"{KINS}J{i}off", unit, 0.0) * size for i in range(3)]
+    return Towers(
+        np.full(3, radius * size),
+        np.full(3, rod * size),
+        np.zeros(3),
+        np.full(3, 3 * rod * size),  # its limits are the INI file's
+        first=90 * DEGREE,
+        zero=(zero[0], zero[1], zero[2]),
+    )

@@ -1,0 +1,138 @@
+"""Marlin: a captured log of a linear Delta, with M503 and the touches of G29, G30 or G33.
+
+Touches are lines `Bed X: Y: Z:` (G29 V4, G30), and the report of `G33 P2 V3` or `P3`, whose
+numbers are single touches (but for a mean near the centre); of P4 and more they are means over the
+bed. Each belongs to the settings before it, and joints count from the end-stops, so that settings
+may change; the last ones are the machine's. Sources: Marlin documentation, "M665", "M666", "M851",
+"G29", "G30", "G33 - Delta Auto Calibration".
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from parallel_cal.base.errors import DatasetError
+from parallel_cal.importing import deltas
+from parallel_cal.importing.deltas import DEGREE, MM, Towers
+from parallel_cal.importing.door import Configured
+from parallel_cal.importing.gcode import take
+from parallel_cal.importing.stated import Place, Stated, lines
+from parallel_cal.importing.touched import of_joints
+from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.recordings.recording import Array
+
+CONFIGURATION = (".log", ".txt")
+CODES = ("M92", "M665", "M666", "M851")
+BEFORE = re.compile(
+    r"^.*?(?:Recv|Send|RECV|SENDING|<<<|>>>|echo)\s*:?\s*(?:[\d:.]+:)?\s*(?:echo:)?"
+)
+BED = re.compile(r"Bed X:\s*(\S+)\s+Y:\s*(\S+)\s+Z:\s*(\S+)")
+REPORT = re.compile(r"(?<!\w)(c|x|y|z|yz|zx|xy):\s*([-+.\w]+)")
+SETTING = re.compile(r"(Height|E[xyz]|Radius|T[xyz]):\s*([-+.\w]+)")
+FIELDS = {"Height": "M665 H", "Radius": "M665 R"}
+FIELDS |= {f"E{a}": f"M666 {a.upper()}" for a in "xyz"}
+FIELDS |= {f"T{a}": f"M665 {a.upper()}" for a in "xyz"}
+AROUND = {"x": 210, "xy": 270, "y": 330, "yz": 30, "z": 90, "zx": 150}  # degrees of G33's points
+STEPS = 80.0  # a mm, where M92 is not in the log
+MEANS = "G33's numbers are means of touches, but for P2 and P3: not used"
+
+
+def samples(paths: Sequence[Path]) -> Dataset:
+    """The touches of a log; G33 with more than P3, or whose command is not in it, is not used."""
+    texts: dict[str, tuple[str, Place]] = {}
+    stated, found, skipped = Stated(texts, paths), [], False
+    radius, single = None, False
+    for place, line in _settled(paths, texts):
+        if asked := re.search(r"(?<!\w)G33\b(.*)", line):
+            points = re.search(r"P(\d+)", asked[1])
+            if "Calibrate" not in line:
+                single = points is not None and int(points[1]) in (1, 2, 3)
+        elif at := re.search(r"at radius:\s*(\S+)", line):
+            radius = place.number("at radius", at[1], "mm above 0", low=1.0)
+        elif touch := BED.search(line):
+            bed = [
+                place.number(f"Bed {a}", t, "mm", -1e3, 1e3)
+                for a, t in zip("XYZ", touch.groups(), strict=True)
+            ]
+            found.append(_reading(stated, np.array(bed) * MM - tip(stated)))
+        elif line.startswith(".") and (report := REPORT.findall(line)):
+            skipped |= not single
+            for name, text in report if single else ():
+                z = place.number(f"G33 {name}", text, "mm within 20 of the bed", -20.0, 20.0)
+                out = 0.0 if name == "c" else _radius(stated, radius)
+                turn = AROUND.get(name, 0) * DEGREE
+                nozzle = np.array([out * np.cos(turn), out * np.sin(turn), z])
+                found.append(_reading(stated, nozzle * MM - tip(stated) * [0, 0, 1]))
+    if not found:
+        expected = "'Bed X: Y: Z:' lines (G29 V4, G30) or the report of G33 P2 V3 or P3 V3"
+        why = f"; {MEANS}" if skipped else ""
+        raise DatasetError(f"{', '.join(map(str, paths))}: no touches, expected {expected}{why}")
+    step = [MM / stated.number(f"M92 {a}", "steps a mm", STEPS, low=1e-3) for a in "XYZ"]
+    q = np.array(found) + _towers(stated).end_stops
+    return of_joints(q, np.zeros(len(q)), paths, step, warnings=[MEANS] if skipped else [])
+
+
+def configured(paths: Sequence[Path]) -> Configured:
+    """The printer as the last settings in a log have it."""
+    texts: dict[str, tuple[str, Place]] = {}
+    for _ in _settled(paths, texts):
+        pass
+    stated = Stated(texts, paths)
+    return deltas.configured(_towers(stated), tip(stated))
+
+
+def tip(stated: Stated) -> Array:
+    """The probe's tip in {P} (m): M851, from the nozzle to the probe."""
+    return np.array([stated.number(f"M851 {a}", "mm", 0.0, -200, 200) for a in "XYZ"]) * MM
+
+
+def _settled(
+    paths: Sequence[Path], texts: dict[str, tuple[str, Place]]
+) -> Iterator[tuple[Place, str]]:
+    """Every line without what the host writes before it, its settings taken into `texts`."""
+    for path in paths:
+        for place, line in lines(path):
+            plain = BEFORE.sub("", line).strip()
+            if take(texts, place, plain, CODES) is None and plain.startswith("."):
+                for name, text in SETTING.findall(plain):
+                    texts[FIELDS[name]] = (text, place)
+            yield place, plain
+
+
+def _reading(stated: Stated, nozzle: Array) -> Array:
+    """Carriages (3,) m from their end-stops."""
+    towers = _towers(stated)
+    q = towers.joints(nozzle[None])[0] - towers.end_stops
+    if np.isfinite(q).all():
+        return np.asarray(q)
+    text, place = stated.text("M665 L", "")
+    raise place.error("M665 L", text, f"rods that reach {np.round(nozzle / MM, 2).tolist()} mm")
+
+
+def _radius(stated: Stated, radius: float | None) -> float:
+    """Of G33's circle (mm): as it says, or as M665 B of older versions does."""
+    return radius or stated.number("M665 B", "'at radius:' of G33, its circle in mm", low=1.0)
+
+
+def _towers(stated: Stated) -> Towers:
+    """M665 L R H X Y Z, A B C added to the rods, and M666 X Y Z, by which the nozzle is lowered
+    from its end-stop to where it is at H."""
+    radius = stated.number("M665 R", "the delta radius in mm", low=1.0)
+    more = [0.0, 0.0, 0.0]
+    if "M665 A" in stated or "M665 C" in stated:  # without them B is a radius
+        more = [stated.number(f"M665 {t}", "mm", 0.0, -10, 10) for t in "ABC"]
+    rod = stated.number("M665 L", "the rods' length in mm, more than the radius", low=radius)
+    rods = (rod + np.array(more)) * MM
+    stops = [stated.number(f"M666 {t}", "mm, 0 or less", 0.0, high=0.0) for t in "XYZ"]
+    homed = stated.number("M665 H", "the homed height in mm", low=0.0)
+    trim = [stated.number(f"M665 {t}", "degrees", 0.0, -30, 30) for t in "XYZ"]
+    return Towers(
+        np.full(3, radius) * MM,
+        rods,
+        np.array(trim) * DEGREE,
+        end_stops=(homed - np.array(stops)) * MM + np.sqrt(rods**2 - (radius * MM) ** 2),
+    )

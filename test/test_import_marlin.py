@@ -1,0 +1,130 @@
+"""A log of Marlin becomes touches and a model; or one clear line."""
+
+import numpy as np
+import pytest
+
+from parallel_cal.base.errors import ParallelCalError
+from parallel_cal.importing.door import configured, samples
+from parallel_cal.kinematics.kinematics import Kinematics
+
+MM, DEGREE = 1e-3, np.pi / 180
+SETTINGS = """\
+Send: M503
+Recv: echo:; Steps per unit:
+Recv: echo:  M92 X100.00 Y100.00 Z200.00 E95.00
+Recv: echo:  M665 L250.00 R150.00 H300.00 S200.00 X0.00 Y0.00 Z0.00 A0.00 B0.00 C0.00
+Recv: echo:  M666 X0.00 Y-0.50 Z-1.00
+Recv: echo:  M851 X10.00 Y-5.00 Z-2.00 ; (mm)
+"""
+BED = (
+    SETTINGS
+    + """\
+Send: N12 G29 V4*33
+Recv: Bed X: -40.000 Y: 10.000 Z: 0.125
+Recv: Bed X: 40.000 Y: 10.000 Z: -0.250
+"""
+)
+G33 = (
+    SETTINGS
+    + """\
+>>> G33 P3 V3
+G33 Auto Calibrate
+Checking... AC at radius:80.00
+.Height:300.00    Ex:+0.00  Ey:-0.50  Ez:-1.00  Radius:150.00
+.                 Tx:+0.00  Ty:+0.00  Tz:+0.00
+.      c:+0.10   x:+0.20   y:+0.00   z:-0.10
+.               yz:+0.00  zx:+0.05  xy:+0.00
+Iteration : 01                                std dev:0.090
+.Height:299.90    Ex:+0.00  Ey:-0.40  Ez:-1.20  Radius:149.50
+.                 Tx:+0.10  Ty:+0.00  Tz:-0.10
+.      c:+0.00   x:+0.00   y:+0.00   z:+0.00
+.               yz:+0.00  zx:+0.00  xy:+0.00
+Calibration OK                                std dev:0.001
+"""
+)
+
+
+@pytest.fixture
+def log(tmp_path):
+    """log(text): its path."""
+
+    def write(text):
+        (tmp_path / "printer.log").write_text(text)
+        return [tmp_path / "printer.log"]
+
+    return write
+
+
+def test_points_of_the_bed_are_touches_with_the_nozzle_beside_the_probe(log):
+    data = samples("marlin", log(BED))
+    model = configured(log(BED)).model
+    at = Kinematics(model).direct(data.q).position
+    np.testing.assert_allclose(at, np.array([[-50, 15, 2.125], [30, 15, 1.75]]) * MM, atol=1e-9)
+    assert model.sensors[0].tip == (0.01, -0.005, -0.002)
+    np.testing.assert_allclose(data.joint_sigma * 12**0.5, np.array([10, 10, 5]) * 1e-6)
+    # the switches, by M666 above where the nozzle is 300 mm high: 250^2 = 150^2 + 200^2
+    tops = [high for _, high in model.mechanism.joint_limits]
+    np.testing.assert_allclose(tops, [0.5, 0.5005, 0.501], atol=1e-12)
+
+
+def test_touches_before_and_after_new_settings_count_from_the_same_end_stops(log):
+    """In the centre carriages are 200 mm + z up, 300.0 - 0.5 ... below their switches."""
+    data = samples("marlin", log(G33.replace("M851", "M852")))
+    assert len(data) == 14
+    model = configured(log(G33)).model
+    assert model.value("chain1.D_x") == pytest.approx(0.1495 * np.cos(0.1 * DEGREE))
+    tops = np.array([high for _, high in model.mechanism.joint_limits])
+    up = np.sqrt(0.25**2 - 0.1495**2)
+    np.testing.assert_allclose(tops, up + np.array([299.9, 300.3, 301.1]) * MM, atol=1e-12)
+    below = np.array([300.0, 300.5, 301.0]) * MM + 0.2 - (0.2 + 0.1 * MM)
+    np.testing.assert_allclose(tops - data.q[0], below, atol=1e-12)
+    after = Kinematics(model).direct(data.q[7:]).position
+    around = np.radians([210, 330, 90, 30, 150, 270])
+    circle = 0.08 * np.column_stack([np.cos(around), np.sin(around), 0 * around])
+    np.testing.assert_allclose(after, [[0, 0, 0], *circle], atol=1e-9)
+
+
+def test_means_of_g33_are_no_touches(log):
+    with pytest.raises(ParallelCalError, match=r"no touches.*means of touches"):
+        samples("marlin", log(G33.replace("P3", "P4")))
+    data = samples("marlin", log(G33.replace("P3 ", "") + BED))
+    assert len(data) == 2
+    assert data.warnings[1].startswith("G33's numbers are means")
+
+
+def test_b_is_the_circle_of_older_versions(log):
+    old = G33.replace(" A0.00 B0.00 C0.00", " B75.0").replace(" at radius:80.00", "")
+    old = old.replace("M851", "M852")
+    after = Kinematics(configured(log(old)).model).direct(samples("marlin", log(old)).q[8:9])
+    assert np.hypot(*after.position[0, :2]) == pytest.approx(0.075, abs=1e-9)
+
+
+BROKEN = {
+    "rod": (BED, "L250.00", "L25O.0", "log:4: M665 L is '25O.0', expected the rods"),
+    "short": (BED, "L250.00", "L100", "log:4: M665 L is '100', expected"),
+    "no rod": (BED, "L250.00", "", "no M665 L, expected the rods' length in mm"),
+    "no settings": (BED, "M665", "M605", "no M665 R, expected the delta radius in mm"),
+    "height": (BED, "H300.00", "H-1", "log:4: M665 H is '-1', expected the homed height"),
+    "end-stop": (BED, "Z-1.00", "Z1.00", "log:5: M666 Z is '1.00', expected mm, 0 or less"),
+    "probe": (BED, "Z-2.00", "Z--2", "log:6: M851 Z is '--2', expected mm"),
+    "inches": (BED, "Send: M503", "echo: G20", "log:1: unit is 'G20', expected millimetres"),
+    "bed": (BED, "0.125", "0.1.25", "log:8: Bed Z is '0.1.25', expected mm"),
+    "nan": (BED, "-0.250", "nan", "log:9: Bed Z is 'nan', expected mm"),
+    "far": (BED, "X: 40.000", "X: 940.00", "log:4: M665 L is '250.00', expected rods that rea"),
+    "no touches": (SETTINGS, "S200", "S100", "no touches, expected 'Bed X: Y: Z:' lines"),
+    "radius": (G33, "radius:80.00", "radius:?", "log:9: at radius is '?', expected mm above 0"),
+    "no radius": (G33.replace("B0.00", ""), " at radius:80.00", "", "no M665 B, expected 'at rad"),
+    "report": (G33, "z:-0.10", "z:-0.1O", "log:12: G33 z is '-0.1O', expected mm within 20"),
+    "setting": (G33, "Ez:-1.20", "Ez:oops", "log:15: M666 Z is 'oops', expected mm, 0 or less"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_a_broken_log_is_named_with_line_and_field(log, name):
+    text, old, new, message = BROKEN[name]
+    assert old in text
+    with pytest.raises(ParallelCalError) as error:
+        samples("marlin", log(text.replace(old, new, 1)))
+    assert message in str(error.value)
+    assert "printer.log" in str(error.value)
+    assert "\n" not in str(error.value)
