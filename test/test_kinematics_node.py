@@ -41,6 +41,7 @@ from sensor_msgs.msg import JointState, Temperature
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
+from parallel_cal.exporting.tree import tree_of
 from parallel_cal.kinematics.every import direct_all
 from parallel_cal.kinematics.kinematics import Kinematics, Status
 from parallel_cal.model.file.modelfile import model_hash, read_model, write_model
@@ -409,6 +410,19 @@ def test_joint_states_become_poses_at_their_time_whatever_their_order(robot):
     expected = robot.kinematics.direct(np.array([0.5, 0.6, 0.7]))
     assert numbers(heard[0].pose) == [*expected.position, *expected.quaternion]
     assert (heard[0].header.stamp.sec, heard[0].header.frame_id) == (42, "base")
+
+
+def test_joint_states_become_those_of_the_passive_joints_of_the_exported_tree(robot):
+    publisher = robot.client._node.create_publisher(JointState, "joint_states", 10)
+    heard = heard_on(robot, JointState, f"{NODE}/passive_joint_states")
+    state = JointState(name=[*NAMES], position=[0.5, 0.6, 0.7])
+    state.header.stamp.sec = 43
+    publish_until(robot, publisher, state, heard)
+    tree = tree_of(robot.kinematics.model)
+    row = robot.kinematics.direct(np.array([0.5, 0.6, 0.7])).configuration.rows
+    assert list(heard[0].name) == tree.passive
+    assert list(heard[0].position) == pytest.approx(tree.values(row), abs=1e-12)
+    assert heard[0].header.stamp.sec == 43
 
 
 def test_a_joint_state_without_a_joint_is_counted_and_told(robot):

@@ -5,12 +5,14 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from threading import Lock, Thread
 
 import numpy as np
 
-from parallel_cal.base.errors import ModelFileError, ParallelCalError
+from parallel_cal.base.errors import ModelError, ModelFileError, ParallelCalError
+from parallel_cal.exporting.tree import Tree, tree_of
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions, Status
 from parallel_cal.model.file.modelfile import model_hash, model_text, parse_model
 from parallel_cal.model.mechanism import Mechanism
@@ -31,6 +33,14 @@ class Served:
     hash: str
     path: str
     text: str = ""
+
+    @cached_property
+    def tree(self) -> Tree | None:
+        """The links that an exported URDF has; None where the mechanism does not draw itself."""
+        try:
+            return tree_of(self.model)
+        except ModelError:
+            return None
 
 
 @dataclass(frozen=True)

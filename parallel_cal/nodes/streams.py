@@ -58,6 +58,7 @@ class Streams:
         self._answer = PoseStamped()
         self._pose = self._publisher(PoseStamped, "~/pose")
         self._sure_pose = self._publisher(PoseWithCovarianceStamped, "~/pose_with_covariance")
+        self._passive = self._publisher(JointState, "~/passive_joint_states")
         self._command = self._publisher(JointTrajectory, "joint_command")
         self.health["joint_states"] = Stream()
         self._pump = Pump(
@@ -170,6 +171,11 @@ class Streams:
         if model.covariance is not None and self._sure_pose.get_subscription_count():
             sure = PoseWithCovariance(pose=answer.pose, covariance=self._covariance(served, found))
             self._sure_pose.publish(PoseWithCovarianceStamped(header=answer.header, pose=sure))
+        if self._passive.get_subscription_count() and served.tree is not None:
+            values = served.tree.values(found.configuration.rows)
+            state = JointState(header=answer.header, name=served.tree.passive)
+            state.position = values.tolist()
+            self._passive.publish(state)
         self._tally.add("joint_states", "answered")
         if found.status == Status.OUTSIDE_LIMITS:
             self._tally.add("joint_states", "outside limits")

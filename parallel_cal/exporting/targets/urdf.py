@@ -1,0 +1,83 @@
+"""A URDF for RViz: the drawing's links, driven joints and the passive ones that close the loops.
+
+kinematics_node tells where the passive joints stand on `~/passive_joint_states`.
+"""
+
+from __future__ import annotations
+
+from xml.etree import ElementTree
+
+import numpy as np
+
+from parallel_cal.exporting.tree import Joint, Segment, Tree, tree_of
+from parallel_cal.model.model import Model
+
+COLOURS = {
+    "base": "0.35 0.35 0.38 1", "axis": "0.85 0.65 0.13 1", "driven": "0.80 0.35 0.10 1",
+    "rod": "0.10 0.45 0.70 1", "platform": "0.15 0.60 0.35 1",
+}  # fmt: skip
+THICKNESS = 0.008  # of a link, in parts of the drawing's extent
+FAR = 1e3  # m: the limit of what has none
+
+
+def files(model: Model, name: str = "robot") -> dict[str, str]:
+    """`name`.urdf; lengths in m, links as cylinders."""
+    tree = tree_of(model)
+    root = ElementTree.Element("robot", name=name)
+    for kind, colour in COLOURS.items():
+        material = ElementTree.SubElement(root, "material", name=kind)
+        ElementTree.SubElement(material, "color", rgba=colour)
+    lengths = [np.ptp(s.ends, axis=0).max() for link in tree.links.values() for s in link]
+    radius = THICKNESS * max(lengths, default=0.1)
+    for link, segments in tree.links.items():
+        part = ElementTree.SubElement(root, "link", name=link)
+        for segment in segments:
+            _draw(part, segment, radius)
+    for joint in tree.joints:
+        _join(root, joint, tree)
+    ElementTree.indent(root)
+    text = ElementTree.tostring(root, encoding="unicode")
+    return {f"{name}.urdf": f'<?xml version="1.0"?>\n{text}\n'}
+
+
+def _draw(link: ElementTree.Element, segment: Segment, radius: float) -> None:
+    """A cylinder, which URDF draws along z about its middle."""
+    a, b = segment.ends
+    x, y, z = b - a
+    turned = _numbers([0.0, np.arctan2(np.hypot(x, y), z), np.arctan2(y, x)])
+    visual = ElementTree.SubElement(link, "visual")
+    ElementTree.SubElement(visual, "origin", xyz=_numbers((a + b) / 2), rpy=turned)
+    shape = ElementTree.SubElement(visual, "geometry")
+    length = _numbers([np.linalg.norm(b - a)])
+    ElementTree.SubElement(shape, "cylinder", radius=_numbers([radius]), length=length)
+    ElementTree.SubElement(visual, "material", name=segment.kind)
+
+
+def _join(root: ElementTree.Element, joint: Joint, tree: Tree) -> None:
+    low, high, speed = _limits(joint, tree)
+    endless = joint.turns and not np.isfinite([low, high]).all()
+    kind = "continuous" if endless else "revolute" if joint.turns else "prismatic"
+    part = ElementTree.SubElement(root, "joint", name=joint.name, type=kind)
+    ElementTree.SubElement(part, "parent", link=joint.parent)
+    ElementTree.SubElement(part, "child", link=joint.child)
+    ElementTree.SubElement(part, "origin", xyz=_numbers(joint.origin), rpy="0 0 0")
+    ElementTree.SubElement(part, "axis", xyz=_numbers(joint.axis))
+    limits = {"lower": low, "upper": high, "velocity": speed, "effort": FAR}
+    if endless:
+        limits = {"velocity": speed, "effort": FAR}
+    ElementTree.SubElement(part, "limit", {k: _numbers([v]) for k, v in limits.items()})
+
+
+def _limits(joint: Joint, tree: Tree) -> tuple[float, float, float]:
+    """Lowest and highest position and the speed of a joint of the robot; of a passive one none."""
+    model, none = tree.model, np.inf if joint.turns else FAR
+    if joint.value is not None:
+        return -none, none, FAR
+    i = model.joints.index(joint.name)
+    low, high = np.clip(model.mechanism.joint_limits[i], -none, none)
+    rates = model.mechanism.joint_rates
+    return low, high, min(rates[i][0], FAR) if rates else FAR
+
+
+def _numbers(values: object) -> str:
+    return " ".join(f"{float(v) + 0.0:.12g}" for v in np.ravel(np.asarray(values)))
