@@ -53,7 +53,7 @@ def samples(paths: Sequence[Path]) -> Dataset:
     points = np.concatenate([each[0] for each in read])
     return touches(
         delta,
-        (points - tip(stated)),
+        points - tip(stated),
         [place for each in read for place in each[1]],
         paths,
         [unit / stated.number(f"M92 {axis}", "steps a unit", STEPS, low=1e-3) for axis in "XYZ"],
