@@ -46,6 +46,11 @@ def test_the_loop_on_nodes_that_the_workbench_starts(tmp_path):
             page.get_by_role("button", name="Save", exact=True).click()
             page.locator("#served").get_by_text("(backlash)").wait_for()
             page.locator("#served").get_by_text("the model of this state").wait_for()
+            page.get_by_label("poses").fill("8")
+            page.get_by_role("button", name="Plan", exact=True).click()
+            page.get_by_role("figure", name="planned poses").wait_for()
+            page.get_by_role("button", name="Send to the robot").click()
+            page.locator("#sent").get_by_text("pose 1: sent").wait_for()
             calibration = subprocess.run(
                 ["pgrep", "-f", f"{tmp_path}.*calibration|calibration_node.*{tmp_path}"],
                 capture_output=True, text=True,
@@ -56,6 +61,7 @@ def test_the_loop_on_nodes_that_the_workbench_starts(tmp_path):
             assert len(Session(tmp_path / "s").dataset) >= 90
         finally:
             served.end(signal.SIGTERM)
+    assert nodes_on(tmp_path) == []  # what was started is ended
 
 
 def test_what_nodes_tell_is_gathered_and_missed_where_nobody_speaks(tmp_path):

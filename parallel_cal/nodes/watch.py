@@ -7,6 +7,7 @@ import os
 import time
 from bisect import bisect_left
 from collections import deque
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from threading import Lock, Thread
@@ -16,7 +17,7 @@ import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
-from parallel_cal_msgs.msg import CollectionStatus, ModelStatus
+from parallel_cal_msgs.msg import CollectionStatus, CommandStatus, ModelStatus
 from parallel_cal_msgs.srv import SaveSamples
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import NodeNameNonExistentError
@@ -63,6 +64,10 @@ class Watch:
         listen(String, f"{CALIBRATION}/dropped", self._on_dropped, LATCHED)
         listen(PoseStamped, f"{KINEMATICS}/pose", self._on_predicted, SENSOR)
         self._node.create_timer(1.0, self._find_measured)
+        self._told: CommandStatus | None = None
+        status = f"{KINEMATICS}/command_status"
+        listen(CommandStatus, status, lambda message: setattr(self, "_told", message), 10)
+        self._target = self._node.create_publisher(PoseStamped, "target_pose", 10)
         self._save = self._node.create_client(SaveSamples, f"{CALIBRATION}/save_samples")
         self._thread = Thread(target=self._spin, daemon=True)
         self._thread.start()
@@ -82,8 +87,8 @@ class Watch:
         self._executor.shutdown(timeout_sec=1.0)
         rclpy.try_shutdown(context=self._context)
         self._thread.join(2.0)
-        for process in self._processes:
-            process.end()
+        while self._processes:
+            self._processes.pop().end()
 
     def snapshot(self) -> dict[str, Any]:
         """What is known now: `streams`, `model`, `samples`, `dropped`, `errors` of measured poses
@@ -111,6 +116,28 @@ class Watch:
             time.sleep(0.02)
         if not future.result().success:
             raise NodeError(f"{CALIBRATION}: {future.result().message}")
+
+    def send(self, position: Sequence[float], quaternion: Sequence[float]) -> str:
+        """Ask the robot to go to a pose (m, x y z w) as `target_pose`; what became of that, in
+        words of kinematics_node. NodeError where it says nothing."""
+        message = PoseStamped()
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        for key, value in zip("xyz", position, strict=True):
+            setattr(message.pose.position, key, float(value))
+        for key, value in zip("xyzw", quaternion, strict=True):
+            setattr(message.pose.orientation, key, float(value))
+        stamp = message.header.stamp
+        self._target.publish(message)
+        end = time.monotonic() + PATIENCE
+        while (told := self._told) is None or told.stamp != stamp:
+            if time.monotonic() > end:
+                raise NodeError(f"{KINEMATICS} does not say what became of the target")
+            time.sleep(0.02)
+        words = {
+            CommandStatus.ACCEPTED: f"sent, {told.time_from_start:.1f} s",
+            CommandStatus.SLOWED: f"sent, slowed to {told.time_from_start:.1f} s: {told.message}",
+        }
+        return words.get(told.status, f"refused: {told.message}")
 
     def model_file(self, patience: float = 3.0) -> str:
         """The file of the model that is served; "" where nobody serves one."""

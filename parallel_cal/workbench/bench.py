@@ -26,6 +26,8 @@ class Live(Protocol):
 
     def save_samples(self, path: Path) -> None: ...
 
+    def send(self, position: Sequence[float], quaternion: Sequence[float]) -> str: ...
+
     def close(self) -> None: ...
 
 
@@ -50,8 +52,10 @@ class Bench:
         self._look()
 
     def close(self) -> None:
-        """End whatever is under way."""
+        """End whatever is under way, and what was started for it."""
         self._worker.end()
+        if self.live is not None:
+            self.live.close()
 
     def begin(self, step: str, *given: Any, **options: Any) -> None:
         """Take a step of the session, then look at what came out; nothing while one goes on."""

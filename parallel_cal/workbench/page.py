@@ -6,13 +6,13 @@ import csv
 from collections.abc import Callable, Sequence
 from functools import partial
 from html import escape
-from pathlib import Path
 from typing import Any
 
 from nicegui import run, ui
 
+from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.reporting.readable import fixed
-from parallel_cal.workbench.bench import Bench
+from parallel_cal.workbench.bench import Bench, Live
 from parallel_cal.workbench.beside import Beside
 from parallel_cal.workbench.live import LiveCard
 from parallel_cal.workbench.looks import (
@@ -36,6 +36,7 @@ EMPTY = (
     "and take the samples as soon as there are twenty or more.",
 )
 PRIORS = {None: "where the data tell less", True: "throughout", False: "nowhere"}
+PLACE, TURN = ("x", "y", "z"), ("qx", "qy", "qz", "qw")  # columns of planned poses
 LIKELY = "99 % of means if nothing depends on it"
 POLL = 0.3  # s between two looks at the bench: two windows agree within a second
 
@@ -529,10 +530,30 @@ class Window:
                 if planned := bench.planned:
                     ui.button("CSV", on_click=lambda: ui.download(planned)).props("dense outline")
             if planned:
-                self._draw_planned(planned, view)
+                rows = list(csv.DictReader(planned.open()))
+                if bench.live is not None:
+                    self._send(bench.live, rows)
+                self._draw_planned(rows, view)
 
-    def _draw_planned(self, file: Path, view: dict[str, Any]) -> None:
-        poses = [[1e3 * float(row[k]) for k in "xyz"] for row in csv.DictReader(file.open())]
+    def _send(self, live: Live, rows: list[dict[str, str]]) -> None:
+        """One planned pose after the other, sent to the robot by a click each."""
+        with ui.row().classes("items-center"):
+            at = ui.number("pose", value=1, min=1, max=len(rows), precision=0).classes("w-24")
+            said = ui.label().props("id=sent aria-live=polite")
+
+            async def send() -> None:
+                k = int(at.value or 1)
+                pose = [[float(rows[k - 1][key]) for key in keys] for keys in (PLACE, TURN)]
+                try:
+                    said.set_text(f"pose {k}: {await run.io_bound(live.send, *pose)}")
+                    at.set_value(min(k + 1, len(rows)))
+                except ParallelCalError as error:
+                    said.set_text(str(error))
+
+            ui.button("Send to the robot", on_click=send).props("dense")
+
+    def _draw_planned(self, rows: list[dict[str, str]], view: dict[str, Any]) -> None:
+        poses = [[1e3 * float(row[k]) for k in PLACE] for row in rows]
         traces = [
             {
                 "type": "scatter3d", "mode": "markers", "name": name,

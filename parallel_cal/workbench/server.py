@@ -75,7 +75,7 @@ def serve(
 
     run.process_pool_start_method = "spawn"  # forks of a process with threads may hang
     bench = Bench(folder, output, live)
-    app.on_shutdown(bench.close)
+    app.on_shutdown(bench.close)  # the server ends its process by the signal that ended it
     build(bench)
     app.add_middleware(Guard, hosts=(*LOOPBACK, host), token=token)
     ui.run(
