@@ -217,7 +217,7 @@ def test_the_command_line_takes_the_same_steps_and_remembers_options(session, ru
     folder = tmp_path / "mine"
     run_cli("session", "new", folder, MODEL, BAG, "--hold-out", "0.5", "--fix", "chain1.Lb")
     shown = run_cli("session", "fit", folder)
-    assert shown.startswith("fit: error at poses left out 606.0 to ")
+    assert shown.startswith("fit: error at poses left out 606 um to ")
     assert Session(folder).options.fix == ["chain1.Lb"]
     run_cli("session", "branch", folder, "beside")
     run_cli("session", "exclude", folder, 3, 4, "--reason", "bumped")

@@ -1,5 +1,6 @@
 """The workbench beside running nodes: a robot's samples as they come, its model exchanged."""
 
+import os
 import signal
 import subprocess
 import sys
@@ -18,6 +19,17 @@ from parallel_cal.session.session import Session
 
 MODEL, BAG = Path("config/delta_mockup_nominal.yaml"), Path("bags/delta_backlash")
 pytestmark = [pytest.mark.ros, pytest.mark.wide]
+
+
+def nodes_on(folder, name="_node"):
+    """Process ids of nodes that serve a model in a folder."""
+    found = subprocess.run(
+        ["pgrep", "-f", f"{name} import main.*{folder}"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    return [int(pid) for pid in found.stdout.split()]
 
 
 def test_the_loop_on_nodes_that_the_workbench_starts(tmp_path):
@@ -51,13 +63,10 @@ def test_the_loop_on_nodes_that_the_workbench_starts(tmp_path):
             page.get_by_role("figure", name="planned poses").wait_for()
             page.get_by_role("button", name="Send to the robot").click()
             page.locator("#sent").get_by_text("pose 1: sent").wait_for()
-            calibration = subprocess.run(
-                ["pgrep", "-f", f"{tmp_path}.*calibration|calibration_node.*{tmp_path}"],
-                capture_output=True, text=True,
-            ).stdout.split()  # fmt: skip
-            assert len(calibration) == 1
-            subprocess.run(["kill", "-9", calibration[0]], check=True)
-            page.locator("#trouble").get_by_text("calibration_node ended").wait_for()
+            assert len(nodes_on(tmp_path)) == 2
+            (calibration,) = nodes_on(tmp_path, "calibration_node")
+            os.kill(calibration, signal.SIGKILL)
+            page.locator("#trouble").get_by_text("calibration_node was ended by SIGKILL").wait_for()
             assert len(Session(tmp_path / "s").dataset) >= 90
         finally:
             served.end(signal.SIGTERM)

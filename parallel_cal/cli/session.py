@@ -24,7 +24,6 @@ from parallel_cal.cli.arguments import (
 from parallel_cal.cli.recordings import data_options
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.reporting import console
-from parallel_cal.reporting.readable import fixed
 
 if TYPE_CHECKING:
     from parallel_cal.session.session import Session, State
@@ -55,12 +54,11 @@ def _say(session: Session, state: State, as_json: bool) -> None:
 
 def _line(state: State) -> str:
     left_out = "" if not state.excluded else f"; {len(state.excluded)} samples left out"
-    if state.position_rms is None:
+    if not state.errors:
         return f"{state.step}{left_out}"
-    before, noise = (e.get("position_rms") for e in (state.before, state.noise))
+    before, after, noise = map(state.shown, (state.before, state.errors, state.noise))
     return (
-        f"{state.step}: error at poses left out {fixed(before, 1e6, 1)} to "
-        f"{fixed(state.position_rms, 1e6, 1)} um, noise alone {fixed(noise, 1e6, 1)}{left_out}"
+        f"{state.step}: error at poses left out {before} to {after}, noise alone {noise}{left_out}"
     )
 
 
@@ -101,10 +99,10 @@ def show(folder: Folder, as_json: Json = False) -> None:
     if len(session.record.branches) > 1:
         here = session.record.branch
         rows = [
-            (("* " if name == here else "  ") + name, state.step, fixed(state.position_rms, 1e6, 1))
+            (("* " if name == here else "  ") + name, state.step, state.shown(state.errors))
             for name, state in session.compared().items()
         ]
-        console.table(("branch", "last step", "left out [um]"), rows)
+        console.table(("branch", "last step", "left out"), rows)
 
 
 def fit(folder: Folder, free: Free = None, fix: Fix = None, as_json: Json = False) -> None:

@@ -106,8 +106,13 @@ def _ready(
     from parallel_cal.session.session import FILE, Session
 
     if (folder / FILE).exists():
-        Session(folder)
-        console.note(f"going on with the session in {folder}")
+        known = Session(folder).record.recordings
+        if others := [bag for bag in bags if str(bag.resolve()) not in known]:
+            raise ParallelCalError(
+                f"{folder}: a session on {', '.join(known) or 'live samples'}, not on {others[0]}; "
+                "name another --session"
+            )
+        console.note(f"going on with the session in {folder}, with its own options")
         return
     if model.is_dir():
         raise ParallelCalError(f"{model}: no session in this folder; give a model file and BAG")

@@ -22,6 +22,7 @@ from parallel_cal.diagnosis.thresholds import (
 )
 from parallel_cal.identification.acceptance import acceptance
 from parallel_cal.identification.fit import Result
+from parallel_cal.identification.methods._estimate import Estimate
 from parallel_cal.identification.prediction_errors import held_out_ratio
 from parallel_cal.model.model import Model
 
@@ -178,7 +179,11 @@ def _superfluous(without: Trial, trial: Trial) -> bool:
     """Whether an effect explains nothing significant beside the others."""
     if without.result is None or trial.result is None:
         return False
-    less, more = without.result.estimate, trial.result.estimate
+    return superfluous(without.result.estimate, trial.result.estimate)
+
+
+def superfluous(less: Estimate, more: Estimate) -> bool:
+    """Whether what some parameters more explain may be chance, by an F test."""
     q = less.dof - more.dof
     if q <= 0 or more.dof <= 0:
         return False

@@ -49,6 +49,8 @@ class Process:
 
     def check(self) -> None:
         """NodeError with its last line when it failed."""
+        if self.status and self.status < 0:
+            raise NodeError(f"{self.node} was ended by {signal.Signals(-self.status).name}")
         if self.status:
             lines = self.log.read_text(errors="replace").split("\n")
             said = next((line for line in reversed(lines) if line.strip()), "no output")

@@ -96,7 +96,7 @@ class Watch:
         with self._lock:
             now = time.monotonic()
             return {
-                "streams": list(self._streams.values()),
+                "streams": [self._as_it_is(stream, now) for stream in self._streams.values()],
                 "model": dict(self._model),
                 "samples": dict(self._samples),
                 "dropped": list(self._dropped),
@@ -149,6 +149,12 @@ class Watch:
     def _spin(self) -> None:
         with suppress(ExternalShutdownException):
             self._executor.spin()
+
+    def _as_it_is(self, stream: dict[str, Any], now: float) -> dict[str, Any]:
+        """What a node that is silent has last said of a stream says nothing any more."""
+        if now - self._heard[stream["node"]] <= SILENT:
+            return stream
+        return stream | {"level": "stale", "said": "its node is silent"}
 
     def _trouble(self, now: float) -> Any:
         for process in self._processes:

@@ -116,12 +116,12 @@ def written(request: Request, outcome: Outcome) -> Outcome:
     """Write the model that was proposed, and keep the file before; what was refused stays so."""
     if not outcome.success:
         return outcome
-    _keep_previous(request.output_file)
+    keep_previous(request.output_file)
     _write(request.output_file, outcome.text)
     return replace(outcome, hash=model_hash(outcome.text), path=request.output_file)
 
 
-def _keep_previous(path: str) -> None:
+def keep_previous(path: str) -> None:
     """Lay a model file that is about to be replaced aside, beside itself."""
     if Path(path).exists():
         _write(path + PREVIOUS, model_text(path))

@@ -21,6 +21,7 @@ from parallel_cal.base.documents import plain
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.base.files import read_text, write_atomically
 from parallel_cal.diagnosis.diagnose import Diagnosis, diagnose
+from parallel_cal.identification.acceptance import UNITS
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.file.modelfile import read_model, write_model
 from parallel_cal.model.model import Model
@@ -69,6 +70,13 @@ class State(_Part):
     @property
     def position_rms(self) -> float | None:
         return self.errors.get("position_rms")
+
+    def shown(self, errors: Mapping[str, float | None]) -> str:
+        """Errors in words, of the first kind that is known: `30 um`, `0.43 arcmin`."""
+        for kind, factor, unit in UNITS:
+            if (value := errors.get(f"{kind}_rms")) is not None:
+                return f"{value * factor:.3g} {unit}"
+        return "-"
 
 
 class Record(_Part):
@@ -344,7 +352,7 @@ class Session:
     def _committed(self, words: str, step: Step, **changes: Any) -> State:
         """A step as the branch's last state, with its errors."""
         judged = {
-            "before": plain(step.result.held_out_before.summary.document()),
+            "before": plain(step.before.document()),
             "errors": plain(step.result.held_out.summary.document()),
             "noise": plain(step.result.noise.document()),
             "against": step.acceptance.against,

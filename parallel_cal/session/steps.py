@@ -12,10 +12,12 @@ from parallel_cal.diagnosis.catalogue import Candidate, candidate, names_of
 from parallel_cal.diagnosis.device import doubtful
 from parallel_cal.diagnosis.entries import outdoes
 from parallel_cal.diagnosis.scene import Scene
+from parallel_cal.diagnosis.search import superfluous
 from parallel_cal.diagnosis.verdict import robot_or_device
 from parallel_cal.identification.acceptance import Acceptance, acceptance
 from parallel_cal.identification.fit import Result, fit
 from parallel_cal.identification.moves import Moves, moves
+from parallel_cal.identification.prediction_errors import Summary
 from parallel_cal.identification.thresholds import NEGLIGIBLE
 from parallel_cal.model.effect import parse_effect
 from parallel_cal.model.model import Model
@@ -34,6 +36,13 @@ class Step:
     result: Result
     acceptance: Acceptance
     rival: Result | None = None
+
+    @property
+    def before(self) -> Summary:
+        """Errors at poses left out that the step had to beat: its rival's, else those of the model
+        as it came."""
+        rival = self.rival.held_out if self.rival else self.result.held_out_before
+        return rival.summary
 
     @cached_property
     def moves(self) -> Moves | None:
@@ -81,13 +90,22 @@ def added(model: Model, effect: str, dataset: Dataset, force: bool = False, **op
     result = fit(base.start.with_effect(name, one.settings), base.dataset, **options)
     result = replace(result, registration=base.registration)
     found = acceptance(result, base, f" with '{name}'")
-    device = [] if found.against else _device(scene)
-    if doubtful(scene, [one], device):
-        found = replace(found, against=robot_or_device(name))
-    elif better := [c.name for c in device if outdoes(c, one)]:
-        words = f"{better[0]} explains clearly better what '{name}' does (diagnose says more)"
-        found = replace(found, against=words)
+    if not found.against:
+        chance = superfluous(base.estimate, result.estimate)
+        words = f"what '{name}' explains of what is left may be chance"
+        found = replace(found, against=words if chance else _doubted(scene, one))
     return _step("add", result, _judged(found, force), base, name)
+
+
+def _doubted(scene: Scene, one: Candidate) -> str:
+    """Why an effect that lowers the error may yet be the wrong one: the device may have made it,
+    or the device does another thing; empty where neither is likely."""
+    device = _device(scene)
+    if doubtful(scene, [one], device):
+        return robot_or_device(one.name)
+    better = [c.name for c in device if outdoes(c, one)]
+    words = f"{' and '.join(better)} explains clearly better what '{one.name}' does"
+    return f"{words} (diagnose says more)" if better else ""
 
 
 def _device(scene: Scene) -> list[Candidate]:

@@ -13,6 +13,7 @@ from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.base.files import read_text, write_atomically
 from parallel_cal.base.worker import Unwanted, Worker, WorkError
 from parallel_cal.model.file.modelfile import model_hash, write_model
+from parallel_cal.session.goals import keep_previous
 from parallel_cal.session.session import Session
 
 # Methods of a session that take their time.
@@ -86,6 +87,7 @@ class Bench:
         try:
             if against:
                 raise ParallelCalError(f"{against}; not saved")
+            keep_previous(str(self.output))
             write_model(self.session.model, self.output)
             self.message, self.failed = f"written: {self.output}", False
         except (ParallelCalError, OSError) as error:
@@ -151,7 +153,7 @@ class Bench:
         self.version += 1
 
 
-VERSION = 5  # of what is kept of a view: another one is looked at anew
+VERSION = 6  # of what is kept of a view: another one is looked at anew
 
 
 def place(session: Session, state: int | None = None) -> Path:

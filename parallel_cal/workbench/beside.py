@@ -10,7 +10,6 @@ import numpy as np
 from nicegui import ui
 
 from parallel_cal.reporting.arrows import scale_of
-from parallel_cal.reporting.readable import fixed
 from parallel_cal.reporting.spaces import side
 from parallel_cal.session.session import Session
 from parallel_cal.workbench.bench import kept
@@ -29,13 +28,12 @@ class Beside:
             ui.label("Branches side by side").classes("text-lg font-bold")
             rows = [
                 {"branch": name, "step": s.step, "out": len(s.excluded), "verdict": s.verdict,
-                 **{k: fixed(e.get("position_rms"), 1e6, 1)
-                    for k, e in (("after", s.errors), ("noise", s.noise))}}
+                 "after": s.shown(s.errors), "noise": s.shown(s.noise)}
                 for name, s in states.items()
             ]  # fmt: skip
             table(
-                [("branch", "branch"), ("step", "last step"), ("after", "left out [µm]"),
-                 ("noise", "noise alone [µm]"), ("out", "samples left out"),
+                [("branch", "branch"), ("step", "last step"), ("after", "left out"),
+                 ("noise", "noise alone"), ("out", "samples left out"),
                  ("verdict", "verdict")],
                 rows,
                 "branch",

@@ -13,6 +13,9 @@ CLEAR = {
     "paper_bgcolor": "rgba(0,0,0,0)",
     "plot_bgcolor": "rgba(0,0,0,0)",
     "font": {"color": QUIET},
+    "template": {
+        "layout": {axis: {"gridcolor": BAND, "zerolinecolor": QUIET} for axis in ("xaxis", "yaxis")}
+    },
 }
 CSS = """
 .q-header { background: #fff; color: #1f2328 }

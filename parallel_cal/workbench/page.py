@@ -11,7 +11,6 @@ from typing import Any
 from nicegui import run, ui
 
 from parallel_cal.base.errors import ParallelCalError
-from parallel_cal.reporting.readable import fixed
 from parallel_cal.workbench.bench import Bench, Live
 from parallel_cal.workbench.beside import Beside
 from parallel_cal.workbench.live import LiveCard
@@ -139,7 +138,9 @@ class Window:
         if not parts:
             return
         with ui.column().classes("gap-0"):
-            ui.label("error budget, each by itself").classes("text-xs").style("opacity: 0.75")
+            ui.label("error budget: by itself, and share of the whole").classes("text-xs").style(
+                "opacity: 0.75"
+            )
             words = [
                 f"{p['name']} {p['alone']} {p['unit']} ({p['share']})"
                 for p in parts
@@ -176,7 +177,8 @@ class Window:
         residuals = view["residuals"]
         with card("Where it fails"):
             ui.label(
-                "Drag a box in a flat view (box or lasso tool): the same samples are marked in all."
+                "Drag a box in a flat view (box or lasso tool): the same samples are marked in all "
+                "flat views. Arrows have the colour of their direction."
             ).classes("text-sm").style("opacity: 0.75")
             with ui.row().classes("w-full no-wrap max-lg:flex-wrap"):
                 if view["arrows"]:
@@ -212,13 +214,13 @@ class Window:
                 self._points(*self._coordinates(view))
 
     def _map(self, view: dict[str, Any]) -> None:
-        place = view["residuals"]["place"]
+        place, where = view["residuals"]["place"], view["residuals"]["where"]
         sizes = [sample["sigmas"] or 0 for sample in view["samples"]]
         self._points(
             [p[0] for p in place],
             [p[1] for p in place],
-            "x [mm]",
-            "y [mm]",
+            where.format("x"),
+            where.format("y"),
             "rms residual [sigmas] over the workspace",
             {"color": sizes, "colorscale": "Cividis", "showscale": True, "size": 9},
         )
@@ -381,15 +383,15 @@ class Window:
             rows = [
                 {
                     "step": state.step,
-                    "before": fixed(state.before.get("position_rms"), 1e6, 1),
-                    "after": fixed(state.position_rms, 1e6, 1),
+                    "before": state.shown(state.before),
+                    "after": state.shown(state.errors),
                     "out": len(state.excluded),
                     "verdict": state.verdict or state.against,
                 }
                 for state in session.history()
             ]
             table(
-                [("step", "step"), ("before", "left out, before [µm]"), ("after", "after [µm]"),
+                [("step", "step"), ("before", "left out, before"), ("after", "after"),
                  ("out", "samples left out"), ("verdict", "verdict")],
                 rows,
                 "history",
@@ -409,12 +411,12 @@ class Window:
                     ui.button("Compare", on_click=self._compare).props("dense outline")
             if len(session.record.branches) > 1:
                 beside = [
-                    {"branch": k, "step": s.step, "after": fixed(s.position_rms, 1e6, 1),
+                    {"branch": k, "step": s.step, "after": s.shown(s.errors),
                      "out": len(s.excluded)}
                     for k, s in session.compared().items()
                 ]  # fmt: skip
                 table(
-                    [("branch", "branch"), ("step", "last step"), ("after", "left out [µm]"),
+                    [("branch", "branch"), ("step", "last step"), ("after", "left out"),
                      ("out", "samples left out")],
                     beside,
                     "branches",

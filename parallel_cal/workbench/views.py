@@ -14,7 +14,7 @@ from parallel_cal.diagnosis.patterns import Along
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.signature import Signature, signature
 from parallel_cal.diagnosis.thresholds import LEVELS
-from parallel_cal.identification.budget import Iso9283, iso_9283
+from parallel_cal.identification.budget import Budget, Iso9283, iso_9283
 from parallel_cal.identification.prediction_errors import Summary
 from parallel_cal.model.model import Model
 from parallel_cal.reporting import contents, drawings, maps, multiples, rounds, signatures, spaces
@@ -78,7 +78,7 @@ def _compared(found: Comparison) -> View:
         tiles.append(_tile("noise alone", found.noise, kinds))
     residuals = contents.Residuals.of(found.scene, found.field)
     return {
-        "verdict": {"colour": GREY, "words": "compared with the measurements; not identified yet"},
+        "verdict": {"colour": GREY, "words": _compared_words(found)},
         "tiles": tiles,
         "budget": [],
         "iso": [_iso(one) for one in iso_9283(found.errors, found.observations)],
@@ -103,11 +103,21 @@ def _compared(found: Comparison) -> View:
     }
 
 
+def _compared_words(found: Comparison) -> str:
+    if any(entry.get("step") == "fit" for entry in found.model.history):
+        return "compared with the measurements; Fit judges it at poses left out"
+    return "compared with the measurements; not identified yet"
+
+
 def _reported(found: Report) -> View:
     diagnosis, errors = found.diagnosis, found.errors
+    now = diagnosis.base.fitted  # the model of this state; what was found is only proposed
+    identified = contents.parameters(now)
     tiles = [_tile("before", errors.before, errors.kinds), _tile("now", errors.now, errors.kinds)]
     if errors.found is not None:
-        tiles.append(_tile(f"with {' and '.join(diagnosis.effects)}", errors.found, errors.kinds))
+        tiles.append(
+            _tile(f"if {' and '.join(diagnosis.effects)} is added", errors.found, errors.kinds)
+        )
     if errors.noise.known:
         tiles.append(_tile("noise alone", errors.noise, errors.kinds))
     words = {one.sample: one.odd for one in found.samples}
@@ -116,8 +126,8 @@ def _reported(found: Report) -> View:
     return {
         "verdict": _verdict(found),
         "tiles": tiles,
-        "budget": list(_budget(found)),
-        "iso": [_iso(one) for one in found.iso_9283],
+        "budget": list(_budget(now.budgets)),
+        "iso": [_iso(one) for one in now.iso_9283],
         "arrows": _arrows(found.residuals),
         "residuals": _residuals(found.residuals, found.along),
         "pictures": list(_pictures(found.residuals, diagnosis.base.scene, _first(found))),
@@ -135,12 +145,12 @@ def _reported(found: Report) -> View:
         "untested": [
             {"name": e.name, "why": e.reason} for e in diagnosis.entries if e.p_adjusted is None
         ],
-        "parameters": [_parameter(name, p) for name, p in found.parameters.items()],
-        "drawing": plain(drawings.drawing(diagnosis.model, found=found.parameters)),
+        "parameters": [_parameter(name, p) for name, p in identified.items()],
+        "drawing": plain(drawings.drawing(diagnosis.model, found=identified)),
         "advice": list(diagnosis.measure_next.advice),
         "cannot_tell": [
             " ".join(f"{weight:+.2f} {name}" for name, weight in one["combination"].items())
-            for one in plain(found.combinations)["unidentifiable"]
+            for one in plain(contents.combinations(now))["unidentifiable"]
             if isinstance(one.get("combination"), Mapping)
         ],
     }
@@ -166,9 +176,9 @@ def _tile(name: str, e: Summary, kinds: list[str]) -> View:
     return {"name": name, "values": values}
 
 
-def _budget(found: Report) -> Iterator[View]:
+def _budget(budgets: Sequence[Budget]) -> Iterator[View]:
     """Parts of the first kind of error, the largest by itself first."""
-    for budget in found.budget[:1]:
+    for budget in budgets[:1]:
         unit, factor = small(unit_of(budget.kind, {}))
         for part in sorted(budget.parts, key=lambda p: -(p.alone or 0.0)):
             yield {
@@ -250,7 +260,10 @@ def _residuals(residuals: contents.Residuals, striking: Sequence[Along]) -> View
             "colours": [multiples.colour(name) for name in residuals.components],
             "sigmas": np.round(residuals.noise_units, 3),
             "along": along,
-            "place": np.round(1e3 * residuals.place, 3),
+            "place": np.round(
+                (1.0 if residuals.kind == "orientation" else 1e3) * residuals.place, 4
+            ),
+            "where": "platform's axis, {}" if residuals.kind == "orientation" else "{} [mm]",
         }
     )
 
