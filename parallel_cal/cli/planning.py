@@ -49,7 +49,7 @@ def plan(
 
     own = read_model(model)
     known = with_noise(own)
-    if known.noise != own.noise:
+    if known.noise != own.noise and not own.structure.channels:
         console.note(f"{model} states no noise of joints or device: typical instruments are taken")
     found = planning.plan(
         known, poses, criterion=criterion, method=method,
