@@ -111,17 +111,25 @@ class Bench:
             self._look()
 
     def _do(self, *asked: Any) -> None:
+        before = self.session.state.number
         try:
             self.message = self._worker.work(
                 _work, self.session.folder, *asked, tell=self._told,
                 wanted=lambda: not self._cancelled,
             )  # fmt: skip
         except Unwanted:
-            self.message = "cancelled; the session is as it was"
+            self.message = "cancelled"
         except WorkError as error:
-            self.message, self.failed = f"{error}; the session is as it was", True
+            self.message, self.failed = str(error), True
+        else:
+            before = -1
         self._taken_up()
-        self.view, self.seen = kept(self.session), self.seen + 1
+        if before == self.session.state.number:
+            self.message += "; the session is as it was"
+        elif before >= 0:  # the step was done, only the look at what it left was not
+            self.message += f"; {self.session.state.step} is done, what it leaves is not looked at"
+        # Where the look was ended what could be seen at once stays.
+        self.view, self.seen = kept(self.session) or self.view, self.seen + 1
         self.busy = False
         self._changed()
 
