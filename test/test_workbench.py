@@ -6,6 +6,7 @@ import re
 import resource
 import shutil
 import signal
+import time
 from pathlib import Path
 
 import pytest
@@ -261,6 +262,8 @@ def test_everything_else_on_the_page_and_no_serious_fault_of_access(browser, tmp
         number = Session(folder).state.number
         until((folder / "views" / f"{number}.json").exists, "a look at what is left")
 
+        page.locator("#stage").wait_for(state="detached")  # the page is drawn anew until then
+        time.sleep(1)
         page.get_by_role("button", name="Compare", exact=True).click()
         page.get_by_text("Branches side by side").wait_for()
         page.get_by_role("figure", name="residuals of beside").wait_for()
@@ -277,6 +280,9 @@ def test_everything_else_on_the_page_and_no_serious_fault_of_access(browser, tmp
 
         shutil.rmtree(bag)  # what is lost meanwhile is said, and nothing else is
         state = Session(folder).state
+        served.end()
+        served = Served(folder)
+        page.goto(served.url)
         page.get_by_role("button", name="Fit", exact=True).click()
         page.locator("#message").get_by_text("bag").wait_for()
         assert Session(folder).state == state
