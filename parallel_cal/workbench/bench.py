@@ -129,7 +129,8 @@ class Bench:
         elif before >= 0:  # the step was done, only the look at what it left was not
             self.message += f"; {self.session.state.step} is done, what it leaves is not looked at"
         # Where the look was ended what could be seen at once stays.
-        self.view, self.seen = kept(self.session) or self.view, self.seen + 1
+        found = kept(self.session)
+        self.view, self.seen = (self.view if found is None else found), self.seen + 1
         self.busy = False
         self._changed()
 
