@@ -50,6 +50,19 @@ class Workspace:
     high: tuple[float, ...]
 
 
+@dataclass(frozen=True)
+class Box:
+    """A box in {B} that no part of the robot may enter: opposite corners, m."""
+
+    low: tuple[float, float, float]
+    high: tuple[float, float, float]
+
+    def __str__(self) -> str:
+        """Its sides in mm."""
+        sides = zip("xyz", self.low, self.high, strict=True)
+        return ", ".join(f"{axis} {1e3 * a:g}..{1e3 * b:g}" for axis, a, b in sides) + " mm"
+
+
 class Mechanism(ABC):
     """A robot's geometry: parameters, joints, moved and controlled coordinates, closure.
 
@@ -67,6 +80,7 @@ class Mechanism(ABC):
     workspace: Workspace
     joint_limits: tuple[tuple[float, float], ...]
     joint_rates: tuple[tuple[float, float], ...] = ()  # velocity, acceleration; inf = not known
+    keep_out: tuple[Box, ...] = ()
     joint_gearing: tuple[float, ...] = ()  # of the reading to the joint behind the gear; none = 1
     closed_forms: tuple[str, ...] = ()  # "direct", "inverse": whose candidates are all there are
     length: float = 0.1

@@ -174,7 +174,7 @@ class Model:
         _, nominal = m.widen(own.mapping(own.nominal))
         larger.parameters = larger.parameters.with_nominal(nominal)
         larger.joints, larger.joint_limits = m.joints, m.joint_limits
-        larger.joint_rates = m.joint_rates
+        larger.joint_rates, larger.keep_out = m.joint_rates, m.keep_out
         larger.home, larger.workspace, larger.gravity = m.home, m.workspace, m.gravity
         effects = [effect.name for effect in self.effects]
         wide = new_model(larger, effects=effects, sensors=self.sensors)

@@ -58,11 +58,11 @@ def joint(document: Document, name: str, expected: str, part: JointPart) -> None
         raise document.error(path, f"limits {limits} rad: are these degrees?")
 
 
-def box(document: Document, low: Sequence[float], high: Sequence[float]) -> None:
-    """A workspace that is not inside out."""
+def box(document: Document, path: Path, low: Sequence[float], high: Sequence[float]) -> None:
+    """A box that is not inside out."""
     for i, (a, b) in enumerate(zip(low, high, strict=True)):
         if a > b:
-            raise document.error(("workspace", "low", i), f"{a} is above high, {b}")
+            raise document.error((*path, "low", i), f"{a} is above high, {b}")
 
 
 def gravity(document: Document, found: Sequence[float]) -> None:

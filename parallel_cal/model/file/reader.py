@@ -15,7 +15,7 @@ from parallel_cal.model.file import checks
 from parallel_cal.model.file.schema import FilePart, OwnNumberPart, validated
 from parallel_cal.model.file.sensoroptions import own_numbers, read_sensor
 from parallel_cal.model.file.yamltext import Document, Path
-from parallel_cal.model.mechanism import Home, Mechanism, Workspace
+from parallel_cal.model.mechanism import Box, Home, Mechanism, Workspace
 from parallel_cal.model.model import Model, Noise
 from parallel_cal.model.parameters import Parameter, ParameterTable
 from parallel_cal.model.sensor import Sensor, known_to
@@ -132,8 +132,11 @@ class Reader:
             for key, values in file.workspace:
                 what = f"one for each of {', '.join(controls)}"
                 checks.length(self._document, ("workspace", key), values, len(controls), what)
-            checks.box(self._document, file.workspace.low, file.workspace.high)
+            checks.box(self._document, ("workspace",), file.workspace.low, file.workspace.high)
             mechanism.workspace = Workspace(*(tuple(v) for _, v in file.workspace))
+        for k, box in enumerate(file.keep_out):
+            checks.box(self._document, ("keep_out", k), box.low, box.high)
+        mechanism.keep_out = tuple(Box(*(tuple(v) for _, v in box)) for box in file.keep_out)
         if file.gravity is not None:
             checks.gravity(self._document, file.gravity)
             x, y, z = file.gravity

@@ -56,6 +56,13 @@ class WorkspacePart(Part):
     high: list[float]
 
 
+class BoxPart(Part):
+    """A box in {B} that no part of the robot may enter (m)."""
+
+    low: Vector
+    high: Vector
+
+
 class FramesPart(Part):
     """Names of {B} and {P} in messages."""
 
@@ -134,6 +141,7 @@ class FilePart(Part):
     joints: dict[str, JointPart]
     home: HomePart | None = None
     workspace: WorkspacePart | None = None
+    keep_out: list[BoxPart] = []
     frames: FramesPart = FramesPart(base="base", platform="platform")
     gravity: Vector | None = None
     noise: ModelNoisePart = ModelNoisePart()
@@ -152,6 +160,7 @@ KNOWN: dict[Path, type[Part]] = {
     ("joints", "*"): JointPart,
     ("home",): HomePart,
     ("workspace",): WorkspacePart,
+    ("keep_out", "*"): BoxPart,
     ("frames",): FramesPart,
     ("noise",): ModelNoisePart,
     ("parameters", "*"): ParameterPart,

@@ -10,6 +10,7 @@ import numpy as np
 
 from parallel_cal.model.effect import Effect
 from parallel_cal.model.file.yamltext import flow
+from parallel_cal.model.mechanism import Box, Workspace
 from parallel_cal.model.model import Model
 from parallel_cal.model.parameters import Parameter
 from parallel_cal.model.sensor import Sensor
@@ -42,13 +43,19 @@ def _setup(model: Model) -> Iterator[str]:
     yield "home:"
     for key in ("joints", "position", "quaternion"):
         yield f"  {key}: {flow([float(v) for v in getattr(m.home, key)])}"
-    box = {side: [float(v) for v in getattr(m.workspace, side)] for side in ("low", "high")}
-    yield f"workspace: {flow(box)}"
+    yield f"workspace: {flow(_box(m.workspace))}"
+    if m.keep_out:
+        yield "keep_out:"
+        yield from (f"  - {flow(_box(box))}" for box in m.keep_out)
     yield f"frames: {flow(dict(model.frames))}"
     if tuple(m.gravity) != type(m).gravity:
         yield f"gravity: {flow([float(v) for v in m.gravity])}"
     noise = {key: value for key, value in vars(model.noise).items() if value is not False}
     yield f"noise: {flow(noise)}"
+
+
+def _box(box: Workspace | Box) -> dict[str, list[float]]:
+    return {side: [float(v) for v in getattr(box, side)] for side in ("low", "high")}
 
 
 def _mechanism(model: Model) -> Iterator[str]:

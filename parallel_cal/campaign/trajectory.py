@@ -1,0 +1,80 @@
+"""Motions from rest to rest, as a joint trajectory controller takes them; no ROS in it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from parallel_cal.model.mechanism import Mechanism
+
+CROSSING = 4.0  # s in which a joint crosses its range, where the model file gives it no velocity
+RISE = 0.5  # s in which it comes to its velocity, where the model file gives no acceleration
+NEXT = 1e-6  # s: points that are nearer to each other are one
+STEP = 0.05  # s from point to point: a controller that goes straight between them is near enough
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Joints' positions and velocities (n, nq) at times (n,) s after the start."""
+
+    time: np.ndarray
+    positions: np.ndarray
+    velocities: np.ndarray
+
+    @property
+    def seconds(self) -> float:
+        return float(self.time[-1])
+
+
+def rates(mechanism: Mechanism) -> tuple[np.ndarray, np.ndarray]:
+    """The joints' greatest velocity and acceleration (nq,), those of the model file where it
+    gives them."""
+    given = mechanism.joint_rates or ((math.inf, math.inf),) * len(mechanism.joints)
+    velocity, acceleration = np.array(given, dtype=float).T
+    spans = zip(mechanism.joint_limits, mechanism.joint_units, strict=True)
+    endless = {"rad": 2 * math.pi, "m": mechanism.length}
+    width = [high - low if math.isfinite(high - low) else endless[u] for (low, high), u in spans]
+    velocity = np.where(np.isfinite(velocity), velocity, np.array(width) / CROSSING)
+    return velocity, np.where(np.isfinite(acceleration), acceleration, velocity / RISE)
+
+
+def trapezoid(
+    start: np.ndarray, end: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray
+) -> Trajectory:
+    """Straight from joints (nq,) to others, all of them under way for as long as the slowest.
+
+    The share s of the way has |s'| <= V = min v/d and |s''| <= A = min a/d: it rises for V/A, or
+    where the way is too short for that (V^2 > A) for sqrt(1/A), and falls for as long.
+    """
+    d = np.abs(end - start)
+    if not d.any():
+        return Trajectory(np.array([STEP]), end[None].copy(), np.zeros((1, len(end))))
+    moving = d > 0
+    A = float(np.min(acceleration[moving] / d[moving]))
+    rise = min(float(np.min(velocity[moving] / d[moving])) / A, math.sqrt(1 / A))
+    top = A * rise
+    seconds = rise + 1 / top
+    corners = [rise, seconds - rise, seconds]
+    time = np.unique([*np.arange(STEP, seconds, STEP), *corners])
+    time = time[np.diff(time, append=np.inf) > NEXT]
+    left = np.maximum(seconds - time, 0.0)
+    share = np.where(time <= rise, A * time**2 / 2, top * (time - rise / 2))
+    share = np.where(left < rise, 1 - A * left**2 / 2, share)
+    speed = np.minimum(np.minimum(A * time, A * left), top)
+    way = (end - start)[None]
+    return Trajectory(time, start + share[:, None] * way, speed[:, None] * way)
+
+
+def through(stops: Sequence[np.ndarray], mechanism: Mechanism) -> Trajectory:
+    """From the first of some joints (nq,) to the last, with a rest at each of them."""
+    legs = [trapezoid(a, b, *rates(mechanism)) for a, b in pairwise(stops)]
+    begin = np.cumsum([0.0, *(leg.seconds for leg in legs[:-1])])
+    return Trajectory(
+        np.concatenate([leg.time + t for leg, t in zip(legs, begin, strict=True)]),
+        np.concatenate([leg.positions for leg in legs]),
+        np.concatenate([leg.velocities for leg in legs]),
+    )

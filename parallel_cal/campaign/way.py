@@ -1,0 +1,142 @@
+"""Whether the robot may go somewhere: the whole way is looked at by the model, not only its end."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import casadi as ca
+import numpy as np
+
+from parallel_cal.base.compiled import Batch, dense
+from parallel_cal.base.errors import ParallelCalError
+from parallel_cal.kinematics.kinematics import Kinematics, Solutions, Status
+from parallel_cal.kinematics.singularity import distances
+from parallel_cal.model.mechanism import Box
+from parallel_cal.model.model import Model
+from parallel_cal.planning.approach import controlled
+from parallel_cal.planning.posepool import CLEARANCE
+
+FINE = 1 / 100  # of a joint's range between two points that are looked at
+BEYOND = 0.02  # of the workspace's size: a way between poses on its face may bulge so far
+ALONG = 9  # points on each line of the robot's picture that are held against the boxes
+UP_TO = np.linspace(0.0, 1.0, ALONG)[:, None]
+
+
+class WayError(ParallelCalError):
+    """A way must not be driven."""
+
+
+@dataclass(frozen=True)
+class Guard:
+    """What no way may touch: joint limits, the workspace's edge, singularities and what lies
+    beyond them, boxes to keep out of."""
+
+    model: Model
+    keep_out: tuple[Box, ...] = ()
+
+    @classmethod
+    def of(cls, model: Model, more: Iterable[Box] = ()) -> Guard:
+        """With the model file's boxes, and more."""
+        return cls(model.robot(), (*model.mechanism.keep_out, *more))
+
+    def way(self, start: np.ndarray, stops: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """Joints (nq,) to rest at from `start` to the last of some stops, by way of home where a
+        straight way leads through what is forbidden; WayError where no way is known."""
+        if why := self.trouble(start[None]):
+            raise WayError(f"where the robot is: {why[1]}; bring it to where it may work")
+        found, home = [start], np.array(self.model.mechanism.home.joints)
+        for a, b in pairwise([start, *stops]):
+            if (why := self.trouble(self.points(a, b))) is None:
+                found.append(b)
+                continue
+            if any(self.trouble(self.points(*leg)) for leg in ((a, home), (home, b))):
+                share, words = why
+                raise WayError(f"{words} {share:.0%} along the way")
+            found += [home, b]
+        return found
+
+    def points(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        """Joints (n, nq) along the straight way from one to the other."""
+        low, high = np.array(self.model.mechanism.joint_limits).T
+        width = np.where(np.isfinite(high - low), high - low, 2 * np.pi)
+        n = 2 + int(np.max(np.abs(b - a) / (FINE * width)))
+        return a + np.linspace(0.0, 1.0, n)[:, None] * (b - a)
+
+    def trouble(self, q: np.ndarray) -> tuple[float, str] | None:
+        """The first of some joints (n, nq) where the robot must not be, as a share of their way,
+        and why; None where it may be at all of them."""
+        at = self._robot.direct(q)
+        reasons = [
+            *((at.status == status, _words(status)) for status in Status if status),
+            (self._outside(at), "outside the workspace"),
+            (~self._clear(at), "too near a singularity, or beyond it"),
+            *((self._within(at, box), f"inside the box to keep out of {box}")
+              for box in self.keep_out),
+        ]  # fmt: skip
+        bad = [(int(np.argmax(mask)), words) for mask, words in reasons if mask.any()]
+        if not bad:
+            return None
+        i, words = min(bad, key=lambda found: found[0])
+        return i / max(len(q) - 1, 1), words
+
+    # ------------------------------------------------------------------ what is asked of a pose
+
+    @cached_property
+    def _robot(self) -> Kinematics:
+        return Kinematics(self.model, quick=True)
+
+    @cached_property
+    def _home(self) -> tuple[np.ndarray, ...]:
+        """What every pose is held against: clearances and signs at home."""
+        home = self._robot.direct(np.array([self.model.mechanism.home.joints]))
+        d = distances(self.model, home)
+        return d.direct, d.inverse, d.direct_sign, d.inverse_sign
+
+    def _clear(self, at: Solutions) -> np.ndarray:
+        here, (direct, inverse, one, other) = distances(self.model, at), self._home
+        far = (here.direct > CLEARANCE * direct) & (here.inverse > CLEARANCE * inverse)
+        same = (here.direct_sign == one) & (here.inverse_sign == other)
+        return np.asarray(far & same)
+
+    def _outside(self, at: Solutions) -> np.ndarray:
+        box = self.model.mechanism.workspace
+        low, high = np.array(box.low), np.array(box.high)
+        slack = BEYOND * (high - low)
+        here = controlled(self.model, at)
+        return np.asarray(((here < low - slack) | (here > high + slack)).any(axis=1))
+
+    def _within(self, at: Solutions, box: Box) -> np.ndarray:
+        """Where the platform's origin, or a line of the robot's picture, is inside a box."""
+        points = self._lines(at)
+        low, high = np.array(box.low), np.array(box.high)
+        inside: np.ndarray = np.all((points >= low) & (points <= high), axis=2)
+        return np.asarray(inside.any(axis=1))
+
+    def _lines(self, at: Solutions) -> np.ndarray:
+        """Points (n, k, 3) m of the robot: its platform's origin, and along what it draws."""
+        if self._drawn is None:
+            return at.position[:, None]
+        flat = self._drawn(at.configuration.rows)[0]
+        ends = flat.reshape(len(at), -1, 2, 1, 3)
+        along = ends[:, :, 0] + UP_TO * (ends[:, :, 1] - ends[:, :, 0])
+        return np.concatenate([at.position[:, None], along.reshape(len(at), -1, 3)], axis=1)
+
+    @cached_property
+    def _drawn(self) -> Batch | None:
+        """Both ends of every moving line of the mechanism's picture, as one row."""
+        s = self.model.structure
+        lines = self.model.mechanism.drawing(s.q, s.r, s.R, s.geometry)
+        moving = [line for line in lines if line.kind not in ("base", "axis")]
+        ends = [end for line in moving for pair in pairwise(line.points) for end in pair]
+        if not ends:
+            return None
+        points = ca.substitute(ca.SX(ca.vertcat(*ends)), s.v, ca.DM(self.model.values))
+        return Batch(dense("picture", [s.configuration], [points]))
+
+
+def _words(status: Status) -> str:
+    words = {Status.OUTSIDE_LIMITS: "outside the joint limits", Status.SINGULAR: "singular"}
+    return words.get(status, "out of the robot's reach")
