@@ -34,8 +34,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "test"))
 import findings
 import virtual_blind as vb
 import virtual_findings as vf
-import virtual_robot as vr
 from printers import PRINTERS
+
+from parallel_cal.virtual import robot as vr
 
 CLEARLY = 1.1  # of the true error before: its own uncertainty at 80 poses
 SEES = {"pose": "111111", "position": "111000", "orientation": "000111", "plane": "000000",

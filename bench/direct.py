@@ -15,13 +15,12 @@ import numpy as np
 from timing import Row, seconds_each, show
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "test"))
-import virtual_robot as vr
-
 from parallel_cal.base.compiled import Batch, Single, compiled
 from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.kinematics.newton import newton_functions
 from parallel_cal.model.model import Model, new_model
+from parallel_cal.virtual import robot as vr
 
 N = 100_000
 

@@ -17,12 +17,12 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "test"))
 
 import virtual_findings as vf
-import virtual_robot as vr
 from findings import clean, hiding
 
 from parallel_cal.diagnosis.diagnose import Diagnosis, diagnose
 from parallel_cal.model.model import new_model
 from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.virtual import robot as vr
 
 SIZE, LARGE = 0.6, 1.5  # sigmas of the residual, of a single effect and of uncatalogued ones
 

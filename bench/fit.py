@@ -15,7 +15,6 @@ import numpy as np
 from timing import Row, seconds_each, show
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "test"))
-import virtual_robot as vr
 from datasets import measured
 
 from parallel_cal.identification.fit import fit, single_threaded
@@ -24,6 +23,7 @@ from parallel_cal.identification.methods.implicit import estimate
 from parallel_cal.identification.observations import Observations, observe
 from parallel_cal.mechanisms.delta24 import Delta24
 from parallel_cal.model.model import Model, new_model
+from parallel_cal.virtual import robot as vr
 
 
 def scipy_fit(model: Model, observations: Observations, free: np.ndarray) -> np.ndarray:

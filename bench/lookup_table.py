@@ -17,11 +17,10 @@ import casadi as ca
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "test"))
-from virtual_robot import TABLE_5_18
-
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.kinematics.solvers import lookup_table
 from parallel_cal.model.model import Model, new_model
+from parallel_cal.virtual.robot import TABLE_5_18
 
 SIZES = (4, 5, 9, 17, 33)
 

@@ -19,11 +19,9 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "test"))
 
-import virtual_effects_joint as ve
+import virtual_day as vd
 import virtual_findings as vf
-import virtual_robot as vr
 import virtual_setups as vs
-import virtual_small as small
 from twins import hexapod
 
 from parallel_cal.diagnosis.diagnose import Diagnosis, diagnose
@@ -31,6 +29,9 @@ from parallel_cal.identification.fit import fit
 from parallel_cal.model.model import Model, new_model
 from parallel_cal.model.shelf import load_sensor
 from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.virtual import joint_effects as ve
+from parallel_cal.virtual import robot as vr
+from parallel_cal.virtual.linear_delta import LinearDelta
 
 SIZES = (0.8, 1.4, 2.0)  # sigmas of the residual
 PLATE = 0.3  # m, under the gauge
@@ -56,7 +57,7 @@ class Robot:
         at = vr.At(10.0 * np.arange(n), warm, np.where(np.arange(n) * 6 // n % 2, 1.2, 0.2), came)
         gauges = [e for e in effects if isinstance(e, vs.Gauge)]
         _, r, R = vr.truth(self.twin, [e for e in effects if e not in gauges], reading, at)
-        q_error, r_error, w_error = ve.errors(self.noise, n, joints, seed)
+        q_error, r_error, w_error = vd.errors(self.noise, n, joints, seed)
         names = self.model().joints
         sigma = np.repeat([self.noise.position, self.noise.orientation], 3)
         conditions = {f"direction.{j}": came[:, i] for i, j in enumerate(names)}
@@ -81,7 +82,7 @@ def visited(reading: Any, seed: int, again: int = 30) -> Any:
 
 
 def delta_poses(seed: int) -> Any:
-    return visited(vr.NOMINAL.inverse(vr.targets(120, seed))[0], seed)
+    return visited(vr.NOMINAL.inverse(vd.targets(120, seed))[0], seed)
 
 
 def leg_poses(seed: int) -> Any:
@@ -107,10 +108,10 @@ def carriage_poses(seed: int) -> Any:
     return visited(RAILS.inverse(r, np.eye(3))[0], seed)
 
 
-def rails() -> small.LinearDelta:
+def rails() -> LinearDelta:
     model = new_model("linear_delta")
     off = 0.3 * model.table.tolerance * np.random.default_rng(3).standard_normal(len(model.values))
-    return small.LinearDelta(model.table.mapping(model.values + np.where(model.fixed, 0, off)))
+    return LinearDelta(model.table.mapping(model.values + np.where(model.fixed, 0, off)))
 
 
 HEXAPOD, RAILS = hexapod(), rails()

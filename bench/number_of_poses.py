@@ -19,7 +19,7 @@ from rich.console import Console
 from rich.table import Table
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "test"))
-import virtual_robot as vr
+import virtual_day as vd
 from datasets import as_dataset
 
 from parallel_cal.base.errors import FitError
@@ -29,6 +29,7 @@ from parallel_cal.identification.observations import observe
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.model import Model, Noise, new_model
 from parallel_cal.planning.plan import plan
+from parallel_cal.virtual import robot as vr
 
 SETS = ("random", "grid", "optimal (D)", "optimal (prediction)")
 NOISE = vr.THESIS_NOISE
@@ -70,7 +71,7 @@ def readings(case: Case, kind: str, n: int, draw: int) -> np.ndarray:
     if kind == "random":
         targets = case.model.mechanism.sample(n, rng)
     else:
-        targets = vr.targets(n, draw)  # an even lattice: a grid of any number of points
+        targets = vd.targets(n, draw)  # an even lattice: a grid of any number of points
     return Kinematics(case.model).inverse(targets).joints
 
 

@@ -20,15 +20,14 @@ import numpy as np
 from timing import Row, seconds_each, show
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "test"))
-import virtual_argos as va
-import virtual_robot as vr
-import virtual_stewart as vs
-
 from parallel_cal.base.errors import SolveError
 from parallel_cal.kinematics import solving
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions
 from parallel_cal.model.mechanism import poses_in_workspace
 from parallel_cal.model.model import Model, new_model
+from parallel_cal.virtual import argos as va
+from parallel_cal.virtual import robot as vr
+from parallel_cal.virtual import stewart as vs
 
 AGREE = 1e-9  # m and rad
 POSES = 100

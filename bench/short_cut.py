@@ -17,7 +17,6 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "test"))
 
-import virtual_robot as vr
 import virtual_short_cut as vs
 from tied import JOINTS, blind
 
@@ -28,6 +27,7 @@ from parallel_cal.model.model import Model, new_model
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.short_cut.identify import Combination, short_cut
 from parallel_cal.short_cut.loop import Loop
+from parallel_cal.virtual import robot as vr
 
 NOISE = vr.THESIS_NOISE
 RODS_1 = ("chain1.Lb", "chain1.dLb")

@@ -20,7 +20,7 @@ from rich.table import Table
 from timing import seconds_each
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "test"))
-import virtual_robot as vr
+import virtual_day as vd
 
 from parallel_cal.base.compiled import Batch
 from parallel_cal.base.rotation import rotation_vector
@@ -29,6 +29,7 @@ from parallel_cal.kinematics.solvers.cascaded import PERFECT, direct_function, i
 from parallel_cal.kinematics.solvers.fixed_newton import newton_steps
 from parallel_cal.kinematics.solvers.homotopy import direct_all
 from parallel_cal.model.model import Model, new_model
+from parallel_cal.virtual import robot as vr
 
 N = 1000
 CUBE = 0.04  # m: near the centre, where a Jacobian of the centre serves
@@ -101,7 +102,7 @@ class Robot:
 
 def robot(model: Model) -> Robot:
     kinematics = Kinematics(model)
-    truth = kinematics.direct(kinematics.inverse(vr.targets(N, 1, CUBE)).joints)
+    truth = kinematics.direct(kinematics.inverse(vd.targets(N, 1, CUBE)).joints)
     home = np.array([*model.mechanism.home.position, *np.eye(3).ravel()])
     joints = np.hstack([truth.joints, np.tile(home, (N, 1))])
     poses = np.hstack([truth.joints, truth.position, np.tile(np.eye(3).ravel(), (N, 1))])

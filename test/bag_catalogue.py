@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import virtual_sessions as days
-from virtual_argos import TABLE_5_21
+from virtual_day import Clocks, Day
 from virtual_effects_hidden import (
     BaseDrift,
     CrossTalk,
@@ -16,21 +16,21 @@ from virtual_effects_hidden import (
     LeaningAxes,
     ThermalGrowth,
 )
-from virtual_robot import (
+
+from parallel_cal.virtual.argos import TABLE_5_21
+from parallel_cal.virtual.robot import (
     ARCSEC,
     MOCK_UP,
     TABLE_5_12,
     THESIS_NOISE,
     Backlash,
-    Clocks,
-    Day,
     Effect,
     EncoderEccentricity,
     Noise,
     Parameters,
     RodRobot,
 )
-from virtual_stewart import Assembly
+from parallel_cal.virtual.stewart import Assembly
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,9 +1,10 @@
 """Datasets for tests: measured by the virtual robot, no file in between."""
 
 import numpy as np
-import virtual_robot as vr
+import virtual_day as vd
 
 from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.virtual import robot as vr
 
 JOINTS = ("joint1", "joint2", "joint3")
 JOINT_SIGMA = vr.THESIS_NOISE.joint
@@ -12,7 +13,7 @@ JOINT_SIGMA = vr.THESIS_NOISE.joint
 def measured(seed=0, *, robot=vr.MOCK_UP, noise=vr.THESIS_NOISE, effects=(), **session):
     """What the device of the thesis measures on a virtual Delta, as a Dataset."""
     return as_dataset(
-        vr.dwell_samples(robot, seed=seed, noise=noise, effects=effects, **session), noise
+        vd.dwell_samples(robot, seed=seed, noise=noise, effects=effects, **session), noise
     )
 
 

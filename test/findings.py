@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-import virtual_effects_joint as ve
 import virtual_findings as vf
-import virtual_robot as vr
 from datasets import JOINTS, quiet
 
 from parallel_cal.identification.fit import fit
 from parallel_cal.model.model import Model, new_model
 from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.virtual import joint_effects as ve
+from parallel_cal.virtual import robot as vr
 
 
 def dataset(samples, noise):

@@ -31,7 +31,7 @@ from rosbags.interfaces import (
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
-from virtual_robot import stream
+from virtual_day import stream
 
 BAGS = Path(__file__).resolve().parent.parent / "bags"
 START = 1_767_225_600_000_000_000  # 2026-01-01 00:00:00 UTC, in ns
@@ -260,8 +260,8 @@ def check(name: str, folder: Path = BAGS) -> bool:
 # ---------------------------------------------------------------------------------------------
 
 README = """# Recordings of virtual robots
-All are synthetic: `test/virtual_robot.py` and its neighbours build the robots from points and rods,
-independently of the package, `test/bag_catalogue.py` lists the recordings, and one command,
+All are synthetic: `parallel_cal/virtual` builds the robots from points and rods, independently of
+the rest of the package, `test/bag_catalogue.py` lists the recordings, and one command,
 `make bags`, writes them all (and this page):
 
     python test/make_bags.py            # --only NAME for one, --check to compare instead

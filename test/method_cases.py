@@ -3,7 +3,6 @@
 from functools import cache
 
 import numpy as np
-import virtual_robot as vr
 from test_mechanisms_against_virtual import CASES, Case, wanted
 from virtual_serial import Serial
 
@@ -11,6 +10,7 @@ from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.identification.observations import Observations
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_mechanism
+from parallel_cal.virtual import robot as vr
 
 SIGMA = {"joint": 5e-6, "position": 5e-6, "orientation": 2e-5}  # rad or m, m, rad
 

@@ -5,14 +5,14 @@ from dataclasses import dataclass, replace
 import findings
 import numpy as np
 import virtual_effects_hidden as hidden
-import virtual_effects_joint as ve
 import virtual_findings as vf
-import virtual_robot as vr
 import virtual_sessions as days
 
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.identification.fit import fit
 from parallel_cal.model.model import new_model
+from parallel_cal.virtual import joint_effects as ve
+from parallel_cal.virtual import robot as vr
 
 TURNS_OVER = 20e-3  # rad, of a wind-up
 

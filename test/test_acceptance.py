@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import virtual_robot as vr
 from datasets import measured
 from typer.testing import CliRunner
 
@@ -21,6 +20,7 @@ from parallel_cal.model.file.modelfile import read_model, write_model
 from parallel_cal.model.model import new_model
 from parallel_cal.session.goals import Request, proposed, written
 from parallel_cal.session.steps import added, fitted
+from parallel_cal.virtual import robot as vr
 
 FACES = ("command line", "node")
 NOTHING = "no pose was left out, so nothing proves that the new model is better"

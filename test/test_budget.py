@@ -4,7 +4,6 @@ import json
 
 import numpy as np
 import pytest
-import virtual_robot as vr
 import virtual_setups as vs
 
 from parallel_cal.identification.budget import iso_9283
@@ -12,6 +11,7 @@ from parallel_cal.identification.fit import fit
 from parallel_cal.identification.prediction_errors import Errors
 from parallel_cal.model.model import new_model
 from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.virtual import robot as vr
 
 SIGMA, ARCSEC, PLAY = 15e-6, vr.ARCSEC, 1e-3
 

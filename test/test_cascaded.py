@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
-import virtual_robot as vr
+import virtual_day as vd
 
 from parallel_cal.base.errors import SolveError
 from parallel_cal.base.rotation import rotation_vector
 from parallel_cal.kinematics.kinematics import Kinematics, Status
 from parallel_cal.kinematics.solvers import cascaded, fixed_newton
 from parallel_cal.model.model import new_model
+from parallel_cal.virtual import robot as vr
 
 ARCSECOND = np.pi / 180 / 3600
 PARALLELOGRAM = {
@@ -24,7 +25,7 @@ def mock_up():
 @pytest.fixture(scope="module")
 def poses(mock_up):
     """The pose and joints of 74 points in the workspace, to machine precision."""
-    return Kinematics(mock_up).inverse(vr.targets(74, 1))
+    return Kinematics(mock_up).inverse(vd.targets(74, 1))
 
 
 def errors(found, truth):
@@ -53,7 +54,7 @@ def test_the_rough_cascade_leaves_tenths_of_a_millimetre_and_arcseconds(mock_up,
 
 def test_five_fixed_steps_from_the_centre_leave_hundredths_of_a_micrometre_near_it(mock_up):
     """Table 6.6: 0.02 um and 0.3 arcseconds; 20 mm from the centre's Jacobian it is so."""
-    poses = Kinematics(mock_up).inverse(vr.targets(74, 1, 0.04))
+    poses = Kinematics(mock_up).inverse(vd.targets(74, 1, 0.04))
     found = fixed_newton.direct(mock_up, poses.joints, start="home")
     position, orientation, _ = errors(found, poses)
     assert 0.005e-6 < position < 0.5e-6
@@ -66,7 +67,7 @@ def test_the_cascades_error_falls_with_the_square_of_the_parallelogram_errors(mo
     left = []
     for share in (1.0, 0.71):
         model = mock_up.with_values(mock_up.values * np.where(small, share, 1.0))
-        truth = Kinematics(model).inverse(vr.targets(74, 1, 0.04))
+        truth = Kinematics(model).inverse(vd.targets(74, 1, 0.04))
         left.append(errors(cascaded.direct(model, truth.joints), truth)[:2])
     assert np.divide(*left) == pytest.approx([0.71**-2] * 2, rel=0.1)
     assert left[1][0] == pytest.approx(0.2e-6, rel=0.1)
@@ -103,7 +104,7 @@ def test_both_solvers_agree_with_the_careful_one_where_effects_are_strong():
     model = new_model("delta54", vr.TABLE_5_18, ["encoder_eccentricity"])
     values = {**vr.TABLE_5_18, "encoder_eccentricity.joint2.sin": 1e-2}
     model = model.with_values(model.table.vector(values))
-    truth = Kinematics(model).inverse(vr.targets(20, 2))
+    truth = Kinematics(model).inverse(vd.targets(20, 2))
     for solver, options in ((cascaded, {"half_steps": 7}), (fixed_newton, {"steps": 7})):
         found = solver.inverse(model, truth.position, **options)
         assert errors(found, truth)[2] < 1e-11

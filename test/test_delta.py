@@ -3,7 +3,6 @@
 import casadi as ca
 import numpy as np
 import pytest
-import virtual_robot as vr
 
 from parallel_cal.base.rotation import rotation_vector
 from parallel_cal.kinematics.every import direct_all, inverse_all
@@ -11,6 +10,7 @@ from parallel_cal.kinematics.kinematics import Kinematics, Status
 from parallel_cal.kinematics.newton import newton_functions
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_mechanism
+from parallel_cal.virtual import robot as vr
 
 # One chain in whole numbers. R turns (x, y, z) into (z, x, y); T turns it into (x, -z, y).
 HAND = dict(  # noqa: C408

@@ -4,7 +4,6 @@ import dataclasses
 
 import numpy as np
 import pytest
-import virtual_robot as vr
 from datasets import measured, quiet
 from scipy import stats
 
@@ -23,6 +22,7 @@ from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.observations import observe
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.model import new_model
+from parallel_cal.virtual import robot as vr
 
 
 @pytest.fixture(scope="module")

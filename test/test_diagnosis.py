@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import virtual_day as vd
 import virtual_effects_hidden as hidden
 import virtual_findings as vf
-import virtual_robot as vr
 from datasets import JOINTS, measured
 from findings import clean, dataset, hiding
 
@@ -18,6 +18,7 @@ from parallel_cal.identification.fit import fit
 from parallel_cal.model.model import Noise, new_model
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.session.steps import added
+from parallel_cal.virtual import robot as vr
 
 MODEL = new_model("delta54")
 
@@ -181,7 +182,7 @@ def test_what_geometry_absorbs_is_said_to_be_absorbed():
 
 def all_of_steel_warming_up():
     growth = hidden.ThermalGrowth(11.7e-6, 11.7e-6, 11.7e-6)
-    day = vr.plan(110, 20, 0, dwell=10.0, air=lambda t: 18 + 0.003 * np.asarray(t))
+    day = vd.plan(110, 20, 0, dwell=10.0, air=lambda t: 18 + 0.003 * np.asarray(t))
     return dataset(vf.samples(day, [growth], vf.FINE, 0), vf.FINE)
 
 

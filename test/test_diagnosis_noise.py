@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 import virtual_blind as vb
 import virtual_findings as vf
-import virtual_robot as vr
 from findings import dataset, quiet, sized
 
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.diagnosis.noise import PureError
 from parallel_cal.model.model import new_model
+from parallel_cal.virtual import robot as vr
 
 
 def noisy(kind, seed, effects=()):

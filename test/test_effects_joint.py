@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-import virtual_effects_joint as ve
-import virtual_robot as vr
+import virtual_day as vd
 from twins import hexapod, joints_near_home
 
 from parallel_cal.effects.encoder_crosstalk import SIZE
@@ -21,6 +20,8 @@ from parallel_cal.model.model import new_model
 from parallel_cal.model.parameters import Named
 from parallel_cal.model.shelf import load_effect, load_mechanism
 from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.virtual import joint_effects as ve
+from parallel_cal.virtual import robot as vr
 
 HEX = vr.Noise(joint=5e-6, position=10e-6, orientation=15 * vr.ARCSEC)  # m on its legs
 
@@ -293,9 +294,9 @@ HEXAPOD = Robot("stewart42", hexapod(), tuple(f"leg{i}" for i in range(1, 7)), H
 def measured(robot, hidden, n=100, seed=1, errorless=False):
     """A dataset of the robot with its hidden physics; `errorless` instruments claim 1e-6 of it."""
     reading, nq = robot.poses(n, seed), len(robot.joints)
-    at = ve.visits(n, nq, seed, robot.reach)
+    at = vd.visits(n, nq, seed, robot.reach)
     _, r, R = vr.truth(robot.twin, hidden, reading, at)
-    q_error, r_error, w_error = ve.errors(robot.noise, n, nq, seed)
+    q_error, r_error, w_error = vd.errors(robot.noise, n, nq, seed)
     factor, size = (0.0, 1e-6) if errorless else (1.0, 1.0)
     sigma = np.repeat([robot.noise.position * size, robot.noise.orientation * size], 3)
     conditions = {"time": at.time, "session": at.session}

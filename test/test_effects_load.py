@@ -9,8 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-import virtual_effects_load as vl
-import virtual_robot as vr
+import virtual_day as vd
 from datasets import measured as session
 from twins import hexapod, joints_near_home
 
@@ -24,6 +23,8 @@ from parallel_cal.model.model import Noise, new_model
 from parallel_cal.model.parameters import Named
 from parallel_cal.model.shelf import load_effect, load_mechanism
 from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.virtual import load_effects as vl
+from parallel_cal.virtual import robot as vr
 
 G = 9.81
 
@@ -315,8 +316,8 @@ def measured(case, n=80, seed=1, errorless=False):
     robot, factor = case.robot, 1e-6 if errorless else 1.0
     reading = robot.poses(n, seed)
     nq = reading.shape[1]
-    at = vl.circumstances(n, nq, seed, robot.heaviest)
-    r, R = vl.truth(robot.twin, [case.hidden], reading, at)
+    at = vd.circumstances(n, nq, seed, robot.heaviest)
+    _, r, R = vr.truth(robot.twin, [case.hidden], reading, at)
     errors = robot.noise.draw(np.random.default_rng([seed, 10]), n, nq)
     q_error, r_error, w_error = (error * (0.0 if errorless else 1.0) for error in errors)
     sigma = factor * np.repeat([robot.noise.position, robot.noise.orientation], 3)
@@ -346,9 +347,9 @@ def true_model(case):
 @each
 def test_the_direct_problem_under_load_agrees_with_the_virtual_robot(case):
     reading = case.robot.poses(20, seed=2)
-    at = vl.circumstances(20, reading.shape[1], 2, case.robot.heaviest)
-    r, R = vl.truth(case.robot.twin, [case.hidden], reading, at)
-    plain, _ = vl.truth(case.robot.twin, [], reading, at)
+    at = vd.circumstances(20, reading.shape[1], 2, case.robot.heaviest)
+    _, r, R = vr.truth(case.robot.twin, [case.hidden], reading, at)
+    _, plain, _ = vr.truth(case.robot.twin, [], reading, at)
     conditions = {"payload": at.payload, "temperature": at.temperature}
     answer = Kinematics(true_model(case)).direct(reading, conditions)
     assert answer.ok.all()

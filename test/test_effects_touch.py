@@ -5,8 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
-import virtual_effects_joint as ve
-import virtual_robot as vr
+import virtual_day as vd
 import virtual_setups as vs
 from test_effects_joint import HEXAPOD
 
@@ -16,6 +15,7 @@ from parallel_cal.model.model import new_model
 from parallel_cal.model.parameters import Named
 from parallel_cal.model.shelf import load_effect, load_mechanism, load_sensor
 from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.virtual import robot as vr
 
 # --------------------------------------------------------------------------- by pencil and paper
 
@@ -98,7 +98,7 @@ def gauged(gauge, n=120, seed=2):
     r = rng.uniform((-0.06, -0.06, 0.300), (0.06, 0.06, 0.312), (n, 3))
     reading = twin.inverse(r, vr.turn(rng.uniform(-0.2, 0.2, (n, 3))))[0]
     r, R = twin.forward(reading)
-    q_error, r_error, w_error = ve.errors(noise, n, 6, seed)
+    q_error, r_error, w_error = vd.errors(noise, n, 6, seed)
     return Dataset.from_arrays(
         HEXAPOD.joints, reading + q_error, r + r_error, vr.turn(w_error) @ R,
         pose_cov=np.diag(np.repeat([noise.position, noise.orientation], 3) ** 2),

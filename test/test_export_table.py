@@ -4,13 +4,14 @@ import json
 
 import numpy as np
 import pytest
-import virtual_robot as vr
+import virtual_day as vd
 from scipy.interpolate import RegularGridInterpolator
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.exporting.export import export
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.model import new_model
+from parallel_cal.virtual import robot as vr
 
 MOCK_UP = new_model("delta54", vr.TABLE_5_18)
 
@@ -33,7 +34,7 @@ def test_the_stated_error_is_what_an_independent_robot_shows(tmp_path):
     axes, values, about = read(tmp_path)
     assert about["bytes_as_float32"] == 4 * 3 * 7**3
     nominal = Kinematics(MOCK_UP.with_values(MOCK_UP.table.vector(about["nominal"])))
-    asked = vr.targets(2000, seed=11)
+    asked = vd.targets(2000, seed=11)
     inside = np.all(
         [(a[0] <= c) & (c <= a[-1]) for a, c in zip(axes, asked.T, strict=True)], axis=0
     )
@@ -54,7 +55,7 @@ def test_the_direct_table_tells_the_pose(tmp_path):
     axes, values, about = read(tmp_path)
     assert list(about["axes"]) == ["joint1", "joint2", "joint3"]
     nominal = Kinematics(MOCK_UP.with_values(MOCK_UP.table.vector(about["nominal"])))
-    q, _ = vr.MOCK_UP.inverse(vr.targets(500, seed=12))
+    q, _ = vr.MOCK_UP.inverse(vd.targets(500, seed=12))
     change = RegularGridInterpolator(axes, values, bounds_error=False)(q)
     found = nominal.direct(q).position + change[:, :3]
     left = np.linalg.norm(vr.MOCK_UP.forward(q)[0] - found, axis=1)

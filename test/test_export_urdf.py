@@ -4,7 +4,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-import virtual_robot as vr
+import virtual_day as vd
 
 from parallel_cal.exporting.export import export
 from parallel_cal.exporting.tree import tree_of
@@ -12,6 +12,7 @@ from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.mechanism import poses_in_workspace
 from parallel_cal.model.model import new_model
 from parallel_cal.reporting.drawings import lines
+from parallel_cal.virtual import robot as vr
 
 
 def rpy(roll, pitch, yaw):
@@ -98,7 +99,7 @@ def test_rods_end_in_the_balls_of_a_robot_built_another_way(tmp_path):
     [path] = export(model, "urdf:name=mock_up", tmp_path)
     assert path.name == "mock_up.urdf"
     urdf, tree = Urdf(path), tree_of(model)
-    q, _ = vr.MOCK_UP.inverse(vr.targets(4, seed=8))
+    q, _ = vr.MOCK_UP.inverse(vd.targets(4, seed=8))
     r, R = vr.MOCK_UP.forward(q)
     for k in range(4):
         x = np.concatenate([q[k], r[k], R[k].ravel()])

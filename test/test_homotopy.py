@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-import virtual_robot as vr
 
 from parallel_cal.base.errors import SolveError
 from parallel_cal.base.rotation import rotation_matrix, rotation_vector
@@ -14,6 +13,7 @@ from parallel_cal.kinematics.solvers._platform import all_poses, start_system
 from parallel_cal.kinematics.solvers._quadrics import CERTAIN, alpha
 from parallel_cal.kinematics.solvers._study import quadrics
 from parallel_cal.model.model import new_model
+from parallel_cal.virtual import robot as vr
 
 
 def platform(rng):

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import virtual_robot as vr
+import virtual_day as vd
 from datasets import JOINTS, as_dataset, measured, quiet, redrawn
 from scipy import stats
 
@@ -20,6 +20,7 @@ from parallel_cal.identification.prior import Knowledge
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.model import new_model
 from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.virtual import robot as vr
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +71,7 @@ def test_a_robot_without_noise_is_found_exactly():
 
 
 def test_model_24_is_found_from_position_alone():
-    samples = vr.dwell_samples(vr.MOCK_UP, seed=4)
+    samples = vd.dwell_samples(vr.MOCK_UP, seed=4)
     only_position = np.tile([True, True, True, False, False, False], (len(samples["q"]), 1))
     result = fit(new_model("delta24"), as_dataset(samples, measured=only_position))
     document = result.document()
@@ -84,7 +85,7 @@ def test_model_24_is_found_from_position_alone():
 
 def test_model_54_from_position_alone_names_nothing_it_cannot_know():
     """Orientation unmeasured is projected out: position still improves at unseen poses."""
-    samples = vr.dwell_samples(vr.MOCK_UP, seed=4)
+    samples = vd.dwell_samples(vr.MOCK_UP, seed=4)
     only_position = np.tile([True, True, True, False, False, False], (len(samples["q"]), 1))
     result = fit(new_model("delta54"), as_dataset(samples, measured=only_position), prior=True)
     document = result.document()
@@ -94,7 +95,7 @@ def test_model_54_from_position_alone_names_nothing_it_cannot_know():
 
 def test_projecting_out_equals_a_measurement_without_weight():
     """Orientation left out, and orientation measured with a sigma of 3 rad: one estimate."""
-    samples = vr.dwell_samples(vr.MOCK_UP, seed=5)
+    samples = vd.dwell_samples(vr.MOCK_UP, seed=5)
     model = new_model("delta54")
     mask = np.tile([True, True, True, False, False, False], (len(samples["q"]), 1))
     left_out = fit(model, as_dataset(samples, measured=mask), hold_out=0, prior=True)
@@ -124,7 +125,7 @@ PARALLEL = vr.TABLE_5_12 | {
     ids=["model 54 from full poses", "model 24 from positions"],
 )
 def test_predicted_sigma_is_the_spread_over_200_noise_seeds(name, true, seen):
-    samples = vr.dwell_samples(vr.Delta(true), seed=0)
+    samples = vd.dwell_samples(vr.Delta(true), seed=0)
     mask = np.tile(np.arange(6) < seen, (len(samples["q"]), 1))
     model = new_model(name)
     free = ~model.fixed

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-import virtual_robot as vr
 from datasets import measured
 
 from parallel_cal.base.errors import ModelError, SolveError
@@ -12,6 +11,7 @@ from parallel_cal.kinematics.every import inverse_all
 from parallel_cal.kinematics.kinematics import Kinematics, Status
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_mechanism
+from parallel_cal.virtual import robot as vr
 
 
 @pytest.fixture(scope="module")

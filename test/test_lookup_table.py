@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-import virtual_robot as vr
+import virtual_day as vd
 
 from parallel_cal.base.errors import SolveError
 from parallel_cal.base.rotation import quaternion_to_matrix, rotation_vector
@@ -10,9 +10,10 @@ from parallel_cal.kinematics.kinematics import Kinematics, Status
 from parallel_cal.kinematics.solvers import lookup_table
 from parallel_cal.kinematics.solvers.lookup_table import LookUpTable
 from parallel_cal.model.model import new_model
+from parallel_cal.virtual import robot as vr
 
 MOCK_UP = new_model("delta54", vr.TABLE_5_18)
-ASKED = vr.targets(200, seed=3)
+ASKED = vd.targets(200, seed=3)
 
 
 def left(size, order):

@@ -9,18 +9,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-import virtual_argos as va
 import virtual_paper as vp
 import virtual_serial as vs
 import virtual_small as vm
-import virtual_stewart as vt
-from virtual_robot import turn
 
 from parallel_cal.base.rotation import quaternion_to_matrix, rotation_vector
 from parallel_cal.kinematics import solving
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_mechanism, shelf_names
+from parallel_cal.virtual import argos as va
+from parallel_cal.virtual import stewart as vt
+from parallel_cal.virtual.linear_delta import LinearDelta
+from parallel_cal.virtual.robot import turn
 
 SHELF = shelf_names("mechanisms")
 SIX_LINES = [(1, 1, 2), (-1, 1, 2), (0, -1.4, 2.1), (1.1, -1, 0.1), (-1, -1, 0), (0, 1.5, -0.1)]
@@ -63,8 +64,8 @@ CASES = [
         lambda p: vm.Cable(p, (1, 1, 2, 2, 3, 3)),
         (("anchors", SIX_LINES), ("spools", [1, 1, 2, 2, 3, 3])),
     ),
-    Case("linear_delta", vm.LinearDelta),
-    Case("linear_delta", lambda p: vm.LinearDelta(p, 0.3), (("inclination", 0.3),)),
+    Case("linear_delta", LinearDelta),
+    Case("linear_delta", lambda p: LinearDelta(p, 0.3), (("inclination", 0.3),)),
     Case("parallelogram", vp.Parallelogram),
     Case("parallelogram_simple", vp.SimpleParallelogram),
     Case("delta51", vp.Delta51),

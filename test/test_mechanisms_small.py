@@ -5,9 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import virtual_argos
 import virtual_small
-import virtual_stewart
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.rotation import rotation_matrix, rotation_vector
@@ -16,6 +14,7 @@ from parallel_cal.kinematics.kinematics import Kinematics, Status
 from parallel_cal.model.mechanism import poses_in_workspace
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_mechanism
+from parallel_cal.virtual import argos, linear_delta, stewart
 
 ALL = (
     "argos_nominal argos9 argos27 stewart42 planar_stewart linear_delta slider_crank rssr cable"
@@ -88,10 +87,10 @@ def test_one_pose_is_answered_as_in_a_batch(name):
 
 
 VIRTUAL = {  # robots of points, rods and pantographs, solved without any closure of ours
-    "argos27": virtual_argos.Argos,
-    "stewart42": virtual_stewart.Stewart,
-    "planar_stewart": virtual_stewart.PlanarStewart,
-    "linear_delta": virtual_small.LinearDelta,
+    "argos27": argos.Argos,
+    "stewart42": stewart.Stewart,
+    "planar_stewart": stewart.PlanarStewart,
+    "linear_delta": linear_delta.LinearDelta,
     "slider_crank": virtual_small.SliderCrank,
     "rssr": virtual_small.Rssr,
     "cable": virtual_small.Cable,
@@ -119,7 +118,7 @@ def joints_in_metres(model):
 @pytest.mark.parametrize("name", ["argos_nominal", "argos9"])
 def test_spherical_argos_agrees_with_the_one_of_pantographs(name):
     model = strayed(name, 1)
-    robot = virtual_argos.Argos(virtual_argos.spherical(model.table.mapping(model.values)))
+    robot = argos.Argos(argos.spherical(model.table.mapping(model.values)))
     for row in solved_poses(model, 20):
         turned = robot.turned(row[:3], row[6:].reshape(3, 3) @ rotation_matrix(np.full(3, 0.02)))
         assert np.abs(turned.ravel() - row[6:]).max() < 1e-9
@@ -127,7 +126,7 @@ def test_spherical_argos_agrees_with_the_one_of_pantographs(name):
 
 def test_nominal_values_of_the_argos_are_those_of_table_5_21():
     table = new_model("argos27").table
-    assert table.nominal == pytest.approx(table.vector(virtual_argos.TABLE_5_21))
+    assert table.nominal == pytest.approx(table.vector(argos.TABLE_5_21))
 
 
 COUNTS = {  # table 3.1 and section 3.5; gear and advantage of a cable's line act as its radius
@@ -628,7 +627,7 @@ def test_preset_is_read_and_solved_over_its_workspace(name):
 def test_every_pose_of_a_planar_platform_is_found(seed):
     rng = np.random.default_rng(seed)
     model = strayed("planar_stewart", seed, tolerances=20)
-    robot = virtual_stewart.PlanarStewart(model.table.mapping(model.values))
+    robot = stewart.PlanarStewart(model.table.mapping(model.values))
     q = robot.inverse(*poses_in_workspace(model.mechanism, 1, rng))[0][0]
     found = direct_all(model, q)
     others = poses_from_anywhere(robot, q, rng)

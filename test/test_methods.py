@@ -6,11 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import virtual_robot as vr
 from datasets import measured as measured_delta
 from datasets import quiet
 from virtual_small import SliderCrank
-from virtual_stewart import Assembly
+
+from parallel_cal.virtual import robot as vr
+from parallel_cal.virtual.stewart import Assembly
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 

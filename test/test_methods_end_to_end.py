@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import virtual_robot as vr
 from datasets import measured
 
 from parallel_cal.base.errors import FitError
@@ -14,6 +13,7 @@ from parallel_cal.identification.fit import fit
 from parallel_cal.model.file.modelfile import read_model, write_model
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import shelf_names
+from parallel_cal.virtual import robot as vr
 
 METHODS = shelf_names("identification.methods")
 ECCENTRIC = vr.EncoderEccentricity((4e-3, -3e-3, 2e-3), (1e-3, 4e-3, -3e-3))

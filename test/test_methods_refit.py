@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import virtual_robot as vr
+import virtual_day as vd
 from datasets import as_dataset, measured, redrawn
 
 from parallel_cal.base.errors import FitError
@@ -18,6 +18,7 @@ from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.file.modelfile import read_model, write_model
 from parallel_cal.model.model import Noise, new_model
 from parallel_cal.session.steps import fitted
+from parallel_cal.virtual import robot as vr
 
 MM = 1e-3
 OFFSETS = "chain?.La_y"  # across the arm: what a joint's zero moves
@@ -27,7 +28,7 @@ BAD = [3, 30, 60]
 
 def few(seed):
     """Five poses of the re-homed robot."""
-    samples = redrawn(vr.dwell_samples(vr.MOCK_UP, seed=7), seed)
+    samples = redrawn(vd.dwell_samples(vr.MOCK_UP, seed=7), seed)
     first = np.unique(samples["pose_index"], return_index=True)[1][:5]
     return rehomed(as_dataset({k: v[first] for k, v in samples.items()}))
 
@@ -38,7 +39,7 @@ def rehomed(data):
 
 def unseen(shift=0.0):
     """Joint readings and positions of the true robot at poses that no fit has seen."""
-    samples = vr.dwell_samples(vr.MOCK_UP, seed=99)
+    samples = vd.dwell_samples(vr.MOCK_UP, seed=99)
     return samples["reading"] + shift, samples["true_r"]
 
 
@@ -82,7 +83,7 @@ def test_the_parameters_kept_keep_their_covariance_in_the_model_file(calibrated,
 @pytest.mark.parametrize("draws", [50, pytest.param(200, marks=pytest.mark.slow)])
 def test_the_sigma_of_refitted_parameters_is_their_spread_over_draws(draws):
     """Both sessions are measured anew in every draw: the kept parameters err, too."""
-    first, model = vr.dwell_samples(vr.MOCK_UP, seed=0), new_model("delta54", vr.TABLE_5_12)
+    first, model = vd.dwell_samples(vr.MOCK_UP, seed=0), new_model("delta54", vr.TABLE_5_12)
     offsets, free, found = model.table.matching([OFFSETS]), ~model.fixed, []
     others = model.table.matching(["chain?.Lb", "chain?.D_x"])
     with single_threaded():

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import virtual_argos as va
+
+from parallel_cal.virtual import argos as va
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 

@@ -4,8 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import virtual_effects_joint as ve
-import virtual_robot as vr
 from datasets import measured
 
 from parallel_cal.base.errors import FitError, ModelFileError
@@ -14,6 +12,8 @@ from parallel_cal.model.file.modelfile import dump_model, read_model, write_mode
 from parallel_cal.model.model import new_model
 from parallel_cal.model.parameters import Parameter
 from parallel_cal.session.steps import added, fitted
+from parallel_cal.virtual import joint_effects as ve
+from parallel_cal.virtual import robot as vr
 
 NAME = "backlash.joint1.width"
 BELT = vr.Backlash((3e-2, 2e-2, 2.5e-2))  # 1.7 degrees of play: beyond what any gear has

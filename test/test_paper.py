@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-import virtual_robot as vr
+import virtual_day as vd
 
 from parallel_cal.base.errors import SolveError
 from parallel_cal.base.rotation import rotation_vector
@@ -11,6 +11,7 @@ from parallel_cal.kinematics.kinematics import Kinematics, Status
 from parallel_cal.kinematics.solvers import ipr_compensation
 from parallel_cal.mechanisms.delta51 import RODS, from_delta54, to_delta54
 from parallel_cal.model.model import new_model
+from parallel_cal.virtual import robot as vr
 
 MM, DEGREE = 1e-3, np.pi / 180
 QUARTER = np.pi / 2
@@ -416,7 +417,7 @@ def test_what_the_compensation_leaves_is_of_second_order(name):
 
 def test_the_mock_up_is_compensated_to_a_hundredth():
     """Table 5.15: 550 um measured before calibration; 594 um by tables 5.12 and 5.18."""
-    model, asked = new_model("delta54", vr.TABLE_5_18), vr.targets(74, seed=0)
+    model, asked = new_model("delta54", vr.TABLE_5_18), vd.targets(74, seed=0)
     before, _ = vr.MOCK_UP.forward(vr.NOMINAL.inverse(asked)[0])
     after, _ = vr.MOCK_UP.forward(ipr_compensation.inverse(model, asked).joints)
     assert np.linalg.norm(before - asked, axis=1).mean() == pytest.approx(594e-6, abs=10e-6)
@@ -424,7 +425,7 @@ def test_the_mock_up_is_compensated_to_a_hundredth():
 
 
 def test_the_compensated_pose_has_the_predicted_tilt_and_an_honest_residual():
-    model, asked = new_model("delta54", vr.TABLE_5_18), vr.targets(20, seed=0)
+    model, asked = new_model("delta54", vr.TABLE_5_18), vd.targets(20, seed=0)
     found = ipr_compensation.inverse(model, asked)
     exact = Kinematics(model).inverse(asked)
     tilt = rotation_vector(found.rotation @ exact.rotation.transpose(0, 2, 1))
@@ -448,7 +449,7 @@ def test_an_orientation_that_follows_the_joints_follows_their_correction():
 
 def test_the_approximate_direct_problem_predicts_the_whole_pose():
     model = new_model("delta51", from_delta54(vr.TABLE_5_18))
-    q, _ = vr.NOMINAL.inverse(vr.targets(20, seed=1))
+    q, _ = vr.NOMINAL.inverse(vd.targets(20, seed=1))
     r, R = vr.MOCK_UP.forward(q)
     found = ipr_compensation.direct(model, q)
     assert np.abs(found.position - r).max() < 15e-6

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import virtual_robot as vr
 from findings import travel
 from settling import DOUBTS, settled
 
@@ -12,6 +11,7 @@ from parallel_cal.diagnosis.separate import told_apart
 from parallel_cal.model.model import Noise, new_model
 from parallel_cal.planning.course import Course
 from parallel_cal.planning.plan import plan
+from parallel_cal.virtual import robot as vr
 
 NOISE = Noise(vr.THESIS_NOISE.joint, vr.THESIS_NOISE.position, vr.THESIS_NOISE.orientation)
 

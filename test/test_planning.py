@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import virtual_robot as vr
+import virtual_day as vd
 from datasets import as_dataset
 
 from parallel_cal.base.errors import FitError
@@ -22,6 +22,7 @@ from parallel_cal.planning.indices import indices, prediction_rms
 from parallel_cal.planning.plan import plan
 from parallel_cal.planning.posepool import clear, make_pool
 from parallel_cal.planning.selection import Choice, anneal, exchange
+from parallel_cal.virtual import robot as vr
 
 FULL = Noise(vr.THESIS_NOISE.joint, vr.THESIS_NOISE.position, vr.THESIS_NOISE.orientation)
 NOMINAL = str(Path(__file__).parents[1] / "config" / "delta_mockup_nominal.yaml")
@@ -202,7 +203,7 @@ def test_position_alone_is_planned_for_where_only_position_has_noise():
 
 def test_poses_of_ones_own_can_be_the_pool():
     model = noisy()
-    own = Kinematics(model).inverse(vr.targets(40, 0))
+    own = Kinematics(model).inverse(vd.targets(40, 0))
     found = plan(model, 12, pool=own)
     assert {tuple(p) for p in found.poses.position} <= {tuple(p) for p in own.position}
 

@@ -7,8 +7,6 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
-import virtual_argos as va
-import virtual_robot as vr
 import virtual_setups as vs
 from datasets import measured
 from tied import dataset as tied
@@ -25,6 +23,8 @@ from parallel_cal.reporting.page import page
 from parallel_cal.reporting.readable import number, probability, vector, with_unit
 from parallel_cal.reporting.report import report
 from parallel_cal.session.steps import fitted
+from parallel_cal.virtual import argos as va
+from parallel_cal.virtual import robot as vr
 
 SECTIONS = [
     "verdict", "numbers", "history", "error-budget", "what-is-left-in-space",

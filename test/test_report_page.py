@@ -9,7 +9,6 @@ from html import unescape
 
 import numpy as np
 import pytest
-import virtual_robot as vr
 from datasets import measured
 
 from parallel_cal.model.model import new_model
@@ -18,6 +17,7 @@ from parallel_cal.reporting.page import page
 from parallel_cal.reporting.readable import rounded_to
 from parallel_cal.reporting.report import report
 from parallel_cal.session.steps import fitted
+from parallel_cal.virtual import robot as vr
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 DRAWS = ["--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader"]

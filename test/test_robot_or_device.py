@@ -5,9 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import virtual_blind as vb
-import virtual_effects_joint as ve
+import virtual_day as vd
 import virtual_findings as vf
-import virtual_robot as vr
 from findings import clean, dataset, hiding, sized
 from twins import hexapod
 
@@ -22,6 +21,8 @@ from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_sensor
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.session.steps import added
+from parallel_cal.virtual import joint_effects as ve
+from parallel_cal.virtual import robot as vr
 
 
 @pytest.fixture(scope="module")
@@ -188,7 +189,7 @@ def before_hexapod(device, seed=1):
     pose = rng.permutation(np.concatenate([np.arange(120), rng.choice(120, 30, replace=False)]))
     reading = robot.inverse(r, R)[0][pose]
     _, r, R = vr.truth(robot, [device], reading, vr.At(*np.zeros((4, 150))))
-    q_error, r_error, w_error = ve.errors(noise, 150, 6, seed)
+    q_error, r_error, w_error = vd.errors(noise, 150, 6, seed)
     sigma = np.repeat([noise.position, noise.orientation], 3)
     return Dataset.from_arrays(
         new_model("stewart42").joints, reading + q_error, r + r_error, vr.turn(w_error) @ R,

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-import virtual_robot as vr
 
 from parallel_cal.base.rotation import (
     matrix_to_quaternion,
@@ -10,6 +9,7 @@ from parallel_cal.base.rotation import (
     rotation_matrix,
     rotation_vector,
 )
+from parallel_cal.virtual import robot as vr
 
 HALF_TURNS = [[np.pi, 0, 0], [0, np.pi, 0], [0, 0, np.pi], [3, 0, 0], [0, -3, 0], [0, 0.1, 3.1]]
 

@@ -5,8 +5,6 @@ from dataclasses import replace
 import numpy as np
 import plotly.graph_objects as go
 import pytest
-import virtual_effects_joint as vj
-import virtual_robot as vr
 from datasets import measured
 
 from parallel_cal.diagnosis.catalogue import candidate
@@ -17,6 +15,8 @@ from parallel_cal.identification.fit import fit
 from parallel_cal.model.model import new_model
 from parallel_cal.reporting import rounds
 from parallel_cal.reporting.contents import JointResiduals
+from parallel_cal.virtual import joint_effects as vj
+from parallel_cal.virtual import robot as vr
 
 RATIO, SIZE, PHASE = 80.0, (4e-4, 3e-4, 5e-4), (0.3, 1.0, 2.0)
 

@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-import virtual_argos as va
-import virtual_robot as vr
+import virtual_day as vd
 import virtual_setups as vs
 from datasets import JOINTS, as_dataset
 from tied import blind, dataset
@@ -20,6 +19,8 @@ from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_sensor
 from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.virtual import argos as va
+from parallel_cal.virtual import robot as vr
 
 PLATE = vs.Plate()
 
@@ -251,7 +252,7 @@ def predicted_height(model, joints):
 
 
 def test_a_probe_beside_a_position_device_uses_both():
-    samples = vr.dwell_samples(vs.random_delta(3), seed=4)
+    samples = vd.dwell_samples(vs.random_delta(3), seed=4)
     mask = np.tile([True, True, False, False, False, False], (len(samples["q"]), 1))
     data = as_dataset(samples, measured=mask)
     data.conditions["reading.probe"] = samples["true_r"][:, 2] - 0.3
@@ -371,7 +372,7 @@ def test_a_spatial_argos_with_arbitrary_frames_has_42_parameters(gimbal, free, r
 
 def delta_seen(device, seed=3):
     """A tracker that knows positions only, and stands where it likes."""
-    samples = vr.dwell_samples(vs.random_delta(seed, 0.5), seed=4)
+    samples = vd.dwell_samples(vs.random_delta(seed, 0.5), seed=4)
     rng = np.random.default_rng(0)
     r, _ = device.shows(samples["true_r"], samples["true_R"])
     samples["r"] = r + rng.normal(0, 10e-6, r.shape)

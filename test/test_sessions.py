@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-import virtual_robot as vr
+import virtual_day as vd
 from datasets import JOINTS, measured
 
 from parallel_cal.base.errors import DatasetError, FitError
@@ -20,6 +20,7 @@ from parallel_cal.recordings.loading import load_dataset, load_sessions
 from parallel_cal.recordings.simulate import simulate, with_effects
 from parallel_cal.recordings.travel import travel
 from parallel_cal.recordings.writer import write_bag
+from parallel_cal.virtual import robot as vr
 
 # --------------------------------------------------------------------------- way since a reversal
 
@@ -205,13 +206,13 @@ def test_saved_samples_of_several_sessions_are_read_back(two, tmp_path):
 
 def test_the_virtual_robot_agrees_on_the_way(two):
     """The clean recording's session, driven by the virtual robot and not by our simulation."""
-    session = vr.plan(seed=1)
+    session = vd.plan(seed=1)
     ways, run = session.ways, np.zeros(3)
     expected = []
     for k, step in enumerate(ways):
         run = np.where((k > 0) & (np.sign(step) == np.sign(ways[k - 1])), run, 0) + step
         expected.append(run)
-    stream = vr.record(seed=1, pose_seed=1, noise=vr.Noise(0, 0, 0))
+    stream = vd.record(seed=1, pose_seed=1, noise=vr.Noise(0, 0, 0))
     at = np.searchsorted(stream["joint_time"], session.arrive)
     level, direction = session.reading, np.sign(ways).astype(int)
     found = travel(stream["q"], list(at), level, direction, np.full(3, 1e-6))

@@ -6,7 +6,6 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
-import virtual_robot as vr
 import virtual_short_cut as vs
 from bag_writing import Session, joint_states, text, write_bag
 from tied import JOINTS, blind
@@ -22,6 +21,7 @@ from parallel_cal.model.mechanism import Home
 from parallel_cal.model.model import new_model
 from parallel_cal.short_cut.identify import combine, identify, short_cut
 from parallel_cal.short_cut.loop import Loop, loop_model, loop_numbers
+from parallel_cal.virtual import robot as vr
 
 SIGMA = vr.THESIS_NOISE.joint
 RODS_1 = ("chain1.Lb", "chain1.dLb")

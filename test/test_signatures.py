@@ -4,9 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import virtual_argos as va
-import virtual_effects_joint as vj
-import virtual_robot as vr
 import virtual_setups as vs
 from datasets import measured
 from tied import dataset as tied
@@ -20,6 +17,9 @@ from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_sensor
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.reporting import signatures
+from parallel_cal.virtual import argos as va
+from parallel_cal.virtual import joint_effects as vj
+from parallel_cal.virtual import robot as vr
 
 RATIO = 80.0
 

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-import virtual_robot as vr
 
 from parallel_cal.base.errors import SolveError
 from parallel_cal.base.rotation import rotation_matrix
@@ -12,6 +11,7 @@ from parallel_cal.kinematics.kinematics import Kinematics, Status
 from parallel_cal.kinematics.singularity import distances
 from parallel_cal.kinematics.solvers import continuous
 from parallel_cal.model.model import new_model
+from parallel_cal.virtual import robot as vr
 
 
 @pytest.fixture(scope="module")

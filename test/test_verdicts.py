@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import virtual_day as vd
 import virtual_effects_hidden as hidden
 import virtual_findings as vf
-import virtual_robot as vr
 from datasets import JOINTS, measured
 from findings import dataset, sized
 
@@ -22,6 +22,7 @@ from parallel_cal.identification.fit import fit
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.model import new_model
 from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.virtual import robot as vr
 
 MODEL = new_model("delta54")
 
@@ -46,8 +47,8 @@ def test_several_smooth_errors_of_a_joints_angle_are_called_that():
 
 def within(side, seed):
     """74 poses and 20 of them again in a cube of `side` (m) in the middle of the workspace."""
-    reading, _ = vr.NOMINAL.inverse(vr.targets(74, seed, side=side))
-    day = vr.visit(reading, vr.NOMINAL.inverse(vr.NOMINAL.home)[0], 20, seed)
+    reading, _ = vr.NOMINAL.inverse(vd.targets(74, seed, side=side))
+    day = vd.visit(reading, vr.NOMINAL.inverse(vr.NOMINAL.home)[0], 20, seed)
     noise = vr.THESIS_NOISE
     return dataset(vf.samples(day, [], noise, seed), noise)
 
@@ -63,7 +64,7 @@ def test_a_small_cube_says_how_far_off_the_rest_of_the_workspace_may_be():
 @pytest.mark.wide
 def test_and_so_far_off_the_robot_is_there():
     """Rms of five robots' true errors in the rest of the workspace, beside what was said."""
-    reading, _ = vr.NOMINAL.inverse(vr.targets(300, 77))
+    reading, _ = vr.NOMINAL.inverse(vd.targets(300, 77))
     _, truth, _ = vr.truth(vr.MOCK_UP, [], reading, vr.At(*np.zeros((3, 300)), np.zeros((300, 3))))
     said, errors = [], []
     for seed in range(5):

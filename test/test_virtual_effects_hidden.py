@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+import virtual_day as vd
 import virtual_effects_hidden as he
-import virtual_robot as vr
 import virtual_sessions as days
 from test_virtual_robot import PAPER
+
+from parallel_cal.virtual import robot as vr
 
 FLAT = np.zeros((1, 3))
 SILENT = vr.Noise(0, 0, 0)
@@ -67,8 +69,8 @@ def test_a_leaning_axis_shows_the_others_coordinates_too_small():
 
 
 def test_a_late_stamp_shows_where_the_robot_was_before():
-    sweep, clocks = days.Sweep(seed=1, end=1.0), vr.Clocks(joint=0.1, pose=0.1, offset=0.0)
-    late = vr.stream(vr.NOMINAL, sweep, [he.LateStamp(5e-3)], SILENT, clocks=clocks)
+    sweep, clocks = days.Sweep(seed=1, end=1.0), vd.Clocks(joint=0.1, pose=0.1, offset=0.0)
+    late = vd.stream(vr.NOMINAL, sweep, [he.LateStamp(5e-3)], SILENT, clocks=clocks)
     np.testing.assert_allclose(late["r"], sweep.path(late["pose_time"] - 5e-3), atol=1e-12)
     np.testing.assert_allclose(late["q"], sweep.joints(late["pose_time"]), atol=1e-12)
 

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 import yaml
 from scipy.spatial.transform import Rotation
-from virtual_robot import (
+from virtual_day import dwell_samples, plan, record, targets
+
+from parallel_cal.virtual.robot import (
     ARCSEC,
     COLUMNS,
     MOCK_UP,
@@ -23,10 +25,6 @@ from virtual_robot import (
     EncoderEccentricity,
     Noise,
     Parameters,
-    dwell_samples,
-    plan,
-    record,
-    targets,
     truth,
     turn,
 )
@@ -49,14 +47,6 @@ def circumstances(n: int, direction: float = 1.0) -> At:
 
 
 # --- geometry ---------------------------------------------------------------------------------
-
-
-def test_it_shares_nothing_with_the_package() -> None:
-    names = "virtual_robot virtual_effects_hidden virtual_sessions bag_catalogue make_bags"
-    for name in names.split():
-        source = Path(__file__).with_name(f"{name}.py").read_text()
-        assert "parallel_cal" not in source
-        assert "import casadi" not in source
 
 
 def test_turn_is_a_rotation_about_its_vector() -> None:

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import virtual_robot as vr
+import virtual_day as vd
 from datasets import as_dataset, measured, quiet
 from test_unmeasured import only
 
@@ -18,6 +18,7 @@ from parallel_cal.identification.methods.implicit import estimate
 from parallel_cal.identification.observations import ASSUMED, observe
 from parallel_cal.identification.prior import Prior
 from parallel_cal.model.model import new_model
+from parallel_cal.virtual import robot as vr
 
 ALL = new_model("delta54")
 
@@ -59,7 +60,7 @@ def test_what_the_data_tell_comes_out_as_without_any_prior():
     """With a thousandth of the noise that is stated, everything is linear: tolerances a hundred
     times as wide leave the same numbers, to a twentieth of their scatter, along each direction
     that the data see better than the tolerances; along the others they run off."""
-    draw = vr.dwell_samples(vr.Delta({**vr.TABLE_5_12}), seed=1, noise=quiet(1e-3))
+    draw = vd.dwell_samples(vr.Delta({**vr.TABLE_5_12}), seed=1, noise=quiet(1e-3))
     observations, free = observe(ALL, only("x y z", as_dataset(draw))), ~ALL.fixed
     found = estimate(ALL, observations, free, None)
     vague = Prior(ALL.table.nominal, np.diag((100 * ALL.table.tolerance) ** 2))

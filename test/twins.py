@@ -1,10 +1,10 @@
 """Virtual robots off their nominal dimensions, and joint readings about their home."""
 
 import numpy as np
-import virtual_robot as vr
-import virtual_stewart as vt
 
 from parallel_cal.model.model import new_model
+from parallel_cal.virtual import robot as vr
+from parallel_cal.virtual import stewart as vt
 
 
 def hexapod(seed=3):

@@ -1,6 +1,6 @@
 """Serial arms by Denavit and Hartenberg's own matrices, seen by a tracker that stands anywhere.
 
-Like `virtual_robot`, this file shares nothing with the package.
+Like `parallel_cal.virtual`, this file shares nothing with the rest of the package.
 """
 
 from __future__ import annotations
@@ -8,7 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from virtual_robot import Array, turn
+
+from parallel_cal.virtual.robot import Array, turn
 
 QUARTER = np.pi / 2
 # a, d (m), alpha (rad) of every joint: A = Rot(z, theta) Trans(z, d) Trans(x, a) Rot(x, alpha).

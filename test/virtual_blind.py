@@ -1,6 +1,6 @@
 """What a blind study hides: devices that err, stands that give way, noise that is not as stated.
 
-Like `virtual_robot`, this file shares nothing with the package.
+Like `parallel_cal.virtual`, this file shares nothing with the rest of the package.
 """
 
 from __future__ import annotations
@@ -9,8 +9,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import virtual_robot as vr
-from virtual_robot import Array, At, Effect
+
+from parallel_cal.virtual import robot as vr
+from parallel_cal.virtual.robot import Array, At, Effect
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from virtual_robot import Array, Parameters, solve
 from virtual_small import Cable
-from virtual_stewart import column, numbered
+
+from parallel_cal.virtual.robot import Array, Parameters, solve
+from parallel_cal.virtual.stewart import column, numbered
 
 STEPS = 400
 FALL = (0.0, 0.0, -9.81)  # m/s^2

@@ -1,6 +1,6 @@
 """The physics hidden in the recordings beyond eccentric discs and play, one class an effect.
 
-Like `virtual_robot`, this file shares nothing with the package.
+Like `parallel_cal.virtual`, this file shares nothing with the rest of the package.
 """
 
 from __future__ import annotations
@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from virtual_robot import Array, At, Effect, Parameters, apply, turn
+
+from parallel_cal.virtual.robot import Array, At, Effect, Parameters, apply, turn
 
 GRAVITY = 9.81  # m/s^2, along -z of the base
 

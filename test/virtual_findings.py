@@ -1,6 +1,6 @@
 """Sessions with hidden physics at a wanted size, for finding it again; no bag in between.
 
-Like `virtual_robot`, this file shares nothing with the package.
+Like `parallel_cal.virtual`, this file shares nothing with the rest of the package.
 """
 
 from __future__ import annotations
@@ -9,10 +9,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import virtual_day as vd
 import virtual_effects_hidden as hidden
-import virtual_robot as vr
 import virtual_sessions as days
-from virtual_robot import Array, At, Effect
+
+from parallel_cal.virtual import robot as vr
+from parallel_cal.virtual.robot import Array, At, Effect
 
 FINE = vr.Noise(joint=5 * vr.ARCSEC, position=2e-6, orientation=3 * vr.ARCSEC)
 FINEST = vr.Noise(joint=2 * vr.ARCSEC, position=0.8e-6, orientation=1.2 * vr.ARCSEC)
@@ -116,15 +118,15 @@ OUTSIDE = {
 }
 
 
-def session(seed: int, n_poses: int = 120, n_replicates: int = 30) -> vr.Session:
+def session(seed: int, n_poses: int = 120, n_replicates: int = 30) -> vd.Session:
     """Ten seconds a pose in a hall that warms and cools, with and without a load."""
     visits = n_poses + n_replicates
     masses = np.where(np.arange(visits) * 6 // visits % 2, 1.2, 0.2)
-    return vr.plan(n_poses, n_replicates, seed, dwell=10.0, air=days.wandering, payload=masses)
+    return vd.plan(n_poses, n_replicates, seed, dwell=10.0, air=days.wandering, payload=masses)
 
 
 def samples(
-    day: vr.Session, effects: Sequence[Effect], noise: vr.Noise, seed: int
+    day: vd.Session, effects: Sequence[Effect], noise: vr.Noise, seed: int
 ) -> dict[str, Array]:
     """What is measured on such a day, a row a dwell."""
     at = day.at(day.arrive + day.dwell / 2)

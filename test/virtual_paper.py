@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from virtual_robot import Array, Parameters, about, apply, stack, turn
-from virtual_stewart import Assembly, column, numbered, vectors
+
+from parallel_cal.virtual.robot import Array, Parameters, about, apply, stack, turn
+from parallel_cal.virtual.stewart import Assembly, column, numbered, vectors
 
 # Table 2, millimetres: nominal parameters and the errors that the paper planted (q0 in degrees).
 _NOMINAL = {"q0": 0, "a1_x": 125, "a2_x": 125, "a2_y": 0, "b1_x": 125, "b2_x": 125, "b2_y": 0}

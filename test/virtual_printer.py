@@ -1,6 +1,6 @@
 """Delta printers that know their beds by touch only: towers or shoulders, rods, end-stops, a probe.
 
-Like `virtual_robot`, this file shares nothing with the package.
+Like `parallel_cal.virtual`, this file shares nothing with the rest of the package.
 """
 
 from __future__ import annotations
@@ -8,7 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from virtual_robot import Array
+
+from parallel_cal.virtual.robot import Array
 
 ROD, RADIUS, REACH = 0.25, 0.10, 0.06  # m: rod, tower to effector joint, of the bed that is used
 

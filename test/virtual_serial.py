@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from virtual_robot import Array, Parameters, solve
+
+from parallel_cal.virtual.robot import Array, Parameters, solve
 
 # Table 3.7: name of the transformation and the joint that sits in it, if any.
 SCARA = (("base", ""), ("link1", "R"), ("link2", "R"), ("link3", "P"), ("platform", ""))

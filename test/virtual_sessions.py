@@ -1,6 +1,6 @@
 """Other days at the measuring machine: warm ones, loaded ones, without a stop, other robots.
 
-Like `virtual_robot`, this file shares nothing with the package.
+Like `parallel_cal.virtual`, this file shares nothing with the rest of the package.
 """
 
 from __future__ import annotations
@@ -10,9 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from virtual_argos import TABLE_5_22, Argos
-from virtual_robot import NOMINAL, Array, Day, RodRobot, Session, plan, targets, turn, visit
-from virtual_stewart import Stewart
+from virtual_day import Day, Session, plan, targets, visit
+
+from parallel_cal.virtual.argos import TABLE_5_22, Argos
+from parallel_cal.virtual.robot import NOMINAL, Array, RodRobot, turn
+from parallel_cal.virtual.stewart import Stewart
 
 # ---------------------------------------------------------------------------------------------
 # The temperature of the air, degC

@@ -9,7 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import virtual_robot as vr
+
+from parallel_cal.virtual import robot as vr
 
 # 1 sigma of a real robot (mm, degrees), as a workshop would state it.
 SPREAD = {

@@ -9,7 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import virtual_robot as vr
+
+from parallel_cal.virtual import robot as vr
 
 ORDER = ("11", "21", "31", "12", "22", "32")  # of Delta.joint_points and Delta.lengths
 STOPS = np.radians([-30.0, 135.0])  # section 2.3.2

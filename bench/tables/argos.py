@@ -10,8 +10,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import virtual_argos as va
-import virtual_robot as vr
 import virtual_setups as vs
 
 from bench.tables.common import (
@@ -29,6 +27,8 @@ from parallel_cal.identification.prediction_errors import errors
 from parallel_cal.model.model import Model, new_model
 from parallel_cal.model.shelf import load_sensor
 from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.virtual import argos as va
+from parallel_cal.virtual import robot as vr
 
 POSES, REACH = 47, 0.6  # rad about each axis: as far as the virtual pantographs' motors go
 NOISE = vr.Noise(25 * ARCSECOND, 1.9 * UM, 2.7 * ARCMIN / np.sqrt(12))

@@ -10,7 +10,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-import virtual_robot as vr
+import virtual_day as vd
 from datasets import as_dataset, quiet, redrawn
 
 from bench.tables.common import (
@@ -29,6 +29,7 @@ from parallel_cal.identification.observations import Observations, observe
 from parallel_cal.identification.prediction_errors import errors
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.model import Model, new_model
+from parallel_cal.virtual import robot as vr
 
 POSES = 74
 SUBSETS = (8, 12, 16, 24, 32, 40, 48, 56, 64, 74)
@@ -77,7 +78,7 @@ class Session:
     """74 poses of the virtual mock-up, measured again and again."""
 
     def __init__(self, pose_seed: int = 0):
-        self._samples = vr.dwell_samples(n_poses=POSES, n_replicates=0, pose_seed=pose_seed)
+        self._samples = vd.dwell_samples(n_poses=POSES, n_replicates=0, pose_seed=pose_seed)
 
     def observations(self, model: Model, seed: int, loud: float = 1.0) -> Observations:
         noise = quiet(loud)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import virtual_day as vd
 import virtual_paper as vp
-import virtual_robot as vr
 
 from bench.tables import parallelogram
 from bench.tables.common import MM, UM, distribution
@@ -70,7 +70,7 @@ def _random_delta(seed: int, size: float) -> tuple[vp.Delta51, Dataset]:
     strays = np.array([".p_" not in name for name in table.names])
     values = table.nominal + size * strays * table.tolerance * rng.standard_normal(len(table))
     robot = vp.Delta51(table.mapping(values))
-    q = Kinematics(NOMINAL).inverse(vr.targets(POSES, seed)).joints
+    q = Kinematics(NOMINAL).inverse(vd.targets(POSES, seed)).joints
     r, R = robot.forward(q)
     return robot, dataset(NOMINAL.joints, q, r, R, seed, WHOLE)
 

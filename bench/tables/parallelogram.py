@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import virtual_paper as vp
-import virtual_robot as vr
 
 from bench.tables.common import DEGREE, MM, UM, distribution
 from parallel_cal.identification.methods import sensitivity
@@ -22,6 +21,7 @@ from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.kinematics.solvers import ipr_compensation
 from parallel_cal.model.model import Model, new_model
 from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.virtual import robot as vr
 
 NOISE = vr.Noise(joint=1e-9, position=3 * UM, orientation=0.003 * DEGREE)
 MEASURED = np.radians(np.arange(-45.0, 46.0, 5.0))[:, None]

@@ -1,7 +1,7 @@
 """Stewart platforms from balls and legs, and how any robot of rigid parts is put together.
 
-Nothing here comes from the package: a robot is a list of gaps between parts that must touch, and
-a pose is found by moving the parts until the gaps are gone (`virtual_robot.solve`).
+Nothing here comes from other rooms: a robot is a list of gaps between parts that must touch, and
+a pose is found by moving the parts until the gaps are gone (`robot.solve`).
 SI units; every function takes batches, arrays of shape (..., 3).
 """
 
@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from virtual_robot import Array, Parameters, apply, solve, stack, turn
+
+from parallel_cal.virtual.robot import Array, Parameters, apply, solve, stack, turn
 
 Pose = tuple[Array, Array]
 POSE = ["x", "y", "z", "rx", "ry", "rz"]

@@ -1,7 +1,6 @@
 """Hidden physics of encoders, gears, clocks and measuring devices, for the virtual robots.
 
-Each is told as a mechanic would tell it, and nothing of it comes from the package. A session here
-is a list of random visits: what a joint did before a visit is drawn, not driven.
+Each is told as a mechanic would tell it, and nothing of it comes from other rooms.
 """
 
 from __future__ import annotations
@@ -10,9 +9,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from virtual_robot import Array, At, Effect, Noise, apply, turn
+from numpy.typing import NDArray
 
-SESSIONS = 2
+from parallel_cal.virtual.robot import Array, At, Effect, apply, turn
 
 
 @dataclass(frozen=True)
@@ -22,19 +21,7 @@ class Visit(At):
 
     travel: Array
     velocity: Array
-    session: Array
-
-
-def visits(n: int, joints: int, seed: int, reach: float) -> Visit:
-    """n samples over an hour; ways from `reach` / 300 to `reach`, speeds up to `reach` a second."""
-    rng = np.random.default_rng([seed, 7])
-    direction = rng.choice([-1.0, 1.0], (n, joints))
-    travel = direction * reach * np.exp(-rng.uniform(0, np.log(300), (n, joints)))
-    velocity = direction * rng.uniform(0, reach, (n, joints))
-    time = np.linspace(0, 3600, n)
-    air, load = np.full(n, 20.0), np.zeros(n)
-    session = np.arange(n) * SESSIONS // n
-    return Visit(time, air, load, direction, travel, velocity, session)
+    session: NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -222,10 +209,3 @@ class MisplacedTarget(Effect):
 
     def device(self, r: Array, R: Array, at: At) -> tuple[Array, Array]:
         return r + apply(R, np.array(self.at_platform)), R
-
-
-def errors(noise: Noise, n: int, joints: int, seed: int) -> tuple[Array, Array, Array]:
-    """Errors of n readings: joints, position, rotation vector about the base's axes."""
-    rng = np.random.default_rng([seed, 8])
-    q, r, w = (rng.normal(size=(n, k)) for k in (joints, 3, 3))
-    return q * noise.joint, r * noise.position, w * noise.orientation

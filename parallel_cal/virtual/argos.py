@@ -12,8 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from virtual_robot import Array, Parameters, apply, solve, stack, turn
-from virtual_stewart import Assembly
+
+from parallel_cal.virtual.robot import Array, Parameters, apply, solve, stack, turn
+from parallel_cal.virtual.stewart import Assembly
 
 SPHERE = 0.11
 RIGHT = np.pi / 2

@@ -1,4 +1,4 @@
-"""Hidden physics of weight and warmth, for the virtual robots; nothing comes from the package.
+"""Hidden physics of weight and warmth, for the virtual robots; nothing comes from other rooms.
 
 Forces are slopes of the energy that a person would measure with a weight and a pair of scales: move
 one joint, or make one rod longer, and see how much everything is lifted.
@@ -11,7 +11,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from virtual_robot import Array, At, Effect, Parameters, apply, turn
+
+from parallel_cal.virtual.robot import Array, At, Effect, Parameters, apply, turn
 
 DOWN = (0.0, 0.0, -9.81)
 
@@ -65,16 +66,7 @@ def with_rods(robot: Any, rods: Array) -> Any:
 
 
 @dataclass(frozen=True)
-class LoadEffect(Effect):
-    """One disturbance by load; it may also change the rods that a pose hangs on."""
-
-    def held(self, robot: Any, angle: Array, at: At) -> Any:
-        """The robot with the rods it has under load."""
-        return robot
-
-
-@dataclass(frozen=True)
-class ShaftTwist(LoadEffect):
+class ShaftTwist(Effect):
     """Shafts (or spindles) that give by so much per Nm (N) that they hold."""
 
     compliance: tuple[float, ...]
@@ -89,7 +81,7 @@ class ShaftTwist(LoadEffect):
 
 
 @dataclass(frozen=True)
-class SoftRods(LoadEffect):
+class SoftRods(Effect):
     """Rods that are springs: longer by so many metres per newton that pulls at them."""
 
     compliance: float
@@ -104,7 +96,7 @@ class SoftRods(LoadEffect):
 
 
 @dataclass(frozen=True)
-class LooseBalls(LoadEffect):
+class LooseBalls(Effect):
     """Balls that lie on the side where they are pushed: fully so from some newtons on."""
 
     play: float
@@ -120,7 +112,7 @@ class LooseBalls(LoadEffect):
 
 
 @dataclass(frozen=True)
-class Warmth(LoadEffect):
+class Warmth(Effect):
     """Named dimensions grow by so much per kelvin above 20 degC: {"Lb": 1e-6}."""
 
     growth: dict[str, float]
@@ -134,7 +126,7 @@ class Warmth(LoadEffect):
 
 
 @dataclass(frozen=True)
-class SoftFrame(LoadEffect):
+class SoftFrame(Effect):
     """A frame on legs: it sinks by `settle` m/N, and leans by `tilt` rad/(Nm) under the moment."""
 
     settle: float
@@ -144,26 +136,3 @@ class SoftFrame(LoadEffect):
         weight = at.payload[:, None] * np.array(DOWN)
         lean = turn(self.tilt * np.cross(r, weight))
         return apply(lean, r) + self.settle * weight, lean @ R
-
-
-def truth(robot: Any, effects: Any, reading: Array, at: At) -> tuple[Array, Array]:
-    """From encoder readings to the pose that an errorless device shows, under load."""
-    parameters, angle = robot.parameters, reading
-    for effect in effects:
-        parameters = effect.geometry(parameters, at)
-    robot = type(robot)(parameters)
-    for effect in effects:
-        angle = effect.arm(angle, robot, at)
-    for effect in effects:
-        robot = effect.held(robot, angle, at)
-    r, R = robot.forward(angle)
-    for effect in effects:
-        r, R = effect.device(r, R, at)
-    return r, R
-
-
-def circumstances(n: int, joints: int, seed: int, heaviest: float) -> At:
-    """n samples: one of four payloads each, air between 12 and 30 degC, in no order."""
-    rng = np.random.default_rng([seed, 8])
-    payload = heaviest * rng.choice([0.0, 0.25, 0.5, 1.0], n)
-    return At(np.arange(n) * 10.0, rng.uniform(12, 30, n), payload, np.ones((n, joints)))

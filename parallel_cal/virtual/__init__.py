@@ -1,0 +1,1 @@
+"""Robots, drives and devices to try on: independent of every other room."""

@@ -1,0 +1,56 @@
+"""The linear Delta from rails, points and rods; nothing of it comes from other rooms."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from parallel_cal.virtual.robot import Array, Parameters, about, apply
+from parallel_cal.virtual.stewart import Assembly, column, numbered, vectors
+
+
+class LinearDelta(Assembly):
+    """Three carriages on rails, six rods to the platform: 3[P(2S/2S)] of table 3.1, 48 parameters.
+
+    As for the Delta (table 3.10), D leads from the balls' middle on the platform, thought to be
+    attached to the base, to the carriage at reading zero. A rail is vertical (or leans outwards by
+    `inclination`) but for small turns alpha about x, then beta about y; chains stand 120 degrees
+    apart. Platform balls are at b +- d, carriage balls at +- (d + dC), rods Lb +- dLb long.
+    """
+
+    controls = "x y z"
+    home = (0.0, 0.0, 0.1)
+    home_joints = (0.33, 0.33, 0.33)
+
+    def __init__(self, parameters: Parameters, inclination: float = 0.0) -> None:
+        super().__init__(parameters)
+        chains = numbered("chain", 3)
+
+        def vector(name: str) -> Array:
+            return vectors(parameters, [f"{name}_x", f"{name}_y", f"{name}_z"], chains)
+
+        frame = about("z", np.arange(3) * 2 * np.pi / 3)
+        lean = about("y", np.full(3, inclination))
+        small = [
+            about(axis, column(parameters, n, chains))
+            for axis, n in (("x", "alpha"), ("y", "beta"))
+        ]
+        self.rail = (frame @ lean @ small[0] @ small[1])[..., 2]
+        middle, half, error = vector("b") + vector("D"), vector("d"), vector("dC")
+        lengths = [
+            column(parameters, "Lb", chains) + s * column(parameters, "dLb", chains)
+            for s in (1, -1)
+        ]
+        self.carriages = [apply(frame, middle + s * (half + error)) for s in (1, -1)]
+        self.balls = [apply(frame, vector("b") + s * half) for s in (1, -1)]
+        self.rods = np.concatenate(lengths, -1)
+
+    def ends(self, q: Array, r: Array, R: Array) -> tuple[Array, Array]:
+        """The rods' ends on carriages and platform, shape (..., 6 rods, 3) each."""
+        slid = self.rail * q[..., None]
+        platform = [r[..., None, :] + apply(R[..., None, :, :], ball) for ball in self.balls]
+        return np.concatenate([c + slid for c in self.carriages], -2), np.concatenate(platform, -2)
+
+    def gaps(self, q: Array, r: Array, R: Array, hidden: Array) -> Array:
+        """How far each rod is too short to reach from ball to ball."""
+        carriage, platform = self.ends(q, r, R)
+        return np.linalg.norm(platform - carriage, axis=-1) - self.rods
