@@ -23,8 +23,9 @@ What P. Vischer's thesis (*Improving the Accuracy of Parallel Robots*, EPFL 1996
 Savoure, Maurine, Corbel and Krut (ICRA 2006) print, beside what parallel_cal finds. Their data are
 not public: ours come from virtual robots with the printed dimensions and the printed noise, built
 in `parallel_cal/virtual` and `test/virtual_*.py` from points and rods without a line of the rest.
-Where a difference remains, the text says why. `make tables` computes this page; the numbers, with more digits,
-are in [tables.json](tables.json), and `test/test_tables.py` holds them. Seeds are 0, 1, 2 and so on.
+Where a difference remains, the text says why. `make tables` computes this page; the numbers, with
+more digits, are in [tables.json](tables.json), and `test/test_tables.py` holds them. Seeds are 0,
+1, 2 and so on.
 """
 
 
