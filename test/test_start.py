@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-NODES = ("kinematics_node", "calibration_node", "replay_node")
+NODES = ("kinematics_node", "calibration_node", "replay_node", "virtual_cell_node")
 
 
 def command(node, *arguments, before="pass"):

@@ -9,10 +9,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 from virtual_day import Day, Session, plan, targets, visit
 
 from parallel_cal.virtual.argos import TABLE_5_22, Argos
+from parallel_cal.virtual.machines import hexapod
 from parallel_cal.virtual.robot import NOMINAL, Array, RodRobot, turn
 from parallel_cal.virtual.stewart import Stewart
 
@@ -114,28 +114,6 @@ def turning(seed: int) -> Session:
 
 # ---------------------------------------------------------------------------------------------
 # Stewart: a hexapod 0.3 m high, on which each ball is set to half a millimetre
-
-
-def ring(radius: float, degrees: ArrayLike) -> Array:
-    """Points on a circle in the plane z = 0."""
-    angle = np.radians(degrees)
-    return radius * np.stack([np.cos(angle), np.sin(angle), np.zeros(len(angle))], -1)
-
-
-def hexapod(error: float, seed: int = 0) -> dict[str, float]:
-    """Balls in pairs on circles of 0.15 and 0.25 m, legs of 0.25 m, all off by `error` m."""
-    rng = np.random.default_rng(seed)
-    rows = {
-        "B": ring(0.15, [-50, 50, 70, 170, 190, 290]),
-        "C": ring(0.25, [-10, 10, 110, 130, 230, 250]),
-    }
-    parameters = {
-        f"leg{i + 1}.{name}_{axis}": round(float(value + error * rng.normal()), 12)
-        for name, points in rows.items()
-        for i, point in enumerate(points)
-        for axis, value in zip("xyz", point, strict=True)
-    }
-    return parameters | {f"leg{i}.L0": round(0.25 + error * rng.normal(), 12) for i in range(1, 7)}
 
 
 HEXAPOD, DESIGNED = Stewart(hexapod(0.5e-3)), Stewart(hexapod(0.0))

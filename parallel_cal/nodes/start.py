@@ -22,6 +22,11 @@ def replay_node() -> int:
     return _start("replay_node")
 
 
+def virtual_cell_node() -> int:
+    """The command `virtual_cell_node`."""
+    return _start("virtual_cell_node")
+
+
 def _start(name: str) -> int:
     try:
         module = import_module(f"parallel_cal.nodes.{name}")

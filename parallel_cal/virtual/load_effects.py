@@ -43,19 +43,18 @@ class Weights:
 
     def torques(self, robot: Any, angle: Array, payload: Array, step: float = 1e-5) -> Array:
         """What the weights exert on each joint, Nm (N): energy lost per turn (metre)."""
-        lost = [
-            self.energy(robot, angle - t, payload) - self.energy(robot, angle + t, payload)
-            for t in step * np.eye(angle.shape[-1])
-        ]
-        return np.stack(lost, -1) / (2 * step)
+        turns = step * np.eye(angle.shape[-1])[:, None]
+        before, after = (self.energy(robot, angle + t, payload) for t in (-turns, turns))
+        return np.moveaxis(before - after, 0, -1) / (2 * step)
 
     def tensions(self, robot: Any, angle: Array, payload: Array, step: float = 1e-6) -> Array:
         """What pulls at each rod, N: energy lost per metre that it is made longer."""
-        lost = []
-        for more in step * np.eye(robot.rods.shape[-1]):
-            short, long = with_rods(robot, robot.rods - more), with_rods(robot, robot.rods + more)
-            lost.append(self.energy(short, angle, payload) - self.energy(long, angle, payload))
-        return np.stack(lost, -1) / (2 * step)
+        more = step * np.eye(robot.rods.shape[-1])[:, None]
+        angle = np.broadcast_to(angle, (len(more), *angle.shape))
+        short, long = (
+            self.energy(with_rods(robot, robot.rods + m), angle, payload) for m in (-more, more)
+        )
+        return np.moveaxis(short - long, 0, -1) / (2 * step)
 
 
 def with_rods(robot: Any, rods: Array) -> Any:

@@ -258,10 +258,20 @@ def truth(
     at: At,
     start: tuple[Array, Array] | None = None,
 ) -> tuple[Array, Array, Array]:
-    """From encoder readings to (arm angles, position, rotation) as an errorless device shows.
+    """From encoder readings to (arm angles, position, rotation) as an errorless device shows."""
+    angle, r, R = assumed(robot, effects, reading, at, start)
+    return angle, *shown(effects, r, R, at)
 
-    The pose is the one nearest to `start`, else to the robot's home.
-    """
+
+def assumed(
+    robot: Any,
+    effects: Sequence[Effect],
+    reading: Array,
+    at: At,
+    start: tuple[Array, Array] | None = None,
+) -> tuple[Array, Array, Array]:
+    """From encoder readings to (arm angles, position, rotation) as they are: the pose that is
+    nearest to `start`, else to the robot's home."""
     parameters, angle = robot.parameters, reading
     for effect in effects:
         parameters = effect.geometry(parameters, at)
@@ -270,10 +280,14 @@ def truth(
         angle = effect.arm(angle, robot, at)
     for effect in effects:
         robot = effect.held(robot, angle, at)
-    r, R = robot.forward(angle, start)
+    return angle, *robot.forward(angle, start)
+
+
+def shown(effects: Sequence[Effect], r: Array, R: Array, at: At) -> tuple[Array, Array]:
+    """The pose that an errorless device shows of the one that is."""
     for effect in effects:
         r, R = effect.device(r, R, at)
-    return angle, r, R
+    return r, R
 
 
 # ---------------------------------------------------------------------------------------------

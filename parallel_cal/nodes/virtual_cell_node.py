@@ -1,0 +1,271 @@
+"""A virtual robot with controller and tracker, to try nodes, programs and oneself on."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import InertiaStamped, PoseWithCovarianceStamped
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import JointState, Temperature
+from trajectory_msgs.msg import JointTrajectory
+
+from parallel_cal.base.errors import ParallelCalError, SolveError
+from parallel_cal.base.files import write_atomically
+from parallel_cal.base.rotation import matrix_to_quaternion
+from parallel_cal.model.file.modelfile import dump_model
+from parallel_cal.model.model import Noise, new_model
+from parallel_cal.nodes.conversions import joint_order, pose_message
+from parallel_cal.nodes.parameters import ACCEPTED, LATCHED, Changes, Setting, absolute, declare
+from parallel_cal.nodes.run import every, run
+from parallel_cal.virtual.cell import Box, Cell, Messages
+from parallel_cal.virtual.machines import MACHINES
+from parallel_cal.virtual.tracker import Tracker
+
+# What a robot's owner believes it to be.
+BELIEVED = {
+    "delta": "delta54", "stewart": "stewart42", "argos": "argos9", "linear_delta": "linear_delta",
+}  # fmt: skip
+
+SET_UP = {
+    "robot": Setting("delta", "which robot stands in the cell", tuple(BELIEVED), fixed=True),
+    "seed": Setting(0, "draws how it was built, what is hidden in it, and all noise", fixed=True),
+    "effects": Setting(
+        "", "physics that the robot has, by commas; hidden: one that is drawn and not told",
+        fixed=True,
+    ),
+    "noise": Setting(1.0, "errors of encoders and tracker, times the usual", (0.0, 100.0), True),
+    "rate": Setting(1.0, "how many times faster than life", (0.01, 100.0), True),
+    "joint_rate": Setting(
+        100.0, "joint states, and periods of the controller, a s", (50.0, 500.0), True
+    ),
+    "pose_rate": Setting(20.0, "poses a s", (1.0, 100.0), True),
+    "model_file": Setting(
+        "", "where the robot as drawn is written, unless there is a file", fixed=True
+    ),
+    "air": Setting(0.3, "degC by which the temperature wanders", (0.0, 10.0), True),
+    "missing": Setting(0.01, "share of the tracker's poses that are lost", (0.0, 1.0), True),
+    "clock_offset": Setting(0.0, "s that the tracker's clock is ahead", fixed=True),
+    "clock_drift": Setting(0.0, "s a s that it gains", (-1e-2, 1e-2), True),
+    "frame_offset": Setting(
+        0.0, "m from the base to where the tracker stands; as many rad it is turned", fixed=True
+    ),
+    "target_offset": Setting(
+        0.0, "m from the platform's origin to the target; as many rad it is turned", fixed=True
+    ),
+}  # fmt: skip
+# May be set at any time, as a person or bad luck does it.
+CIRCUMSTANCES = {
+    "payload": Setting(0.0, "kg on the platform", (0.0, 100.0)),
+    "temperature": Setting(22.0, "degC", (-40.0, 120.0)),
+    "obstacle": Setting("", "box x y z x y z (m) that stops the platform's origin; more by ;"),
+    "stuck_axis": Setting(0, "number of the joint that does not move; 0 = none"),
+    "stuck_encoder": Setting(0, "number of the joint whose reading stays; 0 = none"),
+    "drives_off": Setting(False, "no joint moves"),
+    "crossed_axes": Setting(False, "the first two joints take each other's commands"),
+    "slipped": Setting(0.0, "rad or m by which the first joint slipped under its encoder"),
+    "lost_target": Setting(False, "the tracker sees nothing"),
+    "swapped_target": Setting(False, "the tracker sees another target"),
+    "homed": Setting(0, "how often the robot was homed anew"),
+}
+PARAMETERS = SET_UP | CIRCUMSTANCES
+TICK = 0.01  # s from one look at the clock to the next, and twice that where time runs fast
+FAST = 5.0
+LONGEST = 0.1  # s that a tick may make up for: a machine that is too slow slows the cell down
+SLOWLY = 1.0  # s from one temperature and payload to the next
+UNSEEN = 1e6  # variance of what a device does not measure
+
+
+class VirtualCellNode(Node):
+    """The cell by the wall clock, times `rate`; topics are listed in docs/ros.md."""
+
+    def __init__(self) -> None:
+        super().__init__("virtual_cell_node")
+        declare(self, PARAMETERS, self._changed)
+        self._cell = self._build()
+        self._write_nominal()
+        self._asked: deque[dict[str, Any]] = deque()
+        own, factor = self._cell.machine.noise, self._value("noise")
+        position = (factor * own.position) ** 2 if self._cell.machine.sees_position else UNSEEN
+        self._covariance = np.diag([position] * 3 + [(factor * own.orientation) ** 2] * 3).ravel()
+        self._frame = "tracker" if self._value("frame_offset") else "base"
+        self._begin, self._seen, self._told = time.time_ns(), time.monotonic(), -SLOWLY
+        many, group = QoSProfile(depth=1000), MutuallyExclusiveCallbackGroup()
+        self._joints = self.create_publisher(JointState, "joint_states", many)
+        self._poses = self.create_publisher(PoseWithCovarianceStamped, "measured_pose", many)
+        self._air = self.create_publisher(Temperature, "temperature", many)
+        self._load = self.create_publisher(InertiaStamped, "payload", LATCHED)
+        self.create_subscription(
+            JointTrajectory, "joint_trajectory", self._take, 10, callback_group=group
+        )
+        tick = TICK if self._value("rate") <= FAST else 2 * TICK
+        every(tick, self, self._tick, group)
+
+    def _value(self, name: str) -> Any:
+        return self.get_parameter(name).value
+
+    # ------------------------------------------------------------------ the cell
+
+    def _build(self) -> Cell:
+        rng = np.random.default_rng([self._value("seed"), 60])
+        shift, spin, target, target_spin = (_unit(rng) for _ in range(4))
+        away, aside = self._value("frame_offset"), self._value("target_offset")
+        tracker = Tracker(
+            period=1 / self._value("pose_rate"),
+            missing=self._value("missing"),
+            offset=self._value("clock_offset"),
+            drift=self._value("clock_drift"),
+            shift=away * shift,
+            spin=away * spin,
+            target=aside * target,
+            target_spin=aside * target_spin,
+        )
+        try:
+            cell = Cell(
+                self._value("robot"),
+                self._value("seed"),
+                [word.strip() for word in self._value("effects").split(",") if word.strip()],
+                self._value("noise"),
+                tracker,
+                1 / self._value("joint_rate"),
+                self._value("air"),
+            )
+            cell.change(**self._circumstances({}))
+        except ValueError as error:
+            raise ParallelCalError(str(error)) from None
+        return cell
+
+    def _circumstances(self, changed: dict[str, Any]) -> dict[str, Any]:
+        """Fields of Circumstances; ValueError for an obstacle that is none."""
+        found = {name: changed.get(name, self._value(name)) for name in CIRCUMSTANCES}
+        found["obstacles"] = tuple(_box(text) for text in found.pop("obstacle").split(";") if text)
+        return found
+
+    def _write_nominal(self) -> None:
+        path = absolute(self._value("model_file"))
+        if path and not Path(path).exists():
+            robot, factor = self._value("robot"), self._value("noise") or 1.0
+            own = MACHINES[robot].noise
+            noise = Noise(factor * own.joint, factor * own.position, factor * own.orientation)
+            write_atomically(path, dump_model(replace(new_model(BELIEVED[robot]), noise=noise)))
+
+    def _changed(self, changes: Changes) -> SetParametersResult:
+        """Parameters may be set in another thread: the next tick hears of it."""
+        try:
+            self._asked.append(self._circumstances({c.name: c.value for c in changes}))
+        except ValueError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return ACCEPTED
+
+    # ------------------------------------------------------------------ commands
+
+    def _take(self, trajectory: JointTrajectory) -> None:
+        """Follow a trajectory at once, as joint_trajectory_controller does; an empty one stops."""
+        if not trajectory.points:
+            self._cell.stop()
+            return
+        try:
+            self._cell.follow(*_points(trajectory, self._cell.machine.joints))
+        except SolveError as error:
+            self.get_logger().error(f"trajectory refused: {error}")
+
+    # ------------------------------------------------------------------ messages
+
+    def _tick(self) -> None:
+        """Bring the cell up to the time that has passed, and tell what it shows."""
+        while self._asked:
+            self._cell.change(**self._asked.popleft())
+            self._told = -SLOWLY
+        now = time.monotonic()
+        passed = self._value("rate") * min(now - self._seen, LONGEST)
+        self._seen = now
+        tripped = self._cell.drive.tripped
+        shown = self._cell.advance(self._cell.time + passed)
+        if self._cell.drive.tripped > tripped:
+            self.get_logger().warning("a joint does not follow: the drives gave up and hold")
+        self._tell(shown)
+
+    def _tell(self, shown: Messages) -> None:
+        names = list(self._cell.machine.joints)
+        for moment, q, speed in zip(shown.time, shown.q, shown.speed, strict=True):
+            message = JointState(name=names, position=q.tolist(), velocity=speed.tolist())
+            message.header.stamp = self._stamp(moment)
+            self._joints.publish(message)
+        for moment, r, quaternion in zip(
+            shown.stamp, shown.r, matrix_to_quaternion(shown.R), strict=True
+        ):
+            message = PoseWithCovarianceStamped()
+            message.header.stamp, message.header.frame_id = self._stamp(moment), self._frame
+            message.pose.pose, message.pose.covariance = (
+                pose_message(r, quaternion),
+                self._covariance,
+            )
+            self._poses.publish(message)
+        if self._cell.time - self._told >= SLOWLY:
+            self._told, at = self._cell.time, self._stamp(self._cell.time)
+            air = Temperature(temperature=float(self._cell.temperature(self._cell.time)))
+            load = InertiaStamped()
+            air.header.stamp = load.header.stamp = at
+            load.inertia.m = self._cell.now.payload
+            self._air.publish(air)
+            self._load.publish(load)
+
+    def _stamp(self, seconds: float) -> Time:
+        sec, nanosec = divmod(self._begin + round(1e9 * float(seconds)), 1_000_000_000)
+        return Time(sec=sec, nanosec=nanosec)
+
+
+def _points(
+    trajectory: JointTrajectory, joints: Sequence[str]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """Times (n,), positions and velocities (n, nq) in the order of the joints; SolveError where
+    joint_trajectory_controller would refuse it."""
+    if sorted(trajectory.joint_names) != sorted(joints):
+        raise SolveError(f"it names {', '.join(trajectory.joint_names) or 'no joints'}")
+    order = joint_order(trajectory.joint_names, joints)
+    starts = [point.time_from_start for point in trajectory.points]
+    times = np.array([start.sec + 1e-9 * start.nanosec for start in starts])
+    if times[0] < 0 or (np.diff(times) <= 0).any():
+        raise SolveError("its times do not increase")
+    positions = [list(point.positions) for point in trajectory.points]
+    velocities = [list(point.velocities) for point in trajectory.points]
+    if any(len(p) != len(joints) or not np.isfinite(p).all() for p in positions):
+        raise SolveError("a point has not one position a joint")
+    if not any(velocities):
+        return times, np.array(positions)[:, order], None
+    if any(len(v) != len(joints) or not np.isfinite(v).all() for v in velocities):
+        raise SolveError("a point has not one velocity a joint")
+    if any(velocities[-1]):
+        raise SolveError("it ends with a velocity")
+    return times, np.array(positions)[:, order], np.array(velocities)[:, order]
+
+
+def _box(text: str) -> Box:
+    """Opposite corners (3,) of a box written as six numbers."""
+    numbers = [float(word) for word in text.split()]
+    if len(numbers) != 6 or not all(map(math.isfinite, numbers)):
+        raise ValueError(f"obstacle '{text}': expected x y z x y z in m")
+    corners = np.array(numbers).reshape(2, 3)
+    return corners.min(axis=0), corners.max(axis=0)
+
+
+def _unit(rng: np.random.Generator) -> np.ndarray:
+    """A direction drawn at random."""
+    vector = rng.standard_normal(3)
+    return vector / np.linalg.norm(vector)
+
+
+def main(args: list[str] | None = None) -> None:
+    """`ros2 run parallel_cal virtual_cell_node --ros-args -p robot:=delta -p effects:=hidden`."""
+    sys.exit(run(VirtualCellNode, args))
