@@ -77,7 +77,8 @@ def test_the_robot_rests_at_every_stop_and_times_go_on():
     motion = through(stops, DELTA.mechanism)
     assert (np.diff(motion.time) > 0).all()
     rests = np.flatnonzero(np.abs(motion.velocities).max(axis=1) < 1e-12)
-    assert motion.positions[rests] == pytest.approx(np.array(stops[1:]))
+    assert motion.positions[rests] == pytest.approx(np.repeat(stops[1:], 2, axis=0))
+    assert np.diff(motion.time[rests])[::2] == pytest.approx(0.15)
 
 
 def test_velocities_are_the_model_files_or_a_quarter_of_the_range_a_second():

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import fcntl
+import json
 import os
 import stat
 import tempfile
+from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import Any
 
 MEGABYTE = 1 << 20
 
@@ -45,6 +49,44 @@ def write_atomically(path: str | Path, text: str) -> None:
     except OSError as error:  # it names the part that nobody asked for
         raise OSError(error.errno, error.strerror, str(path)) from None
     _sync_folder(target.parent)
+
+
+def held(path: Path) -> int | None:
+    """A file opened to be read and appended to, made where there is none; None where another
+    process is at it."""
+    flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
+    file = os.open(path, flags, 0o644)
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(file)
+        return None
+    return file
+
+
+def append_lines(file: int, lines: Iterable[str]) -> None:
+    """Append lines, all of them or none, and be sure that they are on the disk; OSError where that
+    cannot be. A line that a crash cut off does not take the next one with it."""
+    end = os.lseek(file, 0, os.SEEK_END)
+    cut = b"" if end == 0 or os.pread(file, 1, end - 1) == b"\n" else b"\n"
+    text = cut + "".join(line + "\n" for line in lines).encode()
+    try:
+        while text:
+            text = text[os.write(file, text) :]
+        os.fsync(file)
+    except OSError:
+        with contextlib.suppress(OSError):
+            os.ftruncate(file, end)
+        raise
+
+
+def json_lines(path: str | Path, most: int) -> Iterator[dict[str, Any]]:
+    """What can be read of a file of JSON objects, one a line: a crash may have cut off its last."""
+    for line in read_text(path, most).splitlines():
+        with contextlib.suppress(json.JSONDecodeError):
+            said = json.loads(line)
+            if isinstance(said, dict):
+                yield said
 
 
 def _replace(target: Path, text: str) -> None:

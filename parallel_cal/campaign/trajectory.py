@@ -13,6 +13,7 @@ from parallel_cal.model.mechanism import Mechanism
 
 CROSSING = 4.0  # s in which a joint crosses its range, where the model file gives it no velocity
 RISE = 0.5  # s in which it comes to its velocity, where the model file gives no acceleration
+PAUSE = 0.15  # s of rest on the way, so that one that follows late gets there, too
 NEXT = 1e-6  # s: points that are nearer to each other are one
 STEP = 0.05  # s from point to point: a controller that goes straight between them is near enough
 
@@ -70,11 +71,13 @@ def trapezoid(
 
 
 def through(stops: Sequence[np.ndarray], mechanism: Mechanism) -> Trajectory:
-    """From the first of some joints (nq,) to the last, with a rest at each of them."""
-    legs = [trapezoid(a, b, *rates(mechanism)) for a, b in pairwise(stops)]
-    begin = np.cumsum([0.0, *(leg.seconds for leg in legs[:-1])])
-    return Trajectory(
-        np.concatenate([leg.time + t for leg, t in zip(legs, begin, strict=True)]),
-        np.concatenate([leg.positions for leg in legs]),
-        np.concatenate([leg.velocities for leg in legs]),
-    )
+    """From the first of some joints (nq,) to the last, with a rest of PAUSE at each of them."""
+    limits, end = rates(mechanism), 0.0
+    time, positions, velocities = [], [], []
+    for a, b in pairwise(stops):
+        leg = trapezoid(a, b, *limits)
+        time += [*(leg.time + end), leg.seconds + end + PAUSE]
+        positions += [*leg.positions, b]
+        velocities += [*leg.velocities, np.zeros(len(b))]
+        end = time[-1]
+    return Trajectory(np.array(time), np.array(positions), np.array(velocities))

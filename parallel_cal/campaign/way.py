@@ -68,19 +68,26 @@ class Guard:
     def trouble(self, q: np.ndarray) -> tuple[float, str] | None:
         """The first of some joints (n, nq) where the robot must not be, as a share of their way,
         and why; None where it may be at all of them."""
+        bad = [(int(np.argmax(mask)), words) for mask, words in self._forbidden(q) if mask.any()]
+        if not bad:
+            return None
+        i, words = min(bad, key=lambda found: found[0])
+        return i / max(len(q) - 1, 1), words
+
+    def allowed(self, q: np.ndarray) -> np.ndarray:
+        """At which of some joints (n, nq) the robot may be, (n,)."""
+        return ~np.any([mask for mask, _ in self._forbidden(q)], axis=0)
+
+    def _forbidden(self, q: np.ndarray) -> list[tuple[np.ndarray, str]]:
+        """Of some joints (n, nq) those where the robot must not be, (n,) for every reason."""
         at = self._robot.direct(q)
-        reasons = [
+        return [
             *((at.status == status, _words(status)) for status in Status if status),
             (self._outside(at), "outside the workspace"),
             (~self._clear(at), "too near a singularity, or beyond it"),
             *((self._within(at, box), f"inside the box to keep out of {box}")
               for box in self.keep_out),
         ]  # fmt: skip
-        bad = [(int(np.argmax(mask)), words) for mask, words in reasons if mask.any()]
-        if not bad:
-            return None
-        i, words = min(bad, key=lambda found: found[0])
-        return i / max(len(q) - 1, 1), words
 
     # ------------------------------------------------------------------ what is asked of a pose
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,6 +21,8 @@ from parallel_cal.planning.expectation import VAGUE, white_blocks
 from parallel_cal.planning.posepool import Pool, inside, make_pool
 from parallel_cal.planning.selection import Choice, exchange
 from parallel_cal.recordings.dataset import Dataset
+
+Allowed = Callable[[np.ndarray], np.ndarray]  # joints (n, nq) -> mask (n,)
 
 
 @dataclass(frozen=True)
@@ -69,18 +71,26 @@ def next_measurement(
     """What to measure where `rivals` of each chosen effect fit as well; the poses tell the first
     of the chosen from the rival that is hardest to tell from it."""
     record = {c.name: c.missing for c in ranked if c.missing}
+    hardest = hardest_doubt(best, rivals, ranked)
+    plan = None if hardest is None else settling(hardest, best.fitted.dataset.conditions, seed)
     pairs = [(name, other) for name, others in rivals.items() for other in others]
+    advice = [told_apart(*pair) for pair in pairs] + list(plan.how if plan else ())
+    return NextMeasurement(record, tuple(dict.fromkeys(a for a in advice if a)), plan)
+
+
+def hardest_doubt(
+    best: Trial, rivals: Mapping[str, Sequence[str]], ranked: Sequence[Candidate]
+) -> Doubt | None:
+    """A chosen effect and the rival that is hardest to tell from it; None without rivals."""
     by_name = {c.name: c for c in ranked}
     doubts = [
         doubt
-        for name, other in pairs
+        for name, others in rivals.items()
+        for other in others
         for rival in disguises(by_name[other], best.fitted.dataset)
         if (doubt := Doubt.of(best, name, rival)) is not None
     ]
-    hardest = min(doubts, key=lambda doubt: doubt.now, default=None)
-    plan = None if hardest is None else settling(hardest, best.fitted.dataset.conditions, seed)
-    advice = [told_apart(*pair) for pair in pairs] + list(plan.how if plan else ())
-    return NextMeasurement(record, tuple(dict.fromkeys(a for a in advice if a)), plan)
+    return min(doubts, key=lambda doubt: doubt.now, default=None)
 
 
 def disguises(rival: Candidate, dataset: Dataset) -> list[Chosen]:
@@ -125,7 +135,7 @@ class Doubt:
         if model.mechanism is not fitted.model.mechanism:
             return None
         observations = replace(fitted.observations, a=conditions(model, fitted.dataset))
-        model = replace(model, noise=_noise(model, observations))
+        model = replace(model, noise=typical_noise(model, observations))
         free, measured = ~np.asarray(model.fixed), np.asarray(observations.measured.any(axis=0))
         so_far = Linearisation(model, observations, free, True)(model.values, best.scene.x)
         doubt = cls(effect, rival.name, model, measured, np.zeros((0, 0)))
@@ -161,27 +171,66 @@ def _sigmas(information: np.ndarray) -> float:
     return float(1 / np.sqrt(np.linalg.inv(information)[-1, -1]))
 
 
-def settling(doubt: Doubt, so_far: Mapping[str, np.ndarray], seed: int = 0) -> Separation | None:
-    """As few of POSES as settle a doubt, in the workspace where they can, else as far as joint
-    limits and singularities let the robot go; the best there are where none settles it. None where
-    no pose can be reached."""
+def settling(
+    doubt: Doubt,
+    so_far: Mapping[str, np.ndarray],
+    seed: int = 0,
+    sizes: Sequence[int] = POSES,
+    reaches: Sequence[float] = REACHES,
+    allowed: Allowed = lambda joints: np.ones(len(joints), bool),
+) -> Separation | None:
+    """As few poses of some `sizes` as settle a doubt, in the workspace where they can, else as far
+    as joint limits and singularities let the robot go; the best there are where none settles it.
+    None where no pose can be reached, or is `allowed`."""
     plans = []
-    for reach in REACHES:
+    for reach in reaches:
         rng = np.random.default_rng(seed)
         try:
             pool = make_pool(doubt.model, POOL, rng, symmetric=False, reach=reach)
         except FitError:
             continue
-        course = Course.after(so_far, max(POSES) // BLOCKS)
+        pool = pool.rows(np.flatnonzero(allowed(pool.poses.joints)))
+        course = Course.after(so_far, max(sizes) // BLOCKS)
         block = rng.integers(BLOCKS if goes_on(doubt.model) else 1, size=len(pool.poses))
         a = circumstances(doubt.model, pool, so_far, course, block, rng)
         problem = doubt.ahead(pool, a)
-        for n in POSES:
+        for n in sizes:
             chosen = exchange(problem, min(n, len(a)), lambda fraction: None)
             plans.append(_separation(doubt, pool, a, course, block, chosen))
             if plans[-1].sigmas.then > SETTLED:
                 return plans[-1]
     return max(plans, key=lambda plan: plan.sigmas.then, default=None)
+
+
+def strengthening(
+    best: Trial,
+    suspects: Sequence[Candidate],
+    n: int,
+    under: Mapping[str, float],
+    allowed: Allowed,
+    seed: int = 0,
+) -> Pool:
+    """n poses that, beside the data so far, tell most of all that a model and `suspects` beside it
+    have free (D-optimality), `under` these conditions and else those measured under last."""
+    fitted, model = best.fitted, best.fitted.model
+    for one in suspects:
+        model = model.with_effect(one.name, one.settings)
+    observations = replace(fitted.observations, a=conditions(model, fitted.dataset))
+    model = replace(model, noise=typical_noise(model, observations))
+    free, measured = ~np.asarray(model.fixed), np.asarray(observations.measured.any(axis=0))
+    scale = model.table.tolerance[free]
+    J = Linearisation(model, observations, free, True)(model.values, best.scene.x).jacobian * scale
+    J = J.reshape(-1, J.shape[2])
+    information = J.T @ J + VAGUE * np.eye(J.shape[1])
+    pool = make_pool(model, POOL, np.random.default_rng(seed), symmetric=False)
+    pool = pool.rows(np.flatnonzero(allowed(pool.poses.joints)))
+    latest = int(np.argmax(fitted.dataset.time))
+    for k, name in enumerate(model.conditions):
+        if name in ("time", "temperature", "payload", "session"):
+            pool.a[:, k] = under.get(name, fitted.dataset.conditions[name][latest])
+    blocks = white_blocks(model, free, measured, pool.poses, pool.a) * scale
+    problem = Choice(blocks, information, np.eye(len(scale)), "D", len(scale))
+    return pool.rows(exchange(problem, min(n, len(pool.poses)), lambda fraction: None))
 
 
 def _separation(
@@ -255,7 +304,7 @@ def in_course(
     return a
 
 
-def _noise(model: Model, observations: Observations) -> Noise:
+def typical_noise(model: Model, observations: Observations) -> Noise:
     """Typical noise of the data, for a planner that wants one figure a kind."""
     n = len(model.joints)
     variance = np.median(np.diagonal(observations.S, axis1=1, axis2=2), axis=0)

@@ -11,15 +11,16 @@ import fcntl
 import json
 import os
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from errno import EEXIST
 from pathlib import Path
 from typing import Any
 
 from parallel_cal.base.documents import plain
 from parallel_cal.base.errors import DatasetError
-from parallel_cal.base.files import MEGABYTE, read_text
+from parallel_cal.base.files import MEGABYTE, append_lines, held, json_lines
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.joining import joined
 
@@ -76,8 +77,8 @@ class Journal:
         DatasetError where it cannot be read."""
         for path in sorted(self._folder.glob(f"{self._name}-*{SUFFIX}"), reverse=True):
             try:
-                file = _held(path)
-                lines = list(_lines(path))
+                file = held(path)
+                lines = list(json_lines(path, MOST))
             except (OSError, ValueError) as error:
                 raise DatasetError(f"{path}: not a journal: {error}") from None
             if file is None or any("closed" in line for line in lines):
@@ -108,63 +109,29 @@ class Journal:
         if now == self._known:
             return
         if self._file is None:
-            self._open()
-            self._known = {}
+            self._file, self._known = self._opened(), {}
         changed = [entries[k].line(k) for k, key in now.items() if self._known.get(k) != key]
         gone = [json.dumps({"id": k}) for k in self._known if k not in now]
-        self._append(changed + gone)
+        append_lines(self._file, changed + gone)
         self._known = now
 
     def close(self, why: str) -> None:
         """What is in it is safe elsewhere; the next change begins another one."""
         if self._file is None:
             return
-        self._append([json.dumps({"closed": why})])
+        append_lines(self._file, [json.dumps({"closed": why})])
         os.close(self._file)
         self._file, self.path = None, ""
 
-    def _open(self) -> None:
+    def _opened(self) -> int:
+        """A file of its own, and its path."""
         self._folder.mkdir(parents=True, exist_ok=True)
         moment = time.strftime("%Y%m%dT%H%M%S", time.gmtime())
         for n in range(1000):
             path = self._folder / f"{self._name}-{moment}-{n:03d}{SUFFIX}"
             with suppress(FileExistsError):
                 flags = os.O_CREAT | os.O_EXCL | os.O_RDWR | os.O_APPEND | os.O_CLOEXEC
-                self._file, self.path = os.open(path, flags, 0o644), str(path)
-                fcntl.flock(self._file, fcntl.LOCK_EX)
-                return
-
-    def _append(self, lines: list[str]) -> None:
-        assert self._file is not None
-        end = os.lseek(self._file, 0, os.SEEK_END)
-        # A line that a crash cut off must not take the next one with it.
-        cut = b"" if end == 0 or os.pread(self._file, 1, end - 1) == b"\n" else b"\n"
-        text = cut + "".join(line + "\n" for line in lines).encode()
-        try:
-            while text:
-                text = text[os.write(self._file, text) :]
-            os.fsync(self._file)
-        except OSError:
-            with suppress(OSError):
-                os.ftruncate(self._file, end)
-            raise
-
-
-def _held(path: Path) -> int | None:
-    """The open file, or None where another node is at it."""
-    file = os.open(path, os.O_RDWR | os.O_APPEND | os.O_NOFOLLOW | os.O_CLOEXEC)
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        os.close(file)
-        return None
-    return file
-
-
-def _lines(path: Path) -> Iterator[Any]:
-    """What can be read of a journal: a crash may have cut off its last line."""
-    for line in read_text(path, MOST).splitlines():
-        with suppress(json.JSONDecodeError):
-            said = json.loads(line)
-            if isinstance(said, dict):
-                yield said
+                file, self.path = os.open(path, flags, 0o644), str(path)
+                fcntl.flock(file, fcntl.LOCK_EX)
+                return file
+        raise FileExistsError(EEXIST, "a thousand journals of this second", str(self._folder))

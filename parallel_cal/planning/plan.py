@@ -163,7 +163,7 @@ def plan(
     options = replace(options or PlanOptions(), **changes)
     measured = _measured(model)
     sought = Sought(model, free_mask(model, options.free, options.fix), options.prior)
-    _check_enough(model, n, sought.free, measured)
+    _check_enough(model, n, sought.free)
     rng = np.random.default_rng(options.seed)
 
     def report(fraction: float) -> None:
@@ -226,11 +226,17 @@ def _not_counted(model: Model) -> list[str]:
     return [f"planned for the pose device alone, as if {channels} read nothing"] * bool(channels)
 
 
-def _check_enough(model: Model, n: int, free: np.ndarray, measured: np.ndarray) -> None:
+def equations_a_pose(model: Model) -> int:
+    """How many equations a measured pose gives; FitError for none, or without a noise figure."""
     moved = [len(model.joints) + i for i in model.mechanism.moved]
-    each, wanted = model.structure.phi.shape[0] - int((~measured[moved]).sum()), int(free.sum())
+    each = model.structure.phi.shape[0] - int((~_measured(model)[moved]).sum())
     if each <= 0:
         raise FitError("what is measured gives no equation: state the noise of what else is")
+    return each
+
+
+def _check_enough(model: Model, n: int, free: np.ndarray) -> None:
+    each, wanted = equations_a_pose(model), int(free.sum())
     if n * each < wanted:
         least = -(-wanted // each)
         raise FitError(

@@ -116,9 +116,14 @@ def written(request: Request, outcome: Outcome) -> Outcome:
     """Write the model that was proposed, and keep the file before; what was refused stays so."""
     if not outcome.success:
         return outcome
-    keep_previous(request.output_file)
-    _write(request.output_file, outcome.text)
+    replaced(request.output_file, outcome.text)
     return replace(outcome, hash=model_hash(outcome.text), path=request.output_file)
+
+
+def replaced(path: str, text: str) -> None:
+    """Write a model file, and keep the one before."""
+    keep_previous(path)
+    _write(path, text)
 
 
 def keep_previous(path: str) -> None:

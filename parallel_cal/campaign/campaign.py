@@ -1,0 +1,393 @@
+"""The robot calibrates itself: plan, go there, measure, check, judge, and choose what tells more.
+
+Everything is in the campaign's folder as soon as it is known: `campaign.jsonl` holds targets,
+samples and judgements, a line each, beside a session with the steps. Whoever opens the folder again
+goes on where it was left, however that ended.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from parallel_cal.base.documents import plain
+from parallel_cal.base.errors import ParallelCalError
+from parallel_cal.base.files import MEGABYTE, append_lines, held, json_lines
+from parallel_cal.campaign.cell import Aborted, Cell, Control, Held, Sample
+from parallel_cal.campaign.checking import Checker
+from parallel_cal.campaign.judging import Conclusion, Judgement, Question, concluded, judged
+from parallel_cal.campaign.targets import BROUGHT_ABOUT, Target, first_targets
+from parallel_cal.campaign.trajectory import through
+from parallel_cal.campaign.way import Guard, WayError
+from parallel_cal.identification.options import FitOptions
+from parallel_cal.model.file.modelfile import model_hash, parse_model
+from parallel_cal.model.mechanism import Box
+from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.recordings.joining import joined
+from parallel_cal.session.goals import replaced
+from parallel_cal.session.session import FILE as SESSION
+from parallel_cal.session.session import Session
+
+FILE = "campaign.jsonl"
+MOST = 512 * MEGABYTE  # of a journal that is read again
+BATCH = 8  # poses from one judgement to the next
+
+
+class CampaignError(ParallelCalError):
+    """A campaign cannot begin or go on."""
+
+
+@dataclass(frozen=True)
+class Goal:
+    """What a campaign is to reach, and what it may take.
+
+    `enough` is an rms position error at unseen poses in m (rad where no position is measured), or 0
+    for a verdict; `effects` those that may be looked for, all where none is named; `payload` (kg)
+    and `warmer` (K) by how much a person may be asked to change these, 0 for not at all; `seed`
+    draws the poses to choose from.
+    """
+
+    poses: int = 80
+    minutes: float = 60.0
+    enough: float = 0.0
+    effects: tuple[str, ...] = ()
+    keep_out: tuple[Box, ...] = ()
+    payload: float = 0.0
+    warmer: float = 0.0
+    hold_out: float = 0.25
+    joint_sigma: float | None = None
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Status:
+    """What is going on: one of STATES, why, how many samples there are, how far the best model is
+    off at unseen poses (m or rad, NaN while unknown), and the last verdict."""
+
+    state: str
+    reason: str
+    samples: int
+    unseen: float
+    verdict: str
+
+
+STATES = "planning moving sampling judging asking paused stopped done".split()
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of it: whether what was wanted is reached, why it ended, and the model as text
+    where that is proven better; `curve` are samples and rms error at unseen poses, judgement by
+    judgement, from the model it began with on. One that was `ended` does not go on."""
+
+    success: bool
+    message: str
+    verdict: str = ""
+    ended: bool = True
+    samples: int = 0
+    text: str = ""
+    path: str = ""
+    hash: str = ""
+    curve: tuple[tuple[int, float], ...] = ()
+    document: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+
+
+Tell = Callable[[Status], None]
+Work = Callable[..., Any]  # a function and what it is given -> what it returns
+
+
+def _here(function: Callable[..., Any], *given: Any) -> Any:
+    return function(*given)
+
+
+class Campaign:
+    """One campaign in a folder, begun with a model file's text, or gone on with."""
+
+    def __init__(
+        self,
+        folder: str | Path,
+        model: str,
+        goal: Goal,
+        cell: Cell,
+        tell: Tell = lambda status: None,
+        work: Work = _here,
+        control: Control | None = None,
+    ):
+        """`work` does what takes long; CampaignError where another process is at the folder, or
+        it holds another model's campaign."""
+        self.folder, self.goal, self.control = Path(folder), goal, control or Control()
+        self._cell, self._tell, self._work = cell, tell, work
+        self.folder.mkdir(parents=True, exist_ok=True)
+        file = held(self.folder / FILE)
+        if file is None:
+            raise CampaignError(f"{self.folder}: another process is at this campaign")
+        self._file = file
+        self.model = model
+        self.targets: list[Target] = []
+        self.samples: dict[int, Sample] = {}
+        self.left_out: dict[int, str] = {}
+        self.judgements: list[Judgement] = []
+        self._begun, self._before = time.monotonic(), 0.0
+        self._status = Status("planning", "", 0, np.nan, "")
+        for entry in json_lines(self.folder / FILE, MOST):
+            self._take_up(entry)
+        if model_hash(self.model) != model_hash(model):
+            os.close(file)
+            raise CampaignError(f"{self.folder}: holds the campaign of another model")
+        if not self.targets:
+            self._write(begin=plain(goal), model=model)
+        if not (self.folder / SESSION).exists():
+            fitting = FitOptions(hold_out=goal.hold_out, joint_sigma=goal.joint_sigma)
+            Session.new(self.folder, parse_model(model), [], fitting=fitting)
+        self._judge_by(self.judgements[-1] if self.judgements else None)
+
+    def close(self) -> None:
+        """Let others at the folder."""
+        os.close(self._file)
+
+    # ------------------------------------------------------------------ on disk
+
+    def _write(self, **entry: Any) -> None:
+        """Append a line, and be sure of it."""
+        entry["spent"] = self.spent
+        append_lines(self._file, [json.dumps(plain(entry), allow_nan=False)])
+
+    def _take_up(self, entry: Mapping[str, Any]) -> None:
+        self._before = entry.get("spent", self._before)
+        if "model" in entry:
+            self.model = entry["model"]
+        if "targets" in entry:
+            self.targets += map(Target.of, entry["targets"])
+        if "sample" in entry:
+            dataset = Dataset.from_document(entry["sample"], FILE)
+            self.samples[entry["target"]] = Sample(dataset, entry["start_ns"])
+        if "left_out" in entry:
+            self.left_out[entry["left_out"]] = entry["why"]
+        if "judged" in entry:
+            self.judgements.append(Judgement.of(entry["judged"]))
+            self.targets += self.judgements[-1].targets
+
+    @property
+    def spent(self) -> float:
+        """Seconds so far, those of runs that ended too early included."""
+        return self._before + time.monotonic() - self._begun
+
+    @property
+    def dataset(self) -> Dataset:
+        """All samples, in the order in which they were measured."""
+        found = list(self.samples.values())
+        return joined([s.dataset for s in found], [s.start_ns for s in found])
+
+    @property
+    def _last(self) -> Dataset | None:
+        """The sample measured last."""
+        last = next(reversed(self.samples.values()), None)
+        return None if last is None else last.dataset
+
+    @property
+    def unseen(self) -> np.ndarray:
+        """Which samples (N,) no fit may see."""
+        return np.array([self.targets[k].unseen for k in self.samples], dtype=bool)
+
+    # ------------------------------------------------------------------ the loop
+
+    def run(self) -> Outcome:
+        """Until it has come to an end; the robot rests then, however it came."""
+        try:
+            while True:
+                try:
+                    if (outcome := self._step()) is not None:
+                        return self._end(outcome)
+                except Held:
+                    self._cell.stop()
+                    self._say("paused", "on request; resume goes on")
+                    self.control.wait()
+        except Aborted:
+            self._cell.stop()
+            return self._stopped("aborted on request; calibrate again to go on")
+        except ParallelCalError as error:
+            self._cell.stop()
+            return self._stopped(str(error))
+        except BaseException:
+            self._cell.stop()
+            raise
+
+    def _step(self) -> Outcome | None:
+        """One pose further, or one judgement; the outcome where that was the last."""
+        self.control.go_on()
+        if not self.targets:
+            self._say("planning", "the first poses")
+            targets = first_targets(self._guard, self.goal.poses, self.goal.seed)
+            self._write(targets=targets)
+            self.targets += targets
+        due = [
+            k
+            for k in range(len(self.targets))
+            if k not in self.samples and k not in self.left_out
+        ]  # fmt: skip
+        over = self._over_budget()
+        if due and not over:
+            self._measure(due[0])
+            return None
+        if not self.samples:
+            raise CampaignError(over or f"no pose can be gone to: {self._reasons()}")
+        return self._judge(over)
+
+    def _over_budget(self) -> str:
+        if len(self.samples) >= self.goal.poses:
+            return f"{len(self.samples)} poses are measured, as many as were allowed"
+        if self.spent > 60 * self.goal.minutes:
+            return f"{self.goal.minutes:g} minutes are over"
+        return ""
+
+    def _reasons(self) -> str:
+        return "; ".join(dict.fromkeys(self.left_out.values()))
+
+    def _say(self, state: str, reason: str) -> None:
+        last = self.judgements[-1] if self.judgements else None
+        self._status = Status(
+            state, reason, len(self.samples), _first(last.unseen) if last else np.nan,
+            last.verdict if last else "",
+        )  # fmt: skip
+        self._tell(self._status)
+
+    # ------------------------------------------------------------------ one pose
+
+    def _measure(self, k: int) -> None:
+        """Go to a target and take its sample, or leave it out where no way may be driven."""
+        target = self.targets[k]
+        self._bring_about(target.conditions)
+        here, stops = self._cell.joints(), [np.array(q) for q in (*target.via, target.joints)]
+        try:
+            way = self._guard.way(here, stops)
+        except WayError as error:
+            if self._guard.trouble(here[None]):
+                raise
+            self.left_out[k] = str(error)
+            self._write(left_out=k, why=str(error))
+            return
+        self._say("moving", f"pose {k + 1} of {len(self.targets)}, {target.purpose}")
+        self._cell.move(through(way, self._guard.model.mechanism), self.control.go_on)
+        self._say("sampling", f"pose {k + 1} of {len(self.targets)}, {target.purpose}")
+        sample = self._cell.sample(self.control.go_on)
+        self._checker.check(sample.dataset, np.array(target.joints), self._last)
+        self._write(target=k, sample=sample.dataset, start_ns=sample.start_ns)
+        self.samples[k] = sample
+
+    def _bring_about(self, conditions: Mapping[str, float]) -> None:
+        """Ask a person for what is not so yet."""
+        known = self._last.conditions if self._last else {}
+        other = {
+            name: value
+            for name, value in conditions.items()
+            if name in known and abs(float(known[name][0]) - value) > BROUGHT_ABOUT[name][0]
+        }
+        if not other:
+            return
+        words = "; ".join(
+            f"bring {name} to {value:.3g} {BROUGHT_ABOUT[name][1]} (it is {known[name][0]:.3g})"
+            for name, value in other.items()
+        )
+        self._say("asking", f"{words}, then continue")
+        self._cell.ask(words, other, self.control.go_on)
+        self._checker.changed()
+
+    # ------------------------------------------------------------------ what it comes to
+
+    def _judge(self, over: str) -> Outcome | None:
+        """What the samples say; an outcome where that is enough, or all there may be."""
+        if not over and self._unjudged() == 0:
+            return self._outcome(False, f"no more poses to go to: {self._reasons()}")
+        last = self.judgements[-1] if self.judgements else None
+        if last is None or self._unjudged():
+            self._say("judging", f"{len(self.samples)} samples")
+            dataset = self.dataset
+            Session(self.folder).take(dataset.to_json)
+            goal = self.goal
+            more = 0 if over else min(BATCH, goal.poses - len(self.samples))
+            options = FitOptions(hold_out=goal.hold_out, joint_sigma=goal.joint_sigma)
+            seed = goal.seed + 1 + len(self.judgements)
+            changes = {"payload": goal.payload, "temperature": goal.warmer}
+            question = Question(
+                self.model, goal.keep_out, goal.effects, more, changes, seed, options
+            )  # fmt: skip
+            before, last = last, self._work(judged, question, dataset, self.unseen)
+            self._write(judged=last)
+            self.targets += last.targets
+            self.judgements.append(last)
+            self._judge_by(last)
+        else:
+            before = self.judgements[-2] if len(self.judgements) > 1 else None
+        if self.goal.enough and _first(last.unseen) <= self.goal.enough:
+            return self._outcome(True, f"the error at unseen poses is small enough: {last.summary}")
+        if not self.goal.enough and last.settles(before):
+            return self._outcome(True, last.summary)
+        if over:
+            wanted = "; ".join(last.missing)
+            return self._outcome(False, f"{over}: {last.summary}{wanted and f'; {wanted}'}")
+        return None
+
+    def _unjudged(self) -> int:
+        """How many samples the last judgement did not know."""
+        return len(self.samples) - (self.judgements[-1].samples if self.judgements else 0)
+
+    def _judge_by(self, judgement: Judgement | None) -> None:
+        """From here on ways are looked at, and samples checked, by the best model there is."""
+        model = parse_model(judgement.text if judgement else self.model)
+        self._guard = Guard.of(replace(model, covariance=None), self.goal.keep_out)
+        self._checker = Checker(model, judgement.usual if judgement else {})
+
+    def _outcome(self, success: bool, message: str) -> Outcome:
+        judgement = self.judgements[-1]
+        curve = [(0, _first(judgement.before))]
+        curve += [(one.samples, _first(one.unseen)) for one in self.judgements]
+        return Outcome(
+            success, message, judgement.verdict, True, len(self.samples),
+            curve=tuple(curve), document=judgement.diagnosis,
+        )  # fmt: skip
+
+    def _end(self, outcome: Outcome) -> Outcome:
+        """The better model, where it is proven to be one, and the last line."""
+        self._say("judging", "the model to be written")
+        found: Conclusion = self._work(concluded, self.folder, self.judgements[-1])
+        outcome = replace(outcome, text=found.text, message=f"{outcome.message} ({found.words})")
+        self._write(end=outcome.message, success=outcome.success)
+        self._say("done", outcome.message)
+        return outcome
+
+    def _stopped(self, why: str) -> Outcome:
+        self._say("stopped", why)
+        if not self.judgements:
+            return Outcome(False, why, ended=False, samples=len(self.samples))
+        return replace(self._outcome(False, why), ended=False)
+
+
+def _first(kinds: Mapping[str, float]) -> float:
+    """The position's, or where none was measured the orientation's."""
+    return next(iter(kinds.values()), np.nan)
+
+
+def unfinished(folder: Path, model: str) -> Path | None:
+    """The newest of a folder's campaigns that began with this model and did not come to an end."""
+    for file in sorted(folder.glob(f"*/{FILE}"), reverse=True):
+        entries = list(json_lines(file, MOST))
+        began = next((e["model"] for e in entries if "model" in e), "")
+        if model_hash(began) == model_hash(model) and not any("end" in e for e in entries):
+            return file.parent
+    return None
+
+
+def write_better(outcome: Outcome, path: str) -> Outcome:
+    """Write the proven model to a file, the one before kept."""
+    if not outcome.text:
+        return outcome
+    replaced(path, outcome.text)
+    return replace(outcome, path=path, hash=model_hash(outcome.text))

@@ -1,0 +1,92 @@
+"""What a campaign asks of a robot with its measuring device, and how it is held or ended."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from threading import Condition
+from typing import Protocol
+
+import numpy as np
+
+from parallel_cal.base.errors import ParallelCalError
+from parallel_cal.campaign.trajectory import Trajectory
+from parallel_cal.recordings.dataset import Dataset
+
+
+class CellError(ParallelCalError):
+    """The robot or the device does not do what it was asked for; it is stopped."""
+
+
+class Held(Exception):
+    """Somebody wants a pause."""
+
+
+class Aborted(Exception):
+    """Somebody wants no more of it."""
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One sample, its time counted from `start_ns`."""
+
+    dataset: Dataset
+    start_ns: int = 0
+
+
+class Cell(Protocol):
+    """A robot with its controller, and a device that measures its poses.
+
+    What takes long calls `go_on` often, at least every 50 ms, which raises where the campaign is
+    held or ended. CellError where something goes wrong.
+    """
+
+    def joints(self) -> np.ndarray:
+        """Where the joints (nq,) are now."""
+
+    def move(self, trajectory: Trajectory, go_on: Callable[[], None]) -> None:
+        """Drive a trajectory, and wait until the robot rests at its end."""
+
+    def stop(self) -> None:
+        """Stop at once."""
+
+    def sample(self, go_on: Callable[[], None]) -> Sample:
+        """Measure where the robot rests."""
+
+    def ask(self, words: str, conditions: Mapping[str, float], go_on: Callable[[], None]) -> None:
+        """Have a person bring conditions about, and wait until that is done."""
+
+
+class Control:
+    """A campaign is held, goes on, or is ended, by whoever says so, from any thread."""
+
+    def __init__(self) -> None:
+        self._changed = Condition()
+        self._held = self.aborted = False
+
+    def pause(self) -> None:
+        self._set(held=True)
+
+    def resume(self) -> None:
+        self._set(held=False)
+
+    def abort(self) -> None:
+        self._set(held=False, aborted=True)
+
+    def _set(self, held: bool, aborted: bool = False) -> None:
+        with self._changed:
+            self._held, self.aborted = held, self.aborted or aborted
+            self._changed.notify_all()
+
+    def go_on(self) -> None:
+        """Held or Aborted where that is wanted."""
+        if self.aborted:
+            raise Aborted
+        if self._held:
+            raise Held
+
+    def wait(self) -> None:
+        """Until it goes on; Aborted where it does not."""
+        with self._changed:
+            self._changed.wait_for(lambda: not self._held)
+        self.go_on()

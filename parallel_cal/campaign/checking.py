@@ -1,0 +1,114 @@
+"""Whether a sample can be true: far from what the model says there is a collision, a slip, or a
+target that was lost or changed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from parallel_cal.base.rotation import rotation_vector
+from parallel_cal.campaign.cell import CellError
+from parallel_cal.identification.observations import observe
+from parallel_cal.identification.prediction_errors import errors
+from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.model.model import Model
+from parallel_cal.planning.expectation import prediction_blocks
+from parallel_cal.planning.posepool import Pool
+from parallel_cal.recordings.dataset import Dataset
+
+JUMP = 8.0  # times what is usual: no noise does that
+ROUGH = 4.0  # sigmas of what tolerances allow, while nothing is identified yet
+ARRIVED = 0.01  # of its range, in which a joint must be of where it was sent
+UNITS = {"position": (1e6, "um"), "orientation": (60 * 180 / np.pi, "arcmin")}
+SEE_TO_IT = "a collision, a slip, or a target that was lost or changed: see to it"
+
+
+class Checker:
+    """Samples beside a model: whose `usual` rms errors are known by kind (m, rad), or none yet."""
+
+    def __init__(self, model: Model, usual: Mapping[str, float]):
+        self._model, self._usual, self._as_before = model, usual, True
+
+    def changed(self) -> None:
+        """Conditions are others now: what is usual under these is not known."""
+        self._as_before = False
+
+    def check(self, sample: Dataset, sent: np.ndarray, last: Dataset | None) -> None:
+        """CellError where joints are not where they were sent (nq,), or the pose is not where the
+        model, and the sample before, let it be expected."""
+        self._check_joints(sample.q[0], sent)
+        if not self._usual:
+            if last is not None:
+                self._check_moved(sample, last)
+            return
+        if not self._as_before:
+            return
+        found = errors(self._model, observe(self._model, sample))
+        for kind, usual in self._usual.items():
+            error = float(found.norms(kind)[0])
+            if error > JUMP * usual:
+                raise CellError(f"{_said(kind, error, usual)}: {SEE_TO_IT}")
+
+    def _check_joints(self, q: np.ndarray, sent: np.ndarray) -> None:
+        m = self._model.mechanism
+        low, high = np.array(m.joint_limits).T
+        width = np.where(np.isfinite(high - low), high - low, 2 * np.pi)
+        away = np.abs(q - sent)
+        if (away > ARRIVED * width).any():
+            i = int(np.argmax(away / width))
+            unit = m.joint_units[i]
+            raise CellError(
+                f"{m.joints[i]} was sent to {sent[i]:.4f} {unit} and is at {q[i]:.4f}: it does not "
+                "move, its encoder is stuck, or something is in the way"
+            )
+
+    def _check_moved(self, sample: Dataset, last: Dataset) -> None:
+        """Beside the sample before, whatever frame they are in: how far the platform moved."""
+        reached = Kinematics(self._model).direct(np.vstack([last.q, sample.q]))
+        if not reached.solved.all():
+            return
+        allowed = self._rough()
+        if sample.measured[0, :3].all() and last.measured[0, :3].all():
+            moved = float(np.linalg.norm(sample.r[0] - last.r[0]))
+            expected = float(np.linalg.norm(reached.position[1] - reached.position[0]))
+            if abs(moved - expected) > ROUGH * allowed["position"]:
+                raise CellError(
+                    f"the platform should have moved {1e3 * expected:.2f} mm and moved "
+                    f"{1e3 * moved:.2f} mm, more apart than tolerances allow: {SEE_TO_IT}"
+                )
+        if sample.measured[0, 3:].all() and last.measured[0, 3:].all():
+            turned = _angle(sample.R[0], last.R[0])
+            expected = _angle(reached.rotation[1], reached.rotation[0])
+            if abs(turned - expected) > ROUGH * allowed["orientation"]:
+                raise CellError(
+                    f"the platform should have turned by {np.degrees(expected):.2f} degrees and "
+                    f"turned by {np.degrees(turned):.2f}, more apart than tolerances allow: "
+                    f"{SEE_TO_IT}"
+                )
+
+    def _rough(self) -> dict[str, float]:
+        """Rms errors (m, rad) of a model with errors as large as its tolerances, at home."""
+        model = self._model
+        home = Kinematics(model).direct(np.array([model.mechanism.home.joints]))
+        pool = Pool(home, np.zeros((1, 1), int), model.condition_rows(None, 1), None)
+        free = ~np.asarray(model.fixed)
+        measured = np.ones(len(model.joints) + 6, bool)
+        G = prediction_blocks(model, free, measured, pool)[0] * model.table.tolerance[free]
+        size = np.sqrt(np.sum(G**2, axis=1))
+        return {
+            "position": float(np.linalg.norm(size[:3])),
+            "orientation": float(np.linalg.norm(size[3:])) / model.mechanism.length,
+        }
+
+
+def _angle(one: np.ndarray, other: np.ndarray) -> float:
+    return float(np.linalg.norm(rotation_vector(one @ other.T)))
+
+
+def _said(kind: str, error: float, usual: float) -> str:
+    factor, unit = UNITS[kind]
+    return (
+        f"the {kind} is {factor * error:.3g} {unit} from where the model puts it, "
+        f"{error / usual:.0f} times what is usual ({factor * usual:.3g} {unit})"
+    )

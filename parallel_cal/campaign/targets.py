@@ -1,0 +1,160 @@
+"""Where to measure: first what identifies the model, then what tells its explanations apart."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from parallel_cal.base.errors import FitError
+from parallel_cal.campaign.way import Guard, WayError
+from parallel_cal.diagnosis.catalogue import Candidate
+from parallel_cal.diagnosis.diagnose import Diagnosis
+from parallel_cal.diagnosis.separate import hardest_doubt, settling, strengthening
+from parallel_cal.planning.approach import approaches, controlled
+from parallel_cal.planning.plan import equations_a_pose, plan
+from parallel_cal.planning.posepool import Pool, make_pool
+from parallel_cal.recordings.simulate import with_noise
+
+POOL = 400  # poses to choose the first ones from
+UNSEEN = 6  # poses that no fit ever sees
+REPEATED = 4  # of the first poses that are come to once more, from the other side
+AMPLE, ENOUGH = 2.0, 1.25  # times as many equations as unknowns, in the first poses; at least
+FEWEST = 12  # first poses
+SUSPECTS = 3  # effects that the next poses are to tell of, where nothing is in doubt yet
+# What a person changes: so much makes it another one, and its unit.
+BROUGHT_ABOUT = {"payload": (0.05, "kg"), "temperature": (1.5, "degC")}
+
+
+@dataclass(frozen=True)
+class Target:
+    """Joints (nq,) to measure at, the stops on the way there, the conditions that are to be brought
+    about before, and what it is for; `unseen` ones judge the model and are never fitted."""
+
+    joints: tuple[float, ...]
+    via: tuple[tuple[float, ...], ...] = ()
+    conditions: Mapping[str, float] = field(default_factory=dict)
+    purpose: str = ""
+    unseen: bool = False
+
+    @classmethod
+    def of(cls, document: Mapping[str, Any]) -> Target:
+        """From JSON."""
+        via = tuple(tuple(stop) for stop in document["via"])
+        return cls(**{**document, "joints": tuple(document["joints"]), "via": via})
+
+
+def first_targets(guard: Guard, most: int, seed: int = 0) -> list[Target]:
+    """At most so many: poses that no fit will see, spread over the workspace, poses that identify
+    what is free best, and some of these again, come to from the other side."""
+    model, rng = with_noise(guard.model), np.random.default_rng(seed)
+    pool = make_pool(model, POOL, rng, symmetric=False).poses
+    pool = pool[np.flatnonzero(guard.allowed(pool.joints))]
+    if len(pool) < most:
+        raise WayError(f"only {len(pool)} of {POOL} poses drawn in the workspace may be gone to")
+    unseen = spread(controlled(model, pool), UNSEEN)
+    free = int((~np.asarray(model.fixed)).sum())
+    least = int(np.ceil(ENOUGH * free / equations_a_pose(model)))
+    if most < least + UNSEEN + REPEATED:
+        raise FitError(
+            f"{most} poses are too few for {free} free parameters: at least "
+            f"{least + UNSEEN + REPEATED}, of which {UNSEEN} are never fitted and {REPEATED} are "
+            "second visits; or fix parameters"
+        )
+    ample = int(np.ceil(AMPLE * free / equations_a_pose(model)))
+    n = min(max(FEWEST, ample), most - UNSEEN - REPEATED)
+    rest = pool[np.setdiff1d(np.arange(len(pool)), unseen)]
+    chosen = plan(model, n, pool=rest, seed=seed).poses
+    again = rng.choice(n, min(REPEATED, n), replace=False)
+    ways = approaches(model, chosen[again], rng)
+    first = [Target(tuple(q), purpose="to identify the model") for q in chosen.joints.tolist()]
+    second = []
+    for k, i in enumerate(again):
+        stops = [tuple(stop.joints.tolist()) for stop in ways.stops(k)] if ways.ok[k] else []
+        if stops and guard.allowed(np.array(stops)).all():
+            first[i] = Target(first[i].joints, tuple(stops), purpose="come to from one side")
+        words = "the same pose from the other side"
+        second.append(Target(first[i].joints, first[i].via[::-1], purpose=words))
+    kept = [Target(tuple(q), purpose="never fitted", unseen=True)
+            for q in pool.joints[unseen].tolist()]  # fmt: skip
+    once = [*first, *kept]
+    return [*(once[i] for i in rng.permutation(len(once))), *second]
+
+
+def spread(places: np.ndarray, n: int) -> np.ndarray:
+    """Indices of n places (N, k), each the furthest from those before it; first the middle one."""
+    scaled = (places - places.mean(axis=0)) / np.maximum(np.ptp(places, axis=0), 1e-12)
+    found = [int(np.argmin(np.linalg.norm(scaled, axis=1)))]
+    while len(found) < min(n, len(places)):
+        away = np.linalg.norm(scaled[:, None] - scaled[found], axis=2).min(axis=1)
+        found.append(int(np.argmax(away)))
+    return np.array(found)
+
+
+def next_targets(
+    found: Diagnosis, guard: Guard, n: int, changes: Mapping[str, float], seed: int = 0
+) -> list[Target]:
+    """n more: where two explanations are alike what tells these apart; else under conditions that
+    were never another, `changes` by how much, if an effect may depend on them; else what tells
+    most of the model and of the likeliest effects that it does not have."""
+    so_far = found.dataset.conditions
+    swaps = {name: found.swaps.get(name, ()) for name in found.effects}
+    doubt = hardest_doubt(found.best, swaps, found.ranked)
+    telling = doubt and settling(doubt, so_far, seed, (n,), (1.0,), guard.allowed)
+    if telling:
+        purpose = f"to tell {' from '.join(telling.separates)}"
+        return [
+            Target(
+                tuple(pose.joints.tolist()),
+                tuple(tuple(stop.joints.tolist()) for stop in pose.by_way_of),
+                {k: v for k, v in pose.conditions.items() if k in BROUGHT_ABOUT},
+                purpose,
+            )
+            for pose in telling.poses
+        ]
+    never = {
+        name: float(so_far[name][-1]) + changes[name]
+        for name, (other, _) in BROUGHT_ABOUT.items()
+        if changes.get(name) and name in so_far and np.ptp(so_far[name]) < other
+    }
+    for name, value in never.items():
+        if suspects := [one for one in able(found) if name in one.effect.needs]:
+            under = {name: value}
+            pool = strengthening(found.best, suspects, n, under, guard.allowed, seed)
+            return _targets(pool, f"to see what {name} does", under)
+    suspects = [one for one in able(found) if one.testable][:SUSPECTS]
+    purpose = "to be surer of the model"
+    if suspects:
+        purpose += f", and of {', '.join(one.name for one in suspects)}"
+    pool = strengthening(found.best, suspects, n, {}, guard.allowed, seed)
+    return _targets(pool, purpose, {})
+
+
+def able(found: Diagnosis) -> list[Candidate]:
+    """Effects of the robot that the model does not have, the likeliest first, and that could be
+    told beside it."""
+    best = found.best.fitted.model
+    taken = {effect.name for effect in best.effects}
+    return [
+        one
+        for one in found.ranked
+        if one.scene is found.base.scene
+        and one.name not in taken
+        and not one.effect.of_device
+        and "session" not in one.effect.needs
+    ]
+
+
+def _targets(pool: Pool, purpose: str, conditions: Mapping[str, float]) -> list[Target]:
+    ways = pool.approach
+    return [
+        Target(
+            tuple(q),
+            () if ways is None else tuple(tuple(s.joints.tolist()) for s in ways.stops(i)),
+            conditions,
+            purpose,
+        )
+        for i, q in enumerate(pool.poses.joints.tolist())
+    ]

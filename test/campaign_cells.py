@@ -1,0 +1,116 @@
+"""A campaign's cell without ROS: the virtual robot's messages, made samples as simply as can be."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from parallel_cal.campaign.cell import CellError, Sample
+from parallel_cal.model.file.modelfile import dump_model, parse_model, read_model
+from parallel_cal.model.model import Noise, new_model
+from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.virtual.cell import Cell
+from parallel_cal.virtual.tracker import Tracker
+
+PRESETS = Path(__file__).parents[1] / "config"
+REST, MOVING = 0.8, 4.0  # s a sample takes; sigmas of a reading by which a direction counts
+
+
+def model_of(robot):
+    """The model of the robot as drawn, with its instruments' accuracy and its drives' limits."""
+    cell = Cell(robot)
+    noise = cell.machine.noise
+    if robot == "delta":
+        model = read_model(PRESETS / "delta_mockup_nominal.yaml")
+    else:
+        name = {"stewart": "stewart42", "argos": "argos9", "linear_delta": "linear_delta"}[robot]
+        model = new_model(name)
+        given = cell.machine.nominal
+        values = [given.get(n, v) for n, v in model.table.mapping(model.values).items()]
+        model = model.with_values(np.array(values))
+    position = noise.position if cell.machine.sees_position else None
+    model = replace(model, noise=Noise(noise.joint, position, noise.orientation))
+    limits = cell.machine.limits
+    model.mechanism.joint_rates = ((limits.velocity, limits.acceleration),) * len(model.joints)
+    return parse_model(dump_model(model))
+
+
+class SimulatedCell:
+    """Drives the virtual robot in its own time; a person does at once what is asked."""
+
+    def __init__(self, robot="delta", seed=0, effects=(), **given):
+        # Few poses, and those while it rests, are enough: solving them takes most of the time.
+        given = {"period": 0.04, "tracker": Tracker(period=0.2)} | given
+        self.cell = Cell(robot, seed, effects, **given)
+        self.asked, self.sent, self.lines = [], [], []
+        n = len(self.cell.machine.joints)
+        self._furthest, self._direction = None, np.zeros(n)
+        self._turned = None
+        self._read(self.cell.advance(0.5))
+
+    def joints(self):
+        return self._q
+
+    def move(self, trajectory, go_on):
+        go_on()
+        self.sent.append(trajectory)
+        self.cell.follow(trajectory.time, trajectory.positions, trajectory.velocities)
+        end = self.cell.time + 5 * trajectory.seconds + 1
+        while True:
+            self._read(self.cell.advance(self.cell.time + 0.2))
+            go_on()
+            if self.cell.idle:
+                return
+            if self.cell.time > end:
+                raise CellError("the robot does not come to rest")
+
+    def stop(self):
+        self.cell.stop()
+        self._read(self.cell.advance(self.cell.time + 0.5))
+
+    def ask(self, words, conditions, go_on):
+        go_on()
+        self.asked.append(words)
+        self.cell.change(**conditions)
+
+    def sample(self, go_on):
+        go_on()
+        seen = self.cell.advance(self.cell.time + REST)
+        self._read(seen)
+        late = len(seen.r) // 4
+        r, R = seen.r[late:], seen.R[late:]
+        if not len(r):
+            raise CellError("no pose came while the robot rested")
+        time = self.cell.time - REST / 2
+        q = seen.q[len(seen.q) // 4 :].mean(axis=0)
+        at = {"time": time, "payload": self.cell.now.payload,
+              "temperature": float(self.cell.temperature(time))}  # fmt: skip
+        for i, joint in enumerate(self.cell.machine.joints):
+            at[f"direction.{joint}"] = self._direction[i]
+            at[f"travel.{joint}"] = q[i] - self._turned[i]
+        noise = self.cell.machine.noise
+        measured = np.array([self.cell.machine.sees_position] * 3 + [True] * 3)
+        u, _, v = np.linalg.svd(R.mean(axis=0))
+        sample = Dataset.from_arrays(
+            self.cell.machine.joints, q[None], r.mean(axis=0)[None] * measured[:3], (u @ v)[None],
+            measured=measured, joint_sigma=noise.joint,
+            pose_cov=np.diag([noise.position**2] * 3 + [noise.orientation**2] * 3),
+            conditions={key: [value] for key, value in at.items()}, pose_id=[0],
+        )  # fmt: skip
+        return Sample(sample, 1)
+
+    def _read(self, seen):
+        """Joints, the signs of their last motion, and where each last turned back."""
+        if not len(seen.q):
+            return
+        if self._furthest is None:
+            self._furthest, self._turned = seen.q[0].copy(), seen.q[0].copy()
+        clear = MOVING * self.cell.machine.noise.joint
+        for q in seen.q:
+            moved = q - self._furthest
+            turned = (np.abs(moved) > clear) & (np.sign(moved) != self._direction)
+            self._turned = np.where(turned, self._furthest, self._turned)
+            self._direction = np.where(turned, np.sign(moved), self._direction)
+            on = (moved * self._direction > 0) | turned
+            self._furthest = np.where(on, q, self._furthest)
+        self._q = seen.q[-1]

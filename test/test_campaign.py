@@ -1,0 +1,379 @@
+"""A campaign with the virtual robot: what it finds, what stops it, how it goes on."""
+
+import itertools
+import json
+from functools import partial
+
+import numpy as np
+import pytest
+from campaign_cells import SimulatedCell, model_of
+
+from parallel_cal.campaign.campaign import (
+    FILE,
+    Campaign,
+    CampaignError,
+    Goal,
+    unfinished,
+    write_better,
+)
+from parallel_cal.campaign.cell import CellError, Control
+from parallel_cal.campaign.judging import Conclusion, Judgement
+from parallel_cal.campaign.targets import Target, first_targets, spread
+from parallel_cal.campaign.way import Guard
+from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.model.file.modelfile import dump_model, parse_model, read_model
+from parallel_cal.session.session import Session
+
+DELTA = model_of("delta")
+TEXT = dump_model(DELTA)
+
+
+class Killed(BaseException):
+    """What no handler of the package may swallow, as a SIGKILL."""
+
+
+def quick(question, dataset, unseen, tell=None):
+    """A judgement without a diagnosis, which takes seconds: nothing found, two more poses."""
+    joints = DELTA.mechanism.home.joints
+    more = [Target(tuple(q + 0.01 * k for q in joints), purpose="more") for k in range(2)]
+    targets = tuple(more) if question.more else ()
+    return Judgement(
+        len(dataset), "unexplained", "nothing is known", (), (), ("time",), question.model,
+        {"position": 2e-3}, {"position": 1e-3}, {"position": 1e-3}, targets,
+    )  # fmt: skip
+
+
+def work(function, *given):
+    """Judgements in no time, and no model to write."""
+    if function.__name__ == "judged":
+        return quick(*given)
+    return Conclusion("", "nothing was written")
+
+
+def campaign(folder, cell, goal, tell=lambda status: None, work=work, **more):
+    return Campaign(folder, TEXT, goal, cell, tell, work, **more)
+
+
+# ------------------------------------------------------------------ where it goes
+
+
+def test_places_are_spread_from_the_middle_to_the_corners():
+    places = np.array([[x, y] for x in range(5) for y in range(5)], float)
+    chosen = {tuple(places[i]) for i in spread(places, 5)}
+    assert chosen == {(2, 2), (0, 0), (4, 4), (0, 4), (4, 0)}
+
+
+def test_the_first_poses_are_of_three_kinds_and_may_all_be_gone_to():
+    """42 parameters at 6 equations a pose: twice as many are 14, beside 6 that no fit sees and 4
+    visits from the other side."""
+    guard = Guard.of(DELTA)
+    targets = first_targets(guard, 80)
+    free = int((~np.asarray(DELTA.fixed)).sum())
+    fitted = [t for t in targets if not t.unseen]
+    again = [t for t in targets if "other side" in t.purpose]
+    assert len(targets) - len(fitted) == 6
+    assert len(again) == 4
+    assert len(fitted) - len(again) == max(12, -(-2 * free // 6))
+    for target in targets:
+        assert guard.allowed(np.array([target.joints, *target.via])).all()
+    for target in again:
+        first = next(t for t in fitted if t.joints == target.joints and t is not target)
+        assert first.via == target.via[::-1]
+        from_one, from_other = (
+            np.sign(np.subtract(t.joints, t.via[-1])) for t in (first, target)
+        )  # fmt: skip
+        assert (from_one == -from_other).all()
+
+
+# ------------------------------------------------------------------ what it finds
+
+
+@pytest.fixture(scope="module")
+def calibrated(tmp_path_factory):
+    """A Delta with play in its gears, calibrated by itself from its nominal model."""
+    cell = SimulatedCell("delta", 2, ["backlash"])
+    said = []
+    one = Campaign(tmp_path_factory.mktemp("campaign"), TEXT, Goal(60), cell, said.append)
+    return one, one.run(), cell, said
+
+
+@pytest.mark.wide
+def test_a_hidden_effect_is_found_told_from_its_lookalike_and_proven(calibrated):
+    one, outcome, _cell, said = calibrated
+    assert outcome.success, outcome.message
+    assert outcome.verdict == "explained"
+    assert one.judgements[-1].effects == ("backlash",)
+    assert not one.judgements[-1].doubt
+    assert [effect.name for effect in parse_model(outcome.text).effects] == ["backlash"]
+    states = [state for state, _ in itertools.groupby(status.state for status in said)]
+    assert states[:5] == ["planning", "moving", "sampling", "moving", "sampling"]
+    assert states[-1] == "done"
+
+
+@pytest.mark.wide
+def test_the_written_model_is_as_good_as_the_noise_where_nothing_was_measured(calibrated, tmp_path):
+    """Judged by the virtual robot itself, at poses of its own drawing."""
+    _one, outcome, cell, _ = calibrated
+    file = tmp_path / "robot.yaml"
+    file.write_text(TEXT)
+    written = write_better(outcome, str(file))
+    assert written.path == str(file)
+    assert (tmp_path / "robot.yaml.previous").read_text() == TEXT
+    rng, off = np.random.default_rng(5), {}
+    for name, model in (("before", DELTA), ("after", read_model(file))):
+        errors = []
+        for q in rng.uniform(0.35, 0.7, (20, 3)):
+            sign = rng.choice([-1.0, 1.0], 3)
+            at = {f"direction.{j}": s for j, s in zip(model.joints, sign, strict=True)}
+            true = cell.cell.stands(q, sign)[0]
+            errors.append(np.linalg.norm(Kinematics(model).direct(q, at).position - true))
+        off[name] = np.sqrt(np.mean(np.square(errors)))
+    assert off["before"] > 5e-4
+    assert off["after"] < 4e-5
+
+
+@pytest.mark.wide
+def test_the_error_at_unseen_poses_falls_to_the_noise_judgement_by_judgement(
+    calibrated,
+):
+    one, outcome, _, _ = calibrated
+    samples, unseen = zip(*outcome.curve, strict=True)
+    assert samples[0] == 0
+    assert list(samples[1:]) == [j.samples for j in one.judgements]
+    assert unseen[0] > 20 * unseen[-1]
+    assert unseen[-1] < 2 * 29e-6  # what 10 um and 25 arcsec come to in this robot
+
+
+@pytest.mark.wide
+def test_everything_is_a_session_that_the_workbench_opens(calibrated):
+    one, outcome, _, _ = calibrated
+    session = Session(one.folder)
+    assert len(session.samples) == outcome.samples
+    steps = [state.step for state in session.history()]
+    assert steps[-2:] == ["fit", "add backlash"]
+
+
+@pytest.mark.wide
+def test_a_person_is_asked_for_the_load_that_the_robot_cannot_put_on_itself(tmp_path):
+    cell = SimulatedCell("delta", 5, ["shaft_twist"])
+    goal = Goal(60, payload=1.0)
+    one = Campaign(tmp_path, TEXT, goal, cell)
+    outcome = one.run()
+    assert cell.asked == ["bring payload to 1 kg (it is 0)"]
+    assert outcome.verdict == "explained"
+    assert one.judgements[-1].effects == ("joint_compliance",)
+
+
+# ------------------------------------------------------------------ its budget
+
+
+def test_poses_and_minutes_are_kept_and_what_is_missing_is_said(tmp_path):
+    one = campaign(tmp_path, SimulatedCell(), Goal(poses=20))
+    outcome = one.run()
+    assert len(one.samples) == 20
+    assert not outcome.success
+    assert outcome.message.startswith(
+        "20 poses are measured, as many as were allowed: nothing is known; time"
+    )
+
+
+def test_an_error_that_is_small_enough_ends_it(tmp_path):
+    outcome = campaign(tmp_path, SimulatedCell(), Goal(poses=40, enough=1.5e-3)).run()
+    assert outcome.success
+    assert outcome.message.startswith("the error at unseen poses is small enough")
+    assert outcome.samples == 24
+
+
+# ------------------------------------------------------------------ what it does not put up with
+
+
+def fails(tmp_path, match, after=1, poses=20, **change):
+    """A change to the cell after so many samples, which must end the campaign, robot at rest."""
+    cell = SimulatedCell()
+    one = campaign(tmp_path, cell, Goal(poses=poses))
+    measure, stopped = cell.sample, []
+
+    def sample(go_on):
+        found = measure(go_on)
+        if len(one.samples) == after:
+            cell.cell.change(**change)
+        return found
+
+    cell.sample, cell.stop = sample, lambda: stopped.append(1)
+    outcome = one.run()
+    assert not outcome.success
+    assert not outcome.ended
+    assert match in outcome.message
+    assert stopped
+    assert len(one.samples) == after + 1  # the one that is wrong is none
+    return outcome
+
+
+def test_a_robot_that_does_not_move_is_noticed(tmp_path):
+    fails(tmp_path, "it does not move", drives_off=True)
+
+
+def test_an_axis_or_an_encoder_that_is_stuck_is_noticed_by_name(tmp_path):
+    outcome = fails(tmp_path / "axis", "joint2 was sent to", stuck_axis=2)
+    assert "is in the way" in outcome.message
+    fails(tmp_path / "encoder", "joint3 was sent to", stuck_encoder=3)
+
+
+def test_crossed_axes_are_noticed_at_the_first_move(tmp_path):
+    fails(tmp_path, "was sent to", crossed_axes=True)
+
+
+def test_a_collision_is_noticed(tmp_path):
+    box = (np.array([-0.1, -0.1, 0.0]), np.array([0.1, 0.1, 0.4]))
+    fails(tmp_path, "something is in the way", obstacles=(box,))
+
+
+def test_a_lost_and_a_changed_target_are_noticed(tmp_path):
+    fails(tmp_path / "lost", "no pose came", lost_target=True)
+    said = fails(tmp_path / "changed", "a target that was lost or changed", swapped_target=True)
+    assert "should have" in said.message
+
+
+@pytest.mark.wide
+def test_a_slip_of_half_a_degree_is_noticed_once_the_model_is_identified(calibrated, tmp_path):
+    one, *_ = calibrated
+    checker = one._checker
+    good = list(one.samples.values())[-1].dataset
+    checker.check(good, good.q[0], None)
+    reached = Kinematics(checker._model)
+    slipped = reached.direct(good.q[0] + [0.5 * np.pi / 180, 0, 0]).position
+    away = slipped - reached.direct(good.q[0]).position
+    with pytest.raises(CellError, match=r"position is .* um from where the model puts it"):
+        checker.check(good.__class__(**{**vars(good), "r": good.r + away}), good.q[0], None)
+
+
+def test_what_no_way_leads_to_is_left_out_with_the_reason(tmp_path):
+    """A target that was planned before a box was put around it."""
+    one = campaign(tmp_path, SimulatedCell(), Goal(poses=20))
+    beyond = Target((1.9, 1.9, 1.9), purpose="made by hand")
+    one.targets = [beyond, *first_targets(one._guard, 20)]
+    outcome = one.run()
+    assert list(one.left_out) == [0]
+    assert "workspace" in one.left_out[0]
+    assert outcome.samples == 20
+
+
+def test_too_few_poses_are_refused_with_the_number_that_is_enough(tmp_path):
+    outcome = campaign(tmp_path, SimulatedCell(), Goal(poses=18)).run()
+    assert not outcome.success
+    assert "18 poses are too few for 42 free parameters: at least 19" in outcome.message
+
+
+# ------------------------------------------------------------------ held, ended, killed
+
+
+def numbers(one):
+    return [(k, *s.dataset.q[0]) for k, s in one.samples.items()]
+
+
+def test_it_is_held_in_the_middle_of_a_motion_and_goes_on_with_the_same_pose(tmp_path):
+    cell, control, said = SimulatedCell(), Control(), []
+
+    def tell(status):
+        said.append(status.state)
+        if status.state == "paused":
+            control.resume()
+
+    one = campaign(tmp_path, cell, Goal(poses=20), tell, control=control)
+    drive, moves = cell.move, itertools.count()
+
+    def move(trajectory, go_on):
+        if next(moves) == 3:
+            control.pause()
+        drive(trajectory, go_on)
+
+    cell.move = move
+    outcome = one.run()
+    assert said.count("paused") == 1
+    assert outcome.samples == 20
+    assert list(one.samples) == list(range(20))
+
+
+def test_abort_stops_the_robot_and_asking_again_goes_on(tmp_path):
+    cell, control = SimulatedCell(), Control()
+    one = campaign(tmp_path, cell, Goal(poses=20), control=control)
+    drive, moves, stopped = cell.move, itertools.count(), []
+
+    def move(trajectory, go_on):
+        if next(moves) == 5:
+            control.abort()
+        drive(trajectory, go_on)
+
+    cell.move, cell.stop = move, lambda: stopped.append(1)
+    outcome = one.run()
+    assert stopped
+    assert not outcome.ended
+    assert "aborted on request" in outcome.message
+    one.close()
+    cell.move = drive
+    again = campaign(tmp_path, cell, Goal(poses=20))
+    assert numbers(again) == numbers(one)
+    assert again.run().samples == 20
+
+
+@pytest.mark.parametrize("state", ["planning", "moving", "sampling", "judging", "done"])
+def test_killed_in_any_state_it_goes_on_and_measures_nothing_twice(tmp_path, state):
+    times = {"planning": [0], "judging": [0, 1]}.get(state, [0, 4])
+    cell, measured = SimulatedCell(), []
+    measure = cell.sample
+
+    def sample(go_on):
+        found = measure(go_on)
+        measured.append(found.dataset.q[0])
+        return found
+
+    cell.sample = sample
+
+    def kill(count, wanted, status):
+        if status.state == state and next(count) == wanted:
+            raise Killed
+
+    for wanted in times:
+        one = campaign(tmp_path, cell, Goal(poses=20), partial(kill, itertools.count(), wanted))
+        with pytest.raises(Killed):
+            one.run()
+        one.close()
+        if state == "done":
+            break
+    one = campaign(tmp_path, cell, Goal(poses=20))
+    outcome = one.run()
+    assert outcome.samples == 20
+    assert sorted(one.samples) == list(range(20))
+    kept = [s.dataset.q[0] for s in one.samples.values()]
+    assert np.unique(kept, axis=0).shape == (20, 3)
+    assert len(measured) == 20  # each was measured once, and is there
+    assert np.array_equal(kept, measured)
+
+
+def test_a_line_that_a_crash_cut_off_is_a_sample_that_was_not_taken(tmp_path):
+    cell = SimulatedCell()
+    one = campaign(tmp_path, cell, Goal(poses=20))
+    one.run()
+    one.close()
+    lines = (tmp_path / FILE).read_text().splitlines()
+    kept = [line for line in lines if "end" not in json.loads(line)]
+    samples = [i for i, line in enumerate(kept) if "sample" in json.loads(line)]
+    text = "\n".join(kept[: samples[-1]]) + "\n" + kept[samples[-1]][:-30]
+    (tmp_path / FILE).write_text(text)
+    again = campaign(tmp_path, cell, Goal(poses=20))
+    assert len(again.samples) == 19
+    assert again.run().samples == 20
+
+
+def test_a_folder_is_of_one_campaign_at_a_time_and_of_one_model(tmp_path):
+    one = campaign(tmp_path / "a", SimulatedCell(), Goal(poses=20))
+    with pytest.raises(CampaignError, match="another process is at this campaign"):
+        campaign(tmp_path / "a", SimulatedCell(), Goal(poses=20))
+    assert unfinished(tmp_path, TEXT) == tmp_path / "a"
+    other = dump_model(DELTA.with_effect("backlash"))
+    assert unfinished(tmp_path, other) is None
+    one.run()
+    one.close()
+    assert unfinished(tmp_path, TEXT) is None
+    with pytest.raises(CampaignError, match="another model"):
+        Campaign(tmp_path / "a", other, Goal(), SimulatedCell())
