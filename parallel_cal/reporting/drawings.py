@@ -11,13 +11,14 @@ import casadi as ca
 import numpy as np
 
 from parallel_cal.model.model import Model
+from parallel_cal.reporting.colours import MEASURED, QUIET, WARNING
 from parallel_cal.reporting.contents import Described
-from parallel_cal.reporting.figures import FAR, QUIET, WARNING, Spec, gaps, in_words, rounded
+from parallel_cal.reporting.figures import FAR, Spec, gaps, in_words, rounded
 from parallel_cal.reporting.spaces import space
 
 # Okabe and Ito's palette; what moves with a motor, what follows, what carries the tool.
 COLOURS = {
-    "base": QUIET, "axis": QUIET, "driven": "#0072b2", "rod": "#009e73", "platform": "#cc79a7",
+    "base": QUIET, "axis": QUIET, "driven": MEASURED, "rod": "#009e73", "platform": "#cc79a7",
 }  # fmt: skip
 WIDTHS = {"base": 4, "axis": 2, "driven": 8, "rod": 5, "platform": 7}
 

@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.identification.prediction_errors import Summary
+from parallel_cal.reporting.colours import ACCENT, BAND, QUIET, WARNING
 from parallel_cal.reporting.contents import Described
 from parallel_cal.reporting.readable import large, number, small
 
 Spec = dict[str, Any]
-ACCENT, QUIET, WARNING = "#3b7dd8", "#8a94a3", "#d55e00"
-MEASURED, PATTERN = "#0072b2", "#d55e00"  # Okabe and Ito: a mean, what an effect would show
 LEGEND = {"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0}
 FAR = 5.0  # tolerances
 
@@ -83,10 +82,10 @@ def circles(
             "radialaxis": {
                 "range": [-2 * size, size], "tickvals": ticks, "angle": sector[0],
                 "ticktext": [f"{t:+.2g}" if t else f"0 {unit}" for t in ticks],
-                "tickfont": {"size": 10}, "gridcolor": "rgba(138,148,163,0.35)",
+                "tickfont": {"size": 10}, "gridcolor": BAND,
             },
             "angularaxis": {"nticks": 12, "tickfont": {"size": 10}, "ticksuffix": "°",
-                            "gridcolor": "rgba(138,148,163,0.35)"},
+                            "gridcolor": BAND},
         }  # fmt: skip
         layout["annotations"].append(
             {"text": escape(name), "x": x[0], "xanchor": "left", "y": y[0], "yanchor": "bottom",

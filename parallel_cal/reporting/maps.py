@@ -8,10 +8,8 @@ import numpy as np
 
 from parallel_cal.identification.spread import Spread
 from parallel_cal.reporting.arrows import scale_of, typical
+from parallel_cal.reporting.colours import MEASURED, PATTERN, QUIET
 from parallel_cal.reporting.figures import (
-    MEASURED,
-    PATTERN,
-    QUIET,
     Spec,
     gaps,
     rounded,

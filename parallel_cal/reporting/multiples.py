@@ -8,8 +8,9 @@ import numpy as np
 
 from parallel_cal.diagnosis.patterns import Along
 from parallel_cal.diagnosis.thresholds import LEVELS
+from parallel_cal.reporting.colours import BAND, QUIET
 from parallel_cal.reporting.contents import Residuals
-from parallel_cal.reporting.figures import QUIET, Spec, rounded, thinned
+from parallel_cal.reporting.figures import Spec, rounded, thinned
 from parallel_cal.reporting.readable import large
 
 # Okabe and Ito's palette: told apart by the colour-blind, on light and dark grounds
@@ -91,7 +92,7 @@ def _rolling_traces(
         "type": "scatter", "mode": "lines", "hoverinfo": "skip",
         "x": rounded(np.concatenate([at, at[::-1]])),
         "y": rounded(np.concatenate([band, -band[::-1]])),
-        "fill": "toself", "fillcolor": "rgba(138,148,163,0.28)", "line": {"width": 0},
+        "fill": "toself", "fillcolor": BAND, "line": {"width": 0},
     }  # fmt: skip
     lines = [
         _mean(name, at, mean) | {"mode": "lines", "line": {"color": colour(name), "width": 2}}

@@ -6,11 +6,9 @@ import numpy as np
 
 from parallel_cal.diagnosis.patterns import mean_along
 from parallel_cal.diagnosis.signature import Signature
+from parallel_cal.reporting.colours import MEASURED, PATTERN, QUIET
 from parallel_cal.reporting.contents import JointResiduals
 from parallel_cal.reporting.figures import (
-    MEASURED,
-    PATTERN,
-    QUIET,
     Spec,
     circles,
     gaps,

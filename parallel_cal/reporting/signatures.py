@@ -10,11 +10,9 @@ from parallel_cal.diagnosis.patterns import mean_along
 from parallel_cal.diagnosis.signature import Panel, Signature
 from parallel_cal.diagnosis.thresholds import LEVELS
 from parallel_cal.model.mechanism import Mechanism
+from parallel_cal.reporting.colours import BAND, MEASURED, PATTERN, QUIET
 from parallel_cal.reporting.contents import unit_along
 from parallel_cal.reporting.figures import (
-    MEASURED,
-    PATTERN,
-    QUIET,
     Spec,
     gaps,
     rounded,
@@ -23,8 +21,6 @@ from parallel_cal.reporting.figures import (
 )
 from parallel_cal.reporting.readable import large, number
 from parallel_cal.reporting.rounds import POINTS
-
-BAND = "rgba(138,148,163,0.28)"
 
 
 def figure(found: Signature, mechanism: Mechanism) -> Spec:

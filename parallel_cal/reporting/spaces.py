@@ -8,7 +8,8 @@ import numpy as np
 
 from parallel_cal.diagnosis.lack_of_fit import SmoothMap
 from parallel_cal.reporting.arrows import arrows, scale_of, typical
-from parallel_cal.reporting.figures import PATTERN, Spec, rounded, thinned
+from parallel_cal.reporting.colours import PATTERN
+from parallel_cal.reporting.figures import Spec, rounded, thinned
 from parallel_cal.reporting.readable import with_unit
 
 ARROWS = 300  # more hide each other
