@@ -26,7 +26,8 @@ from parallel_cal.identification.options import FitOptions
 from parallel_cal.reporting import console
 
 if TYPE_CHECKING:
-    from parallel_cal.session.session import Session, State
+    from parallel_cal.session.history import State
+    from parallel_cal.session.session import Session
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -53,10 +54,12 @@ def _say(session: Session, state: State, as_json: bool) -> None:
 
 
 def _line(state: State) -> str:
+    from parallel_cal.session.history import shown
+
     left_out = "" if not state.excluded else f"; {len(state.excluded)} samples left out"
     if not state.errors:
         return f"{state.step}{left_out}"
-    before, after, noise = map(state.shown, (state.before, state.errors, state.noise))
+    before, after, noise = map(shown, (state.before, state.errors, state.noise))
     return (
         f"{state.step}: error at poses left out {before} to {after}, noise alone {noise}{left_out}"
     )
@@ -89,7 +92,9 @@ def new(
 
 def show(folder: Folder, as_json: Json = False) -> None:
     """The steps of the branch, and the branches beside it."""
-    session = _open(folder)
+    from parallel_cal.session.history import History, shown
+
+    session = History(folder)
     if as_json:
         return console.emit(session.document())
     for state in session.history():
@@ -99,7 +104,7 @@ def show(folder: Folder, as_json: Json = False) -> None:
     if len(session.record.branches) > 1:
         here = session.record.branch
         rows = [
-            (("* " if name == here else "  ") + name, state.step, state.shown(state.errors))
+            (("* " if name == here else "  ") + name, state.step, shown(state.errors))
             for name, state in session.compared().items()
         ]
         console.table(("branch", "last step", "left out"), rows)

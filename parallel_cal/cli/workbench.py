@@ -102,11 +102,10 @@ def _ready(
     ros: bool,
 ) -> None:  # fmt: skip
     """A session in the folder: the one that is there, else a new one."""
-    from parallel_cal.model.file.modelfile import read_model
-    from parallel_cal.session.session import FILE, Session
+    from parallel_cal.session.history import FILE, History
 
     if (folder / FILE).exists():
-        known = Session(folder).record.recordings
+        known = History(folder).record.recordings
         if others := [bag for bag in bags if str(bag.resolve()) not in known]:
             raise ParallelCalError(
                 f"{folder}: a session on {', '.join(known) or 'live samples'}, not on {others[0]}; "
@@ -118,5 +117,8 @@ def _ready(
         raise ParallelCalError(f"{model}: no session in this folder; give a model file and BAG")
     if not (bags or ros):
         raise ParallelCalError(f"{folder}: a new session needs at least one recording, or --ros")
+    from parallel_cal.model.file.modelfile import read_model
+    from parallel_cal.session.session import Session
+
     reading = data_options(data)
     Session.new(folder, read_model(model), bags, reading=reading, fitting=options)

@@ -14,12 +14,7 @@ import numpy as np
 from parallel_cal.identification.fit import Result
 from parallel_cal.identification.observations import blocks
 from parallel_cal.identification.prediction_errors import Errors, Summary, held_out_ratio
-
-UNITS = (  # of errors as a person reads them, and the factor from SI
-    ("position", 1e6, "um"),
-    ("orientation", 3437.75, "arcmin"),
-    ("reading", 1e6, "um"),
-)
+from parallel_cal.identification.units import UNITS
 
 
 @dataclass(frozen=True)

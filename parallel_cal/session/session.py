@@ -1,27 +1,18 @@
-"""A calibration as it goes on: its steps as a tree in a folder, with undo, redo and branches.
-
-The folder holds `session.json`, replaced whole at every change, and each state's model file; a
-state is never altered. Whoever opens the folder later, after a crash, too, finds the last state.
-"""
+"""A calibration as it goes on: steps that identify, judge and keep a model, in a folder."""
 
 from __future__ import annotations
 
 import dataclasses
-import fcntl
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from parallel_cal.base.documents import plain
-from parallel_cal.base.errors import ParallelCalError
-from parallel_cal.base.files import read_text, write_atomically
+from parallel_cal.base.files import write_atomically
 from parallel_cal.diagnosis.diagnose import Diagnosis, diagnose
-from parallel_cal.identification.acceptance import UNITS
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.file.modelfile import read_model, write_model
 from parallel_cal.model.model import Model
@@ -31,79 +22,20 @@ from parallel_cal.recordings.loading import load_sessions
 from parallel_cal.recordings.options import ReadOptions
 from parallel_cal.recordings.signals import Signals, signals
 from parallel_cal.recordings.simulate import with_noise
+from parallel_cal.session.history import FILE, History, Record, SessionError, State
 from parallel_cal.session.steps import Step, added, fitted, removed
 
-VERSION = 1
-FILE, LOCK = "session.json", ".lock"
 Progress = Callable[[str, float], None]
 
 
-class SessionError(ParallelCalError):
-    """A session cannot be opened, or a step cannot be taken in it."""
-
-
-class _Part(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class State(_Part):
-    """A model and the samples it is judged by; `errors` are those at poses left out, `before` those
-    of the step's start, `noise` what a perfect model would show: summaries, empty where unknown.
-
-    `taken` is a file of samples taken since the session began, `fitting` what is identified
-    otherwise than at its beginning; both hold until changed, as `excluded` does.
-    """
-
-    number: int
-    parent: int | None
-    step: str
-    model: str
-    excluded: Mapping[int, str] = {}
-    taken: str = ""
-    fitting: Mapping[str, Any] = {}
-    before: Mapping[str, float | None] = {}
-    errors: Mapping[str, float | None] = {}
-    noise: Mapping[str, float | None] = {}
-    against: str = ""
-    verdict: str = ""
-
-    @property
-    def position_rms(self) -> float | None:
-        return self.errors.get("position_rms")
-
-    def shown(self, errors: Mapping[str, float | None]) -> str:
-        """Errors in words, of the first kind that is known: `30 um`, `0.43 arcmin`."""
-        for kind, factor, unit in UNITS:
-            if (value := errors.get(f"{kind}_rms")) is not None:
-                return f"{value * factor:.3g} {unit}"
-        return "-"
-
-
-class Record(_Part):
-    """What session.json holds. `forward` are the states that were undone, the last one last."""
-
-    parallel_cal_session: int = VERSION
-    recordings: Sequence[str]
-    reading: Mapping[str, Any] = {}
-    fitting: Mapping[str, Any] = {}
-    states: Sequence[State]
-    branches: Mapping[str, int]
-    forward: Mapping[str, Sequence[int]] = Field(default_factory=dict)
-    branch: str = "main"
-
-    @property
-    def state(self) -> State:
-        return self.states[self.branches[self.branch]]
-
-
-class Session:
+class Session(History):
     """A folder with a calibration in it. Every change is on disk before its method returns."""
 
     def __init__(self, folder: str | Path):
         """Open a session; SessionError where the folder holds none, or one that cannot be read."""
-        self.folder = Path(folder)
-        self.record = self._read()
+        super().__init__(folder)
         self._samples: dict[tuple[str, ...], Dataset] = {}
+        self._models: dict[str, Model] = {}  # by file, as they are kept: with what they compiled
 
     @classmethod
     def new(
@@ -142,18 +74,13 @@ class Session:
     # ------------------------------------------------------------------ what there is
 
     @property
-    def state(self) -> State:
-        return self.record.state
-
-    @property
     def model(self) -> Model:
-        return read_model(self.folder / self.state.model)
+        return self._model(self.state)
 
-    @property
-    def recordings(self) -> list[str]:
-        """Those that the session began with, and the file of what was taken since."""
-        taken = [str(self.folder / self.state.taken)] if self.state.taken else []
-        return [*self.record.recordings, *taken]
+    def _model(self, state: State) -> Model:
+        if state.model not in self._models:
+            self._models[state.model] = read_model(self.folder / state.model)
+        return self._models[state.model]
 
     @property
     def samples(self) -> Dataset:
@@ -161,7 +88,7 @@ class Session:
         if not (paths := tuple(self.recordings)):
             raise SessionError(f"{self.folder}: no samples yet; take some first")
         if paths not in self._samples:
-            joints = read_model(self.folder / self.record.states[0].model).joints
+            joints = self._model(self.record.states[0]).joints
             options = ReadOptions(**self.record.reading)
             self._samples[paths] = load_sessions(paths, options, joints=joints)
         return self._samples[paths]
@@ -173,36 +100,6 @@ class Session:
 
     def _counted(self, excluded: Collection[int]) -> Dataset:
         return self.samples.excluding(sorted(excluded), "in this session")
-
-    @property
-    def options(self) -> FitOptions:
-        return FitOptions(**{**self.record.fitting, **self.state.fitting})
-
-    def history(self, branch: str | None = None) -> list[State]:
-        """The states from the beginning to a branch's last one."""
-        state: State | None = self.record.states[self._head(branch or self.record.branch)]
-        found: list[State] = []
-        while state is not None:
-            found.append(state)
-            state = None if state.parent is None else self.record.states[state.parent]
-        return found[::-1]
-
-    def compared(self, branches: Sequence[str] = ()) -> dict[str, State]:
-        """The last state of several branches (all where none is named)."""
-        names = branches or list(self.record.branches)
-        return {name: self.record.states[self._head(name)] for name in names}
-
-    def document(self) -> dict[str, Any]:
-        """The JSON document of `parallel-cal session`."""
-        return {
-            "folder": str(self.folder),
-            "branch": self.record.branch,
-            "branches": dict(self.record.branches),
-            "recordings": list(self.record.recordings),
-            "history": [plain(state.model_dump()) for state in self.history()],
-            "can_undo": self.state.parent is not None,
-            "can_redo": bool(self.record.forward.get(self.record.branch)),
-        }
 
     # ------------------------------------------------------------------ steps
 
@@ -296,57 +193,6 @@ class Session:
         write_atomically(file, found.csv())
         return file
 
-    def judged(self, at: State, verdict: str) -> None:
-        """Keep a verdict with the state it was found for."""
-        with self._changing() as record:
-            states = list(record.states)
-            states[at.number] = states[at.number].model_copy(update={"verdict": verdict})
-            self._write(record.model_copy(update={"states": states}))
-
-    # ------------------------------------------------------------------ back, forth and beside
-
-    def undo(self) -> State:
-        """One step back; SessionError at the beginning."""
-        with self._changing() as record:
-            if record.state.parent is None:
-                raise SessionError("nothing to undo: this is where the session began")
-            ahead = [*record.forward.get(record.branch, ()), record.state.number]
-            self._move(record, record.state.parent, ahead)
-        return self.state
-
-    def redo(self) -> State:
-        """Once more what was undone last; SessionError where nothing was."""
-        with self._changing() as record:
-            undone = record.forward.get(record.branch)
-            if not undone:
-                raise SessionError("nothing to redo")
-            self._move(record, undone[-1], undone[:-1])
-        return self.state
-
-    def start_branch(self, name: str) -> State:
-        """A new branch that begins at this state, to try something beside."""
-        if not name.strip():
-            raise SessionError("a branch needs a name")
-        with self._changing() as record:
-            if name in record.branches:
-                raise SessionError(f"there is a branch '{name}' already; switch to it")
-            branches = {**record.branches, name: record.state.number}
-            self._write(record.model_copy(update={"branches": branches, "branch": name}))
-        return self.state
-
-    def switch(self, branch: str) -> State:
-        """Go on with another branch."""
-        with self._changing() as record:
-            self._head(branch)
-            self._write(record.model_copy(update={"branch": branch}))
-        return self.state
-
-    def _head(self, branch: str) -> int:
-        if branch not in self.record.branches:
-            known = ", ".join(self.record.branches)
-            raise SessionError(f"no branch '{branch}'; there are {known}")
-        return self.record.branches[branch]
-
     # ------------------------------------------------------------------ on disk
 
     def _committed(self, words: str, step: Step, **changes: Any) -> State:
@@ -374,51 +220,9 @@ class Session:
             )
             if model is not None:
                 write_model(model, self.folder / file)
+                self._models[file] = model
             self._move(record, number, [], states=[*record.states, state])
         return self.state
-
-    def _move(self, record: Record, number: int, ahead: Sequence[int], **changes: Any) -> None:
-        branches = {**record.branches, record.branch: number}
-        forward = {**record.forward, record.branch: list(ahead)}
-        changes |= {"branches": branches, "forward": forward}
-        self._write(record.model_copy(update=changes))
-
-    @contextmanager
-    def _changing(self) -> Iterator[Record]:
-        """The record as it is on disk now; nobody else changes it meanwhile."""
-        with (self.folder / LOCK).open("w") as lock:
-            fcntl.flock(lock, fcntl.LOCK_EX)
-            self.record = self._read()
-            yield self.record
-
-    def refresh(self) -> bool:
-        """Take up what others have changed; whether they have."""
-        record = self._read()
-        changed, self.record = record != self.record, record
-        return changed
-
-    def _read(self) -> Record:
-        file = self.folder / FILE
-        try:
-            record = Record.model_validate_json(read_text(file))
-        except OSError as error:
-            raise SessionError(
-                f"{self.folder}: no session here ({error.strerror}); begin one with "
-                "parallel-cal session new"
-            ) from None
-        except ValidationError as error:
-            one = error.errors(include_url=False)[0]
-            key = ".".join(str(part) for part in one["loc"])
-            raise SessionError(f"{file}: {key or 'document'}: {one['msg']}") from None
-        if record.parallel_cal_session != VERSION:
-            raise SessionError(
-                f"{file}: parallel_cal_session is {record.parallel_cal_session}, expected {VERSION}"
-            )
-        return record
-
-    def _write(self, record: Record) -> None:
-        write_atomically(self.folder / FILE, record.model_dump_json(indent=1) + "\n")
-        self.record = record
 
 
 def _changed(options: Any, usual: Any) -> dict[str, Any]:
