@@ -184,7 +184,7 @@ def test_the_whole_loop_on_the_page(browser, tmp_path):
         page.get_by_role("button", name="Branch", exact=True).click()
         page.get_by_role("cell", name="careful").wait_for()
         page.get_by_role("checkbox").nth(1).click()
-        page.locator("#marked").get_by_text("1 samples marked").wait_for()
+        page.locator("#marked").get_by_text("1 sample marked").wait_for()
         page.get_by_label("reason").fill("bumped")
         page.get_by_role("button", name="Exclude", exact=True).click()
         page.get_by_text("is left out: bumped").wait_for()
@@ -241,7 +241,7 @@ def test_everything_else_on_the_page_and_no_serious_fault_of_access(browser, tmp
         assert faults(page) == []
 
         page.get_by_role("checkbox").nth(1).click()
-        page.locator("#marked").get_by_text("1 samples marked").wait_for()
+        page.locator("#marked").get_by_text("1 sample marked").wait_for()
         page.get_by_role("button", name="Open", exact=True).click()
         page.get_by_role("figure", name="readings of sample").wait_for()
         page.get_by_role("button", name="Close", exact=True).click()
@@ -262,7 +262,7 @@ def test_everything_else_on_the_page_and_no_serious_fault_of_access(browser, tmp
         number = Session(folder).state.number
         until((folder / "views" / f"{number}.json").exists, "a look at what is left")
 
-        page.locator("#stage").wait_for(state="detached")  # the page is drawn anew until then
+        page.locator("#stage").wait_for(state="hidden")  # the page is drawn anew until then
         time.sleep(1)
         page.get_by_role("button", name="Compare", exact=True).click()
         page.get_by_text("Branches side by side").wait_for()

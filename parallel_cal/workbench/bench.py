@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from threading import Thread
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.base.files import read_text, write_atomically
 from parallel_cal.base.worker import Unwanted, Worker, WorkError
-from parallel_cal.model.file.modelfile import model_hash, write_model
-from parallel_cal.session.goals import keep_previous
-from parallel_cal.session.session import Session
+from parallel_cal.session.history import History
+
+if TYPE_CHECKING:
+    from parallel_cal.session.session import Session
 
 # Methods of a session that take their time.
 STEPS = ("fit", "add", "remove", "exclude", "include", "choose", "plan")
@@ -42,7 +43,7 @@ class Bench:
     def __init__(self, folder: Path, output: Path | None = None, live: Live | None = None):
         """`output` is the only file outside the folder that is written: the robot's model; `live`
         are the nodes at the robot."""
-        self.session, self.output = Session(folder), output or folder / "model.yaml"
+        self.session, self.output = History(folder), output or folder / "model.yaml"
         self.live = live
         self.version, self.seen = 0, 0
         self.stage, self.fraction = "", 0.0
@@ -72,10 +73,21 @@ class Bench:
         """End the step that is under way; the session stays as it was."""
         self._cancelled = True
 
+    def take(self) -> None:
+        """Take what calibration_node has collected into the session."""
+        from parallel_cal.session.session import Session
+
+        if self.live is not None:
+            self._done(partial(Session(self.session.folder).take, self.live.save_samples))
+
     def at_once(self, step: str, *given: Any) -> None:
-        """A step that takes no time: undo, redo, start_branch, switch, take."""
+        """A step that takes no time: undo, redo, start_branch, switch."""
+        self._done(partial(getattr(self.session, step), *given))
+
+    def _done(self, step: Callable[[], object]) -> None:
         try:
-            getattr(self.session, step)(*given)
+            step()
+            self.session.refresh()
             self.message, self.failed = "", False
         except (ParallelCalError, OSError) as error:
             self.message, self.failed = str(error), True
@@ -83,12 +95,15 @@ class Bench:
 
     def save(self) -> None:
         """Write the present model for the robot; refused where something speaks against it."""
+        from parallel_cal.model.file.modelfile import read_model, write_model
+        from parallel_cal.session.goals import keep_previous
+
         against = self.session.state.against
         try:
             if against:
                 raise ParallelCalError(f"{against}; not saved")
             keep_previous(str(self.output))
-            write_model(self.session.model, self.output)
+            write_model(read_model(self.session.folder / self.session.state.model), self.output)
             self.message, self.failed = f"written: {self.output}", False
         except (ParallelCalError, OSError) as error:
             self.message, self.failed = str(error), True
@@ -103,6 +118,8 @@ class Bench:
     @property
     def hash(self) -> str:
         """sha256 (hex) of the present model, as the nodes tell it."""
+        from parallel_cal.model.file.modelfile import model_hash
+
         return model_hash(read_text(self.session.folder / self.session.state.model))
 
     def follow(self) -> None:
@@ -165,13 +182,13 @@ class Bench:
 VERSION = 6  # of what is kept of a view: another one is looked at anew
 
 
-def place(session: Session, state: int | None = None) -> Path:
+def place(session: History, state: int | None = None) -> Path:
     """Where a state's view is kept; a state never changes, and so neither does its view."""
     number = session.state.number if state is None else state
     return session.folder / "views" / f"{number}.json"
 
 
-def kept(session: Session, state: int | None = None) -> dict[str, Any] | None:
+def kept(session: History, state: int | None = None) -> dict[str, Any] | None:
     try:
         found: dict[str, Any] = json.loads(read_text(place(session, state), most=256 << 20))
     except (OSError, ValueError):
@@ -187,6 +204,8 @@ def _prepared() -> None:
 @cache
 def _opened(folder: Path) -> Session:
     """The worker's own session, with the samples that it has read."""
+    from parallel_cal.session.session import Session
+
     return Session(folder)
 
 

@@ -11,15 +11,15 @@ from nicegui import ui
 
 from parallel_cal.reporting.arrows import scale_of
 from parallel_cal.reporting.spaces import side
-from parallel_cal.session.session import Session
+from parallel_cal.session.history import History, shown
 from parallel_cal.workbench.bench import kept
-from parallel_cal.workbench.looks import CLEAR, table
+from parallel_cal.workbench.looks import drawn, table
 
 
 class Beside:
     """A dialog with the last state of every branch."""
 
-    def __init__(self, session: Session):
+    def __init__(self, session: History):
         self.camera: Any = None
         states = session.compared()
         views = {name: kept(session, state.number) or {} for name, state in states.items()}
@@ -28,7 +28,7 @@ class Beside:
             ui.label("Branches side by side").classes("text-lg font-bold")
             rows = [
                 {"branch": name, "step": s.step, "out": len(s.excluded), "verdict": s.verdict,
-                 "after": s.shown(s.errors), "noise": s.shown(s.noise)}
+                 "after": shown(s.errors), "noise": shown(s.noise)}
                 for name, s in states.items()
             ]  # fmt: skip
             table(
@@ -39,35 +39,35 @@ class Beside:
                 "branch",
             )  # fmt: skip
             with ui.row().classes("w-full no-wrap max-lg:flex-wrap"):
-                self.plots = [self._plot(name, fields) for name in fields]
+                self.plots = self._plots(fields) if fields else []
             for name in sorted(set(states) - set(fields)):
                 ui.label(f"{name}: its last state was not looked at yet; switch to it first")
             ui.button("Close", on_click=dialog.close).props("dense outline")
 
-    def _plot(self, name: str, fields: dict[str, Any]) -> Any:
-        """One branch's residuals: lengths and axes are those of all."""
+    def _plots(self, fields: dict[str, Any]) -> list[Any]:
+        """The residuals of each branch: lengths and axes are those of all."""
         places, vectors = (
             {k: np.array(f[key], dtype=float).reshape(-1, 3) for k, f in fields.items()}
             for key in ("places", "vectors")
         )
         scale = min(scale_of(places[k], [vectors[k]]) for k in fields)
-        field = fields[name]
-        figure, _ = side(
-            places[name], vectors[name], field["kind"], np.array(field["numbers"]), scale
-        )
         every = 1e3 * np.concatenate(list(places.values()))
         low, high = every.min(axis=0), every.max(axis=0)
-        margin = 0.1 * (high - low).max()
-        layout = figure["layout"] | CLEAR | {"scene": dict(figure["layout"]["scene"])}
-        for k, axis in enumerate(("xaxis", "yaxis", "zaxis")):
-            ends = [float(low[k] - margin), float(high[k] + margin)]
-            layout["scene"][axis] = layout["scene"].get(axis, {}) | {"range": ends}
-        with ui.column().classes("flex-1 min-w-0 gap-0"):
-            ui.label(f"{name}: residuals drawn {scale:g} times as long as they are")
-            plot = ui.plotly(figure | {"layout": layout}).classes("w-full")
-            plot.props(f'role=figure aria-label="residuals of {name}"')
-            plot.on("plotly_relayout", partial(self._turn, plot))
-        return plot
+        ends = np.stack([low, high], axis=1) + 0.1 * (high - low).max() * np.array([-1, 1])
+        plots = []
+        for name, field in fields.items():
+            numbers = np.array(field["numbers"])
+            figure, _ = side(places[name], vectors[name], field["kind"], numbers, scale)
+            scene = dict(figure["layout"]["scene"])
+            for axis, both in zip(("xaxis", "yaxis", "zaxis"), ends.tolist(), strict=True):
+                scene[axis] = scene.get(axis, {}) | {"range": both}
+            with ui.column().classes("flex-1 min-w-0 gap-0"):
+                ui.label(f"{name}: residuals drawn {scale:g} times as long as they are")
+                layout = figure["layout"] | {"scene": scene}
+                plot = drawn(figure | {"layout": layout}, f"residuals of {name}")
+                plot.on("plotly_relayout", partial(self._turn, plot))
+            plots.append(plot)
+        return plots
 
     def _turn(self, turned: Any, event: Any) -> None:
         """Turn the others as one was turned; their own word of it is no news."""

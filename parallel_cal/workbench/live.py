@@ -7,8 +7,9 @@ from typing import Any
 
 from nicegui import run, ui
 
+from parallel_cal.reporting.colours import MEASURED, QUIET
 from parallel_cal.workbench.bench import Bench, Live
-from parallel_cal.workbench.looks import ACCENT, CLEAR, COLOURS, QUIET, card
+from parallel_cal.workbench.looks import COLOURS, card, drawn, table
 
 LOOK = 1.0  # s between two looks at the nodes
 SHOWN = 60  # s of errors that are shown
@@ -35,19 +36,13 @@ class LiveCard:
                 with self.take:
                     ui.tooltip("use what calibration_node has collected in this session")
             self.warnings = ui.label().classes("text-sm").style(f"color: {COLOURS['amber']}")
-            columns = [
-                {"name": key, "label": label, "field": key, "align": "left"}
-                for key, label in COLUMNS.items()
-            ]
-            self.streams = ui.table(columns=columns, rows=[], row_key="name")
-            self.streams.classes("w-full").props('dense flat aria-label="streams"')
-            self.figure: dict[str, Any] = {
+            self.streams = table([*COLUMNS.items()], [], "name").props("aria-label=streams")
+            figure: dict[str, Any] = {
                 "data": [
                     {"type": "scatter", "mode": "markers", "x": [], "y": [],
-                     "marker": {"color": ACCENT, "size": 4}}
+                     "marker": {"color": MEASURED, "size": 4}}
                 ],
                 "layout": {
-                    **CLEAR,
                     "height": 200,
                     "margin": {"t": 8, "r": 12, "l": 52, "b": 36},
                     "xaxis": {"title": {"text": "s ago"}, "range": [-SHOWN, 0]},
@@ -56,8 +51,7 @@ class LiveCard:
                 "config": {"displaylogo": False, "displayModeBar": False},
             }  # fmt: skip
             self.error = ui.label().classes("text-sm").props("id=live-error")
-            self.chart = ui.plotly(self.figure).classes("w-full")
-            self.chart.props('role=figure aria-label="error of the poses measured, over time"')
+            self.chart = drawn(figure, "error of the poses measured, over time")
             self.dropped = ui.expansion("nothing was dropped").classes("w-full")
         self._said: list[Any] = []
         ui.timer(LOOK, self._look)
@@ -96,7 +90,7 @@ class LiveCard:
 
     def _draw_errors(self, errors: list[tuple[float, float]]) -> None:
         shown = [(t, 1e6 * e) for t, e in errors if t > -SHOWN]
-        trace = self.figure["data"][0]
+        trace = self.chart.figure["data"][0]
         trace["x"], trace["y"] = [round(t, 2) for t, _ in shown], [round(e, 1) for _, e in shown]
         if not shown:
             self.error.set_text("no pose is measured and predicted at once")
@@ -120,4 +114,4 @@ class LiveCard:
                 ).classes("text-sm")
 
     async def _take(self) -> None:
-        await run.io_bound(self.bench.at_once, "take", self.live.save_samples)
+        await run.io_bound(self.bench.take)

@@ -6,9 +6,9 @@ from typing import Any
 
 from nicegui import ui
 
+from parallel_cal.reporting.colours import BAND, QUIET
+
 COLOURS = {"green": "#1a7f37", "amber": "#9a6700", "grey": "#57606a"}
-QUIET, ACCENT, MARKED = "#8a94a3", "#0072b2", "#d55e00"  # Okabe and Ito: for every eye
-BAND = "rgba(138,148,163,0.35)"
 CLEAR = {
     "paper_bgcolor": "rgba(0,0,0,0)",
     "plot_bgcolor": "rgba(0,0,0,0)",
@@ -46,3 +46,16 @@ def table(columns: list[tuple[str, str]], rows: list[dict[str, Any]], key: str, 
         made.add_slot("header-selection", CHECKBOX.format(words="'mark all'"))
         made.add_slot("body-selection", CHECKBOX.format(words="'mark ' + props.key"))
     return made.classes("w-full").props("dense flat wrap-cells")
+
+
+def drawn(figure: dict[str, Any], words: str, before: Any = None) -> Any:
+    """A figure in the page's colours, with words for whoever does not see it; in the stead of the
+    one `before` it takes a tenth of the time."""
+    kept = {"uirevision": words}  # what a person has zoomed or turned
+    figure = figure | {"layout": figure["layout"] | CLEAR | kept}
+    if before is None:
+        before = ui.plotly(figure).classes("w-full")
+    else:
+        before.update_figure(figure)
+    before.props["role"], before.props["aria-label"] = "figure", words
+    return before

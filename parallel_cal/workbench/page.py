@@ -3,31 +3,21 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
-from html import escape
 from typing import Any
 
 from nicegui import run, ui
 
 from parallel_cal.base.errors import ParallelCalError
+from parallel_cal.reporting.colours import MEASURED, PATTERN, QUIET
+from parallel_cal.session.history import shown
 from parallel_cal.workbench.bench import Bench, Live
-from parallel_cal.workbench.beside import Beside
+from parallel_cal.workbench.failing import Failing
+from parallel_cal.workbench.header import Header
 from parallel_cal.workbench.live import LiveCard
-from parallel_cal.workbench.looks import (
-    ACCENT,
-    BAND,
-    CLEAR,
-    COLOURS,
-    CSS,
-    HEAD,
-    MARKED,
-    QUIET,
-    ROUND,
-    card,
-    table,
-)
-from parallel_cal.workbench.readings import signals
+from parallel_cal.workbench.looks import CSS, HEAD, ROUND, card, drawn, table
+from parallel_cal.workbench.marking import Marking, Place
 
 EMPTY = (
     "Looking at the measurements: this takes a few seconds.",
@@ -36,8 +26,7 @@ EMPTY = (
 )
 PRIORS = {None: "where the data tell less", True: "throughout", False: "nowhere"}
 PLACE, TURN = ("x", "y", "z"), ("qx", "qy", "qz", "qw")  # columns of planned poses
-LIKELY = "99 % of means if nothing depends on it"
-POLL = 0.3  # s between two looks at the bench: two windows agree within a second
+POLL = 0.1  # s between two looks at the bench: two windows agree within a second
 
 
 def build(bench: Bench) -> None:
@@ -52,20 +41,19 @@ class Window:
     """One browser's view of the bench, with its own marked samples."""
 
     def __init__(self, bench: Bench):
-        self.bench, self.version, self.seen, self.marked = bench, -1, -1, set[int]()
-        self.plots: list[Any] = []
-        self.view: dict[str, Any] = {}  # the one that is drawn
-        self.along, self.component, self.tab = "", 0, ""
-        self.opened = set[str]()  # effects whose pattern is looked at
+        self.bench, self.version, self.seen = bench, -1, -1
+        self.marking = Marking(self._show_marked)
+        self.opened = set[str]()  # what is unfolded, and stays so
         ui.dark_mode(None)  # as the browser has it
-        ui.colors(primary=ACCENT)
+        ui.colors(primary=MEASURED)
         ui.add_head_html(HEAD)
         ui.add_css(CSS)
-        with ui.header().classes("shadow"):
-            self.head = ui.column().classes("w-full gap-1")
+        self.header = Header(bench)
         with ui.column().classes("w-full max-w-screen-xl mx-auto gap-4"):
             if bench.live is not None:
                 LiveCard(bench, bench.live)
+            with ui.column().classes("w-full") as self.top:
+                self.failing = Failing(self.marking)
             self.body = ui.column().classes("w-full gap-4")
         self.layer = ui.element()  # dialogs stay while the body is drawn anew
         self._draw()
@@ -77,256 +65,27 @@ class Window:
             self._draw()
 
     def _draw(self) -> None:
-        whole = self.seen != self.bench.seen or not self.bench.busy
-        self.version, self.seen = self.bench.version, self.bench.seen
-        self.head.clear()
-        with self.head:
-            self._header()
-        if not whole:
+        self.version = self.bench.version
+        self.header.show()
+        if self.seen == self.bench.seen:
             return  # while a step is under way only its progress changes
-        self.marked, self.plots = set(), []
+        self.seen = self.bench.seen
+        self.marking.numbers = set()
         self.body.clear()
+        view = self.bench.view or {}
+        self.top.set_visibility(bool(view))
         with self.body:
-            view = self.view = self.bench.view or {}
             if not view:
                 ui.label(EMPTY[self.bench.view is not None]).classes("p-4")
                 if self.bench.view is not None:
                     self._history()
                 return
-            self._failing(view)
+            self.failing.show(view)
             self._missing(view)
             self._history()
             self._samples(view)
             self._parameters(view)
             self._next(view)
-
-    # ------------------------------------------------------------------ always in view
-
-    def _header(self) -> None:
-        bench, view = self.bench, self.bench.view
-        verdict = (view or {}).get("verdict", {"colour": "grey", "words": "nothing measured yet"})
-        ui.label(verdict["words"]).classes("text-base font-bold").style(
-            f"border-left: 6px solid {COLOURS[verdict['colour']]}; padding-left: 8px"
-        ).props("id=verdict role=status aria-live=polite")
-        with ui.row().classes("items-center gap-6"):
-            for tile in (view or {}).get("tiles", []):
-                self._tile(tile)
-            self._budget((view or {}).get("budget", []))
-            self._iso((view or {}).get("iso", []))
-            self._buttons()
-        if bench.busy:
-            with ui.row().classes("items-center w-full"):
-                ui.label(bench.stage).props("id=stage")
-                ui.linear_progress(bench.fraction, show_value=False).classes("w-64").props(
-                    'aria-label="progress"'
-                )
-                ui.button("Cancel", on_click=bench.cancel).props("dense outline")
-        elif bench.message:
-            ui.label(bench.message).props("id=message role=alert").style(
-                f"color: {COLOURS['amber'] if bench.failed else QUIET}"
-            )
-
-    def _tile(self, tile: dict[str, Any]) -> None:
-        with ui.column().classes("gap-0"):
-            ui.label(tile["name"]).classes("text-xs").style("opacity: 0.75")
-            for one in tile["values"]:
-                ui.label(f"{one['value']} {one['unit']}").classes("text-lg leading-tight").tooltip(
-                    f"{one['kind']}, rms at poses left out"
-                )
-
-    def _budget(self, parts: list[dict[str, Any]]) -> None:
-        if not parts:
-            return
-        with ui.column().classes("gap-0"):
-            ui.label("error budget: by itself, and share of the whole").classes("text-xs").style(
-                "opacity: 0.75"
-            )
-            words = [
-                f"{p['name']} {p['alone']} {p['unit']} ({p['share']})"
-                for p in parts
-                if p["name"] != "rest"
-            ]
-            ui.label(" · ".join(words)).props("id=budget")
-
-    def _iso(self, words: list[str]) -> None:
-        if words:
-            with ui.column().classes("gap-0"):
-                ui.label("ISO 9283").classes("text-xs").style("opacity: 0.75")
-                ui.label(" · ".join(words)).props("id=iso").tooltip(
-                    "pose accuracy AP and repeatability RP, the device's noise included"
-                )
-
-    def _buttons(self) -> None:
-        bench, record = self.bench, self.bench.session.record
-        can_redo = bool(record.forward.get(record.branch))
-        for name, step, usable in (
-            ("Undo", "undo", record.state.parent is not None),
-            ("Redo", "redo", can_redo),
-        ):
-            button = ui.button(name, on_click=partial(bench.at_once, step)).props("dense outline")
-            button.set_enabled(usable and not bench.busy)
-        fit = ui.button("Fit", on_click=partial(bench.begin, "fit")).props("dense")
-        fit.set_enabled(bool(bench.view) and not bench.busy)
-        with ui.button("Save", on_click=bench.save).props("dense outline") as save:
-            ui.tooltip(f"write this model to {bench.output}")
-        save.set_enabled(not bench.busy and record.state.parent is not None)
-
-    # ------------------------------------------------------------------ where it fails
-
-    def _failing(self, view: dict[str, Any]) -> None:
-        residuals = view["residuals"]
-        with card("Where it fails"):
-            ui.label(
-                "Drag a box in a flat view (box or lasso tool): the same samples are marked in all "
-                "flat views. Arrows have the colour of their direction."
-            ).classes("text-sm").style("opacity: 0.75")
-            with ui.row().classes("w-full no-wrap max-lg:flex-wrap"):
-                if view["arrows"]:
-                    with ui.column().classes("flex-1 min-w-0 gap-0"):
-                        scale = view["arrows"]["scale"]
-                        ui.label(f"Residuals, drawn {scale:g} times as long as they are").classes(
-                            "text-sm"
-                        )
-                        figure = view["arrows"]["figure"]
-                        figure = figure | {"layout": figure["layout"] | CLEAR}
-                        ui.plotly(figure).classes("w-full").props(
-                            'role=figure aria-label="residual arrows in space"'
-                        )
-                self._map(view)
-            self._pictures(view["pictures"])
-            names = list(residuals["along"])
-            self.along = self.along if self.along in residuals["along"] else next(iter(names), "")
-            self.component = min(self.component, len(residuals["components"]) - 1)
-            if names and residuals["components"]:
-                with ui.row().classes("items-center"):
-                    ui.select(
-                        residuals["components"],
-                        value=residuals["components"][self.component],
-                        label="residual of",
-                        on_change=lambda e: self._look_along(component=e.value),
-                    ).classes("w-32")
-                    ui.select(
-                        names,
-                        value=self.along,
-                        label="against",
-                        on_change=lambda e: self._look_along(along=e.value),
-                    ).classes("w-48")
-                self._points(*self._coordinates(view))
-
-    def _map(self, view: dict[str, Any]) -> None:
-        place, where = view["residuals"]["place"], view["residuals"]["where"]
-        sizes = [sample["sigmas"] or 0 for sample in view["samples"]]
-        self._points(
-            [p[0] for p in place],
-            [p[1] for p in place],
-            where.format("x"),
-            where.format("y"),
-            "rms residual [sigmas] over the workspace",
-            {"color": sizes, "colorscale": "Cividis", "showscale": True, "size": 9},
-        )
-
-    def _coordinates(self, view: dict[str, Any]) -> tuple[Any, ...]:
-        residuals = view["residuals"]
-        along = residuals["along"][self.along]
-        name = residuals["components"][self.component]
-        return (
-            along["values"],
-            [row[self.component] for row in residuals["sigmas"]],
-            f"{self.along} [{along['unit']}]" if along["unit"] else self.along,
-            f"{name} [sigmas]",
-            f"residual of {name} against {self.along}",
-            {"color": residuals["colours"][self.component], "size": 7, "opacity": 0.6},
-            _means(along, self.component),
-        )
-
-    def _look_along(self, along: str = "", component: str = "") -> None:
-        self.along = along or self.along
-        if component:
-            self.component = self.view["residuals"]["components"].index(component)
-        self.seen = -1
-        self._draw()
-
-    def _points(
-        self, x: Any, y: Any, across: str, up: str, title: str, marker: dict[str, Any],
-        means: Sequence[dict[str, Any]] = (),
-    ) -> None:  # fmt: skip
-        """A flat view of every sample, in the samples' order, and of `means` over them."""
-        figure = {
-            "data": [
-                {
-                    "type": "scatter",
-                    "mode": "markers",
-                    "x": x,
-                    "y": y,
-                    "marker": marker,
-                    "text": [f"sample {s['sample']}" for s in self.view["samples"]],
-                    "customdata": [s["sample"] for s in self.view["samples"]],
-                    "showlegend": False,
-                },
-                *means,
-            ],
-            "layout": {
-                "height": 360,
-                "margin": ROUND,
-                "title": {"text": title, "font": {"size": 13}},
-                "xaxis": {"title": {"text": across}},
-                "yaxis": {"title": {"text": up}},
-                "dragmode": "select",
-                "uirevision": "kept",
-            },
-        }
-        self._flat(figure, title)
-
-    def _flat(self, figure: dict[str, Any], words: str, **_: Any) -> None:
-        """A figure whose points are samples where they carry their numbers: these can be marked."""
-        figure = {
-            "data": [_markable(trace) for trace in figure["data"]],
-            "layout": figure["layout"] | CLEAR | {"dragmode": "select"},
-            "config": {"displaylogo": False},
-        }
-        plot = ui.plotly(figure).classes("flex-1 min-w-0 w-full")
-        plot.props(f'role=figure aria-label="{escape(words)}"')
-        plot.on("plotly_selected", lambda e: self._brush(e.args))
-        plot.on("plotly_deselect", lambda: self._mark(set()))
-        self.plots.append((plot, figure))
-
-    def _pictures(self, pictures: list[dict[str, Any]]) -> None:
-        """One at a time, in tabs; the one that was looked at stays."""
-        if not pictures:
-            return
-        names = [one["name"] for one in pictures]
-        self.tab = self.tab if self.tab in names else names[0]
-        with ui.tabs(on_change=lambda e: setattr(self, "tab", e.value)) as tabs:
-            for name in names:
-                ui.tab(name)
-        with ui.tab_panels(tabs, value=self.tab, animated=False).classes("w-full"):
-            for one in pictures:
-                with ui.tab_panel(one["name"]).classes("p-0"):
-                    ui.label(one["words"]).classes("text-sm")
-                    self._flat(**one)
-
-    # ------------------------------------------------------------------ marked samples
-
-    def _brush(self, args: Any) -> None:
-        points = (args or {}).get("points") or []
-        which = {int(p["customdata"]) for p in points if p.get("customdata") is not None}
-        if which and which != self.marked:  # drawing a view anew says "nothing", too
-            self._mark(which)
-
-    def _mark(self, which: set[int]) -> None:
-        """Mark samples, by their numbers, in every picture and in the table."""
-        self.marked = which
-        for plot, figure in self.plots:
-            for trace in figure["data"]:
-                if which and "customdata" in trace:
-                    numbers = enumerate(trace["customdata"])
-                    trace["selectedpoints"] = [i for i, n in numbers if n in which]
-                else:
-                    trace.pop("selectedpoints", None)
-            plot.update()
-        self.table.selected = [row for row in self.view["samples"] if row["sample"] in which]
-        self.table.update()
-        self.count.set_text(f"{len(which)} samples marked" if which else "no sample marked")
 
     # ------------------------------------------------------------------ what is missing
 
@@ -349,7 +108,7 @@ class Window:
                         if one["found"] and one["remedy"]:
                             ui.label(f"At the machine: {one['remedy']}.").classes("text-sm")
                         if one["pattern"]:
-                            self._pattern(one["pattern"])
+                            self._unfolded("its pattern", one["name"], partial(self._pattern, one))
                     with ui.column().classes("gap-0 items-end min-w-40"):
                         ui.label(one["fall"] or "not refitted")
                         ui.label(f"explains {one['explains']} · p {one['p']}").classes("text-xs")
@@ -358,9 +117,8 @@ class Window:
                     for one in view["untested"]:
                         ui.label(f"{one['name']}: {one['why']}").style("opacity: 0.7")
 
-    def _pattern(self, picture: dict[str, Any]) -> None:
-        """What an effect would leave, drawn when somebody wants to see it."""
-        self._unfolded("its pattern", picture["name"], partial(self._flat, **picture))
+    def _pattern(self, one: dict[str, Any]) -> None:
+        Place(self.marking).show(one["pattern"]["figure"], one["pattern"]["words"])
 
     def _unfolded(self, title: str, key: str, draw: Callable[[], None]) -> None:
         """Something that is drawn once somebody wants to see it, and then stays open."""
@@ -383,8 +141,8 @@ class Window:
             rows = [
                 {
                     "step": state.step,
-                    "before": state.shown(state.before),
-                    "after": state.shown(state.errors),
+                    "before": shown(state.before),
+                    "after": shown(state.errors),
                     "out": len(state.excluded),
                     "verdict": state.verdict or state.against,
                 }
@@ -411,7 +169,7 @@ class Window:
                     ui.button("Compare", on_click=self._compare).props("dense outline")
             if len(session.record.branches) > 1:
                 beside = [
-                    {"branch": k, "step": s.step, "after": s.shown(s.errors),
+                    {"branch": k, "step": s.step, "after": shown(s.errors),
                      "out": len(s.excluded)}
                     for k, s in session.compared().items()
                 ]  # fmt: skip
@@ -423,6 +181,8 @@ class Window:
                 )  # fmt: skip
 
     def _compare(self) -> None:
+        from parallel_cal.workbench.beside import Beside  # NumPy, only for this
+
         with self.layer:
             Beside(self.bench.session)
 
@@ -439,7 +199,9 @@ class Window:
                 selection="multiple",
                 pagination={"rowsPerPage": 8, "sortBy": "sigmas", "descending": True},
             )  # fmt: skip
-            self.table.on_select(lambda e: self._mark({row["sample"] for row in e.selection}))
+            self.table.on_select(
+                lambda e: self.marking.mark({row["sample"] for row in e.selection})
+            )
             with ui.row().classes("items-center"):
                 self.count = ui.label("no sample marked").props("id=marked aria-live=polite")
                 why = ui.input("reason").classes("w-64")
@@ -455,27 +217,32 @@ class Window:
                         "Take back", on_click=partial(bench.begin, "include", [number])
                     ).props("dense flat")
 
+    def _show_marked(self, numbers: set[int]) -> None:
+        self.table.selected = [row for row in self.table.rows if row["sample"] in numbers]
+        self.table.update()
+        count = "1 sample" if len(numbers) == 1 else f"{len(numbers)} samples"
+        self.count.set_text(f"{count} marked" if numbers else "no sample marked")
+
     def _exclude(self, why: str | None) -> None:
-        if not self.marked:
+        if not self.marking.numbers:
             self.count.set_text("no sample marked: mark some in a view or in the table first")
             return
-        self.bench.begin("exclude", dict.fromkeys(sorted(self.marked), why or ""))
+        self.bench.begin("exclude", dict.fromkeys(sorted(self.marking.numbers), why or ""))
 
     async def _open(self) -> None:
         """Show the readings that a sample was made of."""
-        if not self.marked:
+        if not self.marking.numbers:
             self.count.set_text("no sample marked: mark one in a view or in the table first")
             return
-        sample = min(self.marked)
+        from parallel_cal.workbench.readings import signals  # NumPy, only for this
+
+        sample = min(self.marking.numbers)
         shown = await run.cpu_bound(signals, self.bench.session.folder, sample) or {}
         with self.layer, ui.dialog(value=True) as dialog, ui.card().classes("w-full max-w-4xl"):
             ui.label(f"Sample {sample}: its readings, less their means").classes("font-bold")
             ui.label(shown.get("words", ""))
             if figure := shown.get("figure"):
-                figure["layout"] |= CLEAR
-                ui.plotly(figure).classes("w-full").props(
-                    f'role=figure aria-label="readings of sample {sample}"'
-                )
+                drawn(figure, f"readings of sample {sample}")
             ui.button("Close", on_click=dialog.close).props("dense outline")
 
     def _parameters(self, view: dict[str, Any]) -> None:
@@ -502,7 +269,9 @@ class Window:
                     on_change=lambda e: bench.begin("choose", prior=e.value),
                 ).classes("w-64").set_enabled(not bench.busy)
             if view["drawing"]:
-                self._unfolded("where they are", "drawing", partial(_space, view["drawing"]))
+                self._unfolded(
+                    "where they are", "drawing", partial(drawn, view["drawing"], "the mechanism")
+                )
             for line in view["cannot_tell"]:
                 ui.label(f"The data cannot tell {line}.").classes("text-sm")
 
@@ -564,44 +333,12 @@ class Window:
             }
             for name, places, size, colour in (
                 ("measured", view["residuals"]["place"], 2, QUIET),
-                ("planned", poses, 5, MARKED),
+                ("planned", poses, 5, PATTERN),
             )
         ]  # fmt: skip
         axes = {f"{k}axis": {"title": {"text": f"{k} [mm]"}} for k in "xyz"}
-        layout = {**CLEAR, "height": 380, "margin": ROUND, "scene": axes}
-        ui.plotly({"data": traces, "layout": layout}).classes("w-full").props(
-            'role=figure aria-label="planned poses among those measured"'
-        )
-
-
-def _space(figure: dict[str, Any]) -> None:
-    """The mechanism, its parameters named."""
-    figure = figure | {"layout": figure["layout"] | CLEAR}
-    ui.plotly(figure).classes("w-full").props('role=figure aria-label="the mechanism"')
-
-
-def _means(along: dict[str, Any], component: int) -> list[dict[str, Any]]:
-    """The rolling mean of a component, or one a level, over the band of 99 % about none."""
-    at, band = along["at"], along["band"]
-    mean = {"x": at, "y": [row[component] for row in along["means"]], "name": "mean"}
-    if along["rolls"]:
-        edges = {"x": at + at[::-1], "y": band + [-b for b in band[::-1]]}
-        grey = {"fill": "toself", "fillcolor": BAND, "line": {"width": 0}, "hoverinfo": "skip"}
-        drawn = [edges | grey | {"name": LIKELY}, mean | {"line": {"color": MARKED, "width": 2}}]
-        return [trace | {"type": "scatter", "mode": "lines"} for trace in drawn]
-    bars = {"array": band, "color": BAND, "thickness": 14, "width": 0}
-    none = {"x": at, "y": [0.0] * len(at), "error_y": bars, "marker": {"size": 1, "color": QUIET}}
-    dots = mean | {"marker": {"size": 12, "color": MARKED, "symbol": "diamond"}}
-    drawn = [none | {"name": LIKELY}, dots]
-    return [trace | {"type": "scatter", "mode": "markers"} for trace in drawn]
-
-
-def _markable(trace: dict[str, Any]) -> dict[str, Any]:
-    """A trace that shows which of its samples are marked, where it has any."""
-    if "customdata" not in trace:
-        return trace
-    marked = {"selected": {"marker": {"color": MARKED, "size": 11}}}
-    return trace | marked | {"unselected": {"marker": {"opacity": 0.35}}}
+        layout = {"height": 380, "margin": ROUND, "scene": axes}
+        drawn({"data": traces, "layout": layout}, "planned poses among those measured")
 
 
 def _apart(one: dict[str, Any]) -> str:

@@ -9,11 +9,13 @@ import numpy as np
 
 from parallel_cal.base.documents import plain
 from parallel_cal.base.errors import ParallelCalError
-from parallel_cal.session.session import Session
+from parallel_cal.reporting.colours import QUIET
 
 
 def signals(folder: Path, sample: int) -> dict[str, Any]:
     """A figure of the readings that a sample was made of; a sentence where they were not kept."""
+    from parallel_cal.session.session import Session  # in the process beside
+
     try:
         found = Session(folder).signals(sample)
     except ParallelCalError as error:
@@ -36,7 +38,7 @@ def signals(folder: Path, sample: int) -> dict[str, Any]:
     ]
     half = found.duration / 2
     dwell = {"type": "rect", "xref": "x", "yref": "paper", "x0": -half, "x1": half, "y0": 0,
-             "y1": 1, "fillcolor": "#8a94a3", "opacity": 0.15, "line": {"width": 0}}  # fmt: skip
+             "y1": 1, "fillcolor": QUIET, "opacity": 0.15, "line": {"width": 0}}  # fmt: skip
     layout = {
         "height": 460,
         "margin": {"t": 8, "r": 12, "l": 64, "b": 40},

@@ -86,14 +86,14 @@ def _compared(found: Comparison) -> View:
         "residuals": _residuals(residuals, found.along),
         "pictures": list(_pictures(residuals, found.scene, None)),
         "samples": [
-            {
-                "sample": int(found.dataset.numbers[i]),
-                "time": _round(found.dataset.time[i], 1),
-                "error": _round(1e6 * found.errors.norms("position")[i], 1),
-                "sigmas": _round(found.scene.sigmas[i], 1),
-                "odd": "",
-            }
-            for i in range(len(found.observations))
+            _sample(*one)
+            for one in zip(
+                found.dataset.numbers,
+                found.dataset.time,
+                found.errors.norms("position"),
+                found.scene.sigmas,
+                strict=True,
+            )
         ],
         "candidates": [],
         "untested": [],
@@ -120,9 +120,7 @@ def _reported(found: Report) -> View:
         )
     if errors.noise.known:
         tiles.append(_tile("noise alone", errors.noise, errors.kinds))
-    words = {one.sample: one.odd for one in found.samples}
-    judged = {one.sample: one.now for one in found.samples}
-    numbers = [int(n) for n in diagnosis.dataset.numbers]
+    judged = {one.sample: one for one in found.samples}
     return {
         "verdict": _verdict(found),
         "tiles": tiles,
@@ -132,14 +130,9 @@ def _reported(found: Report) -> View:
         "residuals": _residuals(found.residuals, found.along),
         "pictures": list(_pictures(found.residuals, diagnosis.base.scene, _first(found))),
         "samples": [
-            {
-                "sample": n,
-                "time": _round(diagnosis.dataset.time[i], 1),
-                "error": _round(1e6 * judged[n]["position"], 1),
-                "sigmas": _round(judged[n]["sigmas"], 1),
-                "odd": words[n],
-            }
-            for i, n in enumerate(numbers)
+            _sample(n, time, one.now["position"], one.now["sigmas"], one.odd)
+            for n, time in zip(diagnosis.dataset.numbers, diagnosis.dataset.time, strict=True)
+            for one in [judged[int(n)]]
         ],
         "candidates": [_candidate(e, found) for e in diagnosis.entries if e.p_adjusted is not None],
         "untested": [
@@ -300,6 +293,16 @@ def _pattern(entry: Entry, model: Model) -> View | None:
     )
 
 
+def _sample(number: int, time: float, error: float, sigmas: float, odd: str = "") -> View:
+    return {
+        "sample": int(number),
+        "time": _round(time, 1),
+        "error": _round(1e6 * error, 1),
+        "sigmas": _round(sigmas, 1),
+        "odd": odd,
+    }
+
+
 def _parameter(name: str, p: contents.Described) -> View:
     value, unit = in_unit(p.value, p.unit)
     sigma = None if p.sigma is None else in_unit(p.sigma, p.unit)[0]
@@ -310,7 +313,6 @@ def _parameter(name: str, p: contents.Described) -> View:
         "sigma": "given" if p.fixed else (sigma or "-"),
         "unit": unit,
         "moved": _round(p.moved_tolerances, 2),
-        "fixed": p.fixed,
     }
 
 

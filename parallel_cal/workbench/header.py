@@ -1,0 +1,105 @@
+"""What is always in view: the verdict, the errors, what they are made of, and the steps."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+from nicegui import ui
+
+from parallel_cal.reporting.colours import QUIET
+from parallel_cal.workbench.bench import Bench
+from parallel_cal.workbench.looks import COLOURS
+
+NOTHING = {"colour": "grey", "words": "nothing measured yet"}
+
+
+class Header:
+    """Drawn once: a button that is drawn anew under the mouse loses the click."""
+
+    def __init__(self, bench: Bench):
+        self.bench, self.seen = bench, -1
+        with ui.header().classes("shadow"), ui.column().classes("w-full gap-1"):
+            self.verdict = ui.label().classes("text-base font-bold")
+            self.verdict.props("id=verdict role=status aria-live=polite")
+            with ui.row().classes("w-full items-center gap-6"):
+                self.numbers = ui.row().classes("items-center gap-6")
+                with ui.row().classes("no-wrap"):
+                    self.undo = self._button("Undo", partial(bench.at_once, "undo"))
+                    self.redo = self._button("Redo", partial(bench.at_once, "redo"))
+                    self.fit = ui.button("Fit", on_click=partial(bench.begin, "fit")).props("dense")
+                    self.save = self._button("Save", bench.save)
+                    self.save.tooltip(f"write this model to {bench.output}")
+            with ui.row().classes("items-center w-full") as self.work:
+                self.stage = ui.label().props("id=stage")
+                self.fraction = ui.linear_progress(0.0, show_value=False).classes("w-64")
+                self.fraction.props('aria-label="progress"')
+                self._button("Cancel", bench.cancel)
+            self.message = ui.label().props("id=message role=alert")
+
+    def _button(self, name: str, step: Any) -> Any:
+        return ui.button(name, on_click=step).props("dense outline")
+
+    def show(self) -> None:
+        bench, record = self.bench, self.bench.session.record
+        if self.seen != bench.seen:
+            self.seen = bench.seen
+            self._numbers(bench.view or {})
+        for button, usable in (
+            (self.undo, record.state.parent is not None),
+            (self.redo, bool(record.forward.get(record.branch))),
+            (self.fit, bool(bench.view)),
+            (self.save, record.state.parent is not None),
+        ):
+            button.set_enabled(usable and not bench.busy)
+        self.work.set_visibility(bench.busy)
+        self.stage.set_text(bench.stage)
+        self.fraction.set_value(bench.fraction)
+        self.message.set_visibility(bool(bench.message) and not bench.busy)
+        self.message.set_text(bench.message)
+        self.message.style(f"color: {COLOURS['amber'] if bench.failed else QUIET}")
+
+    def _numbers(self, view: dict[str, Any]) -> None:
+        verdict = view.get("verdict", NOTHING)
+        self.verdict.set_text(verdict["words"])
+        colour = COLOURS[verdict["colour"]]
+        self.verdict.style(f"border-left: 6px solid {colour}; padding-left: 8px")
+        self.numbers.clear()
+        with self.numbers:
+            for tile in view.get("tiles", []):
+                _tile(tile)
+            _budget(view.get("budget", []))
+            _iso(view.get("iso", []))
+
+
+def _tile(tile: dict[str, Any]) -> None:
+    with ui.column().classes("gap-0"):
+        ui.label(tile["name"]).classes("text-xs").style("opacity: 0.75")
+        for one in tile["values"]:
+            ui.label(f"{one['value']} {one['unit']}").classes("text-lg leading-tight").tooltip(
+                f"{one['kind']}, rms at poses left out"
+            )
+
+
+def _budget(parts: list[dict[str, Any]]) -> None:
+    if not parts:
+        return
+    with ui.column().classes("gap-0"):
+        ui.label("error budget: by itself, and share of the whole").classes("text-xs").style(
+            "opacity: 0.75"
+        )
+        words = [
+            f"{p['name']} {p['alone']} {p['unit']} ({p['share']})"
+            for p in parts
+            if p["name"] != "rest"
+        ]
+        ui.label(" · ".join(words)).props("id=budget")
+
+
+def _iso(words: list[str]) -> None:
+    if words:
+        with ui.column().classes("gap-0"):
+            ui.label("ISO 9283").classes("text-xs").style("opacity: 0.75")
+            ui.label(" · ".join(words)).props("id=iso").tooltip(
+                "pose accuracy AP and repeatability RP, the device's noise included"
+            )

@@ -1,0 +1,86 @@
+"""Samples that are marked in one view are marked in every one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from nicegui import ui
+
+from parallel_cal.reporting.colours import PATTERN
+from parallel_cal.workbench.looks import drawn
+
+LOOK = {
+    "selected": {"marker": {"color": PATTERN, "size": 11}},
+    "unselected": {"marker": {"opacity": 0.35}},
+}
+
+
+class Marking:
+    """The numbers of the samples that are marked in this window."""
+
+    def __init__(self, told: Callable[[set[int]], None]):
+        """`told` hears which are marked whenever that changes."""
+        self.numbers, self.told, self._views = set[int](), told, list[Any]()
+
+    def mark(self, numbers: set[int]) -> None:
+        self.numbers = numbers
+        self._views = [view for view in self._views if not view.is_deleted]
+        for view in self._views:
+            self._put(view.figure)
+            view.update()
+        self.told(numbers)
+
+    def markable(self, figure: dict[str, Any]) -> dict[str, Any]:
+        """A figure whose points can be marked where they carry samples' numbers."""
+        figure = {
+            "data": [t | LOOK if "customdata" in t else t for t in figure["data"]],
+            "layout": figure["layout"] | {"dragmode": "select"},
+            "config": {"displaylogo": False},
+        }
+        self._put(figure)
+        return figure
+
+    def follow(self, view: Any) -> None:
+        """Mark what is chosen in a view, and in it what is chosen in another."""
+        view.on("plotly_selected", lambda e: self._brush(e.args))
+        view.on("plotly_deselect", self._forget)
+        self._views.append(view)
+
+    def _put(self, figure: dict[str, Any]) -> None:
+        for trace in figure["data"]:
+            if self.numbers and "customdata" in trace:
+                numbers = enumerate(trace["customdata"])
+                trace["selectedpoints"] = [i for i, n in numbers if n in self.numbers]
+            else:
+                trace.pop("selectedpoints", None)
+
+    def _brush(self, args: Any) -> None:
+        points = (args or {}).get("points") or []
+        numbers = {int(p["customdata"]) for p in points if p.get("customdata") is not None}
+        if numbers and numbers != self.numbers:  # drawing a view anew says what is marked, too
+            self.mark(numbers)
+
+    def _forget(self) -> None:
+        if self.numbers:
+            self.mark(set())
+
+
+class Place:
+    """Where one figure after the other is shown, and nothing while there is none."""
+
+    def __init__(self, marking: Marking | None = None):
+        """`marking`: of flat views, whose samples can be marked."""
+        self._marking, self._view = marking, None
+        self._column = ui.column().classes("flex-1 min-w-0 w-full gap-0")
+
+    def show(self, figure: dict[str, Any] | None, words: str = "") -> None:
+        self._column.set_visibility(figure is not None)
+        if figure is None:
+            return
+        before = self._view
+        with self._column:
+            figure = self._marking.markable(figure) if self._marking else figure
+            self._view = drawn(figure, words, before)
+        if self._marking and before is None:
+            self._marking.follow(self._view)
