@@ -4,6 +4,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
+# Bytecode is kept, as users have it: a command then starts in half the time.
+unexport PYTHONDONTWRITEBYTECODE
+
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 # uv is twice as fast as pip, but knows neither the system's certificates nor pip's index by itself.
 export UV_SYSTEM_CERTS ?= 1
