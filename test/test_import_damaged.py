@@ -6,6 +6,7 @@ import test_import_klipper as klipper
 import test_import_linuxcnc as linuxcnc
 import test_import_marlin as marlin
 import test_import_rrf as rrf
+import test_import_table as table
 
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.importing.door import configured, samples
@@ -17,6 +18,7 @@ FILES = {
     "klipper, rotary": {"c.cfg": klipper.ROTARY},
     "marlin": {"c.log": marlin.BED},
     "marlin, G33": {"c.log": marlin.G33},
+    "table": {"t.txt": table.TRACKER, "j.txt": table.JOINTS},
     "linuxcnc": {"p.txt": linuxcnc.LOG, "c.hal": linuxcnc.HAL},
 }
 TIMES = 60

@@ -1,4 +1,4 @@
-"""Samples of what a machine's controller stored."""
+"""Samples of what a machine's controller or a measuring device stored."""
 
 from __future__ import annotations
 
@@ -14,7 +14,9 @@ from parallel_cal.reporting import console
 
 
 def import_(
-    kind: Annotated[str, typer.Argument(help="rrf, klipper, marlin, linuxcnc or your own's path")],
+    kind: Annotated[
+        str, typer.Argument(help="rrf, klipper, marlin, linuxcnc, table or your own's path")
+    ],
     files: Annotated[list[Path], typer.Argument(help="what the controller stored, and its setup")],
     output: Annotated[Path, typer.Option("-o", "--output", help="samples to write (.json)")],
     option: Annotated[
@@ -22,7 +24,7 @@ def import_(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Make samples of what a controller stored: touches, with the joints it believed in."""
+    """Make samples of what a controller stored, or of a tracker's table and a log of joints."""
     from parallel_cal.importing.door import samples
     from parallel_cal.recordings.info import info_of
 

@@ -37,9 +37,10 @@ def samples(kind: str, paths: Sequence[Path], **options: Any) -> Dataset:
 
 def configured(paths: Sequence[Path]) -> Configured:
     """The model of a machine by its configuration, whose file name's end says the controller's."""
-    kinds = {name: load_module(SHELF, name).CONFIGURATION for name in shelf_names(SHELF)}
+    modules = {name: load_module(SHELF, name) for name in shelf_names(SHELF)}
+    kinds = {n: m.CONFIGURATION for n, m in modules.items() if hasattr(m, "CONFIGURATION")}
     for name, ends in kinds.items():
         if paths[0].suffix in ends:
-            return load_module(SHELF, name).configured(paths)  # type: ignore[no-any-return]
+            return modules[name].configured(paths)  # type: ignore[no-any-return]
     known = "; ".join(f"{' or '.join(ends)} ({name})" for name, ends in kinds.items())
     raise DatasetError(f"{paths[0]}: not a configuration that can be read; expected {known}")

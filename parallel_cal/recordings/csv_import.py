@@ -29,9 +29,14 @@ def import_csv(paths: str | Path | Sequence[str | Path], columns: str | Path) ->
     DatasetError or ModelFileError naming file, line and column of what is wrong.
     """
     files = [Path(p) for p in ([paths] if isinstance(paths, str | Path) else paths)]
-    wanted = read_column_map(Path(columns))
-    tables, dropped = _joined([read_table(file).complete() for file in files], wanted.join)
-    found = Columns(tables, str(columns)).checked(wanted)
+    tables = [read_table(file).complete() for file in files]
+    return of_tables(tables, read_column_map(Path(columns)), str(columns))
+
+
+def of_tables(given: Sequence[Table], wanted: ColumnMap, asks: str) -> Dataset:
+    """The dataset of tables that hold what is `wanted`; `asks` is who wants it."""
+    tables, dropped = _joined([*given], wanted.join)
+    found = Columns(tables, asks).checked(wanted)
     joints = [found.si([joint.column], joint.unit) for joint in wanted.joints.values()]
     r = found.si(wanted.position.columns, wanted.position.unit) if wanted.position else None
     R, n = _rotation(wanted, found), len(tables[0].rows)
@@ -50,8 +55,8 @@ def import_csv(paths: str | Path | Sequence[str | Path], columns: str | Path) ->
         joint_sigma=wanted.noise.joint,
         conditions=conditions,
         pose_id=_visits(wanted, found),
-        source=" + ".join(map(str, files)),
-        sha256=hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest(),
+        source=" + ".join(str(table.path) for table in given),
+        sha256=hashlib.sha256(b"".join(table.path.read_bytes() for table in given)).hexdigest(),
         dropped=tuple(dropped),
     )
 

@@ -18,7 +18,11 @@ import numpy as np
 from parallel_cal.base.errors import DatasetError
 
 UNITS = {"rad": 1.0, "deg": math.pi / 180, "m": 1.0, "mm": 1e-3, "um": 1e-6, "in": 0.0254}
-ALSO = {"°": "deg", "degree": "deg", "degrees": "deg", "µm": "um", "μm": "um", "inch": "in"}
+ALSO = {
+    "°": "deg", "degree": "deg", "degrees": "deg", "radian": "rad", "radians": "rad",
+    "µm": "um", "μm": "um", "micrometers": "um", "microns": "um", "inch": "in", "inches": "in",
+    "millimeters": "mm", "millimetres": "mm", "millimeter": "mm", "meters": "m", "metres": "m",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -109,7 +113,7 @@ def said_unit(word: str) -> tuple[str, str | None]:
     if match is None:
         return word, None
     unit = next(group for group in match.groups()[1:] if group).strip()
-    unit = ALSO.get(unit, unit)
+    unit = ALSO.get(unit.lower(), unit)
     return (match[1], unit) if unit in UNITS else (word, None)
 
 

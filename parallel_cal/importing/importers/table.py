@@ -1,0 +1,189 @@
+"""Positions of a laser tracker or a measuring machine, and a log of joints.
+
+A table of points with the columns x, y and z, after whatever stands before its header, and a table
+of joint readings, cells apart by commas, semicolons or tabs. Rows belong together by a column that
+both have: a point's name or number, or the time. A unit stands in the header (`X [mm]`), in a line
+before it (`Units: Millimeters`), or is given.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from datetime import datetime, time
+from itertools import pairwise
+from pathlib import Path
+
+from parallel_cal.base.errors import DatasetError
+from parallel_cal.importing.stated import Place, lines
+from parallel_cal.model.file.schema import NoisePart
+from parallel_cal.recordings.columns import ColumnMap, Join, JointColumn, PositionColumns
+from parallel_cal.recordings.csv_import import of_tables
+from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.recordings.table import ALSO, UNITS, Table, said_unit
+
+REMARKS = ("#", "//", "%", "!")
+XYZ = ("x", "y", "z")
+TIMES = ("t", "time", "timestamp", "stamp", "datetime")
+SAID = re.compile(r"\bunits?\b\W*(\w+)", re.IGNORECASE)
+
+
+def samples(
+    paths: Sequence[Path],
+    by: str = "",
+    within: float | None = None,
+    position: Sequence[str] = XYZ,
+    joints: Sequence[str] = (),
+    unit: str = "",
+    joint_unit: str = "",
+    sigma: float | None = None,
+    joint_sigma: float | None = None,
+) -> Dataset:
+    """Points and joints whose rows agree in the column `by`, or are `within` s of each other there;
+    `position` and `joints` are the columns' names, sigmas in m and rad."""
+    for name, given in (("unit", unit), ("joint_unit", joint_unit)):
+        if given and given not in UNITS:
+            raise DatasetError(f"{name}={given}: expected one of {', '.join(UNITS)}")
+    read = [_read(path) for path in paths]
+    points = _points([table for table, _ in read], position)
+    logs = [table for table, _ in read if table is not points] or [points]
+    where = [_word(points, name) or "" for name in position]
+    key = by or _common(points, logs, where)
+    if not by and within is None and key.lower() in TIMES:
+        raise DatasetError(f"{paths[0]}: joined by {key}: say how near (--option within=SECONDS)")
+    columns = [w for log in logs for w in _joints(log, joints, [*where, key])]
+    units = dict.fromkeys(where, unit) | dict.fromkeys(columns, joint_unit)
+    tables = [_complete(table, said, units, key, within) for table, said in read]
+    wanted = ColumnMap(
+        joints={said_unit(word)[0]: JointColumn(column=said_unit(word)[0]) for word in columns},
+        position=PositionColumns(columns=[said_unit(word)[0] for word in where]),
+        join=Join(by=key, within=within) if len(tables) > 1 else None,
+        noise=NoisePart(position=sigma, joint=joint_sigma),
+    )
+    return of_tables(tables, wanted, "import table")
+
+
+def _read(path: Path) -> tuple[Table, str]:
+    """A table, and the unit that is said before its header; remarks are skipped."""
+    said, rows = "", []
+    for place, line in lines(path):
+        if found := SAID.search(line):
+            word = found[1].lower()
+            said = said or (word if word in UNITS else ALSO.get(word, ""))
+        if line.strip() and not line.lstrip().startswith(REMARKS):
+            rows.append((place.line, line))
+    for k, ((_, line), (_, below)) in enumerate(pairwise(rows)):
+        apart = max(",;\t", key=below.count)
+        header, first = _cells(line, apart), _cells(below, apart)
+        if len(header) == len(first) > 1 and any(header) and not any(map(_is_number, header)):
+            return _table(path, header, apart, rows[k + 1 :]), said
+    expected = "a header and rows of as many cells, apart by , ; or tabs"
+    raise DatasetError(f"{path}: no table in there, expected {expected}")
+
+
+def _table(path: Path, header: list[str], apart: str, rows: Sequence[tuple[int, str]]) -> Table:
+    """Rows of as many cells as the header, without the empty one behind a separator at the end."""
+    width = max(i for i, name in enumerate(header, 1) if name)
+    body = [_cells(line, apart) for _, line in rows]
+    for (number, _), cells in zip(rows, body, strict=True):
+        if len(cells) != len(header):
+            found, expected = str(len(cells)), f"{len(header)} cells, as the header has"
+            raise Place(path, number).error("the line's length", found, expected)
+    numbers = [number for number, _ in rows]
+    decimal = "." if apart == "," else ","
+    return Table(path, header[:width], [cells[:width] for cells in body], numbers, decimal)
+
+
+def _cells(line: str, apart: str) -> list[str]:
+    return [cell.strip() for cell in next(csv.reader([line], delimiter=apart), [])]
+
+
+def _points(tables: Sequence[Table], position: Sequence[str]) -> Table:
+    """The one table with the position's columns."""
+    found = [t for t in tables if all(_word(t, name) is not None for name in position)]
+    if len(found) == 1:
+        return found[0]
+    files = ", ".join(str(table.path) for table in tables)
+    many = "none" if not found else f"{len(found)}"
+    raise DatasetError(
+        f"{files}: {many} of the tables has the columns {', '.join(position)}; say which they are "
+        "(--option position=[X1, Y1, Z1])"
+    )
+
+
+def _word(table: Table, name: str) -> str | None:
+    """The header's word for a column, whether in capitals or not."""
+    same = (w for w in table.header if name.lower() in (w.lower(), said_unit(w)[0].lower()))
+    return next(same, None)
+
+
+def _common(points: Table, logs: Sequence[Table], where: Sequence[str]) -> str:
+    """The column, not of the position, that all tables have; the time only where no other is."""
+    if logs == [points]:
+        return ""
+    shared = [
+        said_unit(word)[0]
+        for word in points.header
+        if word not in where and all(_word(log, said_unit(word)[0]) for log in logs)
+    ]
+    chosen = [name for name in shared if name.lower() not in TIMES] or shared
+    if len(chosen) == 1:
+        return chosen[0]
+    files = ", ".join(str(table.path) for table in (points, *logs))
+    has = ", ".join(chosen) or "none"
+    raise DatasetError(
+        f"{files}: columns that all have: {has}; say which joins them (--option by=...)"
+    )
+
+
+def _joints(log: Table, joints: Sequence[str], others: Sequence[str]) -> list[str]:
+    """The words of the joints' columns: those named, or all that are neither a time nor another."""
+    if joints:
+        return [word for name in joints if (word := _word(log, name)) is not None]
+    taken = {*(name.lower() for name in others), *TIMES}
+    return [w for w in log.header if w and not {w.lower(), said_unit(w)[0].lower()} & taken]
+
+
+def _complete(
+    table: Table, said: str, units: dict[str, str], key: str, within: float | None
+) -> Table:
+    """The table with a unit in every word that needs one, and times in seconds."""
+    header = [
+        f"{word} [{units[word] or said}]"
+        if word in units and said_unit(word)[1] is None and (units[word] or said)
+        else word
+        for word in table.header
+    ]
+    word = _word(table, key) if key else None
+    if word is None:
+        return replace(table, header=header).complete()
+    column = table.header.index(word)
+    header[column] = key
+    rows = [[*row] for row in table.rows]
+    for row, line in zip(rows, table.lines, strict=True) if within is not None else ():
+        if len(row) > column:
+            row[column] = _seconds(row[column].strip(), Place(table.path, line), key)
+    return replace(table, header=header, rows=rows).complete()
+
+
+def _seconds(text: str, place: Place, key: str) -> str:
+    """A number of seconds as it is, a time of day or a date and time in seconds."""
+    if _is_number(text.replace(",", ".")):
+        return text
+    try:
+        if "-" in text:
+            return repr(datetime.fromisoformat(text).timestamp())
+        at = time.fromisoformat(text)
+    except ValueError:
+        raise place.error(key, text, "seconds, 14:03:05.2 or 2026-11-22T14:03:05.2") from None
+    return repr(3600 * at.hour + 60 * at.minute + at.second + 1e-6 * at.microsecond)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

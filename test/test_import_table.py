@@ -1,0 +1,113 @@
+"""Exports of trackers and measuring machines, and logs of joints, become samples; or one line."""
+
+import numpy as np
+import pytest
+
+from parallel_cal.base.errors import ParallelCalError
+from parallel_cal.cli import main as cli
+from parallel_cal.importing.door import samples
+from parallel_cal.recordings.dataset import Dataset
+
+TRACKER = """\
+// SpatialAnalyzer export, job 17
+// Units: Millimeters
+Instrument: AT960 level 2
+
+Point Name; X; Y; Z; RMS; Timestamp;
+P1; 100,5; -20,25; 300; 0,01; 2026-11-22T10:00:00.5;
+# remeasured below
+P2; 0; 10; 250,125; 0,02; 2026-11-22T10:00:10.5;
+P3; 5; 5; 5; 0,02; 2026-11-22T10:00:20.5;
+"""
+JOINTS = """\
+point name\tjoint1 [deg]\tjoint2 [deg]\tslide [mm]\tTimestamp
+P2\t90\t-45.0\t10\t2026-11-22T10:00:10
+P1\t30\t60\t-5\t2026-11-22T10:00:00
+P7\t0\t0\t0\t2026-11-22T10:01:00
+"""
+
+
+@pytest.fixture
+def files(tmp_path):
+    """files(tracker, joints): their paths."""
+
+    def write(tracker=TRACKER, joints=JOINTS):
+        (tmp_path / "tracker.txt").write_text(tracker, encoding="utf-8")
+        (tmp_path / "joints.txt").write_text(joints, encoding="utf-8")
+        return [tmp_path / "tracker.txt", tmp_path / "joints.txt"]
+
+    return write
+
+
+def test_points_find_their_joints_by_the_index_that_both_have(files):
+    data = samples("table", files(), sigma=2e-5, joint_sigma=1e-5)
+    assert data.joint_names == ("joint1", "joint2", "slide")
+    np.testing.assert_allclose(data.r, [[0, 0.01, 0.250125], [0.1005, -0.02025, 0.3]][::-1])
+    turned = np.radians([[30, 60], [90, -45]])
+    np.testing.assert_allclose(data.q, np.column_stack([turned, [-0.005, 0.01]]))
+    np.testing.assert_array_equal(data.measured, [[True] * 3 + [False] * 3] * 2)
+    np.testing.assert_allclose(np.sqrt(np.diag(data.pose_cov[0])[:3]), 2e-5)
+    np.testing.assert_array_equal(data.joint_sigma, [1e-5] * 3)
+    assert [d.detail.split(": ")[0].split("/")[-1] for d in data.dropped] == [
+        "tracker.txt:9", "joints.txt:4"
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(("clock", "joints"), [
+    ("2026-11-22T10:00:", "2026-11-22T10:00:"), ("10:00:", "10:00:"), ("", ""),
+])  # fmt: skip
+def test_or_by_the_time_that_is_near(files, clock, joints):
+    tracker = TRACKER.replace("2026-11-22T10:00:", clock)
+    log = JOINTS.replace("2026-11-22T10:00:", joints)
+    log = log.replace("2026-11-22T10:01:00", "99" if not joints else joints + "59")
+    data = samples("table", files(tracker, log), by="Timestamp", within=0.6,
+                   joints=["joint1", "joint2"])  # fmt: skip
+    np.testing.assert_allclose(np.degrees(data.q), [[30, 60], [90, -45]])
+    np.testing.assert_allclose(data.r[:, 1], [-0.02025, 0.01])
+    with pytest.raises(ParallelCalError, match=r"no row of .* has a partner by Timestamp"):
+        samples("table", files(tracker, log), by="Timestamp", within=0.4)
+
+
+def test_one_table_may_hold_both_and_other_names_are_said(files):
+    table = "nr,A1,A2,XA,YA,ZA\n1,0.5,1,0.1,0.2,0.3\n2,0.25,2,0.4,0.5,0.6\n"
+    path = files(table)[:1]
+    data = samples("table", path, position=["xa", "YA", "ZA"], unit="in", joints=["A2", "A1"],
+                   joint_unit="rad")  # fmt: skip
+    np.testing.assert_allclose(data.q, [[1, 0.5], [2, 0.25]])
+    np.testing.assert_allclose(data.r[1], np.array([0.4, 0.5, 0.6]) * 0.0254)
+
+
+def test_the_command_writes_samples(files, tmp_path):
+    words = ["import", "table", *map(str, files()), "-o", str(tmp_path / "s.json")]
+    with pytest.raises(SystemExit) as ended:
+        cli.main([*words, "--option", "sigma=2.0e-5"])
+    assert ended.value.code == 0
+    assert len(Dataset.from_json(tmp_path / "s.json")) == 2
+
+
+BROKEN = {
+    "word": (("-20,25", "-2O,25"), {}, "tracker.txt:6: column Y [mm] holds '-2O,25', expected a"),
+    "cell": (("; 10; 250,125", "; 250,125"), {}, "tracker.txt:8: the line's length is '6', exp"),
+    "no unit": (("Units: Millimeters", ""), {}, "tracker.txt:1: column X names no unit; say so"),
+    "no x": (("; X;", "; Xx;"), {}, "none of the tables has the columns x, y, z; say which"),
+    "two x": (("slide [mm]\tT", "X\tY\tZ\tT"), {}, "joints.txt: no table in there, expected"),
+    "no index": (("point name", "number"), {}, "joined by Timestamp: say how near (--option with"),
+    "no column": (("Timestamp", "at"), {"by": "nr"}, "tracker.txt:1: no column nr to join by"),
+    "two": (("P2;", "P1;"), {}, "tracker.txt:8: Point Name P1 occurs twice"),
+    "time": (("10.5;", "1O.5;"), {"by": "Timestamp", "within": 1.0},
+             "tracker.txt:8: Timestamp is '2026-11-22T10:00:1O.5', expected seconds, 14:03:05.2"),
+    "unit": (("", ""), {"unit": "ell"}, "unit=ell: expected one of rad, deg, m, mm, um, in"),
+    "joint unit": (("joint1 [deg]", "joint1"), {}, "joints.txt:1: column joint1 names no unit"),
+    "empty": ((TRACKER, ""), {}, "tracker.txt: no table in there, expected a header and rows"),
+    "option": (("", ""), {"x": 1}, "its options: by="),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_a_broken_file_is_named_with_line_and_field(files, name):
+    (old, new), options, message = BROKEN[name]
+    paths = files(TRACKER.replace(old, new, 1), JOINTS.replace(old, new, 1))
+    with pytest.raises(ParallelCalError) as error:
+        samples("table", paths, **options)
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
