@@ -15,7 +15,9 @@ from importlib.util import module_from_spec, spec_from_file_location
 from io import StringIO
 from pathlib import Path
 
+import numpy as np
 import pytest
+import virtual_firmware
 import virtual_printer
 
 from parallel_cal.cli import main as cli
@@ -122,7 +124,8 @@ def test_the_tutorial_shows_what_the_command_prints(run, command, lines):
 
 @pytest.mark.wide
 def test_the_printers_page_shows_what_its_commands_print(tmp_path):
-    """Its virtual printer writes the maps; the commands run in order."""
+    """Its virtual printer writes the maps; the commands run in order, and the heights of a bed
+    never seen are right with the numbers that they put back."""
     printer = virtual_printer.drawn(3, wobble=30e-6)
     (tmp_path / "config.g").write_text(virtual_printer.CONFIG)
     for name, seed, step in (("heightmap", 0, 10e-3), ("check", 1, 13e-3)):
@@ -138,6 +141,22 @@ def test_the_printers_page_shows_what_its_commands_print(tmp_path):
             assert code == 0, "\n".join(printed)
         elif line != "...":
             assert any(like(line, p) for p in printed), f"not printed: {line}\n{printed}"
+    before, after = (
+        heights_with((tmp_path / name).read_text(), printer)
+        for name in ("config.g.previous", "config.g")
+    )
+    assert 550e-6 < np.sqrt(np.mean(before**2)) < 650e-6
+    assert np.sqrt(np.mean(after**2)) < 30e-6
+
+
+def heights_with(config, printer):
+    """How high the nozzle, homed as before, believes an unseen bed at 400 places (m)."""
+    firmware, first = virtual_firmware.Duet(config), virtual_firmware.Duet(virtual_printer.CONFIG)
+
+    def believed(r):
+        return 1e-3 * (firmware.motors(1e3 * r) - firmware.homed() + first.homed())
+
+    return virtual_printer.heights(printer, virtual_printer.places(400, 99), believed)
 
 
 @pytest.mark.wide

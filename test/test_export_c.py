@@ -296,7 +296,7 @@ def test_a_target_of_ones_own_is_a_file_on_the_python_path(tmp_path, monkeypatch
         "def files(model, ending='txt'):\n    return {f'joints.{ending}': ' '.join(model.joints)}\n"
     )
     monkeypatch.syspath_prepend(tmp_path)
-    [written] = export(robot("cable"), "my_pkg.my_target:ending=dat", tmp_path / "out")
+    [written] = export(robot("cable"), "my_pkg.my_target:ending=dat", tmp_path / "out").paths
     assert written.name == "joints.dat"
     assert written.read_text().split() == list(robot("cable").joints)
 

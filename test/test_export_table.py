@@ -29,7 +29,7 @@ def read(folder):
 @pytest.mark.wide
 def test_the_stated_error_is_what_an_independent_robot_shows(tmp_path):
     """Trilinear interpolation by scipy, the robot by rods and points."""
-    paths = export(MOCK_UP, "table:size=7", tmp_path)
+    paths = export(MOCK_UP, "table:size=7", tmp_path).paths
     assert {path.name for path in paths} == {"table.csv", "table.json"}
     axes, values, about = read(tmp_path)
     assert about["bytes_as_float32"] == 4 * 3 * 7**3

@@ -83,7 +83,7 @@ OTHERS = (
 )
 def test_every_drawn_point_is_where_the_tree_puts_it(name, tmp_path):
     model = new_model(name)
-    [path] = export(model, "urdf", tmp_path)
+    [path] = export(model, "urdf", tmp_path).paths
     urdf, tree = Urdf(path), tree_of(model)
     r, R = poses_in_workspace(model.mechanism, 5, np.random.default_rng(5))
     found = Kinematics(model).inverse(r, R)
@@ -96,7 +96,7 @@ def test_every_drawn_point_is_where_the_tree_puts_it(name, tmp_path):
 
 def test_rods_end_in_the_balls_of_a_robot_built_another_way(tmp_path):
     model = new_model("delta54", vr.TABLE_5_18)
-    [path] = export(model, "urdf:name=mock_up", tmp_path)
+    [path] = export(model, "urdf:name=mock_up", tmp_path).paths
     assert path.name == "mock_up.urdf"
     urdf, tree = Urdf(path), tree_of(model)
     q, _ = vr.MOCK_UP.inverse(vd.targets(4, seed=8))
@@ -112,7 +112,7 @@ def test_rods_end_in_the_balls_of_a_robot_built_another_way(tmp_path):
 
 def test_the_arms_turn_with_the_robots_own_joints_within_their_limits(tmp_path):
     model = new_model("delta54")
-    [path] = export(model, "urdf", tmp_path)
+    [path] = export(model, "urdf", tmp_path).paths
     root = ElementTree.parse(path).getroot()
     own = {j.get("name"): j for j in root.findall("joint") if j.get("name") in model.joints}
     assert list(own) == ["joint1", "joint2", "joint3"]
@@ -129,6 +129,6 @@ def test_the_arms_turn_with_the_robots_own_joints_within_their_limits(tmp_path):
 @pytest.mark.wide
 def test_the_legs_of_a_hexapod_are_driven_telescopes(tmp_path):
     model = new_model("stewart42")
-    [path] = export(model, "urdf", tmp_path)
+    [path] = export(model, "urdf", tmp_path).paths
     joints = {j.get("name"): j.get("type") for j in ElementTree.parse(path).iter("joint")}
     assert {joints[name] for name in model.joints} == {"prismatic"}

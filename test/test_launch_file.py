@@ -25,7 +25,6 @@ from parallel_cal.nodes import calibration_node, kinematics_node
 from parallel_cal.nodes.client import Client, own_domain
 
 REPOSITORY = Path(__file__).parents[1]
-LAUNCH = REPOSITORY / "launch" / "calibration.launch.py"
 PRESET = REPOSITORY / "config" / "delta_mockup_nominal.yaml"
 CLASSES = {
     "launch": ["LaunchDescription"],
@@ -46,15 +45,20 @@ class Told(SimpleNamespace):
         super().__init__(values=values, **named)
 
 
-@pytest.fixture
-def actions():
+def described(file):
+    """The actions of a launch file."""
     modules = {
         name: SimpleNamespace(**{c: type(c, (Told,), {}) for c in classes})
         for name, classes in CLASSES.items()
     }
     with mock.patch.dict(sys.modules, modules):
-        described = runpy.run_path(str(LAUNCH))["generate_launch_description"]()
-    return described.values[0]
+        launched = runpy.run_path(str(REPOSITORY / "launch" / file))
+        return launched["generate_launch_description"]().values[0]
+
+
+@pytest.fixture
+def actions():
+    return described("calibration.launch.py")
 
 
 def arguments(actions):

@@ -5,6 +5,7 @@ Like `parallel_cal.virtual`, this file shares nothing with the rest of the packa
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -98,7 +99,7 @@ def believed(r: Array) -> Array:
     return r[:, 2:] + np.sqrt(0.25**2 - away**2)
 
 
-def heights(printer: Printer, xy: Array) -> Array:
+def heights(printer: Printer, xy: Array, believed: Callable[[Array], Array] = believed) -> Array:
     """Believed heights (N,) at which the nozzle touches the bed on its way down at believed xy.
 
     Where it really is, (u, v) on the bed, its carriages are where the firmware wants them.

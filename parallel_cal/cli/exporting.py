@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -19,20 +20,59 @@ def export(
         typer.Option(
             "--to",
             metavar="TARGET[:option=value,...]",
-            help="c, table, ... or your own's Python path",
+            help="c, klipper, rrf, ... or your own's Python path",
         ),
     ],
-    output: Annotated[Path, typer.Option("-o", "--output", help="folder to write into")],
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="folder to write into")
+    ] = None,
+    into: Annotated[
+        list[Path] | None,
+        typer.Option(help="edit the numbers in the controller's own file instead (repeat)"),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Write the calibrated model for a controller: the robot alone, its effects in it."""
     from parallel_cal.exporting import export as exporting
     from parallel_cal.model.file.modelfile import read_model
 
-    written = exporting.export(read_model(model), to, output)
+    if (output is None) == (not into):
+        raise typer.BadParameter("expected -o FOLDER, or --into FILE")
+    robot = read_model(model)
+    if into:
+        done = exporting.export_into(robot, to, into)
+    else:
+        done = exporting.export(robot, to, output or Path())
+    files = [str(path) for path in done.paths]
     if as_json:
-        return console.emit({"target": to, "files": [str(path) for path in written]})
-    console.say(f"written: {', '.join(map(str, written))}")
+        document = {"loss": done.loss, "before": done.before, "remarks": done.remarks}
+        return console.emit({"target": to, "files": files} | (document if done.loss else {}))
+    console.say(f"written: {', '.join(files)}")
+    if done.loss:
+        console.say(f"lost by the firmware's fewer numbers: {_lost(done.loss)}")
+    if done.before:
+        console.say(f"with the numbers it had: {_lost(done.before)}")
+    for remark in done.remarks:
+        console.say(f"- {remark}")
+
+
+def _lost(loss: Mapping[str, Any]) -> str:
+    """`mean 12.3 um, max 40.1 um at x 42 y -42 z 0 mm (2000 poses)`."""
+    units = {"position": ("um", 1e6), "orientation": ("urad", 1e6)}
+    said = []
+    for kind, (unit, many) in units.items():
+        if f"{kind}_mean" in loss:
+            mean, most = (f"{many * loss[f'{kind}_{of}']:.1f} {unit}" for of in ("mean", "max"))
+            worst = zip("xyz", 1e3 * loss[f"{kind}_worst_at"], strict=True)
+            at = " ".join(f"{axis} {value:.0f}" for axis, value in worst)
+            said.append(f"mean {mean}, max {most} at {at} mm")
+    if "line_mean" in loss:
+        said.append(
+            f"lines mean {1e6 * loss['line_mean']:.1f}, max {1e6 * loss['line_max']:.1f} um"
+        )
+    said = said or ["no pose is reached"]
+    beyond = f", {loss['not_reached']} beyond its reach" if loss["not_reached"] else ""
+    return f"{'; '.join(said)} ({loss['poses']} poses{beyond})"
 
 
 def export_residuals(

@@ -2,34 +2,153 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from inspect import signature
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from types import ModuleType
 from typing import Any
+
+import numpy as np
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.files import write_atomically
+from parallel_cal.exporting.editing import as_it_is, edited, fresh
+from parallel_cal.exporting.projection import Firmware, Machine, Projection, loss
+from parallel_cal.importing.stated import Stated
 from parallel_cal.model.model import Model
-from parallel_cal.model.shelf import load_module, own
+from parallel_cal.model.shelf import load_module, own, shelf_names
 
 SHELF = "exporting.targets"
 
 
-def export(model: Model, target: str, folder: str | Path) -> list[Path]:
+@dataclass(frozen=True)
+class Exported:
+    """The files that were written; where a firmware has its own, fewer numbers: what it loses, what
+    it lost with the numbers it had, and what else to know."""
+
+    paths: list[Path]
+    loss: Mapping[str, Any] | None = None
+    before: Mapping[str, Any] | None = None
+    remarks: list[str] = field(default_factory=list)
+
+
+def export(model: Model, target: str, folder: str | Path) -> Exported:
     """Write what `target` (`NAME[:option=value,...]`, a file on the shelf or at a Python path)
     makes of the robot alone, without the measuring device's errors; ModelError where it cannot.
 
-    A target is a module with a function `files(model, option=default, ...) -> {name: text}`.
+    A target is a module with a function `files(model, option=default, ...) -> {name: text}`, or one
+    of a firmware with numbers of its own: the mechanisms that it `HOLDS`, `project(model)`, and
+    `firmware(settings(paths))`, which reads them back.
     """
     name, _, given = target.partition(":")
-    module = load_module(SHELF, name)
-    if not hasattr(module, "files"):
-        raise ModelError(f"{name} is no target: it has no files(model)")
-    made = own(name, module.files)(model.robot(), **_options(module.files, given))
-    Path(folder).mkdir(parents=True, exist_ok=True)
-    paths = [Path(folder) / file for file in made]
-    for path, text in zip(paths, made.values(), strict=True):
+    module, robot = load_module(SHELF, name), model.robot()
+    made: dict[str, str] = {}
+    if hasattr(module, "files"):
+        made = own(name, module.files)(robot, **_options(module.files, given))
+    elif given or not _holds(module, model):
+        raise _refusal(name, module, model, given)
+    result = Exported([])
+    if _holds(module, model):
+        projection, found = _projected(module, robot)
+        made |= {file: fresh(numbers) for file, numbers in projection.settings.items()}
+        result = Exported([], loss(robot, found), None, _remarks(robot, projection))
+    result.paths.extend(_written(Path(folder), made))
+    return result
+
+
+def export_into(model: Model, target: str, files: Sequence[Path]) -> Exported:
+    """Put a firmware's numbers into its own configuration files, comments and order kept; what they
+    were stays beside them as `NAME.previous`."""
+    module, robot = load_module(SHELF, target), model.robot()
+    if not _holds(module, model):
+        raise _refusal(target, module, model)
+    stated: Stated = module.settings(files)
+    now = module.firmware(stated)
+    projection, found = _projected(module, robot)
+    if type(now) is not type(found.firmware):
+        raise ModelError(f"{files[0]}: it is configured for another kind of machine")
+    texts: dict[Path, str] = {}
+    cleared = [field for field in getattr(module, "CLEARED", ()) if field in stated]
+    for file, numbers in projection.settings.items():
+        its = [path for path in files if path.suffix == Path(file).suffix]
+        if not its:
+            raise ModelError(f"{target}: numbers belong into {file}, too: --into that file as well")
+        texts |= edited(stated, {**numbers, **dict.fromkeys(cleared, "0")}, its)
+        cleared = []
+    before = loss(robot, replace(found, firmware=now))
+    after = loss(robot, replace(found, firmware=_read(module, files, texts)))
+    for path, text in texts.items():
+        write_atomically(path.with_name(f"{path.name}.previous"), as_it_is(path))
         write_atomically(path, text)
-    return paths
+    return Exported(list(texts), after, before, _remarks(robot, projection))
+
+
+def _holds(module: ModuleType, model: Model) -> bool:
+    return model.mechanism.name in getattr(module, "HOLDS", ())
+
+
+def _refusal(name: str, module: ModuleType, model: Model, given: str = "") -> ModelError:
+    """Why a target cannot take a model, and which can."""
+    if not hasattr(module, "HOLDS"):
+        return ModelError(f"{name} is no target: it has no files(model)")
+    if given and _holds(module, model):
+        return ModelError(f"option '{given}': {name} has none")
+    others = [other for other in shelf_names(SHELF) if other not in (name, "urdf")]
+    can = [other for other in others if _can(load_module(SHELF, other), model)]
+    return ModelError(
+        f"{name} has no numbers for {model.mechanism.name}, only for {', '.join(module.HOLDS)}; "
+        f"{', '.join(can)} can hold it"
+    )
+
+
+def _can(module: ModuleType, model: Model) -> bool:
+    return hasattr(module, "files") or _holds(module, model)
+
+
+def _projected(module: ModuleType, robot: Model) -> tuple[Projection, Machine]:
+    """A firmware's numbers, and the machine that it is with these as they are written."""
+    projection: Projection = module.project(robot)
+    texts = {Path(file): fresh(numbers) for file, numbers in projection.settings.items()}
+    firmware = _read(module, [*texts], texts)
+    return projection, Machine(firmware, projection.frame, projection.stops)
+
+
+def _read(module: ModuleType, files: Sequence[Path], texts: Mapping[Path, str]) -> Firmware:
+    """The firmware that reads these texts in place of what the files have now."""
+    with TemporaryDirectory() as kept:
+        copies = [Path(kept) / str(k) / path.name for k, path in enumerate(files)]
+        for copy, path in zip(copies, files, strict=True):
+            copy.parent.mkdir()
+            write_atomically(copy, texts[path] if path in texts else as_it_is(path))
+        return module.firmware(module.settings(copies))  # type: ignore[no-any-return]
+
+
+def _remarks(robot: Model, projection: Projection) -> list[str]:
+    """Where the firmware's coordinates lie, and what it knows nothing of."""
+    frame, remarks = projection.frame, [*projection.remarks]
+    if np.any(frame.origin) or not np.array_equal(frame.axes, np.eye(3)):
+        origin, axes = np.round(1e3 * frame.origin, 3) + 0.0, np.round(frame.axes, 6) + 0.0
+        at = " ".join(f"{axis} {value:g}" for axis, value in zip("xyz", origin, strict=True))
+        x, z = (" ".join(f"{value:g}" for value in axes[:, k]) for k in (0, 2))
+        remarks.append(f"its origin is at {at} mm of {{B}}, its x-axis {x}, its z-axis {z}")
+    if frame.order != tuple(range(len(frame.order))):
+        joints = ", ".join(robot.joints[k] for k in frame.order)
+        remarks.append(f"its motors are {joints}, in this order")
+    if robot.effects:
+        names = ", ".join(effect.name for effect in robot.effects)
+        remarks.append(f"what its numbers cannot follow of {names} is in the loss")
+    if robot.conditions:
+        remarks.append(f"neutral conditions: {', '.join(robot.conditions)}")
+    return remarks
+
+
+def _written(folder: Path, made: Mapping[str, str]) -> list[Path]:
+    folder.mkdir(parents=True, exist_ok=True)
+    for file, text in made.items():
+        write_atomically(folder / file, text)
+    return [folder / file for file in made]
 
 
 def _options(files: Any, given: str) -> dict[str, Any]:

@@ -11,9 +11,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from parallel_cal.importing.door import Configured
 from parallel_cal.model.mechanism import Home, Mechanism, Workspace
@@ -38,7 +39,11 @@ GUESSED = (
 class Delta(Protocol):
     """A delta printer as configured."""
 
-    def joints(self, r: Array) -> Array:
+    @property
+    def homed(self) -> Array:
+        """Joints (3,) at the end-stops."""
+
+    def joints(self, r: Array, R: Array | None = None) -> Array:
         """Joints (N, 3), m or rad, at which the nozzle is believed at r (N, 3); NaN beyond."""
 
     def mechanism(self) -> Mechanism:
@@ -58,13 +63,32 @@ class Towers:
     zero: tuple[float, float, float] = (0.0, 0.0, 0.0)
     reach: float | None = None
 
+    @classmethod
+    def of(
+        cls, radius: float, rods: ArrayLike, trim: ArrayLike, heights: ArrayLike, **more: Any
+    ) -> Towers:
+        """As firmwares have it, in mm and degrees: one radius (mm), and `heights` (mm) at which the
+        nozzle is believed where only that tower is at its end-stop."""
+        long = np.asarray(rods) * MM
+        tops = np.asarray(heights) * MM + np.sqrt(long**2 - (radius * MM) ** 2)
+        return cls(np.full(3, radius * MM), long, np.asarray(trim) * DEGREE, tops, **more)
+
+    @property
+    def heights(self) -> Array:
+        """What `of` is given (m)."""
+        return self.end_stops - np.sqrt(self.rods**2 - self.radius**2)
+
+    @property
+    def homed(self) -> Array:
+        return self.end_stops
+
     @property
     def towers(self) -> Array:
         """Where each stands (3, 2)."""
         around = self.first + np.arange(3) * 120 * DEGREE + self.trim
         return np.column_stack([self.radius * np.cos(around), self.radius * np.sin(around)])
 
-    def joints(self, r: Array) -> Array:
+    def joints(self, r: Array, R: Array | None = None) -> Array:
         away = ((r[:, None, :2] - self.towers) ** 2).sum(axis=2)
         with np.errstate(invalid="ignore"):
             up = np.sqrt(self.rods**2 - away)
@@ -97,7 +121,11 @@ class Shoulders:
     limits: tuple[tuple[float, float], ...] = ((-np.pi / 2, np.pi / 2),) * 3
     reach: float | None = None
 
-    def joints(self, r: Array) -> Array:
+    @property
+    def homed(self) -> Array:
+        return np.array(self.limits)[:, 1]
+
+    def joints(self, r: Array, R: Array | None = None) -> Array:
         cos, sin = np.cos(self.angles), np.sin(self.angles)
         out, across = r[:, :1] * cos + r[:, 1:2] * sin, r[:, 1:2] * cos - r[:, :1] * sin
         dx, dz = self.radius - out, self.heights - r[:, 2:]

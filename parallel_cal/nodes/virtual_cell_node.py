@@ -158,7 +158,11 @@ class VirtualCellNode(Node):
             robot, factor = self._value("robot"), self._value("noise") or 1.0
             own = MACHINES[robot].noise
             noise = Noise(factor * own.joint, factor * own.position, factor * own.orientation)
-            write_atomically(path, dump_model(replace(new_model(BELIEVED[robot]), noise=noise)))
+            model, limits = new_model(BELIEVED[robot]), MACHINES[robot].limits
+            model.mechanism.joint_rates = ((limits.velocity, limits.acceleration),) * len(
+                model.joints
+            )
+            write_atomically(path, dump_model(replace(model, noise=noise)))
 
     def _changed(self, changes: Changes) -> SetParametersResult:
         """Parameters may be set in another thread: the next tick hears of it."""

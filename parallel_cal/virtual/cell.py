@@ -19,7 +19,7 @@ from parallel_cal.virtual.machines import MACHINES
 from parallel_cal.virtual.robot import Array, assumed, shown, turn
 from parallel_cal.virtual.tracker import Tracker
 
-WANDER = 0.15  # s of motion in which instruments forget the error that they had
+WANDER = 0.01  # rad, or of a sliding joint so many levers: the way on which errors are forgotten
 CENTIKELVIN = 2  # digits of a temperature
 
 Box = tuple[Array, Array]  # opposite corners (3,) in {B}, m
@@ -217,7 +217,7 @@ class Cell:
     def _driven(self, errors: Array) -> list[Moment]:
         """A moment for each row of fresh errors."""
         path, now = list[Moment](), self._moment
-        keep = np.exp(-self.period / WANDER)
+        forgotten = WANDER * self.machine.lever
         for k, fresh in enumerate(errors):
             if self.drive.idle and (now.state.q == self.drive.state.q).all():
                 for _ in range(len(errors) - k):
@@ -229,6 +229,8 @@ class Cell:
             if moved.any():
                 sign = np.where(moved == 0, now.direction, np.sign(moved))
                 travel = np.where(sign == now.direction, now.travel + moved, moved)
+                way = np.abs(moved)
+                keep = np.exp(-np.append(way, np.full(6, way.max())) / forgotten)
                 wandered = keep * now.errors + np.sqrt(1 - keep**2) * fresh
                 now = Moment(state, sign, travel, wandered)
             now = now._replace(state=state)

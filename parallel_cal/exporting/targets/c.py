@@ -54,7 +54,7 @@ def files(model: Model, name: str = "", poses: int = 1000) -> dict[str, str]:
         f"{robot}_check.c": _template("check.c"),
         "Makefile": MAKEFILE,
     }
-    written = {file: _filled(text, words) for file, text in templates.items()}
+    written = {file: filled(text, words) for file, text in templates.items()}
     return written | {f"{robot}_vectors.csv": vectors(model, poses)}
 
 
@@ -62,7 +62,7 @@ def _template(name: str) -> str:
     return resources(__package__).joinpath("_c", name).read_text(encoding="utf-8")
 
 
-def _filled(text: str, words: Mapping[str, str]) -> str:
+def filled(text: str, words: Mapping[str, str]) -> str:
     return re.sub(r"@(\w+)@", lambda found: words[found[1]], text)
 
 

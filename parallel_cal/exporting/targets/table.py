@@ -12,8 +12,8 @@ import numpy as np
 
 from parallel_cal.base.documents import plain
 from parallel_cal.base.errors import ModelError
-from parallel_cal.base.rotation import rotation_vector
-from parallel_cal.kinematics.kinematics import Kinematics, Solutions
+from parallel_cal.exporting.projection import summary
+from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.kinematics.solvers import lookup_table
 from parallel_cal.kinematics.solvers.lookup_table import LookUpTable
 from parallel_cal.model.mechanism import POSE, poses_in_workspace
@@ -67,20 +67,5 @@ def _error(model: Model, table: LookUpTable, problem: str) -> dict[str, Any]:
     else:
         found = lookup_table.direct(model, wanted.joints, size=size, order=order)
         pair = [found, table.nominal.direct(wanted.joints)]
-    left, without = (_apart(model, wanted, s) for s in pair)
+    left, without = (summary(model, wanted, s) for s in pair)
     return {**left, "without": without}
-
-
-def _apart(model: Model, wanted: Solutions, s: Solutions) -> dict[str, Any]:
-    """Mean and largest difference of what the robot controls, and where it is largest."""
-    turned = rotation_vector(s.rotation @ wanted.rotation.transpose(0, 2, 1))
-    change = np.hstack([s.position - wanted.position, turned])
-    found: dict[str, Any] = {}
-    for kind, part in (("position", range(3)), ("orientation", range(3, 6))):
-        columns = [i for i in part if i in model.mechanism.controlled]
-        norm = np.linalg.norm(change[:, columns], axis=1)
-        if columns:
-            worst = int(np.nanargmax(norm))
-            found |= {f"{kind}_mean": np.nanmean(norm), f"{kind}_max": norm[worst],
-                      f"{kind}_worst_at": wanted.position[worst]}  # fmt: skip
-    return found

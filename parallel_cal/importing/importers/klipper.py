@@ -7,8 +7,8 @@ documentation, "Configuration reference", "Delta calibration", "Rotation distanc
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import count
 from pathlib import Path
 
@@ -17,16 +17,17 @@ import numpy as np
 from parallel_cal.importing import deltas
 from parallel_cal.importing.deltas import DEGREE, MM, Delta, Shoulders, Towers
 from parallel_cal.importing.door import Configured
-from parallel_cal.importing.stated import Place, Stated, lines
+from parallel_cal.importing.sections import settings
+from parallel_cal.importing.stated import Stated
 from parallel_cal.importing.touched import of_joints
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.recording import Array
 
 CONFIGURATION = (".cfg",)
-SAVED = "#*#"  # before every line of what SAVE_CONFIG wrote
 TOUCHES = "[delta_calibrate]"
 STEPPERS = [f"[stepper_{a}]" for a in "abc"]
 KINDS = "delta or rotary_delta"
+TOWERS, SHOULDERS = (210.0, 330.0, 90.0), (30.0, 150.0, 270.0)  # degrees, where nobody says
 UNUSED = "distances between touches are not used, a sample being one pose: the size stays unknown"
 
 
@@ -34,8 +35,7 @@ def samples(paths: Sequence[Path]) -> Dataset:
     """The heights of [delta_calibrate]; its distances and, beside an offset probe, its manual
     heights are not used, which the warnings say."""
     stated = settings(paths)
-    delta = _delta(stated)
-    step, top = _steps(stated), end_stops(stated, delta)
+    step, top = _steps(stated), delta(stated).homed
     beside = bool(np.any(_probe(stated)))
     found, heights, warnings = [], [], []
     for name in ("height", "manual_height"):
@@ -60,38 +60,7 @@ def samples(paths: Sequence[Path]) -> Dataset:
 def configured(paths: Sequence[Path]) -> Configured:
     """The printer as its configuration has it."""
     stated = settings(paths)
-    return deltas.configured(_delta(stated), _probe(stated))
-
-
-def settings(paths: Sequence[Path]) -> Stated:
-    """The values in files of sections by `[section] key`; what SAVE_CONFIG wrote counts last."""
-    texts: dict[str, tuple[str, Place]] = {}
-    for path in paths:
-        section, saved = "", False
-        for place, line in lines(path):
-            if line.startswith(SAVED) and not saved:
-                section, saved = "", True
-            own = line.removeprefix(SAVED).removeprefix(" ") if saved else line
-            plain = re.split(r"(?:^|\s)[#;]", own, maxsplit=1)[0]
-            if not plain.strip() or plain[0].isspace():  # a macro's lines among them
-                continue
-            if header := re.fullmatch(r"\[([^\]]+)\]", plain.strip()):
-                section = header[1].strip()
-                continue
-            if saved and not section:  # what introduces the block
-                continue
-            pair = re.fullmatch(r"([^:=]+)[:=](.*)", plain)
-            if not pair or not section:
-                raise place.error("the line", line.strip(), "[section] or key: value")
-            texts[f"[{section}] {pair[1].strip()}"] = (pair[2].strip(), place)
-    return Stated(texts, paths)
-
-
-def end_stops(stated: Stated, delta: Delta) -> Array:
-    """Joints (3,) at the end-stops: where the nozzle in the middle is believed at their height."""
-    heights = _each(stated, "position_endstop", "the nozzle's height in mm")
-    at = np.column_stack([np.zeros((3, 2)), heights * MM])
-    return np.diag(delta.joints(at)).copy()
+    return deltas.configured(delta(stated), _probe(stated))
 
 
 def _position(stated: Stated, field: str) -> Array:
@@ -160,30 +129,36 @@ def _kind(stated: Stated) -> str:
     return text
 
 
-def _delta(stated: Stated) -> Delta:
+def delta(stated: Stated) -> Delta:
     return _towers(stated) if _kind(stated) == "delta" else _shoulders(stated)
 
 
 def _towers(stated: Stated) -> Towers:
     radius = stated.number("[printer] delta_radius", "mm", low=1.0)
-    rods = _each(stated, "arm_length", "mm, longer than the delta radius", low=radius) * MM
-    angles = _each(stated, "angle", "degrees", (210.0, 330.0, 90.0))
-    stops = _each(stated, "position_endstop", "the nozzle's height in mm") * MM
-    return Towers(
-        np.full(3, radius) * MM,
-        rods,
-        (angles - np.array([210.0, 330.0, 90.0])) * DEGREE,
-        end_stops=stops + np.sqrt(rods**2 - (radius * MM) ** 2),
+    angles = _each(stated, "angle", "degrees", TOWERS)
+    return Towers.of(
+        radius,
+        _each(stated, "arm_length", "mm, longer than the delta radius", low=radius),
+        angles - np.array(TOWERS),
+        _each(stated, "position_endstop", "the nozzle's height in mm"),
         reach=stated.number("[printer] print_radius", "mm", 0.6 * radius, 1.0) * MM,
     )
 
 
 def _shoulders(stated: Stated) -> Shoulders:
+    """The end-stops are where the nozzle in the middle is believed at their height."""
     height = stated.number("[printer] shoulder_height", "mm", low=1.0) * MM
-    return Shoulders(
+    rotary = Shoulders(
         stated.number("[printer] shoulder_radius", "mm", low=1e-3) * MM,
         np.full(3, height),
         _each(stated, "upper_arm_length", "mm", low=1.0) * MM,
         _each(stated, "lower_arm_length", "mm", low=1.0) * MM,
-        _each(stated, "angle", "degrees", (30.0, 150.0, 270.0)) * DEGREE,
+        _each(stated, "angle", "degrees", SHOULDERS) * DEGREE,
     )
+    heights = _each(stated, "position_endstop", "the nozzle's height in mm") * MM
+    tops = np.diag(rotary.joints(np.column_stack([np.zeros((3, 2)), heights])))
+    for stepper in (s for s, top in zip(STEPPERS, tops, strict=True) if np.isnan(top)):
+        given = stepper if f"{stepper} position_endstop" in stated else STEPPERS[0]
+        text, place = stated.text(f"{given} position_endstop", "")
+        raise place.error(f"{given} position_endstop", text, "a height in mm that the arms reach")
+    return replace(rotary, limits=tuple((-np.pi / 2, float(top)) for top in tops))

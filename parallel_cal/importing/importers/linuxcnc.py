@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from parallel_cal.base.errors import DatasetError
-from parallel_cal.importing import deltas
+from parallel_cal.importing import deltas, sections
 from parallel_cal.importing.deltas import DEGREE, Towers
 from parallel_cal.importing.door import Configured
-from parallel_cal.importing.stated import Place, Stated, lines
+from parallel_cal.importing.stated import Stated, lines
 from parallel_cal.importing.touched import touches
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.table import UNITS
@@ -25,13 +25,16 @@ from parallel_cal.recordings.table import UNITS
 CONFIGURATION = (".hal",)
 AXES = "XYZABCUVW"
 KINS = "lineardeltakins."
+HOMED = "[JOINT_{}] HOME_OFFSET"  # in the .ini file: where a joint is at its switch
 NO_PROBE = np.zeros(3)
 
 
 def samples(paths: Sequence[Path], unit: str, step: float = 1e-6) -> Dataset:
     """The touches of logs beside a .hal file, both in `unit`; `step` (m) of a motor or encoder."""
-    logs = [path for path in paths if path.suffix not in CONFIGURATION]
-    delta = _towers([path for path in paths if path not in logs], unit)
+    logs = [path for path in paths if path.suffix not in (*CONFIGURATION, ".ini")]
+    if unit not in ("m", "mm", "in"):
+        raise DatasetError(f"unit={unit}: expected mm, in or m, the program's unit")
+    delta = towers(settings([path for path in paths if path not in logs]), unit)
     nozzle, places = [], []
     for path in logs:
         for place, line in lines(path):
@@ -50,27 +53,34 @@ def samples(paths: Sequence[Path], unit: str, step: float = 1e-6) -> Dataset:
 def configured(paths: Sequence[Path]) -> Configured:
     """The machine as `setp lineardeltakins.R` and `.L` have it, in mm."""
     remark = "lengths in the HAL file are taken for mm"
-    return deltas.configured(_towers(paths, "mm"), NO_PROBE, remarks=[remark])
+    return deltas.configured(towers(settings(paths), "mm"), NO_PROBE, remarks=[remark])
 
 
-def _towers(paths: Sequence[Path], unit: str) -> Towers:
-    """R, L and J0off, J1off, J2off of lineardeltakins, whose joint 0 stands along y."""
-    if unit not in ("m", "mm", "in"):
-        raise DatasetError(f"unit={unit}: expected mm, in or m, the program's unit")
-    texts: dict[str, tuple[str, Place]] = {}
-    for path in paths:
-        for place, line in lines(path):
-            if found := re.match(r"\s*setp\s+(lineardeltakins\.\w+)\s*=?\s*([^\s#]*)", line):
-                texts[found[1]] = (found[2], place)
-    stated, size = Stated(texts, paths), UNITS[unit]
-    radius = stated.number(f"{KINS}R", f"setp, the radius in {unit}", low=1e-3)
-    rod = stated.number(f"{KINS}L", f"setp, the rods' length in {unit}, more than R", low=radius)
+def towers(stated: Stated, unit: str) -> Towers:
+    """R, L and J0off, J1off, J2off of lineardeltakins, whose joint 0 stands along y; at their
+    switches joints are at HOME_OFFSET."""
+    size = UNITS[unit]
+    radius = stated.number(f"{KINS}R", f"setp, the radius in {unit}", low=1e-3) * size
+    expected = f"setp, the rods' length in {unit}, more than R"
+    rods = np.full(3, stated.number(f"{KINS}L", expected, low=radius / size) * size)
     zero = [stated.number(f"{KINS}J{i}off", unit, 0.0) * size for i in range(3)]
+    tops = [stated.number(HOMED.format(i), unit, 3 * rods[i] / size) for i in range(3)]
     return Towers(
-        np.full(3, radius * size),
-        np.full(3, rod * size),
+        np.full(3, radius),
+        rods,
         np.zeros(3),
-        np.full(3, 3 * rod * size),  # its limits are the INI file's
+        np.array(tops) * size,
         first=90 * DEGREE,
         zero=(zero[0], zero[1], zero[2]),
     )
+
+
+def settings(paths: Sequence[Path]) -> Stated:
+    """The pins that `setp` sets in .hal files, by name; of .ini files `[section] key`."""
+    setups = [path for path in paths if path.suffix == ".ini"]
+    texts = dict(sections.settings(setups).texts)
+    for path in paths:
+        for place, line in () if path in setups else lines(path):
+            if found := re.match(r"\s*setp\s+([\w.-]+)\s*=?\s*([^\s#]*)", line):
+                texts[found[1]] = (found[2], place)
+    return Stated(texts, paths)

@@ -126,13 +126,7 @@ def _towers(stated: Stated) -> Towers:
     if "M665 A" in stated or "M665 C" in stated:  # without them B is a radius
         more = [stated.number(f"M665 {t}", "mm", 0.0, -10, 10) for t in "ABC"]
     rod = stated.number("M665 L", "the rods' length in mm, more than the radius", low=radius)
-    rods = (rod + np.array(more)) * MM
     stops = [stated.number(f"M666 {t}", "mm, 0 or less", 0.0, high=0.0) for t in "XYZ"]
     homed = stated.number("M665 H", "the homed height in mm", low=0.0)
     trim = [stated.number(f"M665 {t}", "degrees", 0.0, -30, 30) for t in "XYZ"]
-    return Towers(
-        np.full(3, radius) * MM,
-        rods,
-        np.array(trim) * DEGREE,
-        end_stops=(homed - np.array(stops)) * MM + np.sqrt(rods**2 - (radius * MM) ** 2),
-    )
+    return Towers.of(radius, rod + np.array(more), trim, homed - np.array(stops))

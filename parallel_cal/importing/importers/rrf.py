@@ -18,10 +18,9 @@ from parallel_cal.importing import deltas
 from parallel_cal.importing.deltas import DEGREE, MM, Delta, Shoulders, Towers
 from parallel_cal.importing.door import Configured
 from parallel_cal.importing.gcode import settings
+from parallel_cal.importing.lines import Lines
 from parallel_cal.importing.stated import Place, Stated, lines
 from parallel_cal.importing.touched import touches
-from parallel_cal.model.model import new_model
-from parallel_cal.model.shelf import load_mechanism
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.recording import Array, Dropped
 
@@ -48,7 +47,7 @@ def samples(paths: Sequence[Path]) -> Dataset:
             "were probed with (config.g, config-override.g, in the order they are read)"
         )
     stated = settings([path for path in paths if path not in maps], CODES)
-    delta, unit = _delta(stated), _unit(stated)
+    delta, unit = delta_of(stated), _unit(stated)
     read = [read_map(path) for path in maps]
     points = np.concatenate([each[0] for each in read])
     return touches(
@@ -65,9 +64,12 @@ def samples(paths: Sequence[Path]) -> Dataset:
 def configured(paths: Sequence[Path]) -> Configured:
     """The printer as its configuration has it; M666 A and B are where the bed lies."""
     stated = settings(paths, CODES)
-    if _kind(stated) == 6:
-        return _hangprinter(stated)
-    delta = _delta(stated)
+    if kind(stated) == 6:
+        remarks = ["lines on spools of one radius and advantage share it"]
+        if stated.number("M666 W", "kg", 0.0) > 0:
+            remarks.append("M666 W: what the firmware corrects of the lines' stretch is left out")
+        return Configured(lines_of(stated).model(), tuple(remarks))
+    delta = delta_of(stated)
     plate = delta.tilt if isinstance(delta, Towers) else (0.0, 0.0)
     return deltas.configured(delta, tip(stated), plate)
 
@@ -138,19 +140,19 @@ def _grid(place: Place, line: str, names: Sequence[str]) -> tuple[list[float], l
     return axes[0], axes[1]
 
 
-def _kind(stated: Stated) -> int:
+def kind(stated: Stated) -> int:
     return int(stated.number("M669 K", KINDS, 3.0))
 
 
 def _unit(stated: Stated) -> float:
     """What M92 counts the steps of: mm, or degrees."""
-    return DEGREE if _kind(stated) == 10 else MM
+    return DEGREE if kind(stated) == 10 else MM
 
 
-def _delta(stated: Stated) -> Delta:
-    if _kind(stated) == 3:
+def delta_of(stated: Stated) -> Delta:
+    if kind(stated) == 3:
         return _towers(stated)
-    if _kind(stated) == 10:
+    if kind(stated) == 10:
         return _shoulders(stated)
     text, place = stated.text("M669 K", KINDS)
     raise place.error("M669 K", text, KINDS)
@@ -158,21 +160,16 @@ def _delta(stated: Stated) -> Delta:
 
 def _towers(stated: Stated) -> Towers:
     """M665 L R H B X Y Z and M666 X Y Z A B; A and B in per cent."""
-    radius = stated.number("M665 R", "the delta radius in mm", low=1.0) * MM
+    radius = stated.number("M665 R", "the delta radius in mm", low=1.0)
     least = "rod lengths in mm, longer than the delta radius"
-    rods = stated.numbers("M665 L", least, 3, low=radius / MM) * MM
+    rods = stated.numbers("M665 L", least, 3, low=radius)
     trim = [stated.number(f"M665 {tower}", "degrees", 0.0, -30, 30) for tower in "XYZ"]
     stops = [stated.number(f"M666 {tower}", "mm", 0.0) for tower in "XYZ"]
     tilt = [stated.number(f"M666 {axis}", "per cent", 0.0, -20, 20) / 100 for axis in "AB"]
     homed = stated.number("M665 H", "the homed height in mm", low=0.0)
-    return Towers(
-        np.full(3, radius),
-        rods,
-        np.array(trim) * DEGREE,
-        tilt=(tilt[0], tilt[1]),
-        end_stops=(homed + np.array(stops)) * MM + np.sqrt(rods**2 - radius**2),
-        reach=_reach(stated, "M665 B"),
-    )
+    heights = homed + np.array(stops)
+    reach = _reach(stated, "M665 B")
+    return Towers.of(radius, rods, trim, heights, tilt=(tilt[0], tilt[1]), reach=reach)
 
 
 def _shoulders(stated: Stated) -> Shoulders:
@@ -198,12 +195,8 @@ def _reach(stated: Stated, field: str) -> float | None:
     return stated.number(field, "the bed's radius in mm", low=1.0) * MM
 
 
-def _hangprinter(stated: Stated) -> Configured:
-    """M669 K6 N and a triple an anchor, M666 Q R U O L H: cable and spool_buildup, q = 0 at home.
-
-    With n lines on a spool of radius R, line l out turns the motor by
-    2 a g (R - sqrt(R^2 - l a n Q)) / (a n Q), g the gear, a the advantage.
-    """
+def lines_of(stated: Stated) -> Lines:
+    """M669 K6 N and a triple an anchor, M666 Q R U O L H; q = 0 at home."""
     n = int(stated.number("M669 N", "the number of anchors", 4.0, 4, len(ANCHORS)))
     anchors = np.array(
         [stated.numbers(f"M669 {a}", "x:y:z of the anchor in mm", 3) for a in ANCHORS[:n]]
@@ -213,26 +206,10 @@ def _hangprinter(stated: Stated) -> Configured:
         return stated.numbers(f"M666 {letter}", what, n, low=1e-6)
 
     radii = each("R", "spool radii in mm") * MM
-    advantages = each("U", "mechanical advantages")
-    gear = each("H", "teeth of the spools' gears") / each("L", "teeth of the motors' gears")
+    gears = each("H", "teeth of the spools' gears") / each("L", "teeth of the motors' gears")
     on_spool = stated.numbers("M666 O", "lines on each spool", n, 1.0, low=1.0)
     if len({*on_spool}) > 1:
         text, place = stated.text("M666 O", "")
         raise place.error("M666 O", text, "as many lines on every spool")
-    alike = [*dict.fromkeys(zip(radii, advantages, strict=True))]
-    spools = [alike.index(pair) + 1 for pair in zip(radii, advantages, strict=True)]
-    mechanism = load_mechanism(
-        "cable",
-        anchors=(anchors * MM).tolist(),
-        advantages=advantages.tolist(),
-        spools=spools,
-    )
-    nominal = {f"line{i + 1}.gear": float(g) for i, g in enumerate(gear)}
-    nominal |= {f"spool{k}.R": float(r) for k, r in zip(spools, radii, strict=True)}
-    mechanism.parameters = mechanism.parameters.with_nominal(nominal)
     buildup = stated.number("M666 Q", "the build-up in mm", low=0.0) * MM * on_spool[0]
-    model = new_model(mechanism, {"spool_buildup.Q": buildup}, effects=["spool_buildup"])
-    remarks = ["lines on spools of one radius and advantage share it"]
-    if stated.number("M666 W", "kg", 0.0) > 0:
-        remarks.append("M666 W: what the firmware corrects of the lines' stretch is left out")
-    return Configured(model, tuple(remarks))
+    return Lines(anchors * MM, radii, gears, each("U", "mechanical advantages"), buildup)

@@ -1,0 +1,167 @@
+"""Deltas put into the numbers of firmwares: towers and shoulders, alike or each its own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from parallel_cal.base.rotation import rotation_matrix
+from parallel_cal.exporting.projection import Array, Frame, Machine, fitted
+from parallel_cal.importing.deltas import Shoulders, Towers
+from parallel_cal.model.model import Model
+
+TOWERS = np.radians([210.0, 330.0, 90.0])  # where firmwares have them, about z
+LINEAR, ROTARY = ("linear_delta",), ("delta24", "delta54", "delta_nominal")
+NEAR = np.radians(15)  # of its place a tower is trimmed, further off the frame is turned
+UPSIDE_DOWN = np.diag([1.0, -1.0, -1.0])
+
+
+@dataclass(frozen=True)
+class Chains:
+    """A Delta's chains in a firmware's order and coordinates, arms' angles upwards (m, rad)."""
+
+    frame: Frame
+    stops: Array  # readings at the end-stops, in the model's order
+    radius: Array
+    angles: Array
+    heights: Array
+    rods: Array
+    homed: Array
+    arms: Array
+    tilt: tuple[float, float]
+
+    def machine(self, delta: Towers | Shoulders, origin: Array | None = None) -> Machine:
+        """The firmware with these numbers, its origin shifted from the frame's by `origin`."""
+        moved = self.frame.origin + (0 if origin is None else origin)
+        return Machine(delta, replace(self.frame, origin=moved), self.stops)
+
+
+def chains_of(model: Model, places: Array | None) -> Chains:
+    """The chains of a Delta whose towers shall be near `places` (3,) rad; None: wherever they are.
+
+    Height 0 is the plate of a sensor `probe`; else {B}'s, or where z of {B} points down the far end
+    of the workspace.
+    """
+    model = model.widened() if model.mechanism.name == "delta_nominal" else model
+    m, linear = model.mechanism, model.mechanism.name in LINEAR
+    out, across, along, rods = (
+        np.array([model.value(f"chain{i}.{name}") for i in (1, 2, 3)])
+        for name in ("D_x", "D_y", "D_z", "Lb")
+    )
+    up, offset, arms = across, along, np.zeros(3)
+    if linear:
+        first = m.options.get("direction", 0.0)
+        angles = first + np.arange(3) * 2 * np.pi / 3 + np.arctan2(across, out)
+        radius, up = np.hypot(out, across), np.zeros(3)
+    else:
+        radius, angles = out, np.array([model.value(f"chain{i}.theta") for i in (1, 2, 3)])
+        arm = np.array([[model.value(f"chain{i}.La_{a}") for a in "xy"] for i in (1, 2, 3)])
+        arms, offset = np.hypot(*arm.T), np.arctan2(arm[:, 1], arm[:, 0])
+    down = not linear and m.home.position[2] > up.mean()
+    height, tilt = _plate(model)
+    if height is None:
+        height = m.workspace.high[2] if down else 0.0
+    angles = -angles if down else angles
+    turn = 0.0 if places is None else _turn(angles, places)
+    angles = angles - turn
+    order = tuple(range(3)) if places is None else _order(angles, places)
+    axes = (UPSIDE_DOWN if down else np.eye(3)) @ rotation_matrix(np.array([0.0, 0.0, turn]))
+    slope = np.eye(3)
+    slope[2, :2] = tilt
+    frame = Frame(order, np.full(3, -1.0 if down else 1.0), np.array([0, 0, height]),
+                  slope @ axes, axes)  # fmt: skip
+    limits, home = np.array(m.joint_limits, float), np.array(m.home.joints)
+    stops = limits[:, 0] if down else limits[:, 1]
+    stops = np.where(np.isfinite(stops), stops, home)
+    rows = np.array(order)
+    homed = frame.motors(stops + offset) - (height if linear else 0.0)
+    heights = (up - height)[rows] * (-1 if down else 1)
+    return Chains(frame, stops, radius[rows], angles[rows], heights, rods[rows], homed, arms[rows],
+                  tilt)  # fmt: skip
+
+
+def towers(model: Model, tilted: bool) -> tuple[Towers, Chains]:
+    """One radius; rods, angles and end-stops of each tower; `tilted`: and the plate's slopes."""
+    c = chains_of(model, TOWERS)
+
+    def made(v: Array) -> Towers:
+        tilt = (v[10], v[11]) if tilted else (0.0, 0.0)
+        trim = _within(v[4:7] - TOWERS)
+        return Towers(np.full(3, v[0]), v[1:4], trim, v[7:10], tilt=tilt)
+
+    slopes = c.tilt if tilted else ()
+    start = np.array([c.radius.mean(), *c.rods, *c.angles, *c.homed, *slopes])
+    return made(fitted(model, start, lambda v: c.machine(made(v)))), c
+
+
+def shoulders(model: Model, places: Array | None, level: bool) -> tuple[Shoulders, Chains]:
+    """One radius; arms, rods, angles, end-stops of each chain, and heights unless they are
+    `level`."""
+    c = chains_of(model, places)
+
+    def made(v: Array) -> Shoulders:
+        heights = np.full(3, v[13]) if level else v[13:16]
+        limits = tuple((-np.pi / 2, float(top)) for top in v[10:13])
+        return Shoulders(v[0], heights, v[1:4], v[4:7], v[7:10], limits)
+
+    heights = [c.heights.mean()] if level else c.heights
+    start = np.array([c.radius.mean(), *c.arms, *c.rods, *c.angles, *c.homed, *heights])
+    return made(fitted(model, start, lambda v: c.machine(made(v)))), c
+
+
+def like_towers(model: Model, places: Array) -> tuple[Towers, Machine]:
+    """Equal towers at `places`, each with its end-stop, about an origin of their own."""
+    c = chains_of(model, places)
+
+    def machine(v: Array) -> Machine:
+        same = np.ones(3)
+        delta = Towers(v[0] * same, v[1] * same, 0 * same, v[2:5], first=float(places[0]))
+        return c.machine(delta, np.array([v[5], v[6], 0.0]))
+
+    start = np.array([c.radius.mean(), c.rods.mean(), *c.homed, 0.0, 0.0])
+    found = machine(fitted(model, start, machine))
+    return found.firmware, found  # type: ignore[return-value]
+
+
+def like_shoulders(model: Model, places: Array, one_stop: bool) -> tuple[Shoulders, Machine]:
+    """Equal chains at `places` about an origin in the plane of their motors; `one_stop`: all
+    end-stops at one angle."""
+    c = chains_of(model, places)
+
+    def machine(v: Array) -> Machine:
+        tops = v[6:] * np.ones(3)
+        limits = tuple((-np.pi / 2, float(top)) for top in tops)
+        same = np.ones(3)
+        delta = Shoulders(v[0], 0 * same, v[1] * same, v[2] * same, places, limits)
+        return c.machine(delta, c.frame.axes @ v[3:6])
+
+    tops = [c.homed.mean()] if one_stop else c.homed
+    lengths = [c.radius.mean(), c.arms.mean(), c.rods.mean()]
+    found = machine(fitted(model, np.array([*lengths, 0, 0, c.heights.mean(), *tops]), machine))
+    return found.firmware, found  # type: ignore[return-value]
+
+
+def _plate(model: Model) -> tuple[float | None, tuple[float, float]]:
+    """Height and slopes in x and y of the plate that a probe touches."""
+    for sensor in model.sensors:
+        if sensor.name == "probe":
+            z, rx, ry = (model.value(f"probe.plate.{name}") for name in ("z", "rx", "ry"))
+            return z, (-ry, rx)
+    return None, (0.0, 0.0)
+
+
+def _within(angles: Array) -> Array:
+    """From -half to half a turn."""
+    return np.asarray((angles + np.pi) % (2 * np.pi) - np.pi)
+
+
+def _order(angles: Array, places: Array) -> tuple[int, ...]:
+    away = np.abs(_within(angles - places[:, None]))
+    return tuple(int(i) for i in away.argmin(axis=1))
+
+
+def _turn(angles: Array, places: Array) -> float:
+    """By how much (rad, about z) the firmware's frame is turned for its towers to be there."""
+    near = (np.abs(_within(angles - places[:, None])).min(axis=0) < NEAR).all()
+    return 0.0 if near else float(angles[0] - places[0])

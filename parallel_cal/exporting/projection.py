@@ -1,0 +1,169 @@
+"""A model put into the few numbers of a firmware, and what is lost by that.
+
+The firmware's own kinematics is refitted: its motors shall stand where the calibrated model, with
+its effects, wants them over the workspace. All in SI.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Protocol
+
+import numpy as np
+
+from parallel_cal.base.errors import ModelError
+from parallel_cal.base.rotation import rotation_vector
+from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.kinematics.solutions import Solutions
+from parallel_cal.model.mechanism import poses_in_workspace
+from parallel_cal.model.model import Model
+
+Array = np.ndarray
+FITTED, JUDGED = 400, 2000  # poses over the workspace that numbers are fitted to, and judged at
+STEP = 1e-6  # rad or m, for differences
+MICRO = 1e6  # of m or rad: the fit's unit, so that its tolerances are far below any digit
+
+
+class Firmware(Protocol):
+    """What a controller computes with its numbers."""
+
+    @property
+    def homed(self) -> Array:
+        """Motors (n,), m or rad, at their end-stops."""
+
+    def joints(self, r: Array, R: Array) -> Array:
+        """Motors (N, n) with which it goes to r (N, 3), R (N, 3, 3); NaN beyond its reach."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Its coordinates, r = origin + axes r_F in {B}; its k-th motor is joint order[k] of the model,
+    whose reading grows by signs[k] times it."""
+
+    order: tuple[int, ...]
+    signs: Array
+    origin: Array = field(default_factory=lambda: np.zeros(3))
+    axes: Array = field(default_factory=lambda: np.eye(3))
+    turn: Array = field(default_factory=lambda: np.eye(3))  # axes but for a tilted plate
+
+    def poses(self, r: Array, R: Array) -> tuple[Array, Array]:
+        return np.linalg.solve(self.axes, (r - self.origin).T).T, self.turn.T @ R
+
+    def motors(self, q: Array) -> Array:
+        """Readings (..., n) in the firmware's order and sense."""
+        return np.asarray(q)[..., list(self.order)] * self.signs
+
+    def readings(self, motors: Array) -> Array:
+        return np.asarray((motors * self.signs)[..., np.argsort(self.order)])
+
+
+@dataclass(frozen=True)
+class Machine:
+    """A firmware that moves the robot: its motors count from the end-stops, where the robot's
+    joints read `stops` (n,)."""
+
+    firmware: Firmware
+    frame: Frame
+    stops: Array
+
+    def readings(self, r: Array, R: Array) -> Array:
+        motors = self.firmware.joints(*self.frame.poses(r, R))
+        return self.stops + self.frame.readings(motors - self.firmware.homed)
+
+
+@dataclass(frozen=True)
+class Projection:
+    """A firmware's numbers for a model: by file and field, as text with its digits; the frame and
+    what the joints read at the end-stops are what no number says."""
+
+    settings: Mapping[str, Mapping[str, str]]
+    frame: Frame
+    stops: Array
+    remarks: tuple[str, ...] = ()
+
+
+class Wanted:
+    """Poses over a model's workspace, and how its joints stand there."""
+
+    def __init__(self, model: Model, n: int, seed: int):
+        self.kinematics, m = Kinematics(model, quick=True), model.mechanism
+        found = self.kinematics.inverse(*poses_in_workspace(m, n, np.random.default_rng(seed)))
+        self.at = found[found.solved]
+        self.controlled, self.more = m.controlled, len(m.joints) > len(m.controlled)
+        if not len(self.at):
+            raise ModelError(f"{m.name} reaches no pose of its workspace")
+
+    @cached_property
+    def slopes(self) -> Array:
+        """What is controlled by joint, (N, m, n); where joints are more, these themselves (rad or
+        m), as lines that pull against each other must not be let go either."""
+        q, columns = self.at.joints, []
+        if self.more:
+            return np.broadcast_to(np.diag(self.winds), (len(q), q.shape[1], q.shape[1]))
+        for step in STEP * np.eye(q.shape[1]):
+            ahead, back = (self.kinematics.direct(q + s * step, start=self.at) for s in (1, -1))
+            change = apart(back, ahead) / (2 * STEP)
+            columns.append(change[:, self.controlled])
+        return np.stack(columns, axis=2)
+
+    @property
+    def winds(self) -> Array:
+        m = self.kinematics.model.mechanism
+        return np.array(m.winds or (1.0,) * len(m.joints))
+
+
+def apart(wanted: Solutions, found: Solutions) -> Array:
+    """By how much poses (N, 6) differ: m, and rad about base axes."""
+    turned = rotation_vector(found.rotation @ wanted.rotation.transpose(0, 2, 1))
+    return np.hstack([found.position - wanted.position, turned])
+
+
+def fitted(model: Model, start: Array, machine: Callable[[Array], Machine]) -> Array:
+    """The numbers (k,) with which a machine's motors take the robot where it shall go, by least
+    squares in what it controls; `start` is near them."""
+    from scipy.optimize import least_squares
+
+    wanted = Wanted(model, FITTED, seed=2)
+    r, R = wanted.at.position, wanted.at.rotation
+
+    def missed(numbers: Array) -> Array:
+        off = machine(numbers).readings(r, R) - wanted.at.joints
+        return np.asarray(MICRO * np.einsum("nij,nj->ni", wanted.slopes, off).ravel())
+
+    if np.isnan(missed(start)).any():
+        raise ModelError(f"{model.mechanism.name}: the firmware does not reach all its workspace")
+    tight = {"ftol": 1e-14, "xtol": 1e-14, "gtol": 1e-14}
+    scale = np.maximum(np.abs(start), 0.01)
+    return np.asarray(least_squares(missed, start, x_scale=scale, **tight).x)
+
+
+def loss(model: Model, machine: Machine) -> dict[str, Any]:
+    """Where the robot goes less where its controller sends it, at poses that the fit did not see;
+    of robots with more joints than freedoms that of their lines, too (m)."""
+    wanted = Wanted(model, JUDGED, seed=1)
+    q = machine.readings(wanted.at.position, wanted.at.rotation)
+    start = wanted.at[np.isfinite(q).all(axis=1)]
+    found = wanted.kinematics.direct(q[np.isfinite(q).all(axis=1)], start=start)
+    document = summary(model, start[found.solved], found[found.solved])
+    reached = int(found.solved.sum())
+    document |= {"poses": reached, "not_reached": len(q) - reached}
+    if wanted.more:
+        lines = np.abs((q - wanted.at.joints) * wanted.winds)
+        document |= {"line_mean": np.nanmean(lines), "line_max": np.nanmax(lines)}
+    return document
+
+
+def summary(model: Model, wanted: Solutions, found: Solutions) -> dict[str, Any]:
+    """Mean and largest difference of what the robot controls, and where it is largest."""
+    change = apart(wanted, found)
+    document: dict[str, Any] = {}
+    for kind, part in (("position", range(3)), ("orientation", range(3, 6))):
+        columns = [i for i in part if i in model.mechanism.controlled]
+        norm = np.linalg.norm(change[:, columns], axis=1)
+        if columns and len(norm):
+            worst = int(np.nanargmax(norm))
+            document |= {f"{kind}_mean": np.nanmean(norm), f"{kind}_max": norm[worst],
+                         f"{kind}_worst_at": wanted.position[worst]}  # fmt: skip
+    return document

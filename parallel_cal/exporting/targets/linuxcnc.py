@@ -1,0 +1,121 @@
+"""LinuxCNC: a kinematics component of any model, and numbers for the kinematics that come with it.
+
+genhexkins for hexapods, lineardeltakins and rotarydeltakins for Deltas whose chains are alike: pins
+in a .hal file, HOME_OFFSET in the .ini file, mm and degrees. Source: LinuxCNC documentation,
+kins(9), lineardeltakins(9), "INI configuration", and src/emc/kinematics.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from importlib.resources import files as resources
+from pathlib import Path
+
+import numpy as np
+
+from parallel_cal.base.errors import ModelError
+from parallel_cal.exporting.deltas import LINEAR, ROTARY, like_shoulders, like_towers
+from parallel_cal.exporting.projection import Firmware, Frame, Machine, Projection, fitted
+from parallel_cal.exporting.targets import c
+from parallel_cal.importing.deltas import DEGREE, MM, Shoulders
+from parallel_cal.importing.importers import linuxcnc
+from parallel_cal.importing.importers.linuxcnc import HOMED
+from parallel_cal.importing.stated import Stated
+from parallel_cal.importing.struts import Struts
+from parallel_cal.model.model import Model
+
+HOLDS = ("stewart42", *LINEAR, *ROTARY)
+CLEARED = tuple(f"lineardeltakins.J{i}off" for i in range(3))  # the offsets of older versions
+HAL, INI = "machine.hal", "machine.ini"
+TOWERS, SHOULDERS = np.radians([90.0, 210.0, 330.0]), np.radians([270.0, 30.0, 150.0])
+THIGH = {"platformradius": "R", "thighlength": "U", "shinlength": "L", "footradius": "E"}
+
+
+def files(model: Model, name: str = "") -> dict[str, str]:
+    """The exported C and a component `name`_kins around it."""
+    made = c.files(model, name)
+    robot = next(file for file in made if file.endswith(".h")).removesuffix(".h")
+    if len(model.joints) > 9:
+        raise ModelError(f"{model.mechanism.name} has {len(model.joints)} joints, LinuxCNC 9")
+    m, tool = model.mechanism, resources(__package__).joinpath("_c", "kins.c")
+    factors = [MM if unit == "m" else DEGREE for unit in m.joint_units]
+    text = c.filled(
+        tool.read_text(encoding="utf-8"),
+        {"robot": robot, "ROBOT": robot.upper(), "factors": ", ".join(map(repr, factors)),
+         "turns": str(int(any(i >= 3 for i in m.controlled)))},
+    )  # fmt: skip
+    return {f"{robot}.h": made[f"{robot}.h"], f"{robot}.c": made[f"{robot}.c"],
+            f"{robot}_kins.c": text}  # fmt: skip
+
+
+def settings(paths: Sequence[Path]) -> Stated:
+    return linuxcnc.settings(paths)
+
+
+def firmware(stated: Stated) -> Firmware:
+    """With the kinematics whose pins are set."""
+    unit = stated.texts.get("[TRAJ] LINEAR_UNITS")
+    if unit and unit[0] != "mm":
+        raise unit[1].error("[TRAJ] LINEAR_UNITS", unit[0], "mm")
+    same = np.ones(3)
+    if "lineardeltakins.R" in stated:
+        return linuxcnc.towers(stated, "mm")
+    if "rotarydeltakins.thighlength" in stated:
+        size = {short: _pin(stated, f"rotarydeltakins.{pin}") for pin, short in THIGH.items()}
+        limits = tuple((-np.pi / 2, -float(top)) for top in _homed(stated, 3, DEGREE))
+        return Shoulders(size["R"] - size["E"], 0 * same, size["U"] * same, size["L"] * same,
+                         SHOULDERS, limits)  # fmt: skip
+    base, platform = (
+        np.array([[_pin(stated, f"genhexkins.{ends}.{k}.{a}") for a in "xyz"] for k in range(6)])
+        for ends in ("base", "platform")
+    )
+    return Struts(base, platform, _homed(stated, 6, MM))
+
+
+def _pin(stated: Stated, name: str) -> float:
+    return stated.number(name, f"setp {name}, a length in mm", None, -1e5, 1e5) * MM
+
+
+def _homed(stated: Stated, n: int, unit: float) -> np.ndarray:
+    expected = "where the joint is at its switch, mm or degrees"
+    return np.array([stated.number(HOMED.format(i), expected, 0.0) for i in range(n)]) * unit
+
+
+def project(model: Model) -> Projection:
+    name = model.mechanism.name
+    if name in LINEAR:
+        tall, found = like_towers(model, TOWERS)
+        pins = {"lineardeltakins.R": tall.radius[0], "lineardeltakins.L": tall.rods[0]}
+        homed = tall.homed / MM
+    elif name in ROTARY:
+        turned, found = like_shoulders(model, SHOULDERS, one_stop=False)
+        sizes = (turned.radius, turned.arms[0], turned.rods[0], 0.0)
+        pins = {f"rotarydeltakins.{p}": size for p, size in zip(THIGH, sizes, strict=True)}
+        homed = -turned.homed / DEGREE
+    else:
+        struts, found = _struts(model)
+        pins = {
+            f"genhexkins.{kind}.{k}.{axis}": float(points[k, i])
+            for kind, points in (("base", struts.base), ("platform", struts.platform))
+            for k in range(6)
+            for i, axis in enumerate("xyz")
+        }
+        homed = struts.homed / MM
+    written = {field: f"{float(size) / MM + 0.0:.5f}" for field, size in pins.items()}
+    offsets = {HOMED.format(i): f"{value:.6f}" for i, value in enumerate(homed)}
+    return Projection({HAL: written, INI: offsets}, found.frame, found.stops)
+
+
+def _struts(model: Model) -> tuple[Struts, Machine]:
+    """Both hexagons and the lengths at the upper ends of the legs."""
+    legs = [f"leg{i}." for i in range(1, 7)]
+    ends = [[[model.value(f"{leg}{end}_{a}") for a in "xyz"] for leg in legs] for end in "CB"]
+    stops = np.array(model.mechanism.joint_limits, float)[:, 1]
+    lengths = stops + [model.value(f"{leg}L0") for leg in legs]
+
+    def machine(v: np.ndarray) -> Machine:
+        struts = Struts(v[:18].reshape(6, 3), v[18:36].reshape(6, 3), v[36:])
+        return Machine(struts, Frame(tuple(range(6)), np.ones(6)), stops)
+
+    found = machine(fitted(model, np.array([*np.ravel(ends), *lengths]), machine))
+    return found.firmware, found  # type: ignore[return-value]

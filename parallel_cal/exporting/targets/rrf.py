@@ -1,0 +1,126 @@
+"""RepRapFirmware (Duet): M665 and M666 of linear Deltas, M669 K10 of rotary ones, K6 of cables.
+
+Source: Duet documentation, G-code dictionary (M665, M666, M669).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from parallel_cal.base.errors import ModelError
+from parallel_cal.exporting.deltas import LINEAR, ROTARY, TOWERS, shoulders, towers
+from parallel_cal.exporting.projection import Firmware, Frame, Machine, Projection, fitted
+from parallel_cal.importing.deltas import DEGREE, MM
+from parallel_cal.importing.gcode import settings as settings_of
+from parallel_cal.importing.importers import rrf
+from parallel_cal.importing.importers.rrf import ANCHORS
+from parallel_cal.importing.lines import Lines
+from parallel_cal.importing.stated import Stated
+from parallel_cal.model.model import Model
+
+HOLDS = (*LINEAR, *ROTARY, "cable")
+FILE = "config.g"
+TEETH = 20  # of a motor's gear, where they suit
+THIN = 2e-6  # m: the firmware divides by the build-up, and less than this drowns in its rounding
+
+
+def settings(paths: Sequence[Path]) -> Stated:
+    return settings_of(paths, rrf.CODES)
+
+
+def firmware(stated: Stated) -> Firmware:
+    return rrf.lines_of(stated) if rrf.kind(stated) == 6 else rrf.delta_of(stated)
+
+
+def project(model: Model) -> Projection:
+    name = model.mechanism.name
+    return (_linear if name in LINEAR else _rotary if name in ROTARY else _cable)(model)
+
+
+def _linear(model: Model) -> Projection:
+    delta, c = towers(model, tilted=True)
+    homed = delta.heights.mean()
+    found = {"M665 L": _numbers(delta.rods / MM, 4), "M665 R": _numbers(delta.radius[:1] / MM, 4)}
+    found |= {"M665 H": _numbers([homed / MM], 4)}
+    found |= _three("M665", delta.trim / DEGREE, 5)
+    found |= _three("M666", (delta.heights - homed) / MM, 4)
+    slopes = zip("AB", delta.tilt, strict=True)
+    found |= {f"M666 {axis}": _numbers([100 * slope], 5) for axis, slope in slopes}
+    return Projection({FILE: found}, c.frame, c.stops)
+
+
+def _rotary(model: Model) -> Projection:
+    delta, c = shoulders(model, TOWERS, level=False)
+    limits = np.array(model.mechanism.joint_limits, float)
+    least = c.frame.motors(limits[:, 0] if c.frame.signs[0] > 0 else limits[:, 1]).max()
+    top = delta.homed.mean()
+    trim = (delta.angles - TOWERS + np.pi) % (2 * np.pi) - np.pi
+    found = {"M669 K": "10", "M669 U": _numbers(delta.arms / MM, 4),
+             "M669 L": _numbers(delta.rods / MM, 4), "M669 H": _numbers(delta.heights / MM, 4),
+             "M669 A": _numbers([max(least, -np.pi / 2) / DEGREE, top / DEGREE], 5),
+             "M669 R": _numbers([delta.radius / MM], 4)}  # fmt: skip
+    found |= _three("M669", trim / DEGREE, 5) | _three("M666", (delta.homed - top) / DEGREE, 5)
+    return Projection({FILE: found}, c.frame, c.stops)
+
+
+def _cable(model: Model) -> Projection:
+    """Anchors, radii and the build-up are refitted; gears and advantages are counted, not
+    measured."""
+    n = len(model.joints)
+    rows = range(1, n + 1)
+    anchors = np.array([[model.value(f"line{i}.A_{axis}") for axis in "xyz"] for i in rows])
+    gears, advantages = (
+        np.array([model.value(f"line{i}.{name}") for i in rows]) for name in ("gear", "advantage")
+    )
+    if not 4 <= n <= len(ANCHORS) or (advantages != np.round(advantages)).any():
+        why = f"{n} lines with advantages {advantages.tolist()}"
+        raise ModelError(f"rrf: {why}, expected 4 to {len(ANCHORS)} and whole numbers")
+    spools = np.array(getattr(model.mechanism, "spools"))  # noqa: B009
+    radii = [model.value(f"spool{k}.R") for k in sorted({*spools})]
+    wound = "spool_buildup" in (effect.name for effect in model.effects)
+    buildup = [model.value("spool_buildup.Q")] if wound else []
+
+    def machine(v: np.ndarray) -> Machine:
+        own = v[3 * n : 3 * n + len(radii)][np.searchsorted(sorted({*spools}), spools)]
+        grown = max(float(v[-1]), THIN) if wound else THIN
+        lines = Lines(v[: 3 * n].reshape(n, 3), own, gears, advantages, grown)
+        return Machine(lines, Frame(tuple(range(n)), np.ones(n)), np.zeros(n))
+
+    found = machine(fitted(model, np.array([*anchors.ravel(), *radii, *buildup]), machine))
+    lines = found.firmware
+    assert isinstance(lines, Lines)
+    teeth = [_teeth(gear) for gear in gears]
+    settings = {"M669 K": "6", "M669 N": str(n)}
+    points = zip(ANCHORS, lines.anchors / MM, strict=False)
+    settings |= {f"M669 {name}": _numbers(point, 4) for name, point in points}
+    settings |= {
+        "M666 Q": f"{lines.buildup / MM:.7f}", "M666 R": _numbers(lines.radii / MM, 5),
+        "M666 U": _numbers(advantages, 0), "M666 O": "1",
+        "M666 L": ":".join(str(motor) for motor, _ in teeth),
+        "M666 H": ":".join(str(spool) for _, spool in teeth),
+    }  # fmt: skip
+    thin = f"M666 Q is not below {THIN / MM:g}, as the firmware divides by it"
+    remarks = (thin,) if lines.buildup == THIN else ()
+    return Projection({FILE: settings}, found.frame, found.stops, remarks)
+
+
+def _teeth(gear: float) -> tuple[int, int]:
+    """Of the motor's and the spool's gear."""
+    if abs(TEETH * gear - round(TEETH * gear)) < 1e-9:
+        return TEETH, round(TEETH * gear)
+    ratio = Fraction(gear).limit_denominator(200)
+    return ratio.denominator, ratio.numerator
+
+
+def _numbers(values: ArrayLike, digits: int) -> str:
+    return ":".join(f"{v + 0.0:.{digits}f}" for v in np.asarray(values, float))
+
+
+def _three(code: str, values: ArrayLike, digits: int) -> dict[str, str]:
+    rows = zip("XYZ", np.asarray(values, float), strict=True)
+    return {f"{code} {axis}": _numbers([value], digits) for axis, value in rows}

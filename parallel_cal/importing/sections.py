@@ -1,0 +1,35 @@
+"""Settings in sections of `key: value` or `key = value`."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from parallel_cal.importing.stated import Place, Stated, lines
+
+SAVED = "#*#"  # before every line of what Klipper's SAVE_CONFIG wrote
+
+
+def settings(paths: Sequence[Path]) -> Stated:
+    """The values in files of sections by `[section] key`; what SAVE_CONFIG wrote counts last."""
+    texts: dict[str, tuple[str, Place]] = {}
+    for path in paths:
+        section, saved = "", False
+        for place, line in lines(path):
+            if line.startswith(SAVED) and not saved:
+                section, saved = "", True
+            own = line.removeprefix(SAVED).removeprefix(" ") if saved else line
+            plain = re.split(r"(?:^|\s)[#;]", own, maxsplit=1)[0]
+            if not plain.strip() or plain[0].isspace():  # a macro's lines among them
+                continue
+            if header := re.fullmatch(r"\[([^\]]+)\]", plain.strip()):
+                section = header[1].strip()
+                continue
+            if saved and not section:  # what introduces the block
+                continue
+            pair = re.fullmatch(r"([^:=]+)[:=](.*)", plain)
+            if not pair or not section:
+                raise place.error("the line", line.strip(), "[section] or key: value")
+            texts[f"[{section}] {pair[1].strip()}"] = (pair[2].strip(), place)
+    return Stated(texts, paths)

@@ -1,0 +1,211 @@
+"""The virtual cell as a process: commands in, messages out, faults by parameters."""
+
+# ruff: noqa: E402 - what needs ROS is imported after the check that it is there
+
+import os
+from pathlib import Path
+from unittest import mock
+
+import numpy as np
+import pytest
+
+pytestmark = pytest.mark.ros
+pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+pytest.importorskip("parallel_cal_msgs", reason="the messages (msg_defs) are not installed")
+
+from builtin_interfaces.msg import Duration
+from geometry_msgs.msg import InertiaStamped, PoseWithCovarianceStamped
+from parallel_cal_msgs.msg import ModelStatus
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+from ros_helpers import NodeProcess
+from sensor_msgs.msg import JointState
+from test_launch_file import arguments, described
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from parallel_cal.model.file.modelfile import read_model
+from parallel_cal.nodes import virtual_cell_node
+from parallel_cal.nodes.client import Client, own_domain
+from parallel_cal.virtual.machines import MACHINES
+from parallel_cal.virtual.robot import ARCSEC
+
+REPOSITORY = Path(__file__).parents[1]
+HOME = np.array(MACHINES["delta"].as_drawn().home_joints)
+SEED, FAST = 3, 20.0
+NODE = "virtual_cell_node"
+
+
+class Cell:
+    """A running cell, its messages, and a publisher of trajectories."""
+
+    def __init__(self, folder, namespace, **parameters):
+        self.process = NodeProcess(NODE, folder, namespace, seed=SEED, **parameters)
+        self.client = Client("tester", namespace, [self.process])
+        self.node = self.client._node
+        self.states, self.poses, self.loads = [], [], []
+        for heard, type, topic in (
+            (self.states, JointState, "joint_states"),
+            (self.poses, PoseWithCovarianceStamped, "measured_pose"),
+            (self.loads, InertiaStamped, "payload"),
+        ):
+            self.node.create_subscription(type, topic, heard.append, 5000)
+        self._commands = self.node.create_publisher(JointTrajectory, "joint_trajectory", 10)
+        self.client.wait(lambda: self.states and self.poses and self.loads, "its first messages")
+        self.client.wait(lambda: self._commands.get_subscription_count(), "its ear")
+
+    def send(self, *points, names=("joint1", "joint2", "joint3")):
+        """Points are (s, joints); none of them stops."""
+        made = [
+            JointTrajectoryPoint(
+                positions=list(q),
+                velocities=[0.0] * len(q),
+                time_from_start=Duration(sec=int(s), nanosec=round(1e9 * (s % 1))),
+            )
+            for s, q in points
+        ]
+        self._commands.publish(JointTrajectory(joint_names=list(names), points=made))
+
+    def joints(self):
+        return np.array(self.states[-1].position)
+
+    def passed(self, seconds):
+        """Wait until so much time has passed in the cell."""
+        end = stamp(self.states[-1]) + seconds
+        self.client.wait(lambda: stamp(self.states[-1]) > end, "the cell's time")
+
+    def change(self, **parameters):
+        """Whether the node took them, and what it said."""
+        values = [
+            Parameter(name, value=value).to_parameter_msg() for name, value in parameters.items()
+        ]
+        answer = self.client.call(SetParameters, f"{NODE}/set_parameters", parameters=values)
+        return [(r.successful, r.reason) for r in answer.results]
+
+    def close(self):
+        self.client.close()
+        return self.process.end()
+
+
+def stamp(message):
+    return message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+
+
+def position(message):
+    p = message.pose.pose.position
+    return np.array([p.x, p.y, p.z])
+
+
+@pytest.fixture(scope="module")
+def fast(tmp_path_factory):
+    with mock.patch.dict(os.environ):
+        folder = tmp_path_factory.mktemp("cell")
+        cell = Cell(folder, own_domain(), rate=FAST, model_file=str(folder / "robot.yaml"))
+        cell.model_file = folder / "robot.yaml"
+        yield cell
+        assert cell.close() == 0
+
+
+def test_a_trajectory_is_driven_and_the_tracker_sees_the_robot_where_its_rods_hold_it(fast):
+    there = HOME + [0.1, -0.05, 0.02]
+    fast.send((1.0, there[[2, 0, 1]]), names=("joint3", "joint1", "joint2"))
+    fast.client.wait(lambda: np.abs(fast.joints() - there).max() < 6 * 25 * ARCSEC, "the arrival")
+    fast.passed(1.0)
+    begin = len(fast.poses)
+    fast.client.wait(lambda: len(fast.poses) > begin + 20, "poses")
+    true, _ = MACHINES["delta"].as_built(SEED).forward(there)
+    seen = np.mean([position(p) for p in fast.poses[begin:]], axis=0)
+    np.testing.assert_allclose(seen, true, atol=5 * 10e-6)
+    assert np.diff([stamp(s) for s in fast.states[-100:]]) == pytest.approx(0.01, abs=1e-6)
+
+
+def test_what_joint_trajectory_controller_would_refuse_is_refused(fast):
+    fast.send((0.5, HOME))
+    fast.passed(2.0)
+    for points, names in (
+        ([(1.0, HOME[:2])], ("joint1", "joint2")),
+        ([(1.0, HOME + 1), (0.5, HOME + 1)], ("joint1", "joint2", "joint3")),
+        ([(1.0, HOME[:2] + 1)], ("joint1", "joint2", "joint3")),
+    ):
+        fast.send(*points, names=names)
+    fast.client.wait(lambda: fast.process.said.count("trajectory refused") == 3, "three refusals")
+    fast.passed(1.0)
+    np.testing.assert_allclose(fast.joints(), HOME, atol=6 * 25 * ARCSEC)
+
+
+def test_the_nominal_model_is_written_with_the_instruments_noise_and_the_drives_limits(fast):
+    model = read_model(fast.model_file)
+    assert model.mechanism.name == "delta54"
+    assert model.noise.position == 10e-6
+    assert model.mechanism.joint_rates == ((2.0, 40.0),) * 3
+    assert model.table.mapping(model.values)["chain1.La_x"] == 0.119963
+
+
+def test_faults_and_loads_are_parameters(fast):
+    assert fast.change(payload=1.5, lost_target=True) == [(True, "")] * 2
+    fast.client.wait(lambda: fast.loads[-1].inertia.m == 1.5, "the payload")
+    fast.client.wait(lambda: stamp(fast.states[-1]) > stamp(fast.poses[-1]) + 3, "poses to end")
+    fast.change(payload=0.0, lost_target=False)
+    ((took, why),) = fast.change(obstacle="1 2 3")
+    assert (took, why) == (False, "obstacle '1 2 3': expected x y z x y z in m")
+    ((took, why),) = fast.change(payload=-1.0)
+    assert not took
+
+
+def test_an_empty_trajectory_stops_the_motion_within_a_tenth_of_a_second(tmp_path):
+    with mock.patch.dict(os.environ):
+        cell = Cell(tmp_path, f"{own_domain()}/slow", joint_rate=200.0)
+        try:
+            cell.send((2.0, HOME + 0.8))
+            cell.client.wait(lambda: cell.joints()[0] > HOME[0] + 0.4, "half of the way")
+            cell.send()
+            cell.passed(1.0)
+        finally:
+            ended = cell.close()
+        times = np.array([stamp(s) for s in cell.states])
+        speeds = np.array([np.abs(s.velocity).max() for s in cell.states])
+        full = times[speeds > 0.95 * speeds.max()].max()
+        assert times[speeds > 0.01 * speeds.max()].max() - full < 0.1
+        assert HOME[0] + 0.4 < cell.joints()[0] < HOME[0] + 0.7
+        assert ended == 0
+
+
+def test_a_kind_that_no_robot_has_is_told_in_one_line(tmp_path):
+    with mock.patch.dict(os.environ):
+        wrong = {"robot": "argos", "effects": "soft_rods"}
+        process = NodeProcess(NODE, tmp_path, f"{own_domain()}/none", **wrong)
+        assert process.ended() == 1
+        assert process.said.startswith("error: effect soft_rods: a argos may have eccentricity")
+
+
+def test_the_page_about_the_nodes_names_every_parameter():
+    page = (REPOSITORY / "docs" / "ros.md").read_text()
+    assert [name for name in virtual_cell_node.PARAMETERS if f"`{name}`" not in page] == []
+
+
+@pytest.mark.wide
+def test_the_launch_file_starts_the_cell_and_both_nodes_on_the_model_that_it_writes(tmp_path):
+    actions = described("cell.launch.py")
+    declared = arguments(actions)
+    assert all(a.description for a in declared.values())
+    with mock.patch.dict(os.environ):
+        namespace = f"{own_domain()}/launched"
+        values = {n: getattr(a, "default_value", None) for n, a in declared.items()}
+        values |= {"model_file": str(tmp_path / "robot.yaml"), "namespace": namespace}
+        types = {"seed": int, "rate": float}
+        processes = []
+        for node in (a for a in actions if type(a).__name__ == "Node"):
+            assert (node.package, node.name) == ("parallel_cal", node.executable)
+            given = {
+                n: types.get(n, str)(values[p.values[0].values[0]])
+                for n, p in node.parameters[0].items()
+            }
+            processes.append(NodeProcess(node.executable, tmp_path, namespace, **given))
+        client = Client("tester", namespace, processes)
+        status = client.latest(ModelStatus, "kinematics_node/model_status")
+        try:
+            client.wait(lambda: status and status[-1].mechanism == "delta54", "the model")
+            client.wait(lambda: client.listeners(["joint_states"]) == 2, "both listeners")
+        finally:
+            client.close()
+            ended = [process.end() for process in processes]
+        assert ended == [0, 0, 0]
