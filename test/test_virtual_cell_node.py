@@ -26,6 +26,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.nodes import virtual_cell_node
 from parallel_cal.nodes.client import Client, own_domain
+from parallel_cal.nodes.conversions import stop_message
 from parallel_cal.virtual.machines import MACHINES
 from parallel_cal.virtual.robot import ARCSEC
 
@@ -49,12 +50,12 @@ class Cell:
             (self.loads, InertiaStamped, "payload"),
         ):
             self.node.create_subscription(type, topic, heard.append, 5000)
-        self._commands = self.node.create_publisher(JointTrajectory, "joint_trajectory", 10)
+        self.commands = self.node.create_publisher(JointTrajectory, "joint_trajectory", 10)
         self.client.wait(lambda: self.states and self.poses and self.loads, "its first messages")
-        self.client.wait(lambda: self._commands.get_subscription_count(), "its ear")
+        self.client.wait(lambda: self.commands.get_subscription_count(), "its ear")
 
     def send(self, *points, names=("joint1", "joint2", "joint3")):
-        """Points are (s, joints); none of them stops."""
+        """Points are (s, joints)."""
         made = [
             JointTrajectoryPoint(
                 positions=list(q),
@@ -63,7 +64,7 @@ class Cell:
             )
             for s, q in points
         ]
-        self._commands.publish(JointTrajectory(joint_names=list(names), points=made))
+        self.commands.publish(JointTrajectory(joint_names=list(names), points=made))
 
     def joints(self):
         return np.array(self.states[-1].position)
@@ -122,12 +123,13 @@ def test_what_joint_trajectory_controller_would_refuse_is_refused(fast):
     fast.send((0.5, HOME))
     fast.passed(2.0)
     for points, names in (
+        ([], ("joint1", "joint2", "joint3")),
         ([(1.0, HOME[:2])], ("joint1", "joint2")),
         ([(1.0, HOME + 1), (0.5, HOME + 1)], ("joint1", "joint2", "joint3")),
         ([(1.0, HOME[:2] + 1)], ("joint1", "joint2", "joint3")),
     ):
         fast.send(*points, names=names)
-    fast.client.wait(lambda: fast.process.said.count("trajectory refused") == 3, "three refusals")
+    fast.client.wait(lambda: fast.process.said.count("trajectory refused") == 4, "four refusals")
     fast.passed(1.0)
     np.testing.assert_allclose(fast.joints(), HOME, atol=6 * 25 * ARCSEC)
 
@@ -151,13 +153,15 @@ def test_faults_and_loads_are_parameters(fast):
     assert not took
 
 
-def test_an_empty_trajectory_stops_the_motion_within_a_tenth_of_a_second(tmp_path):
+def test_a_stop_ends_the_motion_within_a_tenth_of_a_second(tmp_path):
     with mock.patch.dict(os.environ):
         cell = Cell(tmp_path, f"{own_domain()}/slow", joint_rate=200.0)
         try:
             cell.send((2.0, HOME + 0.8))
             cell.client.wait(lambda: cell.joints()[0] > HOME[0] + 0.4, "half of the way")
-            cell.send()
+            told = cell.states[-1]
+            stop = stop_message(told.name, cell.joints(), np.array(told.velocity))
+            cell.commands.publish(stop)
             cell.passed(1.0)
         finally:
             ended = cell.close()

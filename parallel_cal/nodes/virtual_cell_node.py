@@ -175,10 +175,7 @@ class VirtualCellNode(Node):
     # ------------------------------------------------------------------ commands
 
     def _take(self, trajectory: JointTrajectory) -> None:
-        """Follow a trajectory at once, as joint_trajectory_controller does; an empty one stops."""
-        if not trajectory.points:
-            self._cell.stop()
-            return
+        """Follow a trajectory at once, as joint_trajectory_controller does."""
         try:
             self._cell.follow(*_points(trajectory, self._cell.machine.joints))
         except SolveError as error:
@@ -235,6 +232,8 @@ def _points(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     """Times (n,), positions and velocities (n, nq) in the order of the joints; SolveError where
     joint_trajectory_controller would refuse it."""
+    if not trajectory.points:
+        raise SolveError("it is empty: what stops a robot is a point where it may rest")
     if sorted(trajectory.joint_names) != sorted(joints):
         raise SolveError(f"it names {', '.join(trajectory.joint_names) or 'no joints'}")
     order = joint_order(trajectory.joint_names, joints)
