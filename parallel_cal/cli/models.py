@@ -27,14 +27,19 @@ Option = Annotated[
 def new(
     output: Out,
     mechanism: Annotated[
-        str | None, typer.Argument(help="see 'parallel-cal mechanisms'; none with --from")
+        str | None,
+        typer.Argument(help="see 'parallel-cal mechanisms'; with --from none, or serial of a URDF"),
     ] = None,
     configuration: Annotated[
         list[Path] | None,
         typer.Option(
-            "--from", metavar="FILE", help="a controller's setup: config.g, printer.cfg, ..."
+            "--from",
+            metavar="FILE",
+            help="a controller's setup: config.g, printer.cfg, ...; a URDF",
         ),
     ] = None,
+    from_link: Annotated[str, typer.Option(help="of a URDF: link to begin at, its root")] = "",
+    to_link: Annotated[str, typer.Option(help="of a URDF: link to end at, its only leaf")] = "",
     option: Option = None,
     sensor: Annotated[
         list[str] | None,
@@ -47,10 +52,24 @@ def new(
 
     if output.exists():
         raise ParallelCalError(f"{output}: exists already; remove it or give another name")
-    if (mechanism is None) == (not configuration) or (configuration and option):
-        raise typer.BadParameter("expected a MECHANISM (and its options), or --from FILE")
-    set_ups = [_sensor(item) for item in sensor or []]
-    model, values, remarks = _new(mechanism, option, configuration, set_ups)
+    of_urdf = mechanism == "serial" and configuration is not None and len(configuration) == 1
+    if not of_urdf and (
+        (mechanism is None) == (not configuration)
+        or (configuration and option)
+        or (from_link or to_link)
+    ):
+        raise typer.BadParameter(
+            "expected a MECHANISM (and its options), or --from FILE, or serial --from URDF"
+        )
+    set_ups = tuple(_sensor(item) for item in sensor or [])
+    if of_urdf and configuration:
+        from parallel_cal.importing.urdf import arm
+
+        found = arm(configuration[0], from_link, to_link, **options_given(option))
+        model, values, remarks = found.model, f"as in {configuration[0]}", found.remarks
+    else:
+        model, values, remarks = _new(mechanism, option, configuration)
+    model = model.with_sensors(set_ups) if set_ups else model
     write_model(model, output)
     document = {"file": str(output), "mechanism": model.mechanism.name, "hash": model_hash(model)}
     if as_json:
@@ -65,20 +84,17 @@ def _new(
     mechanism: str | None,
     options: list[str] | None,
     configuration: list[Path] | None,
-    sensors: list[Sensor],
 ) -> tuple[Model, str, tuple[str, ...]]:
     """The model, where its numbers are from, and what was not said there."""
     from parallel_cal.model.model import new_model
 
     if mechanism is not None:
-        model = new_model(_mechanism(mechanism, options or []), sensors=sensors)
-        return model, "at their nominal values", ()
+        return new_model(_mechanism(mechanism, options or [])), "at their nominal values", ()
     from parallel_cal.importing.door import configured
 
     files = configuration or []
     found = configured(files)
-    model = found.model.with_sensors(tuple(sensors)) if sensors else found.model
-    return model, f"as in {', '.join(map(str, files))}", found.remarks
+    return found.model, f"as in {', '.join(map(str, files))}", found.remarks
 
 
 def _mechanism(name: str, options: list[str]) -> Mechanism:

@@ -1,0 +1,257 @@
+"""A serial arm from a URDF: the chain between two of its links as DH and Hayati links.
+
+Frames with their z on the joints' axes are laid along the chain as table 3.5 wants them, so that
+the same numbers are identified as of an arm written by hand. Source: ROS wiki, "urdf/XML/joint".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from parallel_cal.base.errors import DatasetError
+from parallel_cal.base.files import read_text
+from parallel_cal.importing.door import Configured
+from parallel_cal.model.model import new_model
+from parallel_cal.model.shelf import load_mechanism
+from parallel_cal.recordings.recording import Array
+
+KINDS = {"revolute": "R", "continuous": "R", "prismatic": "P", "fixed": None}
+PARALLEL = 0.1  # sine of the angle between axes below which they count as parallel
+COINCIDENT = 1e-3  # m between parallel axes below which they count as one
+SMALL = 1e-13  # m or 1: what only rounding has left
+
+
+@dataclass(frozen=True)
+class Joint:
+    """One joint of a chain: its frame (4, 4) in its parent's and its axis there."""
+
+    name: str
+    kind: str | None
+    parent: str
+    child: str
+    origin: Array
+    axis: Array
+    limits: tuple[float, float]
+    velocity: float
+
+
+def arm(path: Path, start: str = "", end: str = "", **options: Any) -> Configured:
+    """The model of the chain from link `start` (the root) to `end` (the only leaf); `options` are
+    those of the mechanism `serial` but its links."""
+    joints = _chain(path, _joints(path), start, end)
+    driven = [joint for joint in joints if joint.kind]
+    if not driven:
+        raise DatasetError(f"{path}: no joint moves between '{start}' and '{end}'")
+    finite = [
+        tuple(np.clip(j.limits, -2 * np.pi, 2 * np.pi).tolist()) if j.kind == "R" else j.limits
+        for j in driven
+    ]
+    links = _links(joints)
+    for link, limits in zip([k for k in links if k["joint"]], finite, strict=True):
+        link |= {"low": limits[0], "high": limits[1]}
+    middle = [0.0 if low <= 0 <= high else (low + high) / 2 for low, high in finite]
+    mechanism = load_mechanism("serial", links=links, **{"home": middle, **options})
+    mechanism.joints = tuple(joint.name for joint in driven)
+    mechanism.joint_limits = tuple(joint.limits for joint in driven)
+    mechanism.joint_rates = tuple((joint.velocity, np.inf) for joint in driven)
+    frames = {"base": joints[0].parent, "platform": joints[-1].child}
+    return Configured(replace(new_model(mechanism), frames=frames), ())
+
+
+# ------------------------------------------------------------------ the file
+
+
+def _joints(path: Path) -> list[Joint]:
+    try:
+        root = ElementTree.fromstring(read_text(path))
+    except OSError as error:
+        raise DatasetError(f"{path}: cannot be read: {error.strerror}") from None
+    except (ElementTree.ParseError, UnicodeDecodeError) as error:
+        raise DatasetError(f"{path}: not a URDF: {error}") from None
+    if root.tag != "robot" or not root.findall("joint"):
+        raise DatasetError(
+            f"{path}: not a URDF: expected <robot> with <joint>s, found <{root.tag}>"
+        )
+    return [_joint(path, part) for part in root.findall("joint")]
+
+
+def _joint(path: Path, part: ElementTree.Element) -> Joint:
+    name, kind = part.get("name", ""), part.get("type", "")
+    where = f"{path}: joint '{name}'"
+    ends = [getattr(part.find(end), "attrib", {}).get("link") for end in ("parent", "child")]
+    if not all(ends):
+        raise DatasetError(f"{where}: no parent or child link")
+    origin = np.eye(4)
+    origin[:3, 3] = _three(where, part.find("origin"), "xyz", "0 0 0")
+    origin[:3, :3] = _turned(_three(where, part.find("origin"), "rpy", "0 0 0"))
+    axis = _three(where, part.find("axis"), "xyz", "1 0 0")
+    if kind in KINDS and KINDS[kind] and not np.linalg.norm(axis) > 0:
+        raise DatasetError(f"{where}: axis xyz is '0 0 0', expected a direction")
+    limit, moves = part.find("limit"), kind in ("revolute", "prismatic")
+    low, high = (_one(where, limit, k, None if moves else 0.0) for k in ("lower", "upper"))
+    velocity = _one(where, limit, "velocity", 0.0) or np.inf
+    return Joint(
+        name, KINDS.get(kind, kind), ends[0] or "", ends[1] or "", origin,
+        axis / (np.linalg.norm(axis) or 1.0), (low, high) if moves else (-np.inf, np.inf), velocity,
+    )  # fmt: skip
+
+
+def _three(where: str, part: ElementTree.Element | None, key: str, default: str) -> Array:
+    text = default if part is None else part.get(key, default)
+    try:
+        found = np.array(text.split(), float)
+    except ValueError:
+        found = np.empty(0)
+    if found.shape != (3,) or not np.isfinite(found).all():
+        raise DatasetError(f"{where}: {key} is '{text}', expected three numbers")
+    return found
+
+
+def _one(where: str, part: ElementTree.Element | None, key: str, default: float | None) -> float:
+    text = None if part is None else part.get(key)
+    if text is None and default is not None:
+        return default
+    try:
+        return float(text or "")
+    except ValueError:
+        raise DatasetError(f"{where}: limit {key} is '{text or ''}', expected a number") from None
+
+
+def _turned(rpy: Array) -> Array:
+    """About the fixed x, then y, then z."""
+    (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
+    return np.array([
+        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+        [-sp, cp * sr, cp * cr],
+    ])  # fmt: skip
+
+
+def _chain(path: Path, joints: Sequence[Joint], start: str, end: str) -> list[Joint]:
+    """The joints from one link to another; DatasetError where there is no one way."""
+    children = {joint.child: joint for joint in joints}
+    links = {*children, *(joint.parent for joint in joints)}
+    for link in (start, end):
+        if link and link not in links:
+            raise DatasetError(
+                f"{path}: no link '{link}', expected one of {', '.join(sorted(links))}"
+            )
+    leaves = sorted(links - {joint.parent for joint in joints})
+    if not end and len(leaves) > 1:
+        raise DatasetError(f"{path}: the chain may end in {', '.join(leaves)}: say --to-link")
+    way, at = list[Joint](), end or leaves[0]
+    while at != start and at in children and len(way) <= len(joints):
+        way.append(children[at])
+        at = children[at].parent
+    if start and at != start:
+        raise DatasetError(f"{path}: no way from link '{start}' up to '{end or leaves[0]}'")
+    for joint in way:
+        if joint.kind not in (*KINDS.values(), "R", "P"):
+            kinds = "revolute, continuous, prismatic or fixed"
+            raise DatasetError(
+                f"{path}: joint '{joint.name}': type '{joint.kind}', expected {kinds}"
+            )
+    if not way:
+        raise DatasetError(f"{path}: '{start}' and '{end}' are one link")
+    return way[::-1]
+
+
+# ------------------------------------------------------------------ the links
+
+
+def _links(joints: Sequence[Joint]) -> list[dict[str, Any]]:
+    """Numbers of every link of the mechanism `serial`: the first without a joint leads to the first
+    axis, the last to {P}."""
+    at, links, kind = np.eye(4), list[dict[str, Any]](), None
+    frame = np.eye(4)  # of the joint that is passed, at reading zero
+    for joint in joints:
+        frame = frame @ joint.origin
+        if joint.kind:
+            step, at = _to_axis(at, frame[:3, 3], frame[:3, :3] @ joint.axis, joint.kind)
+            links.append({"joint": kind, **step})
+            kind = joint.kind
+    return [*links, *_to_frame(at, frame, kind)]
+
+
+def _to_axis(F: Array, p: Array, u: Array, kind: str) -> tuple[dict[str, Any], Array]:
+    """Numbers of the link from frame F to the axis through p along u, and the frame there."""
+    way, toward = F[:3, :3].T @ (p - F[:3, 3]), F[:3, :3].T @ u
+    normal = np.array([-toward[1], toward[0], 0.0])  # z x u
+    if np.linalg.norm(normal) > PARALLEL:
+        return _perpendicular(F, way, toward, normal / np.linalg.norm(normal), kind)
+    foot = way - toward * way[2] / toward[2] if kind == "R" else np.zeros(3)
+    a = float(np.hypot(*foot[:2]))
+    polar = a > COINCIDENT
+    theta = float(np.arctan2(foot[1], foot[0])) if polar else 0.0
+    x, y = np.cos(theta) * toward[:2] + np.sin(theta) * np.array([toward[1], -toward[0]])
+    beta, alpha = float(np.arcsin(np.clip(x, -1, 1))), float(np.arctan2(-y, toward[2]))
+    step: dict[str, Any] = {
+        "axes": "parallel",
+        "theta": theta,
+        "a": a,
+        "alpha": alpha,
+        "beta": beta,
+    }
+    if kind == "R" and not polar:
+        step |= {"axes": "coincident", "a": float(foot[0]), "b": float(foot[1])}
+    return _cleaned(step), F @ _matrix(_cleaned(step))
+
+
+def _perpendicular(
+    F: Array, way: Array, toward: Array, normal: Array, kind: str
+) -> tuple[dict[str, Any], Array]:
+    """DH's numbers: x along the common normal, from this axis to the next one."""
+    a = float(way @ normal)
+    if a < 0:
+        normal, a = -normal, -a
+    alpha = float(np.arctan2(np.cross([0.0, 0.0, 1.0], toward) @ normal, toward[2]))
+    # where the axis is nearest to z: p + s u with the same x, y as the normal's end
+    across = np.array([-normal[1], normal[0], 0.0])
+    d = float(way[2] - toward[2] * (way @ across) / (toward @ across))
+    step = {
+        "axes": "perpendicular",
+        "theta": float(np.arctan2(normal[1], normal[0])),
+        "alpha": alpha,
+    }
+    if kind == "R":
+        step |= {"d": d, "a": a}  # of a slide only the direction counts
+    return _cleaned(step), F @ _matrix(_cleaned(step))
+
+
+def _to_frame(F: Array, P: Array, kind: str | None) -> list[dict[str, Any]]:
+    """The last link; where {P}'s y-axis is nearly along its z, turned by a quarter before."""
+    first: list[dict[str, Any]] = []
+    left = np.linalg.solve(F, P)
+    if abs(left[2, 1]) > 0.9:
+        quarter: dict[str, Any] = {"joint": kind, "free": [], "alpha": np.pi / 2}
+        first, left, kind = [quarter], np.linalg.solve(_matrix(quarter), left), None
+    alpha = float(np.arcsin(np.clip(left[2, 1], -1, 1)))
+    theta = float(np.arctan2(-left[0, 1], left[1, 1]))
+    beta = float(np.arctan2(-left[2, 0], left[2, 2]))
+    turn = np.array([[np.cos(theta), np.sin(theta)], [-np.sin(theta), np.cos(theta)]])
+    a, b = (turn @ left[:2, 3]).tolist()
+    step = {"theta": theta, "d": float(left[2, 3]), "a": a, "b": b, "alpha": alpha, "beta": beta}
+    return [*first, {"joint": kind, **_cleaned(step)}]
+
+
+def _matrix(step: dict[str, Any]) -> Array:
+    """Rz(theta) Tz(d) Tx(a) Ty(b) Rx(alpha) Ry(beta), (4, 4)."""
+    theta, d, a, b, alpha, beta = (
+        step.get(k, 0.0) for k in ("theta", "d", "a", "b", "alpha", "beta")
+    )
+    T = np.eye(4)
+    T[:3, 3] = [a * np.cos(theta) - b * np.sin(theta), a * np.sin(theta) + b * np.cos(theta), d]
+    about_y = _turned(np.array([0.0, beta, 0.0]))
+    T[:3, :3] = _turned(np.array([0, 0, theta])) @ _turned(np.array([alpha, 0, 0])) @ about_y
+    return T
+
+
+def _cleaned(step: dict[str, Any]) -> dict[str, Any]:
+    """Without what rounding has left."""
+    return {k: 0.0 if isinstance(v, float) and abs(v) < SMALL else v for k, v in step.items()}
