@@ -1,4 +1,4 @@
-"""The kinds of physics that a cell may hide, each drawn at a size that matters."""
+"""The kinds of physics that a cell may hide, each drawn at a size that real machines have."""
 
 from __future__ import annotations
 
@@ -10,18 +10,20 @@ import numpy as np
 from parallel_cal.virtual import joint_effects as joints
 from parallel_cal.virtual import load_effects as loads
 from parallel_cal.virtual.machines import MACHINES, Machine
-from parallel_cal.virtual.robot import Backlash, Effect, EncoderEccentricity
+from parallel_cal.virtual.robot import Array, Backlash, Effect, EncoderEccentricity
 
 HIDDEN = "hidden"  # a kind that is drawn, and told to nobody
 TURNING, SLIDING = ("delta", "argos"), ("stewart", "linear_delta")
 LOADED, RODS = ("delta", "stewart", "linear_delta"), ("delta", "linear_delta")
+PRINTED, CAST, ALUMINIUM = 90e-6, 60e-6, 23e-6  # 1/K; the first two are polymers
 
 
 @dataclass(frozen=True)
 class Kind:
-    """Physics of some machines: `names` are what a diagnosis may call it, `make` draws one.
+    """Physics of the machines whose geometry cannot imitate it: `names` are what a diagnosis may
+    call it, `make` draws one.
 
-    `asks` are the circumstances that must change for it to show: temperature, payload or time.
+    `asks` is what must change for it to show: temperature, payload or time.
     """
 
     names: tuple[str, ...]
@@ -30,45 +32,61 @@ class Kind:
     asks: str = ""
 
 
+def sized(size: float, machine: Machine, rng: np.random.Generator) -> tuple[float, ...]:
+    """One number a joint, none of them far from the size (rad; a slide's are so many levers)."""
+    return tuple(size * machine.lever * rng.uniform(0.6, 1.4, len(machine.joints)))
+
+
 def signed(size: float, machine: Machine, rng: np.random.Generator) -> tuple[float, ...]:
-    """One number a joint, none of them small."""
-    return tuple(sized(size, machine, rng) * rng.choice([-1, 1], len(machine.joints)))
-
-
-def sized(size: float, machine: Machine, rng: np.random.Generator) -> np.ndarray:
-    return np.asarray(size * machine.lever * rng.uniform(0.6, 1.4, len(machine.joints)))
+    signs = rng.choice([-1.0, 1.0], len(machine.joints))
+    return tuple(signs * sized(size, machine, rng))
 
 
 def around(machine: Machine, rng: np.random.Generator) -> tuple[float, ...]:
+    """One angle a joint."""
     return tuple(rng.uniform(-np.pi, np.pi, len(machine.joints)))
 
 
-def _eccentricity(machine: Machine, rng: np.random.Generator) -> Effect:
-    sin, cos = (signed(3e-3, machine, rng) for _ in "sc")
-    return EncoderEccentricity(sin, cos)  # type: ignore[arg-type]
+def wound_up(machine: Machine, rng: np.random.Generator) -> Effect:
+    width = 20e-3 if machine.lever == 1 else 0.3e-3
+    return joints.WindUp(sized(0.55e-3, machine, rng), width)
 
 
-def _creep(machine: Machine, rng: np.random.Generator) -> Effect:
-    slide, spin = (rng.uniform(0.6, 1.4, 3) * rng.choice([-1, 1], 3) for _ in "ss")
+def twisting(machine: Machine, rng: np.random.Generator) -> Effect:
+    """Of a slide in m/N: less than what its lever makes of rad/Nm."""
+    size = 1.5e-3 if machine.lever == 1 else 0.4e-3 * machine.lever
+    return loads.ShaftTwist(sized(size, machine, rng))
+
+
+def creeping(machine: Machine, rng: np.random.Generator) -> Effect:
+    slide, spin = (rng.uniform(0.6, 1.4, 3) * rng.choice([-1, 1], 3) for _ in "vw")
     return joints.CreepingStand(tuple(2e-7 * slide), tuple(1e-6 * spin))
 
 
-def _warmth(machine: Machine, rng: np.random.Generator) -> Effect:
-    arms, rods, base = rng.permutation([23e-6, 12e-6, 1e-6])
-    parts = {"La": arms, "Lb": rods, "dLb": rods, "L0": rods, "B": arms, "D": base, "b": base}
-    return loads.Warmth(parts | {"C": base})
+def warm(machine: Machine, rng: np.random.Generator) -> Effect:
+    """Arms (or the platform), rods (or legs) and base, each of another material."""
+    arms, rods, base = rng.permutation([PRINTED, CAST, ALUMINIUM])
+    parts = {"La": arms, "Lb": rods, "dLb": rods, "D": base, "b": base}
+    return loads.Warmth(parts | {"B": arms, "L0": rods, "C": base})
 
 
 KINDS = {
-    "eccentricity": Kind(("encoder_eccentricity",), _eccentricity, TURNING),
+    "eccentricity": Kind(
+        ("encoder_eccentricity",),
+        lambda m, rng: EncoderEccentricity(signed(4e-3, m, rng), signed(4e-3, m, rng)),
+        TURNING,
+    ),
     "oval_disc": Kind(
         ("encoder_second_harmonic",),
-        lambda m, rng: joints.OvalDisc(signed(2e-3, m, rng), around(m, rng)),
+        lambda m, rng: joints.OvalDisc(signed(2.5e-3, m, rng), around(m, rng)),
         TURNING,
     ),
     "gain": Kind(
         ("encoder_gain",),
-        lambda m, rng: joints.WrongPitch(signed(4e-3 / m.lever, m, rng)),
+        lambda m, rng: joints.WrongPitch(
+            signed(2.5e-3 if m.lever == 1 else 0.6e-3 / m.lever, m, rng)
+        ),
+        ("argos", *SLIDING),
     ),
     "gear_ripple": Kind(
         ("gear_transmission_error",),
@@ -84,42 +102,33 @@ KINDS = {
         ),
         SLIDING,
     ),
-    "backlash": Kind(("backlash",), lambda m, rng: Backlash(tuple(sized(1.2e-3, m, rng)))),
-    "wind_up": Kind(
-        ("hysteresis",),
-        lambda m, rng: joints.WindUp(tuple(sized(0.8e-3, m, rng)), 0.15 * m.lever),
-    ),
+    "backlash": Kind(("backlash",), lambda m, rng: Backlash(sized(1e-3, m, rng))),
+    "wind_up": Kind(("hysteresis",), wound_up),
     "cross_talk": Kind(
         ("encoder_crosstalk",),
-        lambda m, rng: joints.DraggedNeighbours(
-            tuple(tuple(row) for row in _beside(len(m.joints)) * rng.uniform(2e-3, 4e-3))
-        ),
+        lambda m, rng: joints.DraggedNeighbours(_dragged(len(m.joints), rng)),
+        SLIDING,
     ),
-    "shaft_twist": Kind(
-        ("joint_compliance",),
-        lambda m, rng: loads.ShaftTwist(tuple(sized(1.5e-3, m, rng) * m.lever)),
-        LOADED,
-        "payload",
-    ),
+    "shaft_twist": Kind(("joint_compliance",), twisting, RODS, "payload"),
     "soft_rods": Kind(
-        ("rod_compliance",),
-        lambda m, rng: loads.SoftRods(rng.uniform(8e-6, 16e-6)),
-        RODS,
+        ("rod_compliance",), lambda m, rng: loads.SoftRods(rng.uniform(3e-6, 6e-6)), RODS, "payload"
+    ),
+    "soft_frame": Kind(
+        ("payload_sag",),
+        lambda m, rng: loads.SoftFrame(rng.uniform(4e-6, 8e-6), rng.uniform(3e-5, 6e-5)),
+        LOADED,
         "payload",
     ),
-    "leaning_base": Kind(
-        ("base_compliance",),
-        lambda m, rng: joints.LeaningBase(tuple(rng.uniform(5e-3, 1e-2, 2))),  # type: ignore[arg-type]
-        LOADED,
-    ),
-    "warmth": Kind(("thermal_expansion",), _warmth, LOADED, "temperature"),
-    "creep": Kind(("base_drift",), _creep, asks="time"),
+    "warmth": Kind(("thermal_expansion",), warm, LOADED, "temperature"),
+    "creep": Kind(("base_drift",), creeping, asks="time"),
 }
 
 
-def _beside(n: int) -> np.ndarray:
-    """1 where a joint's neighbour drags it, else 0."""
-    return np.asarray(np.eye(n, k=1) - np.eye(n, k=-1))
+def _dragged(n: int, rng: np.random.Generator) -> tuple[tuple[float, ...], ...]:
+    """What each of n joints in a ring takes over from the two beside it."""
+    drag: Array = rng.uniform(0.8e-3, 1.5e-3, (n, n)) * rng.choice([-1, 1], (n, n))
+    beside = np.roll(np.eye(n), 1, axis=1) + np.roll(np.eye(n), -1, axis=1)
+    return tuple(map(tuple, drag * (beside > 0)))
 
 
 def kinds_of(robot: str) -> list[str]:

@@ -234,8 +234,8 @@ class Effect:
 class EncoderEccentricity(Effect):
     """An encoder disc mounted off-centre: once per turn the reading runs ahead and behind."""
 
-    sin: tuple[float, float, float]
-    cos: tuple[float, float, float]
+    sin: tuple[float, ...]
+    cos: tuple[float, ...]
 
     def arm(self, reading: Array, robot: RodRobot, at: At) -> Array:
         return reading + np.array(self.sin) * np.sin(reading) + np.array(self.cos) * np.cos(reading)
