@@ -5,6 +5,7 @@ import numpy as np
 from parallel_cal.identification.prediction_errors import Summary
 from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.model.model import new_model
+from parallel_cal.model.words import parameters_in_words
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.simulate import with_effects
 from parallel_cal.reporting.text import errors_table, given_numbers
@@ -34,3 +35,18 @@ def test_samples_left_out_by_a_loss_are_not_said_to_be_left_out_on_request():
     data = Dataset.from_arrays(["a"], np.arange(4.0)[:, None], np.zeros((4, 3)))
     assert data.excluding([2], "by the loss").warnings == ("left out by the loss: sample 2",)
     assert data.excluding([2]).warnings == ("left out on request: sample 2",)
+
+
+def test_what_is_alike_of_several_chains_is_named_once():
+    table = new_model("linear_delta").table
+    names = ["chain1.D_x", "chain2.D_x", "chain3.D_x", "chain1.D_y", "chain2.D_y", "chain2.Lb"]
+    assert parameters_in_words(names, table) == (
+        "D_x of chain 1, 2, 3 and D_y of chain 1, 2 and Lb of chain 2"
+    )
+    cable = new_model("cable").table
+    assert parameters_in_words(["line1.offset", "spool2.R"], cable) == (
+        "line's length at reading zero of line 1 and radius of spool 2"
+    )
+    assert parameters_in_words(["La", "Lb"], new_model("delta_nominal").table) == (
+        "arm length, rod length"
+    )

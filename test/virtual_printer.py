@@ -20,8 +20,8 @@ class Printer:
     """Three carriages on vertical towers, each with one rod (of a pair) to the nozzle.
 
     Of each tower: end-stop, radius and rod off (m), angle off (rad), pitch of its belt off (1),
-    and the screw's wobble (m) once per `lead` (m); the bed's bowl (1/m), its tilt about x and y
-    (rad), and where the probe sits beside the nozzle (m).
+    and the screw's wobble (m) once per `lead` (m); how far it leans towards x and y (1); the bed's
+    bowl (1/m), its tilt about x and y (rad), and where the probe sits beside the nozzle (m).
     """
 
     end_stop: Array
@@ -31,6 +31,7 @@ class Printer:
     pitch: Array
     wobble: float = 0.0
     lead: float = 8e-3
+    lean: Array | float = 0.0
     bowl: float = 0.0
     tilt: tuple[float, float] = (0.0, 0.0)
     probe: tuple[float, float] = (0.0, 0.0)
@@ -40,8 +41,12 @@ class Printer:
         around = np.radians([0.0, 120.0, 240.0]) + self.angle
         out = RADIUS + self.radius
         towers = np.column_stack([out * np.cos(around), out * np.sin(around)])
-        away = np.linalg.norm(r[:, None, :2] - towers, axis=2)
-        height = r[:, 2:] + np.sqrt((ROD + self.rod) ** 2 - away**2)
+        rail = np.column_stack([np.broadcast_to(self.lean, (3, 2)), np.ones(3)])
+        rail /= np.linalg.norm(rail, axis=1)[:, None]
+        away = r[:, None] - np.column_stack([towers, np.zeros(3)])
+        along = (away * rail).sum(axis=2)
+        aside = (away**2).sum(axis=2) - along**2
+        height = along + np.sqrt((ROD + self.rod) ** 2 - aside)
         read = (height - self.end_stop) / (1 + self.pitch)
         phase = 2 * np.pi / self.lead * read + np.array([0.3, 1.9, -1.2])
         return read - self.wobble * np.sin(phase)
@@ -57,8 +62,9 @@ class Printer:
         return self.readings(np.column_stack([nozzle, self.bed(xy)]))
 
 
-def drawn(seed: int, pitch: float = 0.0, **hidden: float) -> Printer:
-    """A printer as people build one: half a millimetre here, a tenth of a degree there."""
+def drawn(seed: int, pitch: float = 0.0, lean: float = 0.0, **hidden: float) -> Printer:
+    """A printer as people build one: half a millimetre here, a tenth of a degree there; towers that
+    lean by `lean`, 1 sigma."""
     rng = np.random.default_rng([seed, 31])
 
     def three(sigma: float) -> Array:
@@ -66,9 +72,11 @@ def drawn(seed: int, pitch: float = 0.0, **hidden: float) -> Printer:
 
     towers = three(0.5e-3), three(0.5e-3), three(0.3e-3), three(2e-3)
     x, y, rx, ry = rng.standard_normal(4)
+    leans = lean * rng.standard_normal((3, 2))
     return Printer(
         *towers,
         pitch * np.array([1.0, -0.8, 0.6]),
+        lean=leans,
         tilt=(3e-3 * rx, 3e-3 * ry),
         probe=(1e-3 * x, 1e-3 * y),
         **hidden,

@@ -11,9 +11,9 @@ from parallel_cal.base.confidence import SIGMAS
 from parallel_cal.identification.methods._estimate import Estimate
 from parallel_cal.identification.observations import SCATTER, Observations
 from parallel_cal.identification.prediction_errors import Summary
-from parallel_cal.identification.thresholds import DOUBTED, FAR, HELD, MENTIONED
+from parallel_cal.identification.thresholds import DOUBTED, FAR, HELD, MANY, MENTIONED
 from parallel_cal.model.model import Model
-from parallel_cal.model.words import direction_in_words
+from parallel_cal.model.words import direction_in_words, parameters_in_words
 from parallel_cal.recordings.dataset import Dataset
 
 
@@ -27,7 +27,15 @@ def on_parameters(model: Model, estimate: Estimate, free: np.ndarray) -> list[st
         if free[i] and abs(moved[i]) > FAR
     ]
     unseen = estimate.spectrum.unidentifiable
-    words += [f"the data cannot tell {direction_in_words(c, model.table)}" for c in unseen]
+    if len(unseen) > MANY:
+        part_of = {name for direction in unseen for name in direction}
+        together = parameters_in_words((n for n in table.names if n in part_of), table)
+        words.append(
+            f"the data cannot tell {len(unseen)} combinations of {together}: along them the model "
+            "keeps what it had"
+        )
+    else:
+        words += [f"the data cannot tell {direction_in_words(c, table)}" for c in unseen]
     if estimate.spectrum.held and (weak := estimate.spectrum.weak):
         named = [direction_in_words(c, model.table) for c in weak[: -MENTIONED - 1 : -1]]
         more = f"; and {len(weak) - len(named)} more" if len(weak) > len(named) else ""

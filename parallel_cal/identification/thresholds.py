@@ -5,6 +5,7 @@ FAR = 5.0  # tolerances: a parameter that moved further deserves a word
 HELD = 3.0  # of the noise: what the model holds at one value does move
 DOUBTED = 0.5  # a sample that a robust loss gives less weight than this is named
 NAMED = 0.1  # of a direction's largest part: smaller ones are not named
+MANY = 6  # unseen directions that are named one by one; more are one sentence
 MENTIONED = 2  # weak directions, the weakest: a document has them all
 NEGLIGIBLE = 0.01  # of the error at poses left out: what the removal of an effect may cost
 BLOCKS = 40  # stretches into which a continuous motion is cut, as if each were a pose

@@ -17,8 +17,8 @@ from parallel_cal.recordings.samples import READING
 
 PROBE = READING + "probe"
 NO_SIZE = (
-    "touches of a plate cannot tell the size: a printer too large by a hundredth touches alike; a "
-    "printed length that is measured tells it"
+    "size: cannot_know: touches of a plate cannot tell the size: a printer too large by a "
+    "hundredth touches alike; a printed length that is measured tells it"
 )
 
 

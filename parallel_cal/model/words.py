@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 from parallel_cal.model.parameters import ParameterTable
 
@@ -39,3 +39,17 @@ def _together(names: list[str], table: ParameterTable) -> str:
     """`rod length of chain 1, 2, 3` for one parameter of several chains."""
     first, *others = (describe(name, table) for name in sorted(names))
     return ", ".join([first, *(other.rpartition(" ")[2] for other in others)])
+
+
+def parameters_in_words(names: Iterable[str], table: ParameterTable) -> str:
+    """`D_x, D_y of chain 1, 2 and z of plate of probe`: what is alike of several parts together."""
+    owners: dict[tuple[str, str], dict[str, None]] = {}
+    for name in names:
+        word, _, owner = describe(name, table).partition(" of ")
+        family, _, number = owner.rpartition(" ") if owner[-1:].isdigit() else (owner, "", "")
+        owners.setdefault((word, family), {})[number] = None
+    parts: dict[tuple[str, str], list[str]] = {}
+    for (word, family), numbers in owners.items():
+        parts.setdefault((family, ", ".join(sorted(numbers))), []).append(word)
+    told = [f"{', '.join(words)} of {f} {n}".rstrip() for (f, n), words in parts.items()]
+    return " and ".join(told).replace(" of  ", " ").removesuffix(" of")
