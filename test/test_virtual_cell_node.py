@@ -26,7 +26,6 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.nodes import virtual_cell_node
 from parallel_cal.nodes.client import Client, own_domain
-from parallel_cal.nodes.conversions import stop_message
 from parallel_cal.virtual.machines import MACHINES
 from parallel_cal.virtual.robot import ARCSEC
 
@@ -153,15 +152,14 @@ def test_faults_and_loads_are_parameters(fast):
     assert not took
 
 
-def test_a_stop_ends_the_motion_within_a_tenth_of_a_second(tmp_path):
+def test_a_point_to_rest_at_ends_the_motion_within_a_tenth_of_a_second(tmp_path):
     with mock.patch.dict(os.environ):
         cell = Cell(tmp_path, f"{own_domain()}/slow", joint_rate=200.0)
         try:
             cell.send((2.0, HOME + 0.8))
             cell.client.wait(lambda: cell.joints()[0] > HOME[0] + 0.4, "half of the way")
-            told = cell.states[-1]
-            stop = stop_message(told.name, cell.joints(), np.array(told.velocity))
-            cell.commands.publish(stop)
+            speed = np.array(cell.states[-1].velocity)
+            cell.send((0.08, cell.joints() + 0.04 * speed))
             cell.passed(1.0)
         finally:
             ended = cell.close()
