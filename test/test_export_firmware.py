@@ -20,7 +20,7 @@ from parallel_cal.exporting.export import export, export_into
 from parallel_cal.importing.door import configured
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.file.modelfile import read_model, write_model
-from parallel_cal.model.mechanism import poses_in_workspace
+from parallel_cal.model.mechanism import Home, poses_in_workspace
 from parallel_cal.model.model import new_model
 from parallel_cal.virtual import robot as vr
 from parallel_cal.virtual import stewart
@@ -122,6 +122,36 @@ def test_the_loss_of_a_hexapod_is_what_its_struts_show(tmp_path):
     assert np.abs(q - robot.inverse(r, R)[0]).max() < 20e-9
     assert done.loss["position_max"] < 20e-9
     assert done.loss["orientation_max"] < 1e-7
+
+
+def test_a_five_bar_loses_only_digits(tmp_path):
+    """M669 K9 has a number for each of its ten: the angle at the switch for an encoder's offset."""
+    model = off("five_bar", 1.0)
+    done = export(model, "rrf", tmp_path)
+    firmware = simulated("rrf", tmp_path)
+    r, _ = poses_in_workspace(model.mechanism, 500, np.random.default_rng(1))
+    q = np.array([np.pi, 0.0]) + np.radians(firmware.motors(r / MM) - firmware.homed())
+    robot = small.FiveBar(model.table.mapping(model.values))
+    error = np.linalg.norm(robot.forward(q)[0] - r, axis=1)
+    assert error.max() <= done.loss["position_max"] + 1e-9
+    assert error.mean() == pytest.approx(done.loss["position_mean"], rel=0.1)
+    assert done.loss["position_max"] < 0.2e-6
+    plain = export(new_model("five_bar"), "rrf", tmp_path)
+    text = (tmp_path / "config.g").read_text().replace("-0.0000", "0.0000")
+    assert text == (
+        "M669 K9 X-50.0000:50.0000 Y0.0000:0.0000 L2 P100.0000:100.0000 D150.0000:150.0000 "
+        "B180.00000:0.00000 C60.000:180.000:0.000:120.000\n"
+    )
+    again = configured(plain.paths).model
+    assert again.mechanism.switches == pytest.approx([np.pi, 0])
+    found = Kinematics(again).inverse([0.01, 0.19, 0.0])
+    assert found.joints == pytest.approx(
+        Kinematics(new_model("five_bar")).inverse([0.01, 0.19, 0]).joints
+    )
+    inward = new_model("five_bar")
+    inward.mechanism.home = Home((0.6, 2.5), (0.0, 0.19842, 0.0))
+    with pytest.raises(ModelError, match="no work mode for a left crank"):
+        export(inward, "rrf", tmp_path)
 
 
 def test_a_hangprinters_lines_agree_with_wound_ones_to_the_stated_loss(tmp_path):

@@ -74,7 +74,7 @@ def apart(points, others):
 
 OTHERS = (
     "delta_nominal", "stewart42", "linear_delta", "cable", "argos27", "slider_crank", "rssr",
-    "planar_stewart", "parallelogram",
+    "planar_stewart", "parallelogram", "five_bar",
 )  # fmt: skip
 
 

@@ -17,7 +17,8 @@ from parallel_cal.model.shelf import load_mechanism
 from parallel_cal.virtual import argos, linear_delta, stewart
 
 ALL = (
-    "argos_nominal argos9 argos27 stewart42 planar_stewart linear_delta slider_crank rssr cable"
+    "argos_nominal argos9 argos27 stewart42 planar_stewart linear_delta slider_crank rssr five_bar "
+    "cable"
 ).split()
 RIGHT = np.pi / 2
 CYCLE = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])  # turns (x, y, z) into (z, x, y)
@@ -93,6 +94,7 @@ VIRTUAL = {  # robots of points, rods and pantographs, solved without any closur
     "linear_delta": linear_delta.LinearDelta,
     "slider_crank": virtual_small.SliderCrank,
     "rssr": virtual_small.Rssr,
+    "five_bar": virtual_small.FiveBar,
     "cable": virtual_small.Cable,
 }
 
@@ -132,6 +134,7 @@ def test_nominal_values_of_the_argos_are_those_of_table_5_21():
 COUNTS = {  # table 3.1 and section 3.5; gear and advantage of a cable's line act as its radius
     "argos_nominal": 3, "argos9": 9, "argos27": 27, "stewart42": 42, "planar_stewart": 18,
     "linear_delta": 48, "slider_crank": 3, "rssr": 9, "cable": 4 * 6 + 2,
+    "five_bar": 10,
 }  # fmt: skip
 RANKS = COUNTS | {"cable": 4 * 5}  # each line: anchor, offset, metres a radian
 
@@ -303,6 +306,24 @@ def test_slider_crank_is_what_paper_and_pencil_say(changed):
     model = new_model("slider_crank", {**CRANK, **({changed: value} if changed in CRANK else {})})
     q = value if changed == "q" else RIGHT
     assert phi(model, [q], [4, 0, 0], EYE) == pytest.approx([expected], abs=1e-12)
+
+
+FIVE = {"x": 1, "y": 2, "crank": 3, "rod": 5, "q0": 0}
+FIVE_BY_HAND = {  # changed -> (value, row) at (5, 8), a crank at right angles ending at (1, 5)
+    "": (0, 0), "x": (2, -0.7), "y": (1, 0.7), "crank": (6, -0.9), "rod": (2.5, 3.75),
+    "q0": (RIGHT, 6.0), "q": (0, 1.2),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+@pytest.mark.parametrize("changed", FIVE_BY_HAND, ids=lambda name: name or "nothing")
+def test_five_bar_is_what_paper_and_pencil_say(changed, side):
+    value, expected = FIVE_BY_HAND[changed]
+    numbers = {**FIVE, **({changed: value} if changed in FIVE else {})}
+    model = new_model("five_bar", one_leg(side, numbers))
+    q = np.full(2, value if changed == "q" else RIGHT)
+    row = phi(model, q, [5, 8, 0], EYE)[int(side == "right")]
+    assert row == pytest.approx(expected, abs=1e-12)
 
 
 def test_slider_crank_of_the_thesis_meets_the_axis_twice():

@@ -15,7 +15,15 @@ from parallel_cal.model.shelf import shelf_names
 ALL = set(shelf_names("mechanisms")) - {"serial"}  # it needs a chain of its own
 SPHERICAL = {"argos9", "argos_nominal"}
 SIX_RODS = {"delta54", "delta51", "linear_delta", "stewart42"}
-SMALL = {"cable", "delta24", "delta_nominal", "parallelogram_simple", "rssr", "slider_crank"}
+SMALL = {
+    "cable",
+    "five_bar",
+    "delta24",
+    "delta_nominal",
+    "parallelogram_simple",
+    "rssr",
+    "slider_crank",
+}
 SERVED = {  # solver: mechanisms whose direct, and whose inverse problem it solves
     "closed_form": (
         SMALL | {"argos_nominal", "parallelogram", "scara16"},

@@ -61,6 +61,8 @@ SCARA = (
     | same(["platform"], theta=0.0)
 )
 CRANK = {"a": 0.08, "b": 0.05, "q0": 0.0}
+FIVE = {f"{side}.{n}": v for side, x in (("left", -0.05), ("right", 0.05))
+        for n, v in {"x": x, "y": 0.0, "crank": 0.1, "rod": 0.15, "q0": 0.0}.items()}  # fmt: skip
 ARM = np.hypot(0.119963, 0.003)  # table 5.12: La_x and La_y
 RSSR = {"a": 0.0, "alpha": -120 * DEGREE, "L": 0.24} | {
     f"{crank}.{name}": value
@@ -98,6 +100,7 @@ ROBOTS = {
     "cable": (vm.Cable, CABLE),
     "rssr": (vm.Rssr, RSSR),
     "slider_crank": (vm.SliderCrank, CRANK),
+    "five_bar": (vm.FiveBar, FIVE),
     "parallelogram": (vp.Parallelogram, vp.TABLE_2),
     "parallelogram_simple": (vp.SimpleParallelogram, {"q0": 0.0, "l": 0.95, "h": 0.1}),
     "delta51": (vp.Delta51, delta51()),
@@ -153,7 +156,7 @@ def seen(columns):
 
 # Table 3.1 and eqs 3.3 and 3.4; section 3.5.1 for the Argos; section 5.3.2.
 COUNTS = {"stewart42": 42, "planar_stewart": 18, "argos27": 27, "linear_delta": 48}
-COUNTS |= {"slider_crank": 3}
+COUNTS |= {"slider_crank": 3, "five_bar": 10}
 
 
 @pytest.mark.wide

@@ -112,6 +112,8 @@ class Duet:
         if self.kind == 10:
             around = np.radians([-150, -30, 90] + self.xyz("M669"))
             return arms(r, w["M669 R"], w["M669 H"] * ones, w["M669 U"], w["M669 L"], around)
+        if self.kind == 9:
+            return self.cranks(r)
         anchors = np.array([w[f"M669 {letter}"] for letter in "ABCDEFGHI"[: int(w["M669 N"][0])]])
         away = np.linalg.norm(r[:, None] - anchors, axis=2) - np.linalg.norm(anchors, axis=1)
         line = away * w["M666 U"]
@@ -123,7 +125,25 @@ class Duet:
         w = self.w
         if self.kind == 3:
             return w["M665 H"] + np.sqrt(w["M665 L"] ** 2 - w["M665 R"] ** 2) + self.xyz("M666")
+        if self.kind == 9:
+            return w["M669 B"]
         return w["M669 A"][1] + self.xyz("M666") if self.kind == 10 else np.zeros(4)
+
+    def cranks(self, r: Array) -> Array:
+        """Work mode 2: the left crank is turned left of the point, the right one right of it."""
+        w, found = self.w, []
+        assert w["M669 L"] == 2
+        for k, sense in enumerate((1, -1)):
+            axis = np.array([w["M669 X"][k], w["M669 Y"][k]])
+            aim = np.arctan2(*(r[:, :2] - axis).T[::-1])
+
+            def long(opened: Array, k=k, sense=sense, axis=axis, aim=aim) -> Array:  # type: ignore[no-untyped-def]
+                turned = aim + sense * opened
+                elbow = axis + w["M669 P"][k] * np.column_stack([np.cos(turned), np.sin(turned)])
+                return np.linalg.norm(r[:, :2] - elbow, axis=1) - w["M669 D"][k]
+
+            found.append(aim + sense * bisected(long, 0 * aim, 0 * aim + np.pi))
+        return np.degrees(np.column_stack(found)) % 360
 
 
 class LinuxCnc:

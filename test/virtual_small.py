@@ -101,3 +101,25 @@ class Cable(Assembly):
         R = np.broadcast_to(np.eye(3), (*r.shape[:-1], 3, 3))
         still = np.zeros((*r.shape[:-1], len(self.way)))
         return self.gaps(still, r, R, r[..., :0]) / self.way, r, R
+
+
+class FiveBar(Assembly):
+    """Two cranks on motors, a rod from each crank's end to the point they carry."""
+
+    moves = controls = "x y"
+    home = (0.0, 0.1984, 0.0)
+    home_joints = (2 * np.pi / 3, np.pi / 3)
+
+    def ends(self, q: Array) -> list[Array]:
+        """Where crank and rod meet, left and right."""
+        p, found = self.parameters, []
+        for k, side in enumerate(("left", "right")):
+            arm = apply(about("z", q[..., k] + p[f"{side}.q0"]), np.array([1.0, 0.0, 0.0]))
+            found.append(stack([p[f"{side}.x"], p[f"{side}.y"], 0.0]) + p[f"{side}.crank"] * arm)
+        return found
+
+    def gaps(self, q: Array, r: Array, R: Array, hidden: Array) -> Array:
+        """How far each rod is too short to reach the point."""
+        rods = [self.parameters[f"{side}.rod"] for side in ("left", "right")]
+        away = [np.linalg.norm(r - end, axis=-1) for end in self.ends(q)]
+        return np.stack(away, axis=-1) - np.array(rods)

@@ -1,11 +1,11 @@
-"""RepRapFirmware (Duet): M665 and M666 of linear Deltas, M669 K10 of rotary ones, K6 of cables.
+"""RepRapFirmware (Duet): M665 and M666 of linear Deltas, M669 of rotary ones, five-bars, cables.
 
 Source: Duet documentation, G-code dictionary (M665, M666, M669).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from fractions import Fraction
 from pathlib import Path
 
@@ -16,6 +16,7 @@ from parallel_cal.base.errors import ModelError
 from parallel_cal.exporting.deltas import LINEAR, ROTARY, TOWERS, shoulders, towers
 from parallel_cal.exporting.projection import Firmware, Frame, Machine, Projection, fitted
 from parallel_cal.importing.deltas import DEGREE, MM
+from parallel_cal.importing.fivebar import TURNS, FiveBars
 from parallel_cal.importing.gcode import settings as settings_of
 from parallel_cal.importing.importers import rrf
 from parallel_cal.importing.importers.rrf import ANCHORS
@@ -23,7 +24,7 @@ from parallel_cal.importing.lines import Lines
 from parallel_cal.importing.stated import Stated
 from parallel_cal.model.model import Model
 
-HOLDS = (*LINEAR, *ROTARY, "cable")
+HOLDS = (*LINEAR, *ROTARY, "five_bar", "cable")
 FILE = "config.g"
 TEETH = 20  # of a motor's gear, where they suit
 THIN = 2e-6  # m: the firmware divides by the build-up, and less than this drowns in its rounding
@@ -34,12 +35,14 @@ def settings(paths: Sequence[Path]) -> Stated:
 
 
 def firmware(stated: Stated) -> Firmware:
-    return rrf.lines_of(stated) if rrf.kind(stated) == 6 else rrf.delta_of(stated)
+    of: dict[int, Callable[[Stated], Firmware]] = {6: rrf.lines_of, 9: rrf.five_bars_of}
+    return of.get(rrf.kind(stated), rrf.delta_of)(stated)
 
 
 def project(model: Model) -> Projection:
     name = model.mechanism.name
-    return (_linear if name in LINEAR else _rotary if name in ROTARY else _cable)(model)
+    of = {"five_bar": _five_bar, "cable": _cable}
+    return (_linear if name in LINEAR else _rotary if name in ROTARY else of[name])(model)
 
 
 def _linear(model: Model) -> Projection:
@@ -66,6 +69,40 @@ def _rotary(model: Model) -> Projection:
              "M669 R": _numbers([delta.radius / MM], 4)}  # fmt: skip
     found |= _three("M669", trim / DEGREE, 5) | _three("M666", (delta.homed - top) / DEGREE, 5)
     return Projection({FILE: found}, c.frame, c.stops)
+
+
+def _five_bar(model: Model) -> Projection:
+    sides = ("left", "right")
+    x, y, cranks, rods, q0 = (
+        np.array([model.value(f"{side}.{name}") for side in sides])
+        for name in ("x", "y", "crank", "rod", "q0")
+    )
+    home = model.mechanism.home
+    angles, stops = np.array(home.joints) + q0, np.array(getattr(model.mechanism, "switches"))  # noqa: B009
+    way = np.array(home.position[:2]) - np.column_stack([x, y])
+    left = np.sign(np.cos(angles) * way[:, 1] - np.sin(angles) * way[:, 0])
+    turns = (int(left[0]), int(left[1]))
+    if turns not in TURNS.values():
+        raise ModelError("rrf: no work mode for a left crank with the point to its left and a "
+                         "right one with it to its right")  # fmt: skip
+
+    def machine(v: np.ndarray) -> Machine:
+        bars = FiveBars(v[:4].reshape(2, 2), v[4:6], v[6:8], turns, v[8:])
+        return Machine(bars, Frame((0, 1), np.ones(2)), stops)
+
+    start = np.array([x[0], y[0], x[1], y[1], *cranks, *rods, *(stops + q0)])
+    found = machine(fitted(model, start, machine))
+    bars = found.firmware
+    assert isinstance(bars, FiveBars)
+    mode = next(mode for mode, side in TURNS.items() if side == turns)
+    ends = np.array(model.mechanism.joint_limits) + (bars.homed - stops)[:, None]
+    settings = {
+        "M669 K": "9", "M669 X": _numbers(bars.axes[:, 0] / MM, 4),
+        "M669 Y": _numbers(bars.axes[:, 1] / MM, 4), "M669 L": str(mode),
+        "M669 P": _numbers(bars.cranks / MM, 4), "M669 D": _numbers(bars.rods / MM, 4),
+        "M669 B": _numbers(bars.homed / DEGREE, 5), "M669 C": _numbers(ends.ravel() / DEGREE, 3),
+    }  # fmt: skip
+    return Projection({FILE: settings}, found.frame, found.stops)
 
 
 def _cable(model: Model) -> Projection:

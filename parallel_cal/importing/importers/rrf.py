@@ -17,16 +17,18 @@ from parallel_cal.base.errors import DatasetError
 from parallel_cal.importing import deltas
 from parallel_cal.importing.deltas import DEGREE, MM, Delta, Shoulders, Towers
 from parallel_cal.importing.door import Configured
+from parallel_cal.importing.fivebar import TURNS, FiveBars
 from parallel_cal.importing.gcode import settings
 from parallel_cal.importing.lines import Lines
 from parallel_cal.importing.stated import Place, Stated, lines
 from parallel_cal.importing.touched import touches
+from parallel_cal.model.model import new_model
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.recording import Array, Dropped
 
 CONFIGURATION = (".g",)
 CODES = ("G31", "M92", "M665", "M666", "M669")
-KINDS = "3 (linear Delta), 10 (rotary Delta) or, for `new`, 6 (Hangprinter)"
+KINDS = "3 (linear Delta), 10 (rotary Delta) or, for `new`, 6 (Hangprinter) or 9 (five-bar)"
 HEAD = "RepRapFirmware height map file v2"
 LABELS = (
     "axis0,axis1,min0,max0,min1,max1,radius,spacing0,spacing1,num0,num1",
@@ -69,6 +71,8 @@ def configured(paths: Sequence[Path]) -> Configured:
         if stated.number("M666 W", "kg", 0.0) > 0:
             remarks.append("M666 W: what the firmware corrects of the lines' stretch is left out")
         return Configured(lines_of(stated).model(), tuple(remarks))
+    if kind(stated) == 9:
+        return Configured(new_model(five_bars_of(stated).mechanism()))
     delta = delta_of(stated)
     plate = delta.tilt if isinstance(delta, Towers) else (0.0, 0.0)
     return deltas.configured(delta, tip(stated), plate)
@@ -213,3 +217,21 @@ def lines_of(stated: Stated) -> Lines:
         raise place.error("M666 O", text, "as many lines on every spool")
     buildup = stated.number("M666 Q", "the build-up in mm", low=0.0) * MM * on_spool[0]
     return Lines(anchors * MM, radii, gears, each("U", "mechanical advantages"), buildup)
+
+
+def five_bars_of(stated: Stated) -> FiveBars:
+    """M669 K9 X Y P D, the work mode L, B at the switches and C, the cranks' limits (degrees)."""
+
+    def both(letter: str, what: str, low: float = -np.inf) -> Array:
+        return stated.numbers(f"M669 {letter}", f"{what} of left:right", 2, low=low)
+
+    mode, modes = stated.number("M669 L", "the work mode", 1.0), ", ".join(map(str, TURNS))
+    if mode not in TURNS:
+        text, place = stated.text("M669 L", "")
+        raise place.error("M669 L", text, f"one of the work modes {modes}")
+    least, most = stated.numbers("M669 C", "least:most degrees of left:right", 4).reshape(2, 2).T
+    homed = both("B", "degrees at the switches") * DEGREE
+    axes = np.column_stack([both("X", "mm"), both("Y", "mm")]) * MM
+    cranks, rods = (both(letter, "lengths in mm", 1.0) * MM for letter in "PD")
+    limits = tuple(zip((least * DEGREE).tolist(), (most * DEGREE).tolist(), strict=True))
+    return FiveBars(axes, cranks, rods, TURNS[int(mode)], homed, limits)
