@@ -108,6 +108,13 @@ def test_samples_from_two_publishers_at_once_are_refused_and_told(messages):
     assert "two publishers speak at once" in collector.warnings()[0]
 
 
+def test_joints_that_the_model_does_not_know_are_a_warning_and_no_samples_yet_are_none(messages):
+    few = until(messages, 1)
+    assert feed(Collector(), few).warnings() == []
+    (said,) = feed(Collector(["hip", "knee", "foot"]), few).warnings()
+    assert "hip" in said and "joint1" in said
+
+
 def test_a_replayed_recording_gives_exactly_the_samples_of_its_bag(messages, offline):
     collection = feed(Collector(), messages).collection()
     assert len(collection) == 94

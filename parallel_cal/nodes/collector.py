@@ -123,6 +123,7 @@ class Collector:
             for item in dataset.dropped:
                 left_out[item.reason] += item.count
         said += [f"{n} dropped: {why}" for why, n in left_out.items() if n >= MANY]
+        said += [inbox.misfit for inbox in self._inboxes if inbox.misfit]
         said += [gate.trouble for gate in self._gates.values() if gate.trouble]
         return list(dict.fromkeys(said))
 

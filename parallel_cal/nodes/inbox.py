@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from parallel_cal.base.errors import DatasetError, ParallelCalError
+from parallel_cal.base.errors import BagError, DatasetError, ParallelCalError
 from parallel_cal.recordings.channels import CHANNELS, named
 from parallel_cal.recordings.cleaning import assemble
 from parallel_cal.recordings.clocks import on_one_clock
@@ -38,7 +38,7 @@ class Inbox:
         self.taken: list[int] = []
         self.start_ns = 0
         self.paired = self.dropped = 0
-        self.trouble = ""
+        self.trouble = self.misfit = ""
         self.closed = False
         self._numbers, self._seen = numbers, 0
 
@@ -100,6 +100,7 @@ class Inbox:
         return True
 
     def _make_samples(self, joints: Sequence[str] | None, options: SampleOptions) -> None:
+        self.misfit = ""  # of messages that can never become samples; not of none yet
         try:
             heard = {name: raw for name, raw in self.raws.items() if raw.stamp}
             # Once here, so that what is counted as paired is what samples are made of.
@@ -108,6 +109,7 @@ class Inbox:
             self._adopt(dataset_from_recording(recording, options), recording.start_ns)
         except ParallelCalError as error:
             self.trouble = str(error)
+            self.misfit = self.trouble if isinstance(error, BagError) else ""
         except Exception as error:  # a fault of ours must not end the collecting
             self.trouble = f"internal error: {error!r}"
 
