@@ -7,7 +7,7 @@ import os
 import time
 from bisect import bisect_left
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from threading import Lock, Thread
@@ -109,11 +109,8 @@ class Watch:
         if not self._save.wait_for_service(PATIENCE):
             raise NodeError(f"{CALIBRATION} in {self.namespace} does not answer: is it running?")
         future = self._save.call_async(SaveSamples.Request(path=str(path)))
-        end = time.monotonic() + PATIENCE
-        while not future.done():
-            if time.monotonic() > end:
-                raise NodeError(f"{CALIBRATION} has not saved its samples in {PATIENCE:.0f} s")
-            time.sleep(0.02)
+        if not _comes(future.done):
+            raise NodeError(f"{CALIBRATION} has not saved its samples in {PATIENCE:.0f} s")
         if not future.result().success:
             raise NodeError(f"{CALIBRATION}: {future.result().message}")
 
@@ -126,13 +123,12 @@ class Watch:
             setattr(message.pose.position, key, float(value))
         for key, value in zip("xyzw", quaternion, strict=True):
             setattr(message.pose.orientation, key, float(value))
-        stamp = message.header.stamp
+        stamp, self._told = message.header.stamp, None
         self._target.publish(message)
-        end = time.monotonic() + PATIENCE
-        while (told := self._told) is None or told.stamp != stamp:
-            if time.monotonic() > end:
-                raise NodeError(f"{KINEMATICS} does not say what became of the target")
-            time.sleep(0.02)
+        if not _comes(lambda: self._told is not None and self._told.stamp == stamp):
+            raise NodeError(f"{KINEMATICS} does not say what became of the target")
+        told = self._told
+        assert told is not None
         words = {
             CommandStatus.ACCEPTED: f"sent, {told.time_from_start:.1f} s",
             CommandStatus.SLOWED: f"sent, slowed to {told.time_from_start:.1f} s: {told.message}",
@@ -141,9 +137,7 @@ class Watch:
 
     def model_file(self, patience: float = 3.0) -> str:
         """The file of the model that is served; "" where nobody serves one."""
-        end = time.monotonic() + patience
-        while not self._model and time.monotonic() < end:
-            time.sleep(0.05)
+        _comes(lambda: bool(self._model), patience)
         return str(self._model.get("file", ""))
 
     def _spin(self) -> None:
@@ -161,13 +155,14 @@ class Watch:
             try:
                 process.check()
             except ParallelCalError as error:
-                yield str(error)
+                yield f"{error}; start this page again, the session and all samples are kept"
         for node in (KINEMATICS, CALIBRATION):
             heard = self._heard.get(node)
             if heard is None:
                 yield f"nothing heard of {self.namespace.rstrip('/')}/{node}: is it running?"
             elif now - heard > SILENT:
-                yield f"{node} is silent since {now - heard:.0f} s"
+                again = "" if self._processes else f": if it ended, ros2 run parallel_cal {node}"
+                yield f"{node} is silent since {now - heard:.0f} s{again}"
 
     # ------------------------------------------------------------------ what is heard
 
@@ -252,6 +247,14 @@ class Watch:
             with self._lock:
                 error = float(np.linalg.norm(measured - predicted))
                 self._errors.append((time.monotonic(), error))
+
+
+def _comes(condition: Callable[[], bool], patience: float = PATIENCE) -> bool:
+    """Whether something that another thread hears of comes in time."""
+    end = time.monotonic() + patience
+    while not (come := condition()) and time.monotonic() < end:
+        time.sleep(0.02)
+    return come
 
 
 def _position(pose: Any) -> np.ndarray:
