@@ -50,6 +50,12 @@ def test_poses_visited_again_are_seen_as_replicates(robot, tmp_path, seed):
     assert sorted(np.bincount(data.pose_id)) == [2] * 10
 
 
+def test_a_robot_that_only_turns_is_seen_to_come_again_though_its_place_is_noise(tmp_path):
+    argos = read_model(IDENTIFIED.parent / "argos_mockup_nominal.yaml")
+    data = recorded(simulate(argos, 6, seed=1, replicates=6), tmp_path, argos)
+    assert sorted(np.bincount(data.pose_id)) == [2] * 6
+
+
 def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(robot, tmp_path):
     for name, seed in (("a", 1), ("b", 1), ("c", 2)):
         write_bag(simulate(robot, 4, seed), tmp_path / name / "bag")

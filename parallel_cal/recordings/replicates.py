@@ -14,6 +14,7 @@ from parallel_cal.recordings.recording import Array, Bools
 from parallel_cal.recordings.samples import mean_rotation
 
 Ids = NDArray[np.int64]
+NOISY = 1e-3  # m that a device's noise may lie between two visits
 
 
 @dataclass(frozen=True)
@@ -38,12 +39,13 @@ def replicate_ids(
     A sample joins the first earlier pose whose joints all lie within the tolerance: 0.2 % of the
     joint's travel (backlash and encoder errors stay below) but at most a fifth of the robot's usual
     step, so that a fine sweep is not merged, and at least 20 times the scatter within a dwell. The
-    measured pose must agree to 5 % of its range and 0.1 rad, which only tells assembly modes apart:
-    what replicates reveal (backlash, warming) must not split them.
+    measured pose must agree to 5 % of its range (1 mm at least: some robots only turn) and 0.1 rad,
+    which only tells assembly modes apart: what replicates reveal (backlash, warming) must not split
+    them.
     """
     q, r, R = at.q, at.r, at.R
     scale = _joint_scale(q, scatter_q, tolerance)
-    reach = 0.05 * np.ptp(r, axis=0).max(initial=0.0) + 1e-9
+    reach = max(0.05 * np.ptp(r, axis=0).max(initial=0.0), NOISY)
     ids, leaders = np.zeros(len(q), np.int64), np.zeros(0, np.int64)
     for i in range(len(q)):
         near = (np.abs(q[leaders] - q[i]) <= scale).all(axis=1)
