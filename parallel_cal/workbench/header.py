@@ -20,16 +20,16 @@ class Header:
     def __init__(self, bench: Bench):
         self.bench, self.seen = bench, -1
         with ui.header().classes("shadow"), ui.column().classes("w-full gap-1"):
-            self.verdict = ui.label().classes("text-base font-bold")
-            self.verdict.props("id=verdict role=status aria-live=polite")
-            with ui.row().classes("w-full items-center gap-6"):
-                self.numbers = ui.row().classes("items-center gap-6")
-                with ui.row().classes("no-wrap"):
+            with ui.row().classes("w-full no-wrap items-start"):
+                self.verdict = ui.label().classes("grow text-base leading-tight font-bold")
+                self.verdict.props("id=verdict role=status aria-live=polite")
+                with ui.row().classes("no-wrap gap-2"):
                     self.undo = self._button("Undo", partial(bench.at_once, "undo"))
                     self.redo = self._button("Redo", partial(bench.at_once, "redo"))
                     self.fit = ui.button("Fit", on_click=partial(bench.begin, "fit")).props("dense")
                     self.save = self._button("Save", bench.save)
                     self.save.tooltip(f"write this model to {bench.output}")
+            self.numbers = ui.row().classes("items-center gap-x-6 gap-y-0")
             with ui.row().classes("items-center w-full") as self.work:
                 self.stage = ui.label().props("id=stage")
                 self.fraction = ui.linear_progress(0.0, show_value=False).classes("w-64")
