@@ -27,7 +27,7 @@ def residual_arrows(
         for k, field in enumerate(fields)
         for trace in _drawn(places, field, scale, kind, numbers)
     ]
-    return {"data": [*traces, _bar(places, fields[0], scale, kind)], "layout": space(kind)}, scale
+    return _compared(traces, places, fields[0], scale, kind), scale
 
 
 def side(
@@ -35,8 +35,8 @@ def side(
 ) -> tuple[Spec, float]:
     """The same of one of several models as it stands, in a scale of its own where none is given."""
     scale = scale or scale_of(places, [field])
-    drawn = [*_drawn(places, field, scale, kind, numbers), _bar(places, field, scale, kind)]
-    return {"data": drawn, "layout": space(kind) | {"height": 380}}, scale
+    drawn = _compared(_drawn(places, field, scale, kind, numbers), places, field, scale, kind)
+    return drawn | {"layout": drawn["layout"] | {"height": 380}}, scale
 
 
 def smooth_map(found: SmoothMap) -> tuple[Spec, float] | None:
@@ -64,17 +64,23 @@ def _drawn(
     return arrows(places, field, scale, words, 1e3 if kind == "position" else 1.0)
 
 
-def _bar(places: np.ndarray, field: np.ndarray, scale: float, kind: str) -> Spec:
-    """A length to compare arrows with, at the lowest corner."""
+def _compared(
+    traces: list[Spec], places: np.ndarray, field: np.ndarray, scale: float, kind: str
+) -> Spec:
+    """Arrows with a length to compare them with, at the lowest corner."""
     size = typical(field)
     x, y, z = (1e3 if kind == "position" else 1.0) * places.min(axis=0)
     long = (1e3 if kind == "position" else 1.0) * scale * size
-    return {
-        "type": "scatter3d", "mode": "lines+text", "showlegend": False, "hoverinfo": "skip",
+    bar = {
+        "type": "scatter3d", "mode": "lines", "showlegend": False, "hoverinfo": "skip",
         "x": rounded(np.array([x, x + long])), "y": rounded(np.array([y, y])),
         "z": rounded(np.array([z, z])), "line": {"width": 8, "color": PATTERN},
-        "text": ["", with_unit(size, SI[kind])], "textposition": "middle right",
     }  # fmt: skip
+    words = {"x": x + long, "y": y, "z": z, "text": with_unit(size, SI[kind]), "showarrow": False,
+             "xanchor": "left", "xshift": 8}  # fmt: skip
+    layout = space(kind)
+    return {"data": [*traces, bar], "layout": layout | {"scene": layout["scene"] | {
+        "annotations": [words]}}}  # fmt: skip
 
 
 def space(kind: str) -> Spec:
