@@ -159,7 +159,7 @@ def test_a_point_to_rest_at_ends_the_motion_within_a_tenth_of_a_second(tmp_path)
             cell.send((2.0, HOME + 0.8))
             cell.client.wait(lambda: cell.joints()[0] > HOME[0] + 0.4, "half of the way")
             speed = np.array(cell.states[-1].velocity)
-            cell.send((0.08, cell.joints() + 0.04 * speed))
+            cell.send((0.05, cell.joints() + 0.025 * speed))
             cell.passed(1.0)
         finally:
             ended = cell.close()
