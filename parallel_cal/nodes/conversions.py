@@ -9,8 +9,10 @@ from importlib import import_module
 from typing import Any
 
 import numpy as np
+from builtin_interfaces.msg import Duration
 from geometry_msgs.msg import Point, Pose, Quaternion
 from parallel_cal_msgs.msg import Condition, Solution
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from parallel_cal.base.errors import SolveError
 from parallel_cal.base.rotation import quaternion_to_matrix
@@ -18,6 +20,7 @@ from parallel_cal.kinematics.answers import named_conditions
 from parallel_cal.kinematics.kinematics import Solutions, Status
 from parallel_cal.model.model import Model
 
+STOPPING = 0.05  # s from a stop to rest
 UNIT_LENGTH = 1e-3  # a quaternion this far from unit length is somebody's mistake
 
 ADVICE: dict[int, str] = {
@@ -131,6 +134,23 @@ def _solution(
         joints=array("d", q.tobytes()),
         residual=float(residual),
     )
+
+
+def stop_message(
+    joints: Sequence[str], q: np.ndarray, velocity: np.ndarray | None = None
+) -> JointTrajectory:
+    """What stops a robot at q (nq,) that moves with a velocity (nq,): where it may rest soon.
+
+    joint_trajectory_controller discards trajectories without points since ROS 2 Jazzy, so that the
+    empty one, which once meant stop, lets the robot go on.
+    """
+    speed = np.zeros(len(q)) if velocity is None else velocity
+    point = JointTrajectoryPoint(
+        positions=(q + speed * STOPPING / 2).tolist(),
+        velocities=[0.0] * len(q),
+        time_from_start=Duration(nanosec=round(1e9 * STOPPING)),
+    )
+    return JointTrajectory(joint_names=list(joints), points=[point])
 
 
 def invalid_solution(reason: str) -> Solution:
