@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 import virtual_firmware as vf
 import virtual_small as small
+from test_import_damaged import damaged
 from virtual_cable import Line, WoundCable
 
-from parallel_cal.base.errors import ModelError
+from parallel_cal.base.errors import ModelError, ParallelCalError
 from parallel_cal.cli.main import main
 from parallel_cal.exporting.export import export, export_into
 from parallel_cal.importing.door import configured
@@ -22,6 +23,7 @@ from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.file.modelfile import read_model, write_model
 from parallel_cal.model.mechanism import Home, poses_in_workspace
 from parallel_cal.model.model import new_model
+from parallel_cal.model.shelf import load_mechanism
 from parallel_cal.virtual import robot as vr
 from parallel_cal.virtual import stewart
 from parallel_cal.virtual.linear_delta import LinearDelta
@@ -69,10 +71,12 @@ def _is_number(word):
     return True
 
 
-ROTARY = ("klipper", "rrf", "grblhal", "linuxcnc")
+def first(name, *others):
+    """One of several in every run, the others in the wide one."""
+    return [name, *(pytest.param(other, marks=pytest.mark.wide) for other in others)]
 
 
-@pytest.mark.parametrize("target", ROTARY)
+@pytest.mark.parametrize("target", first("rrf", "klipper", "grblhal", "linuxcnc"))
 def test_the_loss_of_a_rotary_delta_is_what_rods_and_points_show(target, tmp_path):
     model = new_model("delta54", vr.TABLE_5_18)
     done = export(model, target, tmp_path)
@@ -93,7 +97,7 @@ def test_the_loss_of_a_rotary_delta_is_what_rods_and_points_show(target, tmp_pat
     assert error.max() < worst[target]
 
 
-@pytest.mark.parametrize("target", ["klipper", "rrf", "linuxcnc"])
+@pytest.mark.parametrize("target", first("klipper", "rrf", "linuxcnc"))
 def test_the_loss_of_a_linear_delta_is_what_rods_and_points_show(target, tmp_path):
     model = off("linear_delta", 0.1)
     done = export(model, target, tmp_path)
@@ -154,6 +158,7 @@ def test_a_five_bar_loses_only_digits(tmp_path):
         export(inward, "rrf", tmp_path)
 
 
+@pytest.mark.wide
 def test_a_hangprinters_lines_agree_with_wound_ones_to_the_stated_loss(tmp_path):
     """Line of 0.5 mm on spools 8 mm wide; the loss at 1000 other poses, of real windings."""
     section, width = np.pi * 0.25e-3**2, 8e-3
@@ -295,7 +300,7 @@ def moved(model):
     return model.with_values(model.values + np.where(free, change, 0))
 
 
-@pytest.mark.parametrize("target", OWN)
+@pytest.mark.parametrize("target", first("rrf", "klipper"))
 def test_a_users_file_keeps_all_but_its_numbers_and_the_old_one_stays(target, tmp_path):
     [(name, text)] = OWN[target].items()
     file = tmp_path / name
@@ -320,6 +325,18 @@ def test_a_users_file_keeps_all_but_its_numbers_and_the_old_one_stays(target, tm
     assert done.loss["position_mean"] < 0.5 * done.before["position_mean"]
     assert export_into(again, target, [file]).loss["position_max"] < 0.2e-6
     assert export_into(again, target, [file]).before["position_max"] < 0.2e-6
+
+
+def test_of_a_word_that_stands_twice_the_last_one_counts_and_comments_do_not(tmp_path):
+    file = tmp_path / "config.g"
+    file.write_text(CONFIG.replace("L250.000 R100", "L260 R100 L250 (not L250)"))
+    model = moved(configured([file]).model)
+    done = export_into(model, "rrf", [file])
+    line = file.read_text().splitlines()[2]
+    number = r"[-\d.:]+"
+    words = "M665 L260 R# L# X# Y# Z# \\(not L250\\) B65 H# ; rods".replace("#", number)
+    assert re.fullmatch(words, line)
+    assert done.loss["position_mean"] < 0.1 * done.before["position_mean"]
 
 
 def test_a_linuxcnc_machine_has_its_numbers_in_two_files(tmp_path):
@@ -355,6 +372,9 @@ def test_what_a_target_cannot_hold_is_refused_with_those_that_can(tmp_path):
     (tmp_path / "printer.cfg").write_text(PRINTER)
     with pytest.raises(ModelError, match="configured for another kind of machine"):
         export_into(new_model("delta24"), "klipper", [tmp_path / "printer.cfg"])
+    leaning = new_model(load_mechanism("linear_delta", inclination=0.3))
+    with pytest.raises(ModelError, match=r"its rails lean by 17.2 degrees, .* c and table can"):
+        export(leaning, "klipper", tmp_path)
     with pytest.raises(ModelError, match="option 'x=1': rrf has none"):
         export(new_model("linear_delta"), "rrf:x=1", tmp_path)
     assert (tmp_path / "printer.cfg").read_text() == PRINTER
@@ -405,3 +425,24 @@ def test_the_command_line_tells_what_is_lost(tmp_path, capsys):
     with pytest.raises(SystemExit) as ended:
         main(command[:4])
     assert ended.value.code == 2
+
+
+@pytest.mark.wide
+@pytest.mark.parametrize("target", OWN)
+def test_a_damaged_file_is_refused_in_one_line_or_edited_well(target, tmp_path):
+    [(name, text)] = OWN[target].items()
+    file = tmp_path / name
+    file.write_text(text)
+    model = moved(configured([file]).model)
+    rng, refused, lost = np.random.default_rng(8), [], []
+    for _ in range(25):
+        broken = damaged(text, rng)
+        file.write_text(broken, encoding="utf-8")
+        try:
+            lost.append(export_into(model, target, [file]).loss["position_mean"])
+        except ParallelCalError as error:
+            refused.append(str(error))
+            assert file.read_text(encoding="utf-8") == broken
+    assert len(refused) > 3
+    assert not [line for line in refused if "\n" in line]
+    assert np.ptp(lost) < 1e-6  # the numbers that are written are the same in each

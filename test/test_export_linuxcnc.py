@@ -93,6 +93,7 @@ def test_a_delta_moves_where_rods_and_points_say_and_passes_other_letters_on(tmp
     assert component.inverse([900, 0, 200, *[0] * 6])[0] == -1
 
 
+@pytest.mark.wide
 def test_a_hexapod_turns_about_x_then_y_then_z(tmp_path):
     model = new_model("stewart42")
     component = Component(model, tmp_path)

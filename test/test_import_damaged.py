@@ -7,9 +7,11 @@ import test_import_linuxcnc as linuxcnc
 import test_import_marlin as marlin
 import test_import_rrf as rrf
 import test_import_table as table
+import test_import_urdf as urdf
 
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.importing.door import configured, samples
+from parallel_cal.importing.urdf import arm
 
 FILES = {
     "rrf": {"h.csv": rrf.MAP, "c.g": rrf.LINEAR},
@@ -54,3 +56,12 @@ def test_damage_is_told_in_one_line(name, tmp_path):
         refused += told(samples, kind, paths, **options) + told(configured, paths[-1:])
     assert len(refused) > TIMES / 3
     assert not [text for text in refused if "\n" in text or str(tmp_path) not in text]
+
+
+def test_so_is_damage_of_a_urdf(tmp_path):
+    rng, path, refused = np.random.default_rng(36), tmp_path / "robot.urdf", []
+    for _ in range(TIMES):
+        path.write_text(damaged(urdf.UR5, rng), encoding="utf-8")
+        refused += told(arm, path, "base", "tool0")
+    assert len(refused) > TIMES / 3
+    assert not [text for text in refused if "\n" in text]

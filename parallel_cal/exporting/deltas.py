@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from parallel_cal.base.errors import ModelError
 from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.exporting.projection import Array, Frame, Machine, fitted
 from parallel_cal.importing.deltas import Shoulders, Towers
@@ -45,6 +46,11 @@ def chains_of(model: Model, places: Array | None) -> Chains:
     """
     model = model.widened() if model.mechanism.name == "delta_nominal" else model
     m, linear = model.mechanism, model.mechanism.name in LINEAR
+    if lean := float(m.options.get("inclination", 0.0)):
+        said = (
+            f"its rails lean by {np.degrees(lean):.3g} degrees, a firmware's towers stand upright"
+        )
+        raise ModelError(f"{m.name}: {said}; c and table can hold it")
     out, across, along, rods = (
         np.array([model.value(f"chain{i}.{name}") for i in (1, 2, 3)])
         for name in ("D_x", "D_y", "D_z", "Lb")

@@ -77,13 +77,15 @@ def _neighbour(field: str, places: Mapping[str, tuple[Path, int]]) -> tuple[Path
 
 
 def _replaced(line: str, field: str, old: str, new: str) -> str:
-    pattern = rf"(?i)(?<![\w.]){re.escape(_key(field))}(\s*[:=]?\s*){re.escape(old)}(?![\w.])"
-    if field[0] == "$":
-        pattern = pattern.replace(r"(?<![\w.])", "", 1)
-    found = re.search(pattern, line)
-    if not found:
+    """With another value at the last place of a line that is no comment."""
+    begins = "" if field[0] == "$" else r"(?<![\w.])"
+    pattern = rf"(?i){begins}{re.escape(_key(field))}(\s*[:=]?\s*){re.escape(old)}(?![\w.])"
+    comment = r"\([^)]*\)|;.*" if field[0] in "GM" else r"(?<=\s)[#;].*"
+    code = re.sub(comment, lambda found: " " * len(found[0]), line)
+    places = [*re.finditer(pattern, code)]
+    if not places:
         raise ModelError(f"'{line.strip()}': {field} is not found there")
-    return line[: found.start()] + found[0][: -len(old) or None] + new + line[found.end() :]
+    return line[: places[-1].end() - len(old)] + new + line[places[-1].end() :]
 
 
 def _beside(line: str, field: str, value: str) -> str:

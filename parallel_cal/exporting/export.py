@@ -51,7 +51,7 @@ def export(model: Model, target: str, folder: str | Path) -> Exported:
         raise _refusal(name, module, model, given)
     result = Exported([])
     if _holds(module, model):
-        projection, found = _projected(module, robot)
+        projection, found = _projected(name, module, robot)
         made |= {file: fresh(numbers) for file, numbers in projection.settings.items()}
         result = Exported([], loss(robot, found), None, _remarks(robot, projection))
     result.paths.extend(_written(Path(folder), made))
@@ -66,7 +66,7 @@ def export_into(model: Model, target: str, files: Sequence[Path]) -> Exported:
         raise _refusal(target, module, model)
     stated: Stated = module.settings(files)
     now = module.firmware(stated)
-    projection, found = _projected(module, robot)
+    projection, found = _projected(target, module, robot)
     if type(now) is not type(found.firmware):
         raise ModelError(f"{files[0]}: it is configured for another kind of machine")
     texts: dict[Path, str] = {}
@@ -107,9 +107,9 @@ def _can(module: ModuleType, model: Model) -> bool:
     return hasattr(module, "files") or _holds(module, model)
 
 
-def _projected(module: ModuleType, robot: Model) -> tuple[Projection, Machine]:
+def _projected(name: str, module: ModuleType, robot: Model) -> tuple[Projection, Machine]:
     """A firmware's numbers, and the machine that it is with these as they are written."""
-    projection: Projection = module.project(robot)
+    projection: Projection = own(name, module.project)(robot)
     texts = {Path(file): fresh(numbers) for file, numbers in projection.settings.items()}
     firmware = _read(module, [*texts], texts)
     return projection, Machine(firmware, projection.frame, projection.stops)
