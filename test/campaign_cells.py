@@ -13,6 +13,7 @@ from parallel_cal.virtual.cell import Cell
 from parallel_cal.virtual.tracker import Tracker
 
 PRESETS = Path(__file__).parents[1] / "config"
+SETTLING = 0.3  # s after which the robot rests
 REST, MOVING = 0.8, 4.0  # s a sample takes; sigmas of a reading by which a direction counts
 
 
@@ -40,7 +41,7 @@ class SimulatedCell:
 
     def __init__(self, robot="delta", seed=0, effects=(), **given):
         # Few poses, and those while it rests, are enough: solving them takes most of the time.
-        given = {"period": 0.04, "tracker": Tracker(period=0.2)} | given
+        given = {"period": 0.02, "tracker": Tracker(period=0.2)} | given
         self.cell = Cell(robot, seed, effects, **given)
         self.asked, self.sent, self.lines = [], [], []
         n = len(self.cell.machine.joints)
@@ -55,14 +56,10 @@ class SimulatedCell:
         go_on()
         self.sent.append(trajectory)
         self.cell.follow(trajectory.time, trajectory.positions, trajectory.velocities)
-        end = self.cell.time + 5 * trajectory.seconds + 1
-        while True:
-            self._read(self.cell.advance(self.cell.time + 0.2))
+        end = self.cell.time + trajectory.seconds + SETTLING
+        while self.cell.time < end:
+            self._read(self.cell.advance(min(self.cell.time + 0.2, end)))
             go_on()
-            if self.cell.idle:
-                return
-            if self.cell.time > end:
-                raise CellError("the robot does not come to rest")
 
     def stop(self):
         self.cell.stop()

@@ -7,7 +7,6 @@ goes on where it was left, however that ended.
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import os
 import time
@@ -32,7 +31,7 @@ from parallel_cal.model.file.modelfile import model_hash, parse_model
 from parallel_cal.model.mechanism import Box
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.joining import joined
-from parallel_cal.session.goals import replaced
+from parallel_cal.session import goals
 from parallel_cal.session.session import FILE as SESSION
 from parallel_cal.session.session import Session
 
@@ -83,21 +82,14 @@ STATES = "planning moving sampling judging asking paused stopped done".split()
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """What came of it: whether what was wanted is reached, why it ended, and the model as text
-    where that is proven better; `curve` are samples and rms error at unseen poses, judgement by
-    judgement, from the model it began with on. One that was `ended` does not go on."""
+class Outcome(goals.Outcome):
+    """The same of a campaign: a `success` where what was wanted is reached, the model as `text`
+    wherever it is proven better. `curve` are samples and rms errors at unseen poses (m, rad), from
+    the model it began with on, judgement by judgement. One that was `ended` does not go on."""
 
-    success: bool
-    message: str
-    verdict: str = ""
     ended: bool = True
     samples: int = 0
-    text: str = ""
-    path: str = ""
-    hash: str = ""
     curve: tuple[tuple[int, float], ...] = ()
-    document: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
 
 Tell = Callable[[Status], None]
@@ -276,9 +268,10 @@ class Campaign:
             return
         self._say("moving", f"pose {k + 1} of {len(self.targets)}, {target.purpose}")
         self._cell.move(through(way, self._guard.model.mechanism), self.control.go_on)
+        self._checker.check_arrived(self._cell.joints(), stops[-1])
         self._say("sampling", f"pose {k + 1} of {len(self.targets)}, {target.purpose}")
         sample = self._cell.sample(self.control.go_on)
-        self._checker.check(sample.dataset, np.array(target.joints), self._last)
+        self._checker.check(sample.dataset, stops[-1], self._last)
         self._write(target=k, sample=sample.dataset, start_ns=sample.start_ns)
         self.samples[k] = sample
 
@@ -349,9 +342,21 @@ class Campaign:
         judgement = self.judgements[-1]
         curve = [(0, _first(judgement.before))]
         curve += [(one.samples, _first(one.unseen)) for one in self.judgements]
+        document = {
+            "success": success,
+            "message": message,
+            "verdict": judgement.verdict,
+            "effects": judgement.effects,
+            "poses": len(self.samples),
+            "minutes": self.spent / 60,
+            "curve": [{"poses": n, "error_unseen": error} for n, error in curve],
+            "left_out": list(self.left_out.values()),
+            "folder": str(self.folder),
+            "diagnosis": judgement.diagnosis,
+        }
         return Outcome(
-            success, message, judgement.verdict, True, len(self.samples),
-            curve=tuple(curve), document=judgement.diagnosis,
+            success, message, plain(document), verdict=judgement.verdict,
+            samples=len(self.samples), curve=tuple(curve),
         )  # fmt: skip
 
     def _end(self, outcome: Outcome) -> Outcome:
@@ -389,5 +394,5 @@ def write_better(outcome: Outcome, path: str) -> Outcome:
     """Write the proven model to a file, the one before kept."""
     if not outcome.text:
         return outcome
-    replaced(path, outcome.text)
+    goals.replaced(path, outcome.text)
     return replace(outcome, path=path, hash=model_hash(outcome.text))

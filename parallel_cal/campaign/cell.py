@@ -13,6 +13,8 @@ from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.campaign.trajectory import Trajectory
 from parallel_cal.recordings.dataset import Dataset
 
+PROMPT = 0.05  # s between two looks at whether it is still wanted
+
 
 class CellError(ParallelCalError):
     """The robot or the device does not do what it was asked for; it is stopped."""
@@ -60,9 +62,14 @@ class Cell(Protocol):
 class Control:
     """A campaign is held, goes on, or is ended, by whoever says so, from any thread."""
 
-    def __init__(self) -> None:
-        self._changed = Condition()
-        self._held = self.aborted = False
+    def __init__(self, ended: Callable[[], bool] = lambda: False):
+        """`ended`: whether somebody else has ended it."""
+        self._changed, self._ended = Condition(), ended
+        self._held = self._aborted = False
+
+    @property
+    def aborted(self) -> bool:
+        return self._aborted or self._ended()
 
     def pause(self) -> None:
         self._set(held=True)
@@ -75,7 +82,7 @@ class Control:
 
     def _set(self, held: bool, aborted: bool = False) -> None:
         with self._changed:
-            self._held, self.aborted = held, self.aborted or aborted
+            self._held, self._aborted = held, self._aborted or aborted
             self._changed.notify_all()
 
     def go_on(self) -> None:
@@ -88,5 +95,6 @@ class Control:
     def wait(self) -> None:
         """Until it goes on; Aborted where it does not."""
         with self._changed:
-            self._changed.wait_for(lambda: not self._held)
+            while self._held and not self.aborted:
+                self._changed.wait(PROMPT)
         self.go_on()

@@ -37,7 +37,7 @@ class Checker:
     def check(self, sample: Dataset, sent: np.ndarray, last: Dataset | None) -> None:
         """CellError where joints are not where they were sent (nq,), or the pose is not where the
         model, and the sample before, let it be expected."""
-        self._check_joints(sample.q[0], sent)
+        self.check_arrived(sample.q[0], sent)
         if not self._usual:
             if last is not None:
                 self._check_moved(sample, last)
@@ -50,7 +50,8 @@ class Checker:
             if error > JUMP * usual:
                 raise CellError(f"{_said(kind, error, usual)}: {SEE_TO_IT}")
 
-    def _check_joints(self, q: np.ndarray, sent: np.ndarray) -> None:
+    def check_arrived(self, q: np.ndarray, sent: np.ndarray) -> None:
+        """CellError where joints (nq,) are not where they were sent."""
         m = self._model.mechanism
         low, high = np.array(m.joint_limits).T
         width = np.where(np.isfinite(high - low), high - low, 2 * np.pi)

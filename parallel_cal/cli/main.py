@@ -11,6 +11,7 @@ import typer
 from parallel_cal import __version__
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.cli import (
+    calibrating,
     calibration,
     diagnosing,
     exporting,
@@ -58,7 +59,8 @@ COMMANDS: tuple[Callable[..., None], ...] = (
     recordings.replay,
     calibration.fit, calibration.compare, calibration.add, calibration.remove,
     diagnosing.diagnose, reporting.report, exporting.export, exporting.export_residuals,
-    short_cut.short_cut, planning.plan, workbench.workbench, showing.demo, showing.bench,
+    short_cut.short_cut, planning.plan, calibrating.calibrate, workbench.workbench, showing.demo,
+    showing.bench,
 )  # fmt: skip
 for command in COMMANDS:
     app.command(command.__name__.strip("_").replace("_", "-"))(command)  # `import_` is `import`

@@ -26,14 +26,16 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from parallel_cal.base.errors import ParallelCalError
+from parallel_cal.campaign.cell import Sample
 from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.model.shelf import forbid_foreign
 from parallel_cal.nodes import calibration_messages as messages
 from parallel_cal.nodes.calibrator import Calibrator
+from parallel_cal.nodes.campaigning import Campaigning, Here
 from parallel_cal.nodes.collector import Collection, Collector
 from parallel_cal.nodes.conversions import message_class
 from parallel_cal.nodes.folders import Folders
-from parallel_cal.nodes.frames import MOVES_POSES
+from parallel_cal.nodes.frames import MOVES_POSES, by_tf
 from parallel_cal.nodes.health import Stream
 from parallel_cal.nodes.jobs import in_words
 from parallel_cal.nodes.journal import Journal
@@ -59,6 +61,7 @@ from parallel_cal.recordings.recording import Dropped
 POSE_TYPES = ("PoseWithCovarianceStamped", "PoseStamped")
 # Reliable, and deep enough for minutes of a 1 kHz stream while this process is busy.
 STREAM = QoSProfile(depth=100_000)
+LONGER = 0.3  # s that a campaign rests beyond the least dwell, so that poses enough come
 BUSY = 0.25  # largest part of the time spent on looking at what was collected so far
 
 PARAMETERS = {
@@ -114,8 +117,16 @@ class CalibrationNode(Managed):
         self._journal = self._opened_journal()
         self._status = self.create_publisher(CollectionStatus, "~/collection_status", LATCHED)
         self._dropped = self.create_publisher(String, "~/dropped", LATCHED)
-        self._subscribe()
         self._calibrator = Calibrator(self, self._collect, self._say, self._group, self._folders)
+        here = Here(
+            self._calibrator.files, self._take, self._folder / "campaigns", self._fit_options,
+            self._dwell,
+        )  # fmt: skip
+        calibrator = self._calibrator
+        self._campaigning = Campaigning(
+            self, here, calibrator.one, calibrator.worker, self._say, self._group
+        )
+        self._subscribe()
         self._offer_services()
         every(self._parameter("look_period"), self, self._look, self._group)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
@@ -248,6 +259,7 @@ class CalibrationNode(Managed):
 
     def _on_states(self, waiting: Messages) -> None:
         for message, info in waiting:
+            self._campaigning.hear(message)
             self._on_message("joint_states", message, info)
 
     def _take_in(self) -> None:
@@ -325,6 +337,7 @@ class CalibrationNode(Managed):
         message = DiagnosticArray(
             status=[
                 diagnostics(f"{name}: samples", level, said or "as it should be", items),
+                self._campaigning.diagnosis(name),
                 *(h.diagnosis(name, topic) for topic, h in self._health.items()),
             ]
         )
@@ -363,6 +376,23 @@ class CalibrationNode(Managed):
     def _collect(self) -> Collection:
         self._refresh()
         return self._collector.collection()
+
+    def _take(self) -> Sample:
+        """The sample of the dwell going on, for a campaign; DatasetError says why there is none."""
+        self._refresh()
+        entry = self._collector.entries()[self._collector.take()]
+        self._keep()
+        model = read_model(absolute(self._parameter("model_file")))
+        return Sample(by_tf(entry.alone, model, self._calibrator.look), entry.start_ns)
+
+    def _dwell(self) -> float:
+        """s that the robot rests where it is measured."""
+        times = (self._parameter(name) for name in ("min_dwell", "trim_start", "trim_end"))
+        return float(sum(times)) + LONGER
+
+    def _fit_options(self) -> dict[str, Any]:
+        sigma = self._parameter("joint_sigma") or None
+        return {"hold_out": self._parameter("hold_out"), "joint_sigma": sigma}
 
     def _publish_status(self) -> None:
         self._status.publish(self._collection_status())
@@ -448,6 +478,7 @@ class CalibrationNode(Managed):
         self._calibrator.stop()
 
     def destroy_node(self) -> None:
+        self._campaigning.action.close()
         self._calibrator.close()
         super().destroy_node()
 

@@ -63,10 +63,10 @@ class Calibrator:
             )
             for topic, kind in TOPICS.items()
         }
-        self._worker = Worker(first=partial(prepare, self._parameter("allow_foreign_modules")))
+        self.worker = Worker(first=partial(prepare, self._parameter("allow_foreign_modules")))
         self.registered = ""  # where the frame of the samples used last was found to stand
         self._written = ""  # the model file that was written last
-        self._one, self._transform = OneAtATime(self._worker), lookup(node)
+        self.one, self.look = OneAtATime(self.worker), lookup(node)
         jobs = (
             Job(
                 "identify", Identify, "an identification is running; cancel it or wait",
@@ -77,18 +77,18 @@ class Calibrator:
                 self._diagnose, self._diagnosed, messages.diagnose_result,
             ),
         )  # fmt: skip
-        self._actions = [JobServer(node, self._one, job, say, group) for job in jobs]
+        self._actions = [JobServer(node, self.one, job, say, group) for job in jobs]
         # the node's default group: it takes seconds, and must not keep anything else waiting
         node.create_service(AddEffect, "~/add_effect", self._add_effect)
 
     def cancel(self) -> None:
         """End the work, if any; the next goal is served."""
-        self._one.cancel.ask()
+        self.one.cancel.ask()
 
     def stop(self) -> None:
         """End the work, if any, and serve no other."""
         self.cancel()
-        self._worker.end()
+        self.worker.end()
 
     def close(self) -> None:
         """The same, and wait for the threads that waited for it."""
@@ -116,7 +116,7 @@ class Calibrator:
         path = next((path for path in paths if Path(path + PREVIOUS).exists()), paths[0])
         response.success, response.message = True, undone(self._folders.to_write(path, "model"))
 
-    def _files(self, model_file: str, output_file: str) -> tuple[str, str]:
+    def files(self, model_file: str, output_file: str) -> tuple[str, str]:
         """Where the model is read, and where the new one goes."""
         model_file = self._model_file(model_file)
         output_file = output_file or self._parameter("output_file") or model_file
@@ -144,7 +144,7 @@ class Calibrator:
     def _samples(self, model: Model) -> Collection:
         """The samples in the model's base frame, or registered to it where they are used."""
         collection = self._collect()
-        dataset, said = in_base(collection.dataset, model, self._transform, self._sigma())
+        dataset, said = in_base(collection.dataset, model, self.look, self._sigma())
         self.registered = said if dataset is collection.dataset else ""
         if said:
             self._say(said)
@@ -172,7 +172,7 @@ class Calibrator:
     # ------------------------------------------------------------------ identifying, diagnosing
 
     def _identify(self, goal: Any) -> tuple[Work, Collection]:
-        files = self._files(goal.model_file, goal.output_file)
+        files = self.files(goal.model_file, goal.output_file)
         collection = self._samples(read_model(files[0]))
         options = FitOptions(
             method=goal.method or "implicit", free=tuple(goal.free), fix=tuple(goal.fix),
@@ -218,7 +218,7 @@ class Calibrator:
             outcome = Outcome(False, in_words(error))
             in_front(self._node, self._say, outcome.message)
         else:
-            outcome = self._one.outcome_of(work)
+            outcome = self.one.outcome_of(work)
             in_front(self._node, self._effect_added, outcome, collection)
         response.success, response.message = outcome.success, outcome.message
         response.json = messages.json_text(outcome.document) if outcome.document else ""
@@ -231,13 +231,13 @@ class Calibrator:
         if not request.effect:
             raise ParallelCalError("no effect named, e.g. encoder_eccentricity")
         options = FitOptions(hold_out=self._parameter("hold_out"), joint_sigma=self._sigma())
-        files = self._files("", request.output_file)
+        files = self.files("", request.output_file)
         wanted = Request(*files, options, request.force, request.effect)
         collection = self._samples(read_model(files[0]))
-        self._one.begin("an effect is being added; wait")
+        self.one.begin("an effect is being added; wait")
         self._say(f"adding {request.effect}")
         return Work(proposed, (wanted, collection.dataset), partial(written, wanted)), collection
 
     def _effect_added(self, outcome: Outcome, collection: Collection) -> None:
-        self._one.end()
+        self.one.end()
         self._recalibrated("add_effect", outcome, collection)

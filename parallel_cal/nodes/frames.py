@@ -66,6 +66,13 @@ def in_base(
     )
 
 
+def by_tf(dataset: Dataset, model: Model, look: Look) -> Dataset:
+    """The samples in the model's base frame where TF leads there, else as they are."""
+    frame, base = foreign_frame(dataset, model), model.frames["base"]
+    found = look(base, frame) if frame else None
+    return dataset if found is None else moved(dataset, found, base)
+
+
 def moved(dataset: Dataset, by: Transform, frame: str) -> Dataset:
     """r -> R_t r + r_t, R -> R_t R, covariances turned likewise; measured directions must be all
     or none of the position and of the rotation (DatasetError)."""

@@ -17,6 +17,8 @@ from parallel_cal.nodes.collector import Collection
 from parallel_cal.nodes.managed import Managed
 from parallel_cal.session.goals import Outcome
 
+Tell = Callable[..., None]
+
 
 class Cancelled(Exception):
     """The goal was cancelled; nothing was written."""
@@ -51,7 +53,15 @@ class Work(NamedTuple):
     finish: Callable[[Outcome], Outcome]
 
 
-Prepare = Callable[[Any], tuple[Work, Collection]]
+class InThread(NamedTuple):
+    """`run`, which is given how to tell its feedback, in the thread beside, where only parts of it
+    are for the worker; and then `finish` with its outcome."""
+
+    run: Callable[[Callable[..., None]], Outcome]
+    finish: Callable[[Outcome], Outcome]
+
+
+Prepare = Callable[[Any], tuple[Work | InThread, Collection | None]]
 Finished = Callable[[Outcome, Collection | None], None]
 Say = Callable[[str], None]
 
@@ -72,13 +82,18 @@ class OneAtATime:
         """Free for the next piece of work."""
         self._running = ""
 
-    def outcome_of(self, work: Work, tell: Callable[..., None] | None = None) -> Outcome:
+    def outcome_of(self, work: Work | InThread, tell: Tell | None = None) -> Outcome:
         """What work comes to, whatever it raises."""
         cancel = self.cancel
         try:
-            outcome = self._worker.work(
-                work.function, *work.given, tell=tell, wanted=lambda: not cancel.asked
-            )
+            if isinstance(work, InThread):
+                outcome = work.run(tell or (lambda *values: None))
+                if cancel.asked:  # it has ended by itself, and says how
+                    return outcome
+            else:
+                outcome = self._worker.work(
+                    work.function, *work.given, tell=tell, wanted=lambda: not cancel.asked
+                )
             cancel.commit()
             return work.finish(outcome)
         except (Cancelled, Unwanted):
@@ -158,7 +173,7 @@ class JobServer:
         self._thread = Thread(target=self._work, args=(goal, work, collection))
         self._thread.start()
 
-    def _work(self, goal: Any, work: Work, collection: Collection) -> None:
+    def _work(self, goal: Any, work: Work | InThread, collection: Collection | None) -> None:
         def tell(*values: Any) -> None:
             if self._node.context.ok():
                 goal.publish_feedback(self._feedback(*values))

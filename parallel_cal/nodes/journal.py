@@ -42,11 +42,14 @@ class Entry:
         columns = (d.q, d.r, d.R, d.pose_cov, d.time, d.duration, *d.conditions.values())
         return b"".join(column[i].tobytes() for column in columns)
 
+    @property
+    def alone(self) -> Dataset:
+        """The sample without what was said of the others."""
+        one = self.dataset.select([self.i])
+        return dataclasses.replace(one, dropped=(), warnings=(), sha256="")
+
     def line(self, number: int) -> str:
-        alone = dataclasses.replace(
-            self.dataset.select([self.i]), dropped=(), warnings=(), sha256=""
-        )
-        document = {"id": number, "start_ns": self.start_ns, "sample": plain(alone)}
+        document = {"id": number, "start_ns": self.start_ns, "sample": plain(self.alone)}
         return json.dumps(document, allow_nan=False)
 
 

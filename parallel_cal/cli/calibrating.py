@@ -1,0 +1,100 @@
+"""The robot calibrates itself, through running nodes or simulated ones."""
+
+from __future__ import annotations
+
+import json
+import math
+import signal
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from parallel_cal.base.errors import ParallelCalError
+from parallel_cal.cli.arguments import Json
+from parallel_cal.reporting import console
+
+if TYPE_CHECKING:
+    from parallel_cal_msgs.action import Calibrate
+
+
+def calibrate(
+    model: Annotated[Path, typer.Argument(help="model file (YAML) of the robot")],
+    poses: Annotated[int, typer.Option(min=1, help="to be measured at most")] = 80,
+    minutes: Annotated[float, typer.Option(min=0.1, help="that it may take at most")] = 60.0,
+    enough: Annotated[
+        float, typer.Option(min=0, help="rms error at unseen poses, m or rad; 0: a verdict")
+    ] = 0.0,
+    effects: Annotated[
+        list[str] | None, typer.Option("--effect", help="may be looked for; none: all")
+    ] = None,
+    keep_out: Annotated[
+        list[str] | None, typer.Option(help="box 'x y z x y z' (m) that nothing may enter")
+    ] = None,
+    payload: Annotated[
+        float, typer.Option(min=0, help="kg that you may be asked to put on; 0: none")
+    ] = 0.0,
+    warmer: Annotated[
+        float, typer.Option(min=0, help="K by which you may be asked to warm it up; 0: none")
+    ] = 0.0,
+    afresh: Annotated[
+        bool, typer.Option("--afresh", help="begin anew, though one was ended too early")
+    ] = False,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="the better model; none: the same file")
+    ] = None,
+    namespace: Annotated[str, typer.Option(help="of the nodes")] = "",
+    simulated: Annotated[
+        str, typer.Option(help="robot, or robot:effect,effect, of a virtual cell; see docs/cell.md")
+    ] = "",
+    as_json: Json = False,
+) -> None:
+    """Let the robot measure itself until it is known what its model lacks. Ctrl-C stops it; the
+    same command goes on."""
+    try:
+        from parallel_cal.nodes.calibrate import Calibration
+    except ImportError as error:
+        raise ParallelCalError(
+            f"ROS 2 is missing ({error}): source its setup.bash, or install the extra 'ros' and "
+            "msg_defs"
+        ) from None
+    asked: list[int] = []
+    signal.signal(signal.SIGINT, lambda number, frame: asked.append(number))
+    robot, _, hidden = simulated.partition(":")
+    cell = {"robot": robot, "effects": hidden, "rate": 4.0} if robot else None
+    last = [""]
+    with Calibration(model, namespace, cell, interrupted=lambda: bool(asked)) as calibration:
+
+        def hear(status: Calibrate.Feedback) -> None:
+            told(status, last)
+            if status.state == "asking":
+                if cell is not None:
+                    calibration.bring_about(status.reason)
+                elif sys.stdin.isatty():
+                    console.note("press Enter when it is done")
+
+        result = calibration.run(
+            hear, minutes, poses=poses, enough=enough, effects=effects or [],
+            keep_out=[float(v) for box in keep_out or [] for v in box.split()],
+            payload=payload, warmer=warmer, afresh=afresh,
+            output_file=str(output.resolve()) if output else "",
+        )  # fmt: skip
+    document: dict[str, Any] = json.loads(result.json) if result.json else {}
+    if as_json:
+        console.emit(document | {"success": result.success, "message": result.message})
+    else:
+        console.say(f"{'done' if result.success else 'ended'}: {result.message}")
+        if result.hash:
+            console.say(f"written to {output or model}: sha256 {result.hash[:12]}")
+    if not result.success:
+        raise typer.Exit(1)
+
+
+def told(status: Calibrate.Feedback, last: list[str]) -> None:
+    """A line for every pose and every change of state, on stderr."""
+    error = "" if math.isnan(status.error_unseen) else f", {1e6 * status.error_unseen:.0f} um off"
+    line = f"{status.state}: {status.reason} ({status.poses} poses{error})"
+    if line != last[0] and status.state != "sampling":
+        console.note(line)
+    last[0] = line

@@ -1,0 +1,112 @@
+"""Asks a running calibration_node to calibrate its robot, or one that is simulated for it."""
+
+from __future__ import annotations
+
+import os
+import re
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from parallel_cal_msgs.action import Calibrate
+from parallel_cal_msgs.msg import CalibrationStatus
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+from std_srvs.srv import Trigger
+
+from parallel_cal.nodes.client import Client, NodeError, Process, own_domain
+
+CALIBRATION, CELL = "calibration_node", "virtual_cell_node"
+STOPPING, LATE = 30.0, 600.0  # s
+ASKED_FOR = re.compile(r"bring (\w+) to (\S+)")
+
+Hear = Callable[[Any], None]  # Calibrate.Feedback
+
+
+class Calibration:
+    """A client of `~/calibrate`; a context, at whose end all that it started has ended.
+
+    `simulated` are parameters of a virtual_cell_node that is started with calibration_node and
+    kinematics_node, in a ROS domain of their own; it writes the model file unless there is one.
+    """
+
+    def __init__(
+        self,
+        model_file: Path,
+        namespace: str = "",
+        simulated: Mapping[str, Any] | None = None,
+        folder: Path | None = None,
+        interrupted: Callable[[], bool] = lambda: False,
+    ):
+        self._model_file, self._namespace = model_file.resolve(), namespace
+        self._simulated, self._folder = simulated, (folder or model_file.parent).resolve()
+        self._interrupted, self._processes = interrupted, list[Process]()
+
+    def __enter__(self) -> Calibration:
+        with ExitStack() as self._open:
+            if self._simulated is not None:
+                self._namespace = own_domain()
+                self._start(CELL, model_file=str(self._model_file), **self._simulated)
+            self.client = Client("calibrate", self._namespace, self._processes)
+            self._open.callback(self.client.close)
+            if self._simulated is not None:
+                self.client.wait(self._model_file.exists, f"{self._model_file}, which {CELL} makes")
+                folders = {str(self._model_file.parent), str(self._folder)}
+                given = {
+                    "model_file": str(self._model_file),
+                    "allowed_folders": os.pathsep.join(folders),
+                }
+                self._start("kinematics_node", **given)
+                self._start(CALIBRATION, **given, journal_folder=str(self._folder))
+            self._open = self._open.pop_all()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._open.close()
+
+    def _start(self, node: str, **parameters: Any) -> None:
+        process = Process(node, self._folder, self._namespace, **parameters)
+        self._processes.append(process)
+        self._open.callback(process.end)
+
+    def run(self, hear: Hear, minutes: float, **goal: Any) -> Calibrate.Result:
+        """What came of it; an interruption aborts it, and is told as its result. NodeError where
+        the node does not answer, or does not take the goal."""
+        news = deque[Any]()
+        heard = self.client.latest(CalibrationStatus, f"{CALIBRATION}/session_status")
+        self.client.wait(lambda: bool(heard), f"{CALIBRATION}/session_status")
+        handle = self.client.send_goal(
+            Calibrate, f"{CALIBRATION}/calibrate", news.append,
+            model_file=str(self._model_file), minutes=minutes, **goal,
+        )  # fmt: skip
+        if not handle.accepted:
+            raise NodeError(f"{CALIBRATION} did not take the goal: its log says why")
+        future, end = handle.get_result_async(), time.monotonic() + 60 * minutes + LATE
+        while not future.done():
+            self.client.wait(
+                lambda: bool(future.done() or news or self._interrupted()),
+                f"word of {CALIBRATION}",
+                end - time.monotonic(),
+            )
+            while news:
+                hear(news.popleft())
+            if self._interrupted():
+                handle.cancel_goal_async()
+                self.client.wait(future.done, "the robot to stop", STOPPING)
+        return future.result().result
+
+    def go_on(self) -> None:
+        """Say that what was asked for is done."""
+        self.client.call(Trigger, f"{CALIBRATION}/continue")
+
+    def bring_about(self, words: str) -> None:
+        """Do in the simulated cell what a person is asked for, and say so."""
+        changes = [
+            Parameter(name, value=float(value)).to_parameter_msg()
+            for name, value in ASKED_FOR.findall(words)
+        ]
+        self.client.call(SetParameters, f"{CELL}/set_parameters", parameters=changes)
+        self.go_on()

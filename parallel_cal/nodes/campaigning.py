@@ -1,0 +1,217 @@
+"""The action `~/calibrate`: a campaign with the robot of this node's topics."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from parallel_cal_msgs.action import Calibrate
+from parallel_cal_msgs.msg import CalibrationStatus
+from rclpy.callback_groups import CallbackGroup
+from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectory
+
+from parallel_cal.base.errors import ParallelCalError
+from parallel_cal.base.worker import Unwanted, Worker
+from parallel_cal.campaign.campaign import (
+    Campaign,
+    Goal,
+    Outcome,
+    Status,
+    unfinished,
+    write_better,
+)
+from parallel_cal.campaign.cell import Control, Sample
+from parallel_cal.model.file.modelfile import model_text, parse_model
+from parallel_cal.model.mechanism import Box
+from parallel_cal.nodes.calibration_messages import json_text
+from parallel_cal.nodes.jobs import InThread, Job, JobServer, OneAtATime, Say
+from parallel_cal.nodes.managed import Managed
+from parallel_cal.nodes.parameters import LATCHED
+from parallel_cal.nodes.robot_cell import RobotCell
+from parallel_cal.nodes.run import in_front
+from parallel_cal.nodes.tally import diagnostics
+from parallel_cal.session import goals
+
+POSES, MINUTES = 80, 60.0  # where a goal says nothing
+LEVELS = {"stopped": b"\x02", "asking": b"\x01", "paused": b"\x01"}
+
+
+@dataclass(frozen=True)
+class Here:
+    """What a campaign needs of the node: `files` where a goal's model is and the better one goes,
+    `take` the sample of the dwell going on, `folder` for campaigns, `options` of a fit."""
+
+    files: Callable[[str, str], tuple[str, str]]
+    take: Callable[[], Sample]
+    folder: Path
+    options: Callable[[], dict[str, Any]]
+    dwell: Callable[[], float]
+
+
+class Campaigning:
+    """Serves `~/calibrate`, `~/pause`, `~/resume` and `~/continue`, tells `~/session_status`."""
+
+    def __init__(
+        self,
+        node: Managed,
+        here: Here,
+        one: OneAtATime,
+        worker: Worker,
+        say: Say,
+        group: CallbackGroup,
+    ):
+        self._node, self._here, self._one, self._worker, self._say = node, here, one, worker, say
+        self._control: Control | None = None
+        self._cell: RobotCell | None = None
+        self._status = CalibrationStatus(state="done", reason="none was asked for")
+        self._told = node.create_publisher(CalibrationStatus, "~/session_status", LATCHED)
+        self._told.publish(self._status)
+        self._command = node.create_publisher(JointTrajectory, "joint_trajectory", 10)
+        job = Job(
+            "calibrate", Calibrate, "the robot is calibrating itself; cancel it or wait",
+            self._prepare, self._finished, _answer,
+        )  # fmt: skip
+        self.action = JobServer(node, one, job, say, group)
+        for name, work in (("pause", self._pause), ("resume", self._resume),
+                           ("continue", self._continue)):  # fmt: skip
+            node.create_service(Trigger, f"~/{name}", work, callback_group=group)
+
+    def hear(self, message: Any) -> None:
+        """A joint state, in whichever thread it comes."""
+        if (cell := self._cell) is not None:
+            cell.hear(message)
+
+    def diagnosis(self, name: str) -> Any:
+        """One DiagnosticStatus: what it is at, and why."""
+        status = self._status
+        items = {
+            "poses": str(status.poses),
+            "error_unseen": f"{status.error_unseen:.3g}",
+            "verdict": status.verdict,
+            "folder": status.folder,
+        }
+        level = LEVELS.get(status.state, b"\x00")
+        return diagnostics(f"{name}: session", level, f"{status.state}: {status.reason}", items)
+
+    # ------------------------------------------------------------------ one goal
+
+    def _prepare(self, goal: Any) -> tuple[InThread, None]:
+        model_file, output_file = self._here.files(goal.model_file, goal.output_file)
+        text = model_text(model_file)
+        numbers = list(goal.keep_out)
+        if len(numbers) % 6:
+            raise ParallelCalError("keep_out: expected six numbers a box, x y z x y z in m")
+        boxes = tuple(_box(numbers[k : k + 6]) for k in range(0, len(numbers), 6))
+        wanted = Goal(
+            poses=goal.poses or POSES, minutes=goal.minutes or MINUTES, enough=goal.enough,
+            effects=tuple(goal.effects), keep_out=boxes, payload=goal.payload,
+            warmer=goal.warmer, **self._here.options(),
+        )  # fmt: skip
+        cancel = self._one.cancel
+        control = Control(lambda: cancel.asked)
+        cell = RobotCell(
+            self._command, parse_model(text, model_file),
+            partial(in_front, self._node, self._here.take), self._here.dwell(),
+        )  # fmt: skip
+        left = None if goal.afresh else unfinished(self._here.folder, text)
+        folder = left or self._here.folder / time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
+        self._control, self._cell = control, cell
+
+        def run(tell: Callable[..., None]) -> goals.Outcome:
+            return self._run(folder, text, wanted, cell, control, tell)
+
+        def finish(outcome: goals.Outcome) -> goals.Outcome:
+            assert isinstance(outcome, Outcome)
+            return write_better(outcome, output_file)
+
+        return InThread(run, finish), None
+
+    def _run(
+        self,
+        folder: Path,
+        text: str,
+        wanted: Goal,
+        cell: RobotCell,
+        control: Control,
+        tell: Callable[..., None],
+    ) -> goals.Outcome:
+        """In a thread of its own."""
+
+        def work(function: Callable[..., Any], *given: Any) -> Any:
+            try:
+                return self._worker.work(function, *given, wanted=lambda: not held())
+            except Unwanted:
+                control.go_on()
+                raise
+
+        def held() -> bool:
+            try:
+                control.go_on()
+            except Exception:
+                return True
+            return False
+
+        def told(status: Status) -> None:
+            with suppress(Exception):  # a context that ends is no reason to leave a robot moving
+                self._tell(status, folder)
+                tell(*vars(status).values())
+
+        campaign = Campaign(folder, text, wanted, cell, told, work, control)
+        try:
+            return campaign.run()
+        finally:
+            campaign.close()
+            self._control, self._cell = None, None
+
+    def _tell(self, status: Status, folder: Path) -> None:
+        self._status = CalibrationStatus(
+            stamp=self._node.get_clock().now().to_msg(), state=status.state,
+            reason=status.reason, poses=status.samples, error_unseen=status.unseen,
+            verdict=status.verdict, folder=str(folder),
+        )  # fmt: skip
+        self._told.publish(self._status)
+
+    def _finished(self, outcome: goals.Outcome, collection: Any) -> None:
+        self._say(outcome.message)
+
+    # ------------------------------------------------------------------ what a person says
+
+    def _pause(self, request: Any, response: Any) -> Any:
+        return self._by_hand(response, lambda control, cell: control.pause(), "it will pause")
+
+    def _resume(self, request: Any, response: Any) -> Any:
+        return self._by_hand(response, lambda control, cell: control.resume(), "it goes on")
+
+    def _continue(self, request: Any, response: Any) -> Any:
+        return self._by_hand(response, lambda control, cell: cell.done.set(), "it goes on")
+
+    def _by_hand(self, response: Any, do: Callable[[Any, Any], None], words: str) -> Any:
+        control, cell = self._control, self._cell
+        response.success = control is not None and cell is not None
+        if response.success:
+            do(control, cell)
+        response.message = words if response.success else "no robot is calibrating itself"
+        return response
+
+
+def _box(numbers: list[float]) -> Box:
+    """Corners in any order, the lower one first."""
+    pairs = [sorted(pair) for pair in zip(numbers[:3], numbers[3:], strict=True)]
+    low, high = zip(*pairs, strict=True)
+    return Box(low, high)
+
+
+def _answer(outcome: goals.Outcome) -> Any:
+    return Calibrate.Result(
+        success=outcome.success,
+        message=outcome.message,
+        verdict=outcome.verdict,
+        json=json_text(outcome.document) if outcome.document else "",
+        hash=outcome.hash,
+    )

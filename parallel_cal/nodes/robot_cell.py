@@ -1,0 +1,157 @@
+"""The robot of a campaign: moved by joint trajectories, measured by the samples collected here."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from threading import Event
+from typing import Any
+
+import numpy as np
+from builtin_interfaces.msg import Duration
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from parallel_cal.base.errors import DatasetError
+from parallel_cal.campaign.cell import CellError, Sample
+from parallel_cal.campaign.checking import ARRIVED
+from parallel_cal.campaign.trajectory import Trajectory
+from parallel_cal.model.model import Model
+from parallel_cal.nodes.conversions import stop_message
+
+PROMPT = 0.01  # s between two looks, so that a motion ends at once when it is no longer wanted
+SILENT = 1.0  # s without joint states after which nobody knows where the robot is
+LATE = 10.0  # s more than it should take, until a motion counts as failed
+STILL = 0.15  # s that readings stay alike before the robot rests
+ALIKE = 10.0  # sigmas of a reading, within which they are alike
+ASTRAY = 0.03  # of its range, that a joint may be beside its way
+SPEED_OVER = 0.05  # s of readings that the speed is told by
+KEPT = 2000  # joint states to look back at
+LONGEST = 20.0  # s that a sample may take to come
+
+
+class RobotCell:
+    """A Cell by ROS: `command` publishes trajectories, `take` gives the sample of the dwell going
+    on, which must last `dwell` s."""
+
+    def __init__(self, command: Any, model: Model, take: Callable[[], Sample], dwell: float):
+        self._command, self._model, self._take, self._dwell = command, model, take, dwell
+        self._states: deque[tuple[float, float, np.ndarray]] = deque(maxlen=KEPT)
+        self.done = Event()  # what a person was asked for
+        low, high = np.array(model.mechanism.joint_limits).T
+        self._range = np.where(np.isfinite(high - low), high - low, 2 * np.pi)
+        self._still = ALIKE * (model.noise.joint or 1e-4 * float(self._range.min()))
+        self._set_out = self._rested = 0.0  # stamps of the last motion
+
+    def hear(self, message: Any) -> None:
+        """A joint state, in any thread."""
+        places = {name: i for i, name in enumerate(message.name)}
+        if all(joint in places for joint in self._model.joints):
+            q = np.array([message.position[places[joint]] for joint in self._model.joints])
+            stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+            self._states.append((stamp, time.monotonic(), q))
+
+    # ------------------------------------------------------------------ what a campaign asks
+
+    def joints(self) -> np.ndarray:
+        return self._latest()[1]
+
+    def move(self, trajectory: Trajectory, go_on: Callable[[], None]) -> None:
+        begin, q = self._latest()
+        course = np.vstack([q, trajectory.positions])
+        if not self._command.get_subscription_count():
+            raise CellError(f"nobody hears {self._command.topic_name}: is a controller up?")
+        self._command.publish(self._message(trajectory))
+        due = time.monotonic() + trajectory.seconds + LATE
+        while True:
+            go_on()
+            stamp, q = self._latest()
+            self._check_on_course(q, course)
+            if stamp >= begin + trajectory.seconds and self._rests(begin + trajectory.seconds):
+                moved = np.abs(course - course[0]).max(axis=0) > self._still
+                self._set_out, self._rested = begin if moved.any() else 0.0, stamp - STILL
+                return
+            if time.monotonic() > due:
+                raise CellError(
+                    f"the robot does not come to rest {LATE:.0f} s after it should have"
+                )
+            time.sleep(PROMPT)
+
+    def stop(self) -> None:
+        if not self._states:
+            return
+        recent = [state for state in self._states if state[0] > self._states[-1][0] - SPEED_OVER]
+        (early, _, q0), (late, _, q) = recent[0], recent[-1]
+        speed = (q - q0) / (late - early) if late > early else np.zeros(len(q))
+        self._command.publish(stop_message(self._model.joints, q, speed))
+
+    def sample(self, go_on: Callable[[], None]) -> Sample:
+        due, why = time.monotonic() + LONGEST, "no pose came while the robot rested"
+        while time.monotonic() < due:
+            go_on()
+            stamp, _ = self._latest()
+            if stamp < self._rested + self._dwell:
+                time.sleep(PROMPT)
+                continue
+            try:
+                found = self._take()
+            except DatasetError as error:
+                why = str(error)
+            else:
+                one = found.dataset
+                begin = 1e-9 * found.start_ns + float(one.time[0] - one.duration[0] / 2)
+                if begin > self._set_out:
+                    return found
+                why = "the dwell has not come yet"
+            time.sleep(10 * PROMPT)
+        raise CellError(f"no sample here: {why}: is the target lost?")
+
+    def ask(self, words: str, conditions: Mapping[str, float], go_on: Callable[[], None]) -> None:
+        self.done.clear()
+        while not self.done.wait(PROMPT):
+            go_on()
+
+    # ------------------------------------------------------------------ how the robot is
+
+    def _latest(self) -> tuple[float, np.ndarray]:
+        """Stamp and joints (nq,) now."""
+        if not self._states or time.monotonic() - self._states[-1][1] > SILENT:
+            raise CellError(f"no joint states for {SILENT:.0f} s: nobody knows where the robot is")
+        stamp, _, q = self._states[-1]
+        return stamp, q
+
+    def _rests(self, since: float) -> bool:
+        """Whether the readings of the last STILL seconds, all `since` a stamp, are alike."""
+        recent = list(self._states)
+        last = recent[-1][0]
+        held = np.array([q for stamp, _, q in recent if stamp >= last - STILL])
+        return bool(last - STILL >= since and (np.ptp(held, axis=0) < self._still).all())
+
+    def _check_on_course(self, q: np.ndarray, course: np.ndarray) -> None:
+        """CellError where the joints are beside the way that they were sent, whenever that is."""
+        scaled = course / self._range
+        a, b, here = scaled[:-1], scaled[1:], q / self._range
+        way = b - a
+        length = np.maximum(np.sum(way**2, axis=1), 1e-18)
+        share = np.clip(np.sum((here - a) * way, axis=1) / length, 0.0, 1.0)
+        off = np.abs(here - a - share[:, None] * way).max(axis=1)
+        if off.min() > max(ASTRAY, ARRIVED):
+            nearest = int(np.argmin(off))
+            i = int(np.argmax(np.abs(here - a - share[:, None] * way)[nearest]))
+            raise CellError(
+                f"{self._model.joints[i]} leaves its way by {off.min() * self._range[i]:.3g}: it "
+                "does not move, moves wrongly, or something is in the way"
+            )
+
+    def _message(self, trajectory: Trajectory) -> JointTrajectory:
+        points = [
+            JointTrajectoryPoint(
+                positions=q.tolist(),
+                velocities=v.tolist(),
+                time_from_start=Duration(sec=int(t), nanosec=int(1e9 * (t % 1.0))),
+            )
+            for t, q, v in zip(
+                trajectory.time, trajectory.positions, trajectory.velocities, strict=True
+            )
+        ]
+        return JointTrajectory(joint_names=list(self._model.joints), points=points)

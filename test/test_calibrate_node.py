@@ -1,0 +1,159 @@
+"""The robot calibrates itself through the real nodes: what it finds, how it is stopped."""
+
+# ruff: noqa: E402 - what needs ROS is imported after the check that it is there
+
+import json
+import signal
+import time
+
+import pytest
+
+pytestmark = pytest.mark.ros
+pytest.importorskip("rclpy")
+pytest.importorskip("parallel_cal_msgs")
+
+from parallel_cal_msgs.action import Calibrate
+from parallel_cal_msgs.msg import CalibrationStatus
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+from ros_helpers import NodeProcess
+from std_srvs.srv import Trigger
+
+from parallel_cal.campaign.campaign import FILE
+from parallel_cal.model.file.modelfile import read_model
+from parallel_cal.nodes.calibrate import Calibration
+from parallel_cal.nodes.client import Client, own_domain
+
+ABORTED, CANCELED = 6, 5
+
+
+class Desk:
+    """A virtual cell and calibration_node, and a client of both."""
+
+    def __init__(self, folder, **cell):
+        self.folder, self.namespace = folder, own_domain()
+        self.file = folder / "robot.yaml"
+        given = {"robot": "delta", "seed": 2, "rate": 4.0, "model_file": str(self.file)} | cell
+        self.cell = NodeProcess("virtual_cell_node", folder, self.namespace, **given)
+        self.client = Client("tester", self.namespace, [])
+        self.client.wait(self.file.exists, "the nominal model")
+        self.node = self.start()
+        self.status = self.client.latest(CalibrationStatus, "calibration_node/session_status")
+
+    def start(self):
+        return NodeProcess(
+            "calibration_node", self.folder, self.namespace, model_file=str(self.file),
+            journal_folder=str(self.folder),
+        )  # fmt: skip
+
+    def close(self):
+        self.client.close()
+        assert self.node.end() == 0
+        assert self.cell.end() == 0
+
+    def change(self, **parameters):
+        changes = [Parameter(k, value=v).to_parameter_msg() for k, v in parameters.items()]
+        self.client.call(SetParameters, "virtual_cell_node/set_parameters", parameters=changes)
+
+    def goal(self, **fields):
+        self.client.wait(lambda: bool(self.status), "session_status")
+        handle = self.client.send_goal(
+            Calibrate, "calibration_node/calibrate", lambda feedback: None, **fields
+        )
+        assert handle.accepted
+        return handle, handle.get_result_async()
+
+    def wait_for(self, poses):
+        self.client.wait(
+            lambda: bool(self.status) and self.status[0].poses >= poses, f"{poses} poses", 120
+        )
+
+    def lines(self):
+        """What the campaign has written so far."""
+        (file,) = self.folder.glob(f"campaigns/*/{FILE}")
+        return [json.loads(line) for line in file.read_text().splitlines()]
+
+    def measured(self):
+        return [line["target"] for line in self.lines() if "sample" in line]
+
+
+@pytest.fixture
+def desk(tmp_path):
+    one = Desk(tmp_path)
+    yield one
+    one.close()
+
+
+@pytest.mark.wide
+def test_the_robot_calibrates_itself_and_what_it_lacks_is_in_the_file(tmp_path):
+    file = tmp_path / "robot.yaml"
+    cell = {"robot": "delta", "seed": 2, "effects": "backlash", "rate": 4.0}
+    heard = []
+    with Calibration(file, simulated=cell) as calibration:
+        result = calibration.run(heard.append, 10.0, poses=60)
+    assert result.success, result.message
+    assert result.verdict == "explained"
+    assert [effect.name for effect in read_model(file).effects] == ["backlash"]
+    document = json.loads(result.json)
+    assert document["effects"] == ["backlash"]
+    assert document["curve"][0]["error_unseen"] > 10 * document["curve"][-1]["error_unseen"]
+    assert {one.state for one in heard} >= {"planning", "moving", "sampling", "judging", "done"}
+
+
+@pytest.mark.wide
+def test_pause_holds_the_robot_resume_goes_on_and_cancel_stops_it(desk):
+    handle, result = desk.goal()
+    desk.wait_for(2)
+    desk.client.call(Trigger, "calibration_node/pause")
+    desk.client.wait(lambda: desk.status[0].state == "paused", "the pause")
+    held = desk.status[0].poses
+    time.sleep(1.0)
+    assert desk.status[0].poses == held
+    desk.client.call(Trigger, "calibration_node/resume")
+    desk.wait_for(held + 1)
+    desk.client.answer(handle.cancel_goal_async(), "the cancelling")
+    answer = desk.client.answer(result, "the result")
+    assert answer.status == CANCELED
+    assert "aborted on request" in answer.result.message
+    assert desk.status[0].state == "stopped"
+
+
+@pytest.mark.wide
+def test_a_robot_that_does_not_move_ends_the_goal_with_the_reason(desk):
+    _, result = desk.goal()
+    desk.wait_for(1)
+    desk.change(drives_off=True)
+    answer = desk.client.answer(result, "the result")
+    assert answer.status == ABORTED
+    assert "does not move" in answer.result.message
+
+
+@pytest.mark.wide
+def test_killed_it_goes_on_with_the_samples_that_it_had(desk):
+    desk.goal()
+    desk.wait_for(4)
+    desk.node._process.send_signal(signal.SIGKILL)
+    desk.node._process.wait()
+    before = desk.measured()
+    assert len(before) >= 4
+    desk.client.close()
+    desk.client = Client("again", desk.namespace, [])
+    desk.node = desk.start()
+    desk.status = desk.client.latest(CalibrationStatus, "calibration_node/session_status")
+    handle, result = desk.goal()
+    desk.wait_for(len(before) + 2)
+    desk.client.answer(handle.cancel_goal_async(), "the cancelling")
+    desk.client.answer(result, "the result")
+    after = desk.measured()
+    assert after[: len(before)] == before
+    assert len(set(after)) == len(after)
+
+
+@pytest.mark.wide
+def test_nothing_is_calibrated_where_no_robot_is(desk):
+    desk.client.wait(lambda: bool(desk.status), "session_status")
+    desk.cell.end()
+    time.sleep(2.0)  # longer than a robot may be silent
+    _, result = desk.goal()
+    answer = desk.client.answer(result, "the result")
+    assert "no joint states" in answer.result.message
