@@ -131,22 +131,34 @@ def test_the_printers_page_shows_what_its_commands_print(tmp_path):
     for name, seed, step in (("heightmap", 0, 10e-3), ("check", 1, 13e-3)):
         file = tmp_path / f"{name}.csv"
         file.write_text(virtual_printer.height_map(printer, seed, step))
-    page = (ROOT / "docs" / "delta_printer.md").read_text(encoding="utf-8")
-    shown = "".join(re.findall(r"^```console\n(.*?)^```$", page, flags=re.M | re.S)).splitlines()
-    assert sum(line.startswith("$ ") for line in shown) <= 15
-    printed = []
-    for line in shown:
-        if line.startswith("$ "):
-            code, printed = execute(shlex.split(line[2:]), tmp_path)
-            assert code == 0, "\n".join(printed)
-        elif line != "...":
-            assert any(like(line, p) for p in printed), f"not printed: {line}\n{printed}"
+    assert in_order("delta_printer.md", tmp_path) <= 15
     before, after = (
         heights_with((tmp_path / name).read_text(), printer)
         for name in ("config.g.previous", "config.g")
     )
     assert 550e-6 < np.sqrt(np.mean(before**2)) < 650e-6
     assert np.sqrt(np.mean(after**2)) < 30e-6
+
+
+@pytest.mark.wide
+def test_the_page_on_export_shows_what_its_commands_print(tmp_path):
+    for name in ("bags", "config"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    assert in_order("export.md", tmp_path) == 3
+
+
+def in_order(name, folder):
+    """How many commands a page has, which were run one after the other and printed what it says."""
+    page = (ROOT / "docs" / name).read_text(encoding="utf-8")
+    shown = "".join(re.findall(r"^```console\n(.*?)^```$", page, flags=re.M | re.S)).splitlines()
+    printed = []
+    for line in shown:
+        if line.startswith("$ "):
+            code, printed = execute(shlex.split(line[2:]), folder)
+            assert code == 0, "\n".join(printed)
+        elif line != "...":
+            assert any(like(line, p) for p in printed), f"not printed: {line}\n{printed}"
+    return sum(line.startswith("$ ") for line in shown)
 
 
 def heights_with(config, printer):

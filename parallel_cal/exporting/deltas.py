@@ -51,27 +51,22 @@ def chains_of(model: Model, places: Array | None) -> Chains:
             f"its rails lean by {np.degrees(lean):.3g} degrees, a firmware's towers stand upright"
         )
         raise ModelError(f"{m.name}: {said}; c and table can hold it")
-    out, across, along, rods = (
-        np.array([model.value(f"chain{i}.{name}") for i in (1, 2, 3)])
-        for name in ("D_x", "D_y", "D_z", "Lb")
-    )
-    up, offset, arms = across, along, np.zeros(3)
+    out, across, along, rods = (_three(model, n) for n in ("D_x", "D_y", "D_z", "Lb"))
+    radius, up, offset, arms = out, across, along, np.zeros(3)
     if linear:
-        first = m.options.get("direction", 0.0)
-        angles = first + np.arange(3) * 2 * np.pi / 3 + np.arctan2(across, out)
         radius, up = np.hypot(out, across), np.zeros(3)
     else:
-        radius, angles = out, np.array([model.value(f"chain{i}.theta") for i in (1, 2, 3)])
-        arm = np.array([[model.value(f"chain{i}.La_{a}") for a in "xy"] for i in (1, 2, 3)])
-        arms, offset = np.hypot(*arm.T), np.arctan2(arm[:, 1], arm[:, 0])
+        arm = _three(model, "La_x"), _three(model, "La_y")
+        arms, offset = np.hypot(*arm), np.arctan2(arm[1], arm[0])
+    angles, planned = _angles(model), _angles(model.with_values(model.table.nominal))
     down = not linear and m.home.position[2] > up.mean()
     height, tilt = _plate(model)
     if height is None:
         height = m.workspace.high[2] if down else 0.0
-    angles = -angles if down else angles
-    turn = 0.0 if places is None else _turn(angles, places)
+    angles, planned = (-each if down else each for each in (angles, planned))
+    turn = 0.0 if places is None else _turn(planned, places)
     angles = angles - turn
-    order = tuple(range(3)) if places is None else _order(angles, places)
+    order = tuple(range(3)) if places is None else _order(planned - turn, places)
     axes = (UPSIDE_DOWN if down else np.eye(3)) @ rotation_matrix(np.array([0.0, 0.0, turn]))
     slope = np.eye(3)
     slope[2, :2] = tilt
@@ -146,6 +141,18 @@ def like_shoulders(model: Model, places: Array, one_stop: bool) -> tuple[Shoulde
     lengths = [c.radius.mean(), c.arms.mean(), c.rods.mean()]
     found = machine(fitted(model, np.array([*lengths, 0, 0, c.heights.mean(), *tops]), machine))
     return found.firmware, found  # type: ignore[return-value]
+
+
+def _three(model: Model, name: str) -> Array:
+    return np.array([model.value(f"chain{i}.{name}") for i in (1, 2, 3)])
+
+
+def _angles(model: Model) -> Array:
+    """Where the chains stand, (3,) rad about z of {B}."""
+    if model.mechanism.name not in LINEAR:
+        return _three(model, "theta")
+    around = model.mechanism.options.get("direction", 0.0) + np.arange(3) * 2 * np.pi / 3
+    return np.asarray(around + np.arctan2(_three(model, "D_y"), _three(model, "D_x")))
 
 
 def _plate(model: Model) -> tuple[float | None, tuple[float, float]]:

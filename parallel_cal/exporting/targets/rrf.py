@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -78,7 +79,8 @@ def _five_bar(model: Model) -> Projection:
         for name in ("x", "y", "crank", "rod", "q0")
     )
     home = model.mechanism.home
-    angles, stops = np.array(home.joints) + q0, np.array(getattr(model.mechanism, "switches"))  # noqa: B009
+    bars_of: Any = model.mechanism
+    angles, stops = np.array(home.joints) + q0, np.array(bars_of.switches)
     way = np.array(home.position[:2]) - np.column_stack([x, y])
     left = np.sign(np.cos(angles) * way[:, 1] - np.sin(angles) * way[:, 0])
     turns = (int(left[0]), int(left[1]))
@@ -117,7 +119,8 @@ def _cable(model: Model) -> Projection:
     if not 4 <= n <= len(ANCHORS) or (advantages != np.round(advantages)).any():
         why = f"{n} lines with advantages {advantages.tolist()}"
         raise ModelError(f"rrf: {why}, expected 4 to {len(ANCHORS)} and whole numbers")
-    spools = np.array(getattr(model.mechanism, "spools"))  # noqa: B009
+    cable: Any = model.mechanism
+    spools = np.array(cable.spools)
     radii = [model.value(f"spool{k}.R") for k in sorted({*spools})]
     wound = "spool_buildup" in (effect.name for effect in model.effects)
     buildup = [model.value("spool_buildup.Q")] if wound else []
