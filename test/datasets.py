@@ -4,6 +4,7 @@ import numpy as np
 import virtual_day as vd
 
 from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.virtual import argos as va
 from parallel_cal.virtual import robot as vr
 
 JOINTS = ("joint1", "joint2", "joint3")
@@ -34,6 +35,20 @@ def as_dataset(samples, noise=vr.THESIS_NOISE, measured=None):
         pose_id=samples["pose_index"],
         source="virtual robot",
     )
+
+
+def orientations():
+    """Orientations alone, of the thesis' Argos in 40 poses."""
+    rng, noise = np.random.default_rng(0), vr.Noise(5e-5, 5e-6, 3e-4)
+    robot, home = va.Argos(va.spherical(va.TABLE_5_22)), va.Argos.home_turn
+    q = np.radians(rng.uniform(-30, 30, (40, 3)))
+    R = np.array([robot.turned(row, home) for row in q])
+    dq, _, w = noise.draw(rng, len(q))
+    return Dataset.from_arrays(
+        JOINTS, q + dq, np.zeros((40, 3)), vr.turn(w) @ R,
+        measured=np.tile([False] * 3 + [True] * 3, (40, 1)),
+        pose_cov=np.diag([1.0] * 3 + [noise.orientation**2] * 3), joint_sigma=noise.joint,
+    )  # fmt: skip
 
 
 def redrawn(samples, seed, noise=vr.THESIS_NOISE):

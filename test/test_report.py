@@ -8,7 +8,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 import virtual_setups as vs
-from datasets import measured
+from datasets import measured, orientations
 from tied import dataset as tied
 
 import parallel_cal as pc
@@ -16,14 +16,12 @@ from parallel_cal.cli import main as cli
 from parallel_cal.model.file.modelfile import model_hash, write_model
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_sensor
-from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.reporting.arrows import arrows, colour, scale_of
 from parallel_cal.reporting.figures import thinned
 from parallel_cal.reporting.page import page
 from parallel_cal.reporting.readable import number, probability, vector, with_unit
 from parallel_cal.reporting.report import report
 from parallel_cal.session.steps import fitted
-from parallel_cal.virtual import argos as va
 from parallel_cal.virtual import robot as vr
 
 SECTIONS = [
@@ -287,17 +285,7 @@ def test_a_robot_without_any_missing_effect_has_a_page_too():
 
 @pytest.mark.wide
 def test_orientations_alone_are_shown_at_the_platform_axis():
-    noise, rng = vr.Noise(5e-5, 5e-6, 3e-4), np.random.default_rng(0)
-    robot, home = va.Argos(va.spherical(va.TABLE_5_22)), va.Argos.home_turn
-    q = np.radians(rng.uniform(-30, 30, (40, 3)))
-    R = np.array([robot.turned(row, home) for row in q])
-    dq, _, w = noise.draw(rng, len(q))
-    data = Dataset.from_arrays(
-        ("joint1", "joint2", "joint3"), q + dq, np.zeros((40, 3)), vr.turn(w) @ R,
-        measured=np.tile([False] * 3 + [True] * 3, (40, 1)),
-        pose_cov=np.diag([1.0] * 3 + [noise.orientation**2] * 3), joint_sigma=noise.joint,
-    )  # fmt: skip
-    document, text = shown(new_model("argos9"), data)
+    document, text = shown(new_model("argos9"), orientations())
     assert document["residuals"]["kind"] == "orientation"
     np.testing.assert_allclose(np.linalg.norm(document["residuals"]["place"], axis=1), 1.0)
     assert "<span>arcmin</span>" in section(text, "numbers")

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import virtual_setups as vs
-from datasets import measured
+from datasets import measured, orientations
 from tied import dataset as tied
 
 from parallel_cal.diagnosis.catalogue import candidate
@@ -15,9 +15,7 @@ from parallel_cal.diagnosis.signature import follows, joints, signature
 from parallel_cal.identification.fit import fit
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_sensor
-from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.reporting import signatures
-from parallel_cal.virtual import argos as va
 from parallel_cal.virtual import joint_effects as vj
 from parallel_cal.virtual import robot as vr
 
@@ -112,17 +110,7 @@ def test_a_pattern_explains_no_more_than_the_candidates_columns_do(play):
 
 @pytest.mark.wide
 def test_orientations_alone_and_readings_alone_have_signatures_too():
-    rng, noise = np.random.default_rng(0), vr.Noise(5e-5, 5e-6, 3e-4)
-    robot, home = va.Argos(va.spherical(va.TABLE_5_22)), va.Argos.home_turn
-    q = np.radians(rng.uniform(-30, 30, (40, 3)))
-    R = np.array([robot.turned(row, home) for row in q])
-    dq, _, w = noise.draw(rng, len(q))
-    data = Dataset.from_arrays(
-        ("joint1", "joint2", "joint3"), q + dq, np.zeros((40, 3)), vr.turn(w) @ R,
-        measured=np.tile([False] * 3 + [True] * 3, (40, 1)),
-        pose_cov=np.diag([1.0] * 3 + [noise.orientation**2] * 3), joint_sigma=noise.joint,
-    )  # fmt: skip
-    turned = signature(candidate(fitted_scene(data, "argos9"), "encoder_eccentricity"))
+    turned = signature(candidate(fitted_scene(orientations(), "argos9"), "encoder_eccentricity"))
     assert [p.abscissa for p in turned.panels] == ["joint1", "joint2", "joint3"]
 
     plate = vs.Plate()
