@@ -76,6 +76,7 @@ def test_iso_9283_of_a_pose_visited_thrice_and_one_visited_once():
     assert (found.poses, found.visits) == (1, 3)
 
 
+@pytest.mark.wide
 def test_the_command_prints_both(run_cli, tmp_path):
     asked = ("fit", "config/delta_mockup_nominal.yaml", "bags/delta_clean")
     shown = run_cli(*asked, "--hold-out", "0")

@@ -326,6 +326,7 @@ def turned_home(mechanism):
     return new_model(mechanism, sensors=[sensor])
 
 
+@pytest.mark.wide
 def test_argos_without_device_frames_is_not_found_and_with_them_it_is(misaligned_argos):
     data = misaligned_argos
     plain = fit(turned_home("argos9"), data, prior=True).document()

@@ -213,6 +213,7 @@ def test_what_is_identified_can_be_chosen_anew_and_that_is_undone_too(session):
     assert again.undo().fitting == {}
 
 
+@pytest.mark.wide
 def test_the_command_line_takes_the_same_steps_and_remembers_options(session, run_cli, tmp_path):
     folder = tmp_path / "mine"
     run_cli("session", "new", folder, MODEL, BAG, "--hold-out", "0.5", "--fix", "chain1.Lb")

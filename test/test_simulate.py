@@ -124,6 +124,7 @@ def test_other_mechanisms_can_be_recorded_too(name, tmp_path):
     assert np.abs(rotation_vector(data.R @ pose.rotation.transpose(0, 2, 1))).max() < 1e-8
 
 
+@pytest.mark.wide
 def test_a_workspace_out_of_reach_is_a_clear_error():
     mechanism = load_mechanism("delta24")
     mechanism.workspace = Workspace((1.0, 1.0, 1.0), (2.0, 2.0, 2.0))

@@ -85,6 +85,7 @@ def crank():
     return compute("slider_crank", draws=DRAWS)
 
 
+@pytest.mark.wide
 def test_the_slider_cranks_distributions_are_found_again(crank):
     kept = KEPT["slider_crank"]
     assert kept["draws"] == 1000
@@ -137,6 +138,7 @@ def mock_up():
     return compute("delta", draws=FEW)
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("table", ["table_5_13", "table_5_18"])
 def test_the_deltas_parameters_are_found_again(mock_up, table):
     for name, kept in KEPT["delta"][table].items():
