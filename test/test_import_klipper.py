@@ -142,6 +142,12 @@ def test_the_rotary_model_is_the_firmwares_formula(file):
     np.testing.assert_allclose(pose.position, POINTS, atol=1e-9)
 
 
+def test_an_end_stop_that_no_arm_reaches_is_named(file):
+    with pytest.raises(ParallelCalError) as error:
+        configured(file(ROTARY.replace("position_endstop: 50", "position_endstop: 900")))
+    assert "cfg:9: [stepper_a] position_endstop is '900', expected a height" in str(error.value)
+
+
 def test_steps_of_a_rotary_delta_are_angles(file):
     data = samples("klipper", file(ROTARY))
     model = configured(file(ROTARY)).model

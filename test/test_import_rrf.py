@@ -133,6 +133,27 @@ def test_later_settings_count_and_maps_of_one_grid_are_visits_of_the_same_places
     assert model.mechanism.joint_limits[0][1] == pytest.approx(high - 0.5e-3)
 
 
+FIVE = "M669 K9 X-50:50 Y0 L2 P100 D150 B180:0 C60:180:0:120\n"
+
+
+def test_a_five_bar_stands_where_pythagoras_puts_it(tmp_path):
+    """Cranks at 120 and 60 degrees end 100 beside the middle, 86.603 up; rods go 111.803 more."""
+    (tmp_path / "config.g").write_text(FIVE)
+    model = configured([tmp_path / "config.g"]).model
+    found = Kinematics(model).inverse([0.0, 0.0866025404 + 0.1118033989, 0.0])
+    np.testing.assert_allclose(np.degrees(found.joints), [120, 60], atol=1e-6)
+    np.testing.assert_allclose(np.degrees(model.mechanism.joint_limits), [[60, 180], [0, 120]])
+    for old, new, message in (
+        ("L2", "L3", "config.g:1: M669 L is '3', expected one of the work modes 1, 2, 4"),
+        ("P100", "", "no M669 P, expected lengths in mm of left:right"),
+        ("C60:180:0:120", "C60:180", "M669 C is '60:180', expected least:most degrees of left:ri"),
+    ):
+        (tmp_path / "config.g").write_text(FIVE.replace(old, new))
+        with pytest.raises(ParallelCalError) as error:
+            configured([tmp_path / "config.g"])
+        assert message in str(error.value)
+
+
 def test_a_hangprinters_lines_are_those_of_its_firmware(files):
     """Line l out turns the motor by 2 a g (R - sqrt(R^2 - l a n Q)) / (a n Q)."""
     anchors = np.array([[0, -1600, -110], [1300, 1250, -150], [-1440, 740, -160], [0, 0, 2345]])
