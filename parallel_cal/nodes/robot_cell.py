@@ -114,7 +114,10 @@ class RobotCell:
     # ------------------------------------------------------------------ how the robot is
 
     def _latest(self) -> tuple[float, np.ndarray]:
-        """Stamp and joints (nq,) now."""
+        """Stamp and joints (nq,) now; the first ones are waited for."""
+        due = time.monotonic() + SILENT
+        while not self._states and time.monotonic() < due:
+            time.sleep(PROMPT)
         if not self._states or time.monotonic() - self._states[-1][1] > SILENT:
             raise CellError(f"no joint states for {SILENT:.0f} s: nobody knows where the robot is")
         stamp, _, q = self._states[-1]
