@@ -28,8 +28,7 @@ from visualization_msgs.msg import MarkerArray
 from parallel_cal.model.file.modelfile import model_hash, read_model
 from parallel_cal.model.shelf import load_effect
 from parallel_cal.nodes.client import Client, Process, own_domain
-from parallel_cal.nodes.demo import kept_apart
-from parallel_cal.nodes.demo_nodes import DemoNodes
+from parallel_cal.nodes.demo_nodes import DemoNodes, kept_apart
 from parallel_cal.recordings.bag import list_topics
 from parallel_cal.recordings.loading import load_dataset
 

@@ -15,17 +15,17 @@ from parallel_cal.reporting import console
 
 
 def demo(
-    bag: Annotated[Path | None, typer.Option(help="another recording")] = None,
-    rate: Annotated[float, typer.Option(min=0.001, help="times real time")] = 20.0,
+    effect: Annotated[str, typer.Option(help="what it hides; none: drawn")] = "",
+    seed: Annotated[int | None, typer.Option(help="draws how it is built; none: drawn")] = None,
     keep: Annotated[bool, typer.Option("--keep", help="leave the files it makes")] = False,
     as_json: Json = False,
 ) -> None:
-    """Calibrate a virtual robot from beginning to end (needs ROS 2)."""
+    """Let a virtual robot calibrate itself from beginning to end (needs ROS 2)."""
     try:
         module = import_module("parallel_cal.nodes.demo")
     except ModuleNotFoundError as error:
         raise ParallelCalError(f"the demonstration needs {error.name}") from None
-    sys.exit(module.main(json=as_json, bag=bag, rate=rate, keep=keep))
+    sys.exit(module.main(json=as_json, effect=effect, seed=seed, keep=keep))
 
 
 def bench(

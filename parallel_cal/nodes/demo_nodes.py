@@ -1,10 +1,10 @@
-"""The demo's ROS side: both nodes, a replayed recording, and the questions put to them."""
+"""Both nodes, a replayed recording, and the questions put to them."""
 
 from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +23,7 @@ from parallel_cal.nodes.conversions import pose_numbers
 from parallel_cal.recordings.bag import list_topics
 
 Feedback = Callable[[str, float], None]
+APART = 8  # one pose in so many is kept apart: the fit never sees it
 LONG = 120.0  # s, for what takes some even on a quiet machine
 
 
@@ -183,6 +184,13 @@ class DemoNodes:
             f"kinematics_node to use {hash[:12]}",
         )
         return time.monotonic() - begin
+
+
+def kept_apart(samples: Sequence[Any]) -> list[Any]:
+    """The samples of every eighth pose, all visits of it."""
+    pose = {s.id: s.id if s.replicate_of < 0 else s.replicate_of for s in samples}
+    chosen = set(list(dict.fromkeys(pose.values()))[APART // 2 :: APART])
+    return [s for s in samples if pose[s.id] in chosen]
 
 
 def _stacked(poses: list[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:

@@ -8,23 +8,27 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-UNITS = {"position": ("um", 1e6), "orientation": ("arcmin", 60 * 180 / math.pi)}
+WIDTH = 46  # characters of the longest bar
 
 
 class Story:
     """What the demo tells on the way, for people; silent for --json."""
 
-    def __init__(self, silent: bool, keep: bool):
+    def __init__(self, silent: bool, folder: Path | None):
         from rich.console import Console
 
         # progress is for those who look on, and never part of the answer
         self._out = Console(quiet=silent, highlight=False, soft_wrap=True)
         self._status = Console(stderr=True, quiet=silent or not sys.stderr.isatty()).status("")
-        self._left = f"nothing is left running, the files are {'kept' if keep else 'removed'}"
+        self._left = f"its files are in {folder}" if folder else "nothing is left behind"
+        self._verdict, self._purpose = "", ""
 
     def __enter__(self) -> None:
-        self._say("[bold]A Delta robot misses its targets. By how much, and what helps?[/]")
-        self._say("[dim]virtual robot, bags/README.md; everything below runs through ROS 2[/]\n")
+        self._say("[bold]A Delta robot misses its targets. It finds out by itself why.[/]")
+        self._say(
+            "[dim]A virtual robot with controller and tracker, four times faster than life, built\n"
+            "a little otherwise than drawn, with something hidden; all of it through ROS 2.[/]\n"
+        )
 
     def __exit__(self, *_: object) -> None:
         self._status.stop()
@@ -33,84 +37,49 @@ class Story:
         self._status.stop()
         self._out.print(text)
 
-    def progress(self, stage: str, fraction: float) -> None:
-        self._status.update(f"{stage} {100 * min(fraction, 1.0):.0f} %")
+    def heard(self, status: Any) -> None:
+        """A word of the node that calibrates."""
+        if status.state == "moving":
+            what = status.reason.partition(", ")[2]
+            if what.startswith("to ") and what != self._purpose:
+                self._line("measures", what)
+                self._purpose = what
+        elif status.state == "asking":
+            self._line("asks", f"{status.reason} [dim](done by the demo)[/]")
+        if status.verdict and not math.isnan(status.error_unseen):
+            error = f"{_um(status.error_unseen)} off at unseen poses"
+            told = f"{status.verdict.replace('_', ' ')}, {error}"
+            if told != self._verdict:
+                self._line("judges", f"{status.poses} poses, {told}")
+                self._verdict = told
+        self._status.update(f"{status.state}: {status.reason}")
         self._status.start()
-
-    def collected(self, counted: Mapping[str, int]) -> None:
-        self._line(
-            "collected",
-            f"{counted['collected']} samples of {counted['joint_states']} joint readings and "
-            f"{counted['poses']} poses, {counted['dropped']} dropped",
-        )
-        self._line("", f"{counted['kept_apart']} of them are kept apart: the fit never sees them")
-
-    def missed(self, when: str, errors: Mapping[str, Any]) -> None:
-        position, orientation = (_readable(kind, errors) for kind in UNITS)
-        self._line(when, f"kinematics_node is off by {position} and {orientation} there")
-
-    def identified(self, fit: Mapping[str, Any]) -> None:
-        self._line(
-            "identified",
-            f"{fit['free']} parameters from {fit['samples']} samples, "
-            f"chi2/dof {fit['chi2_per_dof']:.2f} (1: only noise is left)",
-        )
-
-    def served(self, path: Path, hash: str, seconds: float) -> None:
-        self._line("written", str(path))
-        self._line("", f"sha256 {hash}")
-        self._line("served", f"kinematics_node took the file over within {seconds + 0.05:.1f} s")
 
     def _line(self, what: str, text: str) -> None:
         self._say(f"[cyan]{what:10}[/]  {text}")
 
-    def calibrated(self, document: Mapping[str, Any]) -> None:
-        self._say("")
-        self._out.print(_table(document))
-        if document["at_noise"]:
-            verdict = "[bold green]What is left is no more than the measurements' noise.[/]"
-        else:
-            verdict = "[bold yellow]More than noise is left: an effect is missing.[/]"
-        self._say(f"\n{verdict}")
-
-    def loaded(self, name: str, samples: int, apart: int) -> None:
-        self._say("\n[bold]Another day the same robot is off again. What is missing?[/]\n")
-        self._line("loaded", f"{samples} samples of bags/{name}, {apart} of them kept apart")
-
-    def diagnosed(self, message: str) -> None:
-        verdict, errors = message.rsplit(": ", 1)
-        self._line("diagnosed", verdict)
-        self._line("", errors)
-
-    def added(self, effect: str, seconds: float) -> None:
-        took = f"kinematics_node took it over within {seconds + 0.05:.1f} s"
-        self._line("added", f"{effect}: identified anew and written; {took}")
-
     def end(self, document: Mapping[str, Any]) -> None:
+        found = ", ".join(document["effects"]) or "nothing"
+        self._say(f"\n[bold]It found: {found}.[/] Hidden was: {document['hidden']}.")
+        self._say(f"{document['message']}\n")
+        self._say("Error at unseen poses (rms) against poses measured:")
+        for one in document["curve"]:
+            self._say(f"{one['poses']:5}  {_bar(one['error_unseen'], document['curve'])}")
         self._say(f"\n[dim]{document['seconds']:.0f} s in all; {self._left}.[/]")
-        if "hidden" in document:
-            bag = f"bags/{document['hidden']['recording']}"
-            self._say(
-                "[dim]The same on a live page, step by step:[/] . .venv/bin/activate && "
-                f"parallel-cal workbench config/delta_mockup_nominal.yaml {bag}"
-            )
+        self._say(
+            "[dim]The same with a robot of your choice:[/] . .venv/bin/activate && "
+            "parallel-cal calibrate robot.yaml --simulated stewart:hidden"
+        )
 
 
-def _readable(kind: str, errors: Mapping[str, Any]) -> str:
-    unit, factor = UNITS[kind]
-    digits = 1 if kind == "position" else 2
-    return f"{errors[f'{kind}_mean'] * factor:.{digits}f} {unit}"
+def _um(metres: float) -> str:
+    return f"{1e6 * metres:.0f} um"
 
 
-def _table(document: Mapping[str, Any]) -> Any:
-    from rich.table import Table
-
-    table = Table(box=None, pad_edge=False)
-    table.add_column("mean, unseen poses")
-    for name in ("before", "after", "noise alone", "better by"):
-        table.add_column(name, justify="right")
-    apart, noise = document["kept_apart"], document["noise_floor"]
-    for kind in UNITS:
-        cells = [_readable(kind, errors) for errors in (apart["before"], apart["after"], noise)]
-        table.add_row(kind, *cells, f"{document['improvement'][kind]:.0f}x")
-    return table
+def _bar(error: float | None, curve: Any) -> str:
+    """A bar as long as the logarithm of an error, from a tenth of the least on."""
+    if not error:
+        return "-"
+    known = [one["error_unseen"] for one in curve if one["error_unseen"]]
+    low, high = math.log(min(known) / 3), math.log(max(known))
+    return f"{'█' * round(WIDTH * (math.log(error) - low) / (high - low))} {_um(error)}"

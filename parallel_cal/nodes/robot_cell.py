@@ -22,6 +22,7 @@ from parallel_cal.nodes.conversions import stop_message
 PROMPT = 0.01  # s between two looks, so that a motion ends at once when it is no longer wanted
 SILENT = 1.0  # s without joint states after which nobody knows where the robot is
 LATE = 10.0  # s more than it should take, until a motion counts as failed
+GRACE = 2.0  # s more, in which a robot that rests elsewhere may yet set out
 STILL = 0.15  # s that readings stay alike before the robot rests
 ALIKE = 10.0  # sigmas of a reading, within which they are alike
 ASTRAY = 0.03  # of its range, that a joint may be beside its way
@@ -62,12 +63,14 @@ class RobotCell:
         if not self._command.get_subscription_count():
             raise CellError(f"nobody hears {self._command.topic_name}: is a controller up?")
         self._command.publish(self._message(trajectory))
-        due = time.monotonic() + trajectory.seconds + LATE
+        now = time.monotonic()
+        late, due = now + trajectory.seconds + GRACE, now + trajectory.seconds + LATE
         while True:
             go_on()
             stamp, q = self._latest()
             self._check_on_course(q, course)
-            if stamp >= begin + trajectory.seconds and self._rests(begin + trajectory.seconds):
+            there = (np.abs(q - course[-1]) < ARRIVED * self._range).all()
+            if (there or time.monotonic() > late) and self._rests(begin + trajectory.seconds):
                 moved = np.abs(course - course[0]).max(axis=0) > self._still
                 self._set_out, self._rested = begin if moved.any() else 0.0, stamp - STILL
                 return
