@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import select
 import signal
 import sys
 from pathlib import Path
@@ -73,6 +74,11 @@ def calibrate(
                     calibration.bring_about(status.reason)
                 elif sys.stdin.isatty():
                     console.note("press Enter when it is done")
+                    while not asked and not select.select([sys.stdin], [], [], 0.1)[0]:
+                        pass
+                    if not asked:
+                        sys.stdin.readline()
+                        calibration.go_on()
 
         result = calibration.run(
             hear, minutes, poses=poses, enough=enough, effects=effects or [],
