@@ -8,16 +8,13 @@ import select
 import signal
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.cli.arguments import Json
 from parallel_cal.reporting import console
-
-if TYPE_CHECKING:
-    from parallel_cal_msgs.action import Calibrate
 
 
 def calibrate(
@@ -67,7 +64,7 @@ def calibrate(
     last = [""]
     with Calibration(model, namespace, cell, interrupted=lambda: bool(asked)) as calibration:
 
-        def hear(status: Calibrate.Feedback) -> None:
+        def hear(status: Any) -> None:
             told(status, last)
             if status.state == "asking":
                 if cell is not None:
@@ -97,7 +94,7 @@ def calibrate(
         raise typer.Exit(1)
 
 
-def told(status: Calibrate.Feedback, last: list[str]) -> None:
+def told(status: Any, last: list[str]) -> None:
     """A line for every pose and every change of state, on stderr."""
     error = "" if math.isnan(status.error_unseen) else f", {1e6 * status.error_unseen:.0f} um off"
     line = f"{status.state}: {status.reason} ({status.poses} poses{error})"
