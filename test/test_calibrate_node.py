@@ -33,12 +33,15 @@ class Desk:
     def __init__(self, folder, **cell):
         self.folder, self.namespace = folder, own_domain()
         self.file = folder / "robot.yaml"
-        given = {"robot": "delta", "seed": 2, "rate": 4.0, "model_file": str(self.file)} | cell
-        self.cell = NodeProcess("virtual_cell_node", folder, self.namespace, **given)
+        self.given = {"robot": "delta", "seed": 2, "rate": 4.0, "model_file": str(self.file)} | cell
+        self.cell = self.robot()
         self.client = Client("tester", self.namespace, [])
         self.client.wait(self.file.exists, "the nominal model")
         self.node = self.start()
         self.status = self.client.latest(CalibrationStatus, "calibration_node/session_status")
+
+    def robot(self):
+        return NodeProcess("virtual_cell_node", self.folder, self.namespace, **self.given)
 
     def start(self):
         return NodeProcess(

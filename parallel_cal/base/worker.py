@@ -178,7 +178,7 @@ def serve(descriptor: int, memory: int | None) -> None:
         pipe.send(("ready", None))
         try:
             function, given, telling = pipe.recv()
-        except EOFError:
+        except (EOFError, ConnectionResetError):  # the other end is gone, or was killed
             return
         pipe.send(_done(pipe, function, given, telling))
 

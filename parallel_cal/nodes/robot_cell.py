@@ -20,6 +20,7 @@ from parallel_cal.model.model import Model
 from parallel_cal.nodes.conversions import stop_message
 
 PROMPT = 0.01  # s between two looks, so that a motion ends at once when it is no longer wanted
+FOUND = 5.0  # s in which a node that has just begun must hear of the robot
 SILENT = 1.0  # s without joint states after which nobody knows where the robot is
 LATE = 10.0  # s more than it should take, until a motion counts as failed
 GRACE = 2.0  # s more, in which a robot that rests elsewhere may yet set out
@@ -83,7 +84,8 @@ class RobotCell:
     def stop(self) -> None:
         if not self._states:
             return
-        recent = [state for state in self._states if state[0] > self._states[-1][0] - SPEED_OVER]
+        states = list(self._states)  # at once: others append meanwhile
+        recent = [state for state in states if state[0] > states[-1][0] - SPEED_OVER]
         (early, _, q0), (late, _, q) = recent[0], recent[-1]
         speed = (q - q0) / (late - early) if late > early else np.zeros(len(q))
         self._command.publish(stop_message(self._model.joints, q, speed))
@@ -118,7 +120,7 @@ class RobotCell:
 
     def _latest(self) -> tuple[float, np.ndarray]:
         """Stamp and joints (nq,) now; the first ones are waited for."""
-        due = time.monotonic() + SILENT
+        due = time.monotonic() + FOUND
         while not self._states and time.monotonic() < due:
             time.sleep(PROMPT)
         if not self._states or time.monotonic() - self._states[-1][1] > SILENT:
