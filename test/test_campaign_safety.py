@@ -18,7 +18,7 @@ pytest.importorskip("rclpy")
 pytest.importorskip("parallel_cal_msgs")
 
 from builtin_interfaces.msg import Duration
-from parallel_cal_msgs.msg import CalibrationStatus
+from parallel_cal_msgs.action import Calibrate
 from ros_helpers import NodeProcess
 from sensor_msgs.msg import JointState
 from test_calibrate_node import ABORTED, Desk
@@ -147,8 +147,9 @@ class Killed(Desk):
         self.client.close()
         self.client = Client("again", self.namespace, [])
         self.client.wait(lambda: self.client.listeners(["joint_trajectory"]), "the cell")
-        self.status = self.client.latest(CalibrationStatus, "calibration_node/session_status")
-        return self.goal()[1]
+        handle = self.client.send_goal(Calibrate, "calibration_node/calibrate", lambda news: None)
+        assert handle.accepted
+        return handle.get_result_async()
 
     def kill(self, victim):
         """Kill a node and start it again."""
