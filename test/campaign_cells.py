@@ -58,7 +58,7 @@ class SimulatedCell:
         self.cell.follow(trajectory.time, trajectory.positions, trajectory.velocities)
         end = self.cell.time + trajectory.seconds + SETTLING
         while self.cell.time < end:
-            self._read(self.cell.advance(min(self.cell.time + 0.2, end)))
+            self._read(self.cell.advance(self.cell.time + 0.2))
             go_on()
 
     def stop(self):

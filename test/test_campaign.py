@@ -316,6 +316,7 @@ def test_abort_stops_the_robot_and_asking_again_goes_on(tmp_path):
     assert again.run().samples == 20
 
 
+@pytest.mark.wide
 @pytest.mark.parametrize("state", ["planning", "moving", "sampling", "judging", "done"])
 def test_killed_in_any_state_it_goes_on_and_measures_nothing_twice(tmp_path, state):
     times = {"planning": [0], "judging": [0, 1]}.get(state, [0, 4])
