@@ -138,7 +138,6 @@ def mock_up():
     return compute("delta", draws=FEW)
 
 
-@pytest.mark.wide
 @pytest.mark.parametrize("table", ["table_5_13", "table_5_18"])
 def test_the_deltas_parameters_are_found_again(mock_up, table):
     for name, kept in KEPT["delta"][table].items():
