@@ -189,6 +189,9 @@ class Campaigning:
         return self._by_hand(response, lambda control, cell: control.resume(), "it goes on")
 
     def _continue(self, request: Any, response: Any) -> Any:
+        if self._status.state != "asking":
+            response.message = "nothing is asked for"
+            return response
         return self._by_hand(response, lambda control, cell: cell.done.set(), "it goes on")
 
     def _by_hand(self, response: Any, do: Callable[[Any, Any], None], words: str) -> Any:

@@ -112,9 +112,9 @@ class RobotCell:
         raise CellError(f"no sample here: {why}: is the target lost?")
 
     def ask(self, words: str, conditions: Mapping[str, float], go_on: Callable[[], None]) -> None:
-        self.done.clear()
         while not self.done.wait(PROMPT):
             go_on()
+        self.done.clear()  # not before: the answer may be there by now
 
     # ------------------------------------------------------------------ how the robot is
 
