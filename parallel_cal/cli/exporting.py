@@ -37,7 +37,7 @@ def export(
     from parallel_cal.model.file.modelfile import read_model
 
     if (output is None) == (not into):
-        raise typer.BadParameter("expected -o FOLDER, or --into FILE")
+        raise typer.BadParameter("expected either -o FOLDER or --into FILE")
     robot = read_model(model)
     if into:
         done = exporting.export_into(robot, to, into)

@@ -132,7 +132,9 @@ def _remarks(robot: Model, projection: Projection) -> list[str]:
         origin, axes = np.round(1e3 * frame.origin, 3) + 0.0, np.round(frame.axes, 6) + 0.0
         at = " ".join(f"{axis} {value:g}" for axis, value in zip("xyz", origin, strict=True))
         x, z = (" ".join(f"{value:g}" for value in axes[:, k]) for k in (0, 2))
-        remarks.append(f"its origin is at {at} mm of {{B}}, its x-axis {x}, its z-axis {z}")
+        square = np.allclose(frame.axes.T @ frame.axes, np.eye(3), atol=1e-9)
+        skew = "" if square else ": not square, as the firmware tilts its plate"
+        remarks.append(f"its origin is at {at} mm of {{B}}, its x-axis {x}, its z-axis {z}{skew}")
     if frame.order != tuple(range(len(frame.order))):
         joints = ", ".join(robot.joints[k] for k in frame.order)
         remarks.append(f"its motors are {joints}, in this order")

@@ -58,7 +58,7 @@ def lacking(
     return (
         f"{len(poses)} different poses give {carried} equations, but {int(free.sum())} "
         f"parameters are free: measure at least {-(-int(free.sum()) // most)} different "
-        "poses (better twice as many), or fix parameters"
+        "poses (better twice as many), fix parameters, or let tolerances tell (--prior)"
     )
 
 

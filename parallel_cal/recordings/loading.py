@@ -168,7 +168,8 @@ def in_order(dataset: Dataset, joints: Sequence[str] | None) -> Dataset:
     if missing:
         raise DatasetError(
             f"{dataset.source}: joints expected: {', '.join(joints)}; in the samples: "
-            f"{', '.join(dataset.joint_names)}; not found: {', '.join(missing)}"
+            f"{', '.join(dataset.joint_names)}; not found: {', '.join(missing)}. Name them alike, "
+            "there or in the model file"
         )
     order = [dataset.joint_names.index(name) for name in joints]
     sigma = dataset.joint_sigma

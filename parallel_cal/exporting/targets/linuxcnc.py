@@ -27,6 +27,10 @@ from parallel_cal.model.model import Model
 HOLDS = ("stewart42", *LINEAR, *ROTARY)
 CLEARED = tuple(f"lineardeltakins.J{i}off" for i in range(3))  # the offsets of older versions
 HAL, INI = "machine.hal", "machine.ini"
+SWITCHES = (
+    "HOME_OFFSET is of switches at the joints' upper limits in the model file: where yours are "
+    "elsewhere, make these limits so"
+)
 TOWERS, SHOULDERS = np.radians([90.0, 210.0, 330.0]), np.radians([270.0, 30.0, 150.0])
 THIGH = {"platformradius": "R", "thighlength": "U", "shinlength": "L", "footradius": "E"}
 
@@ -103,7 +107,7 @@ def project(model: Model) -> Projection:
         homed = struts.homed / MM
     written = {field: f"{float(size) / MM + 0.0:.5f}" for field, size in pins.items()}
     offsets = {HOMED.format(i): f"{value:.6f}" for i, value in enumerate(homed)}
-    return Projection({HAL: written, INI: offsets}, found.frame, found.stops)
+    return Projection({HAL: written, INI: offsets}, found.frame, found.stops, (SWITCHES,))
 
 
 def _struts(model: Model) -> tuple[Struts, Machine]:

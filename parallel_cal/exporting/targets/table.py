@@ -20,6 +20,7 @@ from parallel_cal.model.mechanism import POSE, poses_in_workspace
 from parallel_cal.model.model import Model
 
 PROBLEMS = ("inverse", "direct")
+MOST = 100_000  # grid points: a minute's work
 JUDGED = 2000  # poses over the workspace, none of them on the grid
 
 
@@ -30,6 +31,13 @@ def files(
     pose's x y z and small turn); beside it what it corrects, and the error that is left."""
     if problem not in PROBLEMS:
         raise ModelError(f"problem={problem}: expected one of {', '.join(PROBLEMS)}")
+    given = len(model.mechanism.controls if problem == "inverse" else model.joints)
+    if size**given > MOST:
+        fits = int(MOST ** (1 / given))
+        raise ModelError(
+            f"{given} axes at size={size} are {size**given} grid points, at most {MOST}: "
+            f"give table:size={fits} or less, or another target, c for one"
+        )
     table = lookup_table.table_for(model, problem, None, size, order)
     m, n = model.mechanism, len(model.joints)
     axes, answers = (m.controls, model.joints) if problem == "inverse" else (model.joints, POSE)

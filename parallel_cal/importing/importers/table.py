@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime, time
 from itertools import pairwise
@@ -46,6 +46,9 @@ def samples(
     for name, given in (("unit", unit), ("joint_unit", joint_unit)):
         if given and given not in UNITS:
             raise DatasetError(f"{name}={given}: expected one of {', '.join(UNITS)}")
+    for name, columns in (("position", position), ("joints", joints)):
+        if isinstance(columns, (str, Mapping)):
+            raise DatasetError(f"{name}={columns}: expected names of columns, such as [J1, J2, J3]")
     read = [_read(path) for path in paths]
     points = _points([table for table, _ in read], position)
     logs = [table for table, _ in read if table is not points] or [points]
