@@ -20,6 +20,7 @@ TOPICS = {
     "payload": "geometry_msgs/InertiaStamped, m in kg",
     "target_pose": "geometry_msgs/PoseStamped to be turned into joint commands",
     "joint_command": "trajectory_msgs/JointTrajectory, what a target comes to",
+    "joint_trajectory": "trajectory_msgs/JointTrajectory, to where the robot calibrates itself",
 }
 POSE_TYPES = ["PoseWithCovarianceStamped", "PoseStamped"]
 
