@@ -26,7 +26,7 @@ EMPTY = (
 )
 PRIORS = {None: "where the data tell less", True: "throughout", False: "nowhere"}
 PLACE, TURN = ("x", "y", "z"), ("qx", "qy", "qz", "qw")  # columns of planned poses
-POLL = 0.1  # s between two looks at the bench: two windows agree within a second
+POLL, FOLLOW = 0.05, 0.3  # s between looks at the bench, and at the disk for what others did there
 
 
 def build(bench: Bench) -> None:
@@ -58,9 +58,9 @@ class Window:
         self.layer = ui.element()  # dialogs stay while the body is drawn anew
         self._draw()
         ui.timer(POLL, self._poll)
+        ui.timer(FOLLOW, bench.follow)
 
     def _poll(self) -> None:
-        self.bench.follow()
         if self.version != self.bench.version:
             self._draw()
 
