@@ -4,6 +4,7 @@ The loss is measured with the numbers as they are written, read by somebody else
 that share nothing with the package.
 """
 
+import importlib
 import json
 import re
 from functools import cache
@@ -393,17 +394,18 @@ def project(model):
 
 
 def test_a_firmware_of_ones_own_takes_part_by_its_python_path(tmp_path, monkeypatch):
-    (tmp_path / "workshop").mkdir()
-    file = tmp_path / "workshop" / "own_firmware.py"
+    (tmp_path / "own_workshop").mkdir()
+    file = tmp_path / "own_workshop" / "own_firmware.py"
     file.write_text(OF_ONES_OWN)
     monkeypatch.syspath_prepend(str(tmp_path))
     model = off("delta24")
-    done = export(model, "workshop.own_firmware", tmp_path / "out")
+    done = export(model, "own_workshop.own_firmware", tmp_path / "out")
     same = export(model, "grblhal", tmp_path / "out")
     assert done.loss["position_max"] == pytest.approx(same.loss["position_max"])
     file.with_name("broken.py").write_text(OF_ONES_OWN.replace("grblhal.project(model)", "1 / 0"))
+    importlib.invalidate_caches()  # a second file in a folder that was just looked at
     with pytest.raises(ParallelCalError, match=r"division by zero \(broken.py:8\)"):
-        export(model, "workshop.broken", tmp_path / "out")
+        export(model, "own_workshop.broken", tmp_path / "out")
 
 
 def test_the_frame_is_that_of_the_plan_however_towers_turn_out(tmp_path):
