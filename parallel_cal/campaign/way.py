@@ -60,9 +60,7 @@ class Guard:
 
     def points(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """Joints (n, nq) along the straight way from one to the other."""
-        low, high = np.array(self.model.mechanism.joint_limits).T
-        width = np.where(np.isfinite(high - low), high - low, 2 * np.pi)
-        n = 2 + int(np.max(np.abs(b - a) / (FINE * width)))
+        n = 2 + int(np.max(np.abs(b - a) / (FINE * self.model.mechanism.joint_ranges)))
         return a + np.linspace(0.0, 1.0, n)[:, None] * (b - a)
 
     def trouble(self, q: np.ndarray) -> tuple[float, str] | None:

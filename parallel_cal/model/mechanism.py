@@ -155,6 +155,12 @@ class Mechanism(ABC):
         raise ModelError(f"{self.name} is not a special case of a larger model")
 
     @property
+    def joint_ranges(self) -> np.ndarray:
+        """How far each joint may go (nq,), rad or m; 2 pi where its limits are not known."""
+        low, high = np.array(self.joint_limits, dtype=float).reshape(-1, 2).T
+        return np.where(np.isfinite(high - low), high - low, 2 * np.pi)
+
+    @property
     def name(self) -> str:
         """The name in model files: the file's name, or the Python path of a user's file."""
         module = type(self).__module__

@@ -40,8 +40,7 @@ class RobotCell:
         self._command, self._model, self._take, self._dwell = command, model, take, dwell
         self._states: deque[tuple[float, float, np.ndarray]] = deque(maxlen=KEPT)
         self.done = Event()  # what a person was asked for
-        low, high = np.array(model.mechanism.joint_limits).T
-        self._range = np.where(np.isfinite(high - low), high - low, 2 * np.pi)
+        self._range = model.mechanism.joint_ranges
         self._still = ALIKE * (model.noise.joint or 1e-4 * float(self._range.min()))
         self._set_out = self._rested = 0.0  # stamps of the last motion
 

@@ -96,11 +96,10 @@ def _time(mechanism: Mechanism, moved: np.ndarray, bounds: Bounds) -> tuple[floa
     """The time the slowest joint needs, and a sentence."""
     needed = []
     rates = mechanism.joint_rates or ((math.inf, math.inf),) * len(moved)
-    limits = zip(mechanism.joints, moved, mechanism.joint_limits, rates, strict=True)
-    for joint, d, (low, high), (velocity, acceleration) in limits:
+    limits = zip(mechanism.joints, moved, mechanism.joint_ranges, rates, strict=True)
+    for joint, d, width, (velocity, acceleration) in limits:
         speed, whose = velocity, "the model file's"
         if not math.isfinite(speed):
-            width = high - low if math.isfinite(high - low) else 2 * math.pi
             speed, whose = width / bounds.crossing, "one range in full_travel"
         for seconds, what in (
             (1.5 * d / speed, f"velocity {speed:.3g} ({whose})"),
