@@ -382,10 +382,11 @@ def _first(kinds: Mapping[str, float]) -> float:
 
 def unfinished(folder: Path, model: str) -> Path | None:
     """The newest of a folder's campaigns that began with this model and did not come to an end."""
+    wanted = model_hash(model)
     for file in sorted(folder.glob(f"*/{FILE}"), reverse=True):
-        entries = list(json_lines(file, MOST))
+        entries = json_lines(file, MOST)  # no further than the model where it is another one
         began = next((e["model"] for e in entries if "model" in e), "")
-        if model_hash(began) == model_hash(model) and not any("end" in e for e in entries):
+        if model_hash(began) == wanted and not any("end" in e for e in entries):
             return file.parent
     return None
 

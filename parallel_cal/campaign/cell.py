@@ -71,6 +71,11 @@ class Control:
     def aborted(self) -> bool:
         return self._aborted or self._ended()
 
+    @property
+    def wanted(self) -> bool:
+        """Whether what is under way shall go on."""
+        return not (self._held or self.aborted)
+
     def pause(self) -> None:
         self._set(held=True)
 

@@ -4,6 +4,7 @@ target that was lost or changed."""
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cached_property
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from parallel_cal.base.rotation import rotation_vector
 from parallel_cal.campaign.cell import CellError
 from parallel_cal.identification.observations import observe
 from parallel_cal.identification.prediction_errors import errors
+from parallel_cal.identification.units import UNITS
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.model import Model
 from parallel_cal.planning.expectation import prediction_blocks
@@ -20,7 +22,6 @@ from parallel_cal.recordings.dataset import Dataset
 JUMP = 8.0  # times what is usual: no noise does that
 ROUGH = 4.0  # sigmas of what tolerances allow, while nothing is identified yet
 ARRIVED = 0.01  # of its range, in which a joint must be of where it was sent
-UNITS = {"position": (1e6, "um"), "orientation": (60 * 180 / np.pi, "arcmin")}
 SEE_TO_IT = "a collision, a slip, or a target that was lost or changed: see to it"
 
 
@@ -29,6 +30,10 @@ class Checker:
 
     def __init__(self, model: Model, usual: Mapping[str, float]):
         self._model, self._usual, self._as_before = model, usual, True
+
+    @cached_property
+    def _robot(self) -> Kinematics:
+        return Kinematics(self._model)
 
     def changed(self) -> None:
         """Conditions are others now: what is usual under these is not known."""
@@ -64,10 +69,10 @@ class Checker:
 
     def _check_moved(self, sample: Dataset, last: Dataset) -> None:
         """Beside the sample before, whatever frame they are in: how far the platform moved."""
-        reached = Kinematics(self._model).direct(np.vstack([last.q, sample.q]))
+        reached = self._robot.direct(np.vstack([last.q, sample.q]))
         if not reached.solved.all():
             return
-        allowed = self._rough()
+        allowed = self._rough
         if sample.measured[0, :3].all() and last.measured[0, :3].all():
             moved = float(np.linalg.norm(sample.r[0] - last.r[0]))
             expected = float(np.linalg.norm(reached.position[1] - reached.position[0]))
@@ -86,10 +91,11 @@ class Checker:
                     f"{SEE_TO_IT}"
                 )
 
+    @cached_property
     def _rough(self) -> dict[str, float]:
         """Rms errors (m, rad) of a model with errors as large as its tolerances, at home."""
         model = self._model
-        home = Kinematics(model).direct(np.array([model.mechanism.home.joints]))
+        home = self._robot.direct(np.array([model.mechanism.home.joints]))
         pool = Pool(home, np.zeros((1, 1), int), model.condition_rows(None, 1), None)
         free = ~np.asarray(model.fixed)
         measured = np.ones(len(model.joints) + 6, bool)
@@ -106,7 +112,7 @@ def _angle(one: np.ndarray, other: np.ndarray) -> float:
 
 
 def _said(kind: str, error: float, usual: float) -> str:
-    factor, unit = UNITS[kind]
+    factor, unit = next((factor, unit) for one, factor, unit in UNITS if one == kind)
     return (
         f"the {kind} is {factor * error:.3g} {unit} from where the model puts it, "
         f"{error / usual:.0f} times what is usual ({factor * usual:.3g} {unit})"

@@ -28,6 +28,7 @@ from std_srvs.srv import Trigger
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.campaign.cell import Sample
 from parallel_cal.model.file.modelfile import read_model
+from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import forbid_foreign
 from parallel_cal.nodes import calibration_messages as messages
 from parallel_cal.nodes.calibrator import Calibrator
@@ -377,12 +378,12 @@ class CalibrationNode(Managed):
         self._refresh()
         return self._collector.collection()
 
-    def _take(self) -> Sample:
-        """The sample of the dwell going on, for a campaign; DatasetError says why there is none."""
+    def _take(self, model: Model) -> Sample:
+        """The sample of the dwell going on, for a campaign of a model; DatasetError says why there
+        is none."""
         self._refresh()
         entry = self._collector.entries()[self._collector.take()]
         self._keep()
-        model = read_model(absolute(self._parameter("model_file")))
         return Sample(by_tf(entry.alone, model, self._calibrator.look), entry.start_ns)
 
     def _dwell(self) -> float:

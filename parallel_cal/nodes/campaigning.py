@@ -29,6 +29,7 @@ from parallel_cal.campaign.campaign import (
 from parallel_cal.campaign.cell import Control, Sample
 from parallel_cal.model.file.modelfile import model_text, parse_model
 from parallel_cal.model.mechanism import Box
+from parallel_cal.model.model import Model
 from parallel_cal.nodes.calibration_messages import json_text
 from parallel_cal.nodes.jobs import InThread, Job, JobServer, OneAtATime, Say
 from parallel_cal.nodes.managed import Managed
@@ -48,7 +49,7 @@ class Here:
     `take` the sample of the dwell going on, `folder` for campaigns, `options` of a fit."""
 
     files: Callable[[str, str], tuple[str, str]]
-    take: Callable[[], Sample]
+    take: Callable[[Model], Sample]
     folder: Path
     options: Callable[[], dict[str, Any]]
     dwell: Callable[[], float]
@@ -115,10 +116,9 @@ class Campaigning:
         )  # fmt: skip
         cancel = self._one.cancel
         control = Control(lambda: cancel.asked)
-        cell = RobotCell(
-            self._command, parse_model(text, model_file),
-            partial(in_front, self._node, self._here.take), self._here.dwell(),
-        )  # fmt: skip
+        model = parse_model(text, model_file)
+        take = partial(in_front, self._node, self._here.take, model)
+        cell = RobotCell(self._command, model, take, self._here.dwell())
         left = None if goal.afresh else unfinished(self._here.folder, text)
         folder = left or self._here.folder / time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
         self._control, self._cell = control, cell
@@ -145,17 +145,10 @@ class Campaigning:
 
         def work(function: Callable[..., Any], *given: Any) -> Any:
             try:
-                return self._worker.work(function, *given, wanted=lambda: not held())
+                return self._worker.work(function, *given, wanted=lambda: control.wanted)
             except Unwanted:
                 control.go_on()
                 raise
-
-        def held() -> bool:
-            try:
-                control.go_on()
-            except Exception:
-                return True
-            return False
 
         def told(status: Status) -> None:
             with suppress(Exception):  # a context that ends is no reason to leave a robot moving

@@ -57,7 +57,7 @@ class InThread(NamedTuple):
     """`run`, which is given how to tell its feedback, in the thread beside, where only parts of it
     are for the worker; and then `finish` with its outcome."""
 
-    run: Callable[[Callable[..., None]], Outcome]
+    run: Callable[[Tell], Outcome]
     finish: Callable[[Outcome], Outcome]
 
 

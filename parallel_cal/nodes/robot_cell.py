@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from threading import Event
 from typing import Any
 
@@ -12,12 +13,12 @@ import numpy as np
 from builtin_interfaces.msg import Duration
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from parallel_cal.base.errors import DatasetError
+from parallel_cal.base.errors import DatasetError, SolveError
 from parallel_cal.campaign.cell import CellError, Sample
 from parallel_cal.campaign.checking import ARRIVED
 from parallel_cal.campaign.trajectory import Trajectory
 from parallel_cal.model.model import Model
-from parallel_cal.nodes.conversions import stop_message
+from parallel_cal.nodes.conversions import matched_joints, stop_message
 
 PROMPT = 0.01  # s between two looks, so that a motion ends at once when it is no longer wanted
 FOUND = 5.0  # s in which a node that has just begun must hear of the robot
@@ -46,9 +47,8 @@ class RobotCell:
 
     def hear(self, message: Any) -> None:
         """A joint state, in any thread."""
-        places = {name: i for i, name in enumerate(message.name)}
-        if all(joint in places for joint in self._model.joints):
-            q = np.array([message.position[places[joint]] for joint in self._model.joints])
+        with suppress(SolveError):  # other joints, in a message of their own
+            q, _ = matched_joints(message, self._model.joints)
             stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
             self._states.append((stamp, time.monotonic(), q))
 
