@@ -18,7 +18,7 @@ class Header:
     """Drawn once: a button that is drawn anew under the mouse loses the click."""
 
     def __init__(self, bench: Bench):
-        self.bench, self.seen = bench, -1
+        self.bench = bench
         with ui.header().classes("shadow"), ui.column().classes("w-full gap-1"):
             with ui.row().classes("w-full no-wrap items-start"):
                 self.verdict = ui.label().classes("grow text-base leading-tight font-bold")
@@ -40,10 +40,10 @@ class Header:
     def _button(self, name: str, step: Any) -> Any:
         return ui.button(name, on_click=step).props("dense outline")
 
-    def show(self) -> None:
+    def show(self, afresh: bool) -> None:
+        """How things are; the numbers only where the view is another one."""
         bench, record = self.bench, self.bench.session.record
-        if self.seen != bench.seen:
-            self.seen = bench.seen
+        if afresh:
             self._numbers(bench.view or {})
         for button, usable in (
             (self.undo, record.state.parent is not None),

@@ -27,14 +27,9 @@ class Marking:
         self.numbers = numbers
         self._views = [view for view in self._views if not view.is_deleted]
         for view in self._views:
-            self._put(view.figure)
-            of = {
-                k: t.get("selectedpoints")
-                for k, t in enumerate(view.figure["data"])
-                if "customdata" in t
-            }
-            if of:  # these alone: a figure is a hundred times as long
-                view.run_plot_method("restyle", {"selectedpoints": [*of.values()]}, [*of])
+            if chosen := self._put(view.figure):  # these alone: a figure is a hundred times as long
+                points = {"selectedpoints": [*chosen.values()]}
+                view.run_plot_method("restyle", points, [*chosen])
         self.told(numbers)
 
     def markable(self, figure: dict[str, Any]) -> dict[str, Any]:
@@ -53,13 +48,16 @@ class Marking:
         view.on("plotly_deselect", self._forget)
         self._views.append(view)
 
-    def _put(self, figure: dict[str, Any]) -> None:
-        for trace in figure["data"]:
-            if self.numbers and "customdata" in trace:
-                numbers = enumerate(trace["customdata"])
-                trace["selectedpoints"] = [i for i, n in numbers if n in self.numbers]
-            else:
-                trace.pop("selectedpoints", None)
+    def _put(self, figure: dict[str, Any]) -> dict[int, list[int] | None]:
+        """Mark in a figure, and answer which points of which traces; None where none is marked."""
+        chosen: dict[int, list[int] | None] = {}
+        for k, trace in enumerate(figure["data"]):
+            if "customdata" not in trace:
+                continue
+            numbers = enumerate(trace["customdata"])
+            chosen[k] = [i for i, n in numbers if n in self.numbers] if self.numbers else None
+            trace["selectedpoints"] = chosen[k]
+        return chosen
 
     def _brush(self, args: Any) -> None:
         points = (args or {}).get("points") or []

@@ -65,11 +65,11 @@ class Window:
             self._draw()
 
     def _draw(self) -> None:
-        self.version = self.bench.version
-        self.header.show()
-        if self.seen == self.bench.seen:
+        afresh = self.seen != self.bench.seen
+        self.version, self.seen = self.bench.version, self.bench.seen
+        self.header.show(afresh)
+        if not afresh:
             return  # while a step is under way only its progress changes
-        self.seen = self.bench.seen
         self.marking.numbers = set()
         self.body.clear()
         view = self.bench.view or {}
