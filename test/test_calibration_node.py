@@ -8,6 +8,7 @@ import os
 import shutil
 import signal
 from pathlib import Path
+from types import SimpleNamespace
 from unittest import mock
 
 import bag_writing as bw
@@ -36,17 +37,21 @@ from parallel_cal_msgs.srv import (
 )
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
+from rclpy.task import Future
 from ros_helpers import NodeProcess
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
+from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.file.modelfile import model_hash, read_model, write_model
 from parallel_cal.model.model import Noise, new_model
 from parallel_cal.model.shelf import load_sensor
+from parallel_cal.nodes import client as node_client
 from parallel_cal.nodes.client import Client, Process, own_domain
+from parallel_cal.nodes.jobs import OneAtATime
 from parallel_cal.nodes.recorder import Recorder
 from parallel_cal.recordings.bag import list_topics, read_bag
 from parallel_cal.recordings.loading import load_dataset
@@ -518,6 +523,32 @@ def test_a_node_stopped_in_the_middle_of_an_identification_ends_cleanly(full, ma
     assert node.end() == 0
     assert "Traceback" not in node.log.read_text()
     assert Path(model).read_bytes() == before
+
+
+def test_a_goal_that_rclpy_dropped_does_not_keep_the_next_one_out():
+    one = OneAtATime(None)
+    one.begin("the first", promised=True)
+    one.begin("the second", promised=True)
+    one.kept()
+    with pytest.raises(ParallelCalError, match="the second"):
+        one.begin("the third")
+
+
+def test_a_goal_without_an_answer_is_sent_again(full, monkeypatch):
+    monkeypatch.setattr(node_client, "ASK_AGAIN", 0.05)
+    server = SimpleNamespace(server_is_ready=lambda: True, sent=[])
+
+    def send(goal, feedback):
+        server.sent.append(Future())
+        if len(server.sent) == 3:
+            server.sent[0].set_result(SimpleNamespace(accepted=False))
+            server.sent[2].set_result(SimpleNamespace(accepted=True))
+        return server.sent[-1]
+
+    server.send_goal_async = send
+    monkeypatch.setitem(full.client._clients, "deaf", server)
+    assert full.client.send_goal(Identify, "deaf", print).accepted
+    assert len(server.sent) == 3
 
 
 @pytest.mark.wide

@@ -13,6 +13,7 @@ import pytest
 
 from parallel_cal.model.file.modelfile import model_hash
 from parallel_cal.nodes import demo
+from parallel_cal.virtual.kinds import kinds_of
 
 REPOSITORY = Path(__file__).parents[1]
 
@@ -65,8 +66,13 @@ def test_the_demo_finds_what_is_hidden_and_stops_at_the_noise(tmp_path):
 @pytest.mark.ros
 def test_an_interrupted_demo_leaves_no_process_and_no_file(tmp_path):
     demo_process = start(TMPDIR=str(tmp_path))
-    wait_until(lambda: len(children(demo_process.pid)) == 3, "three nodes")
+
+    def up():
+        return len(children(demo_process.pid)) == 3 or demo_process.poll() is not None
+
+    wait_until(up, "three nodes")
     nodes = children(demo_process.pid)
+    assert len(nodes) == 3, demo_process.communicate()[1]
     demo_process.send_signal(signal.SIGINT)
     _, err = demo_process.communicate(timeout=60)
     assert demo_process.returncode == 1
@@ -75,6 +81,10 @@ def test_an_interrupted_demo_leaves_no_process_and_no_file(tmp_path):
     # The system takes a moment to clear away a process whose parent has gone.
     wait_until(lambda: not any(Path(f"/proc/{p}").exists() for p in nodes), "the nodes' end")
     assert list(tmp_path.glob("parallel_cal_demo_*")) == []
+
+
+def test_the_demo_hides_what_its_robot_may_have():
+    assert set(demo.HIDDEN) <= set(kinds_of("delta"))
 
 
 def test_without_ros_the_demo_says_so(capsys, monkeypatch):

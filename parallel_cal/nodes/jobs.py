@@ -70,13 +70,22 @@ class OneAtATime:
     """All long work of a node shares one, so that only one piece of it runs."""
 
     def __init__(self, worker: Worker) -> None:
-        self.cancel, self._running, self._worker = Cancel(), "", worker
+        self.cancel, self._worker = Cancel(), worker
+        self._running, self._promised = "", False
 
-    def begin(self, running: str) -> None:
-        """`running` is what others are told meanwhile; ParallelCalError with what they were."""
-        if self._running:
+    def begin(self, running: str, promised: bool = False) -> None:
+        """`running` is what others are told meanwhile; ParallelCalError with what they were.
+
+        What is only `promised` gives way until it is `kept`: rclpy drops a goal that it has
+        accepted where its client cannot be told so, and says nothing to us.
+        """
+        if self._running and not self._promised:
             raise ParallelCalError(self._running)
-        self.cancel, self._running = Cancel(), running
+        self.cancel, self._running, self._promised = Cancel(), running, promised
+
+    def kept(self) -> None:
+        """What was promised has begun."""
+        self._promised = False
 
     def end(self) -> None:
         """Free for the next piece of work."""
@@ -152,7 +161,7 @@ class JobServer:
         try:
             if self._node.refusal:
                 raise ParallelCalError(self._node.refusal)
-            self._one.begin(self._job.running)
+            self._one.begin(self._job.running, promised=True)
         except ParallelCalError as busy:
             self._say(f"goal rejected: {busy}")
             return GoalResponse.REJECT
@@ -165,6 +174,7 @@ class JobServer:
         return CancelResponse.REJECT
 
     def _on_accepted(self, goal: Any) -> None:
+        self._one.kept()
         try:
             work, collection = self._job.prepare(goal.request)
         except Exception as error:
