@@ -28,6 +28,16 @@ def clean():
     return fit(new_model("delta54"), measured(1))
 
 
+def test_what_a_single_pose_tells_is_not_known_where_it_was_left_out():
+    data, loaded = measured(1), 5
+    there = data.pose_id == data.pose_id[loaded]
+    sunk = data.r + np.outer(there, [0.0, 0.0, -1e-3])
+    data = replace(data, r=sunk, conditions={**data.conditions, "payload": 20.0 * there})
+    result = fit(new_model("delta54").with_effect("payload_sag"), data)
+    assert result.after.norms("position")[there].max() < 0.2e-3
+    assert result.held_out.norms("position")[there].min() > 0.8e-3
+
+
 def test_errors_before_are_those_of_the_thesis_mock_up(clean):
     before = clean.document()["before"]
     assert 0.55e-3 < before["position_mean"] < 0.62e-3

@@ -228,7 +228,10 @@ def fit_registered(
         kept = observations.select(train)
         if lacking(model, kept, mask, options.prior):
             return None
-        found = estimate_with(model, kept, mask)
+        # From where all poses led it is not far, unless only those left out tell of a direction.
+        found = estimate_with(model.with_values(estimate.values), kept, mask)
+        if found.spectrum.rank < estimate.spectrum.rank:
+            found = estimate_with(model, kept, mask)
         return errors(model.with_values(found.values), observations.select(test))
 
     report("identifying", 0.0)
