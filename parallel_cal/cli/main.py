@@ -15,6 +15,7 @@ from parallel_cal.cli import (
     calibration,
     diagnosing,
     exporting,
+    fleet,
     importing,
     kinematics,
     models,
@@ -59,8 +60,8 @@ COMMANDS: tuple[Callable[..., None], ...] = (
     recordings.replay,
     calibration.fit, calibration.compare, calibration.add, calibration.remove,
     diagnosing.diagnose, reporting.report, exporting.export, exporting.export_residuals,
-    short_cut.short_cut, planning.plan, calibrating.calibrate, workbench.workbench, showing.demo,
-    showing.bench,
+    short_cut.short_cut, planning.plan, calibrating.calibrate, workbench.workbench, fleet.fleet,
+    showing.demo, showing.bench,
 )  # fmt: skip
 for command in COMMANDS:
     app.command(command.__name__.strip("_").replace("_", "-"))(command)  # `import_` is `import`

@@ -1,0 +1,74 @@
+"""A fleet of robots: every recording judged, on this machine or on a cluster."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from parallel_cal.cli.arguments import Also, Data, Json, Tested, with_options
+from parallel_cal.cli.recordings import data_options
+from parallel_cal.identification.options import FitOptions
+from parallel_cal.reporting import console
+
+if TYPE_CHECKING:
+    from parallel_cal.fleet.judging import Row
+
+
+@with_options
+def fleet(
+    robots: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FOLDER|LIST.csv",
+            help="a folder for each robot with model and recordings, or a list: robot, model, "
+            "recording, and time where they do not say it",
+        ),
+    ],
+    *,
+    output: Annotated[Path, typer.Option("-o", "--output", help="folder to write")] = Path("fleet"),
+    scheduler: Annotated[
+        str | None,
+        typer.Option(metavar="tcp://HOST:PORT", help="a Dask cluster's, in place of this machine"),
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="processes on this machine [default: its cores]")
+    ] = None,
+    effect: Tested = None,
+    also: Also = None,
+    options: FitOptions,
+    data: Data = None,
+    as_json: Json = False,
+) -> None:
+    """Fit and diagnose every recording of every robot; a command that was ended goes on."""
+    from rich.console import Console
+    from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
+
+    from parallel_cal.fleet.fleet import judge
+    from parallel_cal.fleet.jobs import Asked
+
+    asked = Asked(options, tuple(effect or ()), tuple(also or ()), data_options(data))
+    parts = (*Progress.get_default_columns()[:2], MofNCompleteColumn(), TimeRemainingColumn())
+    shown = Console(stderr=True)
+    with Progress(*parts, console=shown, transient=True, disable=not shown.is_terminal) as bar:
+        task = bar.add_task("recordings", total=None)
+
+        def progress(done: int, of: int, row: Row | None) -> None:
+            bar.update(task, completed=done, total=of)
+            if row and row["reason"]:
+                console.warn([f"{row['robot']} {row['recording']}: {row['reason']}"])
+
+        try:
+            found = judge(
+                robots, output, asked, scheduler=scheduler, workers=workers, progress=progress
+            )
+        except KeyboardInterrupt:
+            console.note("stopped; what is done is kept, and the same command goes on from there")
+            raise typer.Exit(130) from None
+    if as_json:
+        return console.emit(found.document() | {"output": str(output)})
+    from parallel_cal.reporting.fleets import said
+
+    console.say(said(found))
+    console.say(f"written: {output}")

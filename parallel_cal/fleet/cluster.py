@@ -1,0 +1,112 @@
+"""Where a fleet's recordings are judged: the cores of this machine, or a Dask cluster."""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Any
+
+from parallel_cal.fleet.jobs import Asked, FleetError, Job
+from parallel_cal.fleet.judging import Page, Row, judged
+
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
+PATIENCE = 15  # s for a scheduler to answer, and for its first worker
+CTRL_C = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"  # it is for us alone
+EXTRA = ("dask", "distributed", "pyarrow")
+
+
+def need_extra() -> None:
+    """FleetError where the libraries for fleets are not installed."""
+    if missing := [name for name in EXTRA if find_spec(name) is None]:
+        raise FleetError(f"fleets need {' and '.join(missing)}: pip install 'parallel_cal[fleet]'")
+
+
+@contextmanager
+def cluster(scheduler: str | None, workers: int | None) -> Iterator[Client]:
+    """A client of the cluster at an address, else of as many processes here as there are cores.
+
+    FleetError where nobody answers there, or nobody works.
+    """
+    from distributed import Client, LocalCluster
+
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters is said by us
+    if scheduler is None:
+        address = "127.0.0.1:0" if find_spec("bokeh") else None
+        with (
+            LocalCluster(
+                n_workers=workers or len(os.sched_getaffinity(0)), threads_per_worker=1,
+                silence_logs=logging.CRITICAL, dashboard_address=address, preload=[CTRL_C],
+            ) as local,
+            Client(local) as client,
+        ):  # fmt: skip
+            yield client
+        return
+    try:
+        client = Client(scheduler, timeout=PATIENCE)
+    except (OSError, ValueError) as error:
+        raise FleetError(
+            f"{scheduler}: no Dask scheduler answers ({type(error).__name__}). Start one with "
+            "'dask scheduler', and 'dask worker' with its address"
+        ) from None
+    try:
+        try:
+            client.wait_for_workers(1, timeout=PATIENCE)
+        except TimeoutError:
+            raise FleetError(
+                f"{scheduler}: it has no workers: 'dask worker {scheduler} --nthreads 1 "
+                "--nworkers -1' on each machine, where parallel_cal is installed"
+            ) from None
+        yield client
+    finally:
+        client.close(timeout=1)
+
+
+def results(
+    client: Client, jobs: Sequence[tuple[Job, str]], asked: Asked, page: Page | None
+) -> Iterator[tuple[Row, str]]:
+    """Rows and pages as they end, in no order. A recording that ended its worker again and again
+    is a row with that reason; FleetError where the scheduler is gone or a worker cannot do it."""
+    from distributed import KilledWorker, as_completed
+
+    futures: dict[Future, tuple[Job, str]] = {
+        client.submit(judged, job, asked, inputs, page, pure=False): (job, inputs)
+        for job, inputs in jobs
+    }
+    for future in as_completed(list(futures)):
+        job, inputs = futures.pop(future)
+        if future.status == "finished":
+            yield _answer(future)
+        elif future.status == "error" and isinstance(future.exception(), KilledWorker):
+            reason = "it ended its worker again and again: has that enough memory?"
+            yield {
+                "robot": job.robot, "recording": job.recording, "inputs": inputs,
+                "time": job.time, "reason": reason, "seconds": None,
+            }, ""  # fmt: skip
+        elif future.status == "error":
+            error = future.exception()
+            raise FleetError(
+                f"a worker cannot do it ({type(error).__name__}: {error}): the same parallel_cal "
+                "must be installed where workers are started"
+            )
+        else:
+            raise _lost(client)
+        future.release()
+
+
+def _answer(future: Future) -> Any:
+    try:
+        return future.result()
+    except Exception:  # it was done, and the way to it is gone
+        raise _lost(future.client) from None
+
+
+def _lost(client: Client) -> FleetError:
+    return FleetError(
+        "the scheduler is gone; every row that was done is kept. Start it again, and give the "
+        "same command: it goes on from there"
+    )

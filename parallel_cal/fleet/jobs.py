@@ -1,0 +1,131 @@
+"""What a fleet has to do: every recording of every robot, from a folder or from a list."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from datetime import datetime, timezone
+from pathlib import Path
+
+from parallel_cal import __version__
+from parallel_cal.base.errors import ParallelCalError
+from parallel_cal.base.files import read_text
+from parallel_cal.identification.options import FitOptions
+from parallel_cal.recordings.bag import DATA_FILES, data_hash
+from parallel_cal.recordings.options import ReadOptions
+
+COLUMNS = ("robot", "model", "recording")
+SAMPLES = ".json"
+
+
+class FleetError(ParallelCalError):
+    """A fleet cannot be begun, or not be ended: what to do, and how to go on."""
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What is asked of every recording: how it is read, identified and diagnosed."""
+
+    options: FitOptions = field(default_factory=FitOptions)
+    effects: tuple[str, ...] = ()
+    also: tuple[str, ...] = ()
+    data: ReadOptions = field(default_factory=ReadOptions)
+
+
+@dataclass(frozen=True)
+class Job:
+    """One recording of one robot; `time` (s since 1970) where the list says it."""
+
+    robot: str
+    recording: str
+    model: Path
+    data: Path
+    time: float | None = None
+
+    def inputs(self, asked: Asked) -> str:
+        """sha256 of all that the result follows from."""
+        parts = [__version__, repr(asked), self.robot, self.recording, repr(self.time)]
+        for path in (self.model, self.data):
+            try:
+                parts.append(data_hash(path))
+            except OSError as error:  # whoever judges it will say so
+                parts.append(str(error))
+        return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+
+
+def jobs_of(robots: Path) -> list[Job]:
+    """The jobs of a folder with one folder a robot, or of a list (.csv), by robot and recording.
+
+    FleetError where there are none, or two robots, or recordings of one, have one name.
+    """
+    jobs = list(_listed(robots) if robots.is_file() else _found(robots))
+    if not jobs:
+        raise FleetError(
+            f"{robots}: no recordings; expected a folder for each robot with its model (.yaml) and "
+            f"its recordings in it, or a list (.csv) with the columns {', '.join(COLUMNS)}"
+        )
+    models: dict[str, Path] = {}
+    seen: set[tuple[str, str]] = set()
+    for job in jobs:
+        if models.setdefault(job.robot, job.model) != job.model:
+            raise FleetError(
+                f"{robots}: two robots are called '{job.robot}', with the models "
+                f"{models[job.robot]} and {job.model}: name them apart"
+            )
+        if (job.robot, job.recording) in seen:
+            raise FleetError(f"{robots}: '{job.robot}' has the recording {job.recording} twice")
+        seen.add((job.robot, job.recording))
+    return sorted(jobs, key=lambda job: (job.robot, job.recording))
+
+
+def _found(robots: Path) -> Iterator[Job]:
+    """A folder's; a robot without a model of its own has that which lies beside the folders."""
+    if not robots.is_dir():
+        raise FleetError(f"{robots}: no such folder or list")
+    shared = sorted(robots.glob("*.yaml"))
+    for folder in sorted(path for path in robots.iterdir() if path.is_dir()):
+        recordings = sorted(path for path in folder.iterdir() if _is_recording(path))
+        if not recordings:
+            continue
+        models = sorted(folder.glob("*.yaml")) or shared
+        if len(models) != 1:
+            names = ", ".join(path.name for path in models) or "none"
+            raise FleetError(f"{folder}: expected one model file (.yaml), found {names}")
+        model = models[0].resolve()
+        yield from (Job(folder.name, path.name, model, path.resolve()) for path in recordings)
+
+
+def _is_recording(path: Path) -> bool:
+    if path.is_dir():
+        return any(file.suffix in (".yaml", *DATA_FILES) for file in path.iterdir())
+    return path.suffix in (*DATA_FILES, SAMPLES)
+
+
+def _listed(robots: Path) -> Iterator[Job]:
+    """A list's, its paths from where the list is; `time` is a column that it may have."""
+    try:
+        lines = read_text(robots, encoding="utf-8-sig").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise FleetError(f"{robots}: cannot be read: {error}") from None
+    rows = csv.DictReader(lines, strict=True)
+    if missing := [name for name in COLUMNS if name not in (rows.fieldnames or ())]:
+        raise FleetError(f"{robots}:1: no column {', '.join(missing)}")
+    for row in rows:
+        place = f"{robots}:{rows.line_num}"
+        if empty := [name for name in COLUMNS if not row[name]]:
+            raise FleetError(f"{place}: no {empty[0]}")
+        model, data = ((robots.parent / row[name]).resolve() for name in ("model", "recording"))
+        yield Job(row["robot"], row["recording"], model, data, _time(row.get("time"), place))
+
+
+def _time(text: str | None, place: str) -> float | None:
+    """Seconds since 1970 of a day or a moment (ISO 8601; UTC where it does not say)."""
+    if not text:
+        return None
+    try:
+        moment = datetime.fromisoformat(text)
+    except ValueError:
+        raise FleetError(f"{place}: time '{text}': expected such as 2026-05-31T14:00") from None
+    return (moment if moment.tzinfo else moment.replace(tzinfo=timezone.utc)).timestamp()

@@ -1,0 +1,104 @@
+"""One recording of one robot: identified, diagnosed, and what of it the fleet needs."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from functools import lru_cache
+from threading import Lock
+from typing import Any
+
+import numpy as np
+
+from parallel_cal.base.documents import plain
+from parallel_cal.base.errors import ParallelCalError
+from parallel_cal.diagnosis.catalogue import new_numbers, not_recorded
+from parallel_cal.diagnosis.diagnose import Diagnosis, diagnose
+from parallel_cal.diagnosis.scene import Scene, columns
+from parallel_cal.fleet.jobs import Asked, Job
+from parallel_cal.identification.evidence import Evidence
+from parallel_cal.model.file.modelfile import model_text, parse_model
+from parallel_cal.model.model import Model
+from parallel_cal.recordings.loading import load_stamped
+
+Row = dict[str, Any]  # the JSON document of a recording
+Page = Callable[[Diagnosis], str]
+
+_ONE = Lock()  # CasADi's expressions are not for several threads of a worker
+
+
+def judged(job: Job, asked: Asked, inputs: str, page: Page | None = None) -> tuple[Row, str]:
+    """The row of a recording, and its page where one is wanted; whatever fails is its `reason`."""
+    row: Row = {"robot": job.robot, "recording": job.recording, "inputs": inputs}
+    start, shown = time.monotonic(), ""
+    with _ONE:
+        try:
+            found, when = _diagnosis(job, asked)
+            row |= _row(found) | {"time": when, "reason": ""}
+            shown = page(found) if page else ""
+        except ParallelCalError as error:
+            row |= {"time": job.time, "reason": " ".join(str(error).split())}
+        except Exception as error:  # a user's own mechanism may raise anything
+            row |= {"time": job.time, "reason": f"{type(error).__name__}: {error}"}
+    return plain(row | {"seconds": time.monotonic() - start}), shown
+
+
+@lru_cache(maxsize=8)
+def _model(text: str, name: str) -> Model:
+    """Robots of one model file share what was derived of it: half the time of a diagnosis."""
+    return parse_model(text, name)
+
+
+def _diagnosis(job: Job, asked: Asked) -> tuple[Diagnosis, float | None]:
+    model = _model(model_text(job.model), str(job.model))
+    dataset, start = load_stamped(job.data, asked.data, joints=model.joints)
+    found = diagnose(model, dataset, effects=asked.effects, also=asked.also, options=asked.options)
+    return found, job.time if job.time is not None else 1e-9 * start or None
+
+
+def _row(found: Diagnosis) -> Row:
+    base, best = found.base.fitted, found.best.fitted
+    table = best.model.table
+    return {
+        "mechanism": best.model.mechanism.name,
+        "samples": len(found.dataset),
+        "verdict": found.verdict.word,
+        "summary": found.verdict.summary,
+        "effects": found.effects,
+        "robot_or_device": found.robot_or_device,
+        "before": base.before.summary,
+        "identified": base.held_out.summary,
+        "after": best.held_out.summary,
+        "noise": best.noise,
+        "chi2_per_dof": best.estimate.chi2_per_dof,
+        "parameters": {
+            name: {"value": one.value, "sigma": one.sigma, "unit": one.unit}
+            for (name, one), free in zip(best.parameters().items(), best.free, strict=True)
+            if free
+        },
+        "evidence": vars(Evidence.of(best).only(p.name for p in table if p.group != "sensor")),
+        "effects_evidence": {name: vars(told) for name, told in _of_effects(found)},
+    }
+
+
+def _of_effects(found: Diagnosis) -> Iterator[tuple[str, Evidence]]:
+    """What the data say of the numbers of effects that were not taken, beside those that were."""
+    scene = found.best.scene
+    for one in found.ranked:
+        if one.testable and not one.settings and one.name not in found.effects:
+            told = of_effect(scene, one.name)
+            if told is not None:
+                yield one.name, told
+
+
+def of_effect(scene: Scene, name: str) -> Evidence | None:
+    """What a scene says of an effect's numbers, linearised about none of it: A = J^T J, g = -J^T r
+    with J their columns off the geometry; None where it cannot say."""
+    extended = scene.model.with_effect(name)
+    if extended.mechanism is not scene.model.mechanism or not_recorded(extended, scene.dataset):
+        return None
+    new = new_numbers(scene.model, extended)
+    J = scene.off_geometry(columns(extended, scene, new)) / extended.table.tolerance[new]
+    birge = np.fmax(scene.chi2_per_dof, 1.0)
+    names = tuple(np.array(extended.table.names)[new].tolist())
+    return Evidence(names, np.zeros(len(names)), J.T @ J / birge, -J.T @ scene.residual / birge)

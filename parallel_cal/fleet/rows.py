@@ -1,0 +1,103 @@
+"""What a fleet has found so far, on the disk: a file a recording as it ends, then a table."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from parallel_cal.base.files import held, read_text, write_atomically
+from parallel_cal.fleet.jobs import FleetError
+from parallel_cal.fleet.judging import Row
+
+WORDS = ("robot", "recording", "inputs", "mechanism", "verdict", "reason")
+ERRORS = ("before", "identified", "after")  # as given, without and with the effects found
+KINDS = {"position": "m", "orientation": "rad", "reading": "m"}
+
+
+class Rows:
+    """A fleet's folder: `recordings/` has what is done, under the hash of what it follows from."""
+
+    def __init__(self, folder: Path):
+        self.folder = folder
+        for part in (folder, folder / "recordings"):
+            part.mkdir(parents=True, exist_ok=True)
+
+    @contextmanager
+    def alone(self) -> Iterator[None]:
+        """Keep other processes out; FleetError where one is at it."""
+        file = held(self.folder / ".lock")
+        if file is None:
+            raise FleetError(f"{self.folder}: another fleet is being judged into it")
+        try:
+            yield
+        finally:
+            os.close(file)
+
+    def known(self, inputs: str) -> Row | None:
+        """A recording's row as it was left; None where it failed or was not done."""
+        try:
+            row: Row = json.loads(read_text(self._file(inputs)))
+        except (OSError, ValueError):
+            return None
+        return None if row["reason"] else row
+
+    def keep(self, row: Row) -> None:
+        write_atomically(self._file(row["inputs"]), json.dumps(row, allow_nan=False))
+
+    def _file(self, inputs: str) -> Path:
+        return self.folder / "recordings" / f"{inputs}.json"
+
+    def gather(self, rows: Sequence[Row]) -> None:
+        """Write `rows.parquet`, a row a recording, equal to the last bit wherever it was done, and
+        how long each took to `seconds.parquet`."""
+        import pyarrow as pa
+
+        units = {n: one["unit"] for row in rows for n, one in row.get("parameters", {}).items()}
+        errors = {f"{when}.{kind}_rms": (when, kind) for when in ERRORS for kind in KINDS}
+        columns: list[tuple[pa.Field, list[Any]]] = [
+            (pa.field(name, pa.string()), [row.get(name) for row in rows]) for name in WORDS
+        ]
+        columns += [
+            (pa.field("effects", pa.list_(pa.string())), [row.get("effects") for row in rows]),
+            (_number("time", "s"), [row.get("time") for row in rows]),
+            (pa.field("samples", pa.int64()), [row.get("samples") for row in rows]),
+            (_number("chi2_per_dof", "1"), [row.get("chi2_per_dof") for row in rows]),
+        ]
+        for name, (when, kind) in errors.items():
+            values = [row.get(when, {}).get(f"{kind}_rms") for row in rows]
+            columns.append((_number(name, KINDS[kind]), values))
+        for name, unit in units.items():
+            for column, key in ((name, "value"), (f"{name}.sigma", "sigma")):
+                values = [row.get("parameters", {}).get(name, {}).get(key) for row in rows]
+                columns.append((_number(column, unit), values))
+        _write(columns, self.folder / "rows.parquet")
+        seconds = (_number("seconds", "s"), [row.get("seconds") for row in rows])
+        _write([*columns[:2], seconds], self.folder / "seconds.parquet")
+
+    def forget_others(self, inputs: Iterable[str]) -> None:
+        """Remove what other inputs left: those of recordings that changed or are gone."""
+        current = set(inputs)
+        for file in (self.folder / "recordings").glob("*.json"):
+            if file.stem not in current:
+                file.unlink()
+
+
+def _number(name: str, unit: str) -> Any:
+    import pyarrow as pa
+
+    return pa.field(name, pa.float64(), metadata={"unit": unit})
+
+
+def _write(columns: Sequence[tuple[Any, list[Any]]], path: Path) -> None:
+    """A table, whole or not at all."""
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    arrays = [pa.array(values, field.type) for field, values in columns]
+    part = path.with_suffix(".part")
+    parquet.write_table(pa.table(arrays, pa.schema([field for field, _ in columns])), part)
+    os.replace(part, path)

@@ -1,0 +1,250 @@
+"""Fleets: what is judged, what fails with a reason, and what survives when something dies."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+
+import fleets
+import numpy as np
+import pytest
+import virtual_fleet as vf
+from clusters import cluster
+from datasets import measured
+
+from parallel_cal.fleet.fleet import judge
+from parallel_cal.fleet.jobs import Asked, FleetError, Job, jobs_of
+from parallel_cal.fleet.judging import judged
+from parallel_cal.identification.evidence import Evidence
+from parallel_cal.identification.fit import fit
+from parallel_cal.identification.options import FitOptions
+from parallel_cal.model.model import new_model
+
+pq = pytest.importorskip("pyarrow.parquet")
+pytest.importorskip("distributed")
+
+QUICK = Asked(effects=("backlash",))
+BAG = fleets.ROOT / "bags" / "delta_backlash"
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Two robots: one with a model of its own, one with that beside the folders."""
+    for robot, recordings in {"a": ("monday", "tuesday"), "b": ("monday",)}.items():
+        (tmp_path / robot).mkdir()
+        for name in recordings:
+            (tmp_path / robot / name).symlink_to(BAG)
+    shutil.copy(fleets.NOMINAL, tmp_path / "all.yaml")
+    shutil.copy(fleets.NOMINAL, tmp_path / "a" / "own.yaml")
+    return tmp_path
+
+
+def listed(folder, *rows, header="robot,model,recording,time"):
+    (folder / "list.csv").write_text("\n".join([header, *rows]))
+    return folder / "list.csv"
+
+
+def test_a_folder_for_each_robot_holds_its_recordings_and_its_model(folder):
+    jobs = jobs_of(folder)
+    assert [(j.robot, j.recording, j.model.name) for j in jobs] == [
+        ("a", "monday", "own.yaml"),
+        ("a", "tuesday", "own.yaml"),
+        ("b", "monday", "all.yaml"),
+    ]
+    shutil.copy(fleets.NOMINAL, folder / "a" / "other.yaml")
+    with pytest.raises(FleetError, match=r"a: expected one model file.*found other.yaml, own.yaml"):
+        jobs_of(folder)
+
+
+def test_a_list_says_when_a_recording_was(folder):
+    (job,) = jobs_of(listed(folder, "x,all.yaml,a/monday,1970-01-02T00:00:05+00:00"))
+    assert (job.robot, job.recording, job.time) == ("x", "a/monday", 86405.0)
+    assert jobs_of(listed(folder, "x,all.yaml,a/monday,1970-01-02"))[0].time == 86400.0
+
+
+@pytest.mark.parametrize(
+    ("rows", "words"),
+    [
+        (["x,all.yaml,a/monday,", "x,a/own.yaml,a/tuesday,"], "two robots are called 'x'"),
+        (["x,all.yaml,a/monday,", "x,all.yaml,a/monday,"], "'x' has the recording a/monday twice"),
+        (["x,all.yaml,a/monday,May"], r"list.csv:2: time 'May': expected such as 2026"),
+        (["x,,a/monday,"], "list.csv:2: no model"),
+        ([], "no recordings; expected a folder for each robot"),
+    ],
+)
+def test_a_wrong_list_is_refused_before_work_begins(folder, rows, words):
+    with pytest.raises(FleetError, match=words):
+        judge(listed(folder, *rows), folder / "out")
+    assert not (folder / "out").exists()
+
+
+def test_a_list_without_a_column_says_which(folder):
+    with pytest.raises(FleetError, match="no column recording"):
+        jobs_of(listed(folder, "x,all.yaml", header="robot,model"))
+
+
+def test_what_cannot_be_judged_is_a_row_with_its_reason(folder):
+    (folder / "cut.mcap").write_bytes(b"\x89MCAP0\r\nnothing")
+    stewart = fleets.ROOT / "bags" / "stewart_backlash"
+    cases = {folder / "cut.mcap": "cut short", folder / "none": "no such", stewart: "leg1"}
+    for data, words in cases.items():
+        row, _ = judged(Job("x", "y", folder / "all.yaml", data, 3.0), QUICK, "0")
+        assert words in row["reason"]
+        assert (row["robot"], row["recording"], row["time"]) == ("x", "y", 3.0)
+        assert "verdict" not in row
+    row, _ = judged(Job("x", "y", folder / "no.yaml", BAG), QUICK, "0")
+    assert "no.yaml: cannot be read" in row["reason"]
+
+
+def test_other_inputs_make_another_hash(folder):
+    job = Job("x", "y", folder / "all.yaml", BAG)
+    others = [
+        job.inputs(QUICK),
+        job.inputs(Asked(options=FitOptions(hold_out=0.5))),
+        Job("z", "y", folder / "all.yaml", BAG).inputs(QUICK),
+        Job("x", "y", folder / "all.yaml", fleets.ROOT / "bags" / "delta_clean").inputs(QUICK),
+    ]
+    (folder / "all.yaml").write_text(fleets.NOMINAL.read_text() + "\n")
+    assert len({*others, job.inputs(QUICK)}) == 5
+
+
+# ----------------------------------------------------------------------------- evidence
+
+
+def test_evidence_of_well_seen_parameters_is_the_inverse_of_their_covariance():
+    few = ["*"], ["chain?.Lb", "chain?.La_x"]
+    found = fit(new_model("delta54"), measured(0), hold_out=0, fix=few[0], free=few[1])
+    told = Evidence.of(found)
+    free = found.free
+    birge = max(1.0, found.estimate.chi2_per_dof)
+    covariance = found.estimate.covariance[np.ix_(free, free)]
+    assert told.information @ covariance * birge == pytest.approx(np.eye(6), abs=1e-6)
+    assert told.pull == pytest.approx(np.zeros(6))
+    two = told.only(["chain1.Lb", "chain3.Lb"])
+    own = [told.names.index(name) for name in two.names]
+    assert np.linalg.inv(two.information) == pytest.approx(birge * covariance[np.ix_(own, own)])
+
+
+def test_evidence_is_without_the_tolerances_that_held_an_estimate():
+    """With priors throughout and without any, the data say the same."""
+    data = measured(0, n_poses=30)
+    free, fix = ["chain?.Lb", "chain?.La_?"], ["*"]
+    one, other = (
+        Evidence.of(fit(new_model("delta54"), data, hold_out=0, fix=fix, free=free, prior=prior))
+        for prior in (True, False)
+    )
+    assert np.abs(one.centre - other.centre).max() > 1e-9
+    ones, others = (e.about(e.names, np.zeros(9), np.full(9, 1e-4)) for e in (one, other))
+    scale = np.sqrt(np.diag(others.information))
+    assert ones.information == pytest.approx(others.information, rel=0.05, abs=0.01 * scale.max())
+    assert np.linalg.solve(ones.information, ones.pull) == pytest.approx(
+        np.linalg.solve(others.information, others.pull), abs=0.05
+    )
+
+
+def test_evidence_about_other_numbers_is_the_same_likelihood():
+    """Worked by hand: p = 3 +- 0.5 of which a prior of pull 2 was taken out, seen from 1 in 0.1."""
+    told = Evidence(("p",), np.array([3.0]), np.array([[4.0]]), np.array([2.0]))
+    seen = told.about(("q", "p"), np.array([0.0, 1.0]), np.array([1.0, 0.1]))
+    assert seen.information == pytest.approx(np.diag([0.0, 0.04]))
+    assert seen.pull == pytest.approx([0.0, (2.0 + 4.0 * 2.0) * 0.1])
+
+
+# ----------------------------------------------------------------------------- clusters
+
+
+def tables(folder):
+    return (folder / "rows.parquet").read_bytes()
+
+
+@pytest.mark.wide
+def test_rows_are_equal_to_the_last_bit_on_this_machine_and_on_a_cluster(tmp_path):
+    fleet = fleets.written(tmp_path / "fleet", vf.drawn(3), 2, n_poses=24, n_replicates=4)
+    here = judge(fleet, tmp_path / "here", QUICK, workers=2)
+    with cluster(tmp_path, 3) as other:
+        judge(fleet, tmp_path / "there", QUICK, scheduler=other.address)
+    assert tables(tmp_path / "here") == tables(tmp_path / "there")
+    assert len(here.judged) == 6
+    table = pq.read_table(tmp_path / "here" / "rows.parquet")
+    assert table.column("robot").to_pylist() == [f"robot{k:03d}" for k in (0, 0, 1, 1, 2, 2)]
+    assert table.schema.field("chain1.theta.sigma").metadata == {b"unit": b"rad"}
+    lengths = np.array(table.column("chain1.Lb"))
+    assert lengths == pytest.approx(np.full(6, 0.24), abs=2e-3)
+    assert len(set(lengths)) == 6
+
+
+@pytest.mark.wide
+def test_a_killed_worker_costs_no_row(tmp_path):
+    fleet = fleets.written(tmp_path / "fleet", vf.drawn(2), 2, n_poses=24, n_replicates=4)
+    with cluster(tmp_path, 2, nanny=False) as workers:
+
+        def kill_one(done, of, row):
+            if row and workers.workers[0].poll() is None:
+                workers.kill(workers.workers[0])
+
+        found = judge(fleet, tmp_path / "out", QUICK, scheduler=workers.address, progress=kill_one)
+        assert workers.workers[0].poll() is not None
+    assert [row["reason"] for row in found.rows] == [""] * 4
+
+
+@pytest.mark.wide
+def test_a_killed_scheduler_costs_no_row_that_was_done(tmp_path):
+    fleet = fleets.written(tmp_path / "fleet", vf.drawn(2), 2, n_poses=24, n_replicates=4)
+    with cluster(tmp_path, 1) as first:
+
+        def kill_it(done, of, row):
+            if row and first.scheduler.poll() is None:
+                first.kill(first.scheduler)
+
+        with pytest.raises(FleetError, match=r"scheduler is gone.*give the same command"):
+            judge(fleet, tmp_path / "out", QUICK, scheduler=first.address, progress=kill_it)
+    kept = len(list((tmp_path / "out" / "recordings").glob("*.json")))
+    assert 1 <= kept < 4
+    begun = []
+    again = judge(
+        fleet, tmp_path / "out", QUICK, workers=1, progress=lambda *said: begun.append(said[0])
+    )
+    assert begun[0] == kept
+    assert len(again.judged) == 4
+
+
+@pytest.mark.wide
+def test_ctrl_c_and_kill_keep_the_rows_that_were_done(tmp_path):
+    fleet = fleets.written(tmp_path / "fleet", vf.drawn(2), 3, n_poses=24, n_replicates=4)
+    words = ["fleet", str(fleet), "-o", str(tmp_path / "out"), "--workers", "1"]
+    command = [sys.executable, "-m", "parallel_cal.cli", *words, "--effect", "backlash"]
+    recordings = tmp_path / "out" / "recordings"
+    for how, code in ((signal.SIGINT, 130), (signal.SIGKILL, -9)):
+        before = len(list(recordings.glob("*.json")))
+        process = subprocess.Popen(command, stderr=subprocess.PIPE, start_new_session=True)
+        while len(list(recordings.glob("*.json"))) == before and process.poll() is None:
+            os.sched_yield()
+        os.killpg(process.pid, how)
+        said = process.communicate()[1].decode()
+        assert process.returncode == code, said
+        assert how == signal.SIGKILL or said.startswith("stopped; what is done is kept")
+        assert len(list(recordings.glob("*.json"))) > before
+    done = subprocess.run([*command, "--json"], capture_output=True, text=True, check=True)
+    document = json.loads(done.stdout)
+    assert (document["recordings"], document["failed"]) == (6, [])
+
+
+@pytest.mark.wide
+def test_nobody_at_an_address_is_said(folder, monkeypatch):
+    monkeypatch.setattr("parallel_cal.fleet.cluster.PATIENCE", 0.5)
+    with pytest.raises(FleetError, match="no Dask scheduler answers"):
+        judge(folder, folder / "out", QUICK, scheduler="tcp://127.0.0.1:1")
+    with cluster(folder, 0) as idle, pytest.raises(FleetError, match="it has no workers"):
+        judge(folder, folder / "out", QUICK, scheduler=idle.address)
+
+
+def test_without_the_extra_a_fleet_says_so_in_one_line(folder):
+    code = (
+        "import sys; sys.modules['distributed'] = None; from parallel_cal.cli.main import main; "
+        f"main(['fleet', {str(folder)!r}])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 1
+    assert done.stderr == ("error: fleets need distributed: pip install 'parallel_cal[fleet]'\n")
