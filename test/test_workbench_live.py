@@ -1,6 +1,7 @@
 """The workbench beside running nodes: a robot's samples as they come, its model exchanged."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -71,6 +72,42 @@ def test_the_loop_on_nodes_that_the_workbench_starts(tmp_path):
         finally:
             served.end(signal.SIGTERM)
     assert nodes_on(tmp_path) == []  # what was started is ended
+
+
+def test_a_robot_is_let_calibrate_itself_held_and_stopped_on_the_page(tmp_path):
+    own_domain()
+    file = tmp_path / "robot.yaml"
+    cell = NodeProcess(
+        "virtual_cell_node", tmp_path, "/cell", robot="delta", seed=2, rate=4.0,
+        model_file=str(file),
+    )  # fmt: skip
+    until(file.exists, "the nominal model")
+    with opened() as browser:
+        served = Served("--ros", file, "--session", tmp_path / "s", "--namespace", "cell")
+        try:
+            page = browser.new_page(viewport={"width": 1280, "height": 1000})
+            page.set_default_timeout(1000 * LONG)
+            page.goto(served.url)
+            campaign = page.locator("#campaign")
+            campaign.get_by_text("none was asked for").wait_for()
+            page.get_by_label("poses at most").fill("40")
+            page.get_by_role("button", name="Calibrate", exact=True).click()
+            campaign.get_by_text(re.compile("[1-9] poses")).wait_for()
+            assert page.get_by_role("button", name="Calibrate", exact=True).is_hidden()
+            page.get_by_role("button", name="Pause").click()
+            campaign.get_by_text("paused").wait_for()
+            page.reload()  # whoever comes later sees the same
+            campaign.get_by_text("paused").wait_for()
+            page.get_by_role("button", name="Resume").click()
+            campaign.get_by_text(re.compile("moving|sampling|planning|judging")).wait_for()
+            page.get_by_role("button", name="Stop").click()
+            campaign.get_by_text(re.compile("^stopped: .*Take samples")).wait_for()
+            page.get_by_role("button", name="Take samples").click()
+            page.get_by_text("Where it fails").wait_for()
+            assert len(Session(tmp_path / "s").samples) >= 1
+        finally:
+            served.end(signal.SIGTERM)
+            assert cell.end() == 0
 
 
 def test_what_nodes_tell_is_gathered_and_missed_where_nobody_speaks(tmp_path):

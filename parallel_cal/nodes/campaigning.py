@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -70,7 +71,9 @@ class Campaigning:
         self._node, self._here, self._one, self._worker, self._say = node, here, one, worker, say
         self._control: Control | None = None
         self._cell: RobotCell | None = None
-        self._status = CalibrationStatus(state="done", reason="none was asked for")
+        self._status = CalibrationStatus(
+            state="done", reason="none was asked for", error_unseen=math.nan
+        )
         self._told = node.create_publisher(CalibrationStatus, "~/session_status", LATCHED)
         self._told.publish(self._status)
         self._command = node.create_publisher(JointTrajectory, "joint_trajectory", 10)

@@ -27,6 +27,7 @@ from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.nodes.client import PATIENCE, NodeError, Process
 from parallel_cal.nodes.parameters import LATCHED, SENSOR
 from parallel_cal.nodes.run import type_name
+from parallel_cal.nodes.steering import Steering
 
 SILENT = 5.0  # s without a word, after which a node that tells something each second is missed
 KEPT = 6000  # errors of the last poses: a minute at 100 Hz
@@ -68,6 +69,7 @@ class Watch:
         status = f"{KINEMATICS}/command_status"
         listen(CommandStatus, status, lambda message: setattr(self, "_told", message), 10)
         self._target = self._node.create_publisher(PoseStamped, "target_pose", 10)
+        self._robot = Steering(self._node)
         self._save = self._node.create_client(SaveSamples, f"{CALIBRATION}/save_samples")
         self._thread = Thread(target=self._spin, daemon=True)
         self._thread.start()
@@ -92,7 +94,8 @@ class Watch:
 
     def snapshot(self) -> dict[str, Any]:
         """What is known now: `streams`, `model`, `samples`, `dropped`, `errors` of measured poses
-        [s ago, m], and the `trouble` that there is."""
+        [s ago, m], the `campaign` of a robot that calibrates itself, and the `trouble` that there
+        is."""
         with self._lock:
             now = time.monotonic()
             return {
@@ -101,6 +104,7 @@ class Watch:
                 "samples": dict(self._samples),
                 "dropped": list(self._dropped),
                 "errors": [(t - now, e) for t, e in self._errors],
+                "campaign": self._robot.told,
                 "trouble": list(self._trouble(now)),
             }
 
@@ -113,6 +117,14 @@ class Watch:
             raise NodeError(f"{CALIBRATION} has not saved its samples in {PATIENCE:.0f} s")
         if not future.result().success:
             raise NodeError(f"{CALIBRATION}: {future.result().message}")
+
+    def calibrate(self, **goal: Any) -> None:
+        """Let the robot calibrate itself, with fields of the action's goal."""
+        self._robot.begin(**goal)
+
+    def steer(self, word: str) -> None:
+        """pause, resume, continue or stop, to a robot that calibrates itself."""
+        self._robot.say(word)
 
     def send(self, position: Sequence[float], quaternion: Sequence[float]) -> str:
         """Ask the robot to go to a pose (m, x y z w) as `target_pose`; what became of that, in

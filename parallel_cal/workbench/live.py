@@ -9,6 +9,7 @@ from nicegui import run, ui
 
 from parallel_cal.reporting.colours import MEASURED, QUIET
 from parallel_cal.workbench.bench import Bench, Live
+from parallel_cal.workbench.calibrating import Calibrating
 from parallel_cal.workbench.looks import COLOURS, card, drawn, table
 
 LOOK = 1.0  # s between two looks at the nodes
@@ -53,6 +54,7 @@ class LiveCard:
             self.error = ui.label().classes("text-sm").props("id=live-error")
             self.chart = drawn(figure, "error of the poses measured, over time")
             self.dropped = ui.expansion("nothing was dropped").classes("w-full")
+        self.campaign = Calibrating(live)
         self._said: list[Any] = []
         ui.timer(LOOK, self._look)
         self._look()
@@ -77,6 +79,7 @@ class LiveCard:
         self.streams.update()
         self._draw_errors(told["errors"])
         self._list_dropped(told["dropped"])
+        self.campaign.show(told["campaign"])
 
     def _served(self, model: dict[str, Any]) -> str:
         if not model.get("hash"):

@@ -1,0 +1,75 @@
+"""A robot that calibrates itself, as somebody who looks on sees and steers it."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from action_msgs.srv import CancelGoal
+from parallel_cal_msgs.action import Calibrate
+from parallel_cal_msgs.msg import CalibrationStatus
+from rclpy.action import ActionClient
+from rclpy.node import Node
+from rclpy.task import Future
+from std_srvs.srv import Trigger
+
+from parallel_cal.nodes.client import NodeError
+from parallel_cal.nodes.parameters import LATCHED
+
+CALIBRATION = "calibration_node"
+WORDS = ("pause", "resume", "continue")
+
+
+class Steering:
+    """Begins, holds and stops a campaign of calibration_node, whoever began it; `told` is what is
+    known of it, plain data."""
+
+    def __init__(self, node: Node):
+        self.told: dict[str, Any] = {"state": "", "curve": [], "answer": ""}
+        node.create_subscription(
+            CalibrationStatus, f"{CALIBRATION}/session_status", self._hear, LATCHED
+        )
+        self._goal = ActionClient(node, Calibrate, f"{CALIBRATION}/calibrate")
+        # Of all goals: it may have been begun by another program, or before this one was started.
+        self._stop = node.create_client(CancelGoal, f"{CALIBRATION}/calibrate/_action/cancel_goal")
+        self._say = {word: node.create_client(Trigger, f"{CALIBRATION}/{word}") for word in WORDS}
+
+    def begin(self, **goal: Any) -> None:
+        """Ask for it, fields of the action's goal; what comes of it is in `told`. NodeError where
+        nobody is there to ask."""
+        self._need(self._goal.server_is_ready())
+        self.told = {**self.told, "curve": [], "answer": ""}
+        self._goal.send_goal_async(Calibrate.Goal(**goal)).add_done_callback(self._accepted)
+
+    def say(self, word: str) -> None:
+        """pause, resume, continue or stop. NodeError where nobody is there to hear it."""
+        client, request = (
+            (self._stop, CancelGoal.Request())
+            if word == "stop"
+            else (self._say[word], Trigger.Request())
+        )
+        self._need(client.service_is_ready())
+        client.call_async(request)
+
+    def _need(self, there: bool) -> None:
+        if not there:
+            raise NodeError(f"{CALIBRATION} does not answer: is it running?")
+
+    def _accepted(self, future: Future) -> None:
+        handle = future.result()
+        if handle.accepted:
+            handle.get_result_async().add_done_callback(
+                lambda done: self._answered(done.result().result.message)
+            )
+        else:
+            self._answered(f"{CALIBRATION} did not take the goal: its log says why")
+
+    def _answered(self, words: str) -> None:
+        self.told = {**self.told, "answer": words}
+
+    def _hear(self, status: CalibrationStatus) -> None:
+        curve, point = self.told["curve"], (status.poses, status.error_unseen)
+        if not math.isnan(status.error_unseen) and point[1:] != (curve or [()])[-1][1:]:
+            curve = [*curve, point]
+        fields = ("state", "reason", "poses", "error_unseen", "verdict", "folder")
+        self.told = {**self.told, "curve": curve, **{f: getattr(status, f) for f in fields}}
