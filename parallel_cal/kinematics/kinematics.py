@@ -120,9 +120,9 @@ class Kinematics:
     ) -> Solutions:
         """The same for one sample without array overhead; anything unusual goes the long way."""
         rows = self.model.condition_rows(at, 1)
-        x, step, residual, pivot = problem.one(given, rows[0], problem.k)
+        x, step, residual, pivot = problem.calls.one(given, rows[0], problem.k)
         if step[0] >= SETTLED:
-            x, step, residual, pivot = problem.refine_one(x, rows[0], problem.k)
+            x, step, residual, pivot = problem.calls.refine_one(x, rows[0], problem.k)
         n = self._n
         usual = step[0] < SETTLED and problem.closed(residual)[0] and pivot[0] > SUSPECT_PIVOT
         if usual and self._inside_limits(x[:n]):

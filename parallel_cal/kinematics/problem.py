@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from functools import cached_property
+from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -11,25 +12,50 @@ from parallel_cal.kinematics.newton import newton_functions
 from parallel_cal.kinematics.solutions import CLOSED, Solutions, Status
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model
+from parallel_cal.model.structure import Structure
+
+
+class _Calls:
+    """A structure's Newton iterations for one split, whatever its numbers: made once."""
+
+    def __init__(self, structure: Structure, name: str, compile: bool):
+        functions = newton_functions(structure, name)
+        ready = compiled if compile else (lambda f: f)
+        self.columns, self.tables = functions.columns, Single(functions.tables)
+        solve = ready(functions.solve)
+        self.one, self.many = Single(solve), Batch(solve)
+        self._refine = functions.refine, ready
+
+    @cached_property
+    def _refining(self) -> Any:
+        function, ready = self._refine
+        return ready(function)
+
+    @cached_property
+    def refine_one(self) -> Single:
+        return Single(self._refining)
+
+    @cached_property
+    def refine(self) -> Batch:
+        return Batch(self._refining)
+
+
+_calls = lru_cache(maxsize=64)(_Calls)
 
 
 class Problem:
     """One split into given and unknown coordinates, with this model's numbers."""
 
     def __init__(self, model: Model, name: str, compile: bool):
-        functions = newton_functions(model.structure, name)
-        ready = compiled if compile else (lambda f: f)
+        self.calls = _calls(model.structure, name, compile)
         self._model, self.name = model, name
         self._n = len(model.joints)
         self.unknown_joints = name == "inverse"
-        self.k = Single(functions.tables)(model.values)[0]
-        self.one = Single(ready(functions.solve))
-        self._many = Batch(ready(functions.solve))
-        self._refine_function, self._ready = functions.refine, ready
-        self.columns = functions.columns
+        self.k = self.calls.tables(model.values)[0]
+        self.columns = self.calls.columns
         # More rows than unknowns (lines of a cable robot): the answer is the least-squares one,
         # and what it leaves is in the residual, not in the status.
-        self.redundant = model.structure.phi.shape[0] > len(functions.columns)
+        self.redundant = model.structure.phi.shape[0] > len(self.columns)
 
     def closed(self, residual: np.ndarray) -> np.ndarray:
         """Whether settled samples are answers."""
@@ -37,20 +63,11 @@ class Problem:
 
     def many(self, given: np.ndarray, rows: np.ndarray) -> list[np.ndarray]:
         """Newton iterations from the mechanism's own start."""
-        return self._many(given, rows, self.k)
+        return self.calls.many(given, rows, self.k)
 
     def refine(self, begin: np.ndarray, rows: np.ndarray) -> list[np.ndarray]:
         """Newton iterations from given configurations."""
-        return self._refine(begin, rows, self.k)
-
-    @cached_property
-    def refine_one(self) -> Single:
-        """`refine` for one configuration."""
-        return Single(self._ready(self._refine_function))
-
-    @cached_property
-    def _refine(self) -> Batch:
-        return Batch(self._ready(self._refine_function))
+        return self.calls.refine(begin, rows, self.k)
 
     def begin(self, given: np.ndarray, start: Solutions) -> np.ndarray:
         """`given`, with the unknown coordinates taken from `start`."""
