@@ -20,13 +20,13 @@ PRINTED, CAST, ALUMINIUM = 90e-6, 60e-6, 23e-6  # 1/K; the first two are polymer
 
 @dataclass(frozen=True)
 class Kind:
-    """Physics of the machines whose geometry cannot imitate it: `names` are what a diagnosis may
-    call it, `make` draws one.
+    """Physics of the machines whose geometry cannot imitate it: `effect` is the one of the
+    catalogue that a diagnosis is to name, `make` draws one.
 
     `asks` is what must change for it to show: temperature, payload or time.
     """
 
-    names: tuple[str, ...]
+    effect: str
     make: Callable[[Machine, np.random.Generator], Effect]
     machines: tuple[str, ...] = (*TURNING, *SLIDING)
     asks: str = ""
@@ -72,55 +72,55 @@ def warm(machine: Machine, rng: np.random.Generator) -> Effect:
 
 KINDS = {
     "eccentricity": Kind(
-        ("encoder_eccentricity",),
+        "encoder_eccentricity",
         lambda m, rng: EncoderEccentricity(signed(4e-3, m, rng), signed(4e-3, m, rng)),
         TURNING,
     ),
     "oval_disc": Kind(
-        ("encoder_second_harmonic",),
+        "encoder_second_harmonic",
         lambda m, rng: joints.OvalDisc(signed(2.5e-3, m, rng), around(m, rng)),
         TURNING,
     ),
     "gain": Kind(
-        ("encoder_gain",),
+        "encoder_gain",
         lambda m, rng: joints.WrongPitch(
             signed(2.5e-3 if m.lever == 1 else 0.6e-3 / m.lever, m, rng)
         ),
         ("argos", *SLIDING),
     ),
     "gear_ripple": Kind(
-        ("gear_transmission_error",),
+        "gear_transmission_error",
         lambda m, rng: joints.GearRipple(
             rng.uniform(15, 40), signed(0.6e-3, m, rng), around(m, rng)
         ),
         TURNING,
     ),
     "screw_wobble": Kind(
-        ("screw_pitch_error",),
+        "screw_pitch_error",
         lambda m, rng: joints.UnevenScrew(
             5e-3, signed(0.4e-3, m, rng), around(m, rng), signed(2e-2, m, rng)
         ),
         SLIDING,
     ),
-    "backlash": Kind(("backlash",), lambda m, rng: Backlash(sized(1e-3, m, rng))),
-    "wind_up": Kind(("hysteresis",), wound_up),
+    "backlash": Kind("backlash", lambda m, rng: Backlash(sized(1e-3, m, rng))),
+    "wind_up": Kind("hysteresis", wound_up),
     "cross_talk": Kind(
-        ("encoder_crosstalk",),
+        "encoder_crosstalk",
         lambda m, rng: joints.DraggedNeighbours(_dragged(len(m.joints), rng)),
         SLIDING,
     ),
-    "shaft_twist": Kind(("joint_compliance",), twisting, RODS, "payload"),
+    "shaft_twist": Kind("joint_compliance", twisting, RODS, "payload"),
     "soft_rods": Kind(
-        ("rod_compliance",), lambda m, rng: loads.SoftRods(rng.uniform(3e-6, 6e-6)), RODS, "payload"
+        "rod_compliance", lambda m, rng: loads.SoftRods(rng.uniform(3e-6, 6e-6)), RODS, "payload"
     ),
     "soft_frame": Kind(
-        ("payload_sag",),
+        "payload_sag",
         lambda m, rng: loads.SoftFrame(rng.uniform(4e-6, 8e-6), rng.uniform(3e-5, 6e-5)),
         LOADED,
         "payload",
     ),
-    "warmth": Kind(("thermal_expansion",), warm, LOADED, "temperature"),
-    "creep": Kind(("base_drift",), creeping, asks="time"),
+    "warmth": Kind("thermal_expansion", warm, LOADED, "temperature"),
+    "creep": Kind("base_drift", creeping, asks="time"),
 }
 
 
