@@ -14,6 +14,8 @@ from parallel_cal.virtual.tracker import Tracker
 
 PRESETS = Path(__file__).parents[1] / "config"
 SETTLING = 0.3  # s after which the robot rests
+# What whoever drew it knows of it: parts may be printed or cast of polymers, 20e-6..90e-6 /K.
+OF_POLYMERS = {"thermal_expansion.*.alpha": 50e-6}
 REST, MOVING = 0.8, 4.0  # s a sample takes; sigmas of a reading by which a direction counts
 
 
@@ -30,7 +32,11 @@ def model_of(robot):
         values = [given.get(n, v) for n, v in model.table.mapping(model.values).items()]
         model = model.with_values(np.array(values))
     position = noise.position if cell.machine.sees_position else None
-    model = replace(model, noise=Noise(noise.joint, position, noise.orientation))
+    model = replace(
+        model,
+        noise=Noise(noise.joint, position, noise.orientation),
+        tolerances=OF_POLYMERS,
+    )
     limits = cell.machine.limits
     model.mechanism.joint_rates = ((limits.velocity, limits.acceleration),) * len(model.joints)
     return parse_model(dump_model(model))

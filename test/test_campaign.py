@@ -18,7 +18,7 @@ from parallel_cal.campaign.campaign import (
 )
 from parallel_cal.campaign.cell import CellError, Control
 from parallel_cal.campaign.judging import Conclusion, Judgement
-from parallel_cal.campaign.targets import Target, first_targets, spread
+from parallel_cal.campaign.targets import Target, ends, first_targets, rarer, spread
 from parallel_cal.campaign.way import Guard
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.file.modelfile import dump_model, parse_model, read_model
@@ -38,7 +38,7 @@ def quick(question, dataset, unseen, tell=None):
     more = [Target(tuple(q + 0.01 * k for q in joints), purpose="more") for k in range(2)]
     targets = tuple(more) if question.more else ()
     return Judgement(
-        len(dataset), "unexplained", "nothing is known", (), (), ("time",), question.model,
+        len(dataset), "unexplained", "nothing is known", (), (), (), (), ("time",), question.model,
         {"position": 2e-3}, {"position": 1e-3}, {"position": 1e-3}, targets,
     )  # fmt: skip
 
@@ -85,7 +85,49 @@ def test_the_first_poses_are_of_three_kinds_and_may_all_be_gone_to():
         assert (from_one == -from_other).all()
 
 
+def test_a_condition_is_brought_to_the_end_at_which_less_was_measured():
+    air = np.array([22.0, 22.5, 21.9, 25.8])
+    low, high = ends(air, 4.0)
+    assert (low, high) == (21.9, 25.9)
+    assert rarer(air, (low, high)) == high
+    assert rarer(np.array([0.0, 1.0, 1.0]), (0.0, 1.0)) == 0.0
+
+
 # ------------------------------------------------------------------ what it finds
+
+
+def judgement(**change):
+    known = {
+        "samples": 32, "verdict": "explained", "summary": "", "effects": ("backlash",),
+        "doubt": (), "untold": (), "suspected": (), "missing": (), "text": "", "before": {},
+        "unseen": {}, "usual": {},
+    }  # fmt: skip
+    return Judgement(**known | change)
+
+
+def test_it_ends_when_eight_more_poses_have_changed_nothing():
+    before = judgement(samples=24)
+    assert not before.settles(None)
+    assert judgement().settles(before)
+    assert not judgement(verdict="partly_explained").settles(before)
+    assert not judgement(effects=("hysteresis",)).settles(before)
+    heavier = (Target((0.5, 0.5, 0.5), conditions={"payload": 1.0}),)
+    assert not judgement(targets=heavier).settles(before)
+
+
+def test_it_goes_on_while_an_effect_is_suspected():
+    suspecting = judgement(suspected=("thermal_expansion",))
+    assert not suspecting.settles(suspecting)
+
+
+def test_it_ends_in_doubt_where_no_poses_tell_and_whichever_name_comes_first():
+    pair = ("encoder_eccentricity", "encoder_second_harmonic")
+    one, other = (
+        judgement(effects=(name,), doubt=(rival,), untold=pair)
+        for name, rival in (pair, pair[::-1])
+    )
+    assert one.settles(other)
+    assert not judgement(effects=pair[:1], doubt=pair[1:]).settles(one)
 
 
 @pytest.fixture(scope="module")
@@ -162,6 +204,20 @@ def test_a_person_is_asked_for_the_load_that_the_robot_cannot_put_on_itself(tmp_
     assert cell.asked == ["bring payload to 1 kg (it is 0)"]
     assert outcome.verdict == "explained"
     assert one.judgements[-1].effects == ("joint_compliance",)
+
+
+@pytest.mark.wide
+def test_a_frame_that_gives_and_warm_parts_are_both_found_with_no_more_load_than_was_allowed(
+    tmp_path,
+):
+    """Eight poses in the warmth are too few to prove what they show: it goes on."""
+    cell = SimulatedCell("stewart", 1, ["warmth", "soft_frame"])
+    one = Campaign(tmp_path, dump_model(model_of("stewart")), Goal(payload=1.0, warmer=4.0), cell)
+    outcome = one.run()
+    assert outcome.success, outcome.message
+    assert set(one.judgements[-1].effects) == {"payload_sag", "thermal_expansion"}
+    assert not one.judgements[-1].doubt
+    assert max(target.conditions.get("payload", 0.0) for target in one.targets) == 1.0
 
 
 # ------------------------------------------------------------------ its budget

@@ -305,12 +305,13 @@ class Campaign:
             dataset = self.dataset
             Session(self.folder).take(dataset.to_json)
             goal = self.goal
-            more = 0 if over else min(BATCH, goal.poses - len(self.samples))
+            left = 0 if over else goal.poses - len(self.samples)
             options = FitOptions(hold_out=goal.hold_out, joint_sigma=goal.joint_sigma)
             seed = goal.seed + 1 + len(self.judgements)
             changes = {"payload": goal.payload, "temperature": goal.warmer}
             question = Question(
-                self.model, goal.keep_out, goal.effects, more, changes, seed, options
+                self.model, goal.keep_out, goal.effects, min(BATCH, left), left, changes, seed,
+                options,
             )  # fmt: skip
             before, last = last, self._work(judged, question, dataset, self.unseen)
             self._write(judged=last)
@@ -322,7 +323,8 @@ class Campaign:
         if self.goal.enough and _first(last.unseen) <= self.goal.enough:
             return self._outcome(True, f"the error at unseen poses is small enough: {last.summary}")
         if not self.goal.enough and last.settles(before):
-            return self._outcome(True, last.summary)
+            alike = last.untold and f"; poses do not tell {' from '.join(last.untold)}"
+            return self._outcome(True, f"{last.summary}{alike or ''}")
         if over:
             wanted = "; ".join(last.missing)
             return self._outcome(False, f"{over}: {last.summary}{wanted and f'; {wanted}'}")

@@ -27,13 +27,15 @@ from parallel_cal.session.session import Session
 
 DONE = ("at_noise", "explained")
 KINDS = ("position", "orientation")
+LISTS = ("effects", "doubt", "untold", "suspected", "missing")
 Tell = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)
 class Judgement:
     """A diagnosis of `samples` samples: verdict and summary, the effects found, what is still in
-    `doubt` and what would settle it, and the model with these effects as the `text` of a file.
+    `doubt`, whether poses tell it or not (`untold`), or `suspected`, what would settle it, and the
+    model with these effects as the `text` of a file.
 
     `unseen` are rms errors of that model at the poses that no fit saw, `before` those of the model
     that the campaign began with, `usual` at all samples, by kind (m, rad); `targets` where to
@@ -44,6 +46,8 @@ class Judgement:
     summary: str
     effects: tuple[str, ...]
     doubt: tuple[str, ...]
+    untold: tuple[str, ...]
+    suspected: tuple[str, ...]
     missing: tuple[str, ...]
     text: str
     before: Mapping[str, float]
@@ -55,30 +59,33 @@ class Judgement:
     @classmethod
     def of(cls, document: Mapping[str, Any]) -> Judgement:
         """From JSON."""
-        lists = {key: tuple(document[key]) for key in ("effects", "doubt", "missing")}
+        lists = {key: tuple(document[key]) for key in LISTS}
         targets = tuple(map(Target.of, document["targets"]))
         return cls(**{**document, **lists, "targets": targets})
 
     def settles(self, before: Judgement | None) -> bool:
-        """Whether nothing is left to find: nothing is in doubt, no condition is to be changed yet,
-        and the samples since the judgement before have changed nothing."""
-        if before is None or self.doubt or any(target.conditions for target in self.targets):
+        """Whether nothing is left to find: nothing is suspected, nor in doubt that poses may tell,
+        no condition is to be changed yet, and the samples since the judgement before have changed
+        nothing."""
+        if before is None or self.suspected or set(self.doubt) - set(self.untold):
             return False
-        return self.verdict in DONE and (before.verdict, before.effects) == (
-            self.verdict,
-            self.effects,
-        )
+        if any(target.conditions for target in self.targets):
+            return False
+        names, were = ({*one.effects, *one.doubt} for one in (self, before))
+        return self.verdict in DONE and (self.verdict, names) == (before.verdict, were)
 
 
 @dataclass(frozen=True)
 class Question:
-    """What is asked about samples: the model's text, boxes to keep out of, how many more poses may
-    be measured, by how much conditions may be changed for them, and how it is identified."""
+    """What is asked about samples: the model's text, boxes to keep out of, how many `more` poses
+    are to be measured next and how many are `left` in all, by how much conditions may be changed
+    for them, and how it is identified."""
 
     model: str
     keep_out: tuple[Box, ...] = ()
     effects: tuple[str, ...] = ()
     more: int = 0
+    left: int = 0
     changes: Mapping[str, float] = field(default_factory=dict)
     seed: int = 0
     options: FitOptions = field(default_factory=FitOptions)
@@ -97,13 +104,16 @@ def judged(
     text = dump_model(best)
     doubt = tuple(dict.fromkeys([*(n for s in found.swaps.values() for n in s),
                                  *found.robot_or_device]))  # fmt: skip
-    targets: list[Target] = []
+    targets, untold = list[Target](), tuple[str, ...]()
     if question.more:
         guard = Guard.of(replace(best, covariance=None), question.keep_out)
-        targets = next_targets(found, guard, question.more, question.changes, question.seed)
+        targets, untold = next_targets(
+            found, guard, question.more, question.left, question.changes, question.seed
+        )
     return Judgement(
         len(dataset), found.verdict.word, found.verdict.summary, found.effects, doubt,
-        missing(found), text, rms(found.model, dataset.select(unseen), question.options),
+        untold, found.suspected, missing(found), text,
+        rms(found.model, dataset.select(unseen), question.options),
         rms(best, dataset.select(unseen), question.options),
         rms(best, dataset, question.options), tuple(targets), found.document(),
     )  # fmt: skip
@@ -118,7 +128,8 @@ def missing(found: Diagnosis) -> tuple[str, ...]:
         f"record {' and '.join(conditions)} for {name}"
         for name, conditions in found.measure_next.record.items()
     ]
-    return tuple(dict.fromkeys([*(t for t in told if t), *found.verdict.against, *record]))
+    more = [f"measure more: {name} is no chance, and not proven yet" for name in found.suspected]
+    return tuple(dict.fromkeys([*(t for t in told if t), *found.verdict.against, *more, *record]))
 
 
 def rms(model: Any, dataset: Dataset, options: FitOptions) -> dict[str, float]:

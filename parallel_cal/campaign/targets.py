@@ -12,7 +12,7 @@ from parallel_cal.base.errors import FitError
 from parallel_cal.campaign.way import Guard, WayError
 from parallel_cal.diagnosis.catalogue import Candidate
 from parallel_cal.diagnosis.diagnose import Diagnosis
-from parallel_cal.diagnosis.separate import hardest_doubt, settling, strengthening
+from parallel_cal.diagnosis.separate import doubts, settling, strengthening
 from parallel_cal.planning.approach import approaches, controlled
 from parallel_cal.planning.plan import equations_a_pose, plan
 from parallel_cal.planning.posepool import Pool, make_pool
@@ -94,42 +94,92 @@ def spread(places: np.ndarray, n: int) -> np.ndarray:
 
 
 def next_targets(
-    found: Diagnosis, guard: Guard, n: int, changes: Mapping[str, float], seed: int = 0
-) -> list[Target]:
-    """n more: where two explanations are alike what tells these apart; else under conditions that
-    were never another, `changes` by how much, if an effect may depend on them; else what tells
-    most of the model and of the likeliest effects that it does not have."""
+    found: Diagnosis,
+    guard: Guard,
+    n: int,
+    left: int,
+    changes: Mapping[str, float],
+    seed: int = 0,
+) -> tuple[list[Target], tuple[str, ...]]:
+    """n more: where two explanations are alike, or the device is one, what tells these apart; else
+    under conditions that were never another, `changes` by how much, if an effect may depend on
+    them; else what tells most of the model, and of the effects that are suspected, or are the
+    likeliest that it does not have. And the rivals that no poses tell, were all that are `left`
+    spent on them."""
     so_far = found.dataset.conditions
-    swaps = {name: found.swaps.get(name, ()) for name in found.effects}
-    doubt = hardest_doubt(found.best, swaps, found.ranked)
-    telling = doubt and settling(doubt, so_far, seed, (n,), (1.0,), guard.allowed)
-    if telling:
+    may = {name: ends(so_far[name], by) for name, by in changes.items() if by and name in so_far}
+    payloads, untold = may.get("payload", tuple(so_far.get("payload", ())[-1:])), list[str]()
+    for doubt in doubts(found.best, rivals(found), found.ranked):
+        telling = settling(doubt, so_far, seed, (n,), (1.0,), guard.allowed, payloads)
+        if telling is None or not telling.sigmas.tell(left / n):
+            untold += [doubt.effect, doubt.rival]
+            continue
         purpose = f"to tell {' from '.join(telling.separates)}"
-        return [
+        targets = [
             Target(
                 tuple(pose.joints.tolist()),
                 tuple(tuple(stop.joints.tolist()) for stop in pose.by_way_of),
-                {k: v for k, v in pose.conditions.items() if k in BROUGHT_ABOUT},
+                {k: v for k, v in pose.conditions.items() if k in may},
                 purpose,
             )
             for pose in telling.poses
         ]
+        return targets, ()
+    return _strengthened(found, guard, n, may, seed), tuple(dict.fromkeys(untold))
+
+
+def _strengthened(
+    found: Diagnosis, guard: Guard, n: int, may: Mapping[str, tuple[float, float]], seed: int
+) -> list[Target]:
+    """Where nothing can be told apart: n poses that make the model surer, and what it lacks."""
+    so_far = found.dataset.conditions
     never = {
-        name: float(so_far[name][-1]) + changes[name]
-        for name, (other, _) in BROUGHT_ABOUT.items()
-        if changes.get(name) and name in so_far and np.ptp(so_far[name]) < other
+        name: high
+        for name, (low, high) in may.items()
+        if np.max(so_far[name]) < high - BROUGHT_ABOUT[name][0]
     }
     for name, value in never.items():
         if suspects := [one for one in able(found) if name in one.effect.needs]:
             under = {name: value}
             pool = strengthening(found.best, suspects, n, under, guard.allowed, seed)
             return _targets(pool, f"to see what {name} does", under)
-    suspects = [one for one in able(found) if one.testable][:SUSPECTS]
+    likely = [one for one in able(found) if one.testable]
+    suspects = [one for one in likely if one.name in found.suspected]
+    under = {
+        name: rarer(so_far[name], both)
+        for name, both in may.items()
+        if any(name in one.effect.needs for one in suspects)
+    }
+    suspects = suspects or likely[:SUSPECTS]
     purpose = "to be surer of the model"
     if suspects:
         purpose += f", and of {', '.join(one.name for one in suspects)}"
-    pool = strengthening(found.best, suspects, n, {}, guard.allowed, seed)
-    return _targets(pool, purpose, {})
+    pool = strengthening(found.best, suspects, n, under, guard.allowed, seed)
+    return _targets(pool, purpose, under)
+
+
+def ends(so_far: np.ndarray, change: float) -> tuple[float, float]:
+    """What a condition was at least, (N,), and what it may be changed to."""
+    return float(np.min(so_far)), float(np.min(so_far)) + change
+
+
+def rarer(so_far: np.ndarray, both: tuple[float, float]) -> float:
+    """Which of two values of a condition was measured under, (N,), at fewer of the samples."""
+    low, high = both
+    return high if 2 * np.count_nonzero(so_far > (low + high) / 2) < len(so_far) else low
+
+
+def rivals(found: Diagnosis) -> dict[str, list[str]]:
+    """For each effect found those that fit as well, errors of the device among them."""
+    device = [
+        one.name
+        for one in found.ranked
+        if one.effect.of_device and not one.effect.needs and one.testable
+    ]
+    return {
+        name: [*found.swaps.get(name, ()), *(device if name in found.robot_or_device else ())]
+        for name in found.effects
+    }
 
 
 def able(found: Diagnosis) -> list[Candidate]:

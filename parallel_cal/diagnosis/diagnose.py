@@ -45,7 +45,7 @@ class Diagnosis:
 
     `base` is the model identified without further effects, `best` with those chosen; `ranked` the
     candidates of the base, best first; `structure`, `field` and `odd_samples` are what `best`
-    leaves.
+    leaves, and `suspected` the effects that are no chance beside it, and not proven yet.
     """
 
     model: Model
@@ -63,6 +63,7 @@ class Diagnosis:
     odd_samples: tuple[OddSample, ...]
     swaps: Mapping[str, list[str]]
     robot_or_device: tuple[str, ...]
+    suspected: tuple[str, ...]
     registration: Registration | None
     measure_next: NextMeasurement
 
@@ -106,6 +107,7 @@ class Diagnosis:
             "negative_control": self.negative_control,
             "swaps": self.swaps,
             "robot_or_device": self.robot_or_device,
+            "suspected": self.suspected,
             "structure": self.structure,
             "odd_samples": self.odd_samples,
             "measure_next": self.measure_next,
@@ -188,7 +190,8 @@ def _diagnosed(
         structure, before = lack_of_fit(best.scene, left), chi2_before(base, best, ranked)
         noise = NoiseLevel.of(best.scene, left, structure.found)
         shape = NoiseShape.of(best.scene, left)
-        tried = [search.fit(*best.chosen, Chosen.of(c)) for c in catalogue.significant(best)]
+        more = catalogue.significant(best)
+        tried = [search.fit(*best.chosen, Chosen.of(c)) for c in more]
         refused = tuple(trial.reason for trial in tried if trial.reason)
         settings = {one.name: one.settings for one in best.chosen}
         taken = [replace(c, settings=settings[c.name]) for c in ranked if c.name in settings]
@@ -234,6 +237,7 @@ def _diagnosed(
             odd_samples=odd_samples(best.scene, left),
             swaps=swaps,
             robot_or_device=tuple(either),
+            suspected=tuple(c.name for c in more if search.suspects(best, c)),
             registration=registration,
             measure_next=next_measurement(best, rivals, ranked),
         )

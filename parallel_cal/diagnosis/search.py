@@ -97,17 +97,18 @@ class Search:
         after = self.fit(*before.chosen, Chosen.of(one))
         if after.result is None:
             return after, after.reason
-        judgement = acceptance(after.result, before.fitted)
-        if judgement.judged and judgement.against:  # else the verdict says that nothing is proven
-            return after, judgement.against
-        if _superfluous(before, after):
-            return after, "explains nothing of what is left"
+        if reason := _unproven(before, after) or _chance(before, after, one):
+            return after, reason
         if (size := _too_large(before.fitted, after.result)) > 1:
             return after, f"its numbers would be {size:.0f} times their usual size for little gain"
-        p = one.shuffled_p
-        if p is not None and p > (1 + AS_GOOD) / (SHUFFLES + 1):
-            return after, "explains no more than its own condition shuffled between poses"
         return after, ""
+
+    def suspects(self, before: Trial, one: Candidate) -> bool:
+        """Whether one more effect is no chance, and only not proven yet: more poses tell."""
+        after = self.fit(*before.chosen, Chosen.of(one))
+        if after.result is None or _chance(before, after, one):
+            return False
+        return bool(_unproven(before, after) or _too_large(before.fitted, after.result) > 1)
 
     def forward(
         self, start: Trial, rank: Callable[[Trial], list[Candidate]]
@@ -146,6 +147,23 @@ class Search:
                 if _as_good(trial, self.fit(*swapped)):
                     found.setdefault(one.name, []).append(other.name)
         return found
+
+
+def _unproven(before: Trial, after: Trial) -> str:
+    """What errors at poses left out say against a refit; empty where none were left out: then the
+    verdict says that nothing is proven."""
+    judgement = acceptance(after.fitted, before.fitted)
+    return judgement.against if judgement.judged else ""
+
+
+def _chance(before: Trial, after: Trial, one: Candidate) -> str:
+    """What says that a refit is chance."""
+    if _superfluous(before, after):
+        return "explains nothing of what is left"
+    p = one.shuffled_p
+    if p is not None and p > (1 + AS_GOOD) / (SHUFFLES + 1):
+        return "explains no more than its own condition shuffled between poses"
+    return ""
 
 
 def _too_large(before: Result, after: Result) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 from parallel_cal.base.errors import FitError, ModelError
 from parallel_cal.diagnosis.catalogue import Candidate, recorded
 from parallel_cal.diagnosis.search import Chosen, Trial
-from parallel_cal.diagnosis.thresholds import FEW_SETTINGS, POOL, POSES, REACHES, SETTLED
+from parallel_cal.diagnosis.thresholds import APART, FEW_SETTINGS, POOL, POSES, REACHES, SETTLED
 from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.observations import Observations, conditions
 from parallel_cal.model.model import Model, Noise
@@ -44,6 +44,11 @@ class Sigmas:
     now: float
     then: float
 
+    def tell(self, times: float) -> bool:
+        """Whether so many times as many such poses may tell the two apart: squares grow with the
+        poses, and more slowly the more there are."""
+        return self.now**2 + times * (self.then**2 - self.now**2) > APART**2
+
 
 @dataclass(frozen=True)
 class Separation:
@@ -71,26 +76,26 @@ def next_measurement(
     """What to measure where `rivals` of each chosen effect fit as well; the poses tell the first
     of the chosen from the rival that is hardest to tell from it."""
     record = {c.name: c.missing for c in ranked if c.missing}
-    hardest = hardest_doubt(best, rivals, ranked)
+    hardest = next(iter(doubts(best, rivals, ranked)), None)
     plan = None if hardest is None else settling(hardest, best.fitted.dataset.conditions, seed)
     pairs = [(name, other) for name, others in rivals.items() for other in others]
     advice = [told_apart(*pair) for pair in pairs] + list(plan.how if plan else ())
     return NextMeasurement(record, tuple(dict.fromkeys(a for a in advice if a)), plan)
 
 
-def hardest_doubt(
+def doubts(
     best: Trial, rivals: Mapping[str, Sequence[str]], ranked: Sequence[Candidate]
-) -> Doubt | None:
-    """A chosen effect and the rival that is hardest to tell from it; None without rivals."""
+) -> list[Doubt]:
+    """Each chosen effect beside each of its rivals, those first that are hardest to tell apart."""
     by_name = {c.name: c for c in ranked}
-    doubts = [
+    found = [
         doubt
         for name, others in rivals.items()
         for other in others
         for rival in disguises(by_name[other], best.fitted.dataset)
         if (doubt := Doubt.of(best, name, rival)) is not None
     ]
-    return min(doubts, key=lambda doubt: doubt.now, default=None)
+    return sorted(found, key=lambda doubt: doubt.now)
 
 
 def disguises(rival: Candidate, dataset: Dataset) -> list[Chosen]:
@@ -178,9 +183,11 @@ def settling(
     sizes: Sequence[int] = POSES,
     reaches: Sequence[float] = REACHES,
     allowed: Allowed = lambda joints: np.ones(len(joints), bool),
+    payloads: Sequence[float] = (),
 ) -> Separation | None:
     """As few poses of some `sizes` as settle a doubt, in the workspace where they can, else as far
     as joint limits and singularities let the robot go; the best there are where none settles it.
+    With one of some `payloads` (kg), where none are given with none or twice the heaviest so far.
     None where no pose can be reached, or is `allowed`."""
     plans = []
     for reach in reaches:
@@ -192,7 +199,7 @@ def settling(
         pool = pool.rows(np.flatnonzero(allowed(pool.poses.joints)))
         course = Course.after(so_far, max(sizes) // BLOCKS)
         block = rng.integers(BLOCKS if goes_on(doubt.model) else 1, size=len(pool.poses))
-        a = circumstances(doubt.model, pool, so_far, course, block, rng)
+        a = circumstances(doubt.model, pool, so_far, course, block, rng, payloads)
         problem = doubt.ahead(pool, a)
         for n in sizes:
             chosen = exchange(problem, min(n, len(a)), lambda fraction: None)
@@ -275,6 +282,7 @@ def circumstances(
     course: Course,
     block: np.ndarray,
     rng: np.random.Generator,
+    payloads: Sequence[float] = (),
 ) -> np.ndarray:
     """(n, n_conditions) that a user can bring about, poses (n,) in blocks of a course: what the
     approach does to the joints, with and without a load, at rest or as fast as recorded."""
@@ -285,7 +293,7 @@ def circumstances(
         fill(a, model, pool.approach.ways, rng.choice([0.0, fastest], len(a)))
     for k, name in enumerate(model.conditions):
         if name == "payload":
-            a[:, k] = rng.choice([0.0, max(1.0, 2 * float(np.max(so_far[name])))], len(a))
+            a[:, k] = rng.choice(payloads or (0.0, max(1.0, 2 * np.max(so_far[name]))), len(a))
         elif name == "session":
             a[:, k] = np.max(so_far[name])  # homed no more
     return in_course(model, a, course, block, np.zeros(len(a)))
