@@ -5,7 +5,8 @@
 
 Each robot is built, and its hidden effects are drawn, by a seed; nothing of it is known to the
 campaign. A run is right where it ends by itself with the name of all that was hidden, and no other;
-in doubt where it says so at its end, and the truth is among what it names; else wrong.
+alike where it ends by itself and says that poses do not tell what was hidden from others; in doubt
+where all its poses are used up, and the truth is among what it names then; else wrong.
 
 `--plans` measures the same robots at poses drawn at random, on a grid and by a D-optimal plan,
 until they come to the right verdict, too, and eight more change nothing. `--pairs` hides one of two
@@ -39,7 +40,7 @@ from parallel_cal.virtual.kinds import KINDS, kinds_of
 
 ROBOTS = ("delta", "stewart", "argos", "linear_delta")
 MOST, BATCH, FEWEST = 100, 8, 16
-RIGHT, DOUBT, WRONG = "right", "in doubt", "WRONG"
+WORDS = RIGHT, ALIKE, DOUBT, WRONG = "right", "alike", "in doubt", "WRONG"
 # It takes an hour of creeping until it can be seen, and a campaign of virtual robots a minute.
 NOT_DRAWN = {"creep"}
 # Two kinds that look alike, the robots in which they do, and whether they need a slow day.
@@ -70,14 +71,16 @@ def hidden(robot, number, seed):
 
 
 def told(names, outcome, last):
-    """RIGHT, DOUBT or WRONG: what a campaign's end and its last judgement say of what is hidden."""
+    """RIGHT, ALIKE, DOUBT or WRONG: what a campaign's end and its last judgement say of what is
+    hidden."""
     wanted = {KINDS[name].effect for name in names}
-    if last is None or len(last.effects) != len(wanted):
+    if last is None or len(last.effects) != len(wanted) or last.verdict == "unexplained":
         return WRONG
-    if outcome.success:
-        return RIGHT if wanted == {*last.effects} else WRONG
-    open_ended = last.verdict != "unexplained" and wanted <= {*last.effects, *last.doubt}
-    return DOUBT if open_ended else WRONG
+    if wanted == {*last.effects} and outcome.success and not last.doubt:
+        return RIGHT
+    if last.doubt and wanted <= {*last.effects, *last.doubt}:
+        return ALIKE if outcome.success else DOUBT
+    return WRONG
 
 
 def campaign(cell, seed):
@@ -164,7 +167,7 @@ def study(asked):
                 print(line, flush=True)
     print()
     for (robot, number), found in sorted(ends.items()):
-        counts = ", ".join(f"{word} {found[word]}" for word in (RIGHT, DOUBT, WRONG))
+        counts = ", ".join(f"{word} {found[word]}" for word in WORDS)
         print(f"{robot:12} {number} hidden: {counts}, median {np.median(poses[robot, number]):.0f}")
     for (kind, number), both in sorted(instead.items()):
         own, other = np.median(both, axis=0)
@@ -185,7 +188,7 @@ def pairs(asked):
                 print(shown(word, robot, seed, [name], outcome, last, seconds), flush=True)
     print()
     for (one, other), found in ends.items():
-        counts = ", ".join(f"{word} {found[word]}" for word in (RIGHT, DOUBT, WRONG))
+        counts = ", ".join(f"{word} {found[word]}" for word in WORDS)
         print(f"{one} or {other}: {counts}")
 
 
