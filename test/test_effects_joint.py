@@ -10,6 +10,7 @@ import pytest
 import virtual_day as vd
 from twins import hexapod, joints_near_home
 
+from parallel_cal.diagnosis.catalogue import recorded
 from parallel_cal.effects.encoder_crosstalk import SIZE
 from parallel_cal.identification.doubts import chi2_band
 from parallel_cal.identification.fit import fit
@@ -492,7 +493,8 @@ def test_a_gear_of_unknown_ratio_is_found_by_scanning_and_then_refined():
     name, true = "gear_transmission_error", 47.3
     data = measured(DELTA, [ve.GearRipple(true, RIPPLE, PHASE)], n=150)
     start = fit(new_model("delta54"), data, hold_out=0).model
-    observations, scan = observe(start, data), list(load_effect(name).scan(start.mechanism, {}))
+    observations = observe(start, data)
+    scan = list(load_effect(name).scan(start.mechanism, recorded(data)))
     tried = [start.with_effect(name, setting) for setting in scan]
     amplitudes = tried[0].table.matching([f"{name}.joint*"])
     best = min(tried, key=lambda model: estimate(model, observations, amplitudes).chi2)
@@ -524,9 +526,9 @@ def test_a_third_session_needs_its_own_shift_freed():
 def test_a_ratio_between_two_of_a_scan_keeps_nine_tenths_of_its_ripple():
     """A sine of the unknown frequency, fitted by sines of the frequency that was tried."""
     m = load_mechanism("delta54")
-    one, other = [s["ratio"] for s in load_effect("gear_transmission_error").scan(m, {})][30:32]
-    low, high = m.joint_limits[0]
-    q = np.linspace(low, high, 2000)
+    q = np.linspace(*m.joint_limits[0], 2000)
+    scan = load_effect("gear_transmission_error").scan(m, dict.fromkeys(m.joints, q))
+    one, other = [setting["ratio"] for setting in scan][30:32]
     ripple = np.sin((one + other) / 2 * q)
     columns = np.column_stack([np.sin(one * q), np.cos(one * q)])
     shown = columns @ np.linalg.lstsq(columns, ripple, rcond=None)[0]

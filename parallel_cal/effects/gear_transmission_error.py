@@ -68,11 +68,11 @@ class GearTransmissionError(Effect):
     ) -> Iterator[Mapping[str, float]]:
         """Ratios pi / travel apart: a sine over the travel T has a peak 2 pi / T to each side.
 
-        The travel is the longest that joint limits allow, one turn where they allow any.
+        The travel is the longest that was recorded.
         """
         low, high = RATIOS
-        step = np.pi / _travel(mechanism)
-        for ratio in np.arange(low, high, step):
+        travel = max(np.ptp(recorded[joint]) for joint in turning(mechanism))
+        for ratio in np.arange(low, high, np.pi / max(travel, np.pi / (high - low))):
             yield {"ratio": float(ratio)}
 
     def multiples(self, setting: Mapping[str, float]) -> Iterator[Mapping[str, float]]:
@@ -83,9 +83,3 @@ class GearTransmissionError(Effect):
     def period(self, setting: Mapping[str, float]) -> float:
         """A turn of the gear's input."""
         return 2 * np.pi / setting["ratio"]
-
-
-def _travel(mechanism: Mechanism) -> float:
-    limits = dict(zip(mechanism.joints, mechanism.joint_limits, strict=True))
-    ways = [high - low for low, high in map(limits.__getitem__, turning(mechanism))]
-    return max(way if np.isfinite(way) else 2 * np.pi for way in ways)
