@@ -87,6 +87,11 @@ def test_velocities_of_a_robot_at_rest_are_left_out(made, text):
     assert "velocity.joint1" not in part(text, "what-is-left-along-everything")
 
 
+def test_parameters_are_said_to_be_those_with_the_effects_found(made, text):
+    assert list(made.diagnosis.effects) == ["backlash"]
+    assert "Of the model with backlash added: " in text
+
+
 def test_every_free_parameter_has_its_value_sigma_and_unit(made, text):
     said = part(text, "parameters")
     found = (re.findall(r"<td[^>]*>(.*?)</td>", r) for r in re.findall(r"<tr>(.*?)</tr>", said))

@@ -26,8 +26,10 @@ def parameters(report: Report, plot: Plot) -> str:
     """Every free parameter's value with its sigma, how far it moved, and where it is."""
     moving = {name: p for name, p in report.parameters.items() if not p.fixed}
     far = sum(abs(p.moved_tolerances) > figures.FAR for p in moving.values())
+    added = report.diagnosis.effects
+    of = f"Of the model with {' and '.join(added)} added: " if added else ""
     note = (
-        f"{len(moving)} free parameters; {far or 'none'} moved further than {figures.FAR:g} "
+        f"{of}{len(moving)} free parameters; {far or 'none'} moved further than {figures.FAR:g} "
         "tolerances from nominal. Sorted anew by a click on a column's head."
     )
     most = max((abs(p.moved_tolerances) for p in moving.values()), default=0.0)
