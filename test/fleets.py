@@ -9,7 +9,7 @@ ROOT = Path(__file__).parents[1]
 NOMINAL = ROOT / "config" / "delta_mockup_nominal.yaml"
 
 
-def written(folder, members, recordings=1, days=1.0, **session):
+def written(folder, members, recordings=1, days=10.0, **session):
     """A list of the members' recordings, so many days apart: sample files beside one model."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "delta.yaml").write_text(NOMINAL.read_text())

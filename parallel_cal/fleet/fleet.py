@@ -2,24 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import json
+from collections import Counter
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from parallel_cal.base.documents import plain
+from parallel_cal.base.files import write_atomically
 from parallel_cal.fleet.cluster import cluster, need_extra, results
-from parallel_cal.fleet.jobs import Asked, jobs_of
+from parallel_cal.fleet.findings import Findings, findings
+from parallel_cal.fleet.jobs import Asked, Job, jobs_of
 from parallel_cal.fleet.judging import Page, Row
 from parallel_cal.fleet.rows import Rows
+from parallel_cal.fleet.tolerances import next_robot
+from parallel_cal.model.file.modelfile import read_model, write_model
+from parallel_cal.model.model import Model
 
 Progress = Callable[[int, int, Row | None], None]  # how many are done, of how many, the last one
 
 
 @dataclass(frozen=True)
 class Fleet:
-    """The rows of a fleet, by robot and recording."""
+    """The rows of a fleet, by robot and recording, what they say together, and the model to begin
+    the next robot with; None of fewer than four robots."""
 
     rows: tuple[Row, ...]
+    findings: Findings | None = None
+    next_robot: Model | None = None
 
     @property
     def failed(self) -> list[Row]:
@@ -34,6 +45,7 @@ class Fleet:
         return {
             "robots": len({row["robot"] for row in self.rows}),
             "recordings": len(self.rows),
+            "findings": plain(self.findings),
             "failed": [
                 {k: row[k] for k in ("robot", "recording", "reason")} for row in self.failed
             ],
@@ -74,4 +86,23 @@ def judge(
             rows = tuple(done[key] for key in inputs if key in done)
             store.gather(rows)
         store.forget_others(inputs)
-    return Fleet(rows)
+        fleet = _told(rows, jobs)
+        write_atomically(folder / "fleet.json", json.dumps(fleet.document(), allow_nan=False))
+        if fleet.next_robot is not None:
+            write_model(fleet.next_robot, folder / "next_robot.yaml")
+    return fleet
+
+
+def _told(rows: tuple[Row, ...], jobs: Sequence[Job]) -> Fleet:
+    """With what the rows say together, of the robots of the most frequent kind."""
+    judged = {(row["robot"], row["recording"]): row for row in rows if not row["reason"]}
+    if not judged:
+        return Fleet(rows)
+    kind = Counter(row["mechanism"] for row in judged.values()).most_common(1)[0][0]
+    drawn = next(
+        job for job in jobs
+        if (row := judged.get((job.robot, job.recording))) and row["mechanism"] == kind
+    )  # fmt: skip
+    drawing = read_model(drawn.model)
+    found = findings(rows, drawing)
+    return Fleet(rows, found, next_robot(drawing, found) if found else None)

@@ -60,7 +60,7 @@ def _row(found: Diagnosis) -> Row:
     base, best = found.base.fitted, found.best.fitted
     table = best.model.table
     return {
-        "mechanism": best.model.mechanism.name,
+        "mechanism": found.model.mechanism.name,
         "samples": len(found.dataset),
         "verdict": found.verdict.word,
         "summary": found.verdict.summary,

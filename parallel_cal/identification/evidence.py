@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -48,6 +48,17 @@ class Evidence:
             pull / scale / birge,
         )
 
+    def __add__(self, other: Evidence) -> Evidence:
+        """Both together: of the same parameters, about the same numbers."""
+        information = self.information + other.information
+        return replace(self, information=information, pull=self.pull + other.pull)
+
+    @classmethod
+    def nothing(cls, names: Sequence[str]) -> Evidence:
+        """What is known before anything was measured."""
+        n = len(names)
+        return cls(tuple(names), np.zeros(n), np.zeros((n, n)), np.zeros(n))
+
     @classmethod
     def from_document(cls, document: Mapping[str, Any]) -> Evidence:
         """That which `documents.plain` made a document of."""
@@ -62,7 +73,9 @@ class Evidence:
         size = np.sqrt(np.maximum(np.diag(A)[others], 1e-300))
         inner = A[np.ix_(others, others)] / np.outer(size, size)
         gain = (
-            A[np.ix_(asked, others)] / size @ np.linalg.pinv(inner, RELATIVE_RANK, hermitian=True)
+            A[np.ix_(asked, others)]
+            / size
+            @ np.linalg.pinv(inner, RELATIVE_RANK**2, hermitian=True)
         )
         return Evidence(
             tuple(name for name in self.names if name in wanted),

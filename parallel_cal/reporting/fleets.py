@@ -5,16 +5,18 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 
+from parallel_cal.fleet.findings import EffectOfFleet
 from parallel_cal.fleet.fleet import Fleet
-from parallel_cal.reporting.readable import columns, fixed
+from parallel_cal.reporting.readable import columns, fixed, in_unit
 
 WHEN = ("before", "identified", "after")
-WORST = 10  # recordings that a person reads
+DAY = 86400.0
+WORST, NAMED = 10, 5  # recordings that a person reads
 
 
 def said(fleet: Fleet) -> str:
     """Verdicts, the worst recordings, and those that failed."""
-    return "\n".join([*_verdicts(fleet), *_worst(fleet), *_failed(fleet)])
+    return "\n".join([*_verdicts(fleet), *_worst(fleet), *_together(fleet), *_failed(fleet)])
 
 
 def _verdicts(fleet: Fleet) -> Iterator[str]:
@@ -46,6 +48,52 @@ def _worst(fleet: Fleet) -> Iterator[str]:
             ],
         )  # fmt: skip
         return
+
+
+def _together(fleet: Fleet) -> Iterator[str]:
+    """What only many robots tell."""
+    found = fleet.findings
+    if found is None:
+        yield "fewer than four robots: nothing is said of them together"
+        return
+    for robot in found.others:
+        yield f"{robot}: of another kind than the others, which are {found.mechanism}"
+    yield from map(effect_in_words, found.effects)
+    for one in found.outlying:
+        yield f"{one.robot}: {one.name} is off by {_with_sigma(one.size, one.sigma, one.unit)}"
+    for drift in found.drifts:
+        rate = _with_sigma(DAY * drift.rate, DAY * drift.sigma, drift.unit)
+        yield f"{drift.robot}: {drift.name} changes by {rate} a day"
+    header = ("parameter", "drawing's mean", "fleet's", "sigma", "drawing's spread", "fleet's")
+    rows = [
+        (
+            one.name,
+            *(in_unit(v, one.unit)[0] for v in (one.nominal, one.mean, one.sigma, one.tolerance)),
+            *in_unit(one.spread, one.unit)[:1],
+            f"{in_unit(one.low, one.unit)[0]}..{in_unit(one.high, one.unit)[0]}",
+            in_unit(0.0, one.unit)[1],
+        )
+        for one in found.parameters
+    ]
+    yield columns((*header, "95 %", "unit"), rows)
+
+
+def effect_in_words(effect: EffectOfFleet) -> str:
+    """Whose an effect is."""
+    few = ", ".join(effect.robots[:NAMED]) + (", ..." if len(effect.robots) > NAMED else "")
+    share = f"{len(effect.robots)} of {effect.of} robots"
+    said = {
+        "design": f"in {share}, and in all alike: the design's or the workshop's",
+        "each": f"in {share}, in each another",
+        "fault": f"of {few}: {'its' if len(effect.robots) == 1 else 'their'} own fault",
+        "doubtful": f"named in {few}, whose numbers are like the others'",
+    }[effect.kind]
+    return f"{effect.name}: {said}"
+
+
+def _with_sigma(value: float, sigma: float, unit: str) -> str:
+    number, name = in_unit(value, unit)
+    return f"{number} +- {in_unit(sigma, unit)[0]} {name}"
 
 
 def _failed(fleet: Fleet) -> Iterator[str]:

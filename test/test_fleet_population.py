@@ -1,0 +1,124 @@
+"""Populations from what robots tell: against hand-worked numbers and drawn fleets."""
+
+import numpy as np
+import pytest
+
+from parallel_cal.fleet.drift import trend
+from parallel_cal.fleet.population import population, sorted_out
+from parallel_cal.identification.evidence import Evidence
+
+NAMES = ("a", "b", "c")
+
+
+def told(estimate, covariance):
+    A = np.linalg.inv(np.atleast_2d(covariance))
+    return Evidence(NAMES[: len(A)], np.zeros(len(A)), A, A @ np.atleast_1d(estimate))
+
+
+def fleet(n, seed, mean, spread, skewed=True):
+    """n robots, each seen with a covariance of its own; of some only one combination is seen."""
+    rng, k = np.random.default_rng(seed), len(mean)
+    truths, robots = [], []
+    for i in range(n):
+        root = rng.standard_normal((k, k)) * 0.5 + np.eye(k) * 0.3
+        truths.append(mean + spread * rng.standard_normal(k))
+        covariance = root @ root.T
+        one = told(truths[-1] + root @ rng.standard_normal(k), covariance)
+        if skewed and i % 4 == 0:
+            d = rng.standard_normal(k)
+            d /= np.linalg.norm(d)
+            seen = d @ truths[-1] + 0.2 * rng.standard_normal()
+            one = Evidence(one.names, one.centre, np.outer(d, d) / 0.04, d * seen / 0.04)
+        robots.append(one)
+    return robots
+
+
+def test_of_equally_known_robots_mean_and_spread_are_those_of_the_estimates():
+    """Worked by hand: 1, 2, 3, 6 +- 1 have mean 3 and variance 14/3, of which 1 is noise."""
+    found = population([told(x, 1.0) for x in (1.0, 2.0, 3.0, 6.0)])
+    assert found.mean == pytest.approx([3.0], rel=0.02)  # the drawing says 0 +- 10
+    assert found.spread**2 == pytest.approx([14 / 3 - 1], rel=0.02)
+    assert found.sigma == pytest.approx([np.sqrt(14 / 3 / 4)], rel=0.02)
+    assert found.low[0] < found.spread[0] < found.high[0]
+
+
+def test_robots_that_differ_by_their_noise_alone_have_no_spread():
+    found = population([told(x, 1.0) for x in (2.5, 3.0, 3.2, 2.9)])
+    assert found.spread[0] < 0.01
+    assert found.low[0] == 0.0
+    assert 0.3 < found.high[0] < 2.5
+
+
+def test_a_direction_that_nobody_sees_is_known_to_be_unknown():
+    d = np.array([1.0, 1.0]) / np.sqrt(2)
+    found = population([Evidence(NAMES[:2], np.zeros(2), np.outer(d, d), d * x) for x in range(6)])
+    sigma = np.sqrt([d @ found.covariance @ d, 1.0])
+    across = np.array([1.0, -1.0]) / np.sqrt(2)
+    assert np.sqrt(across @ found.covariance @ across) == pytest.approx(10.0, rel=0.01)
+    assert sigma[0] < 1.0
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_intervals_hold_what_was_drawn(seed):
+    """20 fleets of 40 robots: of 60 true means and spreads about 5 % lie outside."""
+    mean, spread = np.array([0.5, -1.0, 0.0]), np.array([0.4, 0.8, 0.2])
+    inside = np.zeros((2, 0), bool)
+    for k in range(20):
+        found = population(fleet(40, [seed, k], mean, spread))
+        near = np.abs(found.mean - mean) < 1.96 * found.sigma
+        held = (found.low < spread) & (spread < found.high)
+        inside = np.hstack([inside, [near, held]])
+    assert inside.mean(axis=1) == pytest.approx([0.95, 0.95], abs=0.08)
+
+
+def test_two_faulty_robots_are_named_with_their_parameter_and_do_not_widen_the_spread():
+    mean, spread = np.array([0.5, -1.0, 0.0]), np.array([0.4, 0.8, 0.2])
+    robots = fleet(24, 3, mean, spread)
+    for i, shift in ((5, [0.0, 0.0, 6.0]), (17, [-8.0, 0.0, 0.0])):
+        one = robots[i]
+        robots[i] = Evidence(
+            one.names, one.centre, one.information, one.pull + one.information @ np.array(shift)
+        )
+    found = sorted_out(robots, 0.01)
+    assert sorted(found.outlying) == [5, 17]
+    assert [found.outlying[i][0].parameter for i in (5, 17)] == [2, 0]
+    assert found.outlying[5][0].size == pytest.approx(6.0, abs=3 * found.outlying[5][0].sigma)
+    assert np.all(found.population.spread < 2 * spread)
+
+
+def test_in_sound_fleets_hardly_a_robot_is_named():
+    named = [
+        len(sorted_out(fleet(20, [9, k], np.zeros(3), np.full(3, 0.5)), 0.01).outlying)
+        for k in range(20)
+    ]
+    assert sum(named) <= 2  # of 400 robots; 1 % of the fleets may name one
+
+
+# ----------------------------------------------------------------------------- drift
+
+
+def test_a_drift_is_named_with_its_rate():
+    """b grows by 2 in 10 s, seen to 0.1 in each of five recordings."""
+    rng = np.random.default_rng(0)
+    times = np.arange(5) * 2.5
+    told_ = [
+        told(np.array([1.0, 0.2 * t, -1.0]) + 0.1 * rng.standard_normal(3), 0.01 * np.eye(3))
+        for t in times
+    ]
+    found = trend(told_, list(times))
+    assert found.parameter == 1
+    assert found.rate == pytest.approx(0.2, abs=3 * found.sigma)
+    # sqrt(0.01 / sum (t - mean)^2) = 0.1 / sqrt(62.5)
+    assert 0.0126 <= found.sigma < 0.025
+    assert found.p_value < 1e-6
+
+
+def test_what_differs_without_growing_is_no_drift():
+    rng = np.random.default_rng(1)
+    p_values = [
+        trend([told(rng.standard_normal(3), 0.01 * np.eye(3)) for _ in range(4)], range(4)).p_value
+        for _ in range(50)
+    ]
+    assert np.mean(np.array(p_values) < 0.01) <= 0.04
+    assert trend([told(1.0, 1.0)] * 2, [0, 1]) is None
+    assert trend([told(1.0, 1.0)] * 3, [5, 5, 5]) is None
