@@ -92,7 +92,7 @@ def fitted_row(member):
 @pytest.mark.slow
 def test_the_next_robot_needs_fewer_poses_with_what_the_fleet_taught(tmp_path):
     """Twenty robots teach; the error (rms over eight others) at poses never measured, by how many
-    each was identified from: 8 poses are then worth 16 with the drawing's tolerances."""
+    each was identified from: half the poses are then worth more than all with the drawing's."""
     workshop = {"play": 0.0, "faults": False, "spread": vf.FINE}
     rows = [fitted_row(member) for member in vf.drawn(20, **workshop)]
     write_model(next_robot(DRAWING, findings(rows, DRAWING)), tmp_path / "next.yaml")
@@ -109,5 +109,6 @@ def test_the_next_robot_needs_fewer_poses_with_what_the_fleet_taught(tmp_path):
                 errors.setdefault((name, n), []).append(own)
     rms = {key: np.sqrt(np.mean(np.square(values))) for key, values in errors.items()}
     print({f"{name} {n}": f"{1e6 * value:.1f} um" for (name, n), value in rms.items()})
-    assert rms["fleet", 8] < rms["drawing", 16]
+    assert rms["fleet", 6] < rms["drawing", 12]
+    assert rms["fleet", 12] < rms["drawing", 24]
     assert all(rms["fleet", n] < rms["drawing", n] for _, n in rms)

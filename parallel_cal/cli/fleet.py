@@ -47,6 +47,7 @@ def fleet(
 
     from parallel_cal.fleet.fleet import judge
     from parallel_cal.fleet.jobs import Asked
+    from parallel_cal.reporting.fleet_page import robot_page, write_fleet_page
 
     asked = Asked(options, tuple(effect or ()), tuple(also or ()), data_options(data))
     parts = (*Progress.get_default_columns()[:2], MofNCompleteColumn(), TimeRemainingColumn())
@@ -61,14 +62,21 @@ def fleet(
 
         try:
             found = judge(
-                robots, output, asked, scheduler=scheduler, workers=workers, progress=progress
+                robots,
+                output,
+                asked,
+                scheduler=scheduler,
+                workers=workers,
+                page=robot_page,
+                progress=progress,
             )
         except KeyboardInterrupt:
             console.note("stopped; what is done is kept, and the same command goes on from there")
             raise typer.Exit(130) from None
+    write_fleet_page(found, output)
     if as_json:
         return console.emit(found.document() | {"output": str(output)})
     from parallel_cal.reporting.fleets import said
 
     console.say(said(found))
-    console.say(f"written: {output}")
+    console.say(f"written: {output / 'fleet.html'}")

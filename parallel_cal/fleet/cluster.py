@@ -36,11 +36,10 @@ def cluster(scheduler: str | None, workers: int | None) -> Iterator[Client]:
 
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters is said by us
     if scheduler is None:
-        address = "127.0.0.1:0" if find_spec("bokeh") else None
         with (
             LocalCluster(
                 n_workers=workers or len(os.sched_getaffinity(0)), threads_per_worker=1,
-                silence_logs=logging.CRITICAL, dashboard_address=address, preload=[CTRL_C],
+                silence_logs=logging.CRITICAL, dashboard_address="127.0.0.1:0", preload=[CTRL_C],
             ) as local,
             Client(local) as client,
         ):  # fmt: skip
@@ -74,7 +73,10 @@ def results(
     from distributed import KilledWorker, as_completed
 
     futures: dict[Future, tuple[Job, str]] = {
-        client.submit(judged, job, asked, inputs, page, pure=False): (job, inputs)
+        client.submit(judged, job, asked, inputs, page if job.last else None, pure=False): (
+            job,
+            inputs,
+        )
         for job, inputs in jobs
     }
     for future in as_completed(list(futures)):

@@ -78,8 +78,8 @@ def judge(
         try:
             if left:
                 with cluster(scheduler, workers) as client:
-                    for row, _ in results(client, left, asked, page):
-                        store.keep(row)
+                    for row, shown in results(client, left, asked, page):
+                        store.keep(row, shown)
                         done[row["inputs"]] = row
                         report(len(done), len(jobs), row)
         finally:  # what was done is there, however it ends

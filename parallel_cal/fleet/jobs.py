@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import hashlib
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime, timezone
 from pathlib import Path
 
@@ -36,13 +36,14 @@ class Asked:
 
 @dataclass(frozen=True)
 class Job:
-    """One recording of one robot; `time` (s since 1970) where the list says it."""
+    """One recording of one robot, the `last` of it or not; `time` (s since 1970) where known."""
 
     robot: str
     recording: str
     model: Path
     data: Path
     time: float | None = None
+    last: bool = True
 
     def inputs(self, asked: Asked) -> str:
         """sha256 of all that the result follows from."""
@@ -77,7 +78,9 @@ def jobs_of(robots: Path) -> list[Job]:
         if (job.robot, job.recording) in seen:
             raise FleetError(f"{robots}: '{job.robot}' has the recording {job.recording} twice")
         seen.add((job.robot, job.recording))
-    return sorted(jobs, key=lambda job: (job.robot, job.recording))
+    jobs.sort(key=lambda job: (job.robot, job.recording))
+    last = {job.robot: job for job in jobs}
+    return [replace(job, last=last[job.robot] is job) for job in jobs]
 
 
 def _found(robots: Path) -> Iterator[Job]:

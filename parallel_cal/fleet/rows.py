@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from parallel_cal.base.files import held, read_text, write_atomically
 from parallel_cal.fleet.jobs import FleetError
@@ -23,7 +24,7 @@ class Rows:
 
     def __init__(self, folder: Path):
         self.folder = folder
-        for part in (folder, folder / "recordings"):
+        for part in (folder, folder / "recordings", folder / "reports"):
             part.mkdir(parents=True, exist_ok=True)
 
     @contextmanager
@@ -45,8 +46,14 @@ class Rows:
             return None
         return None if row["reason"] else row
 
-    def keep(self, row: Row) -> None:
+    def keep(self, row: Row, page: str = "") -> None:
+        """A row, and the page of its robot."""
+        if page:
+            write_atomically(self.page_of(row["robot"]), page)
         write_atomically(self._file(row["inputs"]), json.dumps(row, allow_nan=False))
+
+    def page_of(self, robot: str) -> Path:
+        return self.folder / "reports" / f"{quote(robot, safe='')}.html"
 
     def _file(self, inputs: str) -> Path:
         return self.folder / "recordings" / f"{inputs}.json"

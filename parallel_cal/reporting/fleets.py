@@ -7,8 +7,9 @@ from collections.abc import Iterator
 
 from parallel_cal.fleet.findings import EffectOfFleet
 from parallel_cal.fleet.fleet import Fleet
-from parallel_cal.reporting.readable import columns, fixed, in_unit
+from parallel_cal.reporting.readable import ARCMIN, columns, fixed, in_unit
 
+UNITS = {"position": ("um", 1e6), "reading": ("um", 1e6), "orientation": ("arcmin", ARCMIN)}
 WHEN = ("before", "identified", "after")
 DAY = 86400.0
 WORST, NAMED = 10, 5  # recordings that a person reads
@@ -23,31 +24,40 @@ def _verdicts(fleet: Fleet) -> Iterator[str]:
     robots = {row["robot"] for row in fleet.rows}
     yield f"{len(robots)} robots, {len(fleet.rows)} recordings, {len(fleet.failed)} failed"
     if fleet.judged:
-        verdicts = Counter(row["verdict"] for row in fleet.judged)
-        yield ", ".join(f"{word}: {n}" for word, n in verdicts.most_common())
+        yield verdicts_in_words(fleet)
+
+
+def verdicts_in_words(fleet: Fleet) -> str:
+    """How many recordings have each verdict."""
+    verdicts = Counter(row["verdict"] for row in fleet.judged)
+    return ", ".join(f"{word}: {n}" for word, n in verdicts.most_common()) or "nothing was judged"
+
+
+def kind_of(fleet: Fleet) -> str | None:
+    """What a fleet's errors are given in: positions, where they were measured."""
+    return next(
+        (kind for kind in UNITS if any(row["after"][f"{kind}_rms"] for row in fleet.judged)), None
+    )
 
 
 def _worst(fleet: Fleet) -> Iterator[str]:
-    """Those with the largest error that is left, of positions where they were measured."""
-    for kind, factor, unit in (("position", 1e6, "um"), ("orientation", 1e6, "urad")):
-        key = f"{kind}_rms"
-        rows = [row for row in fleet.judged if row["after"][key] is not None]
-        if not rows:
-            continue
-        worst = sorted(rows, key=lambda row: -row["after"][key])[:WORST]
-        header = ("robot", "recording", f"{kind} error [{unit}]", "identified", "with effects")
-        yield columns(
-            (*header, "effects"),
-            [
-                (
-                    row["robot"], row["recording"],
-                    *(fixed(row[when][key], factor, 1) for when in WHEN),
-                    ", ".join(row["effects"]),
-                )
-                for row in worst
-            ],
-        )  # fmt: skip
+    """Those with the largest error that is left."""
+    kind = kind_of(fleet)
+    if kind is None:
         return
+    (unit, factor), key = UNITS[kind], f"{kind}_rms"
+    worst = sorted(fleet.judged, key=lambda row: -(row["after"][key] or 0.0))[:WORST]
+    header = ("robot", "recording", f"{kind} error [{unit}]", "identified", "with effects")
+    yield columns(
+        (*header, "effects"),
+        [
+            (
+                row["robot"], row["recording"],
+                *(fixed(row[when][key], factor, 1) for when in WHEN), ", ".join(row["effects"]),
+            )
+            for row in worst
+        ],
+    )  # fmt: skip
 
 
 def _together(fleet: Fleet) -> Iterator[str]:

@@ -16,13 +16,14 @@ Plot = Callable[[Mapping[str, Any]], str]  # keeps a figure for the page, return
 
 @dataclass(frozen=True)
 class Cell:
-    """A cell's text, a smaller line under it, and the number that it is sorted by."""
+    """A cell's text, a smaller line under it, the number it is sorted by, and where it leads."""
 
     text: str
     under: str = ""
     key: float | None = None
     mark: str = ""
     bar: float | None = None  # -1 to 1, drawn beside the text
+    link: str = ""
 
     def html(self, label: str = "") -> str:
         """As HTML; `label` is the column's name for pages too narrow for columns."""
@@ -35,7 +36,9 @@ class Cell:
             left = 50.0 if self.bar > 0 else 50.0 - wide
             bar = f'<i class="bar"><i style="left:{left:.0f}%;width:{wide:.0f}%"></i></i>'
         under = f"<small>{escape(self.under)}</small>" if self.under else ""
-        return f"<td{label}{key}{mark}>{escape(self.text)}{bar}{under}</td>"
+        text = escape(self.text)
+        text = f'<a href="{escape(self.link)}">{text}</a>' if self.link else text
+        return f"<td{label}{key}{mark}>{text}{bar}{under}</td>"
 
 
 def table(

@@ -63,7 +63,7 @@ function draw(place) {
 // On a narrow page the verdict, the arrows and what is missing come first; the rest unfolds.
 if (innerWidth < NARROW) {
   for (const name of ["history", "error-budget", "what-is-left-along-everything"]) {
-    document.querySelector(`#${name} > details`).open = false;
+    for (const part of document.querySelectorAll(`#${name} > details`)) part.open = false;
   }
 }
 // What is folded away or behind a tab has no width: it is drawn when it is first seen.

@@ -14,28 +14,51 @@ from parallel_cal.reporting.report import Report
 from parallel_cal.reporting.sections import body
 
 
-def page(report: Report) -> str:
-    """The page of a report."""
+def page(report: Report, library: str = "") -> str:
+    """The page of a report; `library` is Plotly's file beside it where pages share one."""
+    drawn = Drawn()
+    p, samples = report.provenance, len(report.diagnosis.dataset)
+    return drawn.page(
+        f"{p.mechanism} on {report.diagnosis.dataset.source}",
+        f"{day(p.made)}, {samples} samples, model {p.model_sha256[:12]}",
+        body(report, drawn.plot),
+        library,
+    )
+
+
+class Drawn:
+    """The figures of a page, in their order."""
+
+    def __init__(self) -> None:
+        self._figures: list[Mapping[str, Any]] = []
+
+    def plot(self, figure: Mapping[str, Any]) -> str:
+        """Keep a figure for the page; its place there."""
+        self._figures.append(figure)
+        number, height = len(self._figures) - 1, figure["layout"]["height"]
+        return f'<div class="plot" data-figure="{number}" style="height:{height}px"></div>'
+
+    def page(self, title: str, made: str, content: str, library: str = "") -> str:
+        """The page with them, its `content` as HTML."""
+        return Template(_text("page.html")).substitute(
+            title=escape(title),
+            made=escape(made),
+            style=_text("page.css"),
+            body=content,
+            figures=_in_script(self._figures),
+            plotly=f'<script src="{library}"></script>'
+            if library
+            else f"<script>{plotly()}</script>",
+            beside=" 'self' file:" if library else "",
+            script=_text("page.js"),
+        )
+
+
+def plotly() -> str:
+    """Plotly, as a script."""
     from plotly.offline import get_plotlyjs
 
-    drawn: list[Mapping[str, Any]] = []
-
-    def plot(figure: Mapping[str, Any]) -> str:
-        drawn.append(figure)
-        height = figure["layout"]["height"]
-        return f'<div class="plot" data-figure="{len(drawn) - 1}" style="height:{height}px"></div>'
-
-    content = body(report, plot)
-    p, samples = report.provenance, len(report.diagnosis.dataset)
-    return Template(_text("page.html")).substitute(
-        title=escape(f"{p.mechanism} on {report.diagnosis.dataset.source}"),
-        made=escape(f"{day(p.made)}, {samples} samples, model {p.model_sha256[:12]}"),
-        style=_text("page.css"),
-        body=content,
-        figures=_in_script(drawn),
-        plotly=get_plotlyjs(),
-        script=_text("page.js"),
-    )
+    return str(get_plotlyjs())
 
 
 def _text(name: str) -> str:

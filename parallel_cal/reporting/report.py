@@ -99,12 +99,17 @@ def report(
     """
     options = {"hold_out": 0.25, "seed": 0} | options
     found = diagnose(model, dataset, progress=progress, **options)
-    scene, best = found.base.scene, found.best.fitted
-    field, errors = Field.of(scene), contents.LeftOut.of(found)
     versus = None
     if against is not None:
         sigma = options.get("joint_sigma")
         versus = Versus.of(compare(model, dataset, sigma), compare(against, dataset, sigma))
+    return report_of(found, options, versus)
+
+
+def report_of(found: Diagnosis, options: Mapping[str, Any], versus: Versus | None = None) -> Report:
+    """A diagnosis that was made with some options, and all that shows it."""
+    scene, best = found.base.scene, found.best.fitted
+    field, errors = Field.of(scene), contents.LeftOut.of(found)
     return Report(
         diagnosis=found,
         errors=errors,

@@ -1,0 +1,261 @@
+"""A fleet as one page: robots by error, by what they lack, over time; a robot opens its report."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from datetime import datetime, timezone
+from html import escape
+from pathlib import Path
+from urllib.parse import quote, unquote
+
+from parallel_cal import __version__
+from parallel_cal.base.files import write_atomically
+from parallel_cal.diagnosis.diagnose import Diagnosis
+from parallel_cal.fleet.findings import Findings
+from parallel_cal.fleet.fleet import Fleet
+from parallel_cal.fleet.judging import Row
+from parallel_cal.reporting.colours import ACCENT, MEASURED, QUIET, WARNING
+from parallel_cal.reporting.figures import LEGEND, Spec
+from parallel_cal.reporting.fleets import DAY, effect_in_words, kind_of, verdicts_in_words
+from parallel_cal.reporting.markup import Cell, Plot, items, paragraph, section, sentence, table
+from parallel_cal.reporting.overview import LABELS
+from parallel_cal.reporting.page import Drawn, page, plotly
+from parallel_cal.reporting.readable import day, large, number, rounded_to, small, with_unit
+from parallel_cal.reporting.report import report_of
+
+LIBRARY = "plotly.min.js"  # beside the robots' reports, which share it
+WHEN = {"before": "as given", "identified": "identified", "after": "with effects found"}
+
+
+def robot_page(found: Diagnosis) -> str:
+    """A robot's own report."""
+    return page(report_of(found, vars(found.base.fitted.options)), LIBRARY)
+
+
+def write_fleet_page(fleet: Fleet, folder: Path) -> None:
+    """`fleet.html` into a fleet's folder, and what the robots' reports share."""
+    pages = {unquote(path.stem) for path in (folder / "reports").glob("*.html")}
+    write_atomically(folder / "reports" / LIBRARY, plotly())
+    write_atomically(folder / "fleet.html", fleet_page(fleet, pages))
+
+
+def fleet_page(fleet: Fleet, reports: Collection[str]) -> str:
+    """The fleet's page; `reports` are the robots that have a page of their own in `reports/`."""
+    drawn, found = Drawn(), fleet.findings
+    robots, failed = len({row["robot"] for row in fleet.rows}), fleet.failed
+    title = f"{robots} robots, {len(fleet.rows)} recordings"
+    parts = [
+        section("Verdicts", paragraph(sentence(verdicts_in_words(fleet)), "verdict")),
+        section("Together", _together(found)),
+        section("Robots by error", _by_error(fleet, drawn.plot) + _robots(fleet, reports)),
+        section("Robots over time", _over_time(fleet, drawn.plot)),
+        section("What robots lack", _lacking(fleet, drawn.plot)),
+        section("The workshop beside the drawing", _spreads(found, drawn.plot)),
+        section("Failed", _failed(failed), f"{len(failed)}", closed=not failed),
+    ]
+    made = datetime.now(timezone.utc).isoformat(timespec="minutes")
+    return drawn.page(title, f"{day(made)}, parallel_cal {__version__}", "\n".join(parts))
+
+
+def _together(found: Findings | None) -> str:
+    """Whose each effect is, who stands apart, who changes."""
+    if found is None:
+        return paragraph("Fewer than four robots: nothing is said of them together.", "none")
+    said = [effect_in_words(effect) for effect in found.effects]
+    said += [
+        f"{one.robot}: {one.name} is off by {_plus_minus(one.size, one.sigma, one.unit)}"
+        for one in found.outlying
+    ]
+    said += [
+        f"{one.robot}: {one.name} changes by "
+        f"{_plus_minus(DAY * one.rate, DAY * one.sigma, one.unit)} a day"
+        for one in found.drifts
+    ]
+    said += [f"{robot}: of another kind than {found.mechanism}" for robot in found.others]
+    return items(said) or paragraph("No robot stands apart, and none changes.", "none")
+
+
+def _plus_minus(value: float, sigma: float, unit: str) -> str:
+    name, factor = large(unit)
+    return f"{' ± '.join(rounded_to(value, sigma, factor))} {name}"
+
+
+def _last(fleet: Fleet) -> list[Row]:
+    """Each robot's last recording, the worst first."""
+    last = {row["robot"]: row for row in fleet.judged}
+    key = f"{kind_of(fleet)}_rms"
+    return sorted(last.values(), key=lambda row: -(row["after"][key] or 0.0))
+
+
+def _by_error(fleet: Fleet, plot: Plot) -> str:
+    """Errors of each robot's last recording, as given, identified, with the effects found."""
+    kind, rows = kind_of(fleet), _last(fleet)
+    if kind is None:
+        return paragraph("No pose was measured.", "none")
+    unit, factor = small("rad" if kind == "orientation" else "m")
+    colours = {"before": QUIET, "identified": ACCENT, "after": WARNING}
+    traces: list[Spec] = [
+        {
+            "type": "scatter", "mode": "markers", "name": name, "marker": {"color": colours[when]},
+            "x": [escape(row["robot"]) for row in rows],
+            "y": [_scaled(row[when][f"{kind}_rms"], factor) for row in rows],
+            "hovertemplate": f"%{{x}}: %{{y:.3g}} {unit}",
+        }
+        for when, name in WHEN.items()
+    ]  # fmt: skip
+    note = "Of each robot's last recording, at poses left out of the fit; worst first."
+    layout = {
+        "height": 320, "showlegend": True, "legend": LEGEND, "margin": {"t": 40},
+        "xaxis": {"type": "category", "nticks": 20},
+        "yaxis": {"type": "log", "title": {"text": f"{kind} error, rms [{unit}]"}},
+    }  # fmt: skip
+    return paragraph(note, "note") + plot({"data": traces, "layout": layout})
+
+
+def _scaled(value: float | None, factor: float) -> float | None:
+    return None if value is None else value * factor
+
+
+def _robots(fleet: Fleet, reports: Collection[str]) -> str:
+    kind = kind_of(fleet)
+    if kind is None:
+        return ""
+    apart = {one.robot: one.name for one in fleet.findings.outlying} if fleet.findings else {}
+    drifts = {one.robot: one.name for one in fleet.findings.drifts} if fleet.findings else {}
+    recordings = {row["robot"]: 0 for row in fleet.rows}
+    for row in fleet.rows:
+        recordings[row["robot"]] += 1
+    unit = "rad" if kind == "orientation" else "m"
+    rows: list[Sequence[Cell | str]] = [
+        (
+            Cell(name, link=report_name(name) if name in reports else ""),
+            str(recordings[name]),
+            LABELS[row["verdict"]],
+            ", ".join(row["effects"]),
+            *(
+                Cell(with_unit(value, unit), key=value)
+                for value in (row[when][f"{kind}_rms"] for when in WHEN)
+            ),
+            apart.get(name, ""),
+            drifts.get(name, ""),
+        )
+        for row in _last(fleet)
+        for name in [row["robot"]]
+    ]
+    header = ("robot", "recordings", "verdict", "effects", *WHEN.values(), "apart", "drifts")
+    return table(header, rows, "sortable", WHEN["after"])
+
+
+def report_name(robot: str) -> str:
+    """Where a robot's report lies, from the fleet's page."""
+    return f"reports/{quote(quote(robot, safe=''))}.html"
+
+
+def _over_time(fleet: Fleet, plot: Plot) -> str:
+    """What each recording left, by when it was made; robots that drift in colour."""
+    kind = kind_of(fleet)
+    rows = [row for row in fleet.judged if kind and row["time"] is not None]
+    if len({row["time"] for row in rows}) < 2:
+        return paragraph("No recording says when it was made, or all are of one day.", "none")
+    unit, factor = small("rad" if kind == "orientation" else "m")
+    drifting = {one.robot for one in fleet.findings.drifts} if fleet.findings else set()
+    traces: list[Spec] = []
+    for robot in sorted({row["robot"] for row in rows}, key=lambda name: name in drifting):
+        own = sorted((row for row in rows if row["robot"] == robot), key=lambda row: row["time"])
+        colour = WARNING if robot in drifting else QUIET
+        traces.append({
+            "type": "scatter", "mode": "lines+markers", "name": escape(robot),
+            "x": [datetime.fromtimestamp(row["time"], timezone.utc).isoformat() for row in own],
+            "y": [_scaled(row["before"][f"{kind}_rms"], factor) for row in own],
+            "line": {"color": colour, "width": 2 if robot in drifting else 1},
+            "opacity": 1.0 if robot in drifting else 0.4,
+            "hovertemplate": f"{escape(robot)}: %{{y:.3g}} {unit}<extra></extra>",
+        })  # fmt: skip
+    layout = {
+        "height": 300, "showlegend": False,
+        "yaxis": {"title": {"text": f"{kind} error as given, rms [{unit}]"}},
+    }  # fmt: skip
+    said = f"In colour: {', '.join(sorted(drifting))}." if drifting else "No robot drifts."
+    return paragraph(said, "note") + plot({"data": traces, "layout": layout})
+
+
+def _lacking(fleet: Fleet, plot: Plot) -> str:
+    """How many robots have each effect, and the fleet's figures of its numbers."""
+    found = fleet.findings
+    if found is None or not found.effects:
+        return paragraph("No effect was named in most recordings of any robot.", "none")
+    names = [effect.name for effect in found.effects][::-1]
+    bars = {
+        "type": "bar", "orientation": "h", "y": names,
+        "x": [len(effect.robots) for effect in found.effects][::-1],
+        "marker": {"color": [
+            WARNING if effect.kind == "fault" else ACCENT for effect in found.effects
+        ][::-1]},
+        "hovertext": [escape(effect_in_words(effect)) for effect in found.effects][::-1],
+        "hoverinfo": "text",
+    }  # fmt: skip
+    layout = {
+        "height": 90 + 30 * len(names),
+        "xaxis": {"title": {"text": "robots"}, "range": [0, len(found.robots)]},
+        "yaxis": {"dtick": 1},
+        "bargap": 0.4,
+    }
+    rows = []
+    for effect in found.effects:
+        for one in effect.numbers:
+            name, factor = small(one.unit)
+            mean, sigma = rounded_to(one.mean, one.sigma, factor)
+            rows.append((
+                one.name, f"{mean} ± {sigma} {name}", with_unit(one.spread, one.unit),
+                f"{number(one.low, factor)} … {number(one.high, factor)} {name}",
+            ))  # fmt: skip
+    shown = table(("number", "mean", "spread", "95 %"), rows)
+    return plot({"data": [bars], "layout": layout}) + shown
+
+
+def _spreads(found: Findings | None, plot: Plot) -> str:
+    """The tolerance that production holds, as a share of the drawing's."""
+    if found is None:
+        return paragraph("Fewer than four robots: nothing is said of them together.", "none")
+    rows = found.parameters[::-1]
+    share = [one.spread / one.tolerance for one in rows]
+    traces: list[Spec] = [
+        {
+            "type": "scatter", "mode": "markers", "name": "spread, 95 % interval",
+            "y": [escape(one.name) for one in rows], "x": share, "marker": {"color": MEASURED},
+            "error_x": {
+                "array": [one.high / one.tolerance - s for one, s in zip(rows, share, strict=True)],
+                "arrayminus": [
+                    s - one.low / one.tolerance for one, s in zip(rows, share, strict=True)
+                ],
+                "color": MEASURED, "thickness": 1,
+            },
+        },
+        {
+            "type": "scatter", "mode": "markers", "name": "mean from the drawing, 1 σ",
+            "y": [escape(one.name) for one in rows],
+            "x": [(one.mean - one.nominal) / one.tolerance for one in rows],
+            "error_x": {
+                "array": [one.sigma / one.tolerance for one in rows],
+                "color": WARNING, "thickness": 1,
+            },
+            "marker": {"color": WARNING, "symbol": "diamond-open"},
+        },
+    ]  # fmt: skip
+    layout = {
+        "height": 110 + 16 * len(rows), "showlegend": True, "legend": LEGEND, "margin": {"t": 40},
+        "xaxis": {"title": {"text": "in tolerances of the drawing (1)"}},
+        "yaxis": {"dtick": 1, "tickfont": {"size": 10}},
+    }  # fmt: skip
+    note = (
+        "next_robot.yaml has these means and spreads as nominal values and tolerances: by --prior "
+        "the next robot is identified from fewer poses."
+    )
+    return paragraph(note, "note") + plot({"data": traces, "layout": layout})
+
+
+def _failed(rows: Sequence[Row]) -> str:
+    told = [(row["robot"], row["recording"], row["reason"]) for row in rows]
+    if not told:
+        return paragraph("Every recording was judged.", "none")
+    return table(("robot", "recording", "why"), told)
