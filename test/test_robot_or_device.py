@@ -149,6 +149,19 @@ def test_a_bad_lookalike_in_the_place_of_two_effects_is_none_of_one():
 
 
 @pytest.mark.wide
+def test_a_weak_effect_beside_a_strong_one_is_held_against_what_both_leave():
+    """Not against what the geometry leaves, which is ten times the noise here."""
+    day = vf.session(0)
+    kinds = [(vf.KINDS["backlash"], 3.0), (vf.KINDS["joint compliance"], 0.2)]
+    hidden = [sized(k.make, k.size, times, day, vr.THESIS_NOISE, 0) for k, times in kinds]
+    data = dataset(vf.samples(day, hidden, vr.THESIS_NOISE, 0), vr.THESIS_NOISE)
+    found = diagnose(new_model("delta54"), data)
+    assert len(found.effects) == 2
+    assert not found.robot_or_device
+    assert found.verdict.word == "explained"
+
+
+@pytest.mark.wide
 @pytest.mark.parametrize("kind", ["eccentricity", "joint compliance"])
 def test_what_no_usual_error_of_the_device_makes_stays_the_robots(kind):
     data, _ = hiding([vf.KINDS[kind]], 0.4, 1)

@@ -52,7 +52,8 @@ def imitated(scene: Scene, chosen: Sequence[Candidate], ranked: Sequence[Candida
         names = dict.fromkeys(c.name for c in candidates)
         return cost(scene, np.hstack([known[name] for name in names]))
 
-    limit = price(*chosen) + APART**2 * max(scene.chi2_per_dof, 1.0)
+    left = _chi2_per_dof(scene, np.hstack([known[c.name] for c in chosen]))
+    limit = price(*chosen) + APART**2 * max(left, 1.0)
     without = {one.name: price(*(c for c in chosen if c is not one), *device) for one in own}
     return [name for name, instead in without.items() if instead < limit]
 
@@ -66,6 +67,14 @@ def cost(scene: Scene, B: np.ndarray) -> float:
         scene.residual @ scene.residual
         - along @ np.linalg.solve(np.eye(B.shape[1]) + B.T @ B, along)
     )
+
+
+def _chi2_per_dof(scene: Scene, B: np.ndarray) -> float:
+    """Of what columns B (n, k) leave of the residual."""
+    B = scene.off_geometry(B)
+    numbers, _, rank, _ = np.linalg.lstsq(B, scene.residual)
+    left = scene.residual - B @ numbers
+    return float(left @ left) / max(scene.dof - int(rank), 1)
 
 
 def _columns(scene: Scene, one: Candidate) -> np.ndarray:
