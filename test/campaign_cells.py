@@ -10,6 +10,7 @@ from parallel_cal.model.file.modelfile import dump_model, parse_model, read_mode
 from parallel_cal.model.model import Noise, new_model
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.virtual.cell import Cell
+from parallel_cal.virtual.kinds import KINDS
 from parallel_cal.virtual.tracker import Tracker
 
 PRESETS = Path(__file__).parents[1] / "config"
@@ -35,7 +36,7 @@ def model_of(robot):
     model = replace(
         model,
         noise=Noise(noise.joint, position, noise.orientation),
-        tolerances=OF_POLYMERS,
+        tolerances=OF_POLYMERS if robot in KINDS["warmth"].machines else {},
     )
     limits = cell.machine.limits
     model.mechanism.joint_rates = ((limits.velocity, limits.acceleration),) * len(model.joints)
