@@ -67,7 +67,8 @@ NOWHERE_ELSE = Frames(np.zeros(3), np.eye(3), np.zeros(3), np.eye(3))
 class Registration:
     """How a device's frame was found to lie in the base, and its target in the platform.
 
-    `why` says what it was looked for; positions in m, quaternions x y z w.
+    `why` says what it was looked for, `told` whether the platform turned enough to tell where the
+    target sits; positions in m, quaternions x y z w.
     """
 
     frame: str
@@ -78,6 +79,7 @@ class Registration:
     quaternion: tuple[float, ...]
     target_position: tuple[float, ...]
     target_quaternion: tuple[float, ...]
+    told: bool
 
     @property
     def words(self) -> str:
@@ -85,6 +87,9 @@ class Registration:
         turned = [_degrees(q) for q in (self.quaternion, self.target_quaternion)]
         target = " ".join(f"{1e3 * v:.2f}" for v in self.target_position)
         also = f", rotation {turned[1]} deg" if turned[1] != "0.000 0.000 0.000" else ""
+        if not self.told:
+            also += " (assumed: the platform does not turn enough to tell; where it sits elsewhere "
+            also += "by more than 2 mm say so, as target_position of the sensor device_frame)"
         return (
             f"frame '{self.frame}' was registered to '{self.base}' ({self.why}): "
             f"{' '.join(f'{v:.5f}' for v in self.position)} m, rotation {turned[0]} deg; "
@@ -126,7 +131,8 @@ def registered(
     if options is not None:
         placed = _settled(placed, observations, options)
     why = "another frame" if elsewhere else "in its own, nothing fitted"
-    return placed, _registration(placed, frame, why)
+    told = there.tilts or not (there.turns and there.placed.any())
+    return placed, _registration(placed, frame, why, told)
 
 
 def said(dataset: Dataset, registration: Registration | None) -> Dataset:
@@ -139,7 +145,9 @@ def said(dataset: Dataset, registration: Registration | None) -> Dataset:
 @dataclass(frozen=True)
 class _Poses:
     """Poses as predicted in {B} and as the device shows them; `placed` and `turned` (N,) say
-    which positions and orientations were measured. Lengths of an angle are `length` times it."""
+    which positions and orientations were measured, `turns` whether the platform can turn, `tilts`
+    whether it turned further than its tolerances let it: else no pose tells where on it the target
+    sits. Lengths of an angle are `length` times it."""
 
     r: Array
     R: Array
@@ -149,6 +157,7 @@ class _Poses:
     turned: Array
     length: float
     turns: bool
+    tilts: bool
     now: Frames  # as the model has them
     expected: Array  # rms (2,) of position and `length` times orientation that tolerances allow
 
@@ -179,9 +188,13 @@ class _Poses:
             np.sqrt(np.median(np.sum(spread[solved][:, part] ** 2, axis=1)) + more)
             for part, more in ((slice(3), shifts + turns * reach**2), (slice(3, 6), turns))
         ]
+        R = reached.rotation[solved]
+        away = rotation_vector(R @ nearest_rotation(R.sum(axis=0)).T)
+        allowed = np.median(np.sum(spread[solved][:, 3:] ** 2, axis=1))
+        tilts = bool(np.mean(np.sum(away**2, axis=1)) > allowed) and moves[1]
         return cls(
             reached.position, reached.rotation, seen.r, seen.R, placed, turned, m.length,
-            moves[1], _frames_of(model), np.array([sizes[0], m.length * sizes[1]]),
+            moves[1], tilts, _frames_of(model), np.array([sizes[0], m.length * sizes[1]]),
         )  # fmt: skip
 
     def frames(self) -> Frames:
@@ -242,7 +255,7 @@ class _Poses:
         J, R = np.zeros((len(self.r), 6, 12)), np.nan_to_num(self.R)
         J[:, :3, :3] = np.eye(3)
         J[:, :3, 3:6] = -_cross(self.seen_r @ frames.F.T)
-        J[:, :3, 6:9] = -R if self.turns else 0.0
+        J[:, :3, 6:9] = -R if self.tilts else 0.0
         J[:, 3:, 3:6] = self.length * np.eye(3)
         J[:, 3:, 9:] = -self.length * R if self.turns else 0.0
         J[:, :3] *= self.placed[:, None, None]
@@ -250,11 +263,11 @@ class _Poses:
         return J
 
     def _starts(self) -> list[Frames]:
-        """From positions with the target in {P}'s origin, and anywhere; from orientations."""
+        """From positions, the target where the model has it and anywhere; from orientations."""
         starts = [self.now]
         if self.placed.sum() >= 3:
-            starts.append(self._from_positions(np.zeros(3)))
-            if self.turns:
+            starts.append(self._from_positions(self.now.t))
+            if self.tilts:
                 starts.append(self._from_positions(self._linear_target()))
         if self.turns and self.turned.sum() >= 3:
             R, seen = self.R[self.turned], self.seen_R[self.turned]
@@ -292,6 +305,8 @@ class _Poses:
         if not self.placed.any():
             return Frames(np.zeros(3), F, np.zeros(3), T)
         away = (self.r - self.seen_r @ F.T)[self.placed]
+        if t is None and not self.tilts:
+            t = self.now.t
         if t is None:
             n = len(away)
             A = np.concatenate([np.tile(np.eye(3), (n, 1, 1)), -self.R[self.placed]], axis=2)
@@ -390,10 +405,10 @@ def _frames_of(model: Model) -> Frames:
     return Frames(*parts)
 
 
-def _registration(model: Model, frame: str, why: str) -> Registration:
+def _registration(model: Model, frame: str, why: str, told: bool) -> Registration:
     sensor: Any = _device(model)
     base, platform = model.frames["base"], model.frames["platform"]
     return Registration(
         frame, base, platform, why, sensor.position, sensor.quaternion, sensor.target_position,
-        sensor.target_quaternion,
+        sensor.target_quaternion, told,
     )  # fmt: skip
