@@ -59,6 +59,17 @@ def test_a_joint_settles_without_overshoot_where_its_course_ends_at_rest():
     assert q[-1, 0] == 0.5
 
 
+def test_a_rounding_error_of_its_place_does_not_turn_a_joint_back():
+    """Play of a milliradian would move the platform by a tenth of a millimetre."""
+    cell = Cell("delta", 0, ["backlash"])
+    cell.follow([1.0], [cell.drive.state.q + 0.1])
+    cell.advance(2.0)
+    before, _ = cell.stands()
+    cell.follow([0.1], [np.nextafter(cell.drive.state.q, 0.0)])
+    cell.advance(3.0)
+    np.testing.assert_allclose(cell.stands()[0], before, atol=1e-9)
+
+
 def test_points_with_velocities_are_joined_by_cubics():
     drive = Drive(np.zeros(1), LIMITS, 0.01)
     drive.follow(np.array([1.0, 2.0]), np.array([[0.25], [0.5]]), np.array([[0.4], [0.0]]))

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from parallel_cal.virtual.drive import Drive, State
+from parallel_cal.virtual.drive import SETTLED, Drive, State
 from parallel_cal.virtual.joint_effects import Visit
 from parallel_cal.virtual.kinds import hide
 from parallel_cal.virtual.machines import MACHINES
@@ -226,6 +226,7 @@ class Cell:
                 return path
             state = self.drive.step(self._blocked)
             moved = state.q - now.state.q
+            moved[np.abs(moved) < SETTLED] = 0.0  # no rounding error turns a joint back
             if moved.any():
                 sign = np.where(moved == 0, now.direction, np.sign(moved))
                 travel = np.where(sign == now.direction, now.travel + moved, moved)
