@@ -15,9 +15,11 @@ from importlib.util import module_from_spec, spec_from_file_location
 from io import StringIO
 from pathlib import Path
 
+import fleets
 import numpy as np
 import pytest
 import virtual_firmware
+import virtual_fleet
 import virtual_printer
 
 from parallel_cal.cli import main as cli
@@ -145,6 +147,18 @@ def test_the_page_on_export_shows_what_its_commands_print(tmp_path):
     for name in ("bags", "config"):
         (tmp_path / name).symlink_to(ROOT / name)
     assert in_order("export.md", tmp_path) == 3
+
+
+@pytest.mark.wide
+def test_the_page_on_fleets_shows_what_its_commands_print(tmp_path):
+    pytest.importorskip("distributed")
+    members = virtual_fleet.drawn(8)
+    fleets.written(tmp_path / "workshop", members, 3, n_poses=24, n_replicates=4)
+    (tmp_path / "workshop" / "robot004" / "2.json").write_text("{cut")
+    assert in_order("fleet.md", tmp_path) == 2
+    for name in ("fleet.html", "rows.parquet", "seconds.parquet", "fleet.json", "reports"):
+        assert (tmp_path / "fleet" / name).exists()
+    assert len(list((tmp_path / "fleet" / "reports").glob("robot*.html"))) == 7
 
 
 def in_order(name, folder):

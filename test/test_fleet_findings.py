@@ -16,10 +16,121 @@ from parallel_cal.identification.fit import fit
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.file.modelfile import read_model, write_model
+from parallel_cal.reporting.fleets import effect_in_words
 from parallel_cal.virtual.robot import Delta
 
 ASKED = Asked(FitOptions(hold_out=0.5), effects=("backlash", "encoder_second_harmonic"))
 DRAWING = read_model(fleets.NOMINAL)
+
+
+# ----------------------------------------------------------------------------- rows made by hand
+
+NUMBERS = ("chain1.Lb", "chain2.Lb")
+PLAYS = tuple(f"backlash.joint{i}.width" for i in (1, 2, 3))
+
+
+def document(names, estimate, sigma):
+    A = np.eye(len(names)) / sigma**2
+    told = Evidence(names, np.asarray(estimate, float), A, np.zeros(len(names)))
+    return plain(vars(told))
+
+
+def row(robot, recording="0", lengths=(0.24, 0.24), play=None, plays=(0.0,) * 3, when=None):
+    """A recording that tells two rods to 10 um and three plays to 0.1 mrad."""
+    found = {
+        "robot": robot, "recording": recording, "reason": "", "mechanism": "delta54", "time": when,
+        "effects": [play] if play else [], "evidence": document(NUMBERS, lengths, 1e-5),
+        "effects_evidence": {"backlash": document(PLAYS, plays, 1e-4)},
+    }  # fmt: skip
+    if play:
+        found["evidence"] = document(
+            (*NUMBERS, *PLAYS), (*lengths, *plays), np.array([1e-5] * 2 + [1e-4] * 3)
+        )
+    return found
+
+
+def workshop(n, **changed):
+    """Rods 0.3 mm too long with a spread of 0.1 mm; `changed` robots are given otherwise."""
+    rng = np.random.default_rng(4)
+    rods = 0.2403 + 1e-4 * rng.standard_normal((n, 2))
+    plays = 1e-4 * rng.standard_normal((n, 3))
+    return [
+        row(f"r{k}", **{"lengths": rods[k], "plays": plays[k]} | changed.get(f"r{k}", {}))
+        for k in range(n)
+    ]
+
+
+def test_the_next_robots_file_has_the_fleets_means_and_spreads():
+    found = findings(workshop(30), DRAWING)
+    rod = found.parameters[0]
+    assert (rod.name, rod.unit, rod.nominal, rod.tolerance) == ("chain1.Lb", "m", 0.24, 0.0005)
+    assert rod.mean == pytest.approx(0.2403, abs=3 * rod.sigma)
+    assert rod.low < 1e-4 < rod.high
+    learned = next_robot(DRAWING, found)
+    assert learned.table["chain1.Lb"].nominal == learned.value("chain1.Lb") == rod.mean
+    assert learned.table["chain1.Lb"].tolerance == pytest.approx(np.hypot(rod.spread, rod.sigma))
+    assert learned.table["chain3.Lb"] == DRAWING.table["chain3.Lb"]
+    assert (found.effects, found.outlying, found.drifts) == ((), (), ())
+    assert findings(workshop(3), DRAWING) is None
+
+
+def test_an_effect_of_most_robots_is_the_designs_and_in_the_next_robots_model():
+    rng = np.random.default_rng(5)
+    changed = {
+        f"r{k}": {"play": "backlash", "plays": 1e-3 * (1 + 0.2 * rng.standard_normal(3))}
+        for k in range(14)
+    }
+    found = findings(workshop(15, **changed), DRAWING)
+    (effect,) = found.effects
+    assert (effect.name, effect.kind, len(effect.robots), effect.of) == (
+        "backlash",
+        "design",
+        14,
+        15,
+    )
+    assert {d.robot for d in effect.deviations} == {"r14"}
+    learned = next_robot(DRAWING, found)
+    play = learned.table["backlash.joint1.width"]
+    assert learned.value(play.name) == pytest.approx(1e-3, rel=0.2)
+    assert play.tolerance > learned.value(play.name)
+
+
+def test_an_effect_of_one_robot_is_its_fault_where_its_numbers_stand_apart():
+    odd = {"play": "backlash", "plays": (0.0, 4e-3, 0.0)}
+    usual = {"play": "backlash", "plays": (1e-4, 0.0, 0.0)}
+    found = findings(workshop(15, r4=odd, r5=usual), DRAWING)
+    (effect,) = found.effects
+    assert (effect.kind, effect.robots) == ("fault", ("r4", "r5"))
+    assert [(d.robot, d.name) for d in effect.deviations] == [("r4", "backlash.joint2.width")]
+    assert "backlash: of r4: its own fault" in effect_in_words(effect)
+    (doubted,) = findings(workshop(15, r5=usual), DRAWING).effects
+    assert doubted.kind == "doubtful"
+    assert next_robot(DRAWING, found).effects == ()
+
+
+def test_robots_of_another_kind_and_failed_recordings_have_no_say():
+    rows = workshop(10)
+    other = row("x", lengths=(9.0, 9.0)) | {"mechanism": "stewart42"}
+    failed = {"robot": "y", "recording": "0", "reason": "cut short", "inputs": ""}
+    found = findings([*rows, other, failed], DRAWING)
+    assert found.others == ("x",)
+    assert found.parameters == findings(rows, DRAWING).parameters
+
+
+def test_a_robot_drifts_by_its_recordings_times():
+    rng = np.random.default_rng(6)
+    times = np.arange(4) * vf.DAY
+    rows = [
+        row(f"r{k}", str(i), rng.normal(0.24, 1e-5, 2) + [0.0, (k == 2) * 1e-4 * i], when=1e9 + t)
+        for k in range(6)
+        for i, t in enumerate(times)
+    ]
+    (drift,) = findings(rows, DRAWING).drifts
+    assert (drift.robot, drift.name) == ("r2", "chain2.Lb")
+    assert drift.rate == pytest.approx(1e-4 / vf.DAY, abs=3 * drift.sigma)
+
+
+# ----------------------------------------------------------------------------- virtual robots
 
 
 def rows_of(folder, members, recordings):

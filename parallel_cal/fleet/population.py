@@ -17,6 +17,7 @@ from parallel_cal.identification.evidence import Evidence
 ROUNDS, SETTLED = 1000, 1e-5  # of the iteration, and the relative change at which it has settled
 LEVEL = 0.95  # of the intervals
 FAR = 10.0  # tolerances: a mean further from the drawing than these is nobody's
+SMALL = 0.01  # of a variance's own uncertainty
 NONE = 1e-10  # of a variance: as good as zero
 TOLD = 1e-9  # of a weight: less says nothing
 
@@ -62,6 +63,9 @@ def population(robots: Sequence[Evidence]) -> Population:
         step = np.ones_like(variance)
         step[told] = np.sqrt(np.clip(ratio, 1e-2, 1e2))
         variance = np.maximum(variance * step, NONE)
+        # The way to zero is long: what falls far below all that the data could show is there.
+        shown = np.sqrt(2 / np.maximum(np.einsum("ijj,ijj->j", W, W), 1e-300))
+        variance[(variance < SMALL * shown) & (step < 1)] = NONE
         if np.abs(step[variance > 100 * NONE] - 1).max(initial=0.0) < SETTLED:
             break
     W, mean, covariance = _generalised(A, g, variance)

@@ -90,12 +90,14 @@ def _together(fleet: Fleet) -> Iterator[str]:
 
 def effect_in_words(effect: EffectOfFleet) -> str:
     """Whose an effect is."""
-    few = ", ".join(effect.robots[:NAMED]) + (", ..." if len(effect.robots) > NAMED else "")
+    apart = dict.fromkeys(one.robot for one in effect.deviations)
+    robots = list(apart) if effect.kind == "fault" else list(effect.robots)
+    few = ", ".join(robots[:NAMED]) + (", ..." if len(robots) > NAMED else "")
     share = f"{len(effect.robots)} of {effect.of} robots"
     said = {
         "design": f"in {share}, and in all alike: the design's or the workshop's",
-        "each": f"in {share}, in each another",
-        "fault": f"of {few}: {'its' if len(effect.robots) == 1 else 'their'} own fault",
+        "each": f"in {share}, though not proven to be of one size and sign in all",
+        "fault": f"of {few}: {'its' if len(robots) == 1 else 'their'} own fault",
         "doubtful": f"named in {few}, whose numbers are like the others'",
     }[effect.kind]
     return f"{effect.name}: {said}"
