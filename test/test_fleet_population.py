@@ -88,6 +88,7 @@ def test_two_faulty_robots_are_named_with_their_parameter_and_do_not_widen_the_s
     assert np.all(found.population.spread < 2 * spread)
 
 
+@pytest.mark.wide
 def test_in_sound_fleets_hardly_a_robot_is_named():
     named = [
         len(sorted_out(fleet(20, [9, k], np.zeros(3), np.full(3, 0.5)), 0.01).outlying)
