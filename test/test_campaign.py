@@ -2,6 +2,7 @@
 
 import itertools
 import json
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -22,6 +23,7 @@ from parallel_cal.campaign.targets import Target, ends, first_targets, rarer, sp
 from parallel_cal.campaign.way import Guard
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.file.modelfile import dump_model, parse_model, read_model
+from parallel_cal.model.mechanism import Box
 from parallel_cal.session.session import Session
 
 DELTA = model_of("delta")
@@ -218,6 +220,22 @@ def test_a_frame_that_gives_and_warm_parts_are_both_found_with_no_more_load_than
     assert set(one.judgements[-1].effects) == {"payload_sag", "thermal_expansion"}
     assert not one.judgements[-1].doubt
     assert max(target.conditions.get("payload", 0.0) for target in one.targets) == 1.0
+
+
+def test_where_the_better_model_sees_it_outside_the_robot_goes_home_by_the_one_before(tmp_path):
+    home, narrow = DELTA.mechanism.home.joints, parse_model(TEXT)
+    middle = Kinematics(narrow).direct(home).position
+    narrow.mechanism.workspace = Box(tuple(middle - 0.01), tuple(middle + 0.01))
+
+    def narrowing(function, *given):
+        found = work(function, *given)
+        return replace(found, text=dump_model(narrow)) if isinstance(found, Judgement) else found
+
+    cell = SimulatedCell()
+    one = campaign(tmp_path, cell, Goal(poses=28), work=narrowing)
+    outcome = one.run()
+    assert outcome.message.startswith("28 poses are measured")
+    np.testing.assert_allclose(cell.sent[24].positions[-1], home)
 
 
 # ------------------------------------------------------------------ its budget

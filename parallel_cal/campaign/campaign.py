@@ -317,7 +317,7 @@ class Campaign:
             self._write(judged=last)
             self.targets += last.targets
             self.judgements.append(last)
-            self._judge_by(last)
+            self._go_on_by(last)
         else:
             before = self.judgements[-2] if len(self.judgements) > 1 else None
         if self.goal.enough and _first(last.unseen) <= self.goal.enough:
@@ -339,6 +339,16 @@ class Campaign:
         model = parse_model(judgement.text if judgement else self.model)
         self._guard = Guard.of(replace(model, covariance=None), self.goal.keep_out)
         self._checker = Checker(model, judgement.usual if judgement else {})
+
+    def _go_on_by(self, judgement: Judgement) -> None:
+        """Where the better model sees the robot in a place in which it must not be, it goes home by
+        the model that led it there."""
+        before, here = self._guard, self._cell.joints()
+        self._judge_by(judgement)
+        if judgement.targets and self._guard.trouble(here[None]):
+            home = np.array(before.model.mechanism.home.joints)
+            way = through(before.way(here, [home]), before.model.mechanism)
+            self._cell.move(way, self.control.go_on)
 
     def _outcome(self, success: bool, message: str) -> Outcome:
         judgement = self.judgements[-1]
