@@ -98,6 +98,11 @@ def test_what_cannot_be_judged_is_a_row_with_its_reason(folder):
     assert "no.yaml: cannot be read" in row["reason"]
 
 
+def test_a_worker_of_another_version_does_nothing(folder):
+    with pytest.raises(FleetError, match="there, 9.9 is asked for"):
+        judged(Job("x", "y", folder / "all.yaml", BAG), Asked(version="9.9"), "0")
+
+
 def test_other_inputs_make_another_hash(folder):
     job = Job("x", "y", folder / "all.yaml", BAG)
     others = [

@@ -26,12 +26,14 @@ class FleetError(ParallelCalError):
 
 @dataclass(frozen=True)
 class Asked:
-    """What is asked of every recording: how it is read, identified and diagnosed."""
+    """What is asked of every recording: how it is read, identified and diagnosed, and by which
+    version."""
 
     options: FitOptions = field(default_factory=FitOptions)
     effects: tuple[str, ...] = ()
     also: tuple[str, ...] = ()
     data: ReadOptions = field(default_factory=ReadOptions)
+    version: str = __version__
 
 
 @dataclass(frozen=True)
@@ -47,7 +49,7 @@ class Job:
 
     def inputs(self, asked: Asked) -> str:
         """sha256 of all that the result follows from."""
-        parts = [__version__, repr(asked), self.robot, self.recording, repr(self.time)]
+        parts = [repr(asked), self.robot, self.recording, repr(self.time)]
         for path in (self.model, self.data):
             try:
                 parts.append(data_hash(path))

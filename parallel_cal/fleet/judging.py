@@ -10,12 +10,13 @@ from typing import Any
 
 import numpy as np
 
+from parallel_cal import __version__
 from parallel_cal.base.documents import plain
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.diagnosis.catalogue import new_numbers, not_recorded
 from parallel_cal.diagnosis.diagnose import Diagnosis, diagnose
 from parallel_cal.diagnosis.scene import Scene, columns
-from parallel_cal.fleet.jobs import Asked, Job
+from parallel_cal.fleet.jobs import Asked, FleetError, Job
 from parallel_cal.identification.evidence import Evidence
 from parallel_cal.model.file.modelfile import model_text, parse_model
 from parallel_cal.model.model import Model
@@ -28,7 +29,12 @@ _ONE = Lock()  # CasADi's expressions are not for several threads of a worker
 
 
 def judged(job: Job, asked: Asked, inputs: str, page: Page | None = None) -> tuple[Row, str]:
-    """The row of a recording, and its page where one is wanted; whatever fails is its `reason`."""
+    """The row of a recording, and its page where one is wanted; whatever fails is its `reason`.
+
+    FleetError where another version is asked for than is here: rows would not be comparable.
+    """
+    if asked.version != __version__:
+        raise FleetError(f"parallel_cal is {__version__} there, {asked.version} is asked for")
     row: Row = {"robot": job.robot, "recording": job.recording, "inputs": inputs}
     start, shown = time.monotonic(), ""
     with _ONE:
