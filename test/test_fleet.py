@@ -99,7 +99,7 @@ def test_what_cannot_be_judged_is_a_row_with_its_reason(folder):
 
 
 def test_a_worker_of_another_version_does_nothing(folder):
-    with pytest.raises(FleetError, match="there, 9.9 is asked for"):
+    with pytest.raises(FleetError, match=r"there, 9\.9 is asked for"):
         judged(Job("x", "y", folder / "all.yaml", BAG), Asked(version="9.9"), "0")
 
 
