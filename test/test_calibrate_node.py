@@ -22,7 +22,7 @@ from std_srvs.srv import Trigger
 from parallel_cal.campaign.campaign import FILE
 from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.nodes.calibrate import Calibration
-from parallel_cal.nodes.client import Client, own_domain
+from parallel_cal.nodes.client import Client, NodeError, own_domain
 
 ABORTED, CANCELED = 6, 5
 
@@ -150,6 +150,22 @@ def test_killed_it_goes_on_with_the_samples_that_it_had(desk):
     after = desk.measured()
     assert after[: len(before)] == before
     assert len(set(after)) == len(after)
+
+
+@pytest.mark.wide
+def test_whoever_asked_is_told_that_the_node_was_killed(desk):
+    said = []
+
+    def hear(status):
+        if status.state == "moving" and not said:
+            said.append(status.state)
+            desk.node.end(signal.SIGKILL)
+
+    ended = pytest.raises(NodeError, match="has ended; what was measured is kept")
+    with Calibration(desk.file, desk.namespace) as asked, ended:
+        asked.run(hear, 5.0)
+    desk.node = desk.start()
+    assert not desk.client.call(Trigger, "calibration_node/pause").success  # it is up again
 
 
 @pytest.mark.wide

@@ -24,6 +24,7 @@ from parallel_cal.model.file.modelfile import dump_model, parse_model
 from parallel_cal.model.mechanism import Box
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.session.session import Session
+from parallel_cal.session.steps import Unproven
 
 DONE = ("at_noise", "explained")
 KINDS = ("position", "orientation")
@@ -161,8 +162,10 @@ def concluded(folder: Path, judgement: Judgement) -> Conclusion:
     for effect in judgement.effects:
         try:
             session.add(effect)
+        except Unproven as error:
+            refused.append(f"{effect} not added: {error.against}")
         except FitError as error:
-            refused.append(str(error))
+            refused.append(f"{effect} not added: {error}")
         else:
             added.append(effect)
     words = f"identified{''.join(f', {name} added' for name in added)}"

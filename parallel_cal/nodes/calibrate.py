@@ -77,7 +77,14 @@ class Calibration:
         the node does not answer, or does not take the goal."""
         news = deque[Any]()
         heard = self.client.latest(CalibrationStatus, f"{CALIBRATION}/session_status")
-        self.client.wait(lambda: bool(heard), f"{CALIBRATION}/session_status")
+        topic = f"{CALIBRATION}/session_status"
+        try:
+            self.client.wait(lambda: bool(heard), topic)
+        except NodeError:
+            raise NodeError(
+                f"{CALIBRATION} in {self._namespace or '/'} does not answer: is it running, in "
+                "this ROS domain?"
+            ) from None
         handle = self.client.send_goal(
             Calibrate, f"{CALIBRATION}/calibrate", news.append,
             model_file=str(self._model_file), minutes=minutes, **goal,
@@ -87,10 +94,17 @@ class Calibration:
         future, end = handle.get_result_async(), time.monotonic() + 60 * minutes + LATE
         while not future.done():
             self.client.wait(
-                lambda: bool(future.done() or news or self._interrupted()),
+                lambda: bool(
+                    future.done() or news or self._interrupted() or not self.client.speakers(topic)
+                ),
                 f"word of {CALIBRATION}",
                 end - time.monotonic(),
             )
+            if not self.client.speakers(topic):
+                raise NodeError(
+                    f"{CALIBRATION} has ended; what was measured is kept: start it again, and the "
+                    "same command goes on"
+                )
             while news:
                 hear(news.popleft())
             if self._interrupted():

@@ -131,6 +131,10 @@ class Client:
         names = (self._node.resolve_topic_name(topic.lstrip("/")) for topic in topics)
         return sum(self._node.count_subscribers(name) for name in names)
 
+    def speakers(self, topic: str) -> int:
+        """How many publishers there are; one that was killed counts for some twenty seconds."""
+        return self._node.count_publishers(self._node.resolve_topic_name(topic))
+
     def latest(self, type: Any, topic: str) -> list[Any]:
         """A list that holds the newest message of a latched topic as soon as there is one."""
         newest: list[Any] = []

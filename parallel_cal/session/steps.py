@@ -126,10 +126,18 @@ def removed(
     return _step("remove", result, _judged(found, force), with_it, effect)
 
 
+class Unproven(FitError):
+    """What speaks `against` a step on which nobody insisted."""
+
+    def __init__(self, against: str) -> None:
+        super().__init__(f"{against}; nothing was written. --force to write it all the same")
+        self.against = against
+
+
 def _judged(found: Acceptance, force: bool) -> Acceptance:
     """The same; FitError where something speaks against the new model, and nobody insists."""
     if found.against and not force:
-        raise FitError(f"{found.against}; nothing was written. --force to write it all the same")
+        raise Unproven(found.against)
     return found
 
 
