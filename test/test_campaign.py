@@ -222,6 +222,19 @@ def test_a_frame_that_gives_and_warm_parts_are_both_found_with_no_more_load_than
     assert max(target.conditions.get("payload", 0.0) for target in one.targets) == 1.0
 
 
+@pytest.mark.slow
+def test_it_does_not_measure_on_for_what_no_pose_in_the_workspace_tells(tmp_path):
+    """Over half a turn of the arms one wave a turn and two are nearly one."""
+    one = Campaign(tmp_path, TEXT, Goal(100), SimulatedCell("delta", 2, ["eccentricity"]))
+    outcome = one.run()
+    last = one.judgements[-1]
+    assert outcome.success, outcome.message
+    assert outcome.samples < 80
+    assert "encoder_eccentricity" in {*last.effects, *last.doubt}
+    assert last.doubt
+    assert "poses do not tell" in outcome.message
+
+
 def test_where_the_better_model_sees_it_outside_the_robot_goes_home_by_the_one_before(tmp_path):
     home, narrow = DELTA.mechanism.home.joints, parse_model(TEXT)
     middle = Kinematics(narrow).direct(home).position

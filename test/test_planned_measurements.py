@@ -7,7 +7,7 @@ import pytest
 from findings import travel
 from settling import DOUBTS, settled
 
-from parallel_cal.diagnosis.separate import Sigmas, told_apart
+from parallel_cal.diagnosis.separate import told_apart
 from parallel_cal.model.model import Noise, new_model
 from parallel_cal.planning.course import Course
 from parallel_cal.planning.plan import plan
@@ -61,14 +61,6 @@ def test_advice_is_for_the_pair_that_is_in_doubt():
     assert told_apart("base_drift", "thermal_expansion") == told_apart(
         "thermal_expansion", "base_drift"
     )
-
-
-def test_poses_that_add_little_tell_no_more_however_many_there_are():
-    """Eight raise 3 sigmas to 4: squares grow by 7, and pass those of five sigmas at 19 poses."""
-    sigmas = Sigmas(3.0, 4.0)
-    assert not sigmas.tell(16 / 8)
-    assert sigmas.tell(24 / 8)
-    assert not Sigmas(3.0, 3.0).tell(100)
 
 
 @pytest.mark.wide

@@ -13,6 +13,7 @@ from parallel_cal.campaign.way import Guard, WayError
 from parallel_cal.diagnosis.catalogue import Candidate
 from parallel_cal.diagnosis.diagnose import Diagnosis
 from parallel_cal.diagnosis.separate import doubts, settling, strengthening
+from parallel_cal.diagnosis.thresholds import APART
 from parallel_cal.planning.approach import approaches, controlled
 from parallel_cal.planning.plan import equations_a_pose, plan
 from parallel_cal.planning.posepool import Pool, make_pool
@@ -110,8 +111,11 @@ def next_targets(
     may = {name: ends(so_far[name], by) for name, by in changes.items() if by and name in so_far}
     payloads, untold = may.get("payload", tuple(so_far.get("payload", ())[-1:])), list[str]()
     for doubt in doubts(found.best, rivals(found), found.ranked):
-        telling = settling(doubt, so_far, seed, (n,), (1.0,), guard.allowed, payloads)
-        if telling is None or not telling.sigmas.tell(left / n):
+        telling, last = (
+            settling(doubt, so_far, seed, (size,), (1.0,), guard.allowed, payloads)
+            for size in (n, left)
+        )
+        if telling is None or last is None or last.sigmas.then < APART:
             untold += [doubt.effect, doubt.rival]
             continue
         purpose = f"to tell {' from '.join(telling.separates)}"

@@ -10,7 +10,7 @@ import numpy as np
 from parallel_cal.base.errors import FitError, ModelError
 from parallel_cal.diagnosis.catalogue import Candidate, recorded
 from parallel_cal.diagnosis.search import Chosen, Trial
-from parallel_cal.diagnosis.thresholds import APART, FEW_SETTINGS, POOL, POSES, REACHES, SETTLED
+from parallel_cal.diagnosis.thresholds import FEW_SETTINGS, POOL, POSES, REACHES, SETTLED
 from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.observations import Observations, conditions
 from parallel_cal.model.model import Model, Noise
@@ -43,11 +43,6 @@ class Sigmas:
 
     now: float
     then: float
-
-    def tell(self, times: float) -> bool:
-        """Whether so many times as many such poses may tell the two apart: squares grow with the
-        poses, and more slowly the more there are."""
-        return self.now**2 + times * (self.then**2 - self.now**2) > APART**2
 
 
 @dataclass(frozen=True)
