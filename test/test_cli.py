@@ -130,8 +130,8 @@ def test_help_names_the_commands_that_exist_and_no_other():
     assert listed == [
         "new", "mechanisms", "effects", "sensors", "direct", "inverse", "info", "import",
         "import-csv", "simulate", "replay", "fit", "compare", "add", "remove", "diagnose", "report",
-        "export", "export-residuals", "short-cut", "plan", "calibrate", "workbench", "fleet", "demo",
-        "bench", "session",
+        "export", "export-residuals", "short-cut", "plan", "calibrate", "workbench", "fleet",
+        "demo", "bench", "session",
     ]  # fmt: skip
 
 
