@@ -101,6 +101,16 @@ def test_a_way_between_two_poses_of_the_workspace_is_one_line():
     assert [stop.tolist() for stop in Guard.of(DELTA).way(a, [b])] == [a.tolist(), b.tolist()]
 
 
+def test_a_joint_does_not_end_after_a_way_that_its_play_swallows():
+    guard, here = Guard.of(DELTA), joints_at(0.0, 0.0, 0.2)
+    least = 5e-4 * DELTA.mechanism.joint_ranges[0]
+    there = here + [0.1, -least / 5, 0.0]
+    away, last = guard.drawn_out(here, [there])
+    assert (last == there).all()
+    assert away == pytest.approx([here[0], there[1] + least, here[2]])
+    assert guard.drawn_out(here, [here + 0.1]) == [pytest.approx(here + 0.1)]
+
+
 def test_no_way_leads_to_joints_outside_their_limits():
     low, high = DELTA.mechanism.joint_limits[0]
     beyond = joints_at(0, 0, 0.2) + np.array([high, 0, 0])

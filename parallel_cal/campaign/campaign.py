@@ -11,6 +11,7 @@ import json
 import os
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -259,7 +260,7 @@ class Campaign:
         self._bring_about(target.conditions)
         here, stops = self._cell.joints(), [np.array(q) for q in (*target.via, target.joints)]
         try:
-            way = self._guard.way(here, stops)
+            way = self._way(here, stops)
         except WayError as error:
             if self._guard.trouble(here[None]):
                 raise
@@ -274,6 +275,12 @@ class Campaign:
         self._checker.check(sample.dataset, stops[-1], self._last)
         self._write(target=k, sample=sample.dataset, start_ns=sample.start_ns)
         self.samples[k] = sample
+
+    def _way(self, here: np.ndarray, stops: list[np.ndarray]) -> list[np.ndarray]:
+        """Past the joints' play where that may be driven."""
+        with suppress(WayError):
+            return self._guard.way(here, self._guard.drawn_out(here, stops))
+        return self._guard.way(here, stops)
 
     def _bring_about(self, conditions: Mapping[str, float]) -> None:
         """Ask a person for what is not so yet."""

@@ -22,6 +22,7 @@ from parallel_cal.planning.posepool import CLEARANCE
 FINE = 1 / 100  # of a joint's range between two points that are looked at
 BEYOND = 0.02  # of the workspace's size: a way between poses on its face may bulge so far
 ALONG = 9  # points on each line of the robot's picture that are held against the boxes
+PLAY = 5e-4  # of a joint's range: a shorter way after it has turned need not move what it drives
 UP_TO = np.linspace(0.0, 1.0, ALONG)[:, None]
 
 
@@ -57,6 +58,17 @@ class Guard:
                 raise WayError(f"{words} {share:.0%} along the way")
             found += [home, b]
         return found
+
+    def drawn_out(self, start: np.ndarray, stops: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """The same stops with one more before the last where a joint would end there after a way
+        that its play swallows: it comes from further away, on the same side."""
+        *before, last = [start, *stops]
+        step, least = last - before[-1], PLAY * self.model.mechanism.joint_ranges
+        short = (step != 0) & (np.abs(step) < least)
+        if not short.any():
+            return list(stops)
+        away = np.where(short, last - np.sign(step) * least, before[-1])
+        return [*before[1:], away, last]
 
     def points(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """Joints (n, nq) along the straight way from one to the other."""
