@@ -6,6 +6,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 
 import fleets
 import numpy as np
@@ -217,7 +218,8 @@ def test_a_killed_scheduler_costs_no_row_that_was_done(tmp_path):
 
 @pytest.mark.wide
 def test_ctrl_c_and_kill_keep_the_rows_that_were_done(tmp_path):
-    fleet = fleets.written(tmp_path / "fleet", vf.drawn(2), 3, n_poses=24, n_replicates=4)
+    # So many that it cannot be done before it is told to end.
+    fleet = fleets.written(tmp_path / "fleet", vf.drawn(6), 3, n_poses=24, n_replicates=4)
     words = ["fleet", str(fleet), "-o", str(tmp_path / "out"), "--workers", "1"]
     command = [sys.executable, "-m", "parallel_cal.cli", *words, "--effect", "backlash"]
     recordings = tmp_path / "out" / "recordings"
@@ -225,7 +227,7 @@ def test_ctrl_c_and_kill_keep_the_rows_that_were_done(tmp_path):
         before = len(list(recordings.glob("*.json")))
         process = subprocess.Popen(command, stderr=subprocess.PIPE, start_new_session=True)
         while len(list(recordings.glob("*.json"))) == before and process.poll() is None:
-            os.sched_yield()
+            time.sleep(0.01)
         os.killpg(process.pid, how)
         said = process.communicate()[1].decode()
         assert process.returncode == code, said
@@ -233,7 +235,7 @@ def test_ctrl_c_and_kill_keep_the_rows_that_were_done(tmp_path):
         assert len(list(recordings.glob("*.json"))) > before
     done = subprocess.run([*command, "--json"], capture_output=True, text=True, check=True)
     document = json.loads(done.stdout)
-    assert (document["recordings"], document["failed"]) == (6, [])
+    assert (document["recordings"], document["failed"]) == (18, [])
 
 
 @pytest.mark.wide
