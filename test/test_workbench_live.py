@@ -59,7 +59,7 @@ def test_the_loop_on_nodes_that_the_workbench_starts(tmp_path):
             page.get_by_role("button", name="Save", exact=True).click()
             page.locator("#served").get_by_text("(backlash)").wait_for()
             page.locator("#served").get_by_text("the model of this state").wait_for()
-            page.get_by_role("spinbutton", name="poses").fill("8")
+            page.get_by_role("spinbutton", name="poses", exact=True).fill("8")
             page.get_by_role("button", name="Plan", exact=True).click()
             page.get_by_role("figure", name="planned poses").wait_for()
             page.get_by_role("button", name="Send to the robot").click()

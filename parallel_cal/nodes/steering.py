@@ -51,6 +51,10 @@ class Steering:
         self._need(client.service_is_ready())
         client.call_async(request)
 
+    def close(self) -> None:
+        """An action's client that outlives its context ends the process with a fault."""
+        self._goal.destroy()
+
     def _need(self, there: bool) -> None:
         if not there:
             raise NodeError(f"{CALIBRATION} does not answer: is it running?")

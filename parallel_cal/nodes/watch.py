@@ -87,8 +87,10 @@ class Watch:
     def close(self) -> None:
         """Listen no more, and end what was started."""
         self._executor.shutdown(timeout_sec=1.0)
-        rclpy.try_shutdown(context=self._context)
         self._thread.join(2.0)
+        self._robot.close()
+        self._node.destroy_node()
+        rclpy.try_shutdown(context=self._context)
         while self._processes:
             self._processes.pop().end()
 
