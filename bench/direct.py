@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from timing import Row, seconds_each, show
+from timing import Row, processor_each, show
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "test"))
 from parallel_cal.base.compiled import Batch, Single, compiled
@@ -82,24 +82,24 @@ def buffer_rows(model: Model, problem: str, name: str, given: np.ndarray) -> lis
     functions = newton_functions(model.structure, problem)
     k = Single(functions.tables)(model.values)[0]
     rows = []
-    for label, f in (
-        ("virtual machine", functions.solve),
-        ("compiled C", compiled(functions.solve)),
+    for label, f, batch in (
+        ("virtual machine", functions.solve, Batch(functions.solve)),
+        ("compiled C", compiled(functions.solve), Batch(functions.solve, compile=True)),
     ):
-        single, batch = Single(f), Batch(f)
+        single = Single(f)
         arguments = (given[0], np.zeros(0), k)
         single(*arguments)
-        rows.append(Row(f"{name}, {label}, buffer", seconds_each(single._evaluate)))
+        rows.append(Row(f"{name}, {label}, buffer", processor_each(single.evaluate)))
         many = (given, np.zeros((len(given), 0)), k)
-        seconds = seconds_each(lambda b=batch, a=many: b(*a), least=3) / len(given)
+        seconds = processor_each(lambda b=batch, a=many: b(*a), least=3) / len(given)
         rows.append(Row(f"{name}, {label}, batch of {len(given)}", seconds))
     return rows
 
 
 def public_rows(kinematics: Kinematics, q: np.ndarray, r: np.ndarray, name: str) -> list[Row]:
     return [
-        Row(f"{name} direct, public call", seconds_each(lambda: kinematics.direct(q))),
-        Row(f"{name} inverse, public call", seconds_each(lambda: kinematics.inverse(r))),
+        Row(f"{name} direct, public call", processor_each(lambda: kinematics.direct(q))),
+        Row(f"{name} inverse, public call", processor_each(lambda: kinematics.inverse(r))),
     ]
 
 
@@ -124,14 +124,14 @@ def main() -> None:
             peer = fsolve_peer(newton, q[0], start[0])
             assert np.abs(peer()[:3] - r[0]).max() < 1e-8
             rows += [
-                Row("delta54 direct, scipy fsolve", seconds_each(peer, least=50)),
+                Row("delta54 direct, scipy fsolve", processor_each(peer, least=50)),
                 Row(
                     "delta54 direct, NumPy Newton single",
-                    seconds_each(lambda: newton.solve(q[:1], start[:1])),
+                    processor_each(lambda: newton.solve(q[:1], start[:1])),
                 ),
                 Row(
                     f"delta54 direct, NumPy Newton batch of {N}",
-                    seconds_each(lambda: newton.solve(q, start), least=2) / N,
+                    processor_each(lambda: newton.solve(q, start), least=2) / N,
                 ),
             ]
     show("Direct and inverse problem", rows)

@@ -14,7 +14,8 @@ from std_srvs.srv import Trigger
 from timing import Row, show
 from trajectory_msgs.msg import JointTrajectory
 
-from parallel_cal.nodes.calibrate import CALIBRATION, Calibration
+from parallel_cal.nodes.calibrate import Calibration
+from parallel_cal.nodes.client import CALIBRATION
 
 TIMES, MOVING = 10, 0.05  # rad/s
 

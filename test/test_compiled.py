@@ -57,6 +57,33 @@ def test_very_many_samples_are_linearised_by_machine_code_with_the_same_result(
     np.testing.assert_allclose(after.jacobian, before.jacobian, rtol=1e-12, atol=1e-9)
 
 
+@pytest.mark.parametrize("unturned", [False, True], ids=["all measured", "without orientation"])
+def test_a_jacobian_too_large_to_hold_is_computed_anew_with_the_same_result(unturned, monkeypatch):
+    model = new_model("delta54")
+    observations = samples(model, 50)
+    observations.measured[::2, 6:] = not unturned
+    monkeypatch.setattr(linearisation, "BLOCK", 16)
+    held = linearised(model, observations)
+    monkeypatch.setattr(linearisation, "HELD", 0)
+    streamed = linearised(model, observations)
+    assert isinstance(streamed, linearisation.Streamed)
+    step = 1e-2 * model.table.tolerance[~model.fixed]
+    for ours, theirs in (
+        (streamed.residual, held.residual),
+        (streamed.informative, held.informative),
+        (streamed.adjusted(step), held.adjusted(step)),
+        (streamed.jacobian, held.jacobian),
+    ):
+        np.testing.assert_array_equal(ours, theirs)
+    columns = held.columns
+    for ours, theirs in (
+        (streamed.normal, columns.T @ columns),
+        (streamed.triangle.T @ streamed.triangle, columns.T @ columns),
+        (streamed.gradient, columns.T @ held.residual.ravel()),
+    ):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-12 * np.abs(theirs).max())
+
+
 def test_without_a_compiler_very_many_samples_take_the_virtual_machine(tmp_path, monkeypatch):
     monkeypatch.setenv("PARALLEL_CAL_COMPILE", "never")
     model = new_model("delta24", effects=["backlash"])
@@ -105,6 +132,39 @@ def squared():
     return ca.Function("squared", [x], [x**2])
 
 
+@pytest.mark.parametrize("compile", [False, True], ids=["virtual machine", "machine code"])
+@pytest.mark.parametrize("n", [1, 16, 37, 517, 1100])
+def test_a_sample_is_the_same_to_the_last_bit_whatever_is_computed_beside_it(
+    n, compile, tmp_path, monkeypatch
+):
+    x, k = ca.SX.sym("x", 3), ca.SX.sym("k", 2)
+    function = ca.Function("some", [x, k], [ca.sin(x * k[0]) * x + k[1], ca.sqrt(ca.sumsqr(x))])
+    one = compiled.Single(compiled.compiled(function) if compile else function)
+    given, known = np.random.default_rng(n).standard_normal((n, 3)), np.array([1.3, -0.2])
+    expected = [np.array(out) for out in zip(*(one(row, known) for row in given), strict=True)]
+    batch = compiled.Batch(function, compile)
+    monkeypatch.setattr(compiled, "SPREAD", 100)
+    for cores in ("1", "3"):
+        monkeypatch.setenv("OMP_NUM_THREADS", cores)
+        for values, constant in (
+            (given, known),
+            (np.asfortranarray(given), np.tile(known, (n, 1))),
+        ):
+            for array, out in zip(batch(values, constant), expected, strict=True):
+                np.testing.assert_array_equal(array, out)
+    assert len(list(tmp_path.rglob("*.so"))) == compile
+
+
+def test_a_batch_leaves_what_it_was_given_and_what_it_gave_before():
+    x = ca.SX.sym("x", 2)
+    batch = compiled.Batch(ca.Function("twice", [x], [2 * x]))
+    given = np.arange(2e3).reshape(-1, 2)
+    given.setflags(write=False)
+    (before,) = batch(given)
+    batch(given + 1)
+    np.testing.assert_array_equal(before, 2 * given)
+
+
 @pytest.mark.parametrize(
     "spoiled",
     [unwritable, of_somebody_else, without_a_home, from_another_machine, with_a_failing_compiler],
@@ -116,6 +176,8 @@ def test_where_machine_code_cannot_be_had_the_virtual_machine_serves_in_silence(
     function = compiled.compiled(squared())
     assert function.class_name() == "SXFunction"
     np.testing.assert_array_equal(np.array(function([3, 4])).ravel(), [9, 16])
+    (many,) = compiled.Batch(squared(), compile=True)(np.full((600, 2), [3.0, 4.0]))
+    np.testing.assert_array_equal(many, np.full((600, 2), [9.0, 16.0]))
     assert capfd.readouterr() == ("", "")
 
 

@@ -101,6 +101,16 @@ def test_pose_covariance_is_the_spread_of_answers_over_parameter_draws(mock_up):
     assert np.sqrt(np.diag(np.cov(pose.T))) == pytest.approx(np.sqrt(np.diag(predicted)), rel=0.12)
 
 
+def test_the_covariance_of_many_answers_is_that_of_each(mock_up):
+    model = mock_up.model
+    uncertain = Kinematics(model.with_values(model.values, 1e-10 * np.eye(54)))
+    found = uncertain.direct([[0.5, 0.55, 0.6], [0.7, 0.2, 0.4]])
+    for covariance in (uncertain.direct_covariance, uncertain.inverse_covariance):
+        assert covariance(found) == pytest.approx(np.array([covariance(one) for one in found]))
+    at = {"temperature": 30.0}
+    assert uncertain.direct_covariance(found[:1], at).shape == (1, 6, 6)
+
+
 def test_covariance_of_both_problems_holds_for_what_an_identification_left_uncertain():
     """Its parameters are known together, forty times better than each alone would suggest."""
     known = fit(new_model("delta54"), measured(1), hold_out=0).model

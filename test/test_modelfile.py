@@ -226,9 +226,9 @@ def test_a_text_that_would_break_a_parser_is_refused_before_it_does(text, words)
 def test_what_is_no_plain_file_of_a_sane_size_is_not_waited_for(tmp_path):
     pipe, large = tmp_path / "pipe", tmp_path / "large"
     os.mkfifo(pipe)
-    large.write_bytes(b"#" * ((16 << 20) + 1))
+    large.write_bytes(b"#" * ((4 << 20) + 1))
     for path, words in ((pipe, "not a regular file"), ("/dev/zero", "not a regular file"),
-                        (large, "more than 16 MB"), (tmp_path, "Is a directory")):  # fmt: skip
+                        (large, "more than 4 MB"), (tmp_path, "Is a directory")):  # fmt: skip
         with pytest.raises(ModelFileError, match=f"cannot be read: .*{words}"):
             read_model(path)
 

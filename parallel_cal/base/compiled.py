@@ -15,95 +15,131 @@ from threading import Lock
 import casadi as ca
 import numpy as np
 
+from parallel_cal.base.files import cache_folder
+
 log = logging.getLogger(__name__)
 
+MANY = 512  # samples that one call of compiled code takes
+SPREAD = 10_000  # samples that are worth a core of their own
 LARGE = 10_000  # instructions: looking for common ones would take longer than it saves
-# Without the last one CasADi's x * x and |x| stay calls of functions that others might replace.
-FLAGS = ("-O2", "-fPIC", "-shared", "-fno-semantic-interposition")
+# Without `interposition` CasADi's x * x and |x| stay calls of functions that others might replace.
+# Without `contract` a loop may round a product differently from the same code outside it.
+FLAGS = ("-O2", "-fPIC", "-shared", "-fno-semantic-interposition", "-ffp-contract=off")
 
 
 class Single:
-    """A function of vectors, called through one buffer: microseconds a call, thread-safe."""
+    """A function of vectors, called through one buffer: microseconds a call, thread-safe.
+
+    Whoever holds the `lock` may fill the `arguments` and `evaluate` into the `results` in place.
+    """
 
     def __init__(self, function: ca.Function):
-        self._buffer, self._evaluate = function.buffer()
-        self._lock = Lock()
-        self._in = [np.zeros(function.numel_in(i)) for i in range(function.n_in())]
-        self._out = [np.zeros(function.numel_out(i)) for i in range(function.n_out())]
-        for i, array in enumerate(self._in):
+        self._buffer, self.evaluate = function.buffer()
+        self.lock = Lock()
+        self.arguments = [np.zeros(function.numel_in(i)) for i in range(function.n_in())]
+        self.results = [np.zeros(function.numel_out(i)) for i in range(function.n_out())]
+        for i, array in enumerate(self.arguments):
             self._buffer.set_arg(i, array.data)
-        for i, array in enumerate(self._out):
+        for i, array in enumerate(self.results):
             self._buffer.set_res(i, array.data)
 
     def __call__(self, *arguments: np.ndarray | Sequence[float]) -> list[np.ndarray]:
         """Outputs as flat arrays (column-major where the function returns a matrix)."""
-        with self._lock:
-            for array, argument in zip(self._in, arguments, strict=True):
+        with self.lock:
+            for array, argument in zip(self.arguments, arguments, strict=True):
                 array[:] = argument
-            self._evaluate()
-            return [array.copy() for array in self._out]
+            self.evaluate()
+            return [array.copy() for array in self.results]
 
 
 class Batch:
     """A function of vectors evaluated on N samples: (N, size) arrays in and out.
 
-    Samples go through buffers of fixed sizes, made once: nothing is built or converted for
-    a new N, and memory beyond the results stays small.
+    Samples go through functions of fixed sizes, made once, where they lie: nothing is built,
+    copied or converted for a new N. Very many are spread over the cores; each is computed by
+    itself, so how many there are changes no bit.
     """
 
-    SIZES = (512, 16)
+    SIZES = (MANY, 16)
 
-    def __init__(self, function: ca.Function):
-        self._function = function
-        self._chunks: dict[tuple[int, tuple[int, ...]], _Chunk] = {}
+    def __init__(self, function: ca.Function, compile: bool = False):
+        self.function = compiled(function) if compile else function
+        self._many = _many(function) if compile else None
+        self._chunks: dict[tuple[int, int, tuple[int, ...]], _Chunk] = {}
         self._lock = Lock()
 
     def __call__(self, *arguments: np.ndarray) -> list[np.ndarray]:
         """Each argument (N, size), or (size,) to be the same for all samples."""
-        f = self._function
-        n = next(len(a) for a in arguments if np.ndim(a) == 2)
-        shared = tuple(i for i, a in enumerate(arguments) if np.ndim(a) == 1)
-        out = [np.empty((n, f.numel_out(i))) for i in range(f.n_out())]
-        begin = 0
+        given = [np.ascontiguousarray(a, dtype=float) for a in arguments]
+        n = next(len(a) for a in given if a.ndim == 2)
+        room = -(-n // self.SIZES[-1]) * self.SIZES[-1]
+        out = [np.empty((room, self.function.numel_out(i))) for i in range(self.function.n_out())]
         with self._lock:
-            while begin < n:
-                size = next((s for s in self.SIZES if n - begin >= s), self.SIZES[-1])
-                self._chunk(size, shared)(arguments, out, begin, min(begin + size, n))
-                begin += size
-        return out
+            cores = min(_cores(), n // SPREAD)
+            if cores < 2:
+                self._part(0, given, out, 0, n)
+            else:
+                from concurrent.futures import ThreadPoolExecutor
 
-    def _chunk(self, size: int, shared: tuple[int, ...]) -> _Chunk:
-        if (size, shared) not in self._chunks:
-            self._chunks[size, shared] = _Chunk(self._function, size, shared)
-        return self._chunks[size, shared]
+                share = -(-n // (cores * self.SIZES[0])) * self.SIZES[0]
+                with ThreadPoolExecutor(cores) as pool:
+                    parts = [
+                        pool.submit(self._part, i, given, out, begin, min(begin + share, n))
+                        for i, begin in enumerate(range(0, n, share))
+                    ]
+                for part in parts:
+                    part.result()
+        return [array[:n] for array in out]
+
+    def _part(
+        self, core: int, given: list[np.ndarray], out: list[np.ndarray], begin: int, end: int
+    ) -> None:
+        """The samples from `begin` to `end`, through this core's own buffers."""
+        shared = tuple(i for i, a in enumerate(given) if a.ndim == 1)
+        while begin < end:
+            size = next((s for s in self.SIZES if end - begin >= s), self.SIZES[-1])
+            key = core, size, shared
+            if key not in self._chunks:
+                self._chunks[key] = _Chunk(self._mapped(size, shared))
+            rows = [a if a.ndim == 1 else _rows(a, begin, size) for a in given]
+            self._chunks[key](rows, [a[begin : begin + size] for a in out])
+            begin += size
+
+    def _mapped(self, size: int, shared: tuple[int, ...]) -> ca.Function:
+        """The function of so many samples at once."""
+        f = self.function
+        if self._many is not None and (size, shared) == (MANY, (f.n_in() - 1,)):
+            return self._many
+        return f.map(f"many{size}", "serial", size, list(shared), [])
 
 
 class _Chunk:
-    """A fixed number of samples in one call."""
+    """A function called on arrays where they lie."""
 
-    def __init__(self, function: ca.Function, size: int, shared: tuple[int, ...]):
-        mapped = function.map(f"many{size}", "serial", size, list(shared), [])
-        self._buffer, self._evaluate = mapped.buffer()
-        rows = [1 if i in shared else size for i in range(function.n_in())]
-        self._in = [np.zeros((rows[i], function.numel_in(i))) for i in range(function.n_in())]
-        self._out = [np.zeros((size, function.numel_out(i))) for i in range(function.n_out())]
-        for i, array in enumerate(self._in):
+    def __init__(self, function: ca.Function):
+        self._buffer, self._evaluate = function.buffer()
+
+    def __call__(self, given: list[np.ndarray], out: list[np.ndarray]) -> None:
+        for i, array in enumerate(given):
             self._buffer.set_arg(i, array.reshape(-1).data)
-        for i, array in enumerate(self._out):
+        for i, array in enumerate(out):
             self._buffer.set_res(i, array.reshape(-1).data)
-
-    def __call__(
-        self, arguments: Sequence[np.ndarray], out: Sequence[np.ndarray], begin: int, end: int
-    ) -> None:
-        n = end - begin
-        for array, argument in zip(self._in, arguments, strict=True):
-            if np.ndim(argument) == 1:
-                array[0] = argument
-            else:
-                array[:n] = argument[begin:end]  # rows beyond n hold old samples: harmless
         self._evaluate()
-        for array, result in zip(self._out, out, strict=True):
-            result[begin:end] = array[:n]
+
+
+def _rows(array: np.ndarray, begin: int, size: int) -> np.ndarray:
+    """`size` rows from `begin`, with zeros where the array ends before."""
+    rows = array[begin : begin + size]
+    if len(rows) == size:
+        return rows
+    padded = np.zeros((size, array.shape[1]))
+    padded[: len(rows)] = rows
+    return padded
+
+
+def _cores() -> int:
+    """How many threads may compute: as with every library, the variable says so, or the system."""
+    return int(os.environ.get("OMP_NUM_THREADS") or len(os.sched_getaffinity(0)))
 
 
 def dense(name: str, inputs: Sequence[ca.SX], outputs: Sequence[ca.SX]) -> ca.Function:
@@ -116,17 +152,32 @@ def dense(name: str, inputs: Sequence[ca.SX], outputs: Sequence[ca.SX]) -> ca.Fu
 
 def compiled(function: ca.Function) -> ca.Function:
     """The function as machine code from the cache or the C compiler; itself without one."""
+    return _external(function, function)
+
+
+def _many(function: ca.Function) -> ca.Function:
+    """It for many samples at once, from the same library; the last argument is theirs together."""
+    return _external(function, _repeated(function))
+
+
+def _repeated(function: ca.Function) -> ca.Function:
+    name = f"{function.name()}_many"
+    return function.map(name, "serial", MANY, [function.n_in() - 1], [])
+
+
+def _external(function: ca.Function, wanted: ca.Function) -> ca.Function:
+    """What is wanted of the function's library; itself where none can be had."""
     if os.environ.get("PARALLEL_CAL_COMPILE") == "never":
-        return function
+        return wanted
     try:
-        library = _cache_folder() / f"{_fingerprint(function)}.so"
+        library = cache_folder() / f"{_fingerprint(function)}.so"
         if not library.exists():
             _compile(function, library)
-        return ca.external(function.name(), str(library))
+        return ca.external(wanted.name(), str(library))
     except (OSError, RuntimeError, subprocess.SubprocessError) as error:
         # No compiler, no home, no right, a cache from another machine.
-        log.info("no compiled code for %s (%s); CasADi's virtual machine serves", function, error)
-        return function
+        log.info("no compiled code for %s (%s); CasADi's virtual machine serves", wanted, error)
+        return wanted
 
 
 def _compile(function: ca.Function, library: Path) -> None:
@@ -138,6 +189,7 @@ def _compile(function: ca.Function, library: Path) -> None:
         # CasADi writes its C file into the given folder; the name carries no directory.
         code = ca.CodeGenerator("code.c")
         code.add(function)
+        code.add(_repeated(function))  # a loop over the same code
         code.generate(f"{folder}{os.sep}")
         built = Path(folder, "code.so")
         command = [compiler, *FLAGS, f"{folder}/code.c", "-o", str(built), "-lm"]
@@ -148,8 +200,3 @@ def _compile(function: ca.Function, library: Path) -> None:
 def _fingerprint(function: ca.Function) -> str:
     text = f"{ca.__version__} {os.uname().machine} {FLAGS} {function.serialize()}"
     return hashlib.sha256(text.encode()).hexdigest()[:32]
-
-
-def _cache_folder() -> Path:
-    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base) / "parallel_cal"

@@ -19,6 +19,10 @@ class DatasetError(ParallelCalError):
     """No usable samples can be made from a recording or a saved sample file."""
 
 
+class UnfitError(DatasetError):
+    """No samples will ever be made of what is recorded, however much more of it comes."""
+
+
 class ModelFileError(ParallelCalError):
     """A model file cannot be read or written: unknown key, wrong unit, implausible value."""
 

@@ -5,18 +5,22 @@ from __future__ import annotations
 import contextlib
 import errno
 import fcntl
+import hashlib
 import json
 import os
 import stat
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 MEGABYTE = 1 << 20
+PREVIOUS = ".previous"  # behind the name of a file that was replaced
 
 
-def read_text(path: str | Path, most: int = 16 * MEGABYTE, encoding: str = "utf-8") -> str:
+def read_text(
+    path: str | Path, most: int = 16 * MEGABYTE, encoding: str = "utf-8", errors: str = "strict"
+) -> str:
     """The text of a regular file of at most `most` bytes.
 
     A pipe or a device would be waited for, or never end: OSError for one, and for a file that is
@@ -32,20 +36,21 @@ def read_text(path: str | Path, most: int = 16 * MEGABYTE, encoding: str = "utf-
     if len(content) > most:
         words = f"it has more than {most // MEGABYTE} MB"
         raise OSError(errno.EFBIG, words, str(path))
-    return content.decode(encoding)
+    return content.decode(encoding, errors)
 
 
-def write_atomically(path: str | Path, text: str) -> None:
+def write_atomically(path: str | Path, text: str, like: str | Path | None = None) -> None:
     """Replace a file in one step: a reader, or a power cut, sees the old or the new text.
 
-    Permission bits of an existing file stay, and a symbolic link keeps pointing where it did;
-    OSError, with the file's own name, where the folder cannot be written.
+    Permission bits of an existing file stay, or are those of the file `like`, and a symbolic link
+    keeps pointing where it did; OSError, with the file's own name, where the folder cannot be
+    written.
     """
     target = Path(path).resolve()
     if target.exists() and not target.is_file():
         raise OSError(errno.EINVAL, "it is not a regular file", str(path))
     try:
-        _replace(target, text)
+        _replace(target, text, _permissions(Path(like or target)))
     except OSError as error:  # it names the part that nobody asked for
         raise OSError(error.errno, error.strerror, str(path)) from None
     _sync_folder(target.parent)
@@ -81,22 +86,44 @@ def append_lines(file: int, lines: Iterable[str]) -> None:
 
 
 def json_lines(path: str | Path, most: int) -> Iterator[dict[str, Any]]:
-    """What can be read of a file of JSON objects, one a line: a crash may have cut off its last."""
-    for line in read_text(path, most).splitlines():
+    """What can be read of a file of JSON objects, one a line: a crash may have cut off its last, or
+    left there what is no text."""
+    for line in read_text(path, most, errors="replace").splitlines():
         with contextlib.suppress(json.JSONDecodeError):
             said = json.loads(line)
-            if isinstance(said, dict):
+            if isinstance(said, dict) and "\ufffd" not in line:
                 yield said
 
 
-def _replace(target: Path, text: str) -> None:
+def cache_folder() -> Path:
+    """Where things lie that can be made again."""
+    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(base) / "parallel_cal"
+
+
+def kept(sources: Iterable[Path], make: Callable[[], Any]) -> Any:
+    """What `make` gives, a JSON document; or gave when these files had these names and contents."""
+    digest = hashlib.sha256()
+    for path in sources:
+        digest.update(f"{path.name}\0".encode() + path.read_bytes())
+    name = f"{digest.hexdigest()[:32]}.json"
+    with contextlib.suppress(OSError, RuntimeError, ValueError):  # not yet, no home, no document
+        return json.loads(read_text(cache_folder() / name))
+    document = make()
+    with contextlib.suppress(OSError, RuntimeError):
+        cache_folder().mkdir(parents=True, exist_ok=True)
+        write_atomically(cache_folder() / name, json.dumps(document))
+    return document
+
+
+def _replace(target: Path, text: str, permissions: int) -> None:
     handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".part")
     try:
         with os.fdopen(handle, "w", encoding="utf-8", newline="") as stream:
             stream.write(text)
             stream.flush()
             os.fsync(stream.fileno())
-        os.chmod(name, _permissions(target))
+        os.chmod(name, permissions)
         os.replace(name, target)
     except BaseException:
         with contextlib.suppress(FileNotFoundError):

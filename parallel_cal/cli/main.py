@@ -3,40 +3,31 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from importlib import import_module
 from typing import Annotated
 
 import typer
 
 from parallel_cal import __version__
 from parallel_cal.base.errors import ParallelCalError
-from parallel_cal.cli import (
-    calibrating,
-    calibration,
-    diagnosing,
-    exporting,
-    fleet,
-    importing,
-    kinematics,
-    models,
-    planning,
-    recordings,
-    reporting,
-    session,
-    short_cut,
-    showing,
-    workbench,
-)
 from parallel_cal.reporting import console
 
-app = typer.Typer(
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,  # rich would double the start-up time
-    pretty_exceptions_enable=False,
-    help="Kinematic calibration of parallel robots: compare the model with measurements, see "
-    "where it fails, add the missing effect, watch the error fall. All values are SI.",
-)
+# where a command lives: a module of this folder, and its function where that is called otherwise
+COMMANDS = {
+    "new": "models", "mechanisms": "models", "effects": "models", "sensors": "models",
+    "direct": "kinematics", "inverse": "kinematics",
+    "info": "recordings", "import": "importing:import_", "import-csv": "recordings",
+    "simulate": "recordings", "replay": "recordings",
+    "fit": "calibration", "compare": "calibration", "add": "calibration", "remove": "calibration",
+    "diagnose": "diagnosing", "report": "reporting",
+    "export": "exporting", "export-residuals": "exporting",
+    "short-cut": "short_cut", "plan": "planning", "calibrate": "calibrating",
+    "workbench": "workbench", "fleet": "fleet", "demo": "showing", "bench": "showing",
+    "session": "session:app", "study": "study:app",
+    "fk": "kinematics:direct", "ik": "kinematics:inverse", "look": "recordings:info",
+}  # fmt: skip
+HIDDEN = ("fk", "ik", "look")
 
 
 def _version(wanted: bool) -> None:
@@ -45,7 +36,6 @@ def _version(wanted: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
 def _options(
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="show the version")
@@ -53,22 +43,28 @@ def _options(
 ) -> None: ...
 
 
-COMMANDS: tuple[Callable[..., None], ...] = (
-    models.new, models.mechanisms, models.effects, models.sensors,
-    kinematics.direct, kinematics.inverse,
-    recordings.info, importing.import_, recordings.import_csv, recordings.simulate,
-    recordings.replay,
-    calibration.fit, calibration.compare, calibration.add, calibration.remove,
-    diagnosing.diagnose, reporting.report, exporting.export, exporting.export_residuals,
-    short_cut.short_cut, planning.plan, calibrating.calibrate, workbench.workbench, fleet.fleet,
-    showing.demo, showing.bench,
-)  # fmt: skip
-for command in COMMANDS:
-    app.command(command.__name__.strip("_").replace("_", "-"))(command)  # `import_` is `import`
-app.add_typer(session.app, name="session")
-app.command("fk", hidden=True)(kinematics.direct)
-app.command("ik", hidden=True)(kinematics.inverse)
-app.command("look", hidden=True)(recordings.info)
+def application(words: Sequence[str]) -> typer.Typer:
+    """The command that the first word names, or where it names none all of them: to declare those
+    that are not meant would double the start-up time."""
+    app = typer.Typer(
+        no_args_is_help=True,
+        add_completion=False,
+        rich_markup_mode=None,  # rich would double it, too
+        pretty_exceptions_enable=False,
+        help="Kinematic calibration of parallel robots: compare the model with measurements, see "
+        "where it fails, add the missing effect, watch the error fall. All values are SI.",
+    )
+    app.callback()(_options)
+    for name in words[:1] if words and words[0] in COMMANDS else COMMANDS:
+        module, _, called = COMMANDS[name].partition(":")
+        found = getattr(
+            import_module(f"parallel_cal.cli.{module}"), called or name.replace("-", "_")
+        )
+        if isinstance(found, typer.Typer):
+            app.add_typer(found, name=name)
+        else:
+            app.command(name, hidden=name in HIDDEN)(found)
+    return app
 
 
 def gathered(arguments: Sequence[str]) -> list[str]:
@@ -114,7 +110,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Entry point: exit 0 ok, 1 one clear line, 2 wrong usage."""
     given = gathered(sys.argv[1:] if arguments is None else arguments)
     try:
-        app(args=given, prog_name="parallel-cal")
+        application(given)(args=given, prog_name="parallel-cal")
     except ParallelCalError as error:
         console.error(str(error))
         sys.exit(1)

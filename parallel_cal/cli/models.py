@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from parallel_cal.base.errors import ParallelCalError
+from parallel_cal.base.files import kept
 from parallel_cal.cli.arguments import Json, Out
 from parallel_cal.reporting import console
 
@@ -48,7 +50,7 @@ def new(
     as_json: Json = False,
 ) -> None:
     """Write a model file with a mechanism's nominal values, or as a controller is set up."""
-    from parallel_cal.model.file.modelfile import model_hash, write_model
+    from parallel_cal.model.file.modelfile import model_hash, replace_model
 
     if output.exists():
         raise ParallelCalError(f"{output}: exists already; remove it or give another name")
@@ -70,7 +72,7 @@ def new(
     else:
         model, values, remarks = _new(mechanism, option, configuration)
     model = model.with_sensors(set_ups) if set_ups else model
-    write_model(model, output)
+    replace_model(model, output)
     document = {"file": str(output), "mechanism": model.mechanism.name, "hash": model_hash(model)}
     if as_json:
         return console.emit(document | {"parameters": len(model.table), "remarks": list(remarks)})
@@ -136,11 +138,9 @@ def mechanisms(
     as_json: Json = False,
 ) -> None:
     """List the mechanisms, or one's parameters and whether they describe every such robot."""
-    from parallel_cal.model.shelf import shelf_names
-
     if name is not None:
         return _one_mechanism(name, option or [], as_json)
-    rows = [_mechanism_row(name) for name in shelf_names("mechanisms")]
+    rows = _rows("mechanisms", _mechanism_row)
     if as_json:
         return console.emit({"mechanisms": rows})
     header = ("mechanism", "joints", "parameters", "moves", "controls", "what")
@@ -175,6 +175,20 @@ def _one_mechanism(name: str, options: list[str], as_json: bool) -> None:
     console.say(counted.sentence)
 
 
+def _rows(shelf: str, row: Callable[[str], dict[str, Any]]) -> list[dict[str, Any]]:
+    """A row for each file on a shelf, made anew only after a file that they follow from changed:
+    to build what is on it takes longer than all the rest."""
+
+    def rows() -> list[dict[str, Any]]:
+        from parallel_cal.model.shelf import shelf_names
+
+        return [row(name) for name in shelf_names(shelf)]
+
+    rooms = [Path(__file__).parents[1] / room for room in ("base", "model", shelf)]
+    sources = sorted(path for room in rooms for path in room.rglob("*.py"))
+    return kept([Path(__file__), *sources], rows)
+
+
 def _mechanism_row(name: str) -> dict[str, Any]:
     from parallel_cal.model.mechanism import Mechanism
     from parallel_cal.model.shelf import load_class, options_of
@@ -206,9 +220,7 @@ def _sentence(doc: str | None) -> str:
 
 def effects(as_json: Json = False) -> None:
     """List the physical effects: what they are, what they need, what they resemble."""
-    from parallel_cal.model.shelf import shelf_names
-
-    rows = [_effect_row(name) for name in shelf_names("effects")]
+    rows = _rows("effects", _effect_row)
     if as_json:
         return console.emit({"effects": rows})
     console.table(
@@ -244,9 +256,7 @@ def _effect_row(name: str) -> dict[str, Any]:
 
 def sensors(as_json: Json = False) -> None:
     """List the measuring set-ups beside the pose device: what they are, their options."""
-    from parallel_cal.model.shelf import shelf_names
-
-    rows = [_sensor_row(name) for name in shelf_names("sensors")]
+    rows = _rows("sensors", _sensor_row)
     if as_json:
         return console.emit({"sensors": rows})
     console.table(

@@ -42,12 +42,17 @@ class Kinematics:
         self.model = model
         self._compile, self._quick = compile, quick
         self._n = len(model.joints)
-        self._limits = np.array(model.mechanism.joint_limits, dtype=float).reshape(-1, 2)
+        self._limits = model.mechanism.joint_limits
+        self._home_rotation = model.mechanism.home.configuration[self._n + 3 :]
 
     def direct(
         self, q: np.ndarray, at: Mapping[str, Any] | None = None, start: Solutions | None = None
     ) -> Solutions:
         """Poses for joints q (nq,) or (N, nq), on the home branch or from `start`."""
+        if start is None and np.shape(q) == (self._n,):
+            found = self._usual(self.direct_problem, slice(self._n), q, None, at)
+            if found is not None:
+                return found
         return self._solve(self.direct_problem, joint_rows(self.model, q), q, at, start)
 
     def inverse(
@@ -58,6 +63,11 @@ class Kinematics:
         start: Solutions | None = None,
     ) -> Solutions:
         """Joints for positions (3,) or (N, 3) and rotations; passive coordinates follow."""
+        if start is None and np.shape(position) == (3,):
+            place = slice(self._n, self._n + 3)
+            found = self._usual(self.inverse_problem, place, position, rotation, at)
+            if found is not None:
+                return found
         given = pose_rows(self.model, position, rotation)
         return self._solve(self.inverse_problem, given, position, at, start)
 
@@ -66,14 +76,15 @@ class Kinematics:
     def direct_covariance(
         self, solution: Solutions, at: Mapping[str, Any] | None = None, joint_sigma: float = 0.0
     ) -> np.ndarray:
-        """Covariance (6, 6) of an answered pose (m, rad about base axes) from the parameters'
-        covariance and the joints' noise: dx = -J_x^-1 (J_v dv + J_q dq)."""
+        """Covariance (6, 6) of an answered pose (m, rad about base axes), or (N, 6, 6) of N, from
+        the parameters' covariance and the joints' noise: dx = -J_x^-1 (J_v dv + J_q dq)."""
         return self._covariance(solution, at, self.model.mechanism.moved, 0, joint_sigma)
 
     def inverse_covariance(
         self, solution: Solutions, at: Mapping[str, Any] | None = None
     ) -> np.ndarray:
-        """Covariance (nq, nq) of answered joints from the parameters' covariance."""
+        """Covariance (nq, nq) of answered joints, or (N, nq, nq), from the parameters'
+        covariance."""
         columns = [c - self._n for c in range(self._n)] + self.model.mechanism.passive
         return self._covariance(solution, at, columns, self._n, 0.0)
 
@@ -95,8 +106,6 @@ class Kinematics:
         at: Mapping[str, Any] | None,
         start: Solutions | None,
     ) -> Solutions:
-        if np.ndim(shape_like) == 1 and start is None:
-            return self._solve_one(problem, given[0], at)
         solutions = self.solve_rows(problem, given, at, start)
         return solutions[0] if np.ndim(shape_like) == 1 else solutions
 
@@ -115,25 +124,42 @@ class Kinematics:
             reached = problem.refine(problem.begin(given, start), rows)
         return self._classified(problem, given, rows, Reached(*reached))
 
-    def _solve_one(
-        self, problem: Problem, given: np.ndarray, at: Mapping[str, Any] | None
-    ) -> Solutions:
-        """The same for one sample without array overhead; anything unusual goes the long way."""
-        rows = self.model.condition_rows(at, 1)
-        x, step, residual, pivot = problem.calls.one(given, rows[0], problem.k)
-        if step[0] >= SETTLED:
-            x, step, residual, pivot = problem.calls.refine_one(x, rows[0], problem.k)
-        n = self._n
-        usual = step[0] < SETTLED and problem.closed(residual)[0] and pivot[0] > SUSPECT_PIVOT
-        if usual and self._inside_limits(x[:n]):
-            status = np.array(Status.CONVERGED, dtype=np.int8)
-            return Solutions(x[:n], x[n : n + 3], x[n + 3 :].reshape(3, 3), residual[0], status)
-        return self._classified(
-            problem, given[None], rows, Reached(x[None], step, residual, pivot)
-        )[0]
+    def _usual(
+        self,
+        problem: Problem,
+        place: slice,
+        given: np.ndarray,
+        rotation: np.ndarray | None,
+        at: Mapping[str, Any] | None,
+    ) -> Solutions | None:
+        """One sample in place, in microseconds; None where its solution is anything but usual."""
+        n, one = self._n, problem.one
+        with one.lock:
+            row, a, k = one.arguments
+            row[place] = given
+            if rotation is not None:
+                row[n + 3 :] = np.asarray(rotation, dtype=float).reshape(9)
+            elif problem.unknown_joints:
+                row[n + 3 :] = self._home_rotation
+            if len(a):
+                a[:] = problem.neutral if at is None else self.model.condition_rows(at, 1)[0]
+            one.evaluate()
+            x, step, residual, pivot = one.results
+            if not step.item() < SETTLED:
+                x, step, residual, pivot = problem.calls.refine_one(x, a, k)
+            usual = step.item() < SETTLED and pivot.item() > SUSPECT_PIVOT
+            x, left = x.copy(), residual[0]
+        q = x[:n]
+        if not (usual and problem.closed(left)):
+            return None
+        for (low, high), angle in zip(self._limits, q.tolist(), strict=True):
+            if not low <= angle <= high:
+                return None
+        return Solutions.usual(q, x[n : n + 3], x[n + 3 :].reshape(3, 3), left)
 
     def _inside_limits(self, q: np.ndarray) -> Any:
-        return ((q >= self._limits[:, 0]) & (q <= self._limits[:, 1])).all(axis=-1)
+        low, high = np.array(self._limits, dtype=float).T
+        return ((q >= low) & (q <= high)).all(axis=-1)
 
     def _classified(
         self, problem: Problem, given: np.ndarray, rows: np.ndarray, reached: Reached
@@ -173,13 +199,14 @@ class Kinematics:
         return problem.careful(turned, row, given)
 
     def _turned(self, problem: Problem, reached: Reached) -> Reached:
-        """With solved angles near home, in flat arrays of their own."""
+        """With solved angles near home, and the measures as flat arrays."""
         x, *measures = reached
-        step, residual, pivot = (part.reshape(-1).copy() for part in measures)
+        step, residual, pivot = (part.reshape(-1) for part in measures)
         q = _turned_towards(x[:, : self._n], problem.unknown_joints, self.model)
         if self.model.effects:  # which need not repeat after a turn: solve anew from there
             step[(q != x[:, : self._n]).any(axis=1)] = 1.0
-        return Reached(np.hstack([q, x[:, self._n :]]), step, residual, pivot)
+        x[:, : self._n] = q
+        return Reached(x, step, residual, pivot)
 
     @staticmethod
     def _refined(problem: Problem, reached: Reached, rows: np.ndarray) -> Reached:
@@ -202,25 +229,28 @@ class Kinematics:
         joint_sigma: float,
     ) -> np.ndarray:
         n, x = self._n, solution.configuration.rows
-        J_x, J_v = self._blocks(x, self.model.condition_rows(at, 1)[0])
-        unknown = J_x[:, [c + n for c in columns]]
-        spread = np.zeros((len(J_x), len(J_x)))
+        J_x, J_v = self._blocks(np.atleast_2d(x), at)
+        unknown, known = J_x[..., [c + n for c in columns]], J_x[..., :n]
+        spread = joint_sigma**2 * known @ known.swapaxes(1, 2)
         if self.model.covariance is not None:
-            spread += J_v @ self.model.covariance @ J_v.T
-        spread += joint_sigma**2 * J_x[:, :n] @ J_x[:, :n].T
+            spread += J_v @ self.model.covariance @ J_v.swapaxes(1, 2)
         inverse = np.linalg.pinv(unknown)
-        covariance = inverse @ spread @ inverse.T
+        covariance = inverse @ spread @ inverse.swapaxes(1, 2)
         if answer_size:
-            return covariance[:answer_size, :answer_size]
-        full = np.zeros((6, 6))
-        full[np.ix_(columns, columns)] = covariance
-        return full
+            covariance = covariance[:, :answer_size, :answer_size]
+        else:
+            full = np.zeros((len(J_x), 6, 6))
+            full[np.ix_(range(len(J_x)), columns, columns)] = covariance
+            covariance = full
+        return covariance[0] if x.ndim == 1 else covariance
 
-    def _blocks(self, x: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        s = self.model.structure
-        _, J_x, J_v = self._closure(x, a, self.model.values)
-        rows = s.phi.shape[0]
-        return J_x.reshape(-1, rows).T, J_v.reshape(-1, rows).T
+    def _blocks(self, x: np.ndarray, at: Mapping[str, Any] | None) -> tuple[np.ndarray, np.ndarray]:
+        """Derivatives (N, m, .) of the closure by coordinates and by parameters at rows (N, .)."""
+        values, m = self.model.values, self.model.structure.phi.shape[0]
+        a = self.model.condition_rows(at, len(x))
+        found = [self._closure(row, one, values)[1:] for row, one in zip(x, a, strict=True)]
+        J_x, J_v = (np.array(flat).reshape(len(x), -1, m) for flat in zip(*found, strict=True))
+        return J_x.swapaxes(1, 2), J_v.swapaxes(1, 2)
 
     @cached_property
     def _closure(self) -> Single:
@@ -236,6 +266,9 @@ def _turned_towards(q: np.ndarray, unknown: bool, model: Model) -> np.ndarray:
     home = np.array(model.mechanism.home.joints)
     low, high = np.array(model.mechanism.joint_limits).T
     q = q - turn * np.round((q - home) / (2 * np.pi))
+    outside = (q < low) | (q > high)
+    if not outside.any():
+        return q
     other = q - turn * np.sign(q - home)
-    better = ((q < low) | (q > high)) & (low <= other) & (other <= high)
+    better = outside & (low <= other) & (other <= high)
     return np.where(better, other, q)

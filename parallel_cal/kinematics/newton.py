@@ -79,8 +79,8 @@ def _extracted(expressions: list[Any], of: Any) -> tuple[list[Any], Any, Any]:
     of_names = {str(x) for x in ca.symvar(of)}
     # Bare symbols of `of` stay where they stand: they are passed on as parts of their own.
     bare = [x for x in ca.symvar(ca.veccat(*rewritten)) if str(x) in of_names]
-    symbol_column = ca.vertcat(*[ca.vec(x) for x in symbols], *bare)
-    part_column = ca.vertcat(*[ca.vec(x) for x in parts], *bare)
+    symbol_column = ca.veccat(*symbols, *bare)
+    part_column = ca.veccat(*parts, *bare)
     fresh = ca.SX.sym("c", symbol_column.shape[0])
     rewritten = ca.substitute(rewritten, [symbol_column], [fresh])
     return rewritten, part_column, fresh

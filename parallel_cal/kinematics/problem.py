@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from functools import cached_property, lru_cache
-from typing import Any
 
 import numpy as np
 
-from parallel_cal.base.compiled import Batch, Single, compiled
+from parallel_cal.base.compiled import Batch, Single
 from parallel_cal.kinematics.newton import newton_functions
 from parallel_cal.kinematics.solutions import CLOSED, Solutions, Status
 from parallel_cal.model.configuration import Configuration
@@ -20,27 +19,20 @@ class _Calls:
 
     def __init__(self, structure: Structure, name: str, compile: bool):
         functions = newton_functions(structure, name)
-        ready = compiled if compile else (lambda f: f)
+        self._refine, self._compile = functions.refine, compile
         self.columns, self.tables = functions.columns, Single(functions.tables)
-        solve = ready(functions.solve)
-        self.one, self.many = Single(solve), Batch(solve)
-        self._refine = functions.refine, ready
-
-    @cached_property
-    def _refining(self) -> Any:
-        function, ready = self._refine
-        return ready(function)
+        self.many = Batch(functions.solve, compile)
 
     @cached_property
     def refine_one(self) -> Single:
-        return Single(self._refining)
+        return Single(self.refine.function)
 
     @cached_property
     def refine(self) -> Batch:
-        return Batch(self._refining)
+        return Batch(self._refine, self._compile)
 
 
-_calls = lru_cache(maxsize=64)(_Calls)
+_calls = lru_cache(maxsize=256)(_Calls)
 
 
 class Problem:
@@ -81,6 +73,18 @@ class Problem:
         if any(i >= 3 for i in from_start):
             Configuration.from_rows(begin).R[:] = start.rotation
         return begin
+
+    @cached_property
+    def one(self) -> Single:
+        """The same for one sample, with home, what is neutral, and the model's numbers put in."""
+        single, home = Single(self.calls.many.function), self._model.mechanism.home.configuration
+        for array, known in zip(single.arguments, (home, self.neutral, self.k), strict=True):
+            array[:] = known
+        return single
+
+    @cached_property
+    def neutral(self) -> np.ndarray:
+        return self._model.condition_rows(None, 1)[0]
 
     # ------------------------------------------------------------------ the careful way
 

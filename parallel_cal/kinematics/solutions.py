@@ -33,6 +33,11 @@ class Status(IntEnum):
         return self.name.lower()
 
 
+CONVERGED = np.array(Status.CONVERGED, dtype=np.int8)
+CONVERGED.setflags(write=False)
+SOLVED = np.isin(list(Status), [Status.CONVERGED, Status.SINGULAR, Status.OUTSIDE_LIMITS])
+
+
 @dataclass(frozen=True)
 class Solutions:
     """N solved configurations: joints (N, nq), position (N, 3) m, rotation (N, 3, 3),
@@ -51,6 +56,13 @@ class Solutions:
     count_complex: int | None = None
     message: str | None = None
     complete: bool | None = None
+
+    @classmethod
+    def usual(cls, q: np.ndarray, r: np.ndarray, R: np.ndarray, left: np.ndarray) -> Solutions:
+        """One that converged, all numbers its own; the class's beginning takes a microsecond."""
+        one = object.__new__(cls)
+        one.__dict__.update(joints=q, position=r, rotation=R, residual=left, status=CONVERGED)
+        return one
 
     @classmethod
     def of(cls, rows: np.ndarray, residual: np.ndarray, status: np.ndarray) -> Solutions:
@@ -80,7 +92,7 @@ class Solutions:
     @property
     def solved(self) -> np.ndarray:
         """Which are solutions at all, singular or outside the limits as they may be."""
-        return np.isin(self.status, (Status.CONVERGED, Status.SINGULAR, Status.OUTSIDE_LIMITS))
+        return np.asarray(SOLVED[self.status])
 
     @property
     def ok(self) -> np.ndarray:

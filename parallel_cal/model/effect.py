@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -103,6 +104,10 @@ class Effect(ABC):
         """After how much of a joint's reading (rad or m) its pattern comes round, where it does."""
         return None
 
+    def absurd(self, e: Named, mechanism: Mechanism) -> str:
+        """Why its numbers cannot be together, though each of them may; empty where they can."""
+        return ""
+
     @property
     def name(self) -> str:
         return type(self).__module__.removeprefix("parallel_cal.effects.")
@@ -145,6 +150,11 @@ def _geared(p: Parameter, gears: Mapping[str, float], mechanism: Mechanism) -> P
     if gear == 1.0 or p.unit != mechanism.joint_units[mechanism.joints.index(joint)]:
         return p
     return p.with_tolerance(gears[joint] * p.tolerance)
+
+
+def parse_effects(text: str) -> list[tuple[str, dict[str, float]]]:
+    """One effect or several, joined by `+`."""
+    return [parse_effect(part) for part in re.split(r"\+(?=[A-Za-z_])", text)]  # none is 1e+3
 
 
 def parse_effect(text: str) -> tuple[str, dict[str, float]]:

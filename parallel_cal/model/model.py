@@ -12,7 +12,7 @@ import numpy as np
 from parallel_cal.base.errors import ModelError
 from parallel_cal.model.effect import Effect
 from parallel_cal.model.mechanism import Mechanism
-from parallel_cal.model.parameters import ParameterTable
+from parallel_cal.model.parameters import Named, ParameterTable
 from parallel_cal.model.sensor import Sensor
 from parallel_cal.model.shelf import load_effect, load_mechanism
 from parallel_cal.model.structure import Structure, structure_of
@@ -115,6 +115,12 @@ class Model:
             return self
         device = self.table.matching(own)
         return self.with_values(np.where(device, self.table.nominal, self.values), self.covariance)
+
+    def absurd(self) -> str:
+        """Why some effect's numbers cannot be together; empty where all can."""
+        numbers = Named(self.table.names, self.values)
+        words = (effect.absurd(numbers[effect.name], self.mechanism) for effect in self.effects)
+        return next(filter(None, words), "")
 
     def without_effect(self, name: str) -> Model:
         """The model without one of its effects."""

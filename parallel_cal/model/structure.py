@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from parallel_cal.base.compiled import Batch, compiled, dense
+from parallel_cal.base.compiled import Batch, dense
 from parallel_cal.base.errors import ModelError, told
 from parallel_cal.base.rotation import left_generators
 from parallel_cal.model.declaration import check_parameters
@@ -63,11 +63,15 @@ class Structure:
         seen = Seen(self.q, self.r, self.R, self.geometry)
         numbers, at = Named(self.table.names, self.v), Named(self.conditions, self.a)
         for effect in self.effects:
-            try:
-                seen = self._whole(effect.ideal(seen, numbers[effect.name], at, self.mechanism))
-            except Exception as error:
-                raise told(effect.name, error) from error
+            seen = self._through(effect, seen, numbers, at)
         return seen
+
+    def _through(self, effect: Effect, seen: Seen, numbers: Named, at: Named) -> Seen:
+        """What an effect with these numbers, under these conditions, lets see of what is seen."""
+        try:
+            return self._whole(effect.ideal(seen, numbers[effect.name], at, self.mechanism))
+        except Exception as error:
+            raise told(effect.name, error) from error
 
     def _whole(self, seen: Any) -> Seen:
         """What an effect lets through, which must still be joints and a pose."""
@@ -228,9 +232,9 @@ class Structure:
     @cached_property
     def rows_compiled(self) -> Batch:
         """The same as machine code: very many samples repay the second that compiling takes."""
-        return Batch(compiled(self.rows_function))
+        return Batch(self.rows_function, compile=True)
 
-    @lru_cache(maxsize=64)  # noqa: B019  (lives as long as the structure, which is cached itself)
+    @lru_cache(maxsize=256)  # noqa: B019  (lives as long as the structure, which is cached itself)
     def columns(self, which: tuple[int, ...]) -> Batch:
         """(configuration, a, v) -> d rows/d(some of v), on arrays: what a new effect would do."""
         inputs = (self.configuration, self.a, self.v)
@@ -238,26 +242,36 @@ class Structure:
         return Batch(dense("columns", inputs, (by_v,)))
 
     @cached_property
-    def by_seen(self) -> Batch:
-        """(configuration, a, v) -> d phi/d what the effects let the closure see: q, r, R9 and
-        geometry, column by column, on arrays of samples."""
-        seen = self.seen
-        z = ca.SX.sym("z", _column(seen).numel())
-        n, R9 = self.q.numel(), z[self.q.numel() + 3 : self.q.numel() + 12]
-        p = Named(self.mechanism.parameters.names, z[n + 12 :])
-        phi = self.mechanism.closure(z[:n], z[n : n + 3], ca.reshape(R9, 3, 3).T, p)
-        slopes = ca.Function("slopes", [z], [ca.jacobian(ca.cse(ca.SX(phi)), z)])
-        J = self._where_placed(slopes(_column(seen)))
-        return Batch(dense("by_seen", (self.configuration, self.a, self.v), (J,)))
-
-    @lru_cache(maxsize=64)  # noqa: B019
-    def seen_by(self, which: tuple[int, ...]) -> tuple[Batch, np.ndarray]:
-        """(configuration, a, v) -> d seen/d(some of v), without the entries of `seen` that these
-        leave alone; the second answer numbers those it has."""
-        J = ca.jacobian(_column(self.seen), ca.vertcat(*[self.v[i] for i in which]))
-        moved = np.unique(np.array(J.sparsity().get_triplet()[0], dtype=int))
+    def seen_batch(self) -> Batch:
+        """(configuration, a, v) -> what the effects let the closure see, as one column: q, r, R9
+        and geometry, on arrays of samples."""
         inputs = (self.configuration, self.a, self.v)
-        return Batch(dense("seen_by", inputs, (self._where_placed(J[moved.tolist(), :]),))), moved
+        return Batch(dense("seen", inputs, (self._where_placed(_column(self.seen)),)))
+
+    @cached_property
+    def ideal(self) -> Structure:
+        """The mechanism without effects and sensors: its coordinates are what they let see."""
+        return structure_of(self.mechanism, ())
+
+    @cached_property
+    def by_seen(self) -> Batch:
+        """Of an ideal mechanism: q, r, R9 and geometry -> d phi/d these, column by column."""
+        z = ca.vertcat(self.configuration, self.v)
+        return Batch(dense("by_seen", (z,), (ca.jacobian(self.phi, z),)))
+
+    @lru_cache(maxsize=256)  # noqa: B019
+    def seen_by(self, name: str, which: tuple[int, ...]) -> tuple[Batch, np.ndarray]:
+        """Of an ideal mechanism: (q, r, R9 and geometry as effects before let see them, conditions
+        and numbers of one more) -> d seen/d(some of these), without the entries of `seen` that
+        these leave alone; the second answer numbers those it has."""
+        effect = load_effect(name)
+        names, at = effect.table(self.mechanism).names, effect.conditions(self.mechanism)
+        e, a = ca.SX.sym("e", len(names)), ca.SX.sym("a", len(at))
+        seen = self._through(effect, self.seen, Named(names, e), Named(at, a))
+        J = ca.jacobian(_column(seen), ca.vertcat(*[e[i] for i in which]))
+        moved = np.unique(np.array(J.sparsity().get_triplet()[0], dtype=int))
+        inputs = (ca.vertcat(self.configuration, self.v), a, e)
+        return Batch(dense("seen_by", inputs, (J[moved.tolist(), :],))), moved
 
     def _where_placed(self, expression: Any) -> Any:
         """An expression of {P} in {B} where the device shows what is measured."""
@@ -302,7 +316,7 @@ def _column(seen: Seen) -> Any:
     return ca.vertcat(ca.SX(seen.q), ca.SX(seen.r), ca.vec(ca.SX(seen.R).T), seen.p.column)
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=256)  # a diagnosis that finds two effects goes through ninety of 2 MB each
 def _cached_structure(
     mechanism: Mechanism, effects: tuple[str, ...], sensors: tuple[Sensor, ...]
 ) -> Structure:

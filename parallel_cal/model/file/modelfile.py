@@ -6,12 +6,17 @@ import hashlib
 from pathlib import Path
 
 from parallel_cal.base.errors import ModelFileError
-from parallel_cal.base.files import read_text, write_atomically
+from parallel_cal.base.files import MEGABYTE, PREVIOUS, read_text, write_atomically
 from parallel_cal.model.file.writer import dump_model
 from parallel_cal.model.file.yamltext import parse_yaml
 from parallel_cal.model.model import Model
 
-__all__ = ["dump_model", "model_hash", "model_text", "parse_model", "read_model", "write_model"]
+__all__ = [
+    "dump_model", "model_hash", "model_text", "parse_model", "read_model", "replace_model",
+    "replace_text", "write_model", "write_text",
+]  # fmt: skip
+
+MOST = 4 * MEGABYTE  # of a file: a second each, in which streams of the node that reads it suffer
 
 
 def read_model(path: str | Path) -> Model:
@@ -22,7 +27,7 @@ def read_model(path: str | Path) -> Model:
 def model_text(path: str | Path) -> str:
     """The text of a model file; ModelFileError where it cannot be read or is none."""
     try:
-        return read_text(path)
+        return read_text(path, MOST)
     except OSError as error:
         raise ModelFileError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:
@@ -38,10 +43,31 @@ def parse_model(text: str, name: str = "model") -> Model:
 
 def write_model(model: Model, path: str | Path) -> None:
     """Write a model file in one step; ModelFileError for a model that could not be read back."""
+    write_text(path, _checked(model, path))
+
+
+def replace_model(model: Model, path: str | Path) -> None:
+    """The same; a file that was there is laid aside as `PATH.previous`."""
+    replace_text(path, _checked(model, path))
+
+
+def replace_text(path: str | Path, text: str) -> None:
+    """Write a model file's text, and keep the one before beside it, with its permissions."""
+    if Path(path).exists():
+        write_text(f"{path}{PREVIOUS}", model_text(path), like=path)
+    write_text(path, text)
+
+
+def _checked(model: Model, path: str | Path) -> str:
     text = dump_model(model)
     parse_model(text, f"{path} (not written)")
+    return text
+
+
+def write_text(path: str | Path, text: str, like: str | Path | None = None) -> None:
+    """Write a model file's text in one step; ModelFileError where that cannot be."""
     try:
-        write_atomically(path, text)
+        write_atomically(path, text, like)
     except OSError as error:
         raise ModelFileError(f"{path}: cannot be written: {error.strerror}") from None
 
