@@ -21,7 +21,6 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from itertools import combinations
 from pathlib import Path
@@ -36,6 +35,7 @@ import virtual_blind as vb
 import virtual_findings as vf
 from printers import PRINTERS
 
+from parallel_cal.fleet.cluster import cluster, each
 from parallel_cal.virtual import robot as vr
 
 CLEARLY = 1.1  # of the true error before: its own uncertainty at 80 poses
@@ -360,24 +360,26 @@ def kept(file: Path | None) -> dict[Case, Outcome]:
     return found
 
 
-def made(cases: list[Case], file: Path | None, jobs: int, until: float) -> Iterable[Outcome]:
+def made(
+    cases: list[Case], file: Path | None, jobs: int, scheduler: str | None, until: float
+) -> Iterable[Outcome]:
     """The outcomes of cases one by one, written as they come, while there is time."""
-    with ProcessPoolExecutor(jobs) as pool:
-        for begin in range(0, len(cases), jobs):
+    with cluster(scheduler, jobs) as client:
+        for _, outcome in each(client, run, [(case,) for case in cases]):
+            if file is not None:
+                with file.open("a") as lines:
+                    lines.write(json.dumps(asdict(outcome)) + "\n")
+            yield outcome
             if time.monotonic() > until:
                 return
-            for outcome in pool.map(run, cases[begin : begin + jobs]):
-                if file is not None:
-                    with file.open("a") as lines:
-                        lines.write(json.dumps(asdict(outcome)) + "\n")
-                yield outcome
 
 
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--draws", type=int, default=5)
     parser.add_argument("--first", type=int, default=0, help="the first seed")
-    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--jobs", type=int, default=1, help="processes on this machine")
+    parser.add_argument("--scheduler", help="a Dask cluster's address, in place of this machine")
     parser.add_argument("--see", type=lambda text: text.split(","), default=["pose"])
     parser.add_argument("--results", type=Path)
     parser.add_argument("--minutes", type=float, default=math.inf)
@@ -390,7 +392,7 @@ def main() -> None:
     outcomes = {c: o for c, o in kept(given.results).items() if c in set(cases)}
     until = time.monotonic() + 60 * given.minutes
     new = [c for c in cases if c not in outcomes]
-    outcomes |= {o.case: o for o in made(new, given.results, given.jobs, until)}
+    outcomes |= {o.case: o for o in made(new, given.results, given.jobs, given.scheduler, until)}
     done = [outcomes[c] for c in cases if c in outcomes]
     table(done)
     shares(done)

@@ -248,7 +248,8 @@ def read_only(n: int, folder: Path) -> Row:
 
 
 def clock_jumps(n: int, folder: Path) -> Row:
-    """One wild stamp a session, at a seeded place by a seeded amount: no sample may go."""
+    """One wild stamp a session, at a seeded place by a seeded amount: no sample may go. In every
+    other session one stream's clock is set from there on: only the dwell in which it happens."""
     import copy
 
     messages, rng, lost = channel_messages()[:6000], np.random.default_rng(7), 0
@@ -261,13 +262,17 @@ def clock_jumps(n: int, folder: Path) -> Row:
         return len(collector)
 
     whole = samples(messages)
-    for _ in range(n):
+    for k in range(n):
         at = int(rng.integers(1000, 5000))
-        channel, log, message = messages[at]
-        wild = copy.deepcopy(message)
-        wild.header.stamp.sec += int(rng.choice([-3600, -5, 2, 5, 3600, 10**6]))
-        lost += whole - samples([*messages[:at], (channel, log, wild), *messages[at + 1 :]])
-    return Row(n, "one wild stamp", lost=lost)
+        by, spoilt = int(rng.choice([-3600, -5, 2, 5, 3600, 10**6])), list(messages)
+        for i in range(at, len(messages) if k % 2 else at + 1):
+            channel, log, message = messages[i]
+            if channel == messages[at][0] and hasattr(message, "header"):
+                wild = copy.deepcopy(message)
+                wild.header.stamp.sec += by
+                spoilt[i] = (channel, log, wild)
+        lost += max(0, whole - samples(spoilt) - k % 2)
+    return Row(n, "one wild stamp, or one stream's clock set", lost=lost)
 
 
 # ---------------------------------------------------------------------- nodes on a domain

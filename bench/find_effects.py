@@ -1,14 +1,17 @@
 """How often a diagnosis is right: nothing hidden, one effect, two, and things nobody catalogued.
 
 Robots, sessions, physics and noise come from the independent virtual robot; every draw has its
-own poses. Usage: `PYTHONPATH=. python bench/find_effects.py [draws] [kind ...]`.
+own poses. Usage: `PYTHONPATH=.:test python bench/find_effects.py [draws] [kind ...]`, on all cores,
+or with `--scheduler tcp://...` on a Dask cluster whose workers have the same PYTHONPATH.
 """
 
 from __future__ import annotations
 
+import argparse
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
 
@@ -20,61 +23,37 @@ import virtual_findings as vf
 from findings import clean, hiding
 
 from parallel_cal.diagnosis.diagnose import Diagnosis, diagnose
+from parallel_cal.fleet.cluster import cluster, each
 from parallel_cal.model.model import new_model
-from parallel_cal.recordings.dataset import Dataset
-from parallel_cal.virtual import robot as vr
 
 SIZE, LARGE = 0.6, 1.5  # sigmas of the residual, of a single effect and of uncatalogued ones
 
 
-def none_hidden(draws: int) -> str:
-    found = [_diagnosed(clean(seed)) for seed in range(draws)]
-    verdicts = Counter(d.verdict.word for d in found)
-    proposed = sum(bool(d.effects) for d in found)
-    return f"proposes an effect in {proposed} of {draws}; {dict(verdicts)}"
+@dataclass(frozen=True)
+class Drawn:
+    """What the diagnosis of one draw says: verdict, names of the effects, those that it would take
+    as well, and the error at poses left out over the noise's."""
+
+    verdict: str
+    effects: tuple[str, ...]
+    called: frozenset[str]
+    over_noise: float
+
+    def right(self, kind: str) -> bool:
+        return bool(self.called & set(vf.KINDS[kind].names))
 
 
-def one(kind: vf.Kind, draws: int) -> str:
-    right, ratios, verdicts = 0, [], Counter[str]()
-    for seed in range(draws):
-        data, _ = hiding([kind], SIZE, seed)
-        found = _diagnosed(data)
-        right += bool(found.effects) and _called(found, kind)
-        verdicts[found.verdict.word] += 1
-        ratios.append(_over_noise(found))
-    return (
-        f"right in {right} of {draws}; held-out RMS / that without anything hidden: median "
-        f"{np.median(ratios):.3f}, 95 % {np.quantile(ratios, 0.95):.3f}; {dict(verdicts)}"
-    )
-
-
-def two(first: vf.Kind, second: vf.Kind, draws: int) -> str:
-    both, verdicts = 0, Counter[str]()
-    for seed in range(draws):
-        data, _ = hiding([first, second], SIZE, seed)
-        found = _diagnosed(data)
-        both += _called(found, first) and _called(found, second)
-        verdicts[found.verdict.word] += 1
-    return f"both in {both} of {draws}; {dict(verdicts)}"
-
-
-def uncatalogued(make: Callable[..., vr.Effect], draws: int) -> str:
-    verdicts, names = Counter[str](), Counter[str]()
-    for seed in range(draws):
-        found = _diagnosed(hiding([vf.Kind((), make, 0.5e-3)], LARGE, seed)[0])
-        verdicts[found.verdict.word] += 1
-        names.update(found.effects)
-    return f"explained in {verdicts['explained']} of {draws}; {dict(verdicts)}; {dict(names)}"
-
-
-def _diagnosed(data: Dataset) -> Diagnosis:
-    return diagnose(new_model("delta54"), data)
-
-
-def _called(found: Diagnosis, kind: vf.Kind) -> bool:
-    """Whether one of the effects found, or what it is said to be confused with, is the one."""
+def draw(hidden: tuple[str, ...], seed: int) -> Drawn:
+    """A robot that hides kinds of the catalogue, one that is in none, or nothing."""
+    if not hidden:
+        data = clean(seed)
+    elif hidden[0] in vf.OUTSIDE:
+        data, _ = hiding([vf.Kind((), vf.OUTSIDE[hidden[0]], 0.5e-3)], LARGE, seed)
+    else:
+        data, _ = hiding([vf.KINDS[name] for name in hidden], SIZE, seed)
+    found = diagnose(new_model("delta54"), data)
     called = {n for name in found.effects for n in (name, *found.swaps.get(name, []))}
-    return bool(called & set(kind.names))
+    return Drawn(found.verdict.word, found.effects, frozenset(called), _over_noise(found))
 
 
 def _over_noise(found: Diagnosis) -> float:
@@ -84,22 +63,50 @@ def _over_noise(found: Diagnosis) -> float:
     return float(np.exp(np.mean(np.log(ratios))))
 
 
-def studies(draws: int) -> Iterator[tuple[str, Callable[[], str]]]:
-    yield "nothing hidden", lambda: none_hidden(draws)
-    for name, kind in vf.KINDS.items():
-        yield name, lambda kind=kind: one(kind, draws)
-    for a, b in combinations(vf.KINDS, 2):
-        yield f"{a} and {b}", lambda a=a, b=b: two(vf.KINDS[a], vf.KINDS[b], max(draws // 5, 1))
-    for name, make in vf.OUTSIDE.items():
-        yield name, lambda make=make: uncatalogued(make, draws)
+def told(hidden: tuple[str, ...], found: list[Drawn]) -> str:
+    """How often the draws of a study are right."""
+    n, verdicts = len(found), dict(Counter(d.verdict for d in found))
+    if not hidden:
+        return f"proposes an effect in {sum(bool(d.effects) for d in found)} of {n}; {verdicts}"
+    if hidden[0] in vf.OUTSIDE:
+        names = dict(Counter(name for d in found for name in d.effects))
+        return f"explained in {verdicts.get('explained', 0)} of {n}; {verdicts}; {names}"
+    right = sum(all(d.right(kind) for kind in hidden) for d in found)
+    if len(hidden) == 2:
+        return f"both in {right} of {n}; {verdicts}"
+    ratios = [d.over_noise for d in found]
+    return (
+        f"right in {right} of {n}; held-out RMS / that without anything hidden: median "
+        f"{np.median(ratios):.3f}, 95 % {np.quantile(ratios, 0.95):.3f}; {verdicts}"
+    )
+
+
+def studies(draws: int) -> Iterator[tuple[str, tuple[str, ...], int]]:
+    """Name, what is hidden, how many draws."""
+    yield "nothing hidden", (), draws
+    yield from ((name, (name,), draws) for name in vf.KINDS)
+    yield from ((f"{a} and {b}", (a, b), max(draws // 5, 1)) for a, b in combinations(vf.KINDS, 2))
+    yield from ((name, (name,), draws) for name in vf.OUTSIDE)
 
 
 def main() -> None:
-    draws = int(sys.argv[1]) if len(sys.argv) > 1 else 20
-    wanted = sys.argv[2:]
-    for name, study in studies(draws):
-        if not wanted or name in wanted:
-            print(f"{name}: {study()}", flush=True)
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("draws", type=int, nargs="?", default=20)
+    parser.add_argument("kind", nargs="*")
+    parser.add_argument("--scheduler", help="a Dask cluster's address; none: this machine's cores")
+    asked = parser.parse_args()
+    wanted = [one for one in studies(asked.draws) if not asked.kind or one[0] in asked.kind]
+    calls = [(hidden, seed) for _, hidden, draws in wanted for seed in range(draws)]
+    found: dict[tuple[tuple[str, ...], int], Drawn] = {}
+    with cluster(asked.scheduler, None) as client:
+        for k, drawn in each(client, draw, calls):
+            found[calls[k]] = drawn
+            done = [one for one in wanted if all((one[1], s) in found for s in range(one[2]))]
+            for name, hidden, draws in done:
+                print(
+                    f"{name}: {told(hidden, [found[hidden, s] for s in range(draws)])}", flush=True
+                )
+                wanted.remove((name, hidden, draws))
 
 
 if __name__ == "__main__":

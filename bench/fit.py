@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from timing import Row, seconds_each, show
+from timing import Row, processor_each, show
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "test"))
 from datasets import measured
@@ -94,9 +94,9 @@ def beside_odr() -> list[Row]:
     assert apart < 1e-6
     return [
         Row("weighted implicit, one chain, 94 poses",
-            seconds_each(lambda: estimate(model, observations, free), least=10)),
+            processor_each(lambda: estimate(model, observations, free), least=10)),
         Row(f"ODRPACK's implicit ODR (estimates within {apart:.0e})",
-            seconds_each(lambda: odr_fit(model, observations, free), least=1, repeats=3)),
+            processor_each(lambda: odr_fit(model, observations, free), least=1, repeats=3)),
     ]  # fmt: skip
 
 
@@ -110,25 +110,27 @@ def main() -> None:
         rows = [
             Row(
                 "weighted fit, 42 parameters, 94 poses, with sigmas and rank",
-                seconds_each(lambda: estimate(model, observations, free), least=10),
+                processor_each(lambda: estimate(model, observations, free), least=10),
             ),
             Row(
                 "the same, 74 poses",
-                seconds_each(
+                processor_each(
                     lambda: estimate(model, observations.select(np.arange(74)), free), least=10
                 ),
             ),
             Row(
                 "unweighted fit (eq. 5.6)",
-                seconds_each(lambda: estimate(model, observations, free, weighted=False), least=10),
+                processor_each(
+                    lambda: estimate(model, observations, free, weighted=False), least=10
+                ),
             ),
             Row(
                 "scipy least_squares, finite differences",
-                seconds_each(lambda: scipy_fit(model, observations, free), least=1, repeats=3),
+                processor_each(lambda: scipy_fit(model, observations, free), least=1, repeats=3),
             ),
             Row(
                 "fit() as a whole: errors, 4 folds left out, noise floor",
-                seconds_each(lambda: fit(model, data), least=3, repeats=3),
+                processor_each(lambda: fit(model, data), least=3, repeats=3),
             ),
         ]
         chain = beside_odr()

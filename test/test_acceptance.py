@@ -8,7 +8,7 @@ from datasets import measured
 from typer.testing import CliRunner
 
 from parallel_cal.base.errors import FitError
-from parallel_cal.cli.main import app
+from parallel_cal.cli.main import application
 from parallel_cal.diagnosis.catalogue import candidate
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.diagnosis.search import Search
@@ -52,7 +52,7 @@ def answer(clean, identified, tmp_path):
             return outcome.success, outcome.message, output
         words = ["add", model, effect] if effect else ["fit", model]
         words += [samples, "-o", output, "--hold-out", hold_out, *(["--force"] if force else [])]
-        done = CliRunner().invoke(app, [str(word) for word in words])
+        done = CliRunner().invoke(application(words), [str(word) for word in words])
         return done.exit_code == 0, str(done.exception or "") + done.output, output
 
     return ask
@@ -133,7 +133,7 @@ def test_where_no_pose_was_left_out_nothing_is_proven_and_only_force_writes(face
 
 @pytest.mark.wide
 def test_all_three_faces_say_the_same_of_an_effect_that_is_not_there(clean, identified, answer):
-    search = Search(identified.model, lambda model: fit(model, clean), lambda *_: None)
+    search = Search(identified.model, lambda model, insist: fit(model, clean), lambda *_: None)
     base = search.fit()
     _, against = search.accepts(base, candidate(base.scene, "encoder_gain"))
     told = against.replace("fall (", "fall with 'encoder_gain' (")
@@ -159,7 +159,7 @@ def test_an_effect_that_is_there_is_taken_by_all_three(tmp_path):
     request = Request(str(model), str(tmp_path / "node.yaml"), effect="backlash")
     assert written(request, proposed(request, data)).success
     words = ["add", str(model), "backlash", str(samples), "-o", str(tmp_path / "line.yaml")]
-    assert CliRunner().invoke(app, words).exit_code == 0
+    assert CliRunner().invoke(application(words), words).exit_code == 0
     nothing = diagnose(start, data, effects=["backlash"], hold_out=0)
     assert nothing.verdict.word == "cannot_know"
     assert NOTHING in nothing.verdict.summary

@@ -5,10 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 from datasets import measured, quiet
+from findings import clean
 from scipy import stats
 
 from parallel_cal.base.confidence import CHANCE, SIGMAS
 from parallel_cal.base.errors import ModelError
+from parallel_cal.diagnosis import catalogue
 from parallel_cal.diagnosis.catalogue import candidate, names_of
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.lack_of_fit import lack_of_fit, smooth_map
@@ -21,6 +23,7 @@ from parallel_cal.identification.fit import fit
 from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.observations import observe
 from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.model import structure
 from parallel_cal.model.model import new_model
 from parallel_cal.virtual import robot as vr
 
@@ -122,6 +125,55 @@ def test_the_residual_of_a_complete_model_is_noise_in_noise_units(here):
     assert here.dof == here.residual.size - here.basis.shape[1]
     z = Field.of(here).noise_units
     assert np.mean(z**2) == pytest.approx(1, abs=0.15)
+
+
+def test_samples_are_weighed_under_each_load_once_for_all_shuffled_copies(monkeypatch):
+    scene, looks, look = fitted_scene(clean(0)), [], catalogue.columns
+    assert len(np.unique(scene.dataset.conditions["payload"])) == 2
+    monkeypatch.setattr(catalogue, "columns", lambda *a: looks.append(a) or look(*a))
+    known = candidate(scene, "payload_sag")
+    looks.clear()
+    p = known.shuffled_p
+    assert len(looks) == 2
+    monkeypatch.setattr(catalogue, "LEVELS", 0)
+    assert candidate(scene, "payload_sag").shuffled_p == p
+    assert len(looks) > 39
+
+
+@pytest.mark.parametrize("name", ["backlash", "hysteresis", "payload_sag", "base_drift"])
+def test_columns_beside_effects_are_what_all_of_them_together_show(name):
+    data = clean(0)
+    model = new_model("delta54").with_effect("joint_compliance").with_effect("encoder_gain")
+    values = model.values + model.table.tolerance * np.linspace(-1, 1, len(model.values))
+    model, observations = model.with_values(values), observe(model, data)
+    beside = Scene.of(model, data, observations, ~np.asarray(model.fixed))
+    extended = model.with_effect(name)
+    new = extended.table.matching([f"{name}.*"]) & ~np.asarray(extended.fixed)
+    whole = extended.structure.columns(tuple(np.flatnonzero(new).tolist()))
+    by_v = whole(beside.x, observe(extended, data).a, extended.values)[0]
+    J = beside.whitener @ by_v.reshape(len(data), new.sum(), -1).transpose(0, 2, 1)
+    expected = J.reshape(len(beside.residual), -1) * extended.table.tolerance[new]
+    B = columns(extended, beside, new)
+    assert np.abs(B - expected).max() < 1e-11 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("beside", [None, "backlash"])
+def test_a_larger_models_further_numbers_have_columns_in_a_scene_of_their_own(beside):
+    model = new_model("delta24")
+    model = model.with_effect(beside) if beside else model
+    found = candidate(fitted_scene(clean(0), model), "parallelogram_errors")
+    assert found.testable
+    assert found.scene.model.mechanism.name == "delta54"
+    assert found.score.q == 42 - 24
+
+
+def test_the_number_of_effects_beside_it_does_not_change_what_is_built_for_one(here, monkeypatch):
+    built, build = [], structure.dense
+    monkeypatch.setattr(structure, "dense", lambda *a: built.append(a[0]) or build(*a))
+    for beside in ("device_axes", "target_offset"):
+        scene = fitted_scene(here.dataset, here.model.with_effect(beside))
+        candidate(scene, "encoder_eccentricity")
+    assert built.count("seen_by") <= 1
 
 
 def test_columns_are_finite_differences_of_the_residuals(here):

@@ -159,6 +159,13 @@ def test_the_same_poses_at_another_size_of_noise_give_the_same_name():
 # ----------------------------------------------------------------------- what it doubts
 
 
+def test_a_bump_is_not_looked_for_where_all_samples_have_one_time():
+    data = measured(1)
+    at_once = replace(data, conditions=data.conditions | {"time": np.zeros(len(data))})
+    row = entry(diagnose(MODEL, at_once, effects=["device_bump"]).document(), "device_bump")
+    assert row["reason"] == "cannot be tested: time never changed"
+
+
 def test_an_effect_whose_condition_was_not_recorded_is_listed_with_the_reason():
     document = diagnose(MODEL, measured(1), effects=["thermal_expansion", "backlash"]).document()
     row = entry(document, "thermal_expansion")

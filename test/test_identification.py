@@ -16,6 +16,7 @@ from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.methods._estimate import NormalEquations
 from parallel_cal.identification.methods.implicit import estimate
 from parallel_cal.identification.observations import observe
+from parallel_cal.identification.prediction_errors import errors
 from parallel_cal.identification.prior import Knowledge
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.model import new_model
@@ -50,6 +51,23 @@ def test_held_out_errors_reach_what_the_noise_allows(clean):
         assert after[kind] < 1.2 * floor[kind]
     assert document["improvement_held_out"]["position"] > 10
     assert document["improvement_held_out"]["orientation"] > 4
+
+
+def test_leaving_poses_out_costs_one_look_each_and_says_what_fits_of_the_others_say(monkeypatch):
+    looks, look = [], Linearisation.__call__
+    monkeypatch.setattr(
+        Linearisation, "__call__", lambda *given: looks.append(len(given[2])) or look(*given)
+    )
+    model, data = new_model("delta54"), measured(2)
+    result = fit(model, data)
+    folds, all_of_them = data.folds(0.25, seed=0), [94] * (result.estimate.iterations + 1)
+    assert looks == all_of_them + [len(train) for train, _ in folds]
+    for train, test in folds:
+        other = fit(model, data.select(train), hold_out=0)
+        seen = errors(other.model, result.observations.select(test))
+        for kind in ("position", "orientation", "joint"):
+            apart = getattr(result.held_out, kind)[test] - getattr(seen, kind)
+            assert np.abs(apart).max() < 5e-4 * np.abs(getattr(seen, kind)).max()
 
 
 def test_chi2_of_a_complete_model_is_one(clean):

@@ -4,7 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import virtual_findings as vf
 from datasets import measured
+from findings import dataset
 
 from parallel_cal.base.errors import FitError, ModelFileError
 from parallel_cal.identification.fit import fit
@@ -123,6 +125,26 @@ def test_who_insists_gets_a_number_outside_its_range_and_a_file_that_can_be_read
     again = read_model(tmp_path / "belt.yaml")
     assert again.value(NAME) == pytest.approx(3e-2, rel=0.02)
     assert np.isfinite(fit(again, data, hold_out=0).estimate.chi2)  # nothing is left to insist on
+
+
+def test_nobody_insists_on_a_play_below_zero():
+    data = measured(7, effects=[vr.Backlash((-3e-2,) * 3)])
+    with pytest.raises(FitError, match=r"^backlash.joint1.width would have to be -0.0"):
+        fit(new_model("delta54").with_effect("backlash"), data, hold_out=0, insist=True)
+
+
+def test_no_joint_turns_back_while_its_drive_winds_up_unless_somebody_insists():
+    """A lag of 2.5 mrad that builds up in 1.1 mrad: the drive goes on, the joint comes back."""
+    day = vf.session(3)
+    data = dataset(vf.samples(day, [vr.Backlash((5e-3,) * 3)], vr.THESIS_NOISE, 3), vr.THESIS_NOISE)
+    steep = {f"joint{i}.width": 1.1e-3 for i in (1, 2, 3)}
+    model = new_model("delta54").with_effect("hysteresis", steep)
+    with pytest.raises(FitError, match=r"joint1.lag would have to be 0.002.* while its drive goes"):
+        fit(model, data, hold_out=0)
+    warnings = fit(model, data, hold_out=0, insist=True).warnings
+    assert [w for w in warnings if w.endswith("goes on: taken all the same")]
+    gentle = new_model("delta54").with_effect("hysteresis")
+    assert not fit(gentle, data, hold_out=0).model.absurd()
 
 
 def test_no_insistence_makes_sense_of_an_absurd_arm():

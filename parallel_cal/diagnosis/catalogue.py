@@ -13,6 +13,7 @@ from parallel_cal.diagnosis.scene import Scene, columns
 from parallel_cal.diagnosis.scoring import Score, quick_log_p, score
 from parallel_cal.diagnosis.thresholds import (
     AS_WELL,
+    LEVELS,
     SHUFFLES,
     SLOW,
     STRETCHES,
@@ -87,12 +88,22 @@ class Candidate:
         rng, as_good = np.random.default_rng(0), 1
         order = np.argsort(scene.dataset.time, kind="stable")
         stretches = np.array_split(order, min(STRETCHES, len(order)))
-        for _ in range(SHUFFLES):
+
+        levels, level = np.unique(a[:, own], axis=0, return_inverse=True)
+
+        def under(conditions: np.ndarray) -> np.ndarray:
             shuffled = a.copy()
-            other = np.concatenate([stretches[k] for k in rng.permutation(len(stretches))])
-            shuffled[order[:, None], own] = a[other[:, None], own]
-            again = quick_log_p(scene, columns(extended, scene, new, shuffled))
-            as_good += again <= self.score.log_p
+            shuffled[:, own] = conditions
+            return columns(extended, scene, new, shuffled)
+
+        # Loads are few: every sample under each of them, once, is all that copies are made of.
+        few = len(levels) <= LEVELS
+        known = np.array([scene.by_sample(under(one)) for one in levels if few])
+        other = np.empty_like(order)
+        for _ in range(SHUFFLES):
+            other[order] = np.concatenate([stretches[k] for k in rng.permutation(len(stretches))])
+            B = known[level[other], range(len(a))] if few else under(a[other[:, None], own])
+            as_good += quick_log_p(scene, B.reshape(len(scene.residual), -1)) <= self.score.log_p
         return as_good / (SHUFFLES + 1)
 
 
@@ -131,6 +142,9 @@ def candidate(scene: Scene, name: str) -> Candidate:
         return _wider(scene, name, effect, plain)
     a = conditions(plain, scene.dataset)
     settings = list(effect.scan(scene.model.mechanism, recorded(scene.dataset)))
+    if not settings:
+        reason = f"cannot be tested: {', '.join(effect.needs)} never changed"
+        return Candidate(name, effect, reason=reason)
     many = [quick_log_p(scene, of_last(scene, plain, setting, a)) for setting in settings]
     best = int(np.argmin(many))
     setting = settings[best]

@@ -73,6 +73,12 @@ class Diagnosis:
         return tuple(c.name for c in self.best.chosen)
 
     @property
+    def additions(self) -> tuple[str, ...]:
+        """The same as `add` takes them, with the settings that were found; joined by `+` all at
+        once."""
+        return tuple(c.text for c in self.best.chosen)
+
+    @property
     def band(self) -> tuple[float, float]:
         """Where chi2/dof of the base lies if it is complete; infinite where nobody knows."""
         return self.noise.band(self.base.fitted.estimate.dof)
@@ -84,6 +90,7 @@ class Diagnosis:
             "verdict": self.verdict.word,
             "summary": self.verdict.summary,
             "effects": self.effects,
+            "additions": self.additions,
             "share_explained": self.verdict.share,
             "against": self.verdict.against,
             "samples": len(self.dataset),
@@ -175,8 +182,10 @@ def _diagnosed(
 ) -> Diagnosis:
     """The diagnosis of samples that are all believed."""
 
-    def refit(extended: Model) -> Result:
-        return fit_registered(extended, dataset, least_squares)
+    def refit(extended: Model, insist: bool) -> Result:
+        return fit_registered(
+            extended, dataset, replace(least_squares, insist=insist or least_squares.insist)
+        )
 
     with single_threaded():
         search = Search(model, refit, report)
@@ -266,8 +275,20 @@ def _searched(search: Search, catalogue: _Catalogue) -> tuple[Trial, dict[str, s
     not told from it: named is then what does neither.
     """
     base = search.fit()
-    best, against = search.forward(base, catalogue.significant)
-    best = search.backward(best)
+
+    def grown(start: Trial) -> tuple[Trial, dict[str, str]]:
+        more, against = search.forward(start, catalogue.significant)
+        return search.settled(search.backward(more), catalogue.ranked), against
+
+    def found() -> tuple[Trial, dict[str, str]]:
+        best, against = grown(base)
+        better = search.exchanged(best, rivals_of(best, catalogue.ranked(base)))
+        if better is best:
+            return best, against
+        best, more = grown(better)  # by what a wrong name hid
+        return best, against | more
+
+    best, against = found()
     wandering = [c for c in catalogue.ranked(base) if c.wanders and c.testable]
     if not {c.name for c in wandering} & set(best.names):
         return best, against
@@ -275,9 +296,9 @@ def _searched(search: Search, catalogue: _Catalogue) -> tuple[Trial, dict[str, s
     if not shape.correlated:
         return best, against
     catalogue.wandering = False
-    best, against = search.forward(base, catalogue.significant)
+    best, against = found()
     words = f"cannot be told from what wanders: noise is correlated over {shape.memory:.2g} s"
-    return search.backward(best), against | {c.name: words for c in wandering}
+    return best, against | {c.name: words for c in wandering}
 
 
 class _Catalogue:

@@ -72,10 +72,15 @@ class Scene:
         return blocks(self.dataset)
 
     @cached_property
+    def seen(self) -> np.ndarray:
+        """q, r, R9 and geometry as the effects let the closure see them: (N, k)."""
+        return self.model.structure.seen_batch(self.x, self.observations.a, self.model.values)[0]
+
+    @cached_property
     def by_seen(self) -> np.ndarray:
-        """d rows/d(q, r, R9, geometry) as the closure sees them, in noise units: (N, rows, k)."""
+        """d rows/d what the closure sees, in noise units: (N, rows, k)."""
         closure = self.model.structure.phi.shape[0]
-        by_seen = self.model.structure.by_seen(self.x, self.observations.a, self.model.values)[0]
+        by_seen = self.model.structure.ideal.by_seen(self.seen)[0]
         J = by_seen.reshape(len(self.x), -1, closure).transpose(0, 2, 1)
         return self.whitener[:, :, :closure] @ J
 
@@ -96,8 +101,8 @@ class Scene:
         return np.asarray(np.sqrt(squares / np.maximum(self.informative, 1)))
 
     def by_sample(self, column: np.ndarray) -> np.ndarray:
-        """A column (n,) as (N, rows)."""
-        return column.reshape(-1, self.rows)
+        """A column (n,) as (N, rows), or columns (n, k) as (N, rows, k)."""
+        return column.reshape(-1, self.rows, *column.shape[1:])
 
 
 def columns(
@@ -107,15 +112,17 @@ def columns(
     at zero, under conditions a (N, n_conditions), else those recorded; its mechanism and sensors
     are those of the scene. FitError where a condition lacks."""
     a = conditions(extended, scene.dataset) if a is None else a
-    which = tuple(int(i) for i in np.flatnonzero(new))
-    s, n = extended.structure, len(scene.x)
+    s, n, which = extended.structure, len(scene.x), np.flatnonzero(new)
+    name = extended.effects[-1].name if extended.effects else ""
+    own = [k for k, parameter in enumerate(s.table.names) if parameter.startswith(f"{name}.")]
     reads = any(effect.acts_on(c) for effect in extended.effects[-1:] for c in s.channels)
-    if extended.mechanism is scene.model.mechanism and not reads:
-        seen_by, moved = s.seen_by(which)
-        by_number = seen_by(scene.x, a, extended.values)[0].reshape(n, len(which), len(moved))
-        J = scene.by_seen[:, :, moved] @ by_number.transpose(0, 2, 1)
+    if extended.mechanism is scene.model.mechanism and set(which) <= set(own) and not reads:
+        seen_by, moved = s.ideal.seen_by(name, tuple(np.searchsorted(own, which).tolist()))
+        at = a[:, [s.conditions.index(c) for c in extended.effects[-1].conditions(s.mechanism)]]
+        by_number = seen_by(scene.seen, at, extended.values[own])[0]
+        J = scene.by_seen[:, :, moved] @ by_number.reshape(n, len(which), -1).transpose(0, 2, 1)
     else:  # another closure, or a reading that changes beside it
-        by_v = s.columns(which)(scene.x, a, extended.values)[0]
+        by_v = s.columns(tuple(which.tolist()))(scene.x, a, extended.values)[0]
         J = scene.whitener @ by_v.reshape(n, len(which), scene.rows).transpose(0, 2, 1)
     return np.asarray(J.reshape(len(scene.residual), -1) * extended.table.tolerance[new])
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -26,6 +26,8 @@ from parallel_cal.identification.methods._estimate import Estimate
 from parallel_cal.identification.prediction_errors import held_out_ratio
 from parallel_cal.model.model import Model
 
+Refit = Callable[[Model, bool], Result]  # of a model; whether numbers out of range are let be
+
 
 @dataclass(frozen=True)
 class Chosen:
@@ -41,6 +43,12 @@ class Chosen:
     @property
     def settings(self) -> dict[str, float]:
         return dict(self.fixed)
+
+    @property
+    def text(self) -> str:
+        """As `add` takes it."""
+        numbers = (f"{key}={float(value)!r}" for key, value in self.fixed)
+        return ":".join(filter(None, [self.name, ",".join(numbers)]))
 
 
 @dataclass(frozen=True)
@@ -68,26 +76,33 @@ class Trial:
         return Scene.of(r.model, r.dataset, r.observations, r.free)
 
 
+Rank = Callable[[Trial], list[Candidate]]  # what may be added to it, the best first
+Rivals = Mapping[str, list[Candidate]]  # of each effect, what the data confuse it with
+
+
 class Search:
     """The refits of one diagnosis, each made once."""
 
-    def __init__(self, model: Model, refit: Callable[[Model], Result], progress: Progress):
+    def __init__(self, model: Model, refit: Refit, progress: Progress):
         self._model, self._refit, self._progress = model, refit, progress
-        self._known: dict[tuple[Chosen, ...], Trial] = {}
+        self._known: dict[tuple[tuple[Chosen, ...], bool], Trial] = {}
 
-    def fit(self, *chosen: Chosen) -> Trial:
-        """The baseline with these effects, identified on all poses and judged on those left out."""
-        if chosen not in self._known:
+    def fit(self, *chosen: Chosen, insist: bool = False) -> Trial:
+        """The baseline with these effects, identified on all poses and judged on those left out;
+        where one insists, with numbers that no such robot has, too."""
+        if insist and (plain := self.fit(*chosen)).result is not None:
+            return plain
+        if (chosen, insist) not in self._known:
             self._progress(f"refitting with {', '.join(c.name for c in chosen) or 'nothing'}", 0.5)
-            self._known[chosen] = self._fit(chosen)
-        return self._known[chosen]
+            self._known[chosen, insist] = self._fit(chosen, insist)
+        return self._known[chosen, insist]
 
-    def _fit(self, chosen: tuple[Chosen, ...]) -> Trial:
+    def _fit(self, chosen: tuple[Chosen, ...], insist: bool) -> Trial:
         model = self._model
         try:
             for one in chosen:
                 model = model.with_effect(one.name, one.settings)
-            result = self._refit(model)
+            result = self._refit(model, insist)
         except FitError as error:
             return Trial(chosen, None, str(error))
         return Trial(chosen, result)
@@ -110,13 +125,11 @@ class Search:
             return False
         return bool(_unproven(before, after) or _too_large(before.fitted, after.result) > 1)
 
-    def forward(
-        self, start: Trial, rank: Callable[[Trial], list[Candidate]]
-    ) -> tuple[Trial, dict[str, str]]:
+    def forward(self, start: Trial, rank: Rank) -> tuple[Trial, dict[str, str]]:
         """Effects added one by one while one is significant and nothing stands against it."""
         trial: Trial = start
         against: dict[str, str] = {}
-        while len(trial.chosen) - len(start.chosen) < MOST_EFFECTS:
+        while len(trial.chosen) < MOST_EFFECTS:
             for one in rank(trial):
                 after, reason = self.accepts(trial, one)
                 if not reason:
@@ -124,8 +137,31 @@ class Search:
                     break
                 against[one.name] = reason
             else:
-                break
+                both = self._two_at_once(trial, rank)
+                if both is None:
+                    break
+                trial = both
         return trial, against
+
+    def _two_at_once(self, before: Trial, rank: Rank) -> Trial | None:
+        """The best two effects of which one alone would need numbers that no such robot has: these
+        may be the other's, or half its lookalike's. None where no two stand."""
+        found, ranked = [], rank(before)
+        for one in ranked:
+            alone = (*before.chosen, Chosen.of(one))
+            if self.fit(*alone).result is not None:
+                continue
+            beyond = self.fit(*alone, insist=True)
+            more = rank(beyond) if beyond.result is not None else []
+            halves = [c for c in ranked if c.name in one.effect.lookalikes]
+            for other, less in [*((c, beyond) for c in more), *((c, before) for c in halves)]:
+                both = self.fit(*alone, Chosen.of(other))
+                if both.result is None or _unproven(before, both) or _chance(less, both, other):
+                    continue
+                if _too_large(before.fitted, both.result) <= 1:
+                    found.append(both)
+                    break
+        return min(found, key=lambda both: both.fitted.estimate.chi2_per_dof, default=None)
 
     def backward(self, trial: Trial) -> Trial:
         """Effects taken out again that those added later have made superfluous."""
@@ -137,16 +173,42 @@ class Search:
                 trial = without
         return trial
 
-    def swaps(self, trial: Trial, rivals: Mapping[str, list[Candidate]]) -> dict[str, list[str]]:
+    def settled(self, trial: Trial, rank: Rank) -> Trial:
+        """The same effects, each with the settings that fit best beside the others: what was not
+        known yet when they were scanned had a part in them."""
+        for name in trial.names if len(trial.chosen) > 1 else ():
+            place = trial.names.index(name)
+            *before, one = trial.chosen[: place + 1]
+            behind = trial.chosen[place + 1 :]
+            others = self.fit(*before, *behind, insist=True) if one.fixed else None
+            if others is None or others.result is None:
+                continue
+            again = next(c for c in rank(others) if c.name == name)
+            after = self.fit(*before, Chosen.of(again), *behind)
+            if after.result and after.result.estimate.chi2 < trial.fitted.estimate.chi2:
+                trial = after
+        return trial
+
+    def exchanged(self, trial: Trial, rivals: Rivals) -> Trial:
+        """With one effect exchanged for a rival that explains clearly more in its place, the best
+        of these; the same where none does."""
+        clear = [other for *_, other in self._swapped(trial, rivals) if _clearer(trial, other)]
+        return min(clear, key=lambda other: other.fitted.estimate.chi2_per_dof, default=trial)
+
+    def swaps(self, trial: Trial, rivals: Rivals) -> dict[str, list[str]]:
         """For each chosen effect those of its rivals that tell as good a story in its place."""
         found: dict[str, list[str]] = {}
+        for name, rival, other in self._swapped(trial, rivals):
+            if _as_good(trial, other):
+                found.setdefault(name, []).append(rival)
+        return found
+
+    def _swapped(self, trial: Trial, rivals: Rivals) -> Iterator[tuple[str, str, Trial]]:
+        """Each chosen effect, each of its rivals, and the trial with the one for the other."""
         for i, one in enumerate(trial.chosen):
             for other in rivals.get(one.name, []):
-                swapped = list(trial.chosen)
-                swapped[i] = Chosen.of(other)
-                if _as_good(trial, self.fit(*swapped)):
-                    found.setdefault(one.name, []).append(other.name)
-        return found
+                swapped = (*trial.chosen[:i], Chosen.of(other), *trial.chosen[i + 1 :])
+                yield one.name, other.name, self.fit(*swapped)
 
 
 def _unproven(before: Trial, after: Trial) -> str:
@@ -167,15 +229,23 @@ def _chance(before: Trial, after: Trial, one: Candidate) -> str:
 
 
 def _too_large(before: Result, after: Result) -> float:
-    """Rms of the new numbers in tolerances, where their squares, less what is their own
-    uncertainty, are more than the fall of chi2 is worth; else 0."""
-    model, estimate = after.model, after.estimate
+    """Rms of the new numbers in tolerances, where all effects' squares rise by more than the fall
+    of chi2 is worth; else 0."""
     known = set(before.model.table.names)
-    new = after.free & np.array([name not in known for name in model.table.names])
-    away = ((model.values - model.table.nominal) ** 2 - estimate.sigma**2)[new]
-    squares = np.maximum(away / model.table.tolerance[new] ** 2, 0.0)
-    worth = (before.estimate.chi2 - estimate.chi2) / estimate.chi2_per_dof
-    return float(np.sqrt(squares.mean())) if squares.sum() > max(worth, 0.0) else 0.0
+    new = np.array([name not in known for name in after.model.table.names])
+    were, squares = _sizes(before), _sizes(after)
+    worth = (before.estimate.chi2 - after.estimate.chi2) / after.estimate.chi2_per_dof
+    rise = squares.sum() - were.sum()
+    return float(np.sqrt(squares[new & after.free].mean())) if rise > max(worth, 0.0) else 0.0
+
+
+def _sizes(result: Result) -> np.ndarray:
+    """Squares of the effects' numbers in tolerances (n_parameters,), less what is their own
+    uncertainty; 0 for all others."""
+    table, sigma = result.model.table, result.estimate.sigma
+    away = (result.model.values - table.nominal) ** 2 - sigma**2
+    counts = result.free & np.array([p.group == "effect" for p in table])
+    return np.where(counts, np.maximum(away / table.tolerance**2, 0.0), 0.0)
 
 
 def _as_good(trial: Trial, other: Trial) -> bool:
@@ -184,6 +254,15 @@ def _as_good(trial: Trial, other: Trial) -> bool:
         return False
     own, its = trial.fitted.estimate, other.fitted.estimate
     return its.chi2 - own.chi2 < APART**2 * max(own.chi2_per_dof, 1e-300)
+
+
+def _clearer(trial: Trial, other: Trial) -> bool:
+    """Whether other effects explain more, by more than their numbers and chance are worth."""
+    if other.result is None:
+        return False
+    own, its = trial.fitted.estimate, other.result.estimate
+    worth = APART**2 + 2 * max(own.dof - its.dof, 0)
+    return own.chi2 - its.chi2 > worth * its.chi2_per_dof and not _unproven(trial, other)
 
 
 def ratio_of(before: Trial, after: Trial) -> float | None:

@@ -126,7 +126,7 @@ class Doubt:
 
     @classmethod
     def of(cls, best: Trial, effect: str, rival: Chosen) -> Doubt | None:
-        """None where the rival is a larger model."""
+        """None where the rival is a larger model, or would have to be what cannot be."""
         fitted = best.fitted
         try:
             model = fitted.model.with_effect(rival.name, rival.settings)
@@ -141,7 +141,19 @@ class Doubt:
         doubt = cls(effect, rival.name, model, measured, np.zeros((0, 0)))
         rows = doubt.with_signal(so_far.jacobian)
         rows = rows.reshape(-1, rows.shape[2])
-        return replace(doubt, information=rows.T @ rows + VAGUE * np.eye(rows.shape[1]))
+        found = replace(doubt, information=rows.T @ rows + VAGUE * np.eye(rows.shape[1]))
+        return None if found.imitation.absurd() else found
+
+    @property
+    def imitation(self) -> Model:
+        """The model with those of geometry and rival that look most like the effect, which is
+        not there."""
+        I, free = self.information, ~np.asarray(self.model.fixed)
+        own = np.array([n.startswith(f"{self.effect}.") for n in self.model.table.names])
+        values = np.where(own, self.model.table.nominal, self.model.values)
+        like = np.linalg.solve(I[:-1, :-1], I[:-1, -1])
+        values[free & ~own] += like * self.model.table.tolerance[free & ~own]
+        return self.model.with_values(values)
 
     @property
     def now(self) -> float:
@@ -179,11 +191,13 @@ def settling(
     reaches: Sequence[float] = REACHES,
     allowed: Allowed = lambda joints: np.ones(len(joints), bool),
     payloads: Sequence[float] = (),
+    least: np.ndarray | float = 0.0,
 ) -> Separation | None:
     """As few poses of some `sizes` as settle a doubt, in the workspace where they can, else as far
     as joint limits and singularities let the robot go; the best there are where none settles it.
     With one of some `payloads` (kg), where none are given with none or twice the heaviest so far.
-    None where no pose can be reached, or is `allowed`."""
+    The last way to a pose is `least` (nq,) long. None where no pose can be reached, or is
+    `allowed`."""
     plans = []
     for reach in reaches:
         rng = np.random.default_rng(seed)
@@ -192,6 +206,7 @@ def settling(
         except FitError:
             continue
         pool = pool.rows(np.flatnonzero(allowed(pool.poses.joints)))
+        pool = pool.drawn_out(doubt.model, least)
         course = Course.after(so_far, max(sizes) // BLOCKS)
         block = rng.integers(BLOCKS if goes_on(doubt.model) else 1, size=len(pool.poses))
         a = circumstances(doubt.model, pool, so_far, course, block, rng, payloads)
@@ -211,9 +226,12 @@ def strengthening(
     under: Mapping[str, float],
     allowed: Allowed,
     seed: int = 0,
+    least: np.ndarray | float = 0.0,
+    reach: float = 1.0,
 ) -> Pool:
     """n poses that, beside the data so far, tell most of all that a model and `suspects` beside it
-    have free (D-optimality), `under` these conditions and else those measured under last."""
+    have free (D-optimality), `under` these conditions and else those measured under last; the last
+    way to each is `least` (nq,) long."""
     fitted, model = best.fitted, best.fitted.model
     for one in suspects:
         model = model.with_effect(one.name, one.settings)
@@ -224,8 +242,8 @@ def strengthening(
     J = Linearisation(model, observations, free, True)(model.values, best.scene.x).jacobian * scale
     J = J.reshape(-1, J.shape[2])
     information = J.T @ J + VAGUE * np.eye(J.shape[1])
-    pool = make_pool(model, POOL, np.random.default_rng(seed), symmetric=False)
-    pool = pool.rows(np.flatnonzero(allowed(pool.poses.joints)))
+    pool = make_pool(model, POOL, np.random.default_rng(seed), symmetric=False, reach=reach)
+    pool = pool.rows(np.flatnonzero(allowed(pool.poses.joints))).drawn_out(model, least)
     latest = int(np.argmax(fitted.dataset.time))
     for k, name in enumerate(model.conditions):
         if name in ("time", "temperature", "payload", "session"):

@@ -43,6 +43,8 @@ class DeviceBump(Effect):
     ) -> Iterator[Mapping[str, float]]:
         """Moments between two samples, all over the session."""
         times = np.unique(recorded["time"])
+        if len(times) < 2:
+            return iter(())
         between = (times[1:] + times[:-1]) / 2
         chosen = np.linspace(0, len(between) - 1, MOMENTS + 2)[1:-1].round().astype(int)
         return ({"time": float(between[k])} for k in np.unique(chosen))

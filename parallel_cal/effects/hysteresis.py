@@ -41,6 +41,16 @@ class Hysteresis(Effect):
 
         return shifted(seen, mechanism, mechanism.joints, error)
 
+    def absurd(self, e: Named, mechanism: Mechanism) -> str:
+        for joint in mechanism.joints:
+            lag, width = float(e[joint].lag), float(e[joint].width)
+            if lag > width:
+                return (
+                    f"hysteresis.{joint}.lag would have to be {lag:.3g}, built up in {width:.3g}: "
+                    "the joint would turn back while its drive goes on"
+                )
+        return ""
+
     def scan(
         self, mechanism: Mechanism, recorded: Mapping[str, Any]
     ) -> Iterator[Mapping[str, float]]:

@@ -13,7 +13,7 @@ from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.prior import Prior
 from parallel_cal.model.model import Model
-from parallel_cal.model.parameters import Parameter
+from parallel_cal.model.parameters import BEYOND, Parameter
 
 
 def chosen_parameters(model: Model, options: FitOptions) -> tuple[np.ndarray, bool]:
@@ -77,14 +77,24 @@ def check_plausible(
         value = float(model.values[i])
         if not free[i] or low <= value <= high:
             continue
-        said, bound = _implausible(p, value, estimate.chi2_per_dof), low if value < low else high
+        said, (least, most) = _implausible(p, value, estimate.chi2_per_dof), p.plausible_range()
+        bound = least if value < low else most
         if not insist or p.group not in ("effect", "sensor") or bound == p.nominal:
             raise FitError(said)
-        low, high = p.plausible_range()
-        bound = low if value < low else high
         tolerances[p.name] = 1.2 * p.tolerance * (value - p.nominal) / (bound - p.nominal)
         words.append(f"{said}: taken all the same")
+    if why := model.with_values(_nearest(model, estimate, free)).absurd():
+        if not insist:
+            raise FitError(why)
+        words.append(f"{why}: taken all the same")
     return replace(model, tolerances=tolerances), words
+
+
+def _nearest(model: Model, estimate: Estimate, free: np.ndarray) -> np.ndarray:
+    """The values nearest to nominal that are within three sigmas of what was estimated."""
+    away = model.values - model.table.nominal
+    slack = np.where(free, BEYOND * estimate.sigma, 0.0)
+    return np.asarray(model.table.nominal + np.sign(away) * np.maximum(np.abs(away) - slack, 0.0))
 
 
 def _implausible(p: Parameter, value: float, chi2_per_dof: float) -> str:

@@ -5,17 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
-import numpy as np
-
 from parallel_cal.base.errors import FitError
 from parallel_cal.identification.methods._estimate import Estimate
 from parallel_cal.identification.methods._robust import robust
-from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prior import Prior
-from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import load_module, own
 
-Estimator = Callable[[Model, Observations, np.ndarray], Estimate]
+Estimator = Callable[..., Estimate]  # of a model, observations, the mask of what is free
 # These minimise residuals in noise units until they settle; what rests on such a minimum
 # (robust losses, partial re-calibration) makes no sense for the others.
 SETTLING = ("implicit", "forward", "inverse")

@@ -229,7 +229,11 @@ def fit_registered(
         if lacking(model, kept, mask, options.prior):
             return None
         # From where all poses led it is not far, unless only those left out tell of a direction.
-        found = estimate_with(model.with_values(estimate.values), kept, mask)
+        # There the closure is linearised already; a method of one's own may know no such thing.
+        system = estimate.system if options.method == "implicit" else None
+        begin = system and system.of(train)
+        known = {"begin": begin} if begin else {}
+        found = estimate_with(model.with_values(estimate.values), kept, mask, **known)
         if found.spectrum.rank < estimate.spectrum.rank:
             found = estimate_with(model, kept, mask)
         return errors(model.with_values(found.values), observations.select(test))
@@ -250,7 +254,7 @@ def fit_registered(
         model=replace(fitted, fixed=model.fixed if partial else ~mask),
         start=model,
         options=options,
-        estimate=estimate,
+        estimate=replace(estimate, system=None),  # of the size of the data
         free=mask,
         after=after,
         held_out=held_out,

@@ -6,8 +6,9 @@ measured are projected out: every measuring set-up is this one routine.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from parallel_cal.model.model import Model
 
 BLOCK = 1024  # samples at a time: what is in work then stays in the processor's cache
 MANY = 50_000  # samples from which compiled code pays, even where the cache does not hold it yet
+HELD = 1 << 28  # bytes of a Jacobian; a larger one is computed anew where it is wanted
 
 Adjust = Callable[[np.ndarray], np.ndarray]
 
@@ -42,10 +44,63 @@ class System:
         """Another point's chi2, to be held against this one's."""
         return other.chi2
 
+    def of(self, index: np.ndarray) -> System | None:
+        """The same of some samples; None where linearising them anew is less work."""
+        return System(
+            self.residual[index],
+            self.jacobian[index],
+            self.informative[index],
+            lambda step: self.adjusted(step)[index],
+        )
+
     @property
     def columns(self) -> np.ndarray:
         """The Jacobian's rows of all samples in one matrix (N * rows, n_free)."""
         return self.jacobian.reshape(-1, self.jacobian.shape[2])
+
+    @property
+    def triangle(self) -> np.ndarray:
+        """A matrix with the singular values and directions of `columns`."""
+        return self.columns
+
+    @cached_property
+    def normal(self) -> np.ndarray:
+        """J^T J, (n_free, n_free)."""
+        return self.columns.T @ self.columns
+
+    @cached_property
+    def gradient(self) -> np.ndarray:
+        """J^T times the residuals, (n_free,)."""
+        return self.columns.T @ self.residual.reshape(-1)
+
+
+class Streamed(System):
+    """A system of very many samples, whose Jacobian `parts` give some samples at a time."""
+
+    def __init__(
+        self,
+        residual: np.ndarray,
+        informative: np.ndarray,
+        adjusted: Adjust,
+        parts: Callable[[], Iterator[np.ndarray]],
+    ):
+        self.residual, self.informative, self.adjusted = residual, informative, adjusted
+        self._parts = parts
+
+    def of(self, index: np.ndarray) -> None:
+        return None
+
+    @property
+    def jacobian(self) -> np.ndarray:  # type: ignore[override]
+        return np.concatenate([part.copy() for part in self._parts()])
+
+    @property
+    def triangle(self) -> np.ndarray:
+        R: np.ndarray = np.zeros((0, len(self.gradient)))
+        for part in self._parts():
+            rows = np.concatenate([R, part.reshape(-1, part.shape[2])])
+            R = np.asarray(np.linalg.qr(rows, mode="r"))
+        return R
 
 
 class Linearisation:
@@ -89,21 +144,57 @@ class Linearisation:
 
     def __call__(self, values: np.ndarray, x: np.ndarray) -> System:
         """Residuals and Jacobian at parameters and adjusted configurations x (N, nq+12)."""
-        adjusts: list[Adjust] = []
-        system = System(
-            np.empty((len(x), self._rows)),
-            np.empty((len(x), self._rows, self._n_free)),
-            np.full(len(x), self._rows),
+        residual, informative = np.empty((len(x), self._rows)), np.full(len(x), self._rows)
+        if len(x) * self._rows * self._n_free * 8 > HELD:
+            return self._streamed(values, x, residual, informative)
+        jacobian = np.empty((len(x), self._rows, self._n_free))
+        adjusts = [
+            self._fill(residual[part], jacobian[part], informative[part], values, x[part], part)
+            for part in _parts(x)
+        ]
+        return System(
+            residual,
+            jacobian,
+            informative,
             lambda step: np.concatenate([adjust(step) for adjust in adjusts]),
         )
-        for begin in range(0, len(x), BLOCK):
-            part = slice(begin, begin + BLOCK)
-            adjusts.append(self._fill(system, values, x[part], part))
+
+    def _streamed(
+        self, values: np.ndarray, x: np.ndarray, residual: np.ndarray, informative: np.ndarray
+    ) -> Streamed:
+        """The same; of the Jacobian only some samples are there at a time."""
+        work = np.empty((BLOCK, self._rows, self._n_free))
+
+        def filled() -> Iterator[tuple[slice, np.ndarray, Adjust]]:
+            for part in _parts(x):
+                A = work[: len(x[part])]
+                args = residual[part], A, informative[part], values, x[part], part
+                yield part, A, self._fill(*args)
+
+        def adjusted(step: np.ndarray) -> np.ndarray:
+            out = np.empty_like(x)
+            for part, _, adjust in filled():
+                out[part] = adjust(step)
+            return out
+
+        system = Streamed(residual, informative, adjusted, lambda: (A for _, A, _ in filled()))
+        system.normal, system.gradient = np.zeros((self._n_free,) * 2), np.zeros(self._n_free)
+        for part, A, _ in filled():
+            columns = A.reshape(-1, self._n_free)
+            system.normal += columns.T @ columns
+            system.gradient += columns.T @ residual[part].reshape(-1)
         return system
 
-    def _fill(self, system: System, values: np.ndarray, x: np.ndarray, part: slice) -> Adjust:
+    def _fill(
+        self,
+        r: np.ndarray,
+        A: np.ndarray,
+        informative: np.ndarray,
+        values: np.ndarray,
+        x: np.ndarray,
+        part: slice,
+    ) -> Adjust:
         """Residuals, Jacobian and the rows' number of some samples; how a step adjusts these."""
-        r, A = system.residual[part], system.jacobian[part]
         phi, C, J = self.blocks(values, x, part)
         away, here = self.away(x, part), Configuration.from_rows(x)
         SC = self._covariance(part) @ C.transpose(0, 2, 1)
@@ -120,14 +211,13 @@ class Linearisation:
             return lambda step: here.moved(corrections(r + A @ step)).rows
         r_all, A_all = r.copy(), A.copy()
         r[:], A[:] = (free_of @ r[:, :, None])[:, :, 0], free_of @ A
-        system.informative[part] = np.rint(np.trace(free_of, axis1=1, axis2=2))
+        informative[:] = np.rint(np.trace(free_of, axis1=1, axis2=2))
         return lambda step: here.moved(explain(r_all + A_all @ step, corrections)).rows
 
     def whiteners(self, values: np.ndarray, x: np.ndarray) -> np.ndarray:
         """T (N, rows, rows) that turns rows into noise units, free of what was not measured."""
         T = np.empty((len(x), self._rows, self._rows))
-        for begin in range(0, len(x), BLOCK):
-            part = slice(begin, begin + BLOCK)
+        for part in _parts(x):
             C = self.blocks(values, x[part], part)[1]
             W = C @ self._covariance(part) @ C.transpose(0, 2, 1)
             K = self._whitening(W + np.diag(self._variance))
@@ -191,6 +281,11 @@ class Linearisation:
         measured = Configuration.from_rows(self._observations.x[part])
         away = measured.change_from(Configuration.from_rows(x))
         return np.where(self._observations.measured[part], away, 0.0)
+
+
+def _parts(x: np.ndarray) -> Iterator[slice]:
+    """Some samples at a time."""
+    return (slice(begin, begin + BLOCK) for begin in range(0, len(x), BLOCK))
 
 
 def by_joint(model: Model, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -113,8 +113,8 @@ def _joint_sigma(
     scatter = _pooled(dataset.scatter_q[:, order])
     if not (scatter > 0).all():
         raise FitError(
-            f"{dataset.source}: no figure for the joints' noise; give --joint-sigma (rad or m) or "
-            f"noise.joint in the model file {GUESS}"
+            f"{dataset.source or 'samples'}: no figure for the joints' noise; give --joint-sigma "
+            f"(rad or m) or noise.joint in the model file {GUESS}"
         )
     return scatter, SCATTER
 

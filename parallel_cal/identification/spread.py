@@ -42,5 +42,7 @@ class Spread:
         kinematics = Kinematics(robot)
         found = kinematics.inverse(*mechanism.poses(np.unique(np.vstack(grids), axis=0)))
         solved = found[found.solved]
-        spread = np.array([kinematics.direct_covariance(one)[:3, :3] for one in solved])
-        return cls(solved.position, spread, "".join(POSE[k] for k in axes)) if len(spread) else None
+        if not len(solved):
+            return None
+        spread = kinematics.direct_covariance(solved)[:, :3, :3]
+        return cls(solved.position, spread, "".join(POSE[k] for k in axes))

@@ -21,6 +21,7 @@ NEAR_DIRECT, NEAR_INVERSE = 0.2, 1e-4  # smallest singular value, as a share of 
 # When a search has arrived
 STEP = 1e-8  # tolerances: smaller steps change nothing a person can measure
 GAIN = 1e-9  # of chi2: steps that promise less have arrived, however long (weak directions)
+UNSEEN_GAIN = 1e-6  # of chi2: what a step may leave at most that nobody looks at
 STALLED, PATIENCE = 1e-6, 10  # of chi2: what so many steps gain where nothing is left to gain
 TURNED = 1e-4  # rad: by so much directions may turn that tolerances were held along
 CHOICES = 8  # of these directions, each where the last ones led to

@@ -33,6 +33,9 @@ class Predicted(System):
     raw: np.ndarray = field(kw_only=True)
     whitener: np.ndarray = field(kw_only=True)
 
+    def of(self, index: np.ndarray) -> None:
+        return None  # its samples are those that could be solved
+
     def chi2_of(self, other: System) -> float:
         """Another point's chi2 in this one's weights: what a step from here can lower."""
         assert isinstance(other, Predicted)
@@ -53,11 +56,15 @@ class _Point:
         return self.system.chi2 + self.known - self.system.chi2_of(other.system) - other.known
 
 
-def minimise(sought: Sought, reach: Reach, advice: str, iterations: int) -> Estimate:
+def minimise(
+    sought: Sought, reach: Reach, advice: str, iterations: int, near: bool = False
+) -> Estimate:
     """Levenberg-Marquardt (C.4) on whitened residuals, for every method that settles.
 
     Directions that the data see less of than the tolerances know are chosen where they are, and
-    chosen anew where that leads to. FitError where it does not settle, with `advice`.
+    chosen anew where that leads to. From `near` the last step, which leaves nothing to gain where
+    it falls as short as the one before, is taken unseen. FitError where it does not settle, with
+    `advice`.
     """
     free, stay = sought.free, np.zeros(int(sought.free.sum()))
 
@@ -80,11 +87,17 @@ def minimise(sought: Sought, reach: Reach, advice: str, iterations: int) -> Esti
         raise FitError("the starting model has no solution at some samples: start nearer")
     known, choices = sought.known(first), 1
     here, damping, costs = held(np.array(sought.model.values), first), 1e-6, [np.inf]
+    promised = np.inf
     for k in range(iterations):
-        if (k > 0 and here.normal.arrived) or _stalled(costs):
-            better = sought.known(here.system)
+        last = near and k > 0 and here.normal.arrives(promised)
+        if (k > 0 and here.normal.arrived) or last or _stalled(costs):
+            seen = sought.seen(here.system)
+            better = sought.known(here.system, seen)
             if choices >= CHOICES or known.alike(better):
-                return concluded(sought, here.values, here.system, k, sought.seen(here.system))
+                values = here.values.copy()
+                values[free] += here.normal.step(0.0)[0] if last else 0.0
+                found = concluded(sought, values, here.system, k, seen)
+                return replace(found, system=here.system)
             known, choices, damping, costs = better, choices + 1, 1e-6, [np.inf]
             here = held(here.values, here.system)
         tried, promised = ahead(here, damping)

@@ -10,7 +10,7 @@ import numpy as np
 from parallel_cal.identification.linearisation import System
 from parallel_cal.identification.observability import Spectrum, spectrum
 from parallel_cal.identification.prior import Knowledge, Prior
-from parallel_cal.identification.thresholds import GAIN, STEP
+from parallel_cal.identification.thresholds import GAIN, STEP, UNSEEN_GAIN
 from parallel_cal.model.model import Model
 
 
@@ -18,7 +18,8 @@ from parallel_cal.model.model import Model
 class Estimate:
     """What a method found: values and covariance (all parameters, fixed ones at zero),
     chi2 and its degrees of freedom, what the data can see, whitened residuals a sample with
-    the number (N,) of independent ones, and the samples' weights (N,) under a robust loss."""
+    the number (N,) of independent ones, and the samples' weights (N,) under a robust loss;
+    `system` of the point it settled at, where the method can begin there without some samples."""
 
     values: np.ndarray
     covariance: np.ndarray
@@ -30,6 +31,7 @@ class Estimate:
     informative: np.ndarray
     iterations: int
     weight: np.ndarray | None = None
+    system: System | None = None
 
     @property
     def chi2_per_dof(self) -> float:
@@ -59,15 +61,15 @@ class Sought:
         """What the data see at a point; without a prior of all (None) the tolerances are known
         where the data tell less, if that was made use of (`held`)."""
         weight = self._variance(system) if held and self.prior is None else 0.0
-        return spectrum(system.columns, self.model.table, self.free, self.prior, weight)
+        return spectrum(system.triangle, self.model.table, self.free, self.prior, weight)
 
-    def known(self, system: System) -> Knowledge:
-        """The prior; None is the tolerances along directions that the data at a point tell
-        less of."""
+    def known(self, system: System, seen: Spectrum | None = None) -> Knowledge:
+        """The prior; None is the tolerances along directions that the data at a point, where this
+        is `seen`, tell less of."""
         table, free = self.model.table, self.free
         if self.prior is not None:
             return Knowledge.of(self.prior, table, free)
-        found, variance = self.seen(system), self._variance(system)
+        found, variance = seen or self.seen(system), self._variance(system)
         weak = found.directions[found.rank - len(found.weak) : found.rank]
         unseen, start = found.directions[found.rank :], self.model.values
         return Knowledge.along(weak, unseen, start, self.model, free, variance)
@@ -82,9 +84,8 @@ class NormalEquations:
     """The normal equations at a point, scaled by tolerances, along their own directions."""
 
     def __init__(self, system: System, values: np.ndarray, tolerance: np.ndarray, known: Knowledge):
-        J = system.columns
-        normal = (J.T @ J) * np.outer(tolerance, tolerance) + known.information
-        gradient = tolerance * (J.T @ system.residual.reshape(-1)) + known.gradient(values)
+        normal = system.normal * np.outer(tolerance, tolerance) + known.information
+        gradient = tolerance * system.gradient + known.gradient(values)
         self._size, directions = np.linalg.eigh(normal)
         self._tolerance, self._directions = tolerance, directions
         self._along, self._chi2 = directions.T @ gradient, system.chi2
@@ -98,6 +99,11 @@ class NormalEquations:
         inverse = np.where(size > floor, 1 / np.maximum(damped, floor), 0.0)
         step = -self._tolerance * (self._directions @ (inverse * self._along))
         return step, float(np.sum(inverse * self._along**2))
+
+    def arrives(self, promised: float) -> bool:
+        """Whether the next step leaves nothing to gain, where that is as large a share as the last
+        one, which promised so much, left."""
+        return self.step(0.0)[1] ** 2 < UNSEEN_GAIN * promised * self._chi2
 
     @property
     def arrived(self) -> bool:

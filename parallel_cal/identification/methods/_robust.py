@@ -57,7 +57,7 @@ def robust(
         model = model.with_values(found.values)
         if np.abs(weight - before).max() < WEIGHT_STEP:
             break
-    return replace(found, weight=before)
+    return replace(found, weight=before, system=None)
 
 
 def reweighted(observations: Observations, weight: np.ndarray | None) -> Observations:

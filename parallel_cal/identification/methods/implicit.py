@@ -26,19 +26,24 @@ def estimate(
     free: np.ndarray,
     prior: bool | Prior | None = False,
     weighted: bool = True,
+    begin: System | None = None,
 ) -> Estimate:
     """Parameters by Levenberg-Marquardt (C.4) on whitened closure residuals.
 
     `free` (n_parameters,) mask; `prior=True` adds every tolerance as a measurement of the
     nominal value, a Prior its mean and covariance, None the tolerances along those directions
     alone that the data tell less of; `weighted=False` is the thesis' merit function (eq. 5.6):
-    chains decouple, but sigma and chi2 lose their meaning. FitError when it does not converge.
+    chains decouple, but sigma and chi2 lose their meaning. `begin` is the closure linearised where
+    the model is, if somebody has it. FitError when it does not converge.
     """
     linearise = Linearisation(model, observations, free, weighted)
 
     def reach(values: np.ndarray, before: System | None, step: np.ndarray) -> System:
+        if before is None:
+            return begin or linearise(values, linearise.start())
         # The adjusted quantities follow from the step by the linearised closure.
-        return linearise(values, before.adjusted(step) if before else linearise.start())
+        return linearise(values, before.adjusted(step))
 
     sought = Sought(model, free, prior, observations.noise_assumed)
-    return minimise(sought, reach, "is the starting model of the right robot?", ITERATIONS)
+    advice = "is the starting model of the right robot?"
+    return minimise(sought, reach, advice, ITERATIONS, near=begin is not None)
