@@ -144,7 +144,7 @@ def test_a_five_bar_loses_only_digits(tmp_path):
     plain = export(new_model("five_bar"), "rrf", tmp_path)
     text = (tmp_path / "config.g").read_text().replace("-0.0000", "0.0000")
     assert text == (
-        "M669 K9 X-50.0000:50.0000 Y0.0000:0.0000 L2 P100.0000:100.0000 D150.0000:150.0000 "
+        "M669 K9 X-50.0000:50.0000 Y0.0000:0.0000 L2 P100.0000:100.0000 D150.0000:150.0000:0:0 "
         "B180.00000:0.00000 C60.000:180.000:0.000:120.000\n"
     )
     again = configured(plain.paths).model
@@ -171,7 +171,7 @@ def test_a_hangprinters_lines_agree_with_wound_ones_to_the_stated_loss(tmp_path)
     done = export(model, "rrf", tmp_path)
     text = (tmp_path / "config.g").read_text()
     assert "M669 K6 N4 A" in text
-    assert " U2:2:2:4 O1 L20:20:20:20 H255:255:255:255" in text
+    assert " U2:2:2:4 O1:1:1:1 L20:20:20:20 H255:255:255:255" in text
     firmware = vf.Duet(text)
     r, _ = poses_in_workspace(model.mechanism, 1000, np.random.default_rng(9))
     robot = WoundCable(values, Line(section=section, width=width))
@@ -196,6 +196,24 @@ def test_lines_that_start_at_another_length_are_lost_and_said(tmp_path):
     assert lines.mean() == pytest.approx(done.loss["line_mean"], rel=0.05)
     assert done.loss["line_max"] > 1e-3
     assert "M666 Q is not below 0.002" in done.remarks[0]
+    assert "no number for the lines' offset" in done.remarks[1]
+
+
+def test_the_fifth_anchor_has_the_letter_that_its_firmware_reads(tmp_path):
+    anchors = [[1, 0, -0.1], [0, 1, -0.1], [-1, 0, -0.1], [0, -1, -0.1], [0, 0, 2.3]]
+    model = new_model(load_mechanism("cable", anchors=anchors))
+    done = export(model, "rrf", tmp_path)
+    firmware = simulated("rrf", tmp_path)
+    assert firmware.w["M669 I"] == pytest.approx([0, 0, 2300], abs=1)
+    robot = small.Cable(model.table.mapping(model.values), spools=(1, 2, 3, 4, 5))
+    r, _ = poses_in_workspace(model.mechanism, 100, np.random.default_rng(1))
+    wanted = robot.inverse(r, np.broadcast_to(np.eye(3), (100, 3, 3)))[0]
+    off = np.abs(np.radians(firmware.motors(r / MM)) - wanted) * model.mechanism.winds
+    assert off.max() <= done.loss["line_max"] + 1e-9
+    assert len(configured(done.paths).model.joints) == 5
+    six = load_mechanism("cable", anchors=[*anchors, [1, 1, 1]])
+    with pytest.raises(ModelError, match=r"6 lines .* expected 4 to 5 and whole numbers"):
+        export(new_model(six), "rrf", tmp_path)
 
 
 # ------------------------------------------------------------------ numbers worked by hand
@@ -358,6 +376,18 @@ def test_a_linuxcnc_machine_has_its_numbers_in_two_files(tmp_path):
     assert "# here" in hal.read_text()
     assert ini.read_text().count("TYPE = LINEAR") == 2
     assert done.loss["position_mean"] < done.before["position_mean"]
+
+
+def test_a_signal_that_leads_to_a_pin_is_set(tmp_path):
+    hal, ini = tmp_path / "my.hal", tmp_path / "my.ini"
+    hal.write_text(HAL.replace("setp lineardeltakins.R", "net R lineardeltakins.R\nsets R"))
+    ini.write_text(INI)
+    done = export_into(moved(configured([hal, ini]).model), "linuxcnc", [hal, ini])
+    assert re.search(r"\nsets R 149\.[0-9]+ # here\n", hal.read_text())
+    assert done.loss["position_mean"] < done.before["position_mean"]
+    hal.write_text("loadrt [KINS]KINEMATICS\n")
+    with pytest.raises(ParallelCalError, match=r"no genhexkins.base.0.x, expected pins of"):
+        export_into(new_model("linear_delta"), "linuxcnc", [hal, ini])
 
 
 def test_what_a_target_cannot_hold_is_refused_with_those_that_can(tmp_path):

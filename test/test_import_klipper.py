@@ -101,7 +101,7 @@ def test_steps_count_from_the_end_stops(file):
     np.testing.assert_array_equal(data.conditions["reading.probe"], np.array([0.2, 0, 0.1]) * MM)
     np.testing.assert_allclose(data.joint_sigma * 12**0.5, np.array([12.5, 12.5, 6.25]) * 1e-6)
     assert data.warnings[1:] == (
-        "1 distances between touches are not used, a sample being one pose: the size stays unknown",
+        "1 distances are not used: --option printed_x=[sent, measured] tells the size",
     )
     model = configured(file(LINEAR)).model
     at = Kinematics(model).direct(data.q[:1] + 0.05).position
@@ -116,8 +116,9 @@ def test_a_nozzle_beside_its_probe_takes_no_part_in_its_touches(file):
     data = samples("klipper", file(LINEAR + "[probe]\nz_offset: 2\nx_offset: -20\n"))
     assert len(data) == 2
     assert data.warnings[1].startswith("manual heights")
-    model = configured(file(LINEAR + "[bltouch]\nz_offset: 2\ny_offset: 7\n")).model
-    assert model.sensors[0].tip == (0.0, 0.007, 0.0)
+    for kind in ("[bltouch]", "[smart_effector]", "[probe_eddy_current my_coil]"):
+        model = configured(file(LINEAR + f"{kind}\nz_offset: 2\ny_offset: 7\n")).model
+        assert model.sensors[0].tip == (0.0, 0.007, 0.0)
 
 
 def test_the_rotary_model_is_the_firmwares_formula(file):

@@ -49,6 +49,17 @@ def test_inches_are_inches(files):
     assert data.q[0, 0] == pytest.approx(expected, abs=1e-12)
 
 
+def test_a_signal_may_lead_to_the_pins(files):
+    """As LinuxCNC's own examples have it."""
+    led = HAL.replace(
+        "setp lineardeltakins.R 150", "net R lineardeltakins.R => delta.R\nsets R 150"
+    )
+    plain, model = (configured(files(hal=text)[1:]).model for text in (HAL, led))
+    assert plain.values.tolist() == model.values.tolist()
+    with pytest.raises(ParallelCalError, match=r"hal:3: lineardeltakins.R is '15O', expected setp"):
+        configured(files(hal=led.replace("sets R 150", "sets R 15O"))[1:])
+
+
 BROKEN = {
     "short line": (LOG.replace(" 0 0 0\n", "\n"), HAL, "probe.txt:2: the line is '-30.5 20 0.25 0"),
     "word": (LOG.replace("0.25", "O.25"), HAL, "probe.txt:2: Z is 'O.25', expected a number"),

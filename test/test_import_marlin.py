@@ -84,6 +84,13 @@ def test_touches_before_and_after_new_settings_count_from_the_same_end_stops(log
     np.testing.assert_allclose(after, [[0, 0, 0], *circle], atol=1e-9)
 
 
+@pytest.mark.parametrize(("command", "beside"), [("G33 P3 V3", 0.0), ("G33 P3 V3 O", 1.0)])
+def test_g33_has_the_nozzle_over_its_points_or_with_o_the_probe(log, command, beside):
+    paths = log(G33.replace("G33 P3 V3", command))
+    at = Kinematics(configured(paths).model).direct(samples("marlin", paths).q[7:]).position
+    np.testing.assert_allclose(at[0], np.array([-10 * beside, 5 * beside, 2]) * MM, atol=1e-9)
+
+
 def test_means_of_g33_are_no_touches(log):
     with pytest.raises(ParallelCalError, match=r"no touches.*means of touches"):
         samples("marlin", log(G33.replace("P3", "P4")))

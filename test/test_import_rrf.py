@@ -1,6 +1,7 @@
 """RepRapFirmware's height maps and configuration become touches and a model; or one clear line."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -76,7 +77,7 @@ def test_arms_of_a_rotary_delta_stand_where_pythagoras_puts_them():
 
 
 @pytest.mark.parametrize("config", [
-    LINEAR, ROTARY,
+    LINEAR, LINEAR.lower(), ROTARY,
     "M665 L250.5:251:249.2 R148.2 H240.1 X-0.3 Y0.2 Z0.1\nM666 X0.1 Y-0.2 Z0.1 A1.5 B-0.7\n",
     "M669 K10 U100:101:99.5 L250:251:249 H200:201:199 R50 X0.4 Y-0.2 Z0.1\n",
 ])  # fmt: skip
@@ -146,6 +147,10 @@ def test_a_five_bar_stands_where_pythagoras_puts_it(tmp_path):
     for old, new, message in (
         ("L2", "L3", "config.g:1: M669 L is '3', expected one of the work modes 1, 2, 4"),
         ("P100", "", "no M669 P, expected lengths in mm of left:right"),
+        ("D150", "D150:150:0:30", "M669 D is '150:150:0:30', expected lengths in mm of left:right"),
+        ("X-50:50", "X50", "config.g:1: M669 X is '50', expected two axes"),
+        ("P100", "P10", "config.g:1: M669 P is '10', expected cranks whose rods meet in front"),
+        ("C60", "C190", "config.g:1: M669 C is '190:180:0:120', expected least:most degrees"),
         ("C60:180:0:120", "C60:180", "M669 C is '60:180', expected least:most degrees of left:ri"),
     ):
         (tmp_path / "config.g").write_text(FIVE.replace(old, new))
@@ -168,6 +173,21 @@ def test_a_hangprinters_lines_are_those_of_its_firmware(files):
     a, g, R, Q = three(2, 2, 2, 4)[[0, 1, 2, 2]] * 0 + [2, 2, 2, 4], 255 / 20, 0.075, 0.0078 * MM
     q = 2 * a * g * (R - np.sqrt(R**2 - out * a * Q)) / (a * Q)
     np.testing.assert_allclose(Kinematics(model).direct(q).position, r, atol=1e-9)
+    path.write_text(path.read_text().replace("D0:0:2345", "D2345"))
+    with pytest.raises(ParallelCalError, match=r"M669 D is '2345', expected x:y:z of the anchor"):
+        configured([path])
+    path.write_text(path.read_text().replace("D2345", "D0:0:0"))
+    with pytest.raises(ParallelCalError, match=r"config.g:1: M669 A is .* anchor at the origin"):
+        configured([path])
+
+
+@pytest.mark.parametrize(("old", "new", "message"), [
+    ("H200", "H900", "config.g:1: M669 H is '900', expected lengths that reach 50 mm ab"),
+    ("A-40:60", "A60:-40", "config.g:1: M669 A is '60:-40', expected least:most degrees of an arm"),
+])  # fmt: skip
+def test_arms_that_reach_nothing_are_named(files, old, new, message):
+    with pytest.raises(ParallelCalError, match=re.escape(message)):
+        configured(files(ROTARY.replace(old, new))[1:])
 
 
 BROKEN = {
@@ -233,6 +253,7 @@ def test_the_commands_write_samples_and_a_model_that_can_be_read(files, tmp_path
     (("new", "-o", "a.yaml"), 2, "--from FILE"),
     (("new", "delta24", "--from", "c.g", "-o", "a.yaml"), 2, "--from FILE"),
     (("new", "--from", "c.stl", "-o", "a.yaml"), 1, "expected .cfg (klipper)"),
+    (("new", "--from", "c.urdf", "-o", "a.yaml"), 1, "; .urdf (new serial)"),
     (("import", "rrrf", "c.g", "-o", "a.json"), 1, "no importer 'rrrf': expected one of"),
     (("import", "rrf", "c.g", "-o", "a.json"), 1, "expected height maps (.csv)"),
     (("import", "rrf", "c.g", "h.csv", "-o", "a.json"), 1, "c.g: cannot be read: No such file"),

@@ -54,6 +54,7 @@ def test_points_find_their_joints_by_the_index_that_both_have(files):
 
 
 @pytest.mark.parametrize(("clock", "joints"), [
+    ("2026-11-22 10:00:", "2026-11-22T10:00:"), ("9:00:", "09:00:"),
     ("2026-11-22T10:00:", "2026-11-22T10:00:"), ("10:00:", "10:00:"), ("", ""),
 ])  # fmt: skip
 def test_or_by_the_time_that_is_near(files, clock, joints):
@@ -68,6 +69,18 @@ def test_or_by_the_time_that_is_near(files, clock, joints):
         samples("table", files(tracker, log), by="Timestamp", within=0.4)
 
 
+def test_clocks_may_stand_in_other_zones(files):
+    """Half past eleven in Paris's winter is half past ten in Greenwich."""
+    tracker = (
+        "t,x [m],y [m],z [m]\n2026-11-22T10:30:00.1234567Z,1,2,3\n2026-11-22T10:30:09Z,4,5,6\n"
+    )
+    log = "t,q [rad]\n2026-11-22T11:30:00.1+01:00,7\n2026-11-22 11:30:09+0100,8\n"
+    data = samples("table", files(tracker, log), within=0.03)
+    np.testing.assert_array_equal(data.q[:, 0], [7, 8])
+    with pytest.raises(ParallelCalError, match=r"t is '2026-13-22 11:30:09.0100', exp"):
+        samples("table", files(tracker, log.replace("11-22 1", "13-22 1")), within=0.03)
+
+
 def test_one_table_may_hold_both_and_other_names_are_said(files):
     table = "nr,A1,A2,XA,YA,ZA\n1,0.5,1,0.1,0.2,0.3\n2,0.25,2,0.4,0.5,0.6\n"
     path = files(table)[:1]
@@ -75,6 +88,19 @@ def test_one_table_may_hold_both_and_other_names_are_said(files):
                    joint_unit="rad")  # fmt: skip
     np.testing.assert_allclose(data.q, [[1, 0.5], [2, 0.25]])
     np.testing.assert_allclose(data.r[1], np.array([0.4, 0.5, 0.6]) * 0.0254)
+
+
+@pytest.mark.parametrize(("unit", "metres"), [
+    ("MM", 1e-3), ("cm", 1e-2), ("Feet", 0.3048), ("mil", 25.4e-6), ("nm", 1e-9), ("Metre", 1.0),
+])  # fmt: skip
+@pytest.mark.parametrize(("angle", "turn"), [
+    ("gon", 400), ("arcsec", 1_296_000), ("Revolutions", 1), ("mrad", 2000 * np.pi), ("Deg", 360),
+])  # fmt: skip
+def test_lengths_and_angles_have_the_unit_of_the_header(files, unit, metres, angle, turn):
+    tracker = f"nr,X ({unit}),Y ({unit}),Z ({unit})\n1,3,4,5\n"
+    data = samples("table", files(tracker, f"nr,joint1 [{angle}]\n1,{turn / 4}\n"))
+    np.testing.assert_allclose(data.r[0], np.array([3, 4, 5]) * metres)
+    np.testing.assert_allclose(data.q[0], np.pi / 2)
 
 
 def test_the_command_writes_samples(files, tmp_path):
@@ -96,7 +122,7 @@ BROKEN = {
     "two": (("P2;", "P1;"), {}, "tracker.txt:8: Point Name P1 occurs twice"),
     "time": (("10.5;", "1O.5;"), {"by": "Timestamp", "within": 1.0},
              "tracker.txt:8: Timestamp is '2026-11-22T10:00:1O.5', expected seconds, 14:03:05.2"),
-    "unit": (("", ""), {"unit": "ell"}, "unit=ell: expected one of rad, deg, m, mm, um, in"),
+    "unit": (("", ""), {"unit": "ell"}, "unit=ell: expected one of rad, mrad, deg, arcmin"),
     "joint unit": (("joint1 [deg]", "joint1"), {}, "joints.txt:1: column joint1 names no unit"),
     "empty": ((TRACKER, ""), {}, "tracker.txt: no table in there, expected a header and rows"),
     "option": (("", ""), {"x": 1}, "its options: by="),

@@ -14,6 +14,7 @@ import numpy as np
 from parallel_cal.virtual.robot import Array
 
 HALVINGS, WINDINGS = 80, 4000
+ANCHORS = "ABCDI"  # of a Hangprinter in M669, whose other letters are taken
 
 
 def bisected(rises: Callable[[Array], Array], low: Array, high: Array) -> Array:
@@ -93,6 +94,15 @@ class Duet:
     def __init__(self, text: str) -> None:
         self.w = words(text)
         self.kind = int(self.w.get("M669 K", [3])[0])
+        n = int(self.w.get("M669 N", [4])[0])
+        lines = {f"M666 {letter}": n for letter in "RUOLH"}
+        takes = {
+            6: lines | {f"M669 {letter}": 3 for letter in ANCHORS[:n]},
+            9: {f"M669 {letter}": 4 if letter in "DC" else 2 for letter in "XYPDBC"},
+            10: {"M669 A": 2},
+        }
+        for field, count in takes.get(self.kind, {}).items():
+            assert len(self.w[field]) == count, f"{field}: wrong number of values, needs {count}"
 
     def xyz(self, code: str) -> Array:
         return np.concatenate([self.w.get(f"{code} {axis}", np.zeros(1)) for axis in "XYZ"])
@@ -114,7 +124,7 @@ class Duet:
             return arms(r, w["M669 R"], w["M669 H"] * ones, w["M669 U"], w["M669 L"], around)
         if self.kind == 9:
             return self.cranks(r)
-        anchors = np.array([w[f"M669 {letter}"] for letter in "ABCDEFGHI"[: int(w["M669 N"][0])]])
+        anchors = np.array([w[f"M669 {letter}"] for letter in ANCHORS[: int(w["M669 N"][0])]])
         away = np.linalg.norm(r[:, None] - anchors, axis=2) - np.linalg.norm(anchors, axis=1)
         line = away * w["M666 U"]
         gears = w["M666 H"] / w["M666 L"]

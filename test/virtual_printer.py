@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +22,8 @@ class Printer:
 
     Of each tower: end-stop, radius and rod off (m), angle off (rad), pitch of its belt off (1),
     and the screw's wobble (m) once per `lead` (m); how far it leans towards x and y (1); the bed's
-    bowl (1/m), its tilt about x and y (rad), and where the probe sits beside the nozzle (m).
+    bowl (1/m), its tilt about x and y (rad), and where the probe sits beside the nozzle (m), which
+    tilts with the effector, about x and y by `nod` (rad) at the bed's rim, by a square less inside.
     """
 
     end_stop: Array
@@ -35,6 +37,7 @@ class Printer:
     bowl: float = 0.0
     tilt: tuple[float, float] = (0.0, 0.0)
     probe: tuple[float, float] = (0.0, 0.0)
+    nod: tuple[float, float] = (0.0, 0.0)
 
     def readings(self, r: Array) -> Array:
         """What the carriages' encoders read (N, 3) with the nozzle at r (N, 3)."""
@@ -58,13 +61,24 @@ class Printer:
 
     def touched(self, xy: Array) -> Array:
         """Readings where the probe, over (x, y) of the bed, touches it."""
-        nozzle = xy - np.array(self.probe)
-        return self.readings(np.column_stack([nozzle, self.bed(xy)]))
+        return self.readings(self.nozzle(xy - np.array(self.probe)))
+
+    def nozzle(self, xy: Array) -> Array:
+        """Where the nozzle (N, 3) is, over (x, y), as its probe touches the bed."""
+        (x, y), out = self.probe, (xy**2).sum(axis=1) / REACH**2
+        lower = (self.nod[1] * x - self.nod[0] * y) * out
+        return np.column_stack([xy, self.bed(xy + np.array(self.probe)) + lower])
 
 
-def drawn(seed: int, pitch: float = 0.0, lean: float = 0.0, **hidden: float) -> Printer:
+def drawn(
+    seed: int,
+    pitch: float = 0.0,
+    lean: float = 0.0,
+    beside: tuple[float, float] = (0.0, 0.0),
+    **hidden: Any,
+) -> Printer:
     """A printer as people build one: half a millimetre here, a tenth of a degree there; towers that
-    lean by `lean`, 1 sigma."""
+    lean by `lean`, 1 sigma; a probe that is a millimetre off its place `beside` the nozzle (m)."""
     rng = np.random.default_rng([seed, 31])
 
     def three(sigma: float) -> Array:
@@ -78,7 +92,7 @@ def drawn(seed: int, pitch: float = 0.0, lean: float = 0.0, **hidden: float) -> 
         pitch * np.array([1.0, -0.8, 0.6]),
         lean=leans,
         tilt=(3e-3 * rx, 3e-3 * ry),
-        probe=(1e-3 * x, 1e-3 * y),
+        probe=(beside[0] + 1e-3 * x, beside[1] + 1e-3 * y),
         **hidden,
     )
 
@@ -108,15 +122,18 @@ def believed(r: Array) -> Array:
 
 
 def heights(printer: Printer, xy: Array, believed: Callable[[Array], Array] = believed) -> Array:
-    """Believed heights (N,) at which the nozzle touches the bed on its way down at believed xy.
+    """Believed heights (N,) at which the nozzle touches the bed on its way down at believed xy."""
+    return touching(printer, xy, believed)[:, 2]
 
-    Where it really is, (u, v) on the bed, its carriages are where the firmware wants them.
-    """
+
+def touching(printer: Printer, xy: Array, believed: Callable[[Array], Array] = believed) -> Array:
+    """Where the nozzle really is, u and v, and the believed height (N, 3), as it touches the bed at
+    believed xy: its carriages are where the firmware wants them."""
     turned = replace(printer, angle=printer.angle + np.radians(210.0))
     unknown = np.column_stack([xy, np.zeros(len(xy))])  # u, v, believed height
 
     def missed(unknown: Array) -> Array:
-        real = np.column_stack([unknown[:, :2], printer.bed(unknown[:, :2])])
+        real = printer.nozzle(unknown[:, :2])
         return turned.readings(real) - believed(np.column_stack([xy, unknown[:, 2]]))
 
     for _ in range(20):
@@ -124,17 +141,24 @@ def heights(printer: Printer, xy: Array, believed: Callable[[Array], Array] = be
         for k, step in enumerate(1e-7 * np.eye(3)):
             J[:, :, k] = (missed(unknown + step) - now) / 1e-7
         unknown = unknown - np.linalg.solve(J, now[:, :, None])[:, :, 0]
-    return unknown[:, 2]
+    return unknown
 
 
-def height_map(printer: Printer, seed: int, step: float, noise: float = 5e-6) -> str:
-    """heightmap.csv of a grid of `step` m over the round bed, touched with some noise (m)."""
+def height_map(
+    printer: Printer,
+    seed: int,
+    step: float,
+    noise: float = 5e-6,
+    beside: tuple[float, float] = (0.0, 0.0),
+) -> str:
+    """heightmap.csv of a grid of `step` m over the round bed, touched with some noise (m) by a
+    probe that is configured to be `beside` the nozzle (m)."""
     n = int(2 * REACH / step + 1e-9) + 1
     line = step * (np.arange(n) - (n - 1) / 2)
     x, y = (each.ravel() for each in np.meshgrid(line, line))
     on_bed = np.hypot(x, y) < REACH
     found = np.zeros(n * n)
-    found[on_bed] = heights(printer, np.column_stack([x, y])[on_bed])
+    found[on_bed] = heights(printer, np.column_stack([x, y])[on_bed] - beside)
     found += noise * np.random.default_rng([seed, 34]).standard_normal(n * n)
     cells = [f"{1e3 * h:7.3f}" if on else "      0" for h, on in zip(found, on_bed, strict=True)]
     low, high, apart = (f"{1e3 * length:.2f}" for length in (line[0], line[-1], step))

@@ -79,7 +79,9 @@ def _neighbour(field: str, places: Mapping[str, tuple[Path, int]]) -> tuple[Path
 def _replaced(line: str, field: str, old: str, new: str) -> str:
     """With another value at the last place of a line that is no comment."""
     begins = "" if field[0] == "$" else r"(?<![\w.])"
-    pattern = rf"(?i){begins}{re.escape(_key(field))}(\s*[:=]?\s*){re.escape(old)}(?![\w.])"
+    signal = re.match(r"\s*sets\s+(\S+)", line)  # of LinuxCNC, led to the pin
+    key = re.escape(signal[1] if signal else _key(field))
+    pattern = rf"(?i){begins}{key}(\s*[:=]?\s*){re.escape(old)}(?![\w.])"
     comment = r"\([^)]*\)|;.*" if field[0] in "GM" else r"(?<=\s)[#;].*"
     code = re.sub(comment, lambda found: " " * len(found[0]), line)
     places = [*re.finditer(pattern, code)]

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.base.errors import ModelError
-from parallel_cal.base.files import write_atomically
+from parallel_cal.base.files import PREVIOUS, write_atomically
 from parallel_cal.exporting.editing import as_it_is, edited, fresh
 from parallel_cal.exporting.projection import Firmware, Machine, Projection, loss
 from parallel_cal.importing.stated import Stated
@@ -80,7 +80,7 @@ def export_into(model: Model, target: str, files: Sequence[Path]) -> Exported:
     before = loss(robot, replace(found, firmware=now))
     after = loss(robot, replace(found, firmware=_read(module, files, texts)))
     for path, text in texts.items():
-        write_atomically(path.with_name(f"{path.name}.previous"), as_it_is(path))
+        write_atomically(path.with_name(path.name + PREVIOUS), as_it_is(path), like=path)
         write_atomically(path, text)
     return Exported(list(texts), after, before, _remarks(robot, projection))
 

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from parallel_cal.importing.door import Configured
+from parallel_cal.importing.stated import Stated
 from parallel_cal.model.mechanism import Home, Mechanism, Workspace
 from parallel_cal.model.model import Model, new_model
 from parallel_cal.model.shelf import load_mechanism, load_sensor
@@ -149,6 +150,12 @@ class Shoulders:
         mechanism.parameters = mechanism.parameters.with_nominal(nominal)
         mechanism.joint_limits = self.limits
         return _placed(mechanism, self, self.reach or 0.6 * float(self.arms.min()))
+
+
+def reaching(delta: Delta, stated: Stated, field: str) -> None:
+    """DatasetError at a field, where the arms do not reach the middle of the bed."""
+    if np.isnan(delta.joints(np.array([[0.0, 0.0, CLEAR]]))).any():
+        raise stated.wrong(field, f"lengths that reach {CLEAR / MM:.0f} mm above the bed's middle")
 
 
 def _placed(mechanism: Mechanism, delta: Delta, reach: float) -> Mechanism:

@@ -43,4 +43,6 @@ def configured(paths: Sequence[Path]) -> Configured:
         if paths[0].suffix in ends:
             return modules[name].configured(paths)  # type: ignore[no-any-return]
     known = "; ".join(f"{' or '.join(ends)} ({name})" for name, ends in kinds.items())
-    raise DatasetError(f"{paths[0]}: not a configuration that can be read; expected {known}")
+    raise DatasetError(
+        f"{paths[0]}: not a configuration that can be read; expected {known}; .urdf (new serial)"
+    )

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from parallel_cal.importing.stated import Place, Stated, lines
 
-COMMAND = re.compile(r"\s*(?:N\d+\s*)?([GM]\d+)(?![\d.])(.*)")
+COMMAND = re.compile(r"\s*(?:N\d+\s*)?([GM]\d+)(?![\d.])(.*)", re.IGNORECASE)
 
 
 def settings(paths: Sequence[Path], codes: Sequence[str]) -> Stated:

@@ -54,6 +54,11 @@ class Stated:
             raise DatasetError(f"{files}: no {field}, expected {expected}")
         return self.texts[field]
 
+    def wrong(self, field: str, expected: str) -> DatasetError:
+        """For a field whose text is not as expected."""
+        text, place = self.text(field, expected)
+        return place.error(field, text, expected)
+
     def number(
         self,
         field: str,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,32 @@ NO_SIZE = (
 )
 
 
+@dataclass(frozen=True)
+class Ends:
+    """Joints (2k, 3) at the ends of printed lengths, and what the sensor `printed` reads there."""
+
+    q: Array
+    readings: dict[str, Array]
+
+
+def ends(delta: Delta, along_x: Sequence[float], along_y: Sequence[float]) -> Ends:
+    """Of parts about the middle of the bed: `[sent, measured]` mm along x, along y, or both."""
+    given = {axis: two for axis, two in (("x", along_x), ("y", along_y)) if two}
+    at, readings = np.zeros((2 * len(given), 3)), dict[str, Array]()
+    for k, (axis, two) in enumerate(given.items()):
+        try:
+            sent, measured = np.array(two, float) * MM
+        except (TypeError, ValueError):
+            sent = measured = np.nan
+        at[2 * k : 2 * k + 2, "xy".index(axis)] = -sent / 2, sent / 2
+        read = readings[f"{READING}printed_{axis}"] = np.full(len(at), np.nan)
+        read[2 * k : 2 * k + 2] = -measured / 2, measured / 2
+        if not (sent > 0 and measured > 0 and np.isfinite(delta.joints(at)).all()):
+            expected = "[sent, measured] in mm within reach, such as [100, 100.3]"
+            raise DatasetError(f"printed_{axis}={two}: expected {expected}")
+    return Ends(delta.joints(at), readings)
+
+
 def touches(
     delta: Delta,
     nozzle: ArrayLike,
@@ -30,6 +57,7 @@ def touches(
     step: ArrayLike,
     visits: Array | None = None,
     dropped: Sequence[Dropped] = (),
+    printed: Ends | None = None,
 ) -> Dataset:
     """Touches with the nozzle believed at (N, 3) m, each from a line of a file; `step` (m or rad)
     of a motor rounds its joint, equal `visits` are of one place."""
@@ -39,7 +67,7 @@ def touches(
         x, y, z = at[k] / MM
         point = f"x {x:.3f} y {y:.3f} z {z:.3f} mm"
         raise places[k].error("position", point, "a point within reach of the configured rods")
-    return of_joints(q, np.zeros(len(q)), paths, step, visits, dropped)
+    return of_joints(q, np.zeros(len(q)), paths, step, visits, dropped, printed=printed)
 
 
 def of_joints(
@@ -50,22 +78,34 @@ def of_joints(
     visits: Array | None = None,
     dropped: Sequence[Dropped] = (),
     warnings: Sequence[str] = (),
+    printed: Ends | None = None,
 ) -> Dataset:
-    """Touches at joints (N, 3), m or rad, where the tip is `height` (N,) m above the plate."""
+    """Touches at joints (N, 3), m or rad, where the tip is `height` (N,) m above the plate; behind
+    them the ends of what was printed."""
     files = ", ".join(map(str, paths))
     if not len(q):
         raise DatasetError(f"{files}: no touches in there")
     same = None if visits is None else np.unique(visits, axis=0, return_inverse=True)[1].ravel()
+    conditions = {PROBE: np.array(height, float)}
+    if printed is not None and len(printed.q):
+        n, more = len(q), len(printed.q)
+        q = np.vstack([q, printed.q])
+        none = np.full(n, np.nan)
+        conditions = {PROBE: np.append(conditions[PROBE], np.full(more, np.nan))}
+        conditions |= {name: np.append(none, read) for name, read in printed.readings.items()}
+        same = None if same is None else np.append(same, same.max() + 1 + np.arange(more))
+    else:
+        warnings = (NO_SIZE, *warnings)
     return Dataset.from_arrays(
         NAMES,
         q,
         np.zeros((len(q), 3)),
         measured=np.zeros(6, bool),
         joint_sigma=np.broadcast_to(step, 3) / 12**0.5,
-        conditions={PROBE: height},
+        conditions=conditions,
         pose_id=same,
         source=files,
         sha256=sha256(paths),
         dropped=tuple(dropped),
-        warnings=(NO_SIZE, *warnings),
+        warnings=tuple(warnings),
     )

@@ -12,14 +12,15 @@ from parallel_cal.model.file.schema import NoisePart, Part, sentence, suggestion
 from parallel_cal.model.file.yamltext import Document, parse_yaml
 from parallel_cal.recordings.channels import named
 
-Length = Literal["m", "mm", "um", "in"]
+Length = Literal["m", "cm", "mm", "um", "nm", "in", "ft", "mil"]
+Angle = Literal["rad", "mrad", "deg", "arcmin", "arcsec", "gon", "rev"]
 
 
 class JointColumn(Part):
     """A joint's readings; its name in the model file is the key. Without `unit` the header says."""
 
     column: str
-    unit: Literal["rad", "deg", "m", "mm", "um", "in"] | None = None
+    unit: Literal[Angle, Length] | None = None
 
 
 class ReadingColumn(Part):
@@ -41,7 +42,7 @@ class AngleColumns(Part):
 
     columns: Annotated[list[str], Field(min_length=3, max_length=3)]
     axes: Annotated[str, Field(pattern="^([xyz]{3}|[XYZ]{3})$")] = "xyz"
-    unit: Literal["rad", "deg"] | None = None
+    unit: Angle | None = None
 
 
 class Join(Part):

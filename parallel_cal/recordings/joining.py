@@ -111,7 +111,9 @@ def _since(starts: Sequence[int], first: Dataset) -> Array:
 def _later(dataset: Dataset, start: float) -> Dataset:
     time = dataset.time + start
     late = tuple(dataclasses.replace(d, time=d.time + start) for d in dataset.dropped)
-    conditions = {**dataset.conditions, "time": time}
+    conditions = dict(dataset.conditions)
+    if "time" in conditions:  # else its samples have an order only, and that is no time
+        conditions["time"] = time
     return dataclasses.replace(dataset, time=time, dropped=late, conditions=conditions)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from parallel_cal.base.errors import DatasetError
+from parallel_cal.base.errors import DatasetError, UnfitError
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.recordings.bag import read_bag
 from parallel_cal.recordings.channels import CHANNELS
@@ -82,7 +82,7 @@ def dataset_from_recording(recording: Recording, options: SampleOptions | None =
     dataset = _stack(recording, samples, conditions, options)
     far = _position_suspicions(dataset)
     if far and not options.assume_units:
-        raise DatasetError(f"{recording.source}: {far[0]}, or set assume_units")
+        raise UnfitError(f"{recording.source}: {far[0]}, or set assume_units")
     warnings += far + _joint_suspicions(dataset) + _condition_suspicions(conditions)
     return dataclasses.replace(dataset, warnings=tuple(warnings))
 

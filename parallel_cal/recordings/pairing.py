@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from parallel_cal.base.errors import DatasetError
+from parallel_cal.base.errors import DatasetError, UnfitError
 from parallel_cal.recordings.options import SampleOptions
 from parallel_cal.recordings.recording import Array, Bools, Dropped, JointStream, Recording
 from parallel_cal.recordings.samples import Sample, Samples, max_gap
@@ -14,7 +14,7 @@ def paired_samples(recording: Recording, options: SampleOptions, tolerance: Arra
     """One sample per pose message, with the joints interpolated to its time."""
     joints, pose = recording.joints, recording.pose
     if recording.constraint or recording.distances:
-        raise DatasetError(
+        raise UnfitError(
             f"{recording.source}: a constraint or a distance belongs to a dwell, but mode is "
             "'continuous': use mode='dwell', or leave their topics out (constraint= distance=)"
         )

@@ -78,19 +78,22 @@ def simulate(
     effects: Iterable[str] = (),
     replicates: int = 0,
     quiet: bool = False,
+    targets: np.ndarray | None = None,
 ) -> Simulation:
     """A session of the robot `model`: `poses` drawn in its workspace, some visited again.
 
     `effects` are hidden ones that it has, too, NAME[:param=value,...]. Noise is the model's, or
     typical where it says nothing; `quiet` instruments state the same accuracy and make no errors.
+    `targets` are joints (poses, nq) to visit in this order, in place of what is drawn.
     SolveError where the workspace cannot be reached.
     """
     if poses < 1 or not 0 <= replicates <= poses:
         raise SolveError(f"{replicates} replicates of {poses} poses: expected at most one each")
     model = with_effects(model, map(parse_effect, effects))
     rng = np.random.default_rng(seed)
-    targets = _targets(model, poses, rng)
-    targets = _apart(np.vstack([targets, targets[rng.permutation(poses)[:replicates]]]))
+    if targets is None:
+        targets = _targets(model, poses, rng)
+        targets = _apart(np.vstack([targets, targets[rng.permutation(poses)[:replicates]]]))
     motion = _motion(model, targets)
     if model.structure.phi.shape[0] > len(model.mechanism.moves):
         # More lines than coordinates: joints must fit each other under the very conditions.

@@ -136,6 +136,11 @@ def kinds_of(robot: str) -> list[str]:
     return [name for name, kind in KINDS.items() if robot in kind.machines]
 
 
+def words_of(text: str) -> list[str]:
+    """Names of kinds in a text, by commas."""
+    return [word.strip() for word in text.split(",") if word.strip()]
+
+
 def hide(robot: str, words: Sequence[str], seed: int) -> tuple[list[str], list[Effect]]:
     """Names and physics of the kinds named; `hidden` stands for one that `seed` draws.
 

@@ -27,6 +27,7 @@ from parallel_cal.model.model import Model
 HOLDS = ("stewart42", *LINEAR, *ROTARY)
 CLEARED = tuple(f"lineardeltakins.J{i}off" for i in range(3))  # the offsets of older versions
 HAL, INI = "machine.hal", "machine.ini"
+HEXAPOD = "genhexkins"
 SWITCHES = (
     "HOME_OFFSET is of switches at the joints' upper limits in the model file: where yours are "
     "elsewhere, make these limits so"
@@ -69,8 +70,9 @@ def firmware(stated: Stated) -> Firmware:
         limits = tuple((-np.pi / 2, -float(top)) for top in _homed(stated, 3, DEGREE))
         return Shoulders(size["R"] - size["E"], 0 * same, size["U"] * same, size["L"] * same,
                          SHOULDERS, limits)  # fmt: skip
+    stated.text(f"{HEXAPOD}.base.0.x", "pins of genhexkins, lineardeltakins or rotarydeltakins")
     base, platform = (
-        np.array([[_pin(stated, f"genhexkins.{ends}.{k}.{a}") for a in "xyz"] for k in range(6)])
+        np.array([[_pin(stated, f"{HEXAPOD}.{ends}.{k}.{a}") for a in "xyz"] for k in range(6)])
         for ends in ("base", "platform")
     )
     return Struts(base, platform, _homed(stated, 6, MM))
@@ -99,7 +101,7 @@ def project(model: Model) -> Projection:
     else:
         struts, found = _struts(model)
         pins = {
-            f"genhexkins.{kind}.{k}.{axis}": float(points[k, i])
+            f"{HEXAPOD}.{kind}.{k}.{axis}": float(points[k, i])
             for kind, points in (("base", struts.base), ("platform", struts.platform))
             for k in range(6)
             for i, axis in enumerate("xyz")

@@ -101,7 +101,7 @@ def _five_bar(model: Model) -> Projection:
     settings = {
         "M669 K": "9", "M669 X": _numbers(bars.axes[:, 0] / MM, 4),
         "M669 Y": _numbers(bars.axes[:, 1] / MM, 4), "M669 L": str(mode),
-        "M669 P": _numbers(bars.cranks / MM, 4), "M669 D": _numbers(bars.rods / MM, 4),
+        "M669 P": _numbers(bars.cranks / MM, 4), "M669 D": _numbers(bars.rods / MM, 4) + ":0:0",
         "M669 B": _numbers(bars.homed / DEGREE, 5), "M669 C": _numbers(ends.ravel() / DEGREE, 3),
     }  # fmt: skip
     return Projection({FILE: settings}, found.frame, found.stops)
@@ -140,13 +140,18 @@ def _cable(model: Model) -> Projection:
     settings |= {f"M669 {name}": _numbers(point, 4) for name, point in points}
     settings |= {
         "M666 Q": f"{lines.buildup / MM:.7f}", "M666 R": _numbers(lines.radii / MM, 5),
-        "M666 U": _numbers(advantages, 0), "M666 O": "1",
+        "M666 U": _numbers(advantages, 0), "M666 O": ":".join("1" * n),
         "M666 L": ":".join(str(motor) for motor, _ in teeth),
         "M666 H": ":".join(str(spool) for _, spool in teeth),
     }  # fmt: skip
-    thin = f"M666 Q is not below {THIN / MM:g}, as the firmware divides by it"
-    remarks = (thin,) if lines.buildup == THIN else ()
-    return Projection({FILE: settings}, found.frame, found.stops, remarks)
+    remarks = []
+    if lines.buildup == THIN:
+        remarks.append(f"M666 Q is not below {THIN / MM:g}, as the firmware divides by it")
+    if any(model.value(f"line{i}.offset") for i in rows):
+        remarks.append(
+            "it has no number for the lines' offset, which is lost: fit --fix '*.offset'"
+        )
+    return Projection({FILE: settings}, found.frame, found.stops, tuple(remarks))
 
 
 def _teeth(gear: float) -> tuple[int, int]:

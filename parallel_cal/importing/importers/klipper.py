@@ -19,7 +19,7 @@ from parallel_cal.importing.deltas import DEGREE, MM, Delta, Shoulders, Towers
 from parallel_cal.importing.door import Configured
 from parallel_cal.importing.sections import settings
 from parallel_cal.importing.stated import Stated
-from parallel_cal.importing.touched import of_joints
+from parallel_cal.importing.touched import ends, of_joints
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.recording import Array
 
@@ -28,10 +28,12 @@ TOUCHES = "[delta_calibrate]"
 STEPPERS = [f"[stepper_{a}]" for a in "abc"]
 KINDS = "delta or rotary_delta"
 TOWERS, SHOULDERS = (210.0, 330.0, 90.0), (30.0, 150.0, 270.0)  # degrees, where nobody says
-UNUSED = "distances between touches are not used, a sample being one pose: the size stays unknown"
+UNUSED = "distances are not used: --option printed_x=[sent, measured] tells the size"
 
 
-def samples(paths: Sequence[Path]) -> Dataset:
+def samples(
+    paths: Sequence[Path], printed_x: Sequence[float] = (), printed_y: Sequence[float] = ()
+) -> Dataset:
     """The heights of [delta_calibrate]; its distances and, beside an offset probe, its manual
     heights are not used, which the warnings say."""
     stated = settings(paths)
@@ -54,13 +56,19 @@ def samples(paths: Sequence[Path]) -> Dataset:
         stated.text(f"{TOUCHES} height0", "what DELTA_CALIBRATE and SAVE_CONFIG store")
     if distances := sum(f"{TOUCHES} distance{k}" in stated for k in range(999)):
         warnings.append(f"{distances} {UNUSED}")
-    return of_joints(np.array(found), np.array(heights), paths, step, warnings=warnings)
+    printed = ends(delta(stated), printed_x, printed_y)
+    return of_joints(
+        np.array(found), np.array(heights), paths, step, warnings=warnings, printed=printed
+    )
 
 
 def configured(paths: Sequence[Path]) -> Configured:
     """The printer as its configuration has it."""
     stated = settings(paths)
-    return deltas.configured(delta(stated), _probe(stated))
+    printer = delta(stated)
+    if isinstance(printer, Shoulders):
+        deltas.reaching(printer, stated, "[printer] shoulder_height")
+    return deltas.configured(printer, _probe(stated))
 
 
 def _position(stated: Stated, field: str) -> Array:
@@ -73,7 +81,8 @@ def _position(stated: Stated, field: str) -> Array:
 
 def _probe(stated: Stated) -> Array:
     """The probe's tip beside the nozzle (3,) m; stored heights are the nozzle's."""
-    kind = next((k for k in ("[probe]", "[bltouch]") if f"{k} z_offset" in stated), "[probe]")
+    depths = (field for field in stated.texts if field.endswith("] z_offset"))  # of any probe's
+    kind = next(depths, "[probe] z_offset").removesuffix(" z_offset")
     beside = [stated.number(f"{kind} {a}_offset", "mm", 0.0) * MM for a in "xy"]
     return np.array([*beside, 0.0])
 
@@ -159,6 +168,5 @@ def _shoulders(stated: Stated) -> Shoulders:
     tops = np.diag(rotary.joints(np.column_stack([np.zeros((3, 2)), heights])))
     for stepper in (s for s, top in zip(STEPPERS, tops, strict=True) if np.isnan(top)):
         given = stepper if f"{stepper} position_endstop" in stated else STEPPERS[0]
-        text, place = stated.text(f"{given} position_endstop", "")
-        raise place.error(f"{given} position_endstop", text, "a height in mm that the arms reach")
+        raise stated.wrong(f"{given} position_endstop", "a height in mm that the arms reach")
     return replace(rotary, limits=tuple((-np.pi / 2, float(top)) for top in tops))

@@ -17,8 +17,8 @@ from parallel_cal.base.errors import DatasetError
 from parallel_cal.importing import deltas, sections
 from parallel_cal.importing.deltas import DEGREE, Towers
 from parallel_cal.importing.door import Configured
-from parallel_cal.importing.stated import Stated, lines
-from parallel_cal.importing.touched import touches
+from parallel_cal.importing.stated import Place, Stated, lines
+from parallel_cal.importing.touched import ends, touches
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.table import UNITS
 
@@ -29,7 +29,13 @@ HOMED = "[JOINT_{}] HOME_OFFSET"  # in the .ini file: where a joint is at its sw
 NO_PROBE = np.zeros(3)
 
 
-def samples(paths: Sequence[Path], unit: str, step: float = 1e-6) -> Dataset:
+def samples(
+    paths: Sequence[Path],
+    unit: str,
+    step: float = 1e-6,
+    printed_x: Sequence[float] = (),
+    printed_y: Sequence[float] = (),
+) -> Dataset:
     """The touches of logs beside a .hal file, both in `unit`; `step` (m) of a motor or encoder."""
     logs = [path for path in paths if path.suffix not in (*CONFIGURATION, ".ini")]
     if unit not in ("m", "mm", "in"):
@@ -47,7 +53,8 @@ def samples(paths: Sequence[Path], unit: str, step: float = 1e-6) -> Dataset:
                 ]
                 nozzle.append(np.array(axes[:3]) * UNITS[unit])
                 places.append(place)
-    return touches(delta, nozzle, places, paths, step)
+    printed = ends(delta, printed_x, printed_y)
+    return touches(delta, nozzle, places, paths, step, printed=printed)
 
 
 def configured(paths: Sequence[Path]) -> Configured:
@@ -76,11 +83,17 @@ def towers(stated: Stated, unit: str) -> Towers:
 
 
 def settings(paths: Sequence[Path]) -> Stated:
-    """The pins that `setp` sets in .hal files, by name; of .ini files `[section] key`."""
+    """The pins that `setp` sets in .hal files, or `sets` the signal that `net` leads to them, by
+    name; of .ini files `[section] key`."""
     setups = [path for path in paths if path.suffix == ".ini"]
     texts = dict(sections.settings(setups).texts)
+    signals: dict[str, tuple[str, Place]] = {}
+    nets: dict[str, str] = {}
     for path in paths:
         for place, line in () if path in setups else lines(path):
-            if found := re.match(r"\s*setp\s+([\w.-]+)\s*=?\s*([^\s#]*)", line):
-                texts[found[1]] = (found[2], place)
-    return Stated(texts, paths)
+            if found := re.match(r"\s*(setp|sets)\s+([\w.-]+)\s*=?\s*([^\s#]*)", line):
+                (texts if found[1] == "setp" else signals)[found[2]] = (found[3], place)
+            elif found := re.match(r"\s*net\s+([\w.-]+)([^#]*)", line):
+                nets |= dict.fromkeys(found[2].split(), found[1])
+    led = {pin: signals[name] for pin, name in nets.items() if name in signals}
+    return Stated(led | texts, paths)

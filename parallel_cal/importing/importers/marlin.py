@@ -21,7 +21,7 @@ from parallel_cal.importing.deltas import DEGREE, MM, Towers
 from parallel_cal.importing.door import Configured
 from parallel_cal.importing.gcode import take
 from parallel_cal.importing.stated import Place, Stated, lines
-from parallel_cal.importing.touched import of_joints
+from parallel_cal.importing.touched import ends, of_joints
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.recording import Array
 
@@ -37,20 +37,24 @@ FIELDS = {"Height": "M665 H", "Radius": "M665 R"}
 FIELDS |= {f"E{a}": f"M666 {a.upper()}" for a in "xyz"}
 FIELDS |= {f"T{a}": f"M665 {a.upper()}" for a in "xyz"}
 AROUND = {"x": 210, "xy": 270, "y": 330, "yz": 30, "z": 90, "zx": 150}  # degrees of G33's points
+ALONG = np.array([0.0, 0.0, 1.0])  # G33 has the nozzle over its points, with O the probe
 STEPS = 80.0  # a mm, where M92 is not in the log
 MEANS = "G33's numbers are means of touches, but for P2 and P3: not used"
 
 
-def samples(paths: Sequence[Path]) -> Dataset:
+def samples(
+    paths: Sequence[Path], printed_x: Sequence[float] = (), printed_y: Sequence[float] = ()
+) -> Dataset:
     """The touches of a log; G33 with more than P3, or whose command is not in it, is not used."""
     texts: dict[str, tuple[str, Place]] = {}
     stated, found, skipped = Stated(texts, paths), [], False
-    radius, single = None, False
+    radius, single, shift = None, False, ALONG
     for place, line in _settled(paths, texts):
         if asked := re.search(r"(?<!\w)G33\b(.*)", line):
             points = re.search(r"P(\d+)", asked[1])
             if "Calibrate" not in line:
                 single = points is not None and int(points[1]) in (1, 2, 3)
+                shift = np.ones(3) if re.search(r"\bO", asked[1]) else ALONG
         elif at := re.search(r"at radius:\s*(\S+)", line):
             radius = place.number("at radius", at[1], "mm above 0", low=1.0)
         elif touch := BED.search(line):
@@ -66,14 +70,16 @@ def samples(paths: Sequence[Path]) -> Dataset:
                 out = 0.0 if name == "c" else _radius(stated, radius)
                 turn = AROUND.get(name, 0) * DEGREE
                 nozzle = np.array([out * np.cos(turn), out * np.sin(turn), z])
-                found.append(_reading(stated, nozzle * MM - tip(stated) * [0, 0, 1]))
+                found.append(_reading(stated, nozzle * MM - tip(stated) * shift))
     if not found:
         expected = "'Bed X: Y: Z:' lines (G29 V4, G30) or the report of G33 P2 V3 or P3 V3"
         why = f"; {MEANS}" if skipped else ""
         raise DatasetError(f"{', '.join(map(str, paths))}: no touches, expected {expected}{why}")
     step = [MM / stated.number(f"M92 {a}", "steps a mm", STEPS, low=1e-3) for a in "XYZ"]
-    q = np.array(found) + _towers(stated).end_stops
-    return of_joints(q, np.zeros(len(q)), paths, step, warnings=[MEANS] if skipped else [])
+    towers = _towers(stated)
+    q, printed = np.array(found) + towers.end_stops, ends(towers, printed_x, printed_y)
+    means = [MEANS] if skipped else []
+    return of_joints(q, np.zeros(len(q)), paths, step, warnings=means, printed=printed)
 
 
 def configured(paths: Sequence[Path]) -> Configured:
@@ -109,8 +115,7 @@ def _reading(stated: Stated, nozzle: Array) -> Array:
     q = towers.joints(nozzle[None])[0] - towers.end_stops
     if np.isfinite(q).all():
         return np.asarray(q)
-    text, place = stated.text("M665 L", "")
-    raise place.error("M665 L", text, f"rods that reach {np.round(nozzle / MM, 2).tolist()} mm")
+    raise stated.wrong("M665 L", f"rods that reach {np.round(nozzle / MM, 2).tolist()} mm")
 
 
 def _radius(stated: Stated, radius: float | None) -> float:

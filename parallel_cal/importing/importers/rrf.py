@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from parallel_cal.base.errors import DatasetError
+from parallel_cal.base.errors import DatasetError, ModelError
 from parallel_cal.importing import deltas
 from parallel_cal.importing.deltas import DEGREE, MM, Delta, Shoulders, Towers
 from parallel_cal.importing.door import Configured
@@ -21,7 +21,7 @@ from parallel_cal.importing.fivebar import TURNS, FiveBars
 from parallel_cal.importing.gcode import settings
 from parallel_cal.importing.lines import Lines
 from parallel_cal.importing.stated import Place, Stated, lines
-from parallel_cal.importing.touched import touches
+from parallel_cal.importing.touched import ends, touches
 from parallel_cal.model.model import new_model
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.recording import Array, Dropped
@@ -37,10 +37,12 @@ LABELS = (
 )
 HIGHEST = 20.0  # mm: further from its nominal plane no probe looks for a bed
 STEPS = 80.0  # a mm, or a degree, where M92 says nothing
-ANCHORS = "ABCDEFGHI"
+ANCHORS = "ABCDI"  # in M669, whose other letters are taken
 
 
-def samples(paths: Sequence[Path]) -> Dataset:
+def samples(
+    paths: Sequence[Path], printed_x: Sequence[float] = (), printed_y: Sequence[float] = ()
+) -> Dataset:
     """The touches of height maps, the nozzle beside and above the probe's tip as G31 says."""
     maps = [path for path in paths if path.suffix.lower() == ".csv"]
     if not maps or len(maps) == len(paths):
@@ -60,6 +62,7 @@ def samples(paths: Sequence[Path]) -> Dataset:
         [unit / stated.number(f"M92 {axis}", "steps a unit", STEPS, low=1e-3) for axis in "XYZ"],
         visits=points[:, :2],
         dropped=[gap for each in read for gap in each[2]],
+        printed=ends(delta, printed_x, printed_y),
     )
 
 
@@ -70,10 +73,16 @@ def configured(paths: Sequence[Path]) -> Configured:
         remarks = ["lines on spools of one radius and advantage share it"]
         if stated.number("M666 W", "kg", 0.0) > 0:
             remarks.append("M666 W: what the firmware corrects of the lines' stretch is left out")
-        return Configured(lines_of(stated).model(), tuple(remarks))
+        lines = lines_of(stated)
+        try:
+            return Configured(lines.model(), tuple(remarks))
+        except ModelError as error:
+            raise stated.wrong("M669 A", f"other anchors: {error}") from None
     if kind(stated) == 9:
         return Configured(new_model(five_bars_of(stated).mechanism()))
     delta = delta_of(stated)
+    if isinstance(delta, Shoulders):
+        deltas.reaching(delta, stated, "M669 H")
     plate = delta.tilt if isinstance(delta, Towers) else (0.0, 0.0)
     return deltas.configured(delta, tip(stated), plate)
 
@@ -158,8 +167,7 @@ def delta_of(stated: Stated) -> Delta:
         return _towers(stated)
     if kind(stated) == 10:
         return _shoulders(stated)
-    text, place = stated.text("M669 K", KINDS)
-    raise place.error("M669 K", text, KINDS)
+    raise stated.wrong("M669 K", KINDS)
 
 
 def _towers(stated: Stated) -> Towers:
@@ -182,6 +190,8 @@ def _shoulders(stated: Stated) -> Shoulders:
     reach = stated.numbers("M669 A", arm, 2) if "M669 A" in stated else np.array([-45.0, 45.0])
     trim = [stated.number(f"M669 {tower}", "degrees", 0.0, -30, 30) for tower in "XYZ"]
     stops = [stated.number(f"M666 {tower}", "degrees", 0.0) for tower in "XYZ"]
+    if reach[1] + min(stops) <= reach[0]:
+        raise stated.wrong("M669 A", arm)
     return Shoulders(
         stated.number("M669 R", "the delta radius in mm", low=0.0) * MM,
         stated.numbers("M669 H", "heights of the arms' bearings in mm", 3, low=1.0) * MM,
@@ -202,9 +212,7 @@ def _reach(stated: Stated, field: str) -> float | None:
 def lines_of(stated: Stated) -> Lines:
     """M669 K6 N and a triple an anchor, M666 Q R U O L H; q = 0 at home."""
     n = int(stated.number("M669 N", "the number of anchors", 4.0, 4, len(ANCHORS)))
-    anchors = np.array(
-        [stated.numbers(f"M669 {a}", "x:y:z of the anchor in mm", 3) for a in ANCHORS[:n]]
-    )
+    anchors = np.array([_anchor(stated, f"M669 {letter}") for letter in ANCHORS[:n]])
 
     def each(letter: str, what: str) -> Array:
         return stated.numbers(f"M666 {letter}", what, n, low=1e-6)
@@ -213,25 +221,45 @@ def lines_of(stated: Stated) -> Lines:
     gears = each("H", "teeth of the spools' gears") / each("L", "teeth of the motors' gears")
     on_spool = stated.numbers("M666 O", "lines on each spool", n, 1.0, low=1.0)
     if len({*on_spool}) > 1:
-        text, place = stated.text("M666 O", "")
-        raise place.error("M666 O", text, "as many lines on every spool")
+        raise stated.wrong("M666 O", "as many lines on every spool")
     buildup = stated.number("M666 Q", "the build-up in mm", low=0.0) * MM * on_spool[0]
     return Lines(anchors * MM, radii, gears, each("U", "mechanical advantages"), buildup)
 
 
+def _anchor(stated: Stated, field: str) -> Array:
+    """x, y, z (mm); of one number alone nobody can know which."""
+    expected = "x:y:z of the anchor in mm"
+    if ":" not in stated.text(field, expected)[0]:
+        raise stated.wrong(field, expected)
+    return stated.numbers(field, expected, 3)
+
+
 def five_bars_of(stated: Stated) -> FiveBars:
-    """M669 K9 X Y P D, the work mode L, B at the switches and C, the cranks' limits (degrees)."""
+    """M669 K9 X Y P, D with cantilevers of 0, the work mode L, B at the switches and C, the cranks'
+    limits (degrees)."""
 
     def both(letter: str, what: str, low: float = -np.inf) -> Array:
         return stated.numbers(f"M669 {letter}", f"{what} of left:right", 2, low=low)
 
     mode, modes = stated.number("M669 L", "the work mode", 1.0), ", ".join(map(str, TURNS))
     if mode not in TURNS:
-        text, place = stated.text("M669 L", "")
-        raise place.error("M669 L", text, f"one of the work modes {modes}")
-    least, most = stated.numbers("M669 C", "least:most degrees of left:right", 4).reshape(2, 2).T
+        raise stated.wrong("M669 L", f"one of the work modes {modes}")
+    turns = "least:most degrees of left:right"
+    least, most = stated.numbers("M669 C", turns, 4).reshape(2, 2).T
+    if (most <= least).any():
+        raise stated.wrong("M669 C", turns)
     homed = both("B", "degrees at the switches") * DEGREE
     axes = np.column_stack([both("X", "mm"), both("Y", "mm")]) * MM
-    cranks, rods = (both(letter, "lengths in mm", 1.0) * MM for letter in "PD")
+    if (axes[0] == axes[1]).all():
+        raise stated.wrong("M669 X", "two axes, in mm of left:right")
+    whole = "lengths in mm of left:right, and cantilevers of 0"
+    count = 4 if stated.text("M669 D", whole)[0].count(":") > 1 else 2
+    rods = stated.numbers("M669 D", whole, count, low=0.0)
+    if rods[2:].any() or not rods[:2].all():
+        raise stated.wrong("M669 D", whole)
     limits = tuple(zip((least * DEGREE).tolist(), (most * DEGREE).tolist(), strict=True))
-    return FiveBars(axes, cranks, rods, TURNS[int(mode)], homed, limits)
+    cranks = both("P", "lengths in mm", 1.0) * MM
+    bars = FiveBars(axes, cranks, rods[:2] * MM, TURNS[int(mode)], homed, limits)
+    if not np.isfinite(bars.mechanism().home.joints).all():
+        raise stated.wrong("M669 P", "cranks whose rods meet in front of the axes")
+    return bars

@@ -12,7 +12,7 @@ import csv
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from datetime import datetime, time
+from datetime import date
 from itertools import pairwise
 from pathlib import Path
 
@@ -27,6 +27,10 @@ from parallel_cal.recordings.table import ALSO, UNITS, Table, said_unit
 REMARKS = ("#", "//", "%", "!")
 XYZ = ("x", "y", "z")
 TIMES = ("t", "time", "timestamp", "stamp", "datetime")
+EPOCH = date(1970, 1, 1)
+CLOCK = re.compile(
+    r"(?:(\d{4}-\d\d-\d\d)[T ])?(\d{1,2}):(\d\d):(\d\d(?:\.\d*)?)(Z|[+-]\d\d:?\d\d)?"
+)  # any number of digits behind the seconds, which fromisoformat of Python 3.10 does not take
 SAID = re.compile(r"\bunits?\b\W*(\w+)", re.IGNORECASE)
 
 
@@ -175,13 +179,17 @@ def _seconds(text: str, place: Place, key: str) -> str:
     """A number of seconds as it is, a time of day or a date and time in seconds."""
     if _is_number(text.replace(",", ".")):
         return text
+    found = CLOCK.fullmatch(text)
     try:
-        if "-" in text:
-            return repr(datetime.fromisoformat(text).timestamp())
-        at = time.fromisoformat(text)
+        day = date.fromisoformat(found[1] or EPOCH.isoformat()) if found else EPOCH
     except ValueError:
-        raise place.error(key, text, "seconds, 14:03:05.2 or 2026-11-22T14:03:05.2") from None
-    return repr(3600 * at.hour + 60 * at.minute + at.second + 1e-6 * at.microsecond)
+        found = None
+    if not found:
+        raise place.error(key, text, "seconds, 14:03:05.2 or 2026-11-22T14:03:05.2")
+    east = found[5].replace("Z", "+0000").replace(":", "") if found[5] else "+0000"
+    ahead = float(f"{east[0]}1") * (60 * int(east[1:3]) + int(east[3:]))
+    minutes = 1440 * (day - EPOCH).days + 60 * int(found[2]) + int(found[3]) - ahead
+    return repr(60 * minutes + float(found[4]))
 
 
 def _is_number(text: str) -> bool:

@@ -1,0 +1,39 @@
+"""A printed part that was measured: where its ends are along x and y."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+
+from parallel_cal.base.errors import ModelError
+from parallel_cal.model.mechanism import Mechanism
+from parallel_cal.model.parameters import Named, Parameter
+from parallel_cal.model.sensor import Sensor
+
+
+@dataclass(frozen=True)
+class Printed(Sensor):
+    """How far {P} is `along` x, y or both (`xy`) of {B} from a part's middle, which is found: an
+    end lies half the measured length from it (m)."""
+
+    along: str = "x"
+    sigma: float = 20e-6
+
+    physics = "a printed length between two faces, measured with a caliper or micrometer"
+    source = "calipers 20-30 um over 150 mm (ISO 13385-1)"
+
+    def __post_init__(self) -> None:
+        if self.along not in ("x", "y", "xy"):
+            raise ModelError(f"printed: along {self.along!r}, expected x, y or xy")
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        return tuple(f"printed_{axis}" for axis in self.along)
+
+    def parameters(self, mechanism: Mechanism) -> list[Parameter]:
+        return [Parameter(f"middle.{axis}", "m", 0.0, 1e-3) for axis in self.along]
+
+    def readings(self, r: Any, R: Any, s: Named) -> Any:
+        return ca.vertcat(*(r["xy".index(axis)] - s[f"middle.{axis}"] for axis in self.along))
