@@ -1,6 +1,7 @@
 """Whole campaigns of virtual robots: is the verdict right, and what do chosen poses save?
 
-    python bench/campaign.py [--seeds 5] [--robots delta stewart argos linear_delta] [--plans]
+    python bench/campaign.py [--seeds 5] [--robots delta stewart argos linear_delta]
+                             [--plans random grid D-optimal]
     python bench/campaign.py --pairs [--seeds 5]
 
 Each robot is built, and its hidden effects are drawn, by a seed; nothing of it is known to the
@@ -8,17 +9,20 @@ campaign. A run is right where it ends by itself with the name of all that was h
 alike where it ends by itself and says that poses do not tell what was hidden from others; in doubt
 where all its poses are used up, and the truth is among what it names then; else wrong.
 
-`--plans` measures the same robots at poses drawn at random, on a grid and by a D-optimal plan,
-until they come to the right verdict, too, and eight more change nothing. `--pairs` hides one of two
-effects that look alike.
+`--plans` lets the same robots calibrate themselves at poses of usual plans, too: poses that no fit
+sees, load and warmth, judgements and the end are the same, only that all other poses were drawn at
+random, taken from a grid or planned D-optimally before. `--pairs` hides one of two effects that
+look alike. All cores work, or with `--scheduler tcp://...` a Dask cluster, whose workers have
+PYTHONPATH=.:test.
 """
 
 import argparse
 import sys
 import tempfile
 import time
-from bisect import bisect_left
 from collections import Counter, defaultdict
+from dataclasses import replace
+from itertools import cycle
 from pathlib import Path
 
 import numpy as np
@@ -26,20 +30,20 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1] / "test"))
 from campaign_cells import SimulatedCell, model_of
 
-from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.campaign.campaign import Campaign, Goal
-from parallel_cal.campaign.judging import DONE, Question, judged
-from parallel_cal.campaign.trajectory import through
+from parallel_cal.campaign.judging import judged
+from parallel_cal.campaign.targets import first_targets
 from parallel_cal.campaign.way import Guard
+from parallel_cal.fleet.cluster import cluster, each
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.file.modelfile import dump_model
 from parallel_cal.planning.plan import plan
 from parallel_cal.planning.posepool import make_pool, usable
-from parallel_cal.recordings.joining import joined
 from parallel_cal.virtual.kinds import KINDS, kinds_of
 
 ROBOTS = ("delta", "stewart", "argos", "linear_delta")
-MOST, BATCH, FEWEST = 100, 8, 16
+MOST = 100
+PLANS = ("random", "grid", "D-optimal")
 WORDS = RIGHT, ALIKE, DOUBT, WRONG = "right", "alike", "in doubt", "WRONG"
 # It takes an hour of creeping until it can be seen, and a campaign of virtual robots a minute.
 NOT_DRAWN = {"creep"}
@@ -83,14 +87,34 @@ def told(names, outcome, last):
     return WRONG
 
 
-def campaign(cell, seed):
-    """How one campaign ended, its last judgement (None where there was none), and what it took."""
-    begin, goal = time.monotonic(), Goal(MOST, payload=1.0, warmer=4.0, seed=seed)
+class ByPlan:
+    """Does a campaign's work, but goes to given joints (., nq) instead of what it chose."""
+
+    def __init__(self, poses):
+        self._poses = cycle(poses.tolist())  # some may be left out
+
+    def instead(self, one):
+        return one if one.unseen else replace(one, joints=tuple(next(self._poses)), via=())
+
+    def __call__(self, function, *given):
+        found = function(*given)
+        if function is judged:
+            found = replace(found, targets=tuple(map(self.instead, found.targets)))
+        return found
+
+
+def campaign(cell, seed, plan=None):
+    """How one campaign ended, its last judgement, and what it took."""
+    begin, goal = time.monotonic(), Goal(MOST, payload=2.0, warmer=10.0, reach=2.0, seed=seed)
+    model, given = model_of(cell.cell.robot), {"work": plan} if plan else {}
     with tempfile.TemporaryDirectory() as folder:
-        one = Campaign(folder, dump_model(model_of(cell.cell.robot)), goal, cell)
+        one = Campaign(folder, dump_model(model), goal, cell, **given)
+        if plan:
+            one._plan([*map(plan.instead, first_targets(Guard.of(model), MOST, seed))])
         outcome = one.run()
         one.close()
-    return outcome, next(reversed(one.judgements), None), time.monotonic() - begin
+    last = one.judgements[-1] if one.judgements else None
+    return outcome, last, time.monotonic() - begin
 
 
 def given_poses(kind, model, seed):
@@ -112,29 +136,11 @@ def given_poses(kind, model, seed):
 
 
 def by_plan(kind, robot, names, seed):
-    """After how many poses of a usual plan the verdict is right, and eight more leave it so; MOST
-    where it never is. Who is right once is taken to stay so."""
-    model, cell = model_of(robot), SimulatedCell(robot, seed, names)
-    guard, samples, poses = Guard.of(model), [], given_poses(kind, model, seed)
-    wanted = sorted(KINDS[name].effect for name in names)
-
-    def knows(n):
-        for k, joints in enumerate(poses[len(samples) : n], len(samples)):
-            # Somebody changes load and warmth now and then.
-            now = {"payload": float(k // 10 % 2), "temperature": 22.0 + 4.0 * (k // 20 % 2)}
-            cell.ask("", now, lambda: None)
-            cell.move(through(guard.way(cell.joints(), [joints]), model.mechanism), lambda: None)
-            samples.append(cell.sample(lambda: None).dataset)
-        data = joined(samples[:n], [1] * len(samples[:n]))
-        try:
-            found = judged(Question(dump_model(model)), data, np.zeros(len(data), bool))
-        except ParallelCalError:
-            return False
-        return found.verdict in DONE and sorted(found.effects) == wanted and not found.doubt
-
-    counts = range(FEWEST, len(poses) + 1, BATCH)
-    first = bisect_left(counts, True, key=knows)
-    return min(counts[first] + BATCH, MOST) if first < len(counts) else MOST
+    """After how many poses of a usual plan a campaign ends with the right verdict; MOST where it
+    never does."""
+    plan = ByPlan(given_poses(kind, model_of(robot), seed))
+    outcome, last, _ = campaign(SimulatedCell(robot, seed, names), seed, plan)
+    return outcome.samples if told(names, outcome, last) == RIGHT else MOST
 
 
 def shown(word, robot, seed, names, outcome, last, seconds):
@@ -147,46 +153,59 @@ def shown(word, robot, seed, names, outcome, last, seconds):
     return line + f", {outcome.samples} poses, {seconds:.0f} s"
 
 
+def hunted(robot, seed, names, slow=False, plans=()):
+    """A campaign's word, its samples, its line, and by way of plans how many poses they took."""
+    cell = (SlowDay if slow else SimulatedCell)(robot, seed, names)
+    outcome, last, seconds = campaign(cell, seed)
+    word = told(names, outcome, last)
+    line = shown(word, robot, seed, names, outcome, last, seconds)
+    kinds = plans if word == RIGHT else ()
+    instead = {kind: by_plan(kind, robot, names, seed) for kind in kinds}
+    line = ", ".join([line, *(f"{kind} {n}" for kind, n in instead.items())])
+    return word, outcome.samples, line, instead
+
+
+def all_of(asked, calls):
+    """Number and answer of each campaign as it ends, on all cores or on a cluster."""
+    with cluster(asked.scheduler, None) as client:
+        for k, answer in each(client, hunted, calls):
+            print(answer[2], flush=True)
+            yield k, answer
+    print()
+
+
 def study(asked):
     """Campaigns of the robots asked for, with nothing, one and two effects hidden."""
     ends, poses, instead = defaultdict(Counter), defaultdict(list), defaultdict(list)
-    for seed in range(asked.first, asked.first + asked.seeds):
-        for robot in asked.robots:
-            for number in (0, 1, 2):
-                names = hidden(robot, number, seed)
-                outcome, last, seconds = campaign(SimulatedCell(robot, seed, names), seed)
-                word = told(names, outcome, last)
-                ends[robot, number][word] += 1
-                poses[robot, number].append(outcome.samples)
-                line = shown(word, robot, seed, names, outcome, last, seconds)
-                if asked.plans and word == RIGHT:
-                    for kind in ("random", "grid", "D-optimal"):
-                        n = by_plan(kind, robot, names, seed)
-                        instead[kind, number].append((outcome.samples, n))
-                        line += f", {kind} {n}"
-                print(line, flush=True)
-    print()
+    seeds = range(asked.first, asked.first + asked.seeds)
+    runs = [(r, number, seed) for seed in seeds for r in asked.robots for number in (0, 1, 2)]
+    calls = [(r, seed, hidden(r, number, seed), False, asked.plans) for r, number, seed in runs]
+    for k, (word, samples, _, others) in all_of(asked, calls):
+        robot, number, _ = runs[k]
+        ends[robot, number][word] += 1
+        poses[robot, number].append(samples)
+        for kind, n in others.items():
+            for group in (f"{number} hidden", "all", *(["1 or 2 hidden"] if number else [])):
+                instead[kind, group].append((samples, n))
     for (robot, number), found in sorted(ends.items()):
         counts = ", ".join(f"{word} {found[word]}" for word in WORDS)
         print(f"{robot:12} {number} hidden: {counts}, median {np.median(poses[robot, number]):.0f}")
-    for (kind, number), both in sorted(instead.items()):
+    for (kind, group), both in sorted(instead.items()):
         own, other = np.median(both, axis=0)
-        print(f"{kind:10} {number} hidden: {other:.0f}, the campaign {own:.0f} ({own / other:.0%})")
+        print(f"{kind:10} {group}: {other:.0f}, the campaign {own:.0f} ({own / other:.0%})")
 
 
 def pairs(asked):
     """Campaigns of robots that hide one of two effects that look alike."""
-    ends = defaultdict(Counter)
-    for one, other, robots, slow in PAIRS:
-        for seed in range(asked.first, asked.first + asked.seeds):
-            for name in (one, other):
-                robot = robots[seed % len(robots)]
-                cell = (SlowDay if slow else SimulatedCell)(robot, seed, [name])
-                outcome, last, seconds = campaign(cell, seed)
-                word = told([name], outcome, last)
-                ends[one, other][word] += 1
-                print(shown(word, robot, seed, [name], outcome, last, seconds), flush=True)
-    print()
+    ends, seeds = defaultdict(Counter), range(asked.first, asked.first + asked.seeds)
+    runs = [
+        ((one, other), (robots[seed % len(robots)], seed, [name], slow))
+        for one, other, robots, slow in PAIRS
+        for seed in seeds
+        for name in (one, other)
+    ]
+    for k, (word, *_) in all_of(asked, [call for _, call in runs]):
+        ends[runs[k][0]][word] += 1
     for (one, other), found in ends.items():
         counts = ", ".join(f"{word} {found[word]}" for word in WORDS)
         print(f"{one} or {other}: {counts}")
@@ -197,8 +216,9 @@ def main():
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--robots", nargs="*", default=ROBOTS)
-    parser.add_argument("--plans", action="store_true")
+    parser.add_argument("--plans", nargs="*", choices=PLANS, default=())
     parser.add_argument("--pairs", action="store_true")
+    parser.add_argument("--scheduler", help="a Dask cluster's address; none: this machine's cores")
     asked = parser.parse_args()
     (pairs if asked.pairs else study)(asked)
 

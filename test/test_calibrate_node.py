@@ -3,8 +3,12 @@
 # ruff: noqa: E402 - what needs ROS is imported after the check that it is there
 
 import json
+import os
 import signal
+import subprocess
+import sys
 import time
+from pathlib import Path
 
 import pytest
 
@@ -18,8 +22,11 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from ros_helpers import NodeProcess
 from std_srvs.srv import Trigger
+from waits import children, wait_until
 
+from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.campaign.campaign import FILE
+from parallel_cal.cli.calibrating import calibrate
 from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.nodes.calibrate import Calibration
 from parallel_cal.nodes.client import Client, NodeError, own_domain
@@ -101,6 +108,59 @@ def test_the_robot_calibrates_itself_and_what_it_lacks_is_in_the_file(tmp_path):
     assert document["effects"] == ["backlash"]
     assert document["curve"][0]["error_unseen"] > 10 * document["curve"][-1]["error_unseen"]
     assert {one.state for one in heard} >= {"planning", "moving", "sampling", "judging", "done"}
+
+
+@pytest.fixture
+def command(tmp_path):
+    """`calibrate` of a virtual robot as a terminal runs it, which has begun to move."""
+    words = ["parallel_cal.cli", "calibrate", "robot.yaml", "--simulated", "delta:hidden"]
+    process = subprocess.Popen(
+        [sys.executable, "-m", *words], cwd=tmp_path, start_new_session=True, text=True,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    )  # fmt: skip
+    for line in process.stderr:
+        if line.startswith("moving: pose 3"):
+            break
+    yield process
+    if process.poll() is None:
+        process.kill()
+    process.wait()
+
+
+@pytest.mark.wide
+def test_ctrl_c_in_a_terminal_stops_the_robot_and_nothing_is_waited_for_in_vain(command):
+    """It signals all of the terminal's processes; the nodes end when the robot has stopped."""
+    os.killpg(command.pid, signal.SIGINT)
+    out, err = command.communicate(timeout=60)
+    assert command.returncode == 1
+    assert out.startswith("ended: aborted on request; calibrate again to go on")
+    assert "it had: " not in out  # it goes on yet
+    assert "in vain" not in err
+
+
+@pytest.mark.wide
+def test_nodes_do_not_outlive_a_command_that_is_killed(command):
+    nodes = children(command.pid)
+    assert len(nodes) == 3
+    command.kill()
+    wait_until(lambda: not any(Path(f"/proc/{p}").exists() for p in nodes), "the nodes' end")
+
+
+def test_what_is_wrong_with_a_command_is_told_before_anything_is_started(tmp_path):
+    told = {
+        ("robot.yaml",): "no such file",
+        ("robot.yaml", "--keep-out", "nonsense"): "six numbers 'x y z x y z' in m",
+        ("robot.yaml", "--keep-out", "1 2 3 4 5"): "six numbers 'x y z x y z' in m",
+    }
+    for given, words in told.items():
+        with pytest.raises(ParallelCalError, match=words):
+            calibrate(tmp_path / given[0], keep_out=[*given[2:]])
+
+
+def test_what_a_simulated_robot_had_is_told_as_effects(tmp_path):
+    cell = {"robot": "delta", "effects": "backlash, wind_up"}
+    assert Calibration(tmp_path / "a.yaml", simulated=cell).hidden == ["backlash", "hysteresis"]
+    assert Calibration(tmp_path / "a.yaml").hidden == []
 
 
 @pytest.mark.wide

@@ -642,6 +642,20 @@ def test_a_raw_recording_is_a_bag_of_the_messages_as_they_came(tmp_path):
     assert recording.joints.time.tolist() == [0.0, 1.0, 2.0]
 
 
+@mock.patch.dict(os.environ)
+def test_a_node_that_is_stopped_while_it_records_ends_as_well_as_any(tmp_path):
+    namespace, folder = own_domain() + "_recording", str(tmp_path / "j")
+    parameters = {"journal_folder": folder, "record": True}
+    node = NodeProcess("calibration_node", tmp_path, namespace, **parameters)
+    client = Client("tester", namespace, [node])
+    status = client.latest(CollectionStatus, "calibration_node/collection_status")
+    client.wait(lambda: bool(status) and "recording to" in status[0].last_event, "a recording")
+    client.close()
+    assert node.end(signal.SIGTERM) == 0
+    (recording,) = Path(folder).glob("raw-*")
+    assert (recording / "metadata.yaml").exists()
+
+
 @pytest.mark.wide
 @mock.patch.dict(os.environ)
 def test_without_auto_collect_samples_are_taken_by_hand(tmp_path):

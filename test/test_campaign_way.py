@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from parallel_cal.base.errors import ModelFileError
+from parallel_cal.campaign.targets import first_targets
 from parallel_cal.campaign.trajectory import rates, through, trapezoid
 from parallel_cal.campaign.way import Guard, WayError
 from parallel_cal.kinematics.kinematics import Kinematics
@@ -103,12 +104,26 @@ def test_a_way_between_two_poses_of_the_workspace_is_one_line():
 
 def test_a_joint_does_not_end_after_a_way_that_its_play_swallows():
     guard, here = Guard.of(DELTA), joints_at(0.0, 0.0, 0.2)
-    least = 5e-4 * DELTA.mechanism.joint_ranges[0]
+    least = 3e-3
     there = here + [0.1, -least / 5, 0.0]
     away, last = guard.drawn_out(here, [there])
     assert (last == there).all()
     assert away == pytest.approx([here[0], there[1] + least, here[2]])
     assert guard.drawn_out(here, [here + 0.1]) == [pytest.approx(here + 0.1)]
+
+
+def test_where_the_model_knows_its_play_a_way_is_a_quarter_longer_than_that():
+    known = DELTA.with_effect("backlash")
+    values = known.table.vector(known.table.mapping(known.values) | {"backlash.joint2.width": 1e-3})
+    guard, here = Guard.of(known.with_values(values)), joints_at(0.0, 0.0, 0.2)
+    away, _ = guard.drawn_out(here, [here + [0.1, -1e-4, 1e-4]])
+    assert away == pytest.approx(here + [0.0, 1.25e-3 - 1e-4, 1e-4 - 3e-3], abs=1e-9)
+
+
+def test_a_reach_of_two_workspaces_is_as_far_again_from_their_middle():
+    beyond = np.array([joints_at(0.0, 0.075, 0.2), joints_at(0.0, 0.125, 0.2)])
+    assert Guard.of(DELTA).allowed(beyond).tolist() == [False, False]
+    assert Guard.of(DELTA, reach=2.0).allowed(beyond).tolist() == [True, False]
 
 
 def test_no_way_leads_to_joints_outside_their_limits():
@@ -174,6 +189,24 @@ def test_the_arms_keep_out_of_a_box_too():
 def test_a_robot_that_stands_where_it_must_not_be_is_not_moved():
     with pytest.raises(WayError, match="where the robot is: outside the workspace"):
         Guard.of(DELTA).way(joints_at(0, 0, 0.28), [joints_at(0, 0, 0.2)])
+
+
+def test_a_robot_that_rests_a_hair_beyond_a_joint_limit_is_taken_back():
+    q = joints_at(0, 0, 0.2)
+    high = DELTA.mechanism.joint_limits[0][1]
+    model = parse_model(dump_model(DELTA).replace(f"high: {high}", f"high: {float(q[0])!r}", 1))
+    there, guard = joints_at(0.01, 0, 0.19), Guard.of(model)
+    assert there[0] < q[0]
+    hair = [1e-4, 0.0, 0.0]
+    assert guard.way(q + hair, [there])[0] == pytest.approx(q)
+    with pytest.raises(WayError, match="where the robot is: outside the joint limits"):
+        guard.way(q + np.array([0.1, 0, 0]), [there])
+
+
+def test_where_too_few_poses_may_be_gone_to_it_says_what_forbids_them():
+    table = Box((-0.1, -0.1, 0.0), (0.1, 0.1, 0.3))
+    with pytest.raises(WayError, match=r"only 0 of 400 .*: 400 are inside the box to keep out of"):
+        first_targets(Guard.of(DELTA, [table]), 80)
 
 
 def test_boxes_to_keep_out_of_are_in_the_model_file():

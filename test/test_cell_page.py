@@ -43,15 +43,20 @@ def test_the_pages_program_goes_straight_from_where_the_robot_is_to_every_point(
         trajectories = node.create_publisher(JointTrajectory, "joint_trajectory", 10)
         client.wait(lambda: trajectories.get_subscription_count(), "the program")
         client.wait(lambda: states.get_subscription_count(), "the program")
-        states.publish(JointState(name=["joint2", "joint1", "joint3"], position=[0.2, 0.1, 0.3]))
-        for _ in range(20):
-            client._executor.spin_once(timeout_sec=0.02)
+        here = JointState(name=["joint2", "joint1", "joint3"], position=[0.2, 0.1, 0.3])
         points = [
             JointTrajectoryPoint(positions=q, time_from_start=Duration(nanosec=ns))
             for q, ns in (([0.6, 0.2, 0.1], 10**8), ([0.7, 0.2, 0.1], 3 * 10**8))
         ]
-        names = ["joint3", "joint2", "joint1"]
-        trajectories.publish(JointTrajectory(joint_names=names, points=points))
+        way = JointTrajectory(joint_names=["joint3", "joint2", "joint1"], points=points)
+
+        def moves() -> bool:
+            """Say both until commands come: a program counted as listening may not yet hear."""
+            states.publish(here)
+            trajectories.publish(way)
+            return bool(heard)
+
+        client.wait(moves, "the first command")
         client.wait(lambda: heard and heard[-1].data.tolist() == [0.1, 0.2, 0.7], "the end")
     finally:
         process.kill()

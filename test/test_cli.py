@@ -1,9 +1,11 @@
 """The command line: its documents, its exit codes, and that nothing else reaches stdout."""
 
+import contextlib
 import csv
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
 from dataclasses import replace
@@ -18,6 +20,7 @@ from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.file.modelfile import model_hash, read_model, write_model
 from parallel_cal.model.model import new_model
 from parallel_cal.recordings.loading import load_dataset
+from parallel_cal.reporting import console
 
 ROOT = Path(__file__).parents[1]
 IDENTIFIED = str(ROOT / "config" / "delta_mockup_identified.yaml")
@@ -102,12 +105,8 @@ def child(*arguments):
 HEAVY = {"scipy", "rclpy", "rosbags", "plotly", "ruamel"}
 
 
-@pytest.mark.parametrize(
-    ("command", "heavy"),
-    [("--help", HEAVY | {"numpy", "casadi", "pydantic", "rich"}), ("mechanisms", HEAVY)],
-)
-def test_it_imports_heavy_things_only_where_they_are_used(command, heavy):
-    """What start-up time is made of, without a clock."""
+def started(command, **environment):
+    """Its output, and the names of the packages that it loaded: start-up without a clock."""
     code = (
         "import atexit, sys; from parallel_cal.cli.main import main;"
         "atexit.register(lambda: print(*{m.split('.')[0] for m in sys.modules}, file=sys.stderr));"
@@ -115,14 +114,27 @@ def test_it_imports_heavy_things_only_where_they_are_used(command, heavy):
     )
     done = subprocess.run(
         [sys.executable, "-c", code],
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        env={**os.environ, "PYTHONPATH": str(ROOT), **environment},
         capture_output=True,
         text=True,
         check=True,
     )
     loaded = set(done.stderr.split())
     assert "parallel_cal" in loaded
-    assert not heavy & loaded
+    return done.stdout, loaded
+
+
+def test_help_imports_nothing_heavy():
+    assert not (HEAVY | {"numpy", "casadi", "pydantic", "rich"}) & started("--help")[1]
+
+
+def test_what_is_on_a_shelf_is_built_for_its_first_listing_only(tmp_path):
+    first, loaded = started("mechanisms", XDG_CACHE_HOME=str(tmp_path))
+    assert "casadi" in loaded
+    assert not HEAVY & loaded
+    again, loaded = started("mechanisms", XDG_CACHE_HOME=str(tmp_path))
+    assert again == first
+    assert not (HEAVY | {"numpy", "casadi"}) & loaded
 
 
 def test_help_names_the_commands_that_exist_and_no_other():
@@ -131,18 +143,8 @@ def test_help_names_the_commands_that_exist_and_no_other():
         "new", "mechanisms", "effects", "sensors", "direct", "inverse", "info", "import",
         "import-csv", "simulate", "replay", "fit", "compare", "add", "remove", "diagnose", "report",
         "export", "export-residuals", "short-cut", "plan", "calibrate", "workbench", "fleet",
-        "demo", "bench", "session",
+        "demo", "bench", "session", "study",
     ]  # fmt: skip
-
-
-def test_help_imports_nothing_heavy():
-    code = (
-        "import sys; from parallel_cal.cli import main\n"
-        "print([m for m in ('numpy', 'casadi', 'pydantic', 'rosbags', 'rich.table') "
-        "if m in sys.modules])"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
 
 
 def test_version_is_that_of_the_package(run):
@@ -418,6 +420,15 @@ def test_an_option_that_would_do_nothing_is_wrong_usage(run, tmp_path):
 # ------------------------------------------------------------------- calibration
 
 
+def test_a_model_file_that_is_replaced_stays_beside_the_new_one(document, tmp_path):
+    out, aside = tmp_path / "robot.yaml", tmp_path / "robot.yaml.previous"
+    document("new", "stewart42", "-o", out)
+    assert not aside.exists()
+    before = out.read_bytes()
+    document("fit", NOMINAL, BAG, "-o", out)
+    assert aside.read_bytes() == before != out.read_bytes()
+
+
 def test_fit_prints_the_promised_document_and_writes_the_model_with_its_history(document, tmp_path):
     out = tmp_path / "out.yaml"
     found = document("fit", NOMINAL, BAG, "-o", out)
@@ -594,3 +605,13 @@ def test_a_direct_problem_loads_nothing_heavy_that_it_does_not_need():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stderr == "[]"
+
+
+def test_a_ctrl_c_that_was_swallowed_ends_the_work_at_its_next_step():
+    before = signal.getsignal(signal.SIGINT)
+    with console.bar("sessions") as tell:
+        with contextlib.suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+        with pytest.raises(KeyboardInterrupt):
+            tell(1, 2)
+    assert signal.getsignal(signal.SIGINT) is before

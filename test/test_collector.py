@@ -89,6 +89,73 @@ def test_one_message_ahead_of_its_time_costs_no_sample(messages, channel):
     assert "the last stamped +2." in spoilt.warnings()[0]
 
 
+def stamped(message, seconds):
+    other = copy.deepcopy(message)
+    other.header.stamp.sec += seconds
+    return other
+
+
+@pytest.mark.wide
+@pytest.mark.parametrize("by", [-5, 5])
+@pytest.mark.parametrize("channel", ["joint_states", "measured_pose"])
+def test_one_clock_that_is_set_while_the_other_goes_on_costs_no_sample_and_spoils_none(
+    messages, channel, by
+):
+    """Half the samples used to go, or had the pose of another dwell without a word."""
+    part = until(messages, 60)
+    half = len(part) // 2
+    spoilt = [
+        (topic, log, stamped(m, by) if i >= half and topic == channel else m)
+        for i, (topic, log, m) in enumerate(part)
+    ]
+    whole, found = feed(Collector(), part), feed(Collector(), spoilt)
+    assert len(whole) > 30
+    assert abs(len(found) - len(whole)) <= 1  # the dwell that it happened in
+    (said,) = found.warnings()
+    assert "measured_pose: its clock or that of the joints was set by" in said
+    true, ours = whole.collection().dataset, found.collection().dataset
+    for q, r in zip(ours.q, ours.r, strict=True):
+        same_dwell = np.argmin(np.abs(true.q - q).max(axis=1))
+        assert np.linalg.norm(true.r[same_dwell] - r) < 1e-3
+
+
+@pytest.mark.wide
+@pytest.mark.parametrize("by", [-5, 5])
+@pytest.mark.parametrize("channel", ["joint_states", "measured_pose"])
+def test_some_messages_astray_in_a_row_do_not_end_a_session(messages, channel, by):
+    """Four in a row are believed by themselves, and the other stream says that they are not."""
+    part = until(messages, 60)
+    wild = [i for i, (topic, _, _) in enumerate(part) if topic == channel][300:304]
+    spoilt = [
+        (topic, log, stamped(m, by) if i in wild else m) for i, (topic, log, m) in enumerate(part)
+    ]
+    assert abs(len(feed(Collector(), spoilt)) - len(feed(Collector(), part))) <= 1
+
+
+def test_measurements_that_a_network_delivers_late_are_not_astray(messages):
+    """Three seconds of them at once, in the order in which they were sent."""
+    part = until(messages, 20)
+    begin, end = part[0][1] + 10 * 10**9, part[0][1] + 13 * 10**9
+    late = [
+        (topic, end + i if topic == "measured_pose" and begin <= log < end else log, message)
+        for i, (topic, log, message) in enumerate(part)
+    ]
+    found, whole = feed(Collector(), sorted(late, key=lambda m: m[1])), feed(Collector(), part)
+    same(found.collection().dataset, whole.collection().dataset)
+    assert found.strays == 0
+
+
+@pytest.mark.parametrize("channel", ["joint_states", "measured_pose"])
+def test_a_first_message_ahead_of_its_time_costs_no_sample(messages, channel):
+    part = until(messages, 15)
+    first = next(i for i, (topic, _, _) in enumerate(part) if topic == channel)
+    topic, log, message = part[first]
+    spoilt = [*part[:first], (topic, log, stamped(message, 5)), *part[first + 1 :]]
+    found, whole = feed(Collector(), spoilt), feed(Collector(), part)
+    assert len(found) == len(whole) > 5
+    assert found.strays == 1
+
+
 def test_samples_from_two_publishers_at_once_are_refused_and_told(messages):
     """A second tracker whose clock is 5 s off, both with counts of their own."""
     collector, part = Collector(), until(messages, 30)
@@ -114,6 +181,21 @@ def test_joints_that_the_model_does_not_know_are_a_warning_and_no_samples_yet_ar
     (said,) = feed(Collector(["hip", "knee", "foot"]), few).warnings()
     assert "hip" in said
     assert "joint1" in said
+
+
+def test_millimetres_are_a_warning(messages):
+    """Of them no samples are made, so that none can tell; nor will there be later."""
+    collector = Collector()
+    for channel, log, message in until(messages, 10):
+        if channel == "measured_pose":
+            message = copy.deepcopy(message)
+            p = message.pose.pose.position
+            p.x, p.y, p.z = 1e3 * p.x, 1e3 * p.y, 1e3 * p.z
+        collector.receive(channel.strip("/"), message, log)
+    collector.refresh()
+    assert len(collector) == 0
+    (said,) = collector.warnings()
+    assert "looks like millimetres" in said
 
 
 def test_a_replayed_recording_gives_exactly_the_samples_of_its_bag(messages, offline):

@@ -1,18 +1,19 @@
-"""The demo tells the truth and leaves nothing behind."""
+"""The demo tells the truth, and leaves what it found."""
 
 import json
 import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from waits import children, wait_until
 
 from parallel_cal.model.file.modelfile import model_hash
 from parallel_cal.nodes import demo
+from parallel_cal.session.session import Session
 from parallel_cal.virtual.kinds import kinds_of
 
 REPOSITORY = Path(__file__).parents[1]
@@ -30,25 +31,10 @@ def start(*arguments, **environment):
     )
 
 
-def children(pid):
-    """Process ids of the nodes that a demo started."""
-    try:
-        return [int(c) for c in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
-    except FileNotFoundError:
-        return []
-
-
-def wait_until(condition, what, patience=60):
-    end = time.monotonic() + patience
-    while not condition():
-        assert time.monotonic() < end, f"waited in vain for {what}"
-        time.sleep(0.02)
-
-
 @pytest.mark.wide
 @pytest.mark.ros
 def test_the_demo_finds_what_is_hidden_and_stops_at_the_noise(tmp_path):
-    given = ("json=True", "keep=True", "effect='backlash'", "seed=2")
+    given = ("json=True", "effect='backlash'", "seed=2")
     demo_process = start(*given, TMPDIR=str(tmp_path))
     out, err = demo_process.communicate(timeout=400)
     assert demo_process.returncode == 0, err
@@ -61,6 +47,8 @@ def test_the_demo_finds_what_is_hidden_and_stops_at_the_noise(tmp_path):
     assert last["error_unseen"] < 2 * 29e-6 < 10 * first["error_unseen"]
     (model,) = tmp_path.glob("*/robot.yaml")
     assert model_hash(model.read_text()) == document["hash"]
+    found = Session(Path(document["folder"])).model
+    assert [effect.name for effect in found.effects] == ["backlash"]
 
 
 @pytest.mark.ros

@@ -46,6 +46,19 @@ def test_a_file_is_replaced_by_its_own_kind_only(folders, tmp_path):
             folders.to_write(str(path), kind)
 
 
+def test_what_is_laid_aside_for_a_model_goes_nowhere_else_and_replaces_a_model_only(
+    folders, tmp_path
+):
+    model, aside = tmp_path / "in" / "m.yaml", tmp_path / "in" / "m.yaml.previous"
+    model.write_text(MODEL), aside.write_text("mine")
+    with pytest.raises(ParallelCalError, match=r"m\.yaml\.previous: exists and is no model file"):
+        folders.to_write(str(model), "model")
+    aside.unlink(), (tmp_path / "out" / "m.yaml").write_text(MODEL)
+    aside.symlink_to(tmp_path / "out" / "m.yaml")
+    with pytest.raises(ParallelCalError, match=r"m\.yaml\.previous: not in a folder"):
+        folders.to_write(str(model), "model")
+
+
 def test_listed_folders_stand_in_for_the_usual_ones(tmp_path):
     folders = Folders(f"{tmp_path}/a:{tmp_path}/b", [tmp_path / "in"])
     assert folders.to_read(f"{tmp_path}/b/x")

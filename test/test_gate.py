@@ -36,6 +36,15 @@ def test_one_wild_stamp_is_dropped_and_counted(off, numbered):
     assert "1 messages dropped" in gate.trouble
 
 
+@pytest.mark.parametrize("off", [2.0, 5.0, -5.0, 1e6, -1e6])
+def test_a_wild_stamp_at_the_very_beginning_is_dropped_too(off):
+    stream = steady(range(100), begin=5e6)
+    stream[0] = (0, stream[0][1] + off, *stream[0][2:])
+    passed, gate = through(stream)
+    assert passed == list(range(1, 100))
+    assert gate.strays == 1
+
+
 @pytest.mark.parametrize("jump", [-50.0, 50.0])
 def test_a_clock_that_jumps_is_believed_when_several_agree_and_nothing_is_lost(jump):
     stream = steady(range(100), begin=100)

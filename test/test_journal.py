@@ -59,6 +59,14 @@ def test_of_a_journal_cut_off_anywhere_every_whole_line_is_there(collector, tmp_
     assert len(resumed(tmp_path)) == 94
 
 
+def test_what_is_no_text_behind_a_crash_takes_no_other_line_with_it(collector, tmp_path):
+    journal = Journal(tmp_path, "node")
+    journal.keep(collector.entries())
+    os.write(journal._file, b'{"id": 95, "start_ns"\x00\x00\xff\xfe')
+    os.close(journal._file)
+    assert len(resumed(tmp_path)) == 94
+
+
 def test_what_was_removed_or_saved_does_not_come_back(collector, tmp_path):
     journal = Journal(tmp_path, "node")
     entries = collector.entries()

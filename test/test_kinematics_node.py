@@ -2,6 +2,7 @@
 
 # ruff: noqa: E402 - what needs ROS is imported after the check that it is there
 
+import itertools
 import os
 import shutil
 import signal
@@ -51,6 +52,7 @@ CONFIG = Path(__file__).parents[1] / "config"
 NOMINAL, IDENTIFIED = CONFIG / "delta_mockup_nominal.yaml", CONFIG / "delta_mockup_identified.yaml"
 NODE, NAMES = "kinematics_node", ["joint1", "joint2", "joint3"]
 RANDOM = np.random.default_rng(5)
+STAMPS = itertools.count(42)
 
 
 def configurations(q):
@@ -265,8 +267,9 @@ def test_covariance_is_empty_while_unknown_and_the_model_s_where_known(robot):
 def assert_pose_with_covariance(robot, expected):
     publisher = robot.client._node.create_publisher(JointState, "joint_states", 10)
     heard = heard_on(robot, PoseWithCovarianceStamped, f"{NODE}/pose_with_covariance")
-    publish_until(robot, publisher, JointState(name=NAMES, position=[0.5, 0.6, 0.7]), heard)
-    assert np.array_equal(np.reshape(heard[-1].pose.covariance, (6, 6)), expected)
+    state = JointState(name=NAMES, position=[0.5, 0.6, 0.7])
+    answer = publish_until(robot, publisher, state, heard)
+    assert np.array_equal(np.reshape(answer.pose.covariance, (6, 6)), expected)
 
 
 def test_conditions_are_taken_by_name_and_unknown_ones_are_a_message(robot):
@@ -390,39 +393,43 @@ def heard_on(robot, type, topic):
     return heard
 
 
-def publish_until(robot, publisher, message, heard):
-    """Publish again and again until something came of it: the first ones may find no reader."""
-    begin = len(heard)
+def publish_until(robot, publisher, message, heard, stamped=True):
+    """The answer to this very message, told by its stamp: those to the test before may still be
+    under way. Published again and again: the first ones may find no reader. A command has no
+    stamp (it begins when it arrives): for those the first one counts."""
+    message.header.stamp.sec, begin = next(STAMPS), len(heard)
+
+    def answers():
+        new = heard[begin:]
+        return [one for one in new if one.header.stamp == message.header.stamp] if stamped else new
 
     def there():
         publisher.publish(message)
-        return len(heard) > begin
+        return bool(answers())
 
     robot.client.wait(there, "an answer on a topic")
+    return answers()[0]
 
 
 def test_joint_states_become_poses_at_their_time_whatever_their_order(robot):
     publisher = robot.client._node.create_publisher(JointState, "joint_states", 10)
     heard = heard_on(robot, PoseStamped, f"{NODE}/pose")
     state = JointState(name=["other", *NAMES[::-1]], position=[7.0, 0.7, 0.6, 0.5])
-    state.header.stamp.sec = 42
-    publish_until(robot, publisher, state, heard)
+    answer = publish_until(robot, publisher, state, heard)
     expected = robot.kinematics.direct(np.array([0.5, 0.6, 0.7]))
-    assert numbers(heard[0].pose) == [*expected.position, *expected.quaternion]
-    assert (heard[0].header.stamp.sec, heard[0].header.frame_id) == (42, "base")
+    assert numbers(answer.pose) == [*expected.position, *expected.quaternion]
+    assert answer.header.frame_id == "base"
 
 
 def test_joint_states_become_those_of_the_passive_joints_of_the_exported_tree(robot):
     publisher = robot.client._node.create_publisher(JointState, "joint_states", 10)
     heard = heard_on(robot, JointState, f"{NODE}/passive_joint_states")
     state = JointState(name=[*NAMES], position=[0.5, 0.6, 0.7])
-    state.header.stamp.sec = 43
-    publish_until(robot, publisher, state, heard)
+    answer = publish_until(robot, publisher, state, heard)
     tree = tree_of(robot.kinematics.model)
     row = robot.kinematics.direct(np.array([0.5, 0.6, 0.7])).configuration.rows
-    assert list(heard[0].name) == tree.passive
-    assert list(heard[0].position) == pytest.approx(tree.values(row), abs=1e-12)
-    assert heard[0].header.stamp.sec == 43
+    assert list(answer.name) == tree.passive
+    assert list(answer.position) == pytest.approx(tree.values(row), abs=1e-12)
 
 
 def test_a_joint_state_without_a_joint_is_counted_and_told(robot):
@@ -467,9 +474,9 @@ def test_velocities_that_are_no_numbers_are_worked_out_from_the_positions(robot)
     publisher = robot.client._node.create_publisher(JointState, "joint_states", 10)
     heard = heard_on(robot, PoseStamped, f"{NODE}/pose")
     state = JointState(name=NAMES, position=[0.5, 0.6, 0.7], velocity=[np.nan] * 3)
-    publish_until(robot, publisher, state, heard)
+    answer = publish_until(robot, publisher, state, heard)
     expected = robot.kinematics.direct(np.array([0.5, 0.6, 0.7]))
-    assert numbers(heard[-1].pose)[:3] == expected.position.tolist()
+    assert numbers(answer.pose)[:3] == expected.position.tolist()
     robot.back_to(NOMINAL)
 
 
@@ -489,10 +496,10 @@ def test_a_target_becomes_the_command_of_the_calibrated_inverse_and_others_nothi
     be_at(robot, robot.kinematics.inverse(np.array([0.0101, 0.02, 0.2])).joints)
     good = PoseStamped(pose=pose((0.01, 0.02, 0.2)))
     good.header.frame_id = "base"
-    publish_until(robot, targets, good, heard)
+    command = publish_until(robot, targets, good, heard, stamped=False)
     expected = robot.kinematics.inverse(np.array([0.01, 0.02, 0.2]))
-    (point,) = heard[0].points
-    assert heard[0].joint_names == NAMES
+    (point,) = command.points
+    assert command.joint_names == NAMES
     assert list(point.positions) == expected.joints.tolist()
     assert point.time_from_start.nanosec == 100_000_000
     robot.client.wait(lambda: bool(spoken), "its status")
@@ -532,11 +539,12 @@ def test_a_jump_is_given_the_time_it_needs_and_one_out_of_the_workspace_is_refus
     here, there = np.array([-0.05, -0.05, 0.2]), np.array([0.035, 0.035, 0.2])
     q = robot.kinematics.inverse(here).joints
     be_at(robot, q)
-    publish_until(robot, targets, PoseStamped(pose=pose(there)), heard)
+    target = PoseStamped(pose=pose(there))
+    command = publish_until(robot, targets, target, heard, stamped=False)
     low, high = np.array(robot.kinematics.model.mechanism.joint_limits).T
     goal = robot.kinematics.inverse(there).joints
     needed = float(np.max(1.5 * np.abs(goal - q) / (high - low)))
-    given = heard[-1].points[0].time_from_start
+    given = command.points[0].time_from_start
     assert given.sec + given.nanosec * 1e-9 == pytest.approx(needed, rel=1e-6)
     robot.client.wait(lambda: told and told[-1].status == CommandStatus.SLOWED, "the status")
     assert "velocity" in told[-1].message

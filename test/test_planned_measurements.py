@@ -11,6 +11,7 @@ from parallel_cal.diagnosis.separate import told_apart
 from parallel_cal.model.model import Noise, new_model
 from parallel_cal.planning.course import Course
 from parallel_cal.planning.plan import plan
+from parallel_cal.planning.posepool import make_pool
 from parallel_cal.virtual import robot as vr
 
 NOISE = Noise(vr.THESIS_NOISE.joint, vr.THESIS_NOISE.position, vr.THESIS_NOISE.orientation)
@@ -37,6 +38,20 @@ def test_ways_are_short_and_long(winding):
     ways = np.abs(winding.a).max(axis=1)
     assert ways.min() < 5e-3
     assert ways.max() > 50e-3
+
+
+def test_a_way_that_would_be_too_short_is_planned_as_long_as_it_will_be():
+    model = new_model("delta54").with_effect("hysteresis")
+    pool = make_pool(model, 50, np.random.default_rng(1), symmetric=False)
+    least = np.array([2e-3, 0.0, 30e-3])
+    longer = pool.drawn_out(model, least)
+    before, after = pool.approach.ways, longer.approach.ways
+    assert np.array_equal(np.sign(after), np.sign(before))
+    assert np.array_equal(np.abs(after), np.maximum(np.abs(before), least))
+    assert (np.abs(before) < least).any()
+    names = [f"travel.joint{i}" for i in (1, 2, 3)]
+    travelled = longer.a[:, [model.conditions.index(name) for name in names]]
+    assert np.array_equal(travelled, after)
 
 
 def test_a_course_is_cold_then_warm_then_cold_again_as_fast_as_it_was_seen_to_change():

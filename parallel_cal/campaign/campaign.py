@@ -22,14 +22,23 @@ from parallel_cal.base.documents import plain
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.base.files import MEGABYTE, append_lines, held, json_lines
 from parallel_cal.campaign.cell import Aborted, Cell, Control, Held, Sample
-from parallel_cal.campaign.checking import Checker
-from parallel_cal.campaign.judging import Conclusion, Judgement, Question, concluded, judged
+from parallel_cal.campaign.checking import Checker, Odd
+from parallel_cal.campaign.judging import (
+    Conclusion,
+    Judgement,
+    Question,
+    concluded,
+    first_kind,
+    judged,
+)
 from parallel_cal.campaign.targets import BROUGHT_ABOUT, Target, first_targets
 from parallel_cal.campaign.trajectory import through
 from parallel_cal.campaign.way import Guard, WayError
+from parallel_cal.identification.observations import observe
 from parallel_cal.identification.options import FitOptions
-from parallel_cal.model.file.modelfile import model_hash, parse_model
+from parallel_cal.model.file.modelfile import model_hash, parse_model, replace_text
 from parallel_cal.model.mechanism import Box
+from parallel_cal.model.shelf import load_effect
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.joining import joined
 from parallel_cal.session import goals
@@ -51,8 +60,9 @@ class Goal:
 
     `enough` is an rms position error at unseen poses in m (rad where no position is measured), or 0
     for a verdict; `effects` those that may be looked for, all where none is named; `payload` (kg)
-    and `warmer` (K) by how much a person may be asked to change these, 0 for not at all; `seed`
-    draws the poses to choose from.
+    and `warmer` (K) by how much a person may be asked to change these, 0 for not at all; `reach`
+    how many times as large as the workspace the space is that may be used where poses in it tell
+    too little of what is missing; `seed` draws the poses to choose from.
     """
 
     poses: int = 80
@@ -62,6 +72,7 @@ class Goal:
     keep_out: tuple[Box, ...] = ()
     payload: float = 0.0
     warmer: float = 0.0
+    reach: float = 1.0
     hold_out: float = 0.25
     joint_sigma: float | None = None
     seed: int = 0
@@ -218,9 +229,9 @@ class Campaign:
         self.control.go_on()
         if not self.targets:
             self._say("planning", "the first poses")
-            targets = first_targets(self._guard, self.goal.poses, self.goal.seed)
-            self._write(targets=targets)
-            self.targets += targets
+            for name in self.goal.effects:
+                load_effect(name)  # unknown ones are told before the robot moves
+            self._plan(first_targets(self._guard, self.goal.poses, self.goal.seed))
         due = [
             k
             for k in range(len(self.targets))
@@ -247,7 +258,7 @@ class Campaign:
     def _say(self, state: str, reason: str) -> None:
         last = self.judgements[-1] if self.judgements else None
         self._status = Status(
-            state, reason, len(self.samples), _first(last.unseen) if last else np.nan,
+            state, reason, len(self.samples), last.error_unseen if last else np.nan,
             last.verdict if last else "",
         )  # fmt: skip
         self._tell(self._status)
@@ -258,21 +269,55 @@ class Campaign:
         """Go to a target and take its sample, or leave it out where no way may be driven."""
         target = self.targets[k]
         self._bring_about(target.conditions)
-        here, stops = self._cell.joints(), [np.array(q) for q in (*target.via, target.joints)]
         try:
-            way = self._way(here, stops)
+            sample = self._sampled(target, f"pose {k + 1} of {len(self.targets)}, {target.purpose}")
         except WayError as error:
-            if self._guard.trouble(here[None]):
+            if self._guard.astray(self._cell.joints()):
                 raise
             self.left_out[k] = str(error)
             self._write(left_out=k, why=str(error))
             return
-        self._say("moving", f"pose {k + 1} of {len(self.targets)}, {target.purpose}")
+        again = None
+        try:
+            self._checker.check(sample.dataset, np.array(target.joints), self._last)
+        except Odd as odd:
+            again = self._looked_again(odd)
+        self._keep(k, sample)
+        if again is not None:
+            self._plan([again[0]])
+            self._keep(len(self.targets) - 1, again[1])
+
+    def _sampled(self, target: Target, why: str) -> Sample:
+        """Go to a target and take its sample; WayError where no way may be driven."""
+        stops = [np.array(q) for q in (*target.via, target.joints)]
+        way = self._way(self._cell.joints(), stops)
+        self._say("moving", why)
         self._cell.move(through(way, self._guard.model.mechanism), self.control.go_on)
         self._checker.check_arrived(self._cell.joints(), stops[-1])
-        self._say("sampling", f"pose {k + 1} of {len(self.targets)}, {target.purpose}")
-        sample = self._cell.sample(self.control.go_on)
-        self._checker.check(sample.dataset, stops[-1], self._last)
+        self._say("sampling", why)
+        return self._cell.sample(self.control.go_on)
+
+    def _looked_again(self, odd: Odd) -> tuple[Target, Sample]:
+        """The pose before an odd one once more: where it is as it was, robot and device are, and it
+        is the model that knows no better; else the odd one is raised."""
+        k, before = next(reversed(self.samples.items()))
+        target = replace(self.targets[k], purpose="the pose before, to see whether anything moved")
+        try:
+            sample = self._sampled(target, f"{odd}; back to {target.purpose}")
+        except WayError:
+            raise odd from None
+        if not self._checker.same(sample.dataset, before.dataset):
+            raise odd
+        self._checker.changed()  # the model is known to be wrong, until there is a better one
+        return target, sample
+
+    def _plan(self, targets: list[Target]) -> None:
+        self._write(targets=targets)
+        self.targets += targets
+
+    def _keep(self, k: int, sample: Sample) -> None:
+        if not self.samples:  # what a fit lacks is told now, not after the last of the first poses
+            observe(self._guard.model, sample.dataset, self.goal.joint_sigma)
         self._write(target=k, sample=sample.dataset, start_ns=sample.start_ns)
         self.samples[k] = sample
 
@@ -317,8 +362,8 @@ class Campaign:
             seed = goal.seed + 1 + len(self.judgements)
             changes = {"payload": goal.payload, "temperature": goal.warmer}
             question = Question(
-                self.model, goal.keep_out, goal.effects, min(BATCH, left), left, changes, seed,
-                options,
+                self.model, goal.keep_out, goal.reach, goal.effects, min(BATCH, left), left,
+                changes, seed, options,
             )  # fmt: skip
             before, last = last, self._work(judged, question, dataset, self.unseen)
             self._write(judged=last)
@@ -327,13 +372,13 @@ class Campaign:
             self._go_on_by(last)
         else:
             before = self.judgements[-2] if len(self.judgements) > 1 else None
-        if self.goal.enough and _first(last.unseen) <= self.goal.enough:
+        if self.goal.enough and last.error_unseen <= self.goal.enough:
             return self._outcome(True, f"the error at unseen poses is small enough: {last.summary}")
         if not self.goal.enough and last.settles(before):
             alike = last.untold and f"; poses do not tell {' from '.join(last.untold)}"
             return self._outcome(True, f"{last.summary}{alike or ''}")
         if over:
-            wanted = "; ".join(last.missing)
+            wanted = "; ".join(one for one in last.missing if one not in last.summary)
             return self._outcome(False, f"{over}: {last.summary}{wanted and f'; {wanted}'}")
         return None
 
@@ -344,7 +389,7 @@ class Campaign:
     def _judge_by(self, judgement: Judgement | None) -> None:
         """From here on ways are looked at, and samples checked, by the best model there is."""
         model = parse_model(judgement.text if judgement else self.model)
-        self._guard = Guard.of(replace(model, covariance=None), self.goal.keep_out)
+        self._guard = Guard.of(replace(model, covariance=None), self.goal.keep_out, self.goal.reach)
         self._checker = Checker(model, judgement.usual if judgement else {})
 
     def _go_on_by(self, judgement: Judgement) -> None:
@@ -352,15 +397,15 @@ class Campaign:
         the model that led it there."""
         before, here = self._guard, self._cell.joints()
         self._judge_by(judgement)
-        if judgement.targets and self._guard.trouble(here[None]):
+        if judgement.targets and self._guard.astray(here):
             home = np.array(before.model.mechanism.home.joints)
             way = through(before.way(here, [home]), before.model.mechanism)
             self._cell.move(way, self.control.go_on)
 
     def _outcome(self, success: bool, message: str) -> Outcome:
         judgement = self.judgements[-1]
-        curve = [(0, _first(judgement.before))]
-        curve += [(one.samples, _first(one.unseen)) for one in self.judgements]
+        curve = [(0, first_kind(judgement.before))]
+        curve += [(one.samples, one.error_unseen) for one in self.judgements]
         document = {
             "success": success,
             "message": message,
@@ -381,7 +426,7 @@ class Campaign:
     def _end(self, outcome: Outcome) -> Outcome:
         """The better model, where it is proven to be one, and the last line."""
         self._say("judging", "the model to be written")
-        found: Conclusion = self._work(concluded, self.folder, self.judgements[-1])
+        found: Conclusion = self._work(concluded, self.folder, self.judgements)
         outcome = replace(outcome, text=found.text, message=f"{outcome.message} ({found.words})")
         self._write(end=outcome.message, success=outcome.success)
         self._say("done", outcome.message)
@@ -392,11 +437,6 @@ class Campaign:
         if not self.judgements:
             return Outcome(False, why, ended=False, samples=len(self.samples))
         return replace(self._outcome(False, why), ended=False)
-
-
-def _first(kinds: Mapping[str, float]) -> float:
-    """The position's, or where none was measured the orientation's."""
-    return next(iter(kinds.values()), np.nan)
 
 
 def unfinished(folder: Path, model: str) -> Path | None:
@@ -414,5 +454,5 @@ def write_better(outcome: Outcome, path: str) -> Outcome:
     """Write the proven model to a file, the one before kept."""
     if not outcome.text:
         return outcome
-    goals.replaced(path, outcome.text)
+    replace_text(path, outcome.text)
     return replace(outcome, path=path, hash=model_hash(outcome.text))

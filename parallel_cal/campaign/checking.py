@@ -25,6 +25,11 @@ ARRIVED = 0.01  # of its range, in which a joint must be of where it was sent
 SEE_TO_IT = "a collision, a slip, or a target that was lost or changed: see to it"
 
 
+class Odd(CellError):
+    """A sample is far from where the model puts it, though no further than tolerances allow: what
+    is wrong may be the model."""
+
+
 class Checker:
     """Samples beside a model: whose `usual` rms errors are known by kind (m, rad), or none yet."""
 
@@ -40,20 +45,24 @@ class Checker:
         self._as_before = False
 
     def check(self, sample: Dataset, sent: np.ndarray, last: Dataset | None) -> None:
-        """CellError where joints are not where they were sent (nq,), or the pose is not where the
-        model, and the sample before, let it be expected."""
+        """CellError where joints are not where they were sent (nq,), or the platform did not move
+        as tolerances let it be expected; Odd where it is not where the identified model puts it."""
         self.check_arrived(sample.q[0], sent)
-        if not self._usual:
-            if last is not None:
-                self._check_moved(sample, last)
-            return
-        if not self._as_before:
+        if last is not None:
+            self._check_moved(sample, last)
+        if not (self._usual and self._as_before):
             return
         found = errors(self._model, observe(self._model, sample))
         for kind, usual in self._usual.items():
             error = float(found.norms(kind)[0])
             if error > JUMP * usual:
-                raise CellError(f"{_said(kind, error, usual)}: {SEE_TO_IT}")
+                raise Odd(f"{_said(kind, error, usual)}: {SEE_TO_IT}")
+
+    def same(self, one: Dataset, other: Dataset) -> bool:
+        """Whether two samples (1,) of one pose are, as far as is usual."""
+        apart = {"position": float(np.linalg.norm(one.r[0] - other.r[0])),
+                 "orientation": _angle(one.R[0], other.R[0])}  # fmt: skip
+        return all(apart[kind] <= JUMP * usual for kind, usual in self._usual.items())
 
     def check_arrived(self, q: np.ndarray, sent: np.ndarray) -> None:
         """CellError where joints (nq,) are not where they were sent."""

@@ -5,7 +5,7 @@ It takes seconds and may be done in another process: what goes in and out can be
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -28,15 +28,16 @@ from parallel_cal.session.steps import Unproven
 
 DONE = ("at_noise", "explained")
 KINDS = ("position", "orientation")
-LISTS = ("effects", "doubt", "untold", "suspected", "missing")
+RISEN = 1.5  # times the error at unseen poses: they are the same ones, so that it is no chance
+LISTS = ("effects", "additions", "doubt", "untold", "suspected", "missing")
 Tell = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)
 class Judgement:
-    """A diagnosis of `samples` samples: verdict and summary, the effects found, what is still in
-    `doubt`, whether poses tell it or not (`untold`), or `suspected`, what would settle it, and the
-    model with these effects as the `text` of a file.
+    """A diagnosis of `samples` samples: verdict and summary, the effects found, by name and as
+    `add` takes them, what is still in `doubt`, whether poses tell it or not (`untold`), or
+    `suspected`, what would settle it, and the model with these effects as the `text` of a file.
 
     `unseen` are rms errors of that model at the poses that no fit saw, `before` those of the model
     that the campaign began with, `usual` at all samples, by kind (m, rad); `targets` where to
@@ -46,6 +47,7 @@ class Judgement:
     verdict: str
     summary: str
     effects: tuple[str, ...]
+    additions: tuple[str, ...]
     doubt: tuple[str, ...]
     untold: tuple[str, ...]
     suspected: tuple[str, ...]
@@ -64,13 +66,21 @@ class Judgement:
         targets = tuple(map(Target.of, document["targets"]))
         return cls(**{**document, **lists, "targets": targets})
 
+    @property
+    def error_unseen(self) -> float:
+        """rms at the poses that no fit saw, m (rad where no position is measured)."""
+        return first_kind(self.unseen)
+
     def settles(self, before: Judgement | None) -> bool:
         """Whether nothing is left to find: nothing is suspected, nor in doubt that poses may tell,
         no condition is to be changed yet, and the samples since the judgement before have changed
-        nothing."""
+        nothing; where an effect was found they were to show what hides beside it."""
         if before is None or self.suspected or set(self.doubt) - set(self.untold):
             return False
-        if any(target.conditions for target in self.targets):
+        if any(
+            target.conditions
+            for target in (*self.targets, *(before.targets if self.effects else ()))
+        ):
             return False
         names, were = ({*one.effects, *one.doubt} for one in (self, before))
         return self.verdict in DONE and (self.verdict, names) == (before.verdict, were)
@@ -78,12 +88,14 @@ class Judgement:
 
 @dataclass(frozen=True)
 class Question:
-    """What is asked about samples: the model's text, boxes to keep out of, how many `more` poses
-    are to be measured next and how many are `left` in all, by how much conditions may be changed
-    for them, and how it is identified."""
+    """What is asked about samples: the model's text, boxes to keep out of and how many times as
+    large as the workspace what may be used is, how many `more` poses are to be measured next and
+    how many are `left` in all, by how much conditions may be changed for them, and how it is
+    identified."""
 
     model: str
     keep_out: tuple[Box, ...] = ()
+    reach: float = 1.0
     effects: tuple[str, ...] = ()
     more: int = 0
     left: int = 0
@@ -107,13 +119,13 @@ def judged(
                                  *found.robot_or_device]))  # fmt: skip
     targets, untold = list[Target](), tuple[str, ...]()
     if question.more:
-        guard = Guard.of(replace(best, covariance=None), question.keep_out)
+        guard = Guard.of(replace(best, covariance=None), question.keep_out, question.reach)
         targets, untold = next_targets(
             found, guard, question.more, question.left, question.changes, question.seed
         )
     return Judgement(
-        len(dataset), found.verdict.word, found.verdict.summary, found.effects, doubt,
-        untold, found.suspected, missing(found), text,
+        len(dataset), found.verdict.word, found.verdict.summary, found.effects, found.additions,
+        doubt, untold, found.suspected, missing(found), text,
         rms(found.model, dataset.select(unseen), question.options),
         rms(best, dataset.select(unseen), question.options),
         rms(best, dataset, question.options), tuple(targets), found.document(),
@@ -142,6 +154,11 @@ def rms(model: Any, dataset: Dataset, options: FitOptions) -> dict[str, float]:
     return {kind: float(value) for kind, value in found.items() if value is not None}
 
 
+def first_kind(errors: Mapping[str, float]) -> float:
+    """The position's, or where none was measured the orientation's; NaN where there is none."""
+    return next(iter(errors.values()), np.nan)
+
+
 @dataclass(frozen=True)
 class Conclusion:
     """What a campaign's session ends in: the model as text where it is proven better than the one
@@ -151,22 +168,44 @@ class Conclusion:
     words: str
 
 
-def concluded(folder: Path, judgement: Judgement) -> Conclusion:
+def concluded(folder: Path, judgements: Sequence[Judgement]) -> Conclusion:
     """The session's last steps: identify, and add each effect that was found, as far as that is
-    proven at poses left out."""
+    proven at poses left out; the model of an earlier judgement where since then all that was
+    added and measured has made the error at unseen poses rise."""
+    judgement, best = judgements[-1], min(judgements, key=lambda one: one.error_unseen)
+    now, least = judgement.error_unseen, best.error_unseen
+    if now > RISEN * least > 0 and least < first_kind(best.before):
+        words = "what was measured and found since made the error at unseen poses rise"
+        return Conclusion(
+            best.text,
+            f"the model is that of {best.samples} poses: {words} {now / least:.1f} times",
+        )
     session = Session(folder)
     state = session.fit()
     if state.against:
         return Conclusion("", f"{state.against}; nothing was written")
-    added, refused = [], []
-    for effect in judgement.effects:
-        try:
-            session.add(effect)
-        except Unproven as error:
-            refused.append(f"{effect} not added: {error.against}")
-        except FitError as error:
-            refused.append(f"{effect} not added: {error}")
-        else:
-            added.append(effect)
-    words = f"identified{''.join(f', {name} added' for name in added)}"
+    words, why = "identified", dict[str, str]()
+    left = dict(zip(judgement.effects, judgement.additions, strict=True))
+    while one := _added(session, left, why):
+        words += f", {one} added"
+        del left[one]
+    together = {" and ".join(left): "+".join(left.values())} if len(left) > 1 else {}
+    if one := _added(session, together, why):  # alone each would need what no such robot has
+        words += f", {one} added together"
+        left.clear()
+    refused = (f"{name} not added: {why[name]}" for name in left)
     return Conclusion(dump_model(session.model), "; ".join([words, *refused]))
+
+
+def _added(session: Session, effects: Mapping[str, str], why: dict[str, str]) -> str:
+    """The first of some effects that is added, or nothing; of those before it why not."""
+    for name, text in effects.items():
+        try:
+            session.add(text)
+        except Unproven as error:
+            why[name] = error.against
+        except FitError as error:
+            why[name] = str(error)
+        else:
+            return name
+    return ""

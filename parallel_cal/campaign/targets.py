@@ -14,6 +14,7 @@ from parallel_cal.diagnosis.catalogue import Candidate
 from parallel_cal.diagnosis.diagnose import Diagnosis
 from parallel_cal.diagnosis.separate import doubts, settling, strengthening
 from parallel_cal.diagnosis.thresholds import APART
+from parallel_cal.model.shelf import load_effect
 from parallel_cal.planning.approach import approaches, controlled
 from parallel_cal.planning.plan import equations_a_pose, plan
 from parallel_cal.planning.posepool import Pool, make_pool
@@ -52,9 +53,12 @@ def first_targets(guard: Guard, most: int, seed: int = 0) -> list[Target]:
     what is free best, and some of these again, come to from the other side."""
     model, rng = with_noise(guard.model), np.random.default_rng(seed)
     pool = make_pool(model, POOL, rng, symmetric=False).poses
-    pool = pool[np.flatnonzero(guard.allowed(pool.joints))]
-    if len(pool) < most:
-        raise WayError(f"only {len(pool)} of {POOL} poses drawn in the workspace may be gone to")
+    drawn, pool = pool, pool[np.flatnonzero(guard.allowed(pool.joints))]
+    if len(pool) < min(most, POOL // 2):  # of many the next are drawn anew
+        raise WayError(
+            f"only {len(pool)} of {len(drawn)} poses drawn in the workspace may be gone to: "
+            f"{guard.against(drawn.joints)}"
+        )
     unseen = spread(controlled(model, pool), UNSEEN)
     free = int((~np.asarray(model.fixed)).sum())
     least = int(np.ceil(ENOUGH * free / equations_a_pose(model)))
@@ -102,17 +106,23 @@ def next_targets(
     changes: Mapping[str, float],
     seed: int = 0,
 ) -> tuple[list[Target], tuple[str, ...]]:
-    """n more: where two explanations are alike, or the device is one, what tells these apart; else
-    under conditions that were never another, `changes` by how much, if an effect may depend on
-    them; else what tells most of the model, and of the effects that are suspected, or are the
-    likeliest that it does not have. And the rivals that no poses tell, were all that are `left`
-    spent on them."""
+    """n more: under conditions that were never another, `changes` by how much, if an effect may
+    depend on them: what they do may look like anything else; else where two explanations are alike,
+    or the device is one, what tells these apart; else what tells most of the model, and of the
+    effects that are suspected, or are the likeliest that it does not have. And the rivals that no
+    poses tell, were all that are `left` spent on them.
+
+    What tells two apart lies in the workspace, or where that does not settle it in as much more as
+    the guard's reach allows."""
     so_far = found.dataset.conditions
     may = {name: ends(so_far[name], by) for name, by in changes.items() if by and name in so_far}
+    reaches = sorted({1.0, guard.reach})
+    if untried := _untried(found, guard, n, may, seed):
+        return untried, ()
     payloads, untold = may.get("payload", tuple(so_far.get("payload", ())[-1:])), list[str]()
     for doubt in doubts(found.best, rivals(found), found.ranked):
         telling, last = (
-            settling(doubt, so_far, seed, (size,), (1.0,), guard.allowed, payloads)
+            settling(doubt, so_far, seed, (size,), reaches, guard.allowed, payloads, guard.shortest)
             for size in (n, left)
         )
         if telling is None or last is None or last.sigmas.then < APART:
@@ -132,21 +142,39 @@ def next_targets(
     return _strengthened(found, guard, n, may, seed), tuple(dict.fromkeys(untold))
 
 
+def _untried(
+    found: Diagnosis, guard: Guard, n: int, may: Mapping[str, tuple[float, float]], seed: int
+) -> list[Target]:
+    """n poses under conditions that were never others and that effects may depend on, one at a
+    time, and a load comes off again: what goes back is no bump. None where all were."""
+    so_far = found.dataset.conditions
+    suspects = {
+        name: [one for one in able(found) if name in one.effect.needs]
+        for name, (_, high) in may.items()
+        if np.max(so_far[name]) < high - BROUGHT_ABOUT[name][0]
+    }
+    never = [name for name, some in suspects.items() if some]
+    blocks = [
+        (name, {other: may[other][0] for other in never[:k]} | {name: may[name][1]})
+        for k, name in enumerate(never)
+    ]
+    if never == ["payload"]:
+        blocks.append(("payload", {"payload": may["payload"][0]}))
+    blocks, targets = blocks[:n], list[Target]()
+    for k, (name, under) in enumerate(blocks):
+        share = (n - len(targets)) // (len(blocks) - k)
+        pool = strengthening(
+            found.best, suspects[name], share, under, guard.allowed, seed, guard.shortest
+        )
+        targets += _targets(pool, f"to see what {name} does", under)
+    return targets
+
+
 def _strengthened(
     found: Diagnosis, guard: Guard, n: int, may: Mapping[str, tuple[float, float]], seed: int
 ) -> list[Target]:
     """Where nothing can be told apart: n poses that make the model surer, and what it lacks."""
     so_far = found.dataset.conditions
-    never = {
-        name: high
-        for name, (low, high) in may.items()
-        if np.max(so_far[name]) < high - BROUGHT_ABOUT[name][0]
-    }
-    for name, value in never.items():
-        if suspects := [one for one in able(found) if name in one.effect.needs]:
-            under = {name: value}
-            pool = strengthening(found.best, suspects, n, under, guard.allowed, seed)
-            return _targets(pool, f"to see what {name} does", under)
     likely = [one for one in able(found) if one.testable]
     suspects = [one for one in likely if one.name in found.suspected]
     under = {
@@ -154,11 +182,15 @@ def _strengthened(
         for name, both in may.items()
         if any(name in one.effect.needs for one in suspects)
     }
-    suspects = suspects or likely[:SUSPECTS]
+    # What looks like an effect that was found hides beside it best.
+    kin = {other for name in found.effects for other in load_effect(name).lookalikes}
+    suspects = suspects or sorted(likely, key=lambda one: one.name not in kin)[:SUSPECTS]
     purpose = "to be surer of the model"
     if suspects:
         purpose += f", and of {', '.join(one.name for one in suspects)}"
-    pool = strengthening(found.best, suspects, n, under, guard.allowed, seed)
+    pool = strengthening(
+        found.best, suspects, n, under, guard.allowed, seed, guard.shortest, guard.reach
+    )
     return _targets(pool, purpose, under)
 
 

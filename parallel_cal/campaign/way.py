@@ -22,7 +22,9 @@ from parallel_cal.planning.posepool import CLEARANCE
 FINE = 1 / 100  # of a joint's range between two points that are looked at
 BEYOND = 0.02  # of the workspace's size: a way between poses on its face may bulge so far
 ALONG = 9  # points on each line of the robot's picture that are held against the boxes
-PLAY = 5e-4  # of a joint's range: a shorter way after it has turned need not move what it drives
+# A way after a joint has turned that is shorter than its play need not move what it drives: as much
+# play as any drive may have, or so many times what the model knows of it.
+PLAY, BEYOND_PLAY = {"rad": 3e-3, "m": 0.2e-3}, 1.25
 UP_TO = np.linspace(0.0, 1.0, ALONG)[:, None]
 
 
@@ -32,22 +34,24 @@ class WayError(ParallelCalError):
 
 @dataclass(frozen=True)
 class Guard:
-    """What no way may touch: joint limits, the workspace's edge, singularities and what lies
-    beyond them, boxes to keep out of."""
+    """What no way may touch: joint limits, the workspace's edge (or that of a space `reach` times
+    as large), singularities and what lies beyond them, boxes to keep out of."""
 
     model: Model
     keep_out: tuple[Box, ...] = ()
+    reach: float = 1.0
 
     @classmethod
-    def of(cls, model: Model, more: Iterable[Box] = ()) -> Guard:
+    def of(cls, model: Model, more: Iterable[Box] = (), reach: float = 1.0) -> Guard:
         """With the model file's boxes, and more."""
-        return cls(model.robot(), (*model.mechanism.keep_out, *more))
+        return cls(model.robot(), (*model.mechanism.keep_out, *more), reach)
 
     def way(self, start: np.ndarray, stops: Sequence[np.ndarray]) -> list[np.ndarray]:
         """Joints (nq,) to rest at from `start` to the last of some stops, by way of home where a
         straight way leads through what is forbidden; WayError where no way is known."""
-        if why := self.trouble(start[None]):
-            raise WayError(f"where the robot is: {why[1]}; bring it to where it may work")
+        if astray := self.astray(start):
+            raise WayError(f"where the robot is: {astray}; bring it to where it may work")
+        start = self._within_limits(start)
         found, home = [start], np.array(self.model.mechanism.home.joints)
         for a, b in pairwise([start, *stops]):
             if (why := self.trouble(self.points(a, b))) is None:
@@ -63,12 +67,23 @@ class Guard:
         """The same stops with one more before the last where a joint would end there after a way
         that its play swallows: it comes from further away, on the same side."""
         *before, last = [start, *stops]
-        step, least = last - before[-1], PLAY * self.model.mechanism.joint_ranges
+        step, least = last - before[-1], self.shortest
         short = (step != 0) & (np.abs(step) < least)
         if not short.any():
             return list(stops)
         away = np.where(short, last - np.sign(step) * least, before[-1])
         return [*before[1:], away, last]
+
+    @cached_property
+    def shortest(self) -> np.ndarray:
+        """The shortest way (nq,) after a turn that moves what a joint drives: rad or m."""
+        m, known = self.model.mechanism, self.model.table.mapping(self.model.values)
+        found = []
+        for joint, unit in zip(m.joints, m.joint_units, strict=True):
+            play = max(known.get(f"backlash.{joint}.width", 0.0),
+                       2 * known.get(f"hysteresis.{joint}.lag", 0.0))  # fmt: skip
+            found.append(BEYOND_PLAY * play or PLAY[unit])
+        return np.array(found)
 
     def points(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """Joints (n, nq) along the straight way from one to the other."""
@@ -84,9 +99,26 @@ class Guard:
         i, words = min(bad, key=lambda found: found[0])
         return i / max(len(q) - 1, 1), words
 
+    def astray(self, q: np.ndarray) -> str:
+        """Why the robot must not be at joints (nq,) where it is; empty where it may. One that was
+        sent to a limit may be read, or rest, a little beyond it."""
+        why = self.trouble(self._within_limits(q)[None])
+        return why[1] if why else ""
+
+    def _within_limits(self, q: np.ndarray) -> np.ndarray:
+        """Joints (nq,) that are beyond their limits by less than what is looked at, at these."""
+        m = self.model.mechanism
+        at = np.clip(q, *np.array(m.joint_limits).T)
+        return np.where(np.abs(q - at) < FINE * np.asarray(m.joint_ranges), at, q)
+
     def allowed(self, q: np.ndarray) -> np.ndarray:
         """At which of some joints (n, nq) the robot may be, (n,)."""
         return ~np.any([mask for mask, _ in self._forbidden(q)], axis=0)
+
+    def against(self, q: np.ndarray) -> str:
+        """How many of some joints (n, nq) are forbidden for which reason."""
+        counts = ((int(mask.sum()), words) for mask, words in self._forbidden(q))
+        return ", ".join(f"{count} are {words}" for count, words in counts if count)
 
     def _forbidden(self, q: np.ndarray) -> list[tuple[np.ndarray, str]]:
         """Of some joints (n, nq) those where the robot must not be, (n,) for every reason."""
@@ -121,7 +153,7 @@ class Guard:
     def _outside(self, at: Solutions) -> np.ndarray:
         box = self.model.mechanism.workspace
         low, high = np.array(box.low), np.array(box.high)
-        slack = BEYOND * (high - low)
+        slack = ((self.reach - 1) / 2 + BEYOND) * (high - low)
         here = controlled(self.model, at)
         return np.asarray(((here < low - slack) | (here > high + slack)).any(axis=1))
 

@@ -17,9 +17,16 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
-from parallel_cal.nodes.client import Client, NodeError, Process, own_domain
+from parallel_cal.nodes.client import (
+    CALIBRATION,
+    KINEMATICS,
+    Client,
+    NodeError,
+    Process,
+    own_domain,
+)
 
-CALIBRATION, CELL = "calibration_node", "virtual_cell_node"
+CELL = "virtual_cell_node"
 STOPPING, LATE = 30.0, 600.0  # s
 ASKED_FOR = re.compile(r"bring (\w+) to (\S+)")
 
@@ -59,7 +66,7 @@ class Calibration:
                     "model_file": str(self._model_file),
                     "allowed_folders": os.pathsep.join(folders),
                 }
-                self._start("kinematics_node", **given)
+                self._start(KINEMATICS, **given)
                 self._start(CALIBRATION, **given, journal_folder=str(self._folder))
             self._open = self._open.pop_all()
         return self
@@ -76,8 +83,8 @@ class Calibration:
         """What came of it; an interruption aborts it, and is told as its result. NodeError where
         the node does not answer, or does not take the goal."""
         news = deque[Any]()
-        heard = self.client.latest(CalibrationStatus, f"{CALIBRATION}/session_status")
         topic = f"{CALIBRATION}/session_status"
+        heard = self.client.latest(CalibrationStatus, topic)
         try:
             self.client.wait(lambda: bool(heard), topic)
         except NodeError:
@@ -92,15 +99,17 @@ class Calibration:
         if not handle.accepted:
             raise NodeError(f"{CALIBRATION} did not take the goal: its log says why")
         future, end = handle.get_result_async(), time.monotonic() + 60 * minutes + LATE
+
+        def gone() -> bool:
+            return not self.client.speakers(topic)
+
         while not future.done():
             self.client.wait(
-                lambda: bool(
-                    future.done() or news or self._interrupted() or not self.client.speakers(topic)
-                ),
+                lambda: bool(future.done() or news or self._interrupted() or gone()),
                 f"word of {CALIBRATION}",
                 end - time.monotonic(),
             )
-            if not self.client.speakers(topic):
+            if not (future.done() or news) and gone():
                 raise NodeError(
                     f"{CALIBRATION} has ended; what was measured is kept: start it again, and the "
                     "same command goes on"
@@ -111,6 +120,17 @@ class Calibration:
                 handle.cancel_goal_async()
                 self.client.wait(future.done, "the robot to stop", STOPPING)
         return future.result().result
+
+    @property
+    def hidden(self) -> list[str]:
+        """The effects that a simulated robot has: whoever had one drawn wants to know at the end
+        whether it was found."""
+        from parallel_cal.virtual.kinds import KINDS, hide, words_of  # no real robot needs them
+
+        cell = self._simulated or {}
+        words = words_of(cell.get("effects", ""))
+        names, _ = hide(cell["robot"], words, cell.get("seed", 0)) if words else ([], [])
+        return [KINDS[name].effect for name in names]
 
     def go_on(self) -> None:
         """Say that what was asked for is done."""

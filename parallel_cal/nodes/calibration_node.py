@@ -282,7 +282,8 @@ class CalibrationNode(Managed):
         if recorder is not None:
             with suppress(OSError):
                 recorder.close()
-            self._say(f"recording ended{why}: {recorder.path}")
+            if self.context.ok():  # else nobody hears it any more
+                self._say(f"recording ended{why}: {recorder.path}")
 
     def _follow_record(self) -> None:
         """Begin or end a recording as the parameter says."""

@@ -14,6 +14,7 @@ from rclpy.callback_groups import CallbackGroup
 from std_msgs.msg import String
 
 from parallel_cal.base.errors import ModelFileError, ParallelCalError
+from parallel_cal.base.files import PREVIOUS
 from parallel_cal.base.worker import Worker
 from parallel_cal.diagnosis.comparison import Comparison, compare
 from parallel_cal.identification.options import FitOptions
@@ -31,7 +32,6 @@ from parallel_cal.nodes.parameters import LATCHED, absolute
 from parallel_cal.nodes.run import in_front
 from parallel_cal.recordings.residuals import TOPICS, residual_messages
 from parallel_cal.session.goals import (
-    PREVIOUS,
     Outcome,
     Request,
     examine,

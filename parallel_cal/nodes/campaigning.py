@@ -115,7 +115,7 @@ class Campaigning:
         wanted = Goal(
             poses=goal.poses or POSES, minutes=goal.minutes or MINUTES, enough=goal.enough,
             effects=tuple(goal.effects), keep_out=boxes, payload=goal.payload,
-            warmer=goal.warmer, **self._here.options(),
+            warmer=goal.warmer, reach=goal.reach or 1.0, **self._here.options(),
         )  # fmt: skip
         cancel = self._one.cancel
         control = Control(lambda: cancel.asked)

@@ -22,6 +22,7 @@ from rclpy.task import Future
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.nodes.parameters import LATCHED
 
+KINEMATICS, CALIBRATION = "kinematics_node", "calibration_node"
 PATIENCE = 30.0  # s for anything that takes less than one on a quiet machine
 ASK_AGAIN = 5.0  # s without word of a goal
 
@@ -30,12 +31,23 @@ class NodeError(ParallelCalError):
     """A node did not start, died, or did not answer in time."""
 
 
+# Run in a node's process: it ends as by Ctrl-C when whoever started it is gone, however that ended.
+NO_ORPHAN = """
+import os, signal, sys, threading
+def follow():
+    os.read(0, 1)  # our end of its input is closed with us
+    os.kill(os.getpid(), signal.SIGINT)
+threading.Thread(target=follow, daemon=True).start()
+"""
+
+
 class Process:
-    """A node of this package in a process of its own; its output goes to a file."""
+    """A node of this package in a process of its own; its output goes to a file. Ctrl-C in the
+    terminal is for whoever started it, who ends it when its work is done."""
 
     def __init__(self, node: str, folder: Path, namespace: str, **parameters: Any):
         self.node, self.log = node, folder / f"{node}.log"
-        code = f"import sys; from parallel_cal.nodes.{node} import main; sys.exit(main())"
+        code = f"{NO_ORPHAN}from parallel_cal.nodes.{node} import main\nsys.exit(main())"
         arguments = ["-r", f"__ns:={namespace}"]
         for name, value in parameters.items():
             # JSON is YAML: a path that looks like a number stays a string
@@ -43,9 +55,10 @@ class Process:
         with self.log.open("w") as output:
             self._process = subprocess.Popen(
                 [sys.executable, "-c", code, "--ros-args", *arguments],
-                stdin=subprocess.DEVNULL,
+                stdin=subprocess.PIPE,
                 stdout=output,
                 stderr=subprocess.STDOUT,
+                start_new_session=True,
             )
 
     def check(self) -> None:

@@ -19,9 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from parallel_cal.base.errors import DatasetError
-from parallel_cal.nodes.gate import Gate
+from parallel_cal.nodes.gate import Gate, Said
 from parallel_cal.nodes.inbox import Inbox
 from parallel_cal.nodes.journal import Entry, Part
+from parallel_cal.nodes.related import JointClock, Related
 from parallel_cal.recordings.channels import CHANNELS, named, stamp_of
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.joining import fingerprint, joined
@@ -32,6 +33,7 @@ from parallel_cal.recordings.recording import Dropped
 # Joint states in an inbox, a quarter of an hour at 100 Hz; then samples stay and messages go:
 # memory has a bound.
 LONGEST = 100_000
+SETTLED = 1_000_000_000  # ns after which a stream is where the joints are, jump or not
 MANY = 20  # messages or dwells dropped for one reason that are worth a warning
 
 
@@ -76,6 +78,8 @@ class Collector:
         self._at = dict.fromkeys(CHANNELS, self._inboxes[0])
         self._words: list[tuple[str, int, Any]] = []
         self._gates: dict[tuple[str, tuple[str, ...]], Gate] = {}
+        self._related: dict[tuple[str, tuple[str, ...]], Related] = {}
+        self._clock, self._moved = JointClock(), 0
 
     # ------------------------------------------------------------------ messages in
 
@@ -89,12 +93,24 @@ class Collector:
         elif kind == "condition":  # a number every minute, or once: no stream to stray from
             self._buffer(channel, message, log_ns, stamp)
         else:
-            for said in self._gate(channel, message).take(stamp, log_ns, sequence, message):
-                self._buffer(channel, said.message, said.log, said.stamp)
+            stream = self._stream(channel, message)
+            gate = self._gates.setdefault(stream, Gate(channel))
+            self._pass_on(stream, gate.take(stamp, log_ns, sequence, message))
 
-    def _gate(self, channel: str, message: Any) -> Gate:
-        """One for each stream: other joints, and each sensor's readings, may have a publisher of
-        their own."""
+    def _pass_on(self, stream: tuple[str, tuple[str, ...]], said: Sequence[Said]) -> None:
+        """Buffer what a gate lets through, by the clock of the joints."""
+        channel = stream[0]
+        if channel == "joint_states":
+            for one in said:
+                self._clock.heard(one.stamp, one.log)
+        else:
+            related = self._related.setdefault(stream, Related(channel, self._clock))
+            said = related.take(said)
+        for one in said:
+            self._buffer(channel, one.message, one.log, one.stamp)
+
+    def _stream(self, channel: str, message: Any) -> tuple[str, tuple[str, ...]]:
+        """Each has a publisher of its own: other joints, and each sensor's readings, may be."""
         part: tuple[str, ...] = ()
         if channel == "joint_states":
             names = tuple(message.name)
@@ -102,7 +118,7 @@ class Collector:
             part = part or names
         elif CHANNELS[channel].kind == "readings":
             part = (message.header.frame_id,)
-        return self._gates.setdefault((channel, part), Gate(channel))
+        return channel, part
 
     @property
     def lost(self) -> int:
@@ -112,7 +128,11 @@ class Collector:
     @property
     def strays(self) -> int:
         """Messages that came and fit no stream."""
-        return self._past_strays + sum(gate.strays for gate in self._gates.values())
+        return self._past_strays + sum(watch.strays for watch in self._watches)
+
+    @property
+    def _watches(self) -> list[Gate | Related]:
+        return [*self._gates.values(), *self._related.values()]
 
     def warnings(self) -> list[str]:
         """Whatever makes the samples suspicious: a sentence each."""
@@ -124,7 +144,7 @@ class Collector:
                 left_out[item.reason] += item.count
         said += [f"{n} dropped: {why}" for why, n in left_out.items() if n >= MANY]
         said += [inbox.misfit for inbox in self._inboxes if inbox.misfit]
-        said += [gate.trouble for gate in self._gates.values() if gate.trouble]
+        said += [watch.trouble for watch in self._watches if watch.trouble]
         return list(dict.fromkeys(said))
 
     @property
@@ -134,8 +154,13 @@ class Collector:
         return made[-1].frame if made else ""
 
     def _buffer(self, channel: str, message: Any, log_ns: int, stamp: int) -> None:
+        joints = self._at["joint_states"]
+        if self._at[channel] is not joints and log_ns - self._moved > SETTLED:
+            self._at[channel] = joints
         if self._at[channel].jumps_back(channel, stamp):
             self._at[channel] = self._inbox_after(self._at[channel])
+            if channel == "joint_states":
+                self._moved = log_ns
         if channel == "joint_states":
             for name, log, word in self._words:
                 self._at[channel].add(name, 0, log, word)
@@ -150,9 +175,8 @@ class Collector:
 
     def refresh(self, now_ns: int | None = None) -> bool:
         """Make samples of what came in; True if anything did. `now_ns` where more may come."""
-        for (channel, _), gate in self._gates.items():
-            for said in gate.flush(now_ns):
-                self._buffer(channel, said.message, said.log, said.stamp)
+        for stream, gate in self._gates.items():
+            self._pass_on(stream, gate.flush(now_ns))
         changed = [s.refresh(self.joints, self.options) for s in self._inboxes]
         live = self._at["joint_states"]
         if len(live.raws["joint_states"].stamp) > LONGEST:

@@ -27,19 +27,19 @@ POSES, MINUTES = 64, 5.0
 PAYLOAD = 1.0  # kg that whoever asks for the demo would be asked to put on
 
 
-def main(json: bool = False, effect: str = "", seed: int | None = None, keep: bool = False) -> int:
+def main(json: bool = False, effect: str = "", seed: int | None = None) -> int:
     """Let a virtual Delta calibrate itself; exit status 0 or 1.
 
-    `effect` is what it hides and `seed` draws how it is built, drawn where they are not given;
-    `keep` leaves the model file, the campaign and the nodes' logs where they are.
+    `effect` is what it hides and `seed` draws how it is built, drawn where they are not given. What
+    came out stays, to be opened on the workbench; where it fails nothing is left behind.
     """
     with ExitStack() as stack:
         interrupted = _told_to_end(stack)
         folder = Path(tempfile.mkdtemp(prefix="parallel_cal_demo_"))
-        if not keep:
-            stack.callback(shutil.rmtree, folder, ignore_errors=True)
+        failed = stack.enter_context(ExitStack())
+        failed.callback(shutil.rmtree, folder, ignore_errors=True)
         try:
-            begin, story = time.monotonic(), Story(json, folder if keep else None)
+            begin, story = time.monotonic(), Story(json)
             chance = SystemRandom()
             hidden = effect or chance.choice(HIDDEN)
             cell = {
@@ -55,6 +55,7 @@ def main(json: bool = False, effect: str = "", seed: int | None = None, keep: bo
             document |= {"hidden": hidden, "seed": cell["seed"], "rate": RATE}
             document["seconds"] = time.monotonic() - begin
             story.end(document)
+            failed.pop_all()
         except (ParallelCalError, KeyboardInterrupt) as error:
             console.error(str(error) or "interrupted; nothing is left running")
             return 1

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 WIDTH = 46  # characters of the longest bar
@@ -14,13 +13,12 @@ WIDTH = 46  # characters of the longest bar
 class Story:
     """What the demo tells on the way, for people; silent for --json."""
 
-    def __init__(self, silent: bool, folder: Path | None):
+    def __init__(self, silent: bool):
         from rich.console import Console
 
         # progress is for those who look on, and never part of the answer
         self._out = Console(quiet=silent, highlight=False, soft_wrap=True)
         self._status = Console(stderr=True, quiet=silent or not sys.stderr.isatty()).status("")
-        self._left = f"its files are in {folder}" if folder else "nothing is left behind"
         self._verdict, self._purpose = "", ""
 
     def __enter__(self) -> None:
@@ -65,11 +63,15 @@ class Story:
         self._say("Error at unseen poses (rms) against poses measured:")
         for one in document["curve"]:
             self._say(f"{one['poses']:5}  {_bar(one['error_unseen'], document['curve'])}")
-        self._say(f"\n[dim]{document['seconds']:.0f} s in all; {self._left}.[/]")
         self._say(
-            "[dim]The same with a robot of your choice:[/] . .venv/bin/activate && "
-            "parallel-cal calibrate robot.yaml --simulated stewart:hidden"
+            f"\n[dim]{document['seconds']:.0f} s in all. Go on from here, after[/] "
+            ". .venv/bin/activate"
         )
+        for what, command in (
+            ("all of it on a live page", f"workbench {document['folder']}"),
+            ("a robot of your choice", "calibrate robot.yaml --simulated stewart:hidden --reach 2"),
+        ):
+            self._say(f"[dim]{what:25}[/] parallel-cal {command}")
 
 
 def _um(metres: float) -> str:

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from parallel_cal.base.errors import ParallelCalError
+from parallel_cal.base.files import PREVIOUS
 from parallel_cal.nodes.parameters import absolute
 
 MARKS = {"model": b"parallel_cal:", "samples": b'"parallel_cal_samples"'}
@@ -36,11 +37,13 @@ class Folders:
         return named
 
     def to_write(self, path: str, kind: str) -> str:
-        """The same, and it replaces nothing but a file of the same `kind`, model or samples."""
-        named = self.to_read(path)
-        if os.path.lexists(named) and not _holds(Path(named), MARKS[kind]):
-            raise ParallelCalError(f"{path}: exists and is no {kind} file; nothing was written")
-        return named
+        """The same, and it replaces nothing but a file of the same `kind`, model or samples; nor
+        does the model file that is laid aside for it."""
+        for one in (path, path + PREVIOUS) if kind == "model" else (path,):
+            named = Path(self.to_read(one))
+            if os.path.lexists(named) and not _holds(named, MARKS[kind]):
+                raise ParallelCalError(f"{one}: exists and is no {kind} file; nothing was written")
+        return self.to_read(path)
 
 
 def _holds(path: Path, mark: bytes) -> bool:

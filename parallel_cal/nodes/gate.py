@@ -48,8 +48,10 @@ class Gate:
         """The messages that may go on now, this one among them or not."""
         said = Said(stamp, log, sequence, message, self._sources.of(sequence))
         last, held = self._last, self._held
-        if last is None or (said.source is last.source and _near(said, last)):
-            if held and last is not None:
+        if last is None:
+            return self._first(said)
+        if said.source is last.source and _near(said, last):
+            if held:
                 self._drop_held(last, log)
             return self._passed([said])
         if held and said.source is held[-1].source and said.stamp >= held[-1].stamp - JUMP:
@@ -66,10 +68,28 @@ class Gate:
     def flush(self, now: int | None = None) -> Sequence[Said]:
         """What is held where nothing else came for a while, or (None) will ever come."""
         last, held = self._last, self._held
-        if not held or last is None or (now is not None and now - held[-1].log < SILENT):
+        if not held or (now is not None and now - held[-1].log < SILENT):
             return ()
-        ahead = held[-1].source is last.source and held[0].stamp > last.stamp
-        return self._passed(held) if ahead or len(held) >= AGREE else ()
+        first = last is None
+        ahead = last and held[-1].source is last.source and held[0].stamp > last.stamp
+        return self._passed(held) if first or ahead or len(held) >= AGREE else ()
+
+    def _first(self, said: Said) -> Sequence[Said]:
+        """Messages before any that can be trusted: two that are near each other, or several of a
+        device that is slow; what strayed from those is none of them."""
+        held = self._held
+        if held and said.source is not held[-1].source:
+            self._mixed = said.log
+            self._stray(held, "two publishers speak at once")
+            held = []
+        elif held and _near(said, held[-1]):
+            self._stray(held[:-1], "fits neither what came before nor what came after")
+            return self._passed([held[-1], said])
+        elif held and said.stamp < held[-1].stamp:
+            self._stray(held, "fits neither what came before nor what came after")
+            held = []
+        self._held = [*held, said]
+        return self._passed(self._held) if len(self._held) >= AGREE else ()
 
     def _believed(self, last: Said) -> bool:
         held = self._held

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from parallel_cal.base.errors import BagError, DatasetError, ParallelCalError
+from parallel_cal.base.errors import BagError, DatasetError, ParallelCalError, UnfitError
 from parallel_cal.recordings.channels import CHANNELS, named
 from parallel_cal.recordings.cleaning import assemble
 from parallel_cal.recordings.clocks import on_one_clock
@@ -109,7 +109,7 @@ class Inbox:
             self._adopt(dataset_from_recording(recording, options), recording.start_ns)
         except ParallelCalError as error:
             self.trouble = str(error)
-            self.misfit = self.trouble if isinstance(error, BagError) else ""
+            self.misfit = self.trouble if isinstance(error, BagError | UnfitError) else ""
         except Exception as error:  # a fault of ours must not end the collecting
             self.trouble = f"internal error: {error!r}"
 

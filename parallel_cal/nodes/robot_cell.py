@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from threading import Event
 from typing import Any
 
@@ -44,13 +43,17 @@ class RobotCell:
         self._range = model.mechanism.joint_ranges
         self._still = ALIKE * (model.noise.joint or 1e-4 * float(self._range.min()))
         self._set_out = self._rested = 0.0  # stamps of the last motion
+        self._others: list[str] = []  # joints that were heard of, and are not this model's
 
     def hear(self, message: Any) -> None:
         """A joint state, in any thread."""
-        with suppress(SolveError):  # other joints, in a message of their own
+        try:
             q, _ = matched_joints(message, self._model.joints)
-            stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
-            self._states.append((stamp, time.monotonic(), q))
+        except SolveError:  # other joints, in a message of their own
+            self._others = list(message.name)
+            return
+        stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+        self._states.append((stamp, time.monotonic(), q))
 
     # ------------------------------------------------------------------ what a campaign asks
 
@@ -67,7 +70,7 @@ class RobotCell:
         late, due = now + trajectory.seconds + GRACE, now + trajectory.seconds + LATE
         while True:
             go_on()
-            stamp, q = self._latest()
+            stamp, q = self._latest(begin)
             self._check_on_course(q, course)
             there = (np.abs(q - course[-1]) < ARRIVED * self._range).all()
             if (there or time.monotonic() > late) and self._rests(begin + trajectory.seconds):
@@ -93,7 +96,7 @@ class RobotCell:
         due, why = time.monotonic() + LONGEST, "no pose came while the robot rested"
         while time.monotonic() < due:
             go_on()
-            stamp, _ = self._latest()
+            stamp, _ = self._latest(self._rested)
             if stamp < self._rested + self._dwell:
                 time.sleep(PROMPT)
                 continue
@@ -117,14 +120,23 @@ class RobotCell:
 
     # ------------------------------------------------------------------ how the robot is
 
-    def _latest(self) -> tuple[float, np.ndarray]:
-        """Stamp and joints (nq,) now; the first ones are waited for."""
+    def _latest(self, since: float = 0.0) -> tuple[float, np.ndarray]:
+        """Stamp and joints (nq,) now, not before a stamp; the first ones are waited for."""
         due = time.monotonic() + FOUND
         while not self._states and time.monotonic() < due:
             time.sleep(PROMPT)
         if not self._states or time.monotonic() - self._states[-1][1] > SILENT:
-            raise CellError(f"no joint states for {SILENT:.0f} s: nobody knows where the robot is")
+            words = f"no joint states for {SILENT:.0f} s: nobody knows where the robot is"
+            if self._others:
+                words += f"; joint_states name {', '.join(self._others)}, the model has "
+                words += ", ".join(self._model.joints)
+            raise CellError(words)
         stamp, _, q = self._states[-1]
+        if stamp < since - SILENT:
+            raise CellError(
+                f"the stamps of joint states went back by {since - stamp:.3g} s: was the robot's "
+                "driver started anew?"
+            )
         return stamp, q
 
     def _rests(self, since: float) -> bool:

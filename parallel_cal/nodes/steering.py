@@ -13,10 +13,9 @@ from rclpy.node import Node
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
-from parallel_cal.nodes.client import NodeError
+from parallel_cal.nodes.client import CALIBRATION, NodeError
 from parallel_cal.nodes.parameters import LATCHED
 
-CALIBRATION = "calibration_node"
 WORDS = ("pause", "resume", "continue")
 
 

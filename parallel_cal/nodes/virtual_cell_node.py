@@ -30,6 +30,7 @@ from parallel_cal.nodes.conversions import joint_order, pose_message
 from parallel_cal.nodes.parameters import ACCEPTED, LATCHED, Changes, Setting, absolute, declare
 from parallel_cal.nodes.run import every, run
 from parallel_cal.virtual.cell import Box, Cell, Messages
+from parallel_cal.virtual.kinds import words_of
 from parallel_cal.virtual.machines import MACHINES
 from parallel_cal.virtual.tracker import Tracker
 
@@ -135,7 +136,7 @@ class VirtualCellNode(Node):
             cell = Cell(
                 self._value("robot"),
                 self._value("seed"),
-                [word.strip() for word in self._value("effects").split(",") if word.strip()],
+                words_of(self._value("effects")),
                 self._value("noise"),
                 tracker,
                 1 / self._value("joint_rate"),

@@ -24,7 +24,7 @@ from rclpy.node import NodeNameNonExistentError
 from std_msgs.msg import String
 
 from parallel_cal.base.errors import ParallelCalError
-from parallel_cal.nodes.client import PATIENCE, NodeError, Process
+from parallel_cal.nodes.client import CALIBRATION, KINEMATICS, PATIENCE, NodeError, Process
 from parallel_cal.nodes.parameters import LATCHED, SENSOR
 from parallel_cal.nodes.run import type_name
 from parallel_cal.nodes.steering import Steering
@@ -34,7 +34,6 @@ KEPT = 6000  # errors of the last poses: a minute at 100 Hz
 HELD = 600  # poses, predicted or measured, that wait for the other
 LEVELS = {b"\x00": "ok", b"\x01": "warn", b"\x02": "error", b"\x03": "stale"}
 MEASURED = {type_name(t): t for t in (PoseWithCovarianceStamped, PoseStamped)}
-KINEMATICS, CALIBRATION = "kinematics_node", "calibration_node"
 
 
 class Watch:

@@ -15,7 +15,8 @@ from parallel_cal.base.errors import FitError
 from parallel_cal.identification.checks import free_mask
 from parallel_cal.identification.fit import single_threaded
 from parallel_cal.identification.methods._estimate import Sought
-from parallel_cal.kinematics.kinematics import Solutions
+from parallel_cal.kinematics.kinematics import Kinematics, Solutions
+from parallel_cal.kinematics.solutions import concatenated
 from parallel_cal.model.model import Model
 from parallel_cal.planning.approach import Approaches
 from parallel_cal.planning.expectation import Expectation, View
@@ -200,6 +201,28 @@ def plan(
         pool=len(pool.poses),
         warnings=(*view.warnings(), *_not_counted(model)),
     )
+
+
+def expected_at(model: Model, q: np.ndarray) -> Expectation:
+    """What an identification would be worth from poses at given joints q (N, nq), under neutral
+    conditions. FitError where they cannot carry the free parameters, or there is no noise
+    figure."""
+    measured, free = _measured(model), free_mask(model, (), ())
+    _check_enough(model, len(q), free)
+    rng = np.random.default_rng(0)
+    with single_threaded():
+        poses = Kinematics(model).direct(q)
+        unseen = make_pool(model, UNSEEN, rng, symmetric=False)
+        whole = Pool(
+            concatenated([poses, unseen.poses]),
+            np.arange(len(q) + len(unseen.poses))[:, None],
+            np.vstack([model.condition_rows(None, len(q)), unseen.a]),
+            None,
+        )
+        view = View(Sought(model, free, False), measured, whole, unseen)
+        expected = view.expectation(np.arange(len(q)))
+    _check_seeing(expected, view.rank, prior=False)
+    return expected
 
 
 def _measured(model: Model) -> np.ndarray:

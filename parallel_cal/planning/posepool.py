@@ -3,7 +3,7 @@ how it comes to them, where that matters."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -43,6 +43,15 @@ class Pool:
         """Some poses, each its own group."""
         approach = None if self.approach is None else self.approach[index]
         return Pool(self.poses[index], np.arange(len(index))[:, None], self.a[index], approach)
+
+    def drawn_out(self, model: Model, least: np.ndarray | float) -> Pool:
+        """The same come to over ways of at least so much (nq,), on the same side."""
+        if self.approach is None:
+            return self
+        ways = self.approach.ways
+        ways, a = np.copysign(np.maximum(np.abs(ways), least), ways), self.a.copy()
+        fill(a, model, ways)
+        return replace(self, a=a, approach=replace(self.approach, ways=ways))
 
 
 def make_pool(
