@@ -1,0 +1,300 @@
+"""Studies as a terminal and a page show them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from datetime import datetime, timezone
+from html import escape
+
+import numpy as np
+
+from parallel_cal import __version__
+from parallel_cal.reporting.colours import ACCENT, MEASURED, QUIET, WARNING
+from parallel_cal.reporting.figures import LEGEND, Spec
+from parallel_cal.reporting.markup import Plot, paragraph, section, sentence, table
+from parallel_cal.reporting.page import Drawn
+from parallel_cal.reporting.readable import (
+    ARCMIN,
+    OF,
+    columns,
+    day,
+    fixed,
+    large,
+    number,
+    small,
+    with_unit,
+)
+from parallel_cal.study.power import HALF, MOSTLY, Detectable, Power
+from parallel_cal.study.tolerance import Share, Tolerances
+
+UNITS = {"position": ("um", 1e6, 1), "orientation": ("arcmin", ARCMIN, 2)}
+ERRORS = ("rms", "95 %", "largest", "rms that 95 % of robots keep", "rms by the budget")
+ALIKE = ("parameters", "tolerance", "unit", "numbers")
+SIZES = ("predicted 50 %", "90 %", "found 50 %", "90 %")
+OFTEN = 0.2  # of an effect's sessions: a wrong name that deserves a word
+LITTLE = 1e-3  # share of a budget that nobody reads
+
+
+def tolerances_said(found: Tolerances) -> str:
+    """Errors, budget, what costs most."""
+    robots, poses = found.errors[found.kind].shape
+    errors = [
+        (f"{k} error [{UNITS[k][0]}]", *(_fixed(v, k) for v in _figures(found, k)))
+        for k in found.errors
+    ]
+    header = [f(k) for k in found.errors for f in (_headed, "{} share [%]".format)]
+    shown = [one for one in found.budget if any(_share(found, one, k) > LITTLE for k in UNITS)]
+    rows = [
+        (
+            one.name, *_tolerance(one), str(one.count),
+            *(
+                text
+                for k in found.errors
+                for text in (_fixed(one.rms[k], k), fixed(_share(found, one, k), 100, 1))
+            ),
+            _fixed(one.halved[found.kind], found.kind),
+        )
+        for one in shown
+    ]  # fmt: skip
+    return "\n".join([
+        f"{robots} robots, {poses} poses each",
+        columns(("", *ERRORS), errors),
+        columns((*ALIKE, *header, "all, were it halved"), rows),
+        *remarks(found),
+    ])  # fmt: skip
+
+
+def _figures(found: Tolerances, kind: str) -> list[float]:
+    """What ERRORS names."""
+    return [*found.summary(kind).values(), found.linear[kind]]
+
+
+def _headed(kind: str) -> str:
+    return f"{kind} [{UNITS[kind][0]}]"
+
+
+def _fixed(value: float, kind: str) -> str:
+    _, factor, digits = UNITS[kind]
+    return fixed(value, factor, digits)
+
+
+def _share(found: Tolerances, one: Share, kind: str) -> float:
+    return one.of(found.linear, kind) if kind in found.linear else 0.0
+
+
+def _tolerance(one: Share) -> tuple[str, str]:
+    """One number, or the range where they differ, and its unit."""
+    unit, factor = large(one.unit)
+    low, high = (number(v, factor) for v in one.tolerance)
+    return (low if low == high else f"{low}..{high}"), unit
+
+
+def remarks(found: Tolerances) -> Iterator[str]:
+    """What costs most, where the budget does not hold, what calibration leaves."""
+    one, kind = found.budget[0], found.kind
+    what = f"{one.label} ({one.name})" if one.label else one.name
+    whole, halved = (_fixed(v, kind) for v in (found.linear[kind], one.halved[kind]))
+    yield (
+        f"{what}, {' '.join(_tolerance(one))}, costs most: "
+        f"{fixed(_share(found, one, kind), 100, 0)} % of the squared {kind} error; held to half of "
+        f"it, {whole} {UNITS[kind][0]} would be {halved}"
+    )
+    for kind in found.errors:
+        if found.differs(kind):
+            ratio = found.summary(kind)["rms"] / found.linear[kind]
+            yield (
+                f"the {kind} errors of the robots drawn are {ratio:.2f} times what the budget "
+                "says: tolerances are so large that errors are not proportional to them"
+            )
+    if found.unreached:
+        yield f"{found.unreached} poses were out of a drawn robot's reach, and are not counted"
+    if found.calibrated:
+        left = vars(found.calibrated)
+        told = [f"{_fixed(left[f'{k}_rms'], k)} {UNITS[k][0]}" for k in found.errors]
+        yield f"calibrated at the {found.planned} poses of the plan, it keeps {', '.join(told)}"
+
+
+def tolerances_page(found: Tolerances) -> str:
+    """The page of a tolerance study: what costs most, the budget as bars, robots as they spread."""
+    drawn, (robots, poses) = Drawn(), found.errors[found.kind].shape
+    said = "".join(paragraph(sentence(text), "verdict") for text in remarks(found))
+    rows = [
+        (kind, *(with_unit(v, OF[kind]) for v in _figures(found, kind))) for kind in found.errors
+    ]
+    figures = "".join(_distribution(found, kind, drawn.plot) for kind in found.errors)
+    parts = [
+        section("What costs most", said),
+        section("Budget", "".join(_bars(found, kind, drawn.plot) for kind in found.errors)),
+        section(
+            "Robots", table(("error", *ERRORS), rows) + figures, f"{robots}, {poses} poses each"
+        ),
+    ]
+    return _page(drawn, f"Tolerances of {found.model.mechanism.name}", parts)
+
+
+def _page(drawn: Drawn, title: str, parts: list[str]) -> str:
+    made = datetime.now(timezone.utc).isoformat(timespec="minutes")
+    return drawn.page(title, f"{day(made)}, parallel_cal {__version__}", "\n".join(parts))
+
+
+def _bars(found: Tolerances, kind: str, plot: Plot) -> str:
+    """What alike parameters do by themselves, by first order; the largest on top."""
+    unit, factor = small(OF[kind])
+    upwards = sorted(found.budget, key=lambda one: one.rms[kind])
+    upwards = [one for one in upwards if _share(found, one, kind) > LITTLE]
+    bars: Spec = {
+        "type": "bar", "orientation": "h", "y": [escape(one.name) for one in upwards],
+        "x": [one.rms[kind] * factor for one in upwards], "marker": {"color": ACCENT},
+        "text": [f"{number(_share(found, one, kind), 100, 2)} %" for one in upwards],
+        "textposition": "auto",
+        "hovertext": [
+            escape(f"{one.label or one.name}, {' '.join(_tolerance(one))}: "
+                   f"{with_unit(one.rms[kind], OF[kind])}; all, were it halved: "
+                   f"{with_unit(one.halved[kind], OF[kind])}")
+            for one in upwards
+        ],
+        "hoverinfo": "text",
+    }  # fmt: skip
+    across = f"{kind} error that it makes, rms [{unit}]; % of the squared error of all"
+    layout = {
+        "height": 90 + 24 * len(upwards), "bargap": 0.3, "yaxis": {"dtick": 1},
+        "xaxis": {"title": {"text": across}},
+    }  # fmt: skip
+    return plot({"data": [bars], "layout": layout})
+
+
+def _distribution(found: Tolerances, kind: str, plot: Plot) -> str:
+    """How many robots have which rms, beside what the budget says."""
+    unit, factor = small(OF[kind])
+    count, edges = np.histogram(found.robots(kind) * factor, bins="auto")
+    *_, keep, budget = _figures(found, kind)
+    traces: list[Spec] = [
+        {
+            "type": "bar", "x": ((edges[1:] + edges[:-1]) / 2).tolist(), "y": count.tolist(),
+            "width": float(edges[1] - edges[0]), "marker": {"color": MEASURED}, "name": "robots",
+            "hovertemplate": f"%{{x:.3g}} {unit}: %{{y}}<extra></extra>",
+        }
+    ]  # fmt: skip
+    for name, at, colour in (("budget", budget, WARNING), ("95 % of robots", keep, QUIET)):
+        traces.append({
+            "type": "scatter", "mode": "lines", "name": name, "hoverinfo": "name",
+            "x": [at * factor] * 2, "y": [0, int(count.max())],
+            "line": {"color": colour, "width": 2},
+        })  # fmt: skip
+    layout = {
+        "height": 280, "showlegend": True, "legend": LEGEND, "margin": {"t": 40},
+        "xaxis": {"title": {"text": f"a robot's {kind} error, rms [{unit}]"}},
+        "yaxis": {"title": {"text": "robots"}},
+    }  # fmt: skip
+    return plot({"data": traces, "layout": layout})
+
+
+def power_said(found: Power) -> str:
+    """What is found at which size, what cannot be, false alarms."""
+    unit = UNITS[found.kind][0]
+    header = ("effect", "number", "unit", *SIZES, f"{found.kind} error [{unit}] 50 %", "90 %")
+    rows = [
+        (one.effect, one.number, small(one.unit)[0].replace("µ", "u"), *_sizes(found, one))
+        for one in found.effects
+        if not one.reason
+    ]
+    return "\n".join([
+        f"{len(found.question.planned)} poses, {found.sessions} sessions",
+        *([columns(header, rows)] if rows else []),
+        *power_remarks(found),
+    ])  # fmt: skip
+
+
+def _sizes(found: Power, one: Detectable) -> list[str]:
+    """Predicted and found sizes of a number, and what they make of the pose; `>` what was tried."""
+    factor = small(one.unit)[1] * one.tolerance
+    tried = [one.smallest(share) for share in (HALF, MOSTLY)]
+    beyond = [">" if size is None else "" for size in tried]
+    sizes = [size or one.tried[-1] for size in tried]
+    return [
+        *(number(size, factor) for size in one.predicted),
+        *(sign + number(size.size, factor) for sign, size in zip(beyond, sizes, strict=True)),
+        *(s + _fixed(size.error, found.kind) for s, size in zip(beyond, sizes, strict=True)),
+    ]
+
+
+def power_remarks(found: Power) -> Iterator[str]:
+    """How the prediction fares, what cannot be found at all, false alarms, what failed."""
+    ratios = [
+        size.size / one.predicted[1] for one in found.effects if (size := one.smallest(MOSTLY))
+    ]
+    if ratios:
+        yield (
+            f"the diagnosis finds in 90 % of sessions what is {np.median(ratios):.2f} times as "
+            f"large as predicted (median of {len(ratios)} effects)"
+        )
+    for one in found.effects:
+        if one.reason.startswith("cannot"):
+            yield f"{one.effect}: {one.reason}"
+        called = sum((Counter(size.called) for size in one.tried), Counter[str]())
+        for name, n in called.items():
+            if n >= OFTEN * (of := sum(size.sessions for size in one.tried)):
+                yield f"{one.effect} is called {name} in {n} of {of} sessions"
+    alarms = ", ".join(f"{name} in {n}" for name, n in found.false_alarms.items()) or "none"
+    yield f"false alarms in {found.clean} sessions without any effect: {alarms}"
+    if found.failed:
+        yield f"{len(found.failed)} sessions failed, the first: {found.failed[0]['reason']}"
+
+
+def power_page(found: Power) -> str:
+    """The page of a power study: sizes as ranges, each beside what was predicted; all numbers."""
+    drawn = Drawn()
+    shown = [one for one in found.effects if not one.reason]
+    header = ("effect", "number", "unit", *SIZES, f"{found.kind} error 50 %", "error 90 %", "found")
+    rows = [
+        (
+            one.effect, one.number, small(one.unit)[0], *_sizes(found, one),
+            ", ".join(f"{size.found}/{size.sessions}" for size in one.tried),
+        )
+        for one in shown
+    ]  # fmt: skip
+    remarks_ = "".join(paragraph(sentence(text)) for text in power_remarks(found))
+    parts = [
+        section("What is found", _ranges(found, shown, drawn.plot) if shown else ""),
+        section("Sizes", table(header, rows), f"errors in {UNITS[found.kind][0]}"),
+        section("What else is said", remarks_),
+    ]
+    mechanism, poses = found.document()["mechanism"], len(found.question.planned)
+    return _page(drawn, f"What {poses} poses of {mechanism} tell", parts)
+
+
+def _ranges(found: Power, shown: list[Detectable], plot: Plot) -> str:
+    """From found in half of the sessions to found in 90 %, as what the effect does to the pose."""
+    unit, factor = small(OF[found.kind])
+    upwards = shown[::-1]
+    names = [escape(one.effect) for one in upwards]
+    half, mostly = (
+        [size.error * factor if (size := one.smallest(share)) else None for one in upwards]
+        for share in (HALF, MOSTLY)
+    )
+    predicted = [one.predicted[1] * one.error_by_size * factor for one in upwards]
+    traces: list[Spec] = [
+        {
+            "type": "scatter", "mode": "lines", "x": [low, high], "y": [name, name],
+            "line": {"color": ACCENT, "width": 6}, "showlegend": False, "hoverinfo": "skip",
+        }
+        for name, low, high in zip(names, half, mostly, strict=True) if high
+    ]  # fmt: skip
+    for name, colour, symbol, values in (
+        ("found in 50 %", QUIET, "circle", half), ("found in 90 %", ACCENT, "circle", mostly),
+        ("predicted, 90 %", WARNING, "diamond-open", predicted),
+    ):  # fmt: skip
+        traces.append({
+            "type": "scatter", "mode": "markers", "name": name, "x": values, "y": names,
+            "marker": {"color": colour, "symbol": symbol, "size": 10},
+            "hovertemplate": f"%{{y}}: %{{x:.3g}} {unit}",
+        })  # fmt: skip
+    layout = {
+        "height": 120 + 24 * len(upwards), "showlegend": True, "legend": LEGEND,
+        "margin": {"t": 40},
+        "yaxis": {"dtick": 1, "categoryorder": "array", "categoryarray": names},
+        "xaxis": {"type": "log", "title": {"text": f"{found.kind} error, rms [{unit}]"}},
+    }  # fmt: skip
+    note = "What an effect does to the measured pose by itself, where sessions begin to find it."
+    return paragraph(note, "note") + plot({"data": traces, "layout": layout})

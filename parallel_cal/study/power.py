@@ -1,0 +1,306 @@
+"""Which effects of which size a session would find: predicted, then tried by virtual sessions."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from parallel_cal.base.errors import ModelError
+from parallel_cal.base.files import append_lines, held, json_lines
+from parallel_cal.diagnosis.catalogue import Candidate, candidate, names_of
+from parallel_cal.diagnosis.scene import Scene, columns
+from parallel_cal.diagnosis.thresholds import SIGNIFICANT
+from parallel_cal.fleet.cluster import KILLER, cluster, each, need_extra
+from parallel_cal.fleet.jobs import FleetError
+from parallel_cal.identification.fit import fit, single_threaded
+from parallel_cal.model.model import Model
+from parallel_cal.study.session import (
+    Planted,
+    Question,
+    diagnosed,
+    measured,
+    with_planted,
+)
+from parallel_cal.study.tolerance import model_of
+
+Row = dict[str, Any]  # of a session, the JSON document of `diagnosed`
+HALF, MOSTLY = 0.5, 0.9
+STEP = 2**0.5  # from a size to the next
+MOST, LEAST = 5.0, 1 / 8  # tolerances rms, and share of the predicted size: none beyond is tried
+DRAWS = 40  # of an effect's numbers, for the prediction
+CLEAN = 2  # times as many sessions without any effect as with one of a size
+LARGEST = 64 << 20  # bytes of sessions that are done
+
+
+@dataclass(frozen=True)
+class Tried:
+    """Sessions with an effect of one size: how many name it or say that it may be it, what the
+    others call it, and what it does to the poses measured (rms, m or rad)."""
+
+    size: float
+    sessions: int
+    found: int
+    called: Mapping[str, int]
+    error: float
+
+    @property
+    def share(self) -> float:
+        return self.found / self.sessions
+
+
+@dataclass(frozen=True)
+class Detectable:
+    """An effect at these poses: sizes (rms of its numbers, in tolerances) that a diagnosis should
+    find in 50 % and 90 % of sessions by its first test alone, sizes tried; or why it cannot be
+    found. `number` is one of its numbers, with unit and tolerance."""
+
+    effect: str
+    reason: str = ""
+    number: str = ""
+    unit: str = "1"
+    tolerance: float = 0.0
+    predicted: tuple[float, float] = (np.nan, np.nan)
+    tried: tuple[Tried, ...] = ()
+
+    def smallest(self, share: float) -> Tried | None:
+        """The smallest size tried that this share of sessions finds, and of all larger ones."""
+        good = None
+        for one in reversed(self.tried):
+            if one.share < share:
+                break
+            good = one
+        return good
+
+    @property
+    def error_by_size(self) -> float:
+        """rms of what it does to the poses measured, for a size of one tolerance (m or rad)."""
+        return (
+            float(np.mean([one.error / one.size for one in self.tried])) if self.tried else np.nan
+        )
+
+    def document(self) -> dict[str, Any]:
+        half, mostly = (self.smallest(share) for share in (HALF, MOSTLY))
+        return {
+            "effect": self.effect, "reason": self.reason,
+            "number": self.number, "unit": self.unit, "tolerance": self.tolerance,
+            "predicted": {"in_50": self.predicted[0], "in_90": self.predicted[1]},
+            "found_in_50": half and half.size, "found_in_90": mostly and mostly.size,
+            "error_by_size": self.error_by_size,
+            "tried": [vars(one) for one in self.tried],
+        }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Power:
+    """What sessions at these poses find, effects in the order of what they are found at; and of
+    sessions without any effect the false alarms."""
+
+    question: Question
+    effects: tuple[Detectable, ...]
+    clean: int
+    false_alarms: Mapping[str, int]
+    failed: tuple[Row, ...] = ()
+
+    @property
+    def sessions(self) -> int:
+        """How many were diagnosed."""
+        return self.clean + sum(size.sessions for one in self.effects for size in one.tried)
+
+    @property
+    def kind(self) -> str:
+        """What errors are of."""
+        return "position" if self.question.planned.measured[:, :3].any() else "orientation"
+
+    def document(self) -> dict[str, Any]:
+        """The JSON document of `parallel-cal study power`; SI, sizes in tolerances."""
+        model = model_of(self.question.model)
+        return {
+            "mechanism": model.mechanism.name,
+            "poses": len(self.question.planned), "noise": vars(model.noise),
+            "seed": self.question.seed, "error_kind": self.kind,
+            "effects": [one.document() for one in self.effects],
+            "sessions": self.sessions,
+            "clean_sessions": self.clean, "false_alarms": dict(self.false_alarms),
+            "failed": [{k: row[k] for k in ("effect", "size", "number", "reason")}
+                       for row in self.failed],
+        }  # fmt: skip
+
+
+Progress = Callable[[int, int], None]  # sessions done, of those known to be needed by now
+
+
+def power(
+    question: Question,
+    effects: Sequence[str] = (),
+    sessions: int = 10,
+    *,
+    folder: Path,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> Power:
+    """Which of the catalogue's `effects` (none: all, and the user's own) sessions would find.
+
+    Sizes are tried upwards and downwards from the predicted one, by STEP, until 90 % and fewer than
+    half of the sessions find it. Sessions that `folder` has are not done again. FleetError where it
+    cannot begin, or not go on.
+    """
+    need_extra()
+    report = progress or (lambda done, of: None)
+    own = Planted("", 0.0, 0)
+    with single_threaded():
+        base = fit(model_of(question.model), measured(question, own)[0], question.options)
+        scene = Scene.of(base.model, base.dataset, base.observations, base.free)
+        names = names_of(model_of(question.model), question.also)
+        if unknown := [name for name in effects if name not in names]:
+            raise ModelError(
+                f"there is no effect '{unknown[0]}' to plant, or the model has it already; there "
+                f"are {', '.join(names)}"
+            )
+        catalogue = [candidate(scene, name) for name in names]
+        level = SIGNIFICANT / max(sum(one.testable for one in catalogue), 1)
+        wanted = effects or names
+        all_of = [predicted(question, one, level) for one in catalogue if one.name in wanted]
+    clean = [Planted("", 0.0, k) for k in range(CLEAN * sessions)]
+    needed = dict.fromkeys(clean)
+    with _Sessions(folder, question) as store, cluster(scheduler, workers) as client:
+        while True:
+            left = [one for one in needed if one not in store.rows]
+            report(len(needed) - len(left), len(needed))
+            for done, (k, row) in enumerate(each(client, diagnosed, [(question, o) for o in left])):
+                if row is None:
+                    raise FleetError(f"a session with {left[k].effect or 'nothing'}: {KILLER}")
+                store.keep(row)
+                report(len(needed) - len(left) + done + 1, len(needed))
+            rows = [store.rows[one] for one in needed]
+            tried = {one.effect: _tried(one.effect, rows) for one in all_of}
+            more = [
+                Planted(one.effect, size, k)
+                for one in all_of
+                if not one.reason
+                for size in next_sizes(one.predicted[1], tried[one.effect])
+                for k in range(sessions)
+            ]
+            if not more:
+                break
+            needed |= dict.fromkeys(more)
+    found = [replace(one, tried=tried[one.effect]) for one in all_of]
+    found.sort(key=lambda one: 0.0 if one.reason else -1 / (one.predicted[1] * one.error_by_size))
+    false = Counter(name for row in rows if not row["effect"] for name in row["effects"])
+    failed = tuple(row for row in rows if row["reason"])
+    return Power(question, tuple(found), len(clean), false, failed)
+
+
+def next_sizes(first: float, tried: Sequence[Tried]) -> list[float]:
+    """The predicted size, then one larger, and one smaller, where the ones tried do not suffice."""
+    first = min(first, MOST)
+    if not tried:
+        return [_rounded(first)]
+    low, high = tried[0], tried[-1]
+    sizes = [_rounded(high.size * STEP)] if high.share < MOSTLY else []
+    sizes += [_rounded(low.size / STEP)] if low.share >= HALF else []
+    return [size for size in sizes if LEAST * first <= size <= MOST * STEP]
+
+
+def _rounded(size: float) -> float:
+    return float(f"{size:.3g}")
+
+
+def _tried(effect: str, rows: Sequence[Row]) -> tuple[Tried, ...]:
+    """What sessions with an effect say, by size."""
+    by_size: dict[float, list[Row]] = {}
+    for row in rows:
+        if row["effect"] == effect:
+            by_size.setdefault(row["size"], []).append(row)
+    return tuple(
+        Tried(
+            size, len(some), sum(_found(row) for row in some),
+            Counter(name for row in some if not _found(row) for name in row["effects"]),
+            _rms([row["error"] for row in some if row["error"] is not None]),
+        )
+        for size, some in sorted(by_size.items())
+    )  # fmt: skip
+
+
+def _rms(values: Sequence[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(values)))) if values else np.nan
+
+
+def _found(row: Row) -> bool:
+    """Whether an effect is named, or is what one that is named may be as well."""
+    named = row["effects"]
+    return any(row["effect"] in (name, *row["swaps"].get(name, ())) for name in named)
+
+
+def predicted(question: Question, one: Candidate, level: float) -> Detectable:
+    """Sizes at which the F test of an effect's columns off the geometry is passed at a level in 50
+    and 90 % of sessions: it is noncentral F of lambda = |(1 - B B^T) J e|^2 for numbers e."""
+    if not one.testable or one.scene is None or one.score is None:
+        return Detectable(one.name, one.reason)
+    from scipy.stats import f, ncf
+
+    model, scene, q = model_of(question.model), one.scene, one.score.q
+    dof, noncentral = scene.dof - q, np.empty(DRAWS)
+    for k in range(DRAWS):
+        planted = Planted(one.name, 1.0, k)
+        has, new = with_planted(model, planted, question.planned, planted.rng(question))
+        J = scene.off_geometry(columns(has.with_values(_without(has, new)), scene, new))
+        e = (has.values - has.table.nominal)[new] / has.table.tolerance[new]
+        noncentral[k] = float(np.sum((J @ e) ** 2))
+    limit = f.isf(level / one.tried, q, dof)
+
+    def share(log_size: float) -> float:
+        return float(np.mean(ncf.sf(limit, q, dof, noncentral * np.exp(2 * log_size))))
+
+    def size(of: float) -> float:
+        low, high = -8.0, 8.0
+        for _ in range(40):
+            middle = (low + high) / 2
+            low, high = (low, middle) if share(middle) >= of else (middle, high)
+        return float(np.exp(high))
+
+    number = has.table[int(np.flatnonzero(new)[0])]
+    return Detectable(
+        one.name, "", number.name.removeprefix(f"{one.name}."), number.unit,
+        float(number.tolerance), (size(HALF), size(MOSTLY)),
+    )  # fmt: skip
+
+
+def _without(has: Model, new: np.ndarray) -> np.ndarray:
+    """The values with new numbers as if they were none."""
+    return np.asarray(np.where(new, has.table.nominal, has.values))
+
+
+class _Sessions:
+    """What a folder has of a question's sessions: one a line of `sessions.jsonl`."""
+
+    def __init__(self, folder: Path, question: Question):
+        folder.mkdir(parents=True, exist_ok=True)
+        path, self._inputs = folder / "sessions.jsonl", question.inputs()
+        file = held(path)
+        if file is None:
+            raise FleetError(f"{folder}: another study is being made into it")
+        self._file, self.rows = file, dict[Planted, Row]()
+        for row in json_lines(path, LARGEST):
+            if row.get("inputs") == self._inputs:
+                self._take(row)
+
+    def __enter__(self) -> _Sessions:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        os.close(self._file)
+
+    def keep(self, row: Row) -> None:
+        append_lines(self._file, [json.dumps(row, allow_nan=False)])
+        self._take(row)
+
+    def _take(self, row: Row) -> None:
+        self.rows[Planted(row["effect"], row["size"], row["number"])] = row

@@ -1,0 +1,147 @@
+"""One virtual session: a robot drawn from the tolerances, an effect or none, the real diagnosis."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, field, replace
+from typing import Any
+from zlib import crc32
+
+import numpy as np
+
+from parallel_cal import __version__
+from parallel_cal.base.documents import plain
+from parallel_cal.base.rotation import rotation_matrix, rotation_vector
+from parallel_cal.diagnosis.catalogue import new_numbers, recorded
+from parallel_cal.diagnosis.diagnose import diagnose
+from parallel_cal.fleet.jobs import ONE, check_version, reason
+from parallel_cal.identification.fit import single_threaded
+from parallel_cal.identification.options import FitOptions
+from parallel_cal.kinematics.kinematics import Kinematics, Solutions
+from parallel_cal.model.model import Model
+from parallel_cal.model.shelf import load_effect
+from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.recordings.joining import fingerprint
+from parallel_cal.study.tolerance import model_of, strayed, straying
+
+FAILED: dict[str, Any] = {"error": None, "effects": [], "swaps": {}, "verdict": ""}
+
+
+@dataclass(frozen=True)
+class Question:
+    """What every session is about: the model's text, with its noise, the samples of a session
+    without errors, how it is identified, the user's own effects to test, the seed."""
+
+    model: str
+    planned: Dataset
+    options: FitOptions = field(default_factory=FitOptions)
+    also: tuple[str, ...] = ()
+    seed: int = 0
+    version: str = __version__
+
+    def inputs(self) -> str:
+        """sha256 of all that a session follows from, but for what is planted."""
+        digest = hashlib.sha256(fingerprint(self.planned).encode())
+        for name, column in sorted(self.planned.conditions.items()):
+            digest.update(name.encode() + column.tobytes())
+        digest.update(repr((self.model, self.options, self.also, self.seed, self.version)).encode())
+        return digest.hexdigest()
+
+
+@dataclass(frozen=True)
+class Planted:
+    """An effect (empty: none), the rms of its numbers in tolerances, and which draw of robot, noise
+    and their signs it is: of any size the same."""
+
+    effect: str
+    size: float
+    number: int
+
+    def rng(self, question: Question) -> np.random.Generator:
+        return np.random.default_rng([question.seed, crc32(self.effect.encode()), self.number])
+
+
+def with_planted(
+    model: Model, one: Planted, planned: Dataset, rng: np.random.Generator
+) -> tuple[Model, np.ndarray]:
+    """A model with an effect, and a mask of its new numbers; settings that nobody knows are drawn
+    from those that a search tries."""
+    settings = list(load_effect(one.effect).scan(model.mechanism, recorded(planned)))
+    extended = model.with_effect(one.effect, settings[rng.integers(len(settings))])
+    new, table = new_numbers(model, extended), extended.table
+    low, high = (np.array([getattr(p, side) for p in table])[new] for side in ("low", "high"))
+    nominal, tolerance = table.nominal[new], table.tolerance[new]
+    draw = rng.standard_normal(int(new.sum()))
+    draw = np.where(low >= nominal, abs(draw), draw)
+    draw *= one.size / np.sqrt(np.mean(draw**2))
+    values = extended.values.copy()
+    values[new] = np.clip(nominal + tolerance * draw, low, high)
+    return extended.with_values(values), new
+
+
+def measured(question: Question, one: Planted) -> tuple[Dataset, float]:
+    """What a session yields, and the rms of what the effect does to the poses measured (m; rad
+    where no position is)."""
+    model, planned, rng = model_of(question.model), question.planned, one.rng(question)
+    geometry = straying(model) & ~model.fixed
+    geometry &= np.array([p.group != "effect" for p in model.table])
+    robot = model.with_values(strayed(model.table, model.values, geometry, rng))
+    has = with_planted(robot, one, planned, rng)[0] if one.effect else robot
+    q, shown = _stands(has, robot, planned)
+    without = Kinematics(robot).direct(q, planned.conditions)  # by the same joints
+    rms = _apart(shown, without, planned)
+    noise, n = model.noise, len(planned)
+    sigma = np.repeat([noise.position or 0.0, noise.orientation or 0.0], 3)
+    error = sigma * rng.standard_normal((n, 6))
+    kept = shown.solved
+    dataset = Dataset.from_arrays(
+        model.joints,
+        (q + (noise.joint or 0.0) * rng.standard_normal(q.shape))[kept],
+        (shown.position + error[:, :3])[kept],
+        (rotation_matrix(error[:, 3:]) @ shown.rotation)[kept],
+        measured=(planned.measured & (sigma > 0))[kept],
+        pose_cov=np.diag(sigma**2),
+        joint_sigma=noise.joint,
+        conditions={name: column[kept] for name, column in planned.conditions.items()},
+        pose_id=planned.pose_id[kept],
+        source=planned.source,
+    )
+    return replace(dataset, sha256=fingerprint(dataset)), rms
+
+
+def _stands(has: Model, robot: Model, planned: Dataset) -> tuple[np.ndarray, Solutions]:
+    """The joints that a robot has, and the poses that a device without noise shows; joints that
+    hold the platform by more lines than it moves in fit each other."""
+    q, kinematics = planned.q, Kinematics(has)
+    if has.structure.phi.shape[0] > len(has.mechanism.moves):
+        pose = Kinematics(robot).direct(q)
+        q = kinematics.inverse(pose.position, pose.rotation, planned.conditions).joints
+    return q, kinematics.direct(q, planned.conditions)
+
+
+def _apart(shown: Solutions, without: Solutions, planned: Dataset) -> float:
+    away = shown.position - without.position
+    if not planned.measured[:, :3].any():
+        away = rotation_vector(shown.rotation @ without.rotation.transpose(0, 2, 1))
+    return float(np.sqrt(np.nanmean(np.sum(away**2, axis=1))))
+
+
+def diagnosed(question: Question, one: Planted) -> dict[str, Any]:
+    """What a diagnosis says of a session, as JSON has it; whatever fails is its `reason`.
+
+    FleetError where another version is asked for than is here.
+    """
+    check_version(question.version)
+    row = {"inputs": question.inputs(), **vars(one)}
+    with ONE, single_threaded():
+        try:
+            dataset, rms = measured(question, one)
+            found = diagnose(
+                model_of(question.model), dataset, also=question.also, options=question.options
+            )
+        except Exception as error:
+            return row | FAILED | {"reason": reason(error)}
+    return plain(row | {
+        "error": rms, "effects": found.effects, "swaps": found.swaps,
+        "verdict": found.verdict.word, "reason": "",
+    })  # fmt: skip

@@ -1,0 +1,269 @@
+"""What accuracy a design will have, and which tolerance costs most."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from parallel_cal import __version__
+from parallel_cal.base.errors import FitError
+from parallel_cal.base.rotation import rotation_vector
+from parallel_cal.fleet.cluster import KILLER, cluster, each, need_extra
+from parallel_cal.fleet.jobs import FleetError, check_version
+from parallel_cal.identification.fit import single_threaded
+from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.kinematics.solutions import Solutions
+from parallel_cal.model.file.modelfile import dump_model, parse_model
+from parallel_cal.model.model import Model
+from parallel_cal.model.parameters import ParameterTable
+from parallel_cal.planning.expectation import Expectation, prediction_blocks
+from parallel_cal.planning.plan import expected_at
+from parallel_cal.planning.posepool import Pool, make_pool
+
+KINDS = {"position": slice(0, 3), "orientation": slice(3, 6)}
+TOGETHER = 50  # robots in one call
+FAR = 0.1  # of the Monte Carlo's rms: a linear budget that is further off deserves a word
+SURE = 3.0  # of its own sigmas, that it is
+
+
+@dataclass(frozen=True)
+class Share:
+    """What alike parameters (`chain*.Lb`) do to the pose: their tolerances, the rms that they make
+    by themselves, by kind (m, rad), and what is left of all where their tolerances are halved."""
+
+    name: str
+    label: str
+    unit: str
+    tolerance: tuple[float, float]
+    count: int
+    rms: Mapping[str, float]
+    halved: Mapping[str, float]
+
+    def of(self, whole: Mapping[str, float], kind: str) -> float:
+        """Its share of the mean square of all."""
+        return (self.rms[kind] / whole[kind]) ** 2 if whole[kind] else 0.0
+
+
+@dataclass(frozen=True)
+class Tolerances:
+    """What robots drawn from a model's tolerances do, run with its nominal numbers.
+
+    `errors` (robots, poses) of each kind that the platform moves in (m, rad), NaN where a robot
+    does not get there; `linear` the rms by the first-order `budget`, largest share first;
+    `calibrated` what an identification at a plan's poses would leave, where one was given.
+    """
+
+    model: Model
+    seed: int
+    errors: Mapping[str, np.ndarray]
+    linear: Mapping[str, float]
+    budget: tuple[Share, ...]
+    calibrated: Expectation | None = None
+    planned: int = 0
+
+    @property
+    def kind(self) -> str:
+        """What the budget is ranked by: position, where the platform moves in it."""
+        return next(iter(self.errors))
+
+    def robots(self, kind: str) -> np.ndarray:
+        """Each robot's rms, of those that reach any pose."""
+        errors = self.errors[kind]
+        reach = np.isfinite(errors).any(axis=1)
+        return np.asarray(np.sqrt(np.nanmean(errors[reach] ** 2, axis=1)))
+
+    def summary(self, kind: str) -> dict[str, float]:
+        """rms, 95 % and maximum over robots and poses, and the rms that 95 % of robots keep."""
+        errors = self.errors[kind]
+        return {
+            "rms": float(np.sqrt(np.nanmean(errors**2))),
+            "p95": float(np.nanquantile(errors, 0.95)),
+            "max": float(np.nanmax(errors)),
+            "robots_p95": float(np.quantile(self.robots(kind), 0.95)),
+        }
+
+    @property
+    def unreached(self) -> int:
+        """How many of all poses a drawn robot could not come to."""
+        return int(np.isnan(self.errors[self.kind]).sum())
+
+    def differs(self, kind: str) -> bool:
+        """Whether errors are not proportional to tolerances: the budget misses what was drawn."""
+        squares = self.robots(kind) ** 2
+        mean, linear = squares.mean(), self.linear[kind] ** 2
+        luck = SURE * squares.std() / np.sqrt(len(squares))
+        far = abs(np.sqrt(mean) - self.linear[kind]) > FAR * np.sqrt(mean)
+        return bool(far and abs(mean - linear) > luck)
+
+    def document(self) -> dict[str, Any]:
+        """The JSON document of `parallel-cal study tolerance`; SI."""
+        robots, poses = self.errors[self.kind].shape
+        return {
+            "mechanism": self.model.mechanism.name,
+            "robots": robots, "poses": poses, "unreached": self.unreached, "seed": self.seed,
+            "errors": {
+                kind: self.summary(kind)
+                | {"linear_rms": self.linear[kind], "linear_differs": self.differs(kind)}
+                for kind in self.errors
+            },
+            "budget": [
+                {
+                    "parameters": one.name, "label": one.label, "count": one.count,
+                    "unit": one.unit, "tolerance": one.tolerance,
+                    "rms": dict(one.rms),
+                    "share": {kind: one.of(self.linear, kind) for kind in self.errors},
+                    "rms_of_all_if_halved": dict(one.halved),
+                }
+                for one in self.budget
+            ],
+            "calibrated": self.calibrated and {
+                "poses": self.planned,
+                "position_rms": self.calibrated.position_rms,
+                "orientation_rms": self.calibrated.orientation_rms,
+            },
+        }  # fmt: skip
+
+
+def tolerances(
+    model: Model,
+    robots: int = 200,
+    poses: int = 200,
+    *,
+    seed: int = 0,
+    at: Mapping[str, float] | None = None,
+    planned: np.ndarray | None = None,
+    scheduler: str | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Tolerances:
+    """Draw robots from a model's tolerances, and what each is off by where its nominal joints take
+    it, under conditions `at`, on a Dask cluster where a `scheduler` is given.
+
+    Effects of the measuring device do not move the robot, numbers that people know (a gear's ratio)
+    do not stray. `planned` (N, nq) are joints at which it would be calibrated. FitError where
+    nothing strays or the workspace cannot be reached.
+    """
+    table = model.table
+    drawn = straying(model)
+    nominal = model.with_values(np.where(drawn, table.nominal, model.values)).robot()
+    if not drawn.any():
+        raise FitError(f"{model.mechanism.name}: nothing in the model has a tolerance to stray by")
+    report = progress or (lambda done, of: None)
+    with single_threaded():
+        pool = make_pool(nominal, poses, np.random.default_rng([seed, 0]), symmetric=False)
+        for k, name in enumerate(model.conditions):
+            if at and name in at:
+                pool.a[:, k] = at[name]
+        moved = {*model.mechanism.moved}
+        kinds = {kind: part for kind, part in KINDS.items() if moved & {*range(6)[part]}}
+        linear, budget = _budget(nominal, drawn, pool, kinds)
+    text = dump_model(nominal)
+    calls = [
+        (__version__, text, seed, range(k, min(k + TOGETHER, robots)), pool.poses, pool.a)
+        for k in range(0, robots, TOGETHER)
+    ]
+    found: dict[int, np.ndarray] = {}
+    for k, norms in _done(calls, scheduler):
+        found[k] = norms
+        report(len(found), len(calls))
+    norms = np.concatenate([found[k] for k in range(len(calls))])
+    if np.isnan(norms).all():
+        raise FitError(f"{model.mechanism.name}: no robot drawn from these tolerances can be moved")
+    return Tolerances(
+        model, seed, {kind: norms[..., list(KINDS).index(kind)] for kind in kinds}, linear, budget,
+        None if planned is None else expected_at(model, planned),
+        0 if planned is None else len(planned),
+    )  # fmt: skip
+
+
+def straying(model: Model) -> np.ndarray:
+    """Mask of the numbers that differ from robot to robot: geometry, whether it can be identified
+    or not, and effects of the robot; none that people know."""
+    device = [f"{effect.name}.*" for effect in model.effects if effect.of_device]
+    known = [pattern for effect in model.effects for pattern in effect.known()]
+    out = model.table.matching([*device, *known])
+    sensor = np.array([p.group == "sensor" for p in model.table])
+    return np.asarray((model.table.tolerance > 0) & ~out & ~sensor)
+
+
+def strayed(
+    table: ParameterTable, values: np.ndarray, which: np.ndarray, rng: np.random.Generator
+) -> np.ndarray:
+    """Values of a robot: some of them off by a tolerance (1 sigma), mirrored where a number cannot
+    be beyond its range (a play is not negative)."""
+    low, high = (np.array([getattr(p, side) for p in table]) for side in ("low", "high"))
+    values = values + np.where(which, table.tolerance * rng.standard_normal(len(table)), 0.0)
+    values = np.where(values < low, 2 * low - values, values)
+    return np.asarray(np.clip(np.where(values > high, 2 * high - values, values), low, high))
+
+
+def _budget(
+    nominal: Model, drawn: np.ndarray, pool: Pool, kinds: Mapping[str, slice]
+) -> tuple[dict[str, float], tuple[Share, ...]]:
+    """Linear rms of all, and of alike parameters together: G sigma with G = -J_x^-1 J_v."""
+    table, everything = nominal.table, np.ones(len(nominal.joints) + 6, bool)
+    G = prediction_blocks(nominal, drawn, everything, pool) * table.tolerance[drawn]
+    G[:, 3:] /= nominal.mechanism.length
+    squares = {k: np.sum(G[:, part] ** 2, axis=1).mean(axis=0) for k, part in kinds.items()}
+    names = [name for name, is_drawn in zip(table.names, drawn, strict=True) if is_drawn]
+    alike = [re.sub(r"\d+(?=\.)", "*", name) for name in names]
+    whole = {kind: float(np.sqrt(parts.sum())) for kind, parts in squares.items()}
+
+    def shares() -> Iterator[Share]:
+        for pattern in dict.fromkeys(alike):
+            own = np.array([other == pattern for other in alike])
+            some = [table[name] for name, is_own in zip(names, own, strict=True) if is_own]
+            parts = {kind: float(square[own].sum()) for kind, square in squares.items()}
+            left = {k: float(np.sqrt(whole[k] ** 2 - 0.75 * part)) for k, part in parts.items()}
+            strays = [p.tolerance for p in some]
+            yield Share(
+                pattern, some[0].label, some[0].unit, (min(strays), max(strays)), len(some),
+                {kind: float(np.sqrt(part)) for kind, part in parts.items()}, left,
+            )  # fmt: skip
+
+    first = next(iter(kinds))
+    return whole, tuple(sorted(shares(), key=lambda share: -share.rms[first]))
+
+
+def _done(calls: Sequence[tuple[Any, ...]], scheduler: str | None) -> Iterator[tuple[int, Any]]:
+    """A few thousand poses are done before other processes have begun: these only where asked."""
+    if scheduler is None:
+        yield from ((k, errors_of(*call)) for k, call in enumerate(calls))
+        return
+    need_extra()
+    with cluster(scheduler, None) as client:
+        for k, norms in each(client, errors_of, calls):
+            if norms is None:
+                raise FleetError(f"of {TOGETHER} robots: {KILLER}")
+            yield k, norms
+
+
+@lru_cache(maxsize=8)
+def model_of(text: str) -> Model:
+    """Robots and sessions of one model share what was derived of it."""
+    return parse_model(text)
+
+
+def errors_of(
+    version: str, text: str, seed: int, robots: Sequence[int], poses: Solutions, a: np.ndarray
+) -> np.ndarray:
+    """Norms (robots, N, 2) m, rad of what robots, each with a seed of its own, are off from poses
+    that the model in a text takes its joints to under conditions a (N, n_conditions)."""
+    check_version(version)
+    nominal = model_of(text)
+    drawn, at = straying(nominal), dict(zip(nominal.conditions, a.T, strict=True))
+    norms = np.full((len(robots), len(poses), 2), np.nan)
+    with single_threaded():
+        for k, robot in enumerate(robots):
+            rng = np.random.default_rng([seed, 1, robot])
+            values = strayed(nominal.table, nominal.values, drawn, rng)
+            there = Kinematics(nominal.with_values(values)).direct(poses.joints, at)
+            norms[k, :, 0] = np.linalg.norm(there.position - poses.position, axis=1)
+            turned = rotation_vector(there.rotation @ poses.rotation.transpose(0, 2, 1))
+            norms[k, :, 1] = np.linalg.norm(turned, axis=1)
+            norms[k, ~there.solved] = np.nan
+    return norms
