@@ -254,4 +254,6 @@ def test_without_the_extra_a_fleet_says_so_in_one_line(folder):
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 1
-    assert done.stderr == ("error: fleets need distributed: pip install 'parallel_cal[fleet]'\n")
+    assert done.stderr == (
+        "error: fleets and studies need distributed: pip install 'parallel_cal[fleet]'\n"
+    )

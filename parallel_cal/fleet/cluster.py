@@ -1,10 +1,10 @@
-"""Where a fleet's recordings are judged: the cores of this machine, or a Dask cluster."""
+"""Where much is done at once: the cores of this machine, or a Dask cluster."""
 
 from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
@@ -18,12 +18,15 @@ if TYPE_CHECKING:
 PATIENCE = 15  # s for a scheduler to answer, and for its first worker
 CTRL_C = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"  # it is for us alone
 EXTRA = ("dask", "distributed", "pyarrow")
+KILLER = "it ended its worker again and again: has that enough memory?"
 
 
 def need_extra() -> None:
     """FleetError where the libraries for fleets are not installed."""
     if missing := [name for name in EXTRA if find_spec(name) is None]:
-        raise FleetError(f"fleets need {' and '.join(missing)}: pip install 'parallel_cal[fleet]'")
+        raise FleetError(
+            f"fleets and studies need {' and '.join(missing)}: pip install 'parallel_cal[fleet]'"
+        )
 
 
 @contextmanager
@@ -69,27 +72,33 @@ def cluster(scheduler: str | None, workers: int | None) -> Iterator[Client]:
 def results(
     client: Client, jobs: Sequence[tuple[Job, str]], asked: Asked, page: Page | None
 ) -> Iterator[tuple[Row, str]]:
-    """Rows and pages as they end, in no order. A recording that ended its worker again and again
-    is a row with that reason; FleetError where the scheduler is gone or a worker cannot do it."""
+    """Rows and pages as they end, in no order; a recording that ended its worker is a row with
+    that reason."""
+    calls = [(job, asked, inputs, page if job.last else None) for job, inputs in jobs]
+    for k, answer in each(client, judged, calls):
+        job, inputs = jobs[k]
+        yield answer or ({
+            "robot": job.robot, "recording": job.recording, "inputs": inputs,
+            "time": job.time, "reason": KILLER, "seconds": None,
+        }, "")  # fmt: skip
+
+
+def each(
+    client: Client, do: Callable[..., Any], calls: Sequence[tuple[Any, ...]]
+) -> Iterator[tuple[int, Any]]:
+    """Number and answer of every call as they end, in no order; None of one that ended its worker
+    again and again. FleetError where the scheduler is gone or a worker cannot do it."""
     from distributed import KilledWorker, as_completed
 
-    futures: dict[Future, tuple[Job, str]] = {
-        client.submit(judged, job, asked, inputs, page if job.last else None, pure=False): (
-            job,
-            inputs,
-        )
-        for job, inputs in jobs
+    futures: dict[Future, int] = {
+        client.submit(do, *call, pure=False): k for k, call in enumerate(calls)
     }
     for future in as_completed(list(futures)):
-        job, inputs = futures.pop(future)
+        k = futures.pop(future)
         if future.status == "finished":
-            yield _answer(future)
+            yield k, _answer(future)
         elif future.status == "error" and isinstance(future.exception(), KilledWorker):
-            reason = "it ended its worker again and again: has that enough memory?"
-            yield {
-                "robot": job.robot, "recording": job.recording, "inputs": inputs,
-                "time": job.time, "reason": reason, "seconds": None,
-            }, ""  # fmt: skip
+            yield k, None
         elif future.status == "error":
             error = future.exception()
             raise FleetError(
@@ -97,7 +106,7 @@ def results(
                 "must be installed where workers are started"
             )
         else:
-            raise _lost(client)
+            raise _lost()
         future.release()
 
 
@@ -105,11 +114,11 @@ def _answer(future: Future) -> Any:
     try:
         return future.result()
     except Exception:  # it was done, and the way to it is gone
-        raise _lost(future.client) from None
+        raise _lost() from None
 
 
-def _lost(client: Client) -> FleetError:
+def _lost() -> FleetError:
     return FleetError(
-        "the scheduler is gone; every row that was done is kept. Start it again, and give the "
-        "same command: it goes on from there"
+        "the scheduler is gone. Start it again, and give the same command: what is in its folder "
+        "is not done again"
     )

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from parallel_cal.fleet.population import stacked
 from parallel_cal.identification.evidence import Evidence
 from parallel_cal.identification.thresholds import RELATIVE_RANK
 
@@ -35,7 +36,7 @@ def trend(recordings: Sequence[Evidence], times: Sequence[float]) -> Trend | Non
         return None
     from scipy.stats import f
 
-    A, g = (np.array([getattr(r, key) for r in recordings]) for key in ("information", "pull"))
+    A, g = stacked(recordings)
     span = float(np.ptp(times))
     t = (np.asarray(times) - np.mean(times)) / span
     inverse = np.linalg.pinv(A.sum(axis=0), RELATIVE_RANK**2, hermitian=True)

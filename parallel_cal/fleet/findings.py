@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from parallel_cal.base.confidence import CHANCE
-from parallel_cal.base.documents import plain
 from parallel_cal.base.errors import ModelError
 from parallel_cal.fleet.drift import Trend, trend
 from parallel_cal.fleet.judging import Row
@@ -93,9 +91,6 @@ class Findings:
     effects: tuple[EffectOfFleet, ...]
     drifts: tuple[Drift, ...]
 
-    def document(self) -> dict[str, Any]:
-        return {key: plain(value) for key, value in vars(self).items()}
-
 
 def findings(rows: Sequence[Row], drawing: Model) -> Findings | None:
     """What the rows say together, beside the drawing's model; None of fewer than four robots."""
@@ -120,8 +115,8 @@ def findings(rows: Sequence[Row], drawing: Model) -> Findings | None:
     )
 
 
-def _of(table: ParameterTable, names: Iterable[str]) -> ParameterTable:
-    return ParameterTable(p for p in table if p.name in set(names))
+def _of(table: ParameterTable, names: Collection[str]) -> ParameterTable:
+    return ParameterTable(p for p in table if p.name in names)
 
 
 def _in_tolerances(evidence: Evidence, table: ParameterTable) -> Evidence:

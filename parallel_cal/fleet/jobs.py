@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timezone
 from pathlib import Path
+from threading import Lock
 
 from parallel_cal import __version__
 from parallel_cal.base.errors import ParallelCalError
@@ -18,10 +19,25 @@ from parallel_cal.recordings.options import ReadOptions
 
 COLUMNS = ("robot", "model", "recording")
 SAMPLES = ".json"
+ONE = Lock()  # CasADi's expressions are not for several threads of a worker
 
 
 class FleetError(ParallelCalError):
     """A fleet cannot be begun, or not be ended: what to do, and how to go on."""
+
+
+def reason(error: Exception) -> str:
+    """Why something was not done, in one line; a user's own mechanism or effect may raise
+    anything."""
+    if isinstance(error, ParallelCalError):
+        return " ".join(str(error).split())
+    return f"{type(error).__name__}: {error}"
+
+
+def check_version(asked: str) -> None:
+    """FleetError where another version is asked for than is here: answers would not compare."""
+    if asked != __version__:
+        raise FleetError(f"parallel_cal is {__version__} there, {asked} is asked for")
 
 
 @dataclass(frozen=True)

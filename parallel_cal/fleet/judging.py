@@ -5,18 +5,15 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from functools import lru_cache
-from threading import Lock
 from typing import Any
 
 import numpy as np
 
-from parallel_cal import __version__
 from parallel_cal.base.documents import plain
-from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.diagnosis.catalogue import new_numbers, not_recorded
 from parallel_cal.diagnosis.diagnose import Diagnosis, diagnose
 from parallel_cal.diagnosis.scene import Scene, columns
-from parallel_cal.fleet.jobs import Asked, FleetError, Job
+from parallel_cal.fleet.jobs import ONE, Asked, Job, check_version, reason
 from parallel_cal.identification.evidence import Evidence
 from parallel_cal.model.file.modelfile import model_text, parse_model
 from parallel_cal.model.model import Model
@@ -25,27 +22,22 @@ from parallel_cal.recordings.loading import load_stamped
 Row = dict[str, Any]  # the JSON document of a recording
 Page = Callable[[Diagnosis], str]
 
-_ONE = Lock()  # CasADi's expressions are not for several threads of a worker
-
 
 def judged(job: Job, asked: Asked, inputs: str, page: Page | None = None) -> tuple[Row, str]:
     """The row of a recording, and its page where one is wanted; whatever fails is its `reason`.
 
-    FleetError where another version is asked for than is here: rows would not be comparable.
+    FleetError where another version is asked for than is here.
     """
-    if asked.version != __version__:
-        raise FleetError(f"parallel_cal is {__version__} there, {asked.version} is asked for")
+    check_version(asked.version)
     row: Row = {"robot": job.robot, "recording": job.recording, "inputs": inputs}
     start, shown = time.monotonic(), ""
-    with _ONE:
+    with ONE:
         try:
             found, when = _diagnosis(job, asked)
             row |= _row(found) | {"time": when, "reason": ""}
             shown = page(found) if page else ""
-        except ParallelCalError as error:
-            row |= {"time": job.time, "reason": " ".join(str(error).split())}
-        except Exception as error:  # a user's own mechanism may raise anything
-            row |= {"time": job.time, "reason": f"{type(error).__name__}: {error}"}
+        except Exception as error:
+            row |= {"time": job.time, "reason": reason(error)}
     return plain(row | {"seconds": time.monotonic() - start}), shown
 
 

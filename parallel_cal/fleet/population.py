@@ -78,7 +78,7 @@ def population(robots: Sequence[Evidence]) -> Population:
 
 
 def stacked(robots: Sequence[Evidence]) -> tuple[np.ndarray, np.ndarray]:
-    """Information (N, n, n) and pull (N, n) of all the robots."""
+    """Information (N, n, n) and pull (N, n) of all the robots, or of one's recordings."""
     return np.array([r.information for r in robots]), np.array([r.pull for r in robots])
 
 

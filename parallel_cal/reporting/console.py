@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import json
+import signal
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 from parallel_cal.base.documents import plain
 from parallel_cal.reporting.readable import columns
+
+STOPPED = "stopped; what is done is kept, and the same command goes on from there"
 
 
 def emit(document: Any) -> None:
@@ -47,3 +51,34 @@ def progress(stage: str, fraction: float) -> None:
         text = f"{stage} {100 * fraction:.0f} %" if fraction < 1 else ""
         sys.stderr.write(f"\r\x1b[2K{text}")
         sys.stderr.flush()
+
+
+@contextmanager
+def bar(what: str) -> Iterator[Callable[[int, int], None]]:
+    """A bar on stderr that is told how many are done of how many, where somebody looks at it.
+
+    Told so, it raises the KeyboardInterrupt of a Ctrl-C that was swallowed where it came: in a
+    destructor, for example, or in another library's callback.
+    """
+    from rich.console import Console
+    from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
+
+    parts = (*Progress.get_default_columns()[:2], MofNCompleteColumn(), TimeRemainingColumn())
+    shown = Console(stderr=True)
+    with Progress(*parts, console=shown, transient=True, disable=not shown.is_terminal) as drawn:
+        task, asked = drawn.add_task(what, total=None), list[int]()
+
+        def tell(done: int, of: int) -> None:
+            if asked:
+                raise KeyboardInterrupt
+            drawn.update(task, completed=done, total=of)
+
+        def interrupted(number: int, frame: object) -> None:
+            asked.append(number)
+            raise KeyboardInterrupt
+
+        before = signal.signal(signal.SIGINT, interrupted)
+        try:
+            yield tell
+        finally:
+            signal.signal(signal.SIGINT, before)

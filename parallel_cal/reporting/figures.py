@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
@@ -100,12 +101,12 @@ def circles(
 
 def rounded(values: np.ndarray) -> list[float]:
     """Five digits: a picture needs no more, and a page is smaller."""
-    return [float(f"{v:.5g}") for v in values]
+    return [float(f"{v:.5g}") for v in values.tolist()]
 
 
 def gaps(values: np.ndarray) -> list[float | None]:
     """The same for a line that is broken where a number is not known."""
-    return [float(f"{v:.5g}") if np.isfinite(v) else None for v in values]
+    return [float(f"{v:.5g}") if math.isfinite(v) else None for v in values.ravel().tolist()]
 
 
 def history(rows: Sequence[Mapping[str, Any]], floor: Summary, kind: str, si: str) -> Spec:

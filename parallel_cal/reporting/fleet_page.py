@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Sequence
 from datetime import datetime, timezone
 from html import escape
@@ -14,6 +15,7 @@ from parallel_cal.diagnosis.diagnose import Diagnosis
 from parallel_cal.fleet.findings import Findings
 from parallel_cal.fleet.fleet import Fleet
 from parallel_cal.fleet.judging import Row
+from parallel_cal.fleet.rows import KINDS
 from parallel_cal.reporting.colours import ACCENT, MEASURED, QUIET, WARNING
 from parallel_cal.reporting.figures import LEGEND, Spec
 from parallel_cal.reporting.fleets import DAY, effect_in_words, kind_of, verdicts_in_words
@@ -92,7 +94,7 @@ def _by_error(fleet: Fleet, plot: Plot) -> str:
     kind, rows = kind_of(fleet), _last(fleet)
     if kind is None:
         return paragraph("No pose was measured.", "none")
-    unit, factor = small("rad" if kind == "orientation" else "m")
+    unit, factor = small(KINDS[kind])
     colours = {"before": QUIET, "identified": ACCENT, "after": WARNING}
     traces: list[Spec] = [
         {
@@ -122,10 +124,8 @@ def _robots(fleet: Fleet, reports: Collection[str]) -> str:
         return ""
     apart = {one.robot: one.name for one in fleet.findings.outlying} if fleet.findings else {}
     drifts = {one.robot: one.name for one in fleet.findings.drifts} if fleet.findings else {}
-    recordings = {row["robot"]: 0 for row in fleet.rows}
-    for row in fleet.rows:
-        recordings[row["robot"]] += 1
-    unit = "rad" if kind == "orientation" else "m"
+    recordings = Counter(row["robot"] for row in fleet.rows)
+    unit = KINDS[kind]
     rows: list[Sequence[Cell | str]] = [
         (
             Cell(name, link=report_name(name) if name in reports else ""),
@@ -154,10 +154,10 @@ def report_name(robot: str) -> str:
 def _over_time(fleet: Fleet, plot: Plot) -> str:
     """What each recording left, by when it was made; robots that drift in colour."""
     kind = kind_of(fleet)
-    rows = [row for row in fleet.judged if kind and row["time"] is not None]
-    if len({row["time"] for row in rows}) < 2:
+    rows = [row for row in fleet.judged if row["time"] is not None]
+    if kind is None or len({row["time"] for row in rows}) < 2:
         return paragraph("No recording says when it was made, or all are of one day.", "none")
-    unit, factor = small("rad" if kind == "orientation" else "m")
+    unit, factor = small(KINDS[kind])
     drifting = {one.robot for one in fleet.findings.drifts} if fleet.findings else set()
     traces: list[Spec] = []
     for robot in sorted({row["robot"] for row in rows}, key=lambda name: name in drifting):
@@ -184,18 +184,16 @@ def _lacking(fleet: Fleet, plot: Plot) -> str:
     found = fleet.findings
     if found is None or not found.effects:
         return paragraph("No effect was named in most recordings of any robot.", "none")
-    names = [effect.name for effect in found.effects][::-1]
+    upwards = found.effects[::-1]
     bars = {
-        "type": "bar", "orientation": "h", "y": names,
-        "x": [len(effect.robots) for effect in found.effects][::-1],
-        "marker": {"color": [
-            WARNING if effect.kind == "fault" else ACCENT for effect in found.effects
-        ][::-1]},
-        "hovertext": [escape(effect_in_words(effect)) for effect in found.effects][::-1],
+        "type": "bar", "orientation": "h", "y": [effect.name for effect in upwards],
+        "x": [len(effect.robots) for effect in upwards],
+        "marker": {"color": [WARNING if e.kind == "fault" else ACCENT for e in upwards]},
+        "hovertext": [escape(effect_in_words(effect)) for effect in upwards],
         "hoverinfo": "text",
     }  # fmt: skip
     layout = {
-        "height": 90 + 30 * len(names),
+        "height": 90 + 30 * len(upwards),
         "xaxis": {"title": {"text": "robots"}, "range": [0, len(found.robots)]},
         "yaxis": {"dtick": 1},
         "bargap": 0.4,

@@ -7,10 +7,10 @@ from collections.abc import Iterator
 
 from parallel_cal.fleet.findings import EffectOfFleet
 from parallel_cal.fleet.fleet import Fleet
+from parallel_cal.fleet.rows import ERRORS
 from parallel_cal.reporting.readable import ARCMIN, columns, fixed, in_unit
 
 UNITS = {"position": ("um", 1e6), "reading": ("um", 1e6), "orientation": ("arcmin", ARCMIN)}
-WHEN = ("before", "identified", "after")
 DAY = 86400.0
 WORST, NAMED = 10, 5  # recordings that a person reads
 
@@ -53,7 +53,7 @@ def _worst(fleet: Fleet) -> Iterator[str]:
         [
             (
                 row["robot"], row["recording"],
-                *(fixed(row[when][key], factor, 1) for when in WHEN), ", ".join(row["effects"]),
+                *(fixed(row[when][key], factor, 1) for when in ERRORS), ", ".join(row["effects"]),
             )
             for row in worst
         ],
