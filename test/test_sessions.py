@@ -155,6 +155,13 @@ def test_parts_of_one_collection_keep_the_time_between_them(two):
     assert len(all_three.sha256) == 64
 
 
+def test_parts_that_know_no_time_have_none_together():
+    parts = [Dataset.from_arrays(["a"], [[0.1 * k]], [[0.0, 0.0, 0.2 * k]]) for k in (1, 2)]
+    assert "time" not in joined(parts, [0, 0]).conditions
+    timed = [replace(one, conditions={"time": np.zeros(1)}) for one in parts]
+    assert joined(timed, [10**9, 3 * 10**9]).conditions["time"].tolist() == [0.0, 2.0]
+
+
 def test_homing_anew_between_two_recordings_is_found(two, tmp_path):
     for k, data in enumerate(two):
         data.to_json(tmp_path / f"{k}.json")

@@ -233,16 +233,14 @@ def test_a_recorded_plate_session_calibrates_the_whole_workspace(
     assert read_model(better).sensors == read_model(plate_model).sensors
 
 
-def test_comparing_shows_the_readings_worst_first(plate_bag, plate_model, run, capsys):
+def test_comparing_shows_the_readings_worst_first(plate_bag, plate_model, run, run_cli):
     document = run("compare", plate_model, plate_bag, "--joint-sigma", ts.SIGMA, "--json")
     norms = [row["reading_norm"] for row in document["rows"]]
     assert norms == sorted(norms, reverse=True)
     assert document["channels"] == ["plane", "sphere1", "sphere2"]
     assert [v is None for v in document["rows"][0]["reading_error"]].count(False) == 1
     assert document["rows"][0]["position"] == [None] * 3
-    cli.app(["compare", str(plate_model), str(plate_bag), "--joint-sigma", ts.SIGMA],
-            standalone_mode=False)  # fmt: skip
-    shown = capsys.readouterr().out
+    shown = run_cli("compare", plate_model, plate_bag, "--joint-sigma", ts.SIGMA)
     assert "reading error, mean" in shown
     assert "sphere2 [um]" in shown
 

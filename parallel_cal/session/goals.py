@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from parallel_cal.base.errors import ModelFileError, ParallelCalError
-from parallel_cal.base.files import write_atomically
+from parallel_cal.base.files import PREVIOUS
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.identification.observations import observe
 from parallel_cal.identification.options import FitOptions
@@ -24,12 +24,13 @@ from parallel_cal.model.file.modelfile import (
     model_text,
     parse_model,
     read_model,
+    replace_text,
+    write_text,
 )
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.session.steps import Step, added, fitted
 
-PREVIOUS = ".previous"  # behind the name of a model file that was replaced
 UNKNOWN = (math.nan,) * 4
 Tell = Callable[[str, float, float], None]  # stage, fraction, mean position error so far in m
 
@@ -116,20 +117,8 @@ def written(request: Request, outcome: Outcome) -> Outcome:
     """Write the model that was proposed, and keep the file before; what was refused stays so."""
     if not outcome.success:
         return outcome
-    replaced(request.output_file, outcome.text)
+    replace_text(request.output_file, outcome.text)
     return replace(outcome, hash=model_hash(outcome.text), path=request.output_file)
-
-
-def replaced(path: str, text: str) -> None:
-    """Write a model file, and keep the one before."""
-    keep_previous(path)
-    _write(path, text)
-
-
-def keep_previous(path: str) -> None:
-    """Lay a model file that is about to be replaced aside, beside itself."""
-    if Path(path).exists():
-        _write(path + PREVIOUS, model_text(path))
 
 
 def undone(path: str) -> str:
@@ -140,16 +129,9 @@ def undone(path: str) -> str:
         raise ModelFileError(f"{path}: nothing to undo, there is no {before}")
     text, now = model_text(before), model_text(path)
     parse_model(text, before)
-    _write(path, text)
-    _write(before, now)
+    write_text(path, text)
+    write_text(before, now)
     return f"{path}: {model_hash(text)[:12]} again, was {model_hash(now)[:12]}"
-
-
-def _write(path: str, text: str) -> None:
-    try:
-        write_atomically(path, text)
-    except OSError as error:
-        raise ModelFileError(f"{path}: cannot be written: {error.strerror}") from None
 
 
 def examine(

@@ -19,7 +19,7 @@ from parallel_cal.identification.fit import Result, fit
 from parallel_cal.identification.moves import Moves, moves
 from parallel_cal.identification.prediction_errors import Summary
 from parallel_cal.identification.thresholds import NEGLIGIBLE
-from parallel_cal.model.effect import parse_effect
+from parallel_cal.model.effect import parse_effects
 from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import load_effect
 from parallel_cal.recordings.dataset import Dataset
@@ -73,27 +73,33 @@ def fitted(model: Model, dataset: Dataset, force: bool = False, **options: Any) 
 
 
 def added(model: Model, effect: str, dataset: Dataset, force: bool = False, **options: Any) -> Step:
-    """Identify anew with one more effect; FitError when that does not help at poses left out.
+    """Identify anew with one more effect, or several at once; FitError when that does not help at
+    poses left out.
 
-    `effect` is NAME[:param=value,...]: given numbers are held; an unknown gear ratio and the like
-    are searched for. What it must beat is the model without the effect,
+    `effect` is NAME[:param=value,...], or several joined by `+`: given numbers are held; an unknown
+    gear ratio and the like are searched for. What it must beat is the model without the effect,
     identified on the same data: otherwise the re-identification of the geometry would pass for
     the effect's merit.
     """
-    name, settings = parse_effect(effect)
+    asked = parse_effects(effect)
     base = fit(model, dataset, **options)
-    model.with_effect(name)  # a wrong name is better said before a search
+    for name, _ in asked:
+        model.with_effect(name)  # a wrong name is better said before a search
     scene = Scene.of(base.model, base.dataset, base.observations, base.free)
-    one = candidate(scene, name)  # with the settings that fit best to what the base leaves
     # From where the base began, so that a device's frame lies where it was found there.
-    one = replace(one, settings=settings or one.settings)
-    result = fit(base.start.with_effect(name, one.settings), base.dataset, **options)
-    result = replace(result, registration=base.registration)
+    more, extended = list[Candidate](), base.start
+    for name, settings in asked:
+        one = candidate(scene, name)  # with the settings that fit best to what the base leaves
+        more.append(replace(one, settings=settings or one.settings))
+        extended = extended.with_effect(name, more[-1].settings)
+    result = replace(fit(extended, base.dataset, **options), registration=base.registration)
+    name = "+".join(one.name for one in more)
     found = acceptance(result, base, f" with '{name}'")
     if not found.against:
         chance = superfluous(base.estimate, result.estimate)
         words = f"what '{name}' explains of what is left may be chance"
-        found = replace(found, against=words if chance else _doubted(scene, one))
+        doubts = (_doubted(scene, one) for one in more)
+        found = replace(found, against=words if chance else next(filter(None, doubts), ""))
     return _step("add", result, _judged(found, force), base, name)
 
 

@@ -99,15 +99,13 @@ class Bench:
 
     def save(self) -> None:
         """Write the present model for the robot; refused where something speaks against it."""
-        from parallel_cal.model.file.modelfile import read_model, write_model
-        from parallel_cal.session.goals import keep_previous
+        from parallel_cal.model.file.modelfile import read_model, replace_model
 
         against = self.session.state.against
         try:
             if against:
                 raise ParallelCalError(f"{against}; not saved")
-            keep_previous(str(self.output))
-            write_model(read_model(self.session.folder / self.session.state.model), self.output)
+            replace_model(read_model(self.session.folder / self.session.state.model), self.output)
             self.message, self.failed = f"written: {self.output}", False
         except (ParallelCalError, OSError) as error:
             self.message, self.failed = str(error), True

@@ -12,18 +12,9 @@ from nicegui import ui
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.reporting.colours import MEASURED
 from parallel_cal.workbench.bench import Live
-from parallel_cal.workbench.looks import COLOURS, card, drawn
+from parallel_cal.workbench.looks import COLOURS, card, course, drawn
 
 AT_REST = ("", "stopped", "done")
-FIGURE: dict[str, Any] = {
-    "layout": {
-        "height": 200,
-        "margin": {"t": 8, "r": 12, "l": 52, "b": 36},
-        "xaxis": {"title": {"text": "poses measured"}, "rangemode": "tozero"},
-        "yaxis": {"title": {"text": "error [µm]"}, "rangemode": "tozero"},
-    },
-    "config": {"displaylogo": False, "displayModeBar": False},
-}
 
 
 class Calibrating:
@@ -53,7 +44,11 @@ class Calibrating:
                         ("stop", "Stop"),
                     )
                 }
-            self.chart = drawn(self._figure(), "error at poses that no fit saw, over poses")
+            figure = course(
+                {"title": {"text": "poses measured"}, "rangemode": "tozero"}, "error [µm]",
+                mode="lines+markers", marker={"color": MEASURED, "size": 6},
+            )  # fmt: skip
+            self.chart = drawn(figure, "error at poses that no fit saw, over poses")
 
     def show(self, told: dict[str, Any]) -> None:
         """What is known of it now, as `nodes.steering` tells."""
@@ -73,14 +68,10 @@ class Calibrating:
         self.chart.set_visibility(bool(told["curve"]))
         if told["curve"] != self._curve:
             self._curve = told["curve"]
-            self.chart.update_figure({**self.chart.figure, **self._figure()})
-
-    def _figure(self) -> dict[str, Any]:
-        data = {
-            "type": "scatter", "mode": "lines+markers", "marker": {"color": MEASURED, "size": 6},
-            "x": [poses for poses, _ in self._curve], "y": [1e6 * e for _, e in self._curve],
-        }  # fmt: skip
-        return FIGURE | {"data": [data]}
+            trace = self.chart.figure["data"][0]
+            trace["x"] = [poses for poses, _ in self._curve]
+            trace["y"] = [1e6 * error for _, error in self._curve]
+            self.chart.update()
 
     def _button(self, name: str, click: Callable[[], None]) -> Any:
         return ui.button(name, on_click=click).props("dense")

@@ -11,7 +11,7 @@ from parallel_cal.reporting.colours import QUIET
 from parallel_cal.workbench.bench import Bench
 from parallel_cal.workbench.looks import COLOURS
 
-NOTHING = {"colour": "grey", "words": "nothing measured yet"}
+NOTHING = {"colour": "grey", "words": "no samples in this session yet"}
 
 
 class Header:

@@ -10,7 +10,7 @@ from nicegui import run, ui
 from parallel_cal.reporting.colours import MEASURED, QUIET
 from parallel_cal.workbench.bench import Bench, Live
 from parallel_cal.workbench.calibrating import Calibrating
-from parallel_cal.workbench.looks import COLOURS, card, drawn, table
+from parallel_cal.workbench.looks import COLOURS, card, course, drawn, table
 
 LOOK = 1.0  # s between two looks at the nodes
 SHOWN = 60  # s of errors that are shown
@@ -38,19 +38,10 @@ class LiveCard:
                     ui.tooltip("use what calibration_node has collected in this session")
             self.warnings = ui.label().classes("text-sm").style(f"color: {COLOURS['amber']}")
             self.streams = table([*COLUMNS.items()], [], "name").props("aria-label=streams")
-            figure: dict[str, Any] = {
-                "data": [
-                    {"type": "scatter", "mode": "markers", "x": [], "y": [],
-                     "marker": {"color": MEASURED, "size": 4}}
-                ],
-                "layout": {
-                    "height": 200,
-                    "margin": {"t": 8, "r": 12, "l": 52, "b": 36},
-                    "xaxis": {"title": {"text": "s ago"}, "range": [-SHOWN, 0]},
-                    "yaxis": {"title": {"text": "error [µm]"}, "rangemode": "tozero"},
-                },
-                "config": {"displaylogo": False, "displayModeBar": False},
-            }  # fmt: skip
+            figure = course(
+                {"title": {"text": "s ago"}, "range": [-SHOWN, 0]}, "error [µm]",
+                mode="markers", marker={"color": MEASURED, "size": 4},
+            )  # fmt: skip
             self.error = ui.label().classes("text-sm").props("id=live-error")
             self.chart = drawn(figure, "error of the poses measured, over time")
             self.dropped = ui.expansion("nothing was dropped").classes("w-full")

@@ -22,7 +22,9 @@ CSS = """
 .body--dark .q-header { background: #1d1d1d; color: #e6edf3 }
 .body--dark .q-btn--outline, .body--dark .q-btn--flat { --q-primary: #7fc0f0 }
 """
-HEAD = """<script>document.documentElement.lang = "en"</script>"""
+# Plotly is fetched while the measurements are looked at, not once there is something to draw.
+HEAD = """<script>document.documentElement.lang = "en"</script>
+<script type="module">import("nicegui-plotly").catch(() => undefined)</script>"""
 CHECKBOX = '<q-checkbox dense v-model="props.selected" :aria-label="{words}" />'
 ROUND = {"t": 24, "r": 12, "l": 52, "b": 44}
 
@@ -46,6 +48,20 @@ def table(columns: list[tuple[str, str]], rows: list[dict[str, Any]], key: str, 
         made.add_slot("header-selection", CHECKBOX.format(words="'mark all'"))
         made.add_slot("body-selection", CHECKBOX.format(words="'mark ' + props.key"))
     return made.classes("w-full").props("dense flat wrap-cells")
+
+
+def course(across: dict[str, Any], up: str, **look: Any) -> dict[str, Any]:
+    """A low figure of one trace that is yet without points, over an axis, from zero up."""
+    return {
+        "data": [{"type": "scatter", "x": [], "y": [], **look}],
+        "layout": {
+            "height": 200,
+            "margin": {"t": 8, "r": 12, "l": 52, "b": 36},
+            "xaxis": across,
+            "yaxis": {"title": {"text": up}, "rangemode": "tozero"},
+        },
+        "config": {"displaylogo": False, "displayModeBar": False},
+    }
 
 
 def drawn(figure: dict[str, Any], words: str, before: Any = None) -> Any:

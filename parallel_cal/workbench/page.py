@@ -17,7 +17,7 @@ from parallel_cal.workbench.failing import Failing
 from parallel_cal.workbench.header import Header
 from parallel_cal.workbench.live import LiveCard
 from parallel_cal.workbench.looks import CSS, HEAD, ROUND, card, drawn, table
-from parallel_cal.workbench.marking import Marking, Place
+from parallel_cal.workbench.marking import SCRIPT, Marking, Place
 
 EMPTY = (
     "Looking at the measurements: this takes a few seconds.",
@@ -46,7 +46,7 @@ class Window:
         self.opened = set[str]()  # what is unfolded, and stays so
         ui.dark_mode(None)  # as the browser has it
         ui.colors(primary=MEASURED)
-        ui.add_head_html(HEAD)
+        ui.add_head_html(HEAD + SCRIPT)
         ui.add_css(CSS)
         self.header = Header(bench)
         with ui.column().classes("w-full max-w-screen-xl mx-auto gap-4"):
@@ -93,6 +93,11 @@ class Window:
         with card("What is missing"):
             if not view["candidates"]:
                 ui.label("No effect was tested yet: press Fit.")
+            if both := view["together"]:
+                add = ui.button(
+                    f"Add {both['names']}", on_click=partial(self.bench.begin, "add", both["text"])
+                )
+                add.props("dense").set_enabled(not self.bench.busy)
             for one in view["candidates"][:8]:
                 with ui.row().classes("w-full items-center no-wrap max-lg:flex-wrap"):
                     add = ui.button("Add", on_click=partial(self.bench.begin, "add", one["name"]))

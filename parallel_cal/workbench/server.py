@@ -69,12 +69,12 @@ def serve(
 ) -> None:
     """Serve the session in `folder` until the process is ended; Save writes `output`, `live` are
     the nodes at the robot."""
+    bench = Bench(folder, output, live)  # its worker starts while NiceGUI is imported
     from nicegui import app, run, ui
 
     from parallel_cal.workbench.page import build
 
     run.process_pool_start_method = "spawn"  # forks of a process with threads may hang
-    bench = Bench(folder, output, live)
     app.on_shutdown(bench.close)  # the server ends its process by the signal that ended it
     build(bench)
     app.add_middleware(Guard, hosts=(*LOOPBACK, host), token=token)

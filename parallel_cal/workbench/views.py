@@ -9,6 +9,7 @@ import numpy as np
 
 from parallel_cal.base.documents import plain
 from parallel_cal.diagnosis.comparison import Comparison, compare
+from parallel_cal.diagnosis.diagnose import Diagnosis
 from parallel_cal.diagnosis.entries import Entry
 from parallel_cal.diagnosis.patterns import Along
 from parallel_cal.diagnosis.scene import Scene
@@ -96,6 +97,7 @@ def _compared(found: Comparison) -> View:
             )
         ],
         "candidates": [],
+        "together": None,
         "untested": [],
         "parameters": [],
         "advice": ["Fit: identify the geometry first, then see what is left."],
@@ -135,6 +137,7 @@ def _reported(found: Report) -> View:
             for one in [judged[int(n)]]
         ],
         "candidates": [_candidate(e, found) for e in diagnosis.entries if e.p_adjusted is not None],
+        "together": _together(diagnosis),
         "untested": [
             {"name": e.name, "why": e.reason} for e in diagnosis.entries if e.p_adjusted is None
         ],
@@ -259,6 +262,13 @@ def _residuals(residuals: contents.Residuals, striking: Sequence[Along]) -> View
             "where": "platform's axis, {}" if residuals.kind == "orientation" else "{} [mm]",
         }
     )
+
+
+def _together(diagnosis: Diagnosis) -> View | None:
+    """Several effects that were found, to be added at once: one alone may not stand."""
+    if len(diagnosis.effects) < 2:
+        return None
+    return {"names": " and ".join(diagnosis.effects), "text": "+".join(diagnosis.additions)}
 
 
 def _candidate(entry: Entry, found: Report) -> View:
