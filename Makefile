@@ -80,7 +80,7 @@ bags: $(STAMP)
 bench: $(STAMP)
 	@$(BIN)/parallel-cal bench
 
-# The nodes under faults by the thousand (docs/reliability.md): half an hour; SHARE=0.1 for a part.
+# The nodes under faults by the thousand (docs/reliability.md): 20 minutes; SHARE=0.1 for a part.
 SHARE ?= 1
 faults: $(STAMP)
 	@$(BIN)/python bench/faults.py --share $(SHARE)

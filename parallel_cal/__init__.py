@@ -11,9 +11,11 @@ __version__ = "0.1.0"
 
 # where a name lives: a module, a function that is called otherwise there, or a shelf itself
 _HOME = {
+    "Campaign": "campaign.campaign",
     "Channel": "recordings.channels",
     "Dataset": "recordings.dataset",
     "Effect": "model.effect",
+    "Goal": "campaign.campaign",
     "Home": "model.mechanism",
     "Kinematics": "kinematics.kinematics",
     "Mechanism": "model.mechanism",
@@ -21,6 +23,7 @@ _HOME = {
     "Parameter": "model.parameters",
     "ParameterTable": "model.parameters",
     "ParallelCalError": "base.errors",
+    "Sample": "campaign.cell",
     "Sensor": "model.sensor",
     "Status": "kinematics.solutions",
     "Workspace": "model.mechanism",

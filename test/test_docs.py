@@ -161,6 +161,13 @@ def test_the_page_on_fleets_shows_what_its_commands_print(tmp_path):
     assert len(list((tmp_path / "fleet" / "reports").glob("robot*.html"))) == 7
 
 
+@pytest.mark.slow
+def test_the_page_on_studies_shows_what_its_commands_print(tmp_path):
+    (tmp_path / "config").symlink_to(ROOT / "config")
+    pytest.importorskip("distributed")
+    assert in_order("study.md", tmp_path) == 3
+
+
 def in_order(name, folder):
     """How many commands a page has, which were run one after the other and printed what it says."""
     page = (ROOT / "docs" / name).read_text(encoding="utf-8")

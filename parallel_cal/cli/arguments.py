@@ -28,7 +28,10 @@ Data = Annotated[
     ),
 ]
 EffectName = Annotated[
-    str, typer.Argument(metavar="EFFECT", help="NAME or NAME:ratio=80, see 'parallel-cal effects'")
+    str,
+    typer.Argument(
+        metavar="EFFECT", help="NAME, NAME:ratio=80 or NAME+NAME, see 'parallel-cal effects'"
+    ),
 ]
 Force = Annotated[
     bool, typer.Option("--force", help="write in spite of held-out errors and ranges")
@@ -37,6 +40,13 @@ Tested = Annotated[
     list[str] | None, typer.Option(help="test only this effect (repeat for several)")
 ]
 Also = Annotated[list[str] | None, typer.Option(help="test your own effect, too: its Python path")]
+Scheduler = Annotated[
+    str | None,
+    typer.Option(metavar="tcp://HOST:PORT", help="a Dask cluster's, in place of this machine"),
+]
+Workers = Annotated[
+    int | None, typer.Option(min=1, help="processes on this machine [default: its cores]")
+]
 Method = Annotated[str, typer.Option(help="identification method")]
 HoldOut = Annotated[
     float,

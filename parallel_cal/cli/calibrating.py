@@ -36,6 +36,10 @@ def calibrate(
     warmer: Annotated[
         float, typer.Option(min=0, help="K by which you may be asked to warm it up; 0: none")
     ] = 0.0,
+    reach: Annotated[
+        float,
+        typer.Option(min=1, help="workspaces in size to use where poses in it do not tell enough"),
+    ] = 1.0,
     afresh: Annotated[
         bool, typer.Option("--afresh", help="begin anew, though one was ended too early")
     ] = False,
@@ -58,8 +62,12 @@ def calibrate(
             "msg_defs"
         ) from None
     asked: list[int] = []
-    signal.signal(signal.SIGINT, lambda number, frame: asked.append(number))
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, lambda number, frame: asked.append(number))
+    boxes = [number for box in keep_out or [] for number in _box(box)]
     robot, _, hidden = simulated.partition(":")
+    if not robot and not model.is_file():
+        raise ParallelCalError(f"{model}: no such file: expected the model of the robot")
     cell = {"robot": robot, "effects": hidden, "rate": 4.0} if robot else None
     last = [""]
     with Calibration(model, namespace, cell, interrupted=lambda: bool(asked)) as calibration:
@@ -68,6 +76,7 @@ def calibrate(
             told(status, last)
             if status.state == "asking":
                 if cell is not None:
+                    console.note("the virtual robot's owner does so at once")
                     calibration.bring_about(status.reason)
                 elif sys.stdin.isatty():
                     console.note("press Enter when it is done")
@@ -79,8 +88,7 @@ def calibrate(
 
         result = calibration.run(
             hear, minutes, poses=poses, enough=enough, effects=effects or [],
-            keep_out=[float(v) for box in keep_out or [] for v in box.split()],
-            payload=payload, warmer=warmer, afresh=afresh,
+            keep_out=boxes, payload=payload, warmer=warmer, reach=reach, afresh=afresh,
             output_file=str(output.resolve()) if output else "",
         )  # fmt: skip
     document: dict[str, Any] = json.loads(result.json) if result.json else {}
@@ -90,14 +98,27 @@ def calibrate(
         console.say(f"{'done' if result.success else 'ended'}: {result.message}")
         if result.hash:
             console.say(f"written to {output or model}: sha256 {result.hash[:12]}")
+        if robot and not asked:
+            console.say(f"it had: {', '.join(calibration.hidden) or 'nothing hidden'}")
     if not result.success:
         raise typer.Exit(1)
+
+
+def _box(text: str) -> list[float]:
+    """Six numbers; what is wrong with them in words."""
+    try:
+        numbers = [float(word) for word in text.replace(",", " ").split()]
+    except ValueError:
+        numbers = []
+    if len(numbers) != 6:
+        raise ParallelCalError(f"--keep-out '{text}': expected six numbers 'x y z x y z' in m")
+    return numbers
 
 
 def told(status: Any, last: list[str]) -> None:
     """A line for every pose and every change of state, on stderr."""
     error = "" if math.isnan(status.error_unseen) else f", {1e6 * status.error_unseen:.0f} um off"
     line = f"{status.state}: {status.reason} ({status.poses} poses{error})"
-    if line != last[0] and status.state != "sampling":
+    if line != last[0] and status.state not in ("sampling", "done", "stopped"):
         console.note(line)
     last[0] = line

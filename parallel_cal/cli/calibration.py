@@ -114,11 +114,11 @@ def model_and_data(path: Path, bags: list[Path], data: list[str] | None) -> tupl
 
 def _finish(step: Step, output: Path | None, as_json: bool) -> None:
     """Write the model, then say what came out: a file that cannot be written is no success."""
-    from parallel_cal.model.file.modelfile import model_hash, write_model
+    from parallel_cal.model.file.modelfile import model_hash, replace_model
 
     written = {}
     if output is not None:
-        write_model(step.model, output)
+        replace_model(step.model, output)
         written = {"output": str(output), "hash": model_hash(step.model)}
     console.progress("", 1.0)
     console.warn(step.warnings)

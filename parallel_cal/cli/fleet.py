@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from parallel_cal.cli.arguments import Also, Data, Json, Tested, with_options
+from parallel_cal.cli.arguments import Also, Data, Json, Scheduler, Tested, Workers, with_options
 from parallel_cal.cli.recordings import data_options
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.reporting import console
@@ -28,13 +28,8 @@ def fleet(
     ],
     *,
     output: Annotated[Path, typer.Option("-o", "--output", help="folder to write")] = Path("fleet"),
-    scheduler: Annotated[
-        str | None,
-        typer.Option(metavar="tcp://HOST:PORT", help="a Dask cluster's, in place of this machine"),
-    ] = None,
-    workers: Annotated[
-        int | None, typer.Option(min=1, help="processes on this machine [default: its cores]")
-    ] = None,
+    scheduler: Scheduler = None,
+    workers: Workers = None,
     effect: Tested = None,
     also: Also = None,
     options: FitOptions,
@@ -42,21 +37,15 @@ def fleet(
     as_json: Json = False,
 ) -> None:
     """Fit and diagnose every recording of every robot; a command that was ended goes on."""
-    from rich.console import Console
-    from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
-
     from parallel_cal.fleet.fleet import judge
     from parallel_cal.fleet.jobs import Asked
     from parallel_cal.reporting.fleet_page import robot_page, write_fleet_page
 
     asked = Asked(options, tuple(effect or ()), tuple(also or ()), data_options(data))
-    parts = (*Progress.get_default_columns()[:2], MofNCompleteColumn(), TimeRemainingColumn())
-    shown = Console(stderr=True)
-    with Progress(*parts, console=shown, transient=True, disable=not shown.is_terminal) as bar:
-        task = bar.add_task("recordings", total=None)
+    with console.bar("recordings") as bar:
 
         def progress(done: int, of: int, row: Row | None) -> None:
-            bar.update(task, completed=done, total=of)
+            bar(done, of)
             if row and row["reason"]:
                 console.warn([f"{row['robot']} {row['recording']}: {row['reason']}"])
 
@@ -71,7 +60,7 @@ def fleet(
                 progress=progress,
             )
         except KeyboardInterrupt:
-            console.note("stopped; what is done is kept, and the same command goes on from there")
+            console.note(console.STOPPED)
             raise typer.Exit(130) from None
     write_fleet_page(found, output)
     if as_json:

@@ -209,12 +209,12 @@ def switch(
 def save(folder: Folder, output: Out, force: Force = False, as_json: Json = False) -> None:
     """Write the model of the last step, where nothing speaks against it, for the robot."""
     from parallel_cal.base.errors import ParallelCalError
-    from parallel_cal.model.file.modelfile import model_hash, write_model
+    from parallel_cal.model.file.modelfile import model_hash, replace_model
 
     session = _open(folder)
     if session.state.against and not force:
         raise ParallelCalError(f"{session.state.against}; --force to write it all the same")
-    write_model(session.model, output)
+    replace_model(session.model, output)
     sha256 = model_hash(session.model)
     if as_json:
         return console.emit({"output": str(output), "hash": sha256})

@@ -38,7 +38,7 @@ def short_cut(
     the first of arm 2 by the first rod of chain 1. Angles do not see the size: --fix what was
     measured, such as chain1.Lb chain1.dLb.
     """
-    from parallel_cal.model.file.modelfile import model_hash, write_model
+    from parallel_cal.model.file.modelfile import model_hash, replace_model
     from parallel_cal.short_cut import identify
     from parallel_cal.short_cut.loop import loops_in
 
@@ -47,7 +47,7 @@ def short_cut(
     found = identify.short_cut(robot, loops, fix=patterns(fix), joint_sigma=joint_sigma)
     document = found.document()
     if output is not None:
-        write_model(found.model, output)
+        replace_model(found.model, output)
         document |= {"output": str(output), "hash": model_hash(found.model)}
     console.progress("", 1.0)
     console.warn((*dataset.warnings, *found.warnings))

@@ -17,7 +17,6 @@ from parallel_cal.reporting import console
 def demo(
     effect: Annotated[str, typer.Option(help="what it hides; none: drawn")] = "",
     seed: Annotated[int | None, typer.Option(help="draws how it is built; none: drawn")] = None,
-    keep: Annotated[bool, typer.Option("--keep", help="leave the files it makes")] = False,
     as_json: Json = False,
 ) -> None:
     """Let a virtual robot calibrate itself from beginning to end (needs ROS 2)."""
@@ -25,7 +24,7 @@ def demo(
         module = import_module("parallel_cal.nodes.demo")
     except ModuleNotFoundError as error:
         raise ParallelCalError(f"the demonstration needs {error.name}") from None
-    sys.exit(module.main(json=as_json, effect=effect, seed=seed, keep=keep))
+    sys.exit(module.main(json=as_json, effect=effect, seed=seed))
 
 
 def bench(
