@@ -46,8 +46,11 @@ def test_where_nothing_is_hidden_it_says_stop_looking_and_proposes_nothing(seed)
     assert "stop looking" in found.verdict.summary
 
 
-def test_refits_look_for_no_frame_again_and_judge_no_start(monkeypatch):
-    """Where the device stands is settled before the first of them, and nobody reads the rest."""
+@pytest.mark.parametrize(("there", "refits"), [(True, 2), (False, 1)])
+def test_refits_look_for_no_frame_again_and_judge_no_start(monkeypatch, there, refits):
+    """Where the device stands is settled before the first of them, and nobody reads the rest; what
+    is chance is not refitted."""
+    data = hiding([vf.KINDS["backlash"]], 1.0, 0)[0] if there else clean(0)
     asked = {"registered": 0, "errors": 0}
 
     def counted(function):
@@ -59,9 +62,10 @@ def test_refits_look_for_no_frame_again_and_judge_no_start(monkeypatch):
 
     for module, name in ((fitting, "registered"), (diagnosing, "registered"), (fitting, "errors")):
         monkeypatch.setattr(module, name, counted(getattr(module, name)))
-    found = diagnose(MODEL, clean(0), effects=["backlash"])
+    found = diagnose(MODEL, data, effects=["backlash"])
     folds = len(found.dataset.folds(0.25, 0))
-    assert asked == {"registered": 1, "errors": 2 * (folds + 1)}  # without backlash and with it
+    assert asked == {"registered": 1, "errors": refits * (folds + 1)}
+    assert (found.entries[0].alone is not None) is there
 
 
 def test_hidden_play_is_found_explained_and_measured(play):

@@ -13,6 +13,7 @@ from parallel_cal.diagnosis.scene import Scene, columns
 from parallel_cal.diagnosis.scoring import Score, quick_log_p, score
 from parallel_cal.diagnosis.thresholds import (
     AS_WELL,
+    ENOUGH_AS_GOOD,
     LEVELS,
     SHUFFLES,
     SLOW,
@@ -78,7 +79,10 @@ class Candidate:
     @cached_property
     def shuffled_p(self) -> float | None:
         """Guard 4: share of copies with the condition shuffled between stretches of time (all its
-        columns alike) that score as well, counting the effect itself; None where it needs none."""
+        columns alike) that score as well, counting the effect itself; None where it needs none.
+
+        Where ENOUGH_AS_GOOD copies do, no more are drawn (Besag and Clifford 1991).
+        """
         if not self.effect.needs or self.score is None or self.scene is None:
             return None
         scene = self.scene
@@ -100,10 +104,12 @@ class Candidate:
         few = len(levels) <= LEVELS
         known = np.array([scene.by_sample(under(one)) for one in levels if few])
         other = np.empty_like(order)
-        for _ in range(SHUFFLES):
+        for drawn in range(1, SHUFFLES + 1):
             other[order] = np.concatenate([stretches[k] for k in rng.permutation(len(stretches))])
             B = known[level[other], range(len(a))] if few else under(a[other[:, None], own])
             as_good += quick_log_p(scene, B.reshape(len(scene.residual), -1)) <= self.score.log_p
+            if as_good > ENOUGH_AS_GOOD:
+                return ENOUGH_AS_GOOD / drawn
         return as_good / (SHUFFLES + 1)
 
 

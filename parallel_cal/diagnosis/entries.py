@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -14,7 +16,7 @@ from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.scoring import canonical_correlation, resampled, score
 from parallel_cal.diagnosis.search import Chosen, Search, Trial, ratio_of
 from parallel_cal.diagnosis.statistics import holm
-from parallel_cal.diagnosis.thresholds import ALIKE, APART, REFITTED, RESAMPLES
+from parallel_cal.diagnosis.thresholds import ALIKE, APART, REFITTED, RESAMPLES, SIGNIFICANT
 from parallel_cal.diagnosis.verdict import share_explained
 from parallel_cal.identification.fit import Estimated, Result
 from parallel_cal.identification.prediction_errors import Summary
@@ -40,7 +42,8 @@ class Entry:
 
     `confused_with` are those that the data cannot tell from it, `p_adjusted` its p-value for
     having looked at all, `first_picks` the share of resamples in which it scores best (both None
-    where it cannot be tested), `reason` what stands against it, `alone` a refit of the best.
+    where it cannot be tested), `reason` what stands against it, `alone` a refit of the
+    best, as far as their own p-values are no chance.
     """
 
     candidate: Candidate
@@ -109,17 +112,20 @@ def entries(
     tested = [c for c in ranked if c.testable]
     raised = holm(np.array([c.p_value for c in tested]))
     adjusted = dict(zip([c.name for c in tested], raised.tolist(), strict=True))
-    picks = first_picks(tested)
+    picks, alike = first_picks(tested), defaultdict[str, tuple[str, ...]](tuple)
+    for one, other in combinations(ranked, 2):
+        if confused(one, other):
+            alike[one.name] += (other.name,)
+            alike[other.name] += (one.name,)
     rows = []
     for rank, one in enumerate(ranked, 1):
-        alike = tuple(c.name for c in ranked if c is not one and confused(one, c))
         reason, alone = one.reason or against.get(one.name, ""), None
-        if one.testable and rank <= REFITTED:
+        if one.testable and rank <= REFITTED and one.p_value < SIGNIFICANT:
             trial = search.fit(Chosen.of(one))
             reason = trial.reason or reason
             alone = _alone(one, base, trial, noise) if trial.result else None
         p, first = adjusted.get(one.name), picks.get(one.name)
-        rows.append(Entry(one, rank, alike, p, first, reason, alone))
+        rows.append(Entry(one, rank, alike[one.name], p, first, reason, alone))
     return tuple(rows)
 
 

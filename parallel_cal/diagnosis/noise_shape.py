@@ -68,11 +68,15 @@ def noise_shape(z: np.ndarray, time: np.ndarray, places: np.ndarray, seed: int =
         np.argsort(away)[part] for part in (slice(len(z) // 3), slice(-len(z) // 3, None))
     )
 
+    total, width = float(np.sum(z**2)), z.shape[1]
+
     def correlation(rows: np.ndarray) -> float:
-        return float(np.sum(rows[1:] * rows[:-1]) / np.sum(rows**2))
+        series = rows.ravel()  # a sample and the next lie one width apart
+        return float(series[width:] @ series[:-width] / total)
 
     def growth(sizes: np.ndarray) -> float:
-        return float(np.sqrt(sizes[outer].mean() / max(sizes[inner].mean(), 1e-300)))
+        ratio = (sizes[outer].sum() / len(outer)) / max(sizes[inner].sum() / len(inner), 1e-300)
+        return float(ratio**0.5)
 
     seen = correlation(z[order]), growth(size)
     drawn = [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -73,22 +74,21 @@ def _f_of(taken: float, r: np.ndarray, q: int, dof: int) -> tuple[float, float]:
         return 0.0, 0.0
     left = float(r @ r) - taken
     F = (taken / q) / max(left / (dof - q), 1e-300)
-    return F, log_p_of(F, q, dof - q)
+    return F, float(log_p_of(F, q, dof - q))
 
 
-def log_p_of(F: float, q: int, dof: int) -> float:
-    """log P(F' > F) with q and dof degrees of freedom, through the incomplete beta function."""
+def log_p_of(F: Any, q: int, dof: int) -> Any:
+    """log P(F' > F), of one F or an array, with q and dof degrees of freedom, by the incomplete
+    beta function."""
     from scipy.special import betainc, gammaln
 
-    z = dof / (dof + q * F)
-    p = betainc(dof / 2, q / 2, z)
-    if p > 1e-290:
-        return float(np.log(p))
-    # The leading term of its series, where it underflows.
-    a, b = dof / 2, q / 2
-    return float(
-        a * np.log(z) + b * np.log1p(-z) - np.log(a) - (gammaln(a) + gammaln(b) - gammaln(a + b))
-    )
+    z, a, b = dof / (dof + q * F), dof / 2, q / 2
+    p = betainc(a, b, z)
+    with np.errstate(divide="ignore"):
+        # The leading term of its series, where it underflows.
+        series = a * np.log(z) + b * np.log1p(-z) - np.log(a)
+        found = np.where(p > 1e-290, np.log(p), series - (gammaln(a) + gammaln(b) - gammaln(a + b)))
+    return found[()]
 
 
 def canonical_correlation(one: np.ndarray, other: np.ndarray) -> float:
@@ -136,5 +136,5 @@ def _log_ps(G: np.ndarray, p: int, ends: np.ndarray, dof: int) -> np.ndarray:
         M, g = left[:, begin:end, begin:end], left[:, begin:end, -1:]
         taken = (g.transpose(0, 2, 1) @ np.linalg.pinv(M, rcond=1e-6, hermitian=True) @ g)[:, 0, 0]
         F = taken / q / np.maximum((rr - taken) / (dof - q), 1e-300)
-        column[:] = [log_p_of(max(f, 0.0), q, dof - q) for f in F]
+        column[:] = log_p_of(np.maximum(F, 0.0), q, dof - q)
     return logs

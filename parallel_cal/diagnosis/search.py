@@ -285,4 +285,4 @@ def superfluous(less: Estimate, more: Estimate) -> bool:
     if q <= 0 or more.dof <= 0:
         return False
     F = max(less.chi2 - more.chi2, 0.0) / q / max(more.chi2_per_dof, 1e-300)
-    return log_p_of(F, q, more.dof) > np.log(SIGNIFICANT)
+    return bool(log_p_of(F, q, more.dof) > np.log(SIGNIFICANT))

@@ -34,11 +34,12 @@ def morans_i(
         return 0.0, 1.0
     field = field - field.mean(axis=0)
     near, products = nearest(places, NEIGHBOURS), field @ field.T
+    total = NEIGHBOURS * np.trace(products)
     rng = np.random.default_rng(seed)
 
     def index(order: np.ndarray) -> float:
         alike = products[order[:, None], order[near]]
-        return float(alike.sum() / NEIGHBOURS / np.trace(products))
+        return float(alike.sum() / total)
 
     seen = index(np.arange(n))
     drawn = [index(rng.permutation(n)) for _ in range(PERMUTATIONS)]

@@ -22,11 +22,12 @@ HELD_STILL = 2.0  # sigmas rms of coordinates that a model holds: it lacks freed
 
 # Which effects are looked at, and taken
 MOST_EFFECTS = 4  # added in one diagnosis
-REFITTED = 5  # best candidates that are identified and judged at poses left out
+REFITTED = 5  # best significant candidates that are identified and judged at poses left out
 WORTH_REFINING = log(1e-3)  # log p: a scanned setting is refined between its neighbours
 AS_WELL = 4.5  # of log p, three sigmas: two settings of a scan that are closer fit alike
 MISTRUSTED = 0.25  # of the samples: so many at most does a robust loss set aside
 SHUFFLES = 39  # copies with the condition shuffled between samples ...
+ENOUGH_AS_GOOD = 5  # ... until so many score as well, which more copies would not undo ...
 AS_GOOD = 1  # ... of which so many may score as well, by chance
 STRETCHES = 12  # of the session that are shuffled whole: noise may wander from sample to sample
 SLOW = 0.5  # correlation of neighbours in time: a condition that changes so may be taken for noise

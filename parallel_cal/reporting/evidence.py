@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from parallel_cal.diagnosis.entries import Alone, Entry
 from parallel_cal.diagnosis.separate import PlannedPose
 from parallel_cal.diagnosis.signature import signature
+from parallel_cal.diagnosis.thresholds import REFITTED
 from parallel_cal.identification.fit import Estimated
 from parallel_cal.reporting import signatures
 from parallel_cal.reporting.markup import (
@@ -49,7 +50,7 @@ def candidates(report: Report, plot: Plot) -> str:
     )
     told = [f"{name} fits no better than {', '.join(o)}" for name, o in found.swaps.items()]
     told += [f"Against it: {text}" for text in found.verdict.against]
-    first = [e for e in tested if e.name in found.effects or e.alone is not None]
+    first = [e for e in tested if e.name in found.effects or e.rank <= REFITTED]
     later = [e for e in tested if e not in first]
     shown = _tested(report, first) if first else paragraph("None could be tested.", "none")
     shown += _patterns(first, report, plot)

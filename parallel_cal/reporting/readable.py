@@ -82,8 +82,8 @@ def probability(p: float | None) -> str:
     return f"{p:.2g}" if p > 1e-99 else "< 1e-99"
 
 
-def percent(share: float | None) -> str:
-    return f"{round(100 * share)} %" if known(share) else MISSING
+def percent(share: float | None, digits: int = 0, missing: str = MISSING) -> str:
+    return f"{round(100 * share, digits) + 0.0:.{digits}f} %" if known(share) else missing
 
 
 def unit_of(kind: str, joint_units: Mapping[str, str]) -> str:

@@ -22,6 +22,7 @@ from parallel_cal.reporting.readable import (
     fixed_vector,
     in_unit,
     large,
+    percent,
     small,
     unit_of,
 )
@@ -238,10 +239,8 @@ def _candidate(entry: Entry) -> tuple[str, ...]:
     return (
         entry.name,
         f"{p:.2g}" if p > SMALLEST else f"<{SMALLEST:.0g}",
-        fixed(ratio, 100, 1) + " %",
-        fixed(share, 100, 0) + " %",
-        fixed(entry.first_picks, 100, 0) + " %",
-        fixed(entry.remaining, 100, 0) + " %",
+        percent(ratio, 1, "-"),
+        *(percent(one, missing="-") for one in (share, entry.first_picks, entry.remaining)),
         ", ".join(entry.confused_with),
     )
 
