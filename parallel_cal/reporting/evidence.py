@@ -44,8 +44,8 @@ def candidates(report: Report, plot: Plot) -> str:
     rest = [(entry.name, entry.reason) for entry in found.entries if entry.p_adjusted is None]
     control = found.negative_control.random_group
     note = (
-        "Effects are scored off the geometry and the best refitted; p for having looked at all of "
-        f"them. Negative control: random columns would come out as number {control.rank} "
+        "Effects are scored off the geometry; the best are refitted, where they are no chance by "
+        f"themselves; p for having looked at all. Negative control: random columns would come out as number {control.rank} "
         f"(p = {probability(control.p_value)})."
     )
     told = [f"{name} fits no better than {', '.join(o)}" for name, o in found.swaps.items()]
