@@ -45,8 +45,8 @@ def candidates(report: Report, plot: Plot) -> str:
     control = found.negative_control.random_group
     note = (
         "Effects are scored off the geometry; the best are refitted, where they are no chance by "
-        f"themselves; p for having looked at all. Negative control: random columns would come out as number {control.rank} "
-        f"(p = {probability(control.p_value)})."
+        "themselves; p for having looked at all of them. Negative control: random columns would "
+        f"come out as number {control.rank} (p = {probability(control.p_value)})."
     )
     told = [f"{name} fits no better than {', '.join(o)}" for name, o in found.swaps.items()]
     told += [f"Against it: {text}" for text in found.verdict.against]
