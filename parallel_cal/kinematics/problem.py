@@ -48,10 +48,7 @@ class Problem:
         # More rows than unknowns (lines of a cable robot): the answer is the least-squares one,
         # and what it leaves is in the residual, not in the status.
         self.redundant = model.structure.phi.shape[0] > len(self.columns)
-
-    def closed(self, residual: np.ndarray) -> np.ndarray:
-        """Whether settled samples are answers."""
-        return np.isfinite(residual) if self.redundant else residual < CLOSED
+        self.largest = np.inf if self.redundant else CLOSED  # residual (m) of a settled answer
 
     def many(self, given: np.ndarray, rows: np.ndarray) -> list[np.ndarray]:
         """Newton iterations from the mechanism's own start."""
