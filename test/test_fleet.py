@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 
 import fleets
 import numpy as np
@@ -22,6 +23,7 @@ from parallel_cal.identification.evidence import Evidence
 from parallel_cal.identification.fit import fit
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.model import new_model
+from parallel_cal.recordings.loading import load_dataset
 
 pq = pytest.importorskip("pyarrow.parquet")
 pytest.importorskip("distributed")
@@ -63,6 +65,22 @@ def test_a_list_says_when_a_recording_was(folder):
     (job,) = jobs_of(listed(folder, "x,all.yaml,a/monday,1970-01-02T00:00:05+00:00"))
     assert (job.robot, job.recording, job.time) == ("x", "a/monday", 86405.0)
     assert jobs_of(listed(folder, "x,all.yaml,a/monday,1970-01-02"))[0].time == 86400.0
+
+
+def test_the_last_recording_is_the_last_by_time_or_by_number(folder):
+    rows = ["x,all.yaml,a/monday,2026-01-08", "x,all.yaml,a/tuesday,2026-01-07"]
+    rows += ["y,all.yaml,10,2026-01-01", "y,all.yaml,9,"]
+    jobs = jobs_of(listed(folder, *rows))
+    assert [job.recording for job in jobs] == ["a/tuesday", "a/monday", "9", "10"]
+    assert [job.recording for job in jobs if job.last] == ["a/monday", "10"]
+
+
+@pytest.mark.parametrize("since", [1.78e9, 0.0])
+def test_samples_that_count_from_1970_say_when_they_were_taken(folder, since):
+    data = load_dataset(BAG)
+    replace(data, time=data.time + since).to_json(folder / "samples.json")
+    job = replace(jobs_of(folder)[0], data=folder / "samples.json")
+    assert judged(job, QUICK, "")[0]["time"] == (since + data.time.min() if since else None)
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from parallel_cal.identification.fit import fit
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.file.modelfile import read_model, write_model
-from parallel_cal.reporting.fleets import effect_in_words
+from parallel_cal.reporting.fleets import change_in_words, effect_in_words
 from parallel_cal.virtual.robot import Delta
 
 ASKED = Asked(FitOptions(hold_out=0.5), effects=("backlash", "encoder_second_harmonic"))
@@ -128,6 +128,47 @@ def test_a_robot_drifts_by_its_recordings_times():
     (drift,) = findings(rows, DRAWING).drifts
     assert (drift.robot, drift.name) == ("r2", "chain2.Lb")
     assert drift.rate == pytest.approx(1e-4 / vf.DAY, abs=3 * drift.sigma)
+    assert findings(rows, DRAWING).changed == ()
+
+
+@pytest.mark.parametrize("when", [(None, None, None), (3e9, 1e9, 2e9)])
+def test_of_a_robot_whose_recordings_contradict_each_other_the_last_counts(when):
+    """One rod was changed for a longer one between the second and the last; 20 other robots' agree
+    but for noise, and none of them is named."""
+    rng = np.random.default_rng(8)
+    rods = 0.24 + 1e-4 * rng.standard_normal((20, 1, 2)) + 1e-5 * rng.standard_normal((20, 3, 2))
+    last = int(np.argmax(when)) if when[0] else 2
+    rods[7, last, 1] += 1e-3
+    rows = [row(f"r{k}", f"{i}", rods[k, i], when=when[i]) for k in range(20) for i in range(3)]
+    found = findings(rows, DRAWING)
+    (one,) = found.changed
+    assert (one.robot, one.name, one.after) == ("r7", "chain2.Lb", str(last))
+    assert one.size == pytest.approx(1e-3, abs=4 * one.sigma)
+    (apart,) = found.outlying
+    assert (apart.robot, apart.name) == ("r7", "chain2.Lb")
+    assert apart.size == pytest.approx(1e-3, abs=4 * apart.sigma)
+    assert found.drifts == ()
+    assert "only the last one counts" in change_in_words(one, "1 mm")
+
+
+def test_noise_that_all_recordings_understate_is_no_contradiction():
+    rng = np.random.default_rng(9)
+    rods = 0.24 + 5e-5 * rng.standard_normal((20, 3, 2))  # five times what they say
+    rows = [row(f"r{k}", f"{i}", rods[k, i]) for k in range(20) for i in range(3)]
+    assert findings(rows, DRAWING).changed == ()
+
+
+def test_an_effect_of_many_but_not_most_is_perhaps_a_batchs():
+    changed = {f"r{k}": {"play": "backlash", "plays": (1e-3, 1e-3, 1e-3)} for k in range(0, 12, 2)}
+    (effect,) = findings(workshop(15, **changed), DRAWING).effects
+    assert effect.kind == "doubtful"
+    assert "6 of 15 robots" in effect_in_words(effect)
+    assert "a batch's?" in effect_in_words(effect)
+
+
+def test_a_spread_that_the_data_do_not_show_is_zero():
+    rows = [row(f"r{k}", lengths=(0.2403, 0.2403)) for k in range(8)]
+    assert [one.spread for one in findings(rows, DRAWING).parameters] == [0.0, 0.0]
 
 
 # ----------------------------------------------------------------------------- virtual robots

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
 from parallel_cal.base.confidence import CHANCE
 from parallel_cal.base.errors import ModelError
-from parallel_cal.fleet.drift import Trend, trend
-from parallel_cal.fleet.judging import Row
+from parallel_cal.fleet.drift import Jump, Trend, jump, trend
+from parallel_cal.fleet.judging import Row, in_order
 from parallel_cal.fleet.population import Population, Sorted, sorted_out
 from parallel_cal.identification.evidence import Evidence
 from parallel_cal.model.model import Model
@@ -19,6 +20,9 @@ from parallel_cal.model.parameters import ParameterTable
 
 LEAST = 4  # robots of which anything common is said
 MOST = 0.5  # share of the robots: an effect that more of them have is the design's
+
+T = TypeVar("T")
+Recordings = Mapping[str, Sequence[Row]]  # of each robot, from the first to the last
 
 
 @dataclass(frozen=True)
@@ -62,12 +66,26 @@ class Drift:
 
 
 @dataclass(frozen=True)
+class Change:
+    """A robot whose recordings contradict each other: the parameter that changes most between two
+    of them."""
+
+    robot: str
+    name: str
+    unit: str
+    before: str
+    after: str
+    size: float
+    sigma: float
+
+
+@dataclass(frozen=True)
 class EffectOfFleet:
     """An effect that some diagnosis named: in which robots, and its numbers over all of them.
 
     `kind` is `design` (most have it, and its numbers' mean is not zero: `p_value`), `each` (most
     have it, in each another), `fault` (of the robots whose numbers stand apart: `deviations`) or
-    `doubtful` (named in a few that do not).
+    `doubtful` (named in some that do not).
     """
 
     name: str
@@ -81,7 +99,8 @@ class EffectOfFleet:
 
 @dataclass(frozen=True)
 class Findings:
-    """Judged from the rows of a fleet's one kind of robot; `others` are of another mechanism."""
+    """Judged from the rows of a fleet's one kind of robot; `others` are of another mechanism. Of a
+    robot that drifted or `changed`, only the last recording counts."""
 
     robots: tuple[str, ...]
     mechanism: str
@@ -90,20 +109,30 @@ class Findings:
     outlying: tuple[Deviation, ...]
     effects: tuple[EffectOfFleet, ...]
     drifts: tuple[Drift, ...]
+    changed: tuple[Change, ...]
 
 
 def findings(rows: Sequence[Row], drawing: Model) -> Findings | None:
     """What the rows say together, beside the drawing's model; None of fewer than four robots."""
     judged = [row for row in rows if not row["reason"]]
-    own = [row for row in judged if row["mechanism"] == drawing.mechanism.name]
-    robots = sorted({row["robot"] for row in own})
+    own = in_order(row for row in judged if row["mechanism"] == drawing.mechanism.name)
+    robots = sorted(own)
     if len(robots) < LEAST:
         return None
-    told = [(row, Evidence.from_document(row["evidence"])) for row in own]
-    shown = {name for _, evidence in told for name in evidence.names}
+    told = {
+        robot: [Evidence.from_document(row["evidence"]) for row in own[robot]] for robot in robots
+    }
+    shown = {name for each in told.values() for evidence in each for name in evidence.names}
     table = _of(drawing.mechanism.parameters, shown)
-    geometry = [(row, _in_tolerances(evidence, table)) for row, evidence in told]
-    each = sorted_out(_together(geometry, robots, table), CHANCE)
+    geometry = {robot: [_in_tolerances(e, table) for e in each] for robot, each in told.items()}
+    trends, jumps = _trends(geometry, own), _jumps(geometry)
+    for robot in set(trends) & set(jumps):  # whichever explains more
+        del (trends if trends[robot].gain < jumps[robot].gain else jumps)[robot]
+    drifts = tuple(_drift(robot, one, table) for robot, one in trends.items())
+    changed = tuple(_change(own[robot], one, table) for robot, one in jumps.items())
+    for robot in {*trends, *jumps}:  # as it is now
+        own[robot], geometry[robot] = own[robot][-1:], geometry[robot][-1:]
+    each = sorted_out([_together(one, table) for one in geometry.values()], CHANCE)
     return Findings(
         robots=tuple(robots),
         mechanism=drawing.mechanism.name,
@@ -111,7 +140,8 @@ def findings(rows: Sequence[Row], drawing: Model) -> Findings | None:
         parameters=_spreads(each.population, table),
         outlying=_deviations(each, robots, table),
         effects=tuple(_effects(own, robots, drawing)),
-        drifts=_drifts(geometry, robots, table),
+        drifts=drifts,
+        changed=changed,
     )
 
 
@@ -123,14 +153,9 @@ def _in_tolerances(evidence: Evidence, table: ParameterTable) -> Evidence:
     return evidence.about(table.names, table.nominal, table.tolerance)
 
 
-def _together(
-    told: Sequence[tuple[Row, Evidence]], robots: list[str], table: ParameterTable
-) -> list[Evidence]:
-    """What all the recordings of each robot say."""
-    each = {robot: Evidence.nothing(table.names) for robot in robots}
-    for row, evidence in told:
-        each[row["robot"]] += evidence
-    return list(each.values())
+def _together(told: Sequence[Evidence], table: ParameterTable) -> Evidence:
+    """What all the recordings of a robot say."""
+    return sum(told, Evidence.nothing(table.names))
 
 
 def _spreads(found: Population, table: ParameterTable) -> tuple[Spread, ...]:
@@ -156,48 +181,69 @@ def _deviations(each: Sorted, robots: list[str], table: ParameterTable) -> tuple
     )  # fmt: skip
 
 
-def _drifts(
-    told: Sequence[tuple[Row, Evidence]], robots: list[str], table: ParameterTable
-) -> tuple[Drift, ...]:
-    """Of those named no more than the share CHANCE is there by chance."""
+def _trends(told: Mapping[str, Sequence[Evidence]], own: Recordings) -> dict[str, Trend]:
+    """Of robots that drift."""
+    found: dict[str, Trend] = {}
+    for robot, evidence in told.items():
+        timed = [(e, t) for e, row in zip(evidence, own[robot], strict=True) if (t := row["time"])]
+        if one := trend([e for e, _ in timed], [time for _, time in timed]):
+            found[robot] = one
+    return _no_chance(found, [one.p_value for one in found.values()])
+
+
+def _jumps(told: Mapping[str, Sequence[Evidence]]) -> dict[str, Jump]:
+    """Of robots whose recordings differ by more than chance, and than those of the others usually
+    do: a model that lacks something makes them differ, too."""
+    from scipy.stats import chi2
+
+    found = {robot: one for robot, each in told.items() if (one := jump(each))}
+    usual = np.median([one.between / one.dof for one in found.values()]) if found else 1.0
+    scale = max(1.0, float(usual))
+    return _no_chance(found, [chi2.sf(one.between / scale, one.dof) for one in found.values()])
+
+
+def _no_chance(found: dict[str, T], p_values: Sequence[float]) -> dict[str, T]:
+    """Of these no more than the share CHANCE is there by chance."""
     from scipy.stats import false_discovery_control
 
-    found: dict[str, Trend] = {}
-    for robot in robots:
-        own = [(e, row["time"]) for row, e in told if row["robot"] == robot and row["time"]]
-        if one := trend([e for e, _ in own], [time for _, time in own]):
-            found[robot] = one
     if not found:
-        return ()
-    named = false_discovery_control([one.p_value for one in found.values()]) < CHANCE
-    return tuple(
-        Drift(
-            robot, (p := table[one.parameter]).name, p.unit, p.tolerance * one.rate,
-            p.tolerance * one.sigma, one.p_value,
-        )
-        for (robot, one), drifts in zip(found.items(), named, strict=True)
-        if drifts
-    )  # fmt: skip
+        return {}
+    named = false_discovery_control(p_values) < CHANCE
+    return {robot: one for (robot, one), real in zip(found.items(), named, strict=True) if real}
 
 
-def _effects(rows: Sequence[Row], robots: list[str], drawing: Model) -> Iterator[EffectOfFleet]:
+def _drift(robot: str, one: Trend, table: ParameterTable) -> Drift:
+    p = table[one.parameter]
+    rate, sigma = p.tolerance * one.rate, p.tolerance * one.sigma
+    return Drift(robot, p.name, p.unit, rate, sigma, one.p_value)
+
+
+def _change(rows: Sequence[Row], one: Jump, table: ParameterTable) -> Change:
+    p, (before, after) = table[one.parameter], rows[one.after : one.after + 2]
+    size, sigma = p.tolerance * one.size, p.tolerance * one.sigma
+    return Change(
+        before["robot"], p.name, p.unit, before["recording"], after["recording"], size, sigma
+    )
+
+
+def _effects(own: Recordings, robots: list[str], drawing: Model) -> Iterator[EffectOfFleet]:
     """Those that a diagnosis named, the most frequent first."""
-    recordings = Counter(row["robot"] for row in rows)
-    times = Counter((name, row["robot"]) for row in rows for name in row["effects"])
     named: dict[str, list[str]] = {}
-    for (name, robot), n in sorted(times.items()):
-        if n > recordings[robot] / 2:
-            named.setdefault(name, []).append(robot)
-    for name, those in sorted(named.items(), key=lambda item: -len(item[1])):
-        yield _effect(name, those, rows, robots, drawing)
+    for robot in robots:
+        times = Counter(name for row in own[robot] for name in row["effects"])
+        for name, n in sorted(times.items()):
+            if n > len(own[robot]) / 2:
+                named.setdefault(name, []).append(robot)
+    for name, those in sorted(named.items(), key=lambda item: (-len(item[1]), item[0])):
+        yield _effect(name, those, own, robots, drawing)
 
 
 def _effect(
-    name: str, those: list[str], rows: Sequence[Row], robots: list[str], drawing: Model
+    name: str, those: list[str], own: Recordings, robots: list[str], drawing: Model
 ) -> EffectOfFleet:
     """Whether it is the design's or that of the robots which have it."""
-    told = [(row, evidence) for row in rows if (evidence := _of_effect(row, name))]
-    shown = {number for _, evidence in told for number in evidence.names}
+    told = {robot: [e for row in own[robot] if (e := _of_effect(row, name))] for robot in robots}
+    shown = {number for each in told.values() for evidence in each for number in evidence.names}
     most = len(those) > MOST * len(robots)
     try:
         table = _of(drawing.with_effect(name).table, shown)
@@ -205,8 +251,9 @@ def _effect(
         table = ParameterTable(())
     if not len(table):
         return EffectOfFleet(name, "each" if most else "doubtful", tuple(those), len(robots))
-    known = [(row, _in_tolerances(evidence, table)) for row, evidence in told]
-    each = sorted_out(_together(known, robots, table), CHANCE)
+    each = sorted_out(
+        [_together([_in_tolerances(e, table) for e in one], table) for one in told.values()], CHANCE
+    )
     p = _is_zero(each.population, len(robots) - len(each.outlying))
     apart = tuple(d for d in _deviations(each, robots, table) if most or d.robot in those)
     kind = ("design" if p < CHANCE else "each") if most else "fault" if apart else "doubtful"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import hashlib
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timezone
@@ -63,6 +64,12 @@ class Job:
     time: float | None = None
     last: bool = True
 
+    @property
+    def order(self) -> list[str | int]:
+        """Of its name among others: 9 before 10."""
+        parts = re.split("([0-9]+)", self.recording)
+        return [int(part) if k % 2 else part for k, part in enumerate(parts)]
+
     def inputs(self, asked: Asked) -> str:
         """sha256 of all that the result follows from."""
         parts = [repr(asked), self.robot, self.recording, repr(self.time)]
@@ -75,7 +82,8 @@ class Job:
 
 
 def jobs_of(robots: Path) -> list[Job]:
-    """The jobs of a folder with one folder a robot, or of a list (.csv), by robot and recording.
+    """The jobs of a folder with one folder a robot, or of a list (.csv), by robot, and then by time
+    where a list has it of all of a robot's recordings, else by recording.
 
     FleetError where there are none, or two robots, or recordings of one, have one name.
     """
@@ -96,7 +104,8 @@ def jobs_of(robots: Path) -> list[Job]:
         if (job.robot, job.recording) in seen:
             raise FleetError(f"{robots}: '{job.robot}' has the recording {job.recording} twice")
         seen.add((job.robot, job.recording))
-    jobs.sort(key=lambda job: (job.robot, job.recording))
+    untimed = {job.robot for job in jobs if job.time is None}
+    jobs.sort(key=lambda job: (job.robot, job.time if job.robot not in untimed else 0.0, job.order))
     last = {job.robot: job for job in jobs}
     return [replace(job, last=last[job.robot] is job) for job in jobs]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import lru_cache
 from typing import Any
 
@@ -21,6 +21,7 @@ from parallel_cal.recordings.loading import load_stamped
 
 Row = dict[str, Any]  # the JSON document of a recording
 Page = Callable[[Diagnosis], str]
+LONG_AGO = 1e9  # s since 1970: what counts from its own beginning is smaller
 
 
 def judged(job: Job, asked: Asked, inputs: str, page: Page | None = None) -> tuple[Row, str]:
@@ -51,7 +52,21 @@ def _diagnosis(job: Job, asked: Asked) -> tuple[Diagnosis, float | None]:
     model = _model(model_text(job.model), str(job.model))
     dataset, start = load_stamped(job.data, asked.data, joints=model.joints)
     found = diagnose(model, dataset, effects=asked.effects, also=asked.also, options=asked.options)
-    return found, job.time if job.time is not None else 1e-9 * start or None
+    first = 1e-9 * start or float(dataset.time.min())
+    return found, job.time if job.time is not None else first if first > LONG_AGO else None
+
+
+def in_order(rows: Iterable[Row]) -> dict[str, list[Row]]:
+    """The recordings of each robot from the first to the last: by time where all have one, else by
+    their names."""
+    each: dict[str, list[Row]] = {}
+    for row in rows:
+        each.setdefault(row["robot"], []).append(row)
+    timed = {robot for robot, own in each.items() if all(row["time"] is not None for row in own)}
+    return {
+        robot: sorted(own, key=lambda row: row["time"]) if robot in timed else own
+        for robot, own in each.items()
+    }
 
 
 def _row(found: Diagnosis) -> Row:

@@ -74,7 +74,8 @@ def population(robots: Sequence[Evidence]) -> Population:
     size = np.sqrt(np.maximum(np.diag(fisher), 1e-300))
     shared = np.diag(np.linalg.pinv(fisher / np.outer(size, size), 1e-10, hermitian=True))
     ends = _interval(W, away, variance, np.maximum(shared, 1.0))
-    return Population(mean, covariance, np.sqrt(variance), *ends)
+    spread = np.sqrt(np.where(variance > NONE, variance, 0.0))
+    return Population(mean, covariance, spread, *ends)
 
 
 def stacked(robots: Sequence[Evidence]) -> tuple[np.ndarray, np.ndarray]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from datetime import datetime, timezone
 from html import escape
 from pathlib import Path
@@ -12,13 +12,19 @@ from urllib.parse import quote, unquote
 from parallel_cal import __version__
 from parallel_cal.base.files import write_atomically
 from parallel_cal.diagnosis.diagnose import Diagnosis
-from parallel_cal.fleet.findings import Findings
+from parallel_cal.fleet.findings import Change, Deviation, Drift, Findings
 from parallel_cal.fleet.fleet import Fleet
-from parallel_cal.fleet.judging import Row
+from parallel_cal.fleet.judging import Row, in_order
 from parallel_cal.fleet.rows import KINDS
 from parallel_cal.reporting.colours import ACCENT, MEASURED, QUIET, WARNING
 from parallel_cal.reporting.figures import LEGEND, Spec
-from parallel_cal.reporting.fleets import DAY, effect_in_words, kind_of, verdicts_in_words
+from parallel_cal.reporting.fleets import (
+    DAY,
+    change_in_words,
+    effect_in_words,
+    kind_of,
+    verdicts_in_words,
+)
 from parallel_cal.reporting.markup import Cell, Plot, items, paragraph, section, sentence, table
 from parallel_cal.reporting.overview import LABELS
 from parallel_cal.reporting.page import Drawn, page, plotly
@@ -73,6 +79,9 @@ def _together(found: Findings | None) -> str:
         f"{_plus_minus(DAY * one.rate, DAY * one.sigma, one.unit)} a day"
         for one in found.drifts
     ]
+    said += [
+        change_in_words(one, _plus_minus(one.size, one.sigma, one.unit)) for one in found.changed
+    ]
     said += [f"{robot}: of another kind than {found.mechanism}" for robot in found.others]
     return items(said) or paragraph("No robot stands apart, and none changes.", "none")
 
@@ -84,9 +93,9 @@ def _plus_minus(value: float, sigma: float, unit: str) -> str:
 
 def _last(fleet: Fleet) -> list[Row]:
     """Each robot's last recording, the worst first."""
-    last = {row["robot"]: row for row in fleet.judged}
+    last = [own[-1] for own in in_order(fleet.judged).values()]
     key = f"{kind_of(fleet)}_rms"
-    return sorted(last.values(), key=lambda row: -(row["after"][key] or 0.0))
+    return sorted(last, key=lambda row: -(row["after"][key] or 0.0))
 
 
 def _by_error(fleet: Fleet, plot: Plot) -> str:
@@ -122,8 +131,9 @@ def _robots(fleet: Fleet, reports: Collection[str]) -> str:
     kind = kind_of(fleet)
     if kind is None:
         return ""
-    apart = {one.robot: one.name for one in fleet.findings.outlying} if fleet.findings else {}
-    drifts = {one.robot: one.name for one in fleet.findings.drifts} if fleet.findings else {}
+    found = fleet.findings
+    apart = _names(found.outlying if found else ())
+    changes = _names((*found.drifts, *found.changed) if found else ())
     recordings = Counter(row["robot"] for row in fleet.rows)
     unit = KINDS[kind]
     rows: list[Sequence[Cell | str]] = [
@@ -136,14 +146,22 @@ def _robots(fleet: Fleet, reports: Collection[str]) -> str:
                 Cell(with_unit(value, unit), key=value)
                 for value in (row[when][f"{kind}_rms"] for when in WHEN)
             ),
-            apart.get(name, ""),
-            drifts.get(name, ""),
+            ", ".join(apart.get(name, [])),
+            ", ".join(changes.get(name, [])),
         )
         for row in _last(fleet)
         for name in [row["robot"]]
     ]
-    header = ("robot", "recordings", "verdict", "effects", *WHEN.values(), "apart", "drifts")
+    header = ("robot", "recordings", "verdict", "effects", *WHEN.values(), "apart", "changes")
     return table(header, rows, "sortable", WHEN["after"])
+
+
+def _names(told: Iterable[Deviation | Drift | Change]) -> dict[str, list[str]]:
+    """By robot the parameters that are told of it."""
+    names: dict[str, list[str]] = {}
+    for one in told:
+        names.setdefault(one.robot, []).append(one.name)
+    return names
 
 
 def report_name(robot: str) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 
-from parallel_cal.fleet.findings import EffectOfFleet
+from parallel_cal.fleet.findings import Change, EffectOfFleet
 from parallel_cal.fleet.fleet import Fleet
 from parallel_cal.fleet.rows import ERRORS
 from parallel_cal.reporting.readable import ARCMIN, columns, fixed, in_unit
@@ -13,6 +13,7 @@ from parallel_cal.reporting.readable import ARCMIN, columns, fixed, in_unit
 UNITS = {"position": ("um", 1e6), "reading": ("um", 1e6), "orientation": ("arcmin", ARCMIN)}
 DAY = 86400.0
 WORST, NAMED = 10, 5  # recordings that a person reads
+BATCH = 0.25  # of the robots: more are nobody's own fault
 
 
 def said(fleet: Fleet) -> str:
@@ -74,6 +75,8 @@ def _together(fleet: Fleet) -> Iterator[str]:
     for drift in found.drifts:
         rate = _with_sigma(DAY * drift.rate, DAY * drift.sigma, drift.unit)
         yield f"{drift.robot}: {drift.name} changes by {rate} a day"
+    for change in found.changed:
+        yield change_in_words(change, _with_sigma(change.size, change.sigma, change.unit))
     header = ("parameter", "drawing's mean", "fleet's", "sigma", "drawing's spread", "fleet's")
     rows = [
         (
@@ -88,17 +91,28 @@ def _together(fleet: Fleet) -> Iterator[str]:
     yield columns((*header, "95 %", "unit"), rows)
 
 
+def change_in_words(one: Change, size: str) -> str:
+    """What of a robot's recordings contradicts each other, and what follows."""
+    return (
+        f"{one.robot}: its recordings contradict each other, most in {one.name}: by {size} from "
+        f"{one.before} to {one.after}; only the last one counts"
+    )
+
+
 def effect_in_words(effect: EffectOfFleet) -> str:
     """Whose an effect is."""
     apart = dict.fromkeys(one.robot for one in effect.deviations)
     robots = list(apart) if effect.kind == "fault" else list(effect.robots)
     few = ", ".join(robots[:NAMED]) + (", ..." if len(robots) > NAMED else "")
     share = f"{len(effect.robots)} of {effect.of} robots"
+    alike = "whose numbers do not stand apart from the others'"
+    if len(robots) > effect.of * BATCH:
+        alike = f"{share}: too many for one robot's fault, too few for the design's; a batch's?"
     said = {
         "design": f"in {share}, and in all alike: the design's or the workshop's",
         "each": f"in {share}, though not proven to be of one size and sign in all",
         "fault": f"of {few}: {'its' if len(robots) == 1 else 'their'} own fault",
-        "doubtful": f"named in {few}, whose numbers are like the others'",
+        "doubtful": f"named in {few}, {alike}",
     }[effect.kind]
     return f"{effect.name}: {said}"
 
