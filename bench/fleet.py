@@ -113,6 +113,8 @@ def show(found: Findings, console: Console) -> None:
         console.print(
             f"{one.robot}: {one.name} by {1e3 * one.size:.2f} mm; 1 has its arm 2 mm longer"
         )
+    for one in found.changed:
+        console.print(f"{one.robot}: {one.name} from {one.before} to {one.after}; none changes so")
     for drift in found.drifts:
         rate = 1e6 * vf.DAY * drift.rate
         console.print(f"{drift.robot}: {drift.name} by {rate:.1f} um a day; 3 sinks by 8")
