@@ -84,7 +84,7 @@ def test_orientations_alone_are_a_measurement(files):
         ((",23,home", ",23"), "t.csv:5: 11 cells, the header has 12"),
         ((",1,0,0,0,", ",1,1,0,0,"), "t.csv:5: qx, qy, qz, qw are no quaternion"),
         (("number,a_deg", "x,a_deg"), "t.csv:1: a column occurs twice"),
-        ((TABLE, "a,b\n"), "expected a header line and samples, found 1 lines"),
+        ((TABLE, "a,b\n"), "expected a header line and rows, found 1 lines"),
     ],
 )  # fmt: skip
 def test_a_bad_table_is_named_by_file_line_and_column(files, change, words):

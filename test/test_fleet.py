@@ -16,9 +16,12 @@ import virtual_fleet as vf
 from clusters import cluster
 from datasets import measured
 
+from parallel_cal.base.errors import DatasetError, ModelError
+from parallel_cal.fleet.cluster import cluster as on_this_machine
 from parallel_cal.fleet.fleet import judge
 from parallel_cal.fleet.jobs import Asked, FleetError, Job, jobs_of
 from parallel_cal.fleet.judging import judged
+from parallel_cal.fleet.rows import Rows
 from parallel_cal.identification.evidence import Evidence
 from parallel_cal.identification.fit import fit
 from parallel_cal.identification.options import FitOptions
@@ -26,7 +29,7 @@ from parallel_cal.model.model import new_model
 from parallel_cal.recordings.loading import load_dataset
 
 pq = pytest.importorskip("pyarrow.parquet")
-pytest.importorskip("distributed")
+distributed = pytest.importorskip("distributed")
 
 QUICK = Asked(effects=("backlash",))
 BAG = fleets.ROOT / "bags" / "delta_backlash"
@@ -90,18 +93,69 @@ def test_samples_that_count_from_1970_say_when_they_were_taken(folder, since):
         (["x,all.yaml,a/monday,", "x,all.yaml,a/monday,"], "'x' has the recording a/monday twice"),
         (["x,all.yaml,a/monday,May"], r"list.csv:2: time 'May': expected such as 2026"),
         (["x,,a/monday,"], "list.csv:2: no model"),
-        ([], "no recordings; expected a folder for each robot"),
+        ([], "expected a header line and rows"),
+        (
+            ["x,no.yaml,a/monday,", "x,no.yaml,b/1,"],
+            r":2: no such .*no.yaml; .*:3: no .*; .*:3: .*b/1",
+        ),
     ],
 )
 def test_a_wrong_list_is_refused_before_work_begins(folder, rows, words):
-    with pytest.raises(FleetError, match=words):
+    with pytest.raises((DatasetError, FleetError), match=words):
         judge(listed(folder, *rows), folder / "out")
     assert not (folder / "out").exists()
 
 
-def test_a_list_without_a_column_says_which(folder):
-    with pytest.raises(FleetError, match="no column recording"):
-        jobs_of(listed(folder, "x,all.yaml", header="robot,model"))
+@pytest.mark.parametrize(
+    ("header", "words"),
+    [
+        ("robot,model", "list.csv:1: no column recording"),
+        ("robot,modle,recording", r":1: unknown column 'modle', expected robot.*mean 'model'\?"),
+        (
+            "robot,model,recording,tiem",
+            "unknown column 'tiem', expected .*time; did you mean 'time'",
+        ),
+    ],
+)
+def test_a_list_with_other_columns_says_which(folder, header, words):
+    with pytest.raises(FleetError, match=words):
+        jobs_of(listed(folder, header.replace("robot", "x"), header=header))
+
+
+@pytest.mark.parametrize("apart", ",;\t")
+def test_a_list_may_come_from_any_spreadsheet(folder, apart):
+    rows = ["\ufeffrobot,model,recording,", "x , all.yaml,a/monday ,"]
+    (folder / "list.csv").write_text("\r\n".join(rows).replace(",", apart), encoding="utf-8")
+    (job,) = jobs_of(folder / "list.csv")
+    assert (job.robot, job.recording, job.model.name) == ("x", "a/monday", "all.yaml")
+
+
+def test_a_list_in_another_encoding_says_what_to_do(folder):
+    (folder / "list.csv").write_text("robot,model,recording\nMüller,a,b", encoding="latin-1")
+    with pytest.raises(DatasetError, match=r"list.csv: .*save it as UTF-8"):
+        jobs_of(folder / "list.csv")
+
+
+def test_the_folder_of_results_is_no_robot(folder):
+    jobs = jobs_of(folder)
+    Rows(folder / "out").gather([])
+    for name in ("fleet.json", "next_robot.yaml"):
+        (folder / "out" / name).touch()
+    assert jobs_of(folder) == jobs
+
+
+def test_results_go_into_a_folder_of_their_own(folder):
+    (folder / "b" / "saved.json").touch()
+    for out, words in ((folder / "b", "recordings are in it"), (folder / "all.yaml", "is a file")):
+        with pytest.raises(FleetError, match=words):
+            judge(folder, out, QUICK)
+
+
+def test_an_unknown_effect_is_refused_before_work_begins(folder):
+    for asked in (Asked(effects=("backlsh",)), Asked(also=("backlsh",))):
+        with pytest.raises(ModelError, match="did you mean 'backlash'"):
+            judge(folder, folder / "out", asked)
+    assert not (folder / "out").exists()
 
 
 def test_what_cannot_be_judged_is_a_row_with_its_reason(folder):
@@ -257,10 +311,30 @@ def test_ctrl_c_and_kill_keep_the_rows_that_were_done(tmp_path):
 
 
 @pytest.mark.wide
+def test_ctrl_c_while_workers_start_is_not_theirs_and_waits_for_them(monkeypatch):
+    begin, masks = distributed.LocalCluster, []
+
+    def interrupted(**options):
+        signal.raise_signal(signal.SIGINT)
+        local = begin(**options)
+        with distributed.Client(local) as client:
+            masks.extend(client.run(signal.pthread_sigmask, signal.SIG_BLOCK, []).values())
+        return local
+
+    monkeypatch.setattr(distributed, "LocalCluster", interrupted)
+    with pytest.raises(KeyboardInterrupt), on_this_machine(None, 1):
+        pytest.fail("interrupted")
+    assert masks == [{signal.SIGINT}]
+    assert not signal.pthread_sigmask(signal.SIG_BLOCK, [])
+
+
+@pytest.mark.wide
 def test_nobody_at_an_address_is_said(folder, monkeypatch):
     monkeypatch.setattr("parallel_cal.fleet.cluster.PATIENCE", 0.5)
     with pytest.raises(FleetError, match="no Dask scheduler answers"):
         judge(folder, folder / "out", QUICK, scheduler="tcp://127.0.0.1:1")
+    with pytest.raises(FleetError, match="--scheduler first: expected tcp://HOST:PORT"):
+        judge(folder, folder / "out", QUICK, scheduler="first")
     with cluster(folder, 0) as idle, pytest.raises(FleetError, match="it has no workers"):
         judge(folder, folder / "out", QUICK, scheduler=idle.address)
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import logging
 import os
+import signal
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from importlib.util import find_spec
+from multiprocessing import resource_tracker
 from typing import TYPE_CHECKING, Any
 
 from parallel_cal.fleet.jobs import Asked, FleetError, Job
@@ -16,7 +18,6 @@ if TYPE_CHECKING:
     from distributed import Client, Future
 
 PATIENCE = 15  # s for a scheduler to answer, and for its first worker
-CTRL_C = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"  # it is for us alone
 EXTRA = ("dask", "distributed", "pyarrow")
 KILLER = "it ended its worker again and again: has that enough memory?"
 
@@ -40,18 +41,20 @@ def cluster(scheduler: str | None, workers: int | None) -> Iterator[Client]:
     for name in ("distributed", "distributed.client"):  # what matters is said by us
         logging.getLogger(name).setLevel(logging.CRITICAL)
     if scheduler is None:
-        with (
-            LocalCluster(
-                n_workers=workers or len(os.sched_getaffinity(0)), threads_per_worker=1,
-                silence_logs=logging.CRITICAL, dashboard_address="127.0.0.1:0", preload=[CTRL_C],
-            ) as local,
-            Client(local) as client,
-        ):  # fmt: skip
+        with ExitStack() as here:
+            with _without_ctrl_c():
+                local = here.enter_context(LocalCluster(
+                    n_workers=workers or len(os.sched_getaffinity(0)), threads_per_worker=1,
+                    silence_logs=logging.CRITICAL, dashboard_address="127.0.0.1:0",
+                ))  # fmt: skip
+                client = here.enter_context(Client(local))
             yield client
         return
     try:
         client = Client(scheduler, timeout=PATIENCE)
-    except (OSError, ValueError) as error:
+    except ValueError:
+        raise FleetError(f"--scheduler {scheduler}: expected tcp://HOST:PORT") from None
+    except OSError as error:
         raise FleetError(
             f"{scheduler}: no Dask scheduler answers ({type(error).__name__}). Start one with "
             "'dask scheduler', and 'dask worker' with its address"
@@ -67,6 +70,17 @@ def cluster(scheduler: str | None, workers: int | None) -> Iterator[Client]:
         yield client
     finally:
         client.close(timeout=1)
+
+
+@contextmanager
+def _without_ctrl_c() -> Iterator[None]:
+    """Keep Ctrl-C from threads and processes begun meanwhile; for us it waits until they are."""
+    resource_tracker.ensure_running()  # who begins it lets the signal through again
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def results(

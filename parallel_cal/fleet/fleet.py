@@ -13,12 +13,13 @@ from parallel_cal.base.documents import plain
 from parallel_cal.base.files import write_atomically
 from parallel_cal.fleet.cluster import cluster, need_extra, results
 from parallel_cal.fleet.findings import Findings, findings
-from parallel_cal.fleet.jobs import Asked, Job, jobs_of
+from parallel_cal.fleet.jobs import Asked, FleetError, Job, jobs_of
 from parallel_cal.fleet.judging import Page, Row
 from parallel_cal.fleet.rows import Rows
 from parallel_cal.fleet.tolerances import next_robot
 from parallel_cal.model.file.modelfile import read_model, write_model
 from parallel_cal.model.model import Model
+from parallel_cal.model.shelf import load_effect
 
 Progress = Callable[[int, int, Row | None], None]  # how many are done, of how many, the last one
 
@@ -65,10 +66,16 @@ def judge(
     """Judge the recordings of a folder or list of robots into a folder, on a Dask cluster where a
     `scheduler` is given; what is there already is not done again, unless it failed.
 
-    FleetError where it cannot begin, or not go on; rows that were done are kept.
+    ModelError for an unknown effect, FleetError where it cannot begin, or not go on; rows that were
+    done are kept.
     """
     need_extra()
-    asked, jobs, store = asked or Asked(), jobs_of(robots), Rows(folder)
+    asked, jobs = asked or Asked(), jobs_of(robots)
+    for name in (*asked.effects, *asked.also):
+        load_effect(name)
+    if robots.is_dir() and any(job.data.is_relative_to(folder.resolve()) for job in jobs):
+        raise FleetError(f"{folder}: recordings are in it, expected a folder of its own")
+    store = Rows(folder)
     report = progress or (lambda done, of, row: None)
     with store.alone():
         inputs = {job.inputs(asked): job for job in jobs}

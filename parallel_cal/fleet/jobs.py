@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import re
 from collections.abc import Iterator
@@ -12,13 +11,14 @@ from pathlib import Path
 from threading import Lock
 
 from parallel_cal import __version__
-from parallel_cal.base.errors import ParallelCalError
-from parallel_cal.base.files import read_text
+from parallel_cal.base.errors import ParallelCalError, nearest
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.recordings.bag import DATA_FILES, data_hash
 from parallel_cal.recordings.options import ReadOptions
+from parallel_cal.recordings.table import read_table
 
-COLUMNS = ("robot", "model", "recording")
+COLUMNS, TIME = ("robot", "model", "recording"), "time"
+TABLE = "rows.parquet"  # by which the folder of a fleet's results is known
 SAMPLES = ".json"
 ONE = Lock()  # CasADi's expressions are not for several threads of a worker
 
@@ -85,7 +85,8 @@ def jobs_of(robots: Path) -> list[Job]:
     """The jobs of a folder with one folder a robot, or of a list (.csv), by robot, and then by time
     where a list has it of all of a robot's recordings, else by recording.
 
-    FleetError where there are none, or two robots, or recordings of one, have one name.
+    FleetError where there are none, or two robots, or recordings of one, have one name;
+    DatasetError where a list is no table.
     """
     jobs = list(_listed(robots) if robots.is_file() else _found(robots))
     if not jobs:
@@ -115,7 +116,7 @@ def _found(robots: Path) -> Iterator[Job]:
     if not robots.is_dir():
         raise FleetError(f"{robots}: no such folder or list")
     shared = sorted(robots.glob("*.yaml"))
-    for folder in sorted(path for path in robots.iterdir() if path.is_dir()):
+    for folder in sorted(path for path in robots.iterdir() if _is_robot(path)):
         recordings = sorted(path for path in folder.iterdir() if _is_recording(path))
         if not recordings:
             continue
@@ -127,6 +128,10 @@ def _found(robots: Path) -> Iterator[Job]:
         yield from (Job(folder.name, path.name, model, path.resolve()) for path in recordings)
 
 
+def _is_robot(path: Path) -> bool:
+    return path.is_dir() and not (path / TABLE).exists()
+
+
 def _is_recording(path: Path) -> bool:
     if path.is_dir():
         return any(file.suffix in (".yaml", *DATA_FILES) for file in path.iterdir())
@@ -135,19 +140,21 @@ def _is_recording(path: Path) -> bool:
 
 def _listed(robots: Path) -> Iterator[Job]:
     """A list's, its paths from where the list is; `time` is a column that it may have."""
-    try:
-        lines = read_text(robots, encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise FleetError(f"{robots}: cannot be read: {error}") from None
-    rows = csv.DictReader(lines, strict=True)
-    if missing := [name for name in COLUMNS if name not in (rows.fieldnames or ())]:
+    table, known, lost = read_table(robots).complete(), [*COLUMNS, TIME], []
+    if unknown := [name for name in table.header if name and name not in known]:
+        expected = f"expected {', '.join(known)}{nearest(unknown[0], known)}"
+        raise FleetError(f"{robots}:1: unknown column '{unknown[0]}', {expected}")
+    if missing := [name for name in COLUMNS if name not in table.header]:
         raise FleetError(f"{robots}:1: no column {', '.join(missing)}")
-    for row in rows:
-        place = f"{robots}:{rows.line_num}"
+    for line, cells in zip(table.lines, table.rows, strict=True):
+        place, row = f"{robots}:{line}", dict(zip(table.header, map(str.strip, cells), strict=True))
         if empty := [name for name in COLUMNS if not row[name]]:
             raise FleetError(f"{place}: no {empty[0]}")
-        model, data = ((robots.parent / row[name]).resolve() for name in ("model", "recording"))
-        yield Job(row["robot"], row["recording"], model, data, _time(row.get("time"), place))
+        model, data = paths = [(robots.parent / row[n]).resolve() for n in ("model", "recording")]
+        lost += [f"{place}: no such file {path}" for path in paths if not path.exists()]
+        yield Job(row["robot"], row["recording"], model, data, _time(row.get(TIME), place))
+    if lost:  # all at once, for a list that is mended once
+        raise FleetError("; ".join(lost))
 
 
 def _time(text: str | None, place: str) -> float | None:

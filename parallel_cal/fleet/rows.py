@@ -11,7 +11,7 @@ from typing import Any
 from urllib.parse import quote
 
 from parallel_cal.base.files import held, read_text, write_atomically
-from parallel_cal.fleet.jobs import FleetError
+from parallel_cal.fleet.jobs import TABLE, FleetError
 from parallel_cal.fleet.judging import Row
 
 WORDS = ("robot", "recording", "inputs", "mechanism", "verdict", "reason")
@@ -24,6 +24,8 @@ class Rows:
 
     def __init__(self, folder: Path):
         self.folder = folder
+        if folder.is_file():
+            raise FleetError(f"{folder}: is a file, expected a folder")
         for part in (folder, folder / "recordings", folder / "reports"):
             part.mkdir(parents=True, exist_ok=True)
 
@@ -81,7 +83,7 @@ class Rows:
             for column, key in ((name, "value"), (f"{name}.sigma", "sigma")):
                 values = [row.get("parameters", {}).get(name, {}).get(key) for row in rows]
                 columns.append((_number(column, unit), values))
-        _write(columns, self.folder / "rows.parquet")
+        _write(columns, self.folder / TABLE)
         seconds = (_number("seconds", "s"), [row.get("seconds") for row in rows])
         _write([*columns[:2], seconds], self.folder / "seconds.parquet")
 

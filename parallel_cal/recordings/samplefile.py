@@ -41,7 +41,10 @@ def read_document(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise DatasetError(f"{path}: cannot read samples: {error.strerror}") from None
     except (ValueError, RecursionError) as error:
-        raise DatasetError(f"{path}: cannot read samples: {error}") from None
+        raise DatasetError(
+            f"{path}: cannot read samples: {error}. The file seems cut off or damaged: save the "
+            "samples, or copy the file, again"
+        ) from None
     version = document.get("parallel_cal_samples") if isinstance(document, dict) else None
     if version != FILE_VERSION:
         raise DatasetError(

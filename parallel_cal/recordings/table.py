@@ -61,7 +61,7 @@ class Table:
         """Without rows that hold nothing; DatasetError where a cell is missing or a name twice."""
         kept = [k for k, row in enumerate(self.rows) if any(map(str.strip, row))]
         if not kept:
-            raise DatasetError(f"{self.path}: expected a header line and samples, found 1 lines")
+            raise DatasetError(f"{self.path}: expected a header line and rows, found 1 lines")
         if len(set(self.header)) < len(self.header):
             raise DatasetError(f"{self.path}:1: a column occurs twice in '{','.join(self.header)}'")
         for k in kept:
@@ -100,8 +100,8 @@ def read_table(path: Path) -> Table:
         text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
         raise DatasetError(f"{path}: {error.strerror}: the table cannot be read") from None
-    except UnicodeDecodeError as error:
-        raise DatasetError(f"{path}: not a CSV table: {error}") from None
+    except UnicodeDecodeError:
+        raise DatasetError(f"{path}: not a CSV table: not UTF-8, save it as UTF-8") from None
     lines = text.splitlines(keepends=True)
     remarks = next((k for k, l in enumerate(lines) if l.strip() and l[0] != "#"), len(lines))
     first = lines[remarks] if remarks < len(lines) else ""
