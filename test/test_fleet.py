@@ -73,6 +73,8 @@ def test_a_list_says_when_a_recording_was(folder):
 def test_the_last_recording_is_the_last_by_time_or_by_number(folder):
     rows = ["x,all.yaml,a/monday,2026-01-08", "x,all.yaml,a/tuesday,2026-01-07"]
     rows += ["y,all.yaml,10,2026-01-01", "y,all.yaml,9,"]
+    for name in ("9", "10"):
+        (folder / name).symlink_to(BAG)
     jobs = jobs_of(listed(folder, *rows))
     assert [job.recording for job in jobs] == ["a/tuesday", "a/monday", "9", "10"]
     assert [job.recording for job in jobs if job.last] == ["a/monday", "10"]

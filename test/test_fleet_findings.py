@@ -151,6 +151,16 @@ def test_of_a_robot_whose_recordings_contradict_each_other_the_last_counts(when)
     assert "only the last one counts" in change_in_words(one, "1 mm")
 
 
+def test_recordings_in_which_other_effects_were_found_are_no_contradiction():
+    """Lengths of another model differ by what that says instead."""
+    rows = [row(f"r{k}", f"{i}", (0.24, 0.24)) for k in range(8) for i in range(3)]
+    rows[4] |= row("r1", "1", (0.24, 0.2405)) | {"effects": ["encoder_gain"]}
+    assert findings(rows, DRAWING).changed == ()
+    rows[5] |= {"effects": ["encoder_gain"]}
+    (one,) = findings(rows, DRAWING).changed
+    assert (one.robot, one.before, one.after) == ("r1", "1", "2")
+
+
 def test_noise_that_all_recordings_understate_is_no_contradiction():
     rng = np.random.default_rng(9)
     rods = 0.24 + 5e-5 * rng.standard_normal((20, 3, 2))  # five times what they say

@@ -37,6 +37,7 @@ def cluster(scheduler: str | None, workers: int | None) -> Iterator[Client]:
     FleetError where nobody answers there, or nobody works.
     """
     from distributed import Client, LocalCluster
+    from distributed.utils import LoopRunner
 
     for name in ("distributed", "distributed.client"):  # what matters is said by us
         logging.getLogger(name).setLevel(logging.CRITICAL)
@@ -51,9 +52,10 @@ def cluster(scheduler: str | None, workers: int | None) -> Iterator[Client]:
             yield client
         return
     try:
+        LoopRunner().run_sync(_reached, scheduler)
         client = Client(scheduler, timeout=PATIENCE)
-    except ValueError:
-        raise FleetError(f"--scheduler {scheduler}: expected tcp://HOST:PORT") from None
+    except (ValueError, TypeError) as error:  # no address; TLS without certificates
+        raise FleetError(f"--scheduler {scheduler}: expected tcp://HOST:PORT ({error})") from None
     except OSError as error:
         raise FleetError(
             f"{scheduler}: no Dask scheduler answers ({type(error).__name__}). Start one with "
@@ -70,6 +72,16 @@ def cluster(scheduler: str | None, workers: int | None) -> Iterator[Client]:
         yield client
     finally:
         client.close(timeout=1)
+
+
+async def _reached(scheduler: str) -> None:
+    """Raises where nobody answers, as a client does; that would be left half begun, and to end it
+    while another begins waits for ever."""
+    from distributed.comm import connect
+    from distributed.security import Security
+
+    known = Security().get_connection_args("client")
+    await (await connect(scheduler, timeout=PATIENCE, **known)).close()
 
 
 @contextmanager

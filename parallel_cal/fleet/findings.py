@@ -125,7 +125,7 @@ def findings(rows: Sequence[Row], drawing: Model) -> Findings | None:
     shown = {name for each in told.values() for evidence in each for name in evidence.names}
     table = _of(drawing.mechanism.parameters, shown)
     geometry = {robot: [_in_tolerances(e, table) for e in each] for robot, each in told.items()}
-    trends, jumps = _trends(geometry, own), _jumps(geometry)
+    trends, jumps = _trends(geometry, own), _jumps(geometry, own)
     for robot in set(trends) & set(jumps):  # whichever explains more
         del (trends if trends[robot].gain < jumps[robot].gain else jumps)[robot]
     drifts = tuple(_drift(robot, one, table) for robot, one in trends.items())
@@ -191,15 +191,26 @@ def _trends(told: Mapping[str, Sequence[Evidence]], own: Recordings) -> dict[str
     return _no_chance(found, [one.p_value for one in found.values()])
 
 
-def _jumps(told: Mapping[str, Sequence[Evidence]]) -> dict[str, Jump]:
+def _jumps(told: Mapping[str, Sequence[Evidence]], own: Recordings) -> dict[str, Jump]:
     """Of robots whose recordings differ by more than chance, and than those of the others usually
     do: a model that lacks something makes them differ, too."""
     from scipy.stats import chi2
 
-    found = {robot: one for robot, each in told.items() if (one := jump(each))}
+    found: dict[str, Jump] = {}
+    for robot, evidence in told.items():
+        if one := jump([evidence[k] for k in _alike(own[robot])]):
+            found[robot] = one
     usual = np.median([one.between / one.dof for one in found.values()]) if found else 1.0
     scale = max(1.0, float(usual))
     return _no_chance(found, [chi2.sf(one.between / scale, one.dof) for one in found.values()])
+
+
+def _alike(rows: Sequence[Row]) -> list[int]:
+    """Numbers of the recordings in which the same effects were found: lengths of other models
+    differ by these. The most there are, or the latest."""
+    found = [frozenset(row["effects"]) for row in rows]
+    most = max(reversed(found), key=found.count)
+    return [k for k, effects in enumerate(found) if effects == most]
 
 
 def _no_chance(found: dict[str, T], p_values: Sequence[float]) -> dict[str, T]:
@@ -219,10 +230,16 @@ def _drift(robot: str, one: Trend, table: ParameterTable) -> Drift:
 
 
 def _change(rows: Sequence[Row], one: Jump, table: ParameterTable) -> Change:
-    p, (before, after) = table[one.parameter], rows[one.after : one.after + 2]
+    p, (before, after) = table[one.parameter], _alike(rows)[one.after : one.after + 2]
     size, sigma = p.tolerance * one.size, p.tolerance * one.sigma
     return Change(
-        before["robot"], p.name, p.unit, before["recording"], after["recording"], size, sigma
+        rows[0]["robot"],
+        p.name,
+        p.unit,
+        rows[before]["recording"],
+        rows[after]["recording"],
+        size,
+        sigma,
     )
 
 
