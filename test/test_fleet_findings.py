@@ -161,6 +161,15 @@ def test_recordings_in_which_other_effects_were_found_are_no_contradiction():
     assert (one.robot, one.before, one.after) == ("r1", "1", "2")
 
 
+def test_recordings_that_tell_nothing_contradict_none():
+    nothing = plain(vars(Evidence.nothing(NUMBERS)))
+    rows = [row(f"r{k}", f"{i}") for k in range(6) for i in range(2)]
+    rows[1] |= {"evidence": nothing}
+    rows[2] |= {"evidence": nothing}
+    rows[3] |= {"evidence": nothing}
+    assert findings(rows, DRAWING).changed == ()
+
+
 def test_noise_that_all_recordings_understate_is_no_contradiction():
     rng = np.random.default_rng(9)
     rods = 0.24 + 5e-5 * rng.standard_normal((20, 3, 2))  # five times what they say

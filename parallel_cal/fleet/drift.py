@@ -62,13 +62,12 @@ def trend(recordings: Sequence[Evidence], times: Sequence[float]) -> Trend | Non
 
 def jump(recordings: Sequence[Evidence]) -> Jump | None:
     """The one parameter whose change after one of a robot's recordings, from the first to the last,
-    explains best how they differ; None of a single one."""
-    n = len(recordings)
-    if n < 2:
+    explains best how they differ; None of a single one, or where they tell nothing."""
+    n, (between, rank) = len(recordings), _between(recordings)
+    if n < 2 or not rank:
         return None
     changes = [(_change(recordings, (np.arange(n) > i) - 1 + (i + 1) / n), i) for i in range(n - 1)]
     (k, size, sigma, gain, _), after = max(changes, key=lambda one: one[0][3])
-    between, rank = _between(recordings)
     return Jump(k, after, size, sigma, gain, between, (n - 1) * rank)
 
 
@@ -87,7 +86,8 @@ def _change(recordings: Sequence[Evidence], t: np.ndarray) -> tuple[int, float, 
     told = own > 1e-9 * max(float(own.max()), 1e-300)
     gain = np.where(told, score**2 / np.where(told, own, 1.0), 0.0)
     k = int(np.argmax(gain))
-    return k, float(score[k] / own[k]), float(own[k] ** -0.5), float(gain[k]), int(told.sum())
+    weight = max(float(own[k]), 1e-300)
+    return k, float(score[k]) / weight, weight**-0.5, float(gain[k]), int(told.sum())
 
 
 def _between(recordings: Sequence[Evidence]) -> tuple[float, int]:

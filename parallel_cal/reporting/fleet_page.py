@@ -170,30 +170,31 @@ def report_name(robot: str) -> str:
 
 
 def _over_time(fleet: Fleet, plot: Plot) -> str:
-    """What each recording left, by when it was made; robots that drift in colour."""
+    """What each recording left, by when it was made; robots that change in colour."""
     kind = kind_of(fleet)
     rows = [row for row in fleet.judged if row["time"] is not None]
     if kind is None or len({row["time"] for row in rows}) < 2:
         return paragraph("No recording says when it was made, or all are of one day.", "none")
     unit, factor = small(KINDS[kind])
-    drifting = {one.robot for one in fleet.findings.drifts} if fleet.findings else set()
+    found = fleet.findings
+    changing = set(_names((*found.drifts, *found.changed))) if found else set()
     traces: list[Spec] = []
-    for robot in sorted({row["robot"] for row in rows}, key=lambda name: name in drifting):
+    for robot in sorted({row["robot"] for row in rows}, key=lambda name: name in changing):
         own = sorted((row for row in rows if row["robot"] == robot), key=lambda row: row["time"])
-        colour = WARNING if robot in drifting else QUIET
+        colour = WARNING if robot in changing else QUIET
         traces.append({
             "type": "scatter", "mode": "lines+markers", "name": escape(robot),
             "x": [datetime.fromtimestamp(row["time"], timezone.utc).isoformat() for row in own],
             "y": [_scaled(row["before"][f"{kind}_rms"], factor) for row in own],
-            "line": {"color": colour, "width": 2 if robot in drifting else 1},
-            "opacity": 1.0 if robot in drifting else 0.4,
+            "line": {"color": colour, "width": 2 if robot in changing else 1},
+            "opacity": 1.0 if robot in changing else 0.4,
             "hovertemplate": f"{escape(robot)}: %{{y:.3g}} {unit}<extra></extra>",
         })  # fmt: skip
     layout = {
         "height": 300, "showlegend": False,
         "yaxis": {"title": {"text": f"{kind} error as given, rms [{unit}]"}},
     }  # fmt: skip
-    said = f"In colour: {', '.join(sorted(drifting))}." if drifting else "No robot drifts."
+    said = f"In colour: {', '.join(sorted(changing))}." if changing else "No robot changes."
     return paragraph(said, "note") + plot({"data": traces, "layout": layout})
 
 
