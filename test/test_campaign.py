@@ -85,6 +85,33 @@ def test_samples_that_no_fit_can_weigh_are_told_after_the_first(tmp_path):
 # ------------------------------------------------------------------ where it goes
 
 
+def test_a_robot_that_rests_where_it_was_sent_may_be_read_a_little_inside(tmp_path, monkeypatch):
+    """Of what is forbidden; further off it has not arrived."""
+
+    class Beside(SimulatedCell):
+        off = 1e-4
+
+        def joints(self):
+            return super().joints() + self.off * bool(self.sent)
+
+        def move(self, trajectory, go_on):
+            if len(self.sent) == 4:
+                raise CellError("enough")
+            super().move(trajectory, go_on)
+
+    def inside(guard, q):
+        ends = [trajectory.positions[-1] for trajectory in cell.sent] or [q]
+        return "" if any(np.allclose(q, end, atol=1e-9) for end in ends) else "inside the box"
+
+    monkeypatch.setattr(Guard, "astray", inside)
+    cell = Beside()
+    assert "enough" in campaign(tmp_path / "1", cell, Goal()).run().message
+    cell = Beside()
+    cell.off = 0.05
+    found = campaign(tmp_path / "2", cell, Goal()).run().message
+    assert "was sent to" in found
+
+
 def test_places_are_spread_from_the_middle_to_the_corners():
     places = np.array([[x, y] for x in range(5) for y in range(5)], float)
     chosen = {tuple(places[i]) for i in spread(places, 5)}

@@ -37,11 +37,12 @@ KEEP_OUT = ((-0.2, -0.2, 0.22), (0.2, -0.03, 0.4))  # its lower front, m
 # How it is brought about, how it is cured, and what is said of it.
 TOLD_BY_MODEL = ("swapped_target", "slipped")  # once it is identified: before, tolerances hide much
 BUILT_OFF = 4e-3  # m: ways are looked at by what is identified, which is not as drawn
+STILL = "joint. (leaves its way|was sent to).*: it does not move"
 FAULTS = {
-    "drives_off": (True, False, "joint. (leaves its way|was sent to).*: it does not move"),
-    "crossed_axes": (True, False, "joint. (leaves its way|was sent to).*: it does not move"),
-    "stuck_axis": (2, 0, "joint. (leaves its way|was sent to).*: it does not move"),
-    "stuck_encoder": (3, 0, "joint. (leaves its way|was sent to).*: it does not move"),
+    "drives_off": (True, False, STILL),
+    "crossed_axes": (True, False, STILL),
+    "stuck_axis": (2, 0, STILL),
+    "stuck_encoder": (3, 0, STILL),
     "obstacle": (HALF, "", "something is in the way"),
     "lost_target": (True, False, "is the target lost"),
     "swapped_target": (True, False, "a target that was lost or changed"),

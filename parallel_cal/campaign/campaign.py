@@ -148,6 +148,8 @@ class Campaign:
             raise CampaignError(f"{self.folder}: holds the campaign of another model")
         if not self.targets:
             self._write(begin=plain(goal), model=model)
+        last = next(reversed(self.samples), None)
+        self._sent = None if last is None else np.array(self.targets[last].joints)
         if not (self.folder / SESSION).exists():
             fitting = FitOptions(hold_out=goal.hold_out, joint_sigma=goal.joint_sigma)
             Session.new(self.folder, parse_model(model), [], fitting=fitting)
@@ -272,7 +274,7 @@ class Campaign:
         try:
             sample = self._sampled(target, f"pose {k + 1} of {len(self.targets)}, {target.purpose}")
         except WayError as error:
-            if self._guard.astray(self._cell.joints()):
+            if self._guard.astray(self._where()):
                 raise
             self.left_out[k] = str(error)
             self._write(left_out=k, why=str(error))
@@ -290,12 +292,19 @@ class Campaign:
     def _sampled(self, target: Target, why: str) -> Sample:
         """Go to a target and take its sample; WayError where no way may be driven."""
         stops = [np.array(q) for q in (*target.via, target.joints)]
-        way = self._way(self._cell.joints(), stops)
+        way = self._way(self._where(), stops)
         self._say("moving", why)
         self._cell.move(through(way, self._guard.model.mechanism), self.control.go_on)
         self._checker.check_arrived(self._cell.joints(), stops[-1])
+        self._sent = stops[-1]
         self._say("sampling", why)
         return self._cell.sample(self.control.go_on)
+
+    def _where(self) -> np.ndarray:
+        """Joints (nq,) where the robot is: where it was sent while it rests there, for at the edge
+        of what is forbidden it may be read, or rest, a little inside."""
+        here = self._cell.joints()
+        return self._sent if self._sent is not None and self._guard.near(here, self._sent) else here
 
     def _looked_again(self, odd: Odd) -> tuple[Target, Sample]:
         """The pose before an odd one once more: where it is as it was, robot and device are, and it
@@ -395,12 +404,13 @@ class Campaign:
     def _go_on_by(self, judgement: Judgement) -> None:
         """Where the better model sees the robot in a place in which it must not be, it goes home by
         the model that led it there."""
-        before, here = self._guard, self._cell.joints()
+        before, here = self._guard, self._where()
         self._judge_by(judgement)
         if judgement.targets and self._guard.astray(here):
             home = np.array(before.model.mechanism.home.joints)
             way = through(before.way(here, [home]), before.model.mechanism)
             self._cell.move(way, self.control.go_on)
+            self._sent = home
 
     def _outcome(self, success: bool, message: str) -> Outcome:
         judgement = self.judgements[-1]
