@@ -304,7 +304,9 @@ class Campaign:
         """Joints (nq,) where the robot is: where it was sent while it rests there, for at the edge
         of what is forbidden it may be read, or rest, a little inside."""
         here = self._cell.joints()
-        return self._sent if self._sent is not None and self._guard.near(here, self._sent) else here
+        if self._sent is None or not self._checker.arrived(here, self._sent):
+            return here
+        return self._sent
 
     def _looked_again(self, odd: Odd) -> tuple[Target, Sample]:
         """The pose before an odd one once more: where it is as it was, robot and device are, and it

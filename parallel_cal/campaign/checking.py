@@ -66,8 +66,7 @@ class Checker:
 
     def check_arrived(self, q: np.ndarray, sent: np.ndarray) -> None:
         """CellError where joints (nq,) are not where they were sent."""
-        m = self._model.mechanism
-        away = np.abs(q - sent) / m.joint_ranges
+        m, away = self._model.mechanism, self._away(q, sent)
         if (away > ARRIVED).any():
             i = int(np.argmax(away))
             unit = m.joint_units[i]
@@ -75,6 +74,14 @@ class Checker:
                 f"{m.joints[i]} was sent to {sent[i]:.4f} {unit} and is at {q[i]:.4f}: it does not "
                 "move, its encoder is stuck, or something is in the way"
             )
+
+    def arrived(self, q: np.ndarray, sent: np.ndarray) -> bool:
+        """Whether joints (nq,) are where they were sent."""
+        return bool((self._away(q, sent) < ARRIVED).all())
+
+    def _away(self, q: np.ndarray, sent: np.ndarray) -> np.ndarray:
+        """How far joints (nq,) are from where they were sent, in their ranges."""
+        return np.asarray(np.abs(q - sent) / self._model.mechanism.joint_ranges)
 
     def _check_moved(self, sample: Dataset, last: Dataset) -> None:
         """Beside the sample before, whatever frame they are in: how far the platform moved."""

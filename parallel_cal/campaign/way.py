@@ -105,10 +105,6 @@ class Guard:
         why = self.trouble(self._within_limits(q)[None])
         return why[1] if why else ""
 
-    def near(self, q: np.ndarray, sent: np.ndarray) -> bool:
-        """Whether joints (nq,) are where they were sent, by less than what is looked at."""
-        return bool((np.abs(q - sent) < FINE * np.asarray(self.model.mechanism.joint_ranges)).all())
-
     def _within_limits(self, q: np.ndarray) -> np.ndarray:
         """Joints (nq,) that are beyond their limits by less than what is looked at, at these."""
         m = self.model.mechanism
