@@ -52,10 +52,10 @@ def trend(recordings: Sequence[Evidence], times: Sequence[float]) -> Trend | Non
     from scipy.stats import f
 
     span = float(np.ptp(times))
-    k, rate, sigma, gain, told = _change(recordings, (np.asarray(times) - np.mean(times)) / span)
-    between, rank = _between(recordings)
-    dof = (len(recordings) - 1) * rank - 1
-    scatter = max(1.0, (between - gain) / dof) if dof > 0 else 1.0
+    among = _Among.of(recordings)
+    k, rate, sigma, gain, told = among.change((np.asarray(times) - np.mean(times)) / span)
+    dof = (len(recordings) - 1) * among.rank - 1
+    scatter = max(1.0, (among.chi2 - gain) / dof) if dof > 0 else 1.0
     p = float(f.sf(gain / scatter, 1, max(dof, 1)))
     return Trend(k, rate / span, sigma * scatter**0.5 / span, gain, min(1.0, p * told))
 
@@ -63,40 +63,56 @@ def trend(recordings: Sequence[Evidence], times: Sequence[float]) -> Trend | Non
 def jump(recordings: Sequence[Evidence]) -> Jump | None:
     """The one parameter whose change after one of a robot's recordings, from the first to the last,
     explains best how they differ; None of a single one, or where they tell nothing."""
-    n, (between, rank) = len(recordings), _between(recordings)
-    if n < 2 or not rank:
+    n, among = len(recordings), _Among.of(recordings)
+    if n < 2 or not among.rank:
         return None
-    changes = [(_change(recordings, (np.arange(n) > i) - 1 + (i + 1) / n), i) for i in range(n - 1)]
+    changes = [(among.change((np.arange(n) > i) - 1 + (i + 1) / n), i) for i in range(n - 1)]
     (k, size, sigma, gain, _), after = max(changes, key=lambda one: one[0][3])
-    return Jump(k, after, size, sigma, gain, between, (n - 1) * rank)
+    return Jump(k, after, size, sigma, gain, among.chi2, (n - 1) * among.rank)
 
 
-def _change(recordings: Sequence[Evidence], t: np.ndarray) -> tuple[int, float, float, float, int]:
-    """The parameter whose change in proportion to t (N,), of mean zero, explains most: its number,
-    rate, 1 sigma, by how much chi2 falls, and how many parameters were looked at.
+@dataclass(frozen=True)
+class _Among:
+    """What a robot's recordings say, information A (N, n, n), and what of their pull is `left`
+    (N, n) where all say the same; the `inverse` of all their information."""
 
-    p(t) = p_0 + rate t e_k with any p_0: the score test of each k.
-    """
-    A, g = stacked(recordings)
-    inverse = np.linalg.pinv(A.sum(axis=0), RELATIVE_RANK**2, hermitian=True)
-    left = g - A @ (inverse @ g.sum(axis=0))
-    first = np.einsum("i,ijk->jk", t, A)
-    own = np.einsum("i,ijj->j", t**2, A) - np.einsum("jk,kl,lj->j", first, inverse, first)
-    score = t @ left
-    told = own > 1e-9 * max(float(own.max()), 1e-300)
-    gain = np.where(told, score**2 / np.where(told, own, 1.0), 0.0)
-    k = int(np.argmax(gain))
-    weight = max(float(own[k]), 1e-300)
-    return k, float(score[k]) / weight, weight**-0.5, float(gain[k]), int(told.sum())
+    A: np.ndarray
+    left: np.ndarray
+    inverse: np.ndarray
+
+    @classmethod
+    def of(cls, recordings: Sequence[Evidence]) -> _Among:
+        A, g = stacked(recordings)
+        inverse = _inverse(A.sum(axis=0))
+        return cls(A, g - A @ (inverse @ g.sum(axis=0)), inverse)
+
+    @property
+    def rank(self) -> int:
+        """How many parameters they tell of together."""
+        return int(np.linalg.matrix_rank(self.A.sum(axis=0), hermitian=True))
+
+    @property
+    def chi2(self) -> float:
+        """Of all that they differ by."""
+        rows = zip(self.left, self.A, strict=True)
+        return sum(float(one @ _inverse(info) @ one) for one, info in rows)
+
+    def change(self, t: np.ndarray) -> tuple[int, float, float, float, int]:
+        """The parameter whose change in proportion to t (N,), of mean zero, explains most: its
+        number, rate, 1 sigma, by how much chi2 falls, and how many parameters were looked at.
+
+        p(t) = p_0 + rate t e_k with any p_0: the score test of each k.
+        """
+        first = np.einsum("i,ijk->jk", t, self.A)
+        own = np.einsum("i,ijj->j", t**2, self.A)
+        own = own - np.einsum("jk,kl,lj->j", first, self.inverse, first)
+        score = t @ self.left
+        told = own > 1e-9 * max(float(own.max()), 1e-300)
+        gain = np.where(told, score**2 / np.where(told, own, 1.0), 0.0)
+        k = int(np.argmax(gain))
+        weight = max(float(own[k]), 1e-300)
+        return k, float(score[k]) / weight, weight**-0.5, float(gain[k]), int(told.sum())
 
 
-def _between(recordings: Sequence[Evidence]) -> tuple[float, int]:
-    """chi2 of what recordings differ by, and how many parameters they tell of together."""
-    A, g = stacked(recordings)
-    whole = A.sum(axis=0)
-    left = g - A @ (np.linalg.pinv(whole, RELATIVE_RANK**2, hermitian=True) @ g.sum(axis=0))
-    chi2 = sum(
-        float(one @ np.linalg.pinv(info, RELATIVE_RANK**2, hermitian=True) @ one)
-        for one, info in zip(left, A, strict=True)
-    )
-    return chi2, int(np.linalg.matrix_rank(whole, hermitian=True))
+def _inverse(information: np.ndarray) -> np.ndarray:
+    return np.linalg.pinv(information, RELATIVE_RANK**2, hermitian=True)

@@ -125,11 +125,15 @@ def findings(rows: Sequence[Row], drawing: Model) -> Findings | None:
     shown = {name for each in told.values() for evidence in each for name in evidence.names}
     table = _of(drawing.mechanism.parameters, shown)
     geometry = {robot: [_in_tolerances(e, table) for e in each] for robot, each in told.items()}
-    trends, jumps = _trends(geometry, own), _jumps(geometry, own)
+    alike = {robot: _alike(own[robot]) for robot in robots}
+    trends = _trends(geometry, own)
+    jumps = _jumps({robot: [geometry[robot][k] for k in some] for robot, some in alike.items()})
     for robot in set(trends) & set(jumps):  # whichever explains more
         del (trends if trends[robot].gain < jumps[robot].gain else jumps)[robot]
     drifts = tuple(_drift(robot, one, table) for robot, one in trends.items())
-    changed = tuple(_change(own[robot], one, table) for robot, one in jumps.items())
+    changed = tuple(
+        _change([own[robot][k] for k in alike[robot]], one, table) for robot, one in jumps.items()
+    )
     for robot in {*trends, *jumps}:  # as it is now
         own[robot], geometry[robot] = own[robot][-1:], geometry[robot][-1:]
     each = sorted_out([_together(one, table) for one in geometry.values()], CHANCE)
@@ -191,15 +195,12 @@ def _trends(told: Mapping[str, Sequence[Evidence]], own: Recordings) -> dict[str
     return _no_chance(found, [one.p_value for one in found.values()])
 
 
-def _jumps(told: Mapping[str, Sequence[Evidence]], own: Recordings) -> dict[str, Jump]:
+def _jumps(told: Mapping[str, Sequence[Evidence]]) -> dict[str, Jump]:
     """Of robots whose recordings differ by more than chance, and than those of the others usually
     do: a model that lacks something makes them differ, too."""
     from scipy.stats import chi2
 
-    found: dict[str, Jump] = {}
-    for robot, evidence in told.items():
-        if one := jump([evidence[k] for k in _alike(own[robot])]):
-            found[robot] = one
+    found = {robot: one for robot, evidence in told.items() if (one := jump(evidence))}
     usual = np.median([one.between / one.dof for one in found.values()]) if found else 1.0
     scale = max(1.0, float(usual))
     return _no_chance(found, [chi2.sf(one.between / scale, one.dof) for one in found.values()])
@@ -230,16 +231,10 @@ def _drift(robot: str, one: Trend, table: ParameterTable) -> Drift:
 
 
 def _change(rows: Sequence[Row], one: Jump, table: ParameterTable) -> Change:
-    p, (before, after) = table[one.parameter], _alike(rows)[one.after : one.after + 2]
+    p, (before, after) = table[one.parameter], rows[one.after : one.after + 2]
     size, sigma = p.tolerance * one.size, p.tolerance * one.sigma
     return Change(
-        rows[0]["robot"],
-        p.name,
-        p.unit,
-        rows[before]["recording"],
-        rows[after]["recording"],
-        size,
-        sigma,
+        before["robot"], p.name, p.unit, before["recording"], after["recording"], size, sigma
     )
 
 
