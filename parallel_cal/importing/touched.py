@@ -57,7 +57,8 @@ def touches(
     step: ArrayLike,
     visits: Array | None = None,
     dropped: Sequence[Dropped] = (),
-    printed: Ends | None = None,
+    *,
+    printed: Ends,
 ) -> Dataset:
     """Touches with the nozzle believed at (N, 3) m, each from a line of a file; `step` (m or rad)
     of a motor rounds its joint, equal `visits` are of one place."""
@@ -78,7 +79,8 @@ def of_joints(
     visits: Array | None = None,
     dropped: Sequence[Dropped] = (),
     warnings: Sequence[str] = (),
-    printed: Ends | None = None,
+    *,
+    printed: Ends,
 ) -> Dataset:
     """Touches at joints (N, 3), m or rad, where the tip is `height` (N,) m above the plate; behind
     them the ends of what was printed."""
@@ -87,7 +89,7 @@ def of_joints(
         raise DatasetError(f"{files}: no touches in there")
     same = None if visits is None else np.unique(visits, axis=0, return_inverse=True)[1].ravel()
     conditions = {PROBE: np.array(height, float)}
-    if printed is not None and len(printed.q):
+    if len(printed.q):
         n, more = len(q), len(printed.q)
         q = np.vstack([q, printed.q])
         none = np.full(n, np.nan)
