@@ -9,7 +9,6 @@ from html import escape
 from pathlib import Path
 from urllib.parse import quote, unquote
 
-from parallel_cal import __version__
 from parallel_cal.base.files import write_atomically
 from parallel_cal.diagnosis.diagnose import Diagnosis
 from parallel_cal.fleet.findings import Change, Deviation, Drift, Findings
@@ -19,16 +18,15 @@ from parallel_cal.fleet.rows import KINDS
 from parallel_cal.reporting.colours import ACCENT, MEASURED, QUIET, WARNING
 from parallel_cal.reporting.figures import LEGEND, Spec
 from parallel_cal.reporting.fleets import (
-    DAY,
-    change_in_words,
     effect_in_words,
     kind_of,
+    together_in_words,
     verdicts_in_words,
 )
 from parallel_cal.reporting.markup import Cell, Plot, items, paragraph, section, sentence, table
 from parallel_cal.reporting.overview import LABELS
 from parallel_cal.reporting.page import Drawn, page, plotly
-from parallel_cal.reporting.readable import day, large, number, rounded_to, small, with_unit
+from parallel_cal.reporting.readable import large, number, rounded_to, small, with_unit
 from parallel_cal.reporting.report import report_of
 
 LIBRARY = "plotly.min.js"  # beside the robots' reports, which share it
@@ -61,27 +59,14 @@ def fleet_page(fleet: Fleet, reports: Collection[str]) -> str:
         section("The workshop beside the drawing", _spreads(found, drawn.plot)),
         section("Failed", _failed(failed), f"{len(failed)}", closed=not failed),
     ]
-    made = datetime.now(timezone.utc).isoformat(timespec="minutes")
-    return drawn.page(title, f"{day(made)}, parallel_cal {__version__}", "\n".join(parts))
+    return drawn.page_of(title, parts)
 
 
 def _together(found: Findings | None) -> str:
     """Whose each effect is, who stands apart, who changes."""
     if found is None:
         return paragraph("Fewer than four robots: nothing is said of them together.", "none")
-    said = [effect_in_words(effect) for effect in found.effects]
-    said += [
-        f"{one.robot}: {one.name} is off by {_plus_minus(one.size, one.sigma, one.unit)}"
-        for one in found.outlying
-    ]
-    said += [
-        f"{one.robot}: {one.name} changes by "
-        f"{_plus_minus(DAY * one.rate, DAY * one.sigma, one.unit)} a day"
-        for one in found.drifts
-    ]
-    said += [
-        change_in_words(one, _plus_minus(one.size, one.sigma, one.unit)) for one in found.changed
-    ]
+    said = [*together_in_words(found, _plus_minus)]
     said += [f"{robot}: of another kind than {found.mechanism}" for robot in found.others]
     return items(said) or paragraph("No robot stands apart, and none changes.", "none")
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
-from parallel_cal.fleet.findings import Change, EffectOfFleet
+from parallel_cal.fleet.findings import Change, EffectOfFleet, Findings
 from parallel_cal.fleet.fleet import Fleet
 from parallel_cal.fleet.rows import ERRORS
 from parallel_cal.reporting.readable import ARCMIN, columns, fixed, in_unit
@@ -69,14 +69,7 @@ def _together(fleet: Fleet) -> Iterator[str]:
         return
     for robot in found.others:
         yield f"{robot}: of another kind than the others, which are {found.mechanism}"
-    yield from map(effect_in_words, found.effects)
-    for one in found.outlying:
-        yield f"{one.robot}: {one.name} is off by {_with_sigma(one.size, one.sigma, one.unit)}"
-    for drift in found.drifts:
-        rate = _with_sigma(DAY * drift.rate, DAY * drift.sigma, drift.unit)
-        yield f"{drift.robot}: {drift.name} changes by {rate} a day"
-    for change in found.changed:
-        yield change_in_words(change, _with_sigma(change.size, change.sigma, change.unit))
+    yield from together_in_words(found, _with_sigma)
     header = ("parameter", "drawing's mean", "fleet's", "sigma", "drawing's spread", "fleet's")
     rows = [
         (
@@ -89,6 +82,18 @@ def _together(fleet: Fleet) -> Iterator[str]:
         for one in found.parameters
     ]
     yield columns((*header, "95 %", "unit"), rows)
+
+
+def together_in_words(found: Findings, told: Callable[[float, float, str], str]) -> Iterator[str]:
+    """Whose each effect is, who stands apart, who changes; values, sigmas and units as `told`."""
+    yield from map(effect_in_words, found.effects)
+    for one in found.outlying:
+        yield f"{one.robot}: {one.name} is off by {told(one.size, one.sigma, one.unit)}"
+    for drift in found.drifts:
+        rate = told(DAY * drift.rate, DAY * drift.sigma, drift.unit)
+        yield f"{drift.robot}: {drift.name} changes by {rate} a day"
+    for change in found.changed:
+        yield change_in_words(change, told(change.size, change.sigma, change.unit))
 
 
 def change_in_words(one: Change, size: str) -> str:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from datetime import datetime, timezone
 from html import escape
 from importlib.resources import files
 from string import Template
 from typing import Any
 
+from parallel_cal import __version__
 from parallel_cal.reporting.readable import day
 from parallel_cal.reporting.report import Report
 from parallel_cal.reporting.sections import body
@@ -52,6 +54,11 @@ class Drawn:
             beside=" 'self' file:" if library else "",
             script=_text("page.js"),
         )
+
+    def page_of(self, title: str, parts: Iterable[str]) -> str:
+        """The page of some sections, made now."""
+        made = datetime.now(timezone.utc).isoformat(timespec="minutes")
+        return self.page(title, f"{day(made)}, parallel_cal {__version__}", "\n".join(parts))
 
 
 def plotly() -> str:

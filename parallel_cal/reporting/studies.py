@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from datetime import datetime, timezone
 from html import escape
 
 import numpy as np
 
-from parallel_cal import __version__
 from parallel_cal.reporting.colours import ACCENT, MEASURED, QUIET, WARNING
 from parallel_cal.reporting.figures import LEGEND, Spec
 from parallel_cal.reporting.markup import Plot, paragraph, section, sentence, table
@@ -18,7 +16,6 @@ from parallel_cal.reporting.readable import (
     ARCMIN,
     OF,
     columns,
-    day,
     fixed,
     large,
     number,
@@ -130,12 +127,7 @@ def tolerances_page(found: Tolerances) -> str:
             "Robots", table(("error", *ERRORS), rows) + figures, f"{robots}, {poses} poses each"
         ),
     ]
-    return _page(drawn, f"Tolerances of {found.model.mechanism.name}", parts)
-
-
-def _page(drawn: Drawn, title: str, parts: list[str]) -> str:
-    made = datetime.now(timezone.utc).isoformat(timespec="minutes")
-    return drawn.page(title, f"{day(made)}, parallel_cal {__version__}", "\n".join(parts))
+    return drawn.page_of(f"Tolerances of {found.model.mechanism.name}", parts)
 
 
 def _bars(found: Tolerances, kind: str, plot: Plot) -> str:
@@ -261,7 +253,7 @@ def power_page(found: Power) -> str:
         section("What else is said", remarks_),
     ]
     mechanism, poses = found.document()["mechanism"], len(found.question.planned)
-    return _page(drawn, f"What {poses} poses of {mechanism} tell", parts)
+    return drawn.page_of(f"What {poses} poses of {mechanism} tell", parts)
 
 
 def _ranges(found: Power, shown: list[Detectable], plot: Plot) -> str:
