@@ -30,11 +30,15 @@ def carriages(r: Array, towers: Array, rods: Array, slope: Array) -> Array:
     """Heights (N, 3) above the nozzle's zero at which rods from the towers reach the nozzle."""
     z = (r[:, 2] + r[:, :2] @ slope)[:, None]
     away = np.linalg.norm(r[:, None, :2] - towers, axis=2)
-    return bisected(lambda h: np.hypot(away, h - z) - rods, z + 0 * away, z + 2 * rods)
+    heights = bisected(lambda h: np.hypot(away, h - z) - rods, z + 0 * away, z + 2 * rods)
+    return np.where(away <= rods, heights, np.nan)
 
 
 def arms(r: Array, out: Array, up: Array, upper: Array, lower: Array, around: Array) -> Array:
-    """Angles (N, 3) degrees up from the horizontal at which elbows are a rod from the nozzle."""
+    """Angles (N, 3) degrees up from the horizontal at which elbows are a rod from the nozzle.
+
+    Of the two elbows it is the one that is further out. NaN: no elbow is a rod away.
+    """
     far = r[:, :1] * np.cos(around) + r[:, 1:2] * np.sin(around) - out
     side = r[:, 1:2] * np.cos(around) - r[:, :1] * np.sin(around)
     tall = r[:, 2:] - up
@@ -44,7 +48,29 @@ def arms(r: Array, out: Array, up: Array, upper: Array, lower: Array, around: Ar
         return np.hypot(flat, side) - lower
 
     folded = np.arctan2(tall, far)  # towards the nozzle, from there outwards to away from it
-    return np.degrees(bisected(long, folded, folded + np.pi))
+    away = folded + np.where(tall > 0, -np.pi, np.pi)
+    found = np.degrees(bisected(long, folded, away))
+    return np.where((long(folded) <= 0) & (long(away) >= 0), found, np.nan)
+
+
+def nozzle_between(joints: Array, rods: Array) -> Array:
+    """Where (N, 3) rods from three joints (N, 3, 3) meet, below the joints' plane as seen from the
+    side on which joints 1, 2, 3 stand counter-clockwise; NaN where they do not meet.
+
+    The point is a solution of three equations of spheres. Their differences are two planes, which
+    cut each other in a line along the normal of the joints' plane.
+    """
+    first = joints[:, 0]
+    sides = joints[:, 1:] - first[:, None]
+    normal = np.cross(sides[:, 0], sides[:, 1])
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    planes = np.concatenate([sides, normal[:, None]], axis=1)
+    longer = (rods[0] ** 2 - rods[1:] ** 2 + (sides**2).sum(axis=2)) / 2
+    foot = np.linalg.solve(planes, np.column_stack([longer, np.zeros(len(first))])[..., None])
+    foot = foot[..., 0]
+    with np.errstate(invalid="ignore"):
+        depth = np.sqrt(rods[0] ** 2 - (foot**2).sum(axis=1))
+    return np.asarray(first + foot - depth[:, None] * normal)
 
 
 def wound(line: Array, radius: Array, buildup: Array) -> Array:
@@ -55,9 +81,15 @@ def wound(line: Array, radius: Array, buildup: Array) -> Array:
 
 
 class Klipper:
+    """Its `delta` and `rotary_delta`, with the forward problem that it solves after homing.
+
+    Sources: Klipper documentation, "Configuration reference"; klippy/kinematics/delta.py and
+    rotary_delta.py, whose trilateration needs joints that stand counter-clockwise.
+    """
+
     def __init__(self, text: str) -> None:
-        file = ConfigParser(inline_comment_prefixes=("#", ";"))
-        file.read_string(text.replace("#*# ", ""))
+        file = ConfigParser(inline_comment_prefixes=("#", ";"), strict=False)
+        file.read_string(re.sub(r"(?m)^#\*# (?=\[|\w+ = )", "", text))  # what is saved counts
         self.printer, self.steppers = file["printer"], [file[f"stepper_{a}"] for a in "abc"]
         self.around = np.radians(self.each("angle"))
         self.rotary = self.printer["kinematics"] == "rotary_delta"
@@ -78,6 +110,23 @@ class Klipper:
         """Motor i with the nozzle in the middle at its end-stop's height."""
         at = [self.motors(np.array([[0, 0, z]]))[0] for z in self.each("position_endstop")]
         return np.diag(at)
+
+    def forward(self, motors: Array) -> Array:
+        """Points (N, 3) at which it believes the nozzle with motors (N, 3)."""
+        cos, sin = np.cos(self.around), np.sin(self.around)
+        if self.rotary:
+            upper, angles = self.each("upper_arm_length"), np.radians(motors)
+            out = float(self.printer["shoulder_radius"]) + upper * np.cos(angles)
+            up = float(self.printer["shoulder_height"]) + upper * np.sin(angles)
+            rods = self.each("lower_arm_length")
+        else:
+            out = float(self.printer["delta_radius"]) + 0 * motors
+            up, rods = motors, self.each("arm_length")
+        return nozzle_between(np.stack([out * cos, out * sin, up], axis=2), rods)
+
+    def home_position(self) -> Array:
+        """Where (3,) it believes the nozzle after homing."""
+        return self.forward(self.homed()[None])[0]
 
 
 def words(text: str) -> dict[str, Array]:

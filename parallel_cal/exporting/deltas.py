@@ -9,7 +9,7 @@ import numpy as np
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.exporting.projection import Array, Frame, Machine, fitted
-from parallel_cal.importing.deltas import Shoulders, Towers
+from parallel_cal.importing.deltas import Shoulders, Towers, are_counter_clockwise
 from parallel_cal.model.model import Model
 
 TOWERS = np.radians([210.0, 330.0, 90.0])  # where firmwares have them, about z
@@ -41,6 +41,9 @@ class Chains:
 def chains_of(model: Model, places: Array | None) -> Chains:
     """The chains of a Delta whose towers shall be near `places` (3,) rad; None: wherever they are.
 
+    Without `places` the frame is not turned about z, and the chains are in the model's order, or
+    1, 3, 2 where only this order is counter-clockwise seen from above in the firmware's frame.
+
     Height 0 is the plate of a sensor `probe`; else {B}'s, or where z of {B} points down the far end
     of the workspace.
     """
@@ -66,7 +69,10 @@ def chains_of(model: Model, places: Array | None) -> Chains:
     angles, planned = (-each if down else each for each in (angles, planned))
     turn = 0.0 if places is None else _turn(planned, places)
     angles = angles - turn
-    order = tuple(range(3)) if places is None else _order(planned - turn, places)
+    if places is None:
+        order = (0, 1, 2) if are_counter_clockwise(planned) else (0, 2, 1)
+    else:
+        order = _order(planned - turn, places)
     axes = (UPSIDE_DOWN if down else np.eye(3)) @ rotation_matrix(np.array([0.0, 0.0, turn]))
     slope = np.eye(3)
     slope[2, :2] = tilt
@@ -82,9 +88,9 @@ def chains_of(model: Model, places: Array | None) -> Chains:
                   tilt)  # fmt: skip
 
 
-def towers(model: Model, tilted: bool) -> tuple[Towers, Chains]:
+def towers(model: Model, places: Array | None, tilted: bool) -> tuple[Towers, Chains]:
     """One radius; rods, angles and end-stops of each tower; `tilted`: and the plate's slopes."""
-    c = chains_of(model, TOWERS)
+    c = chains_of(model, places)
 
     def made(v: Array) -> Towers:
         tilt = (v[10], v[11]) if tilted else (0.0, 0.0)
@@ -169,9 +175,10 @@ def _within(angles: Array) -> Array:
     return np.asarray((angles + np.pi) % (2 * np.pi) - np.pi)
 
 
-def _order(angles: Array, places: Array) -> tuple[int, ...]:
+def _order(angles: Array, places: Array) -> tuple[int, int, int]:
     away = np.abs(_within(angles - places[:, None]))
-    return tuple(int(i) for i in away.argmin(axis=1))
+    a, b, c = (int(i) for i in away.argmin(axis=1))
+    return a, b, c
 
 
 def _turn(angles: Array, places: Array) -> float:

@@ -26,6 +26,7 @@ from parallel_cal.recordings.recording import Array
 MM, DEGREE = 1e-3, np.pi / 180
 NAMES = ("joint1", "joint2", "joint3")
 CLEAR = 0.05  # m above the bed, the middle of what is used
+FLAT = 1e-6  # of a triangle on the unit circle: with less area it has no sense of rotation
 REPEATS = 5e-6  # m, 1 sigma of a good probe: a guess
 NOT_STATED = (
     "towers' or motors' leans, errors between the two rods of a pair and the effector's size have "
@@ -150,6 +151,12 @@ class Shoulders:
         mechanism.parameters = mechanism.parameters.with_nominal(nominal)
         mechanism.joint_limits = self.limits
         return _placed(mechanism, self, self.reach or 0.6 * float(self.arms.min()))
+
+
+def are_counter_clockwise(angles: Array) -> bool:
+    """Whether three directions (rad about z) follow each other counter-clockwise from above."""
+    steps = np.roll(angles, -1) - angles
+    return bool(np.sin(steps).sum() > FLAT)  # twice the area of the triangle on a unit circle
 
 
 def reaching(delta: Delta, stated: Stated, field: str) -> None:

@@ -1,6 +1,9 @@
 """Klipper: the numbers of `kinematics: delta` and `rotary_delta` in printer.cfg.
 
-Source: Klipper documentation, "Configuration reference" and "Delta calibration".
+Klipper takes the steppers at any angle, but counter-clockwise seen from above: of the two points
+where the rods meet, its forward problem finds the lower one only then (klippy/mathutil.py,
+trilateration). Its axes are those of {B}, turned over about x where z of {B} points down.
+Sources: Klipper documentation, "Configuration reference" and "Delta calibration".
 """
 
 from __future__ import annotations
@@ -21,7 +24,7 @@ from parallel_cal.model.model import Model
 
 HOLDS = (*LINEAR, *ROTARY)
 FILE = "printer.cfg"
-DIGITS = ".6f"  # mm and degrees, as SAVE_CONFIG writes them
+DECIMALS = 6  # of mm and degrees, as SAVE_CONFIG writes them
 
 
 def settings(paths: Sequence[Path]) -> Stated:
@@ -34,7 +37,7 @@ def firmware(stated: Stated) -> Firmware:
 
 def project(model: Model) -> Projection:
     if model.mechanism.name in LINEAR:
-        tall, c = towers(model, tilted=False)
+        tall, c = towers(model, places=None, tilted=False)
         kind, heights = "delta", tall.heights
         printer = {"delta_radius": tall.radius[0] / MM}
         angles = tall.first + np.arange(3) * 120 * DEGREE + tall.trim
@@ -45,12 +48,24 @@ def project(model: Model) -> Projection:
         printer = {"shoulder_radius": turned.radius / MM}
         printer |= {"shoulder_height": turned.heights[0] / MM}
         each = {"upper_arm_length": turned.arms / MM, "lower_arm_length": turned.rods / MM}
-    each |= {"angle": angles / DEGREE % 360, "position_endstop": heights / MM}
+    each |= {"angle": np.round(angles / DEGREE, DECIMALS) % 360, "position_endstop": heights / MM}
     found = {"[printer] kinematics": kind}
-    found |= {f"[printer] {key}": f"{number:{DIGITS}}" for key, number in printer.items()}
+    found |= {f"[printer] {key}": f"{number:.{DECIMALS}f}" for key, number in printer.items()}
     for i, stepper in enumerate(STEPPERS):
-        found |= {f"{stepper} {key}": f"{three[i]:{DIGITS}}" for key, three in each.items()}
-    return Projection({FILE: found}, c.frame, c.stops)
+        found |= {f"{stepper} {key}": f"{three[i]:.{DECIMALS}f}" for key, three in each.items()}
+    return Projection({FILE: found}, c.frame, c.stops, _remarks(model, c.frame.order))
+
+
+def _remarks(model: Model, order: tuple[int, ...]) -> tuple[str, ...]:
+    """Which steppers drive other joints than the model's order suggests, and why."""
+    moved = [(STEPPERS[i], model.joints[k]) for i, k in enumerate(order) if i != k]
+    if not moved:
+        return ()
+    drives = " and ".join(f"{stepper} drives {joint}" for stepper, joint in moved)
+    return (
+        f"{drives}, as Klipper needs its steppers counter-clockwise seen from above: the pins in "
+        "these sections must be those of these joints",
+    )
 
 
 def end_stop_heights(delta: Shoulders) -> np.ndarray:

@@ -47,7 +47,7 @@ def project(model: Model) -> Projection:
 
 
 def _linear(model: Model) -> Projection:
-    delta, c = towers(model, tilted=True)
+    delta, c = towers(model, TOWERS, tilted=True)
     homed = delta.heights.mean()
     found = {"M665 L": _numbers(delta.rods / MM, 4), "M665 R": _numbers(delta.radius[:1] / MM, 4)}
     found |= {"M665 H": _numbers([homed / MM], 4)}

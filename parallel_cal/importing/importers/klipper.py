@@ -15,7 +15,14 @@ from pathlib import Path
 import numpy as np
 
 from parallel_cal.importing import deltas
-from parallel_cal.importing.deltas import DEGREE, MM, Delta, Shoulders, Towers
+from parallel_cal.importing.deltas import (
+    DEGREE,
+    MM,
+    Delta,
+    Shoulders,
+    Towers,
+    are_counter_clockwise,
+)
 from parallel_cal.importing.door import Configured
 from parallel_cal.importing.sections import settings
 from parallel_cal.importing.stated import Stated
@@ -142,9 +149,33 @@ def delta(stated: Stated) -> Delta:
     return _towers(stated) if _kind(stated) == "delta" else _shoulders(stated)
 
 
+def _angles(stated: Stated, defaults: Sequence[float]) -> Array:
+    """Where the steppers stand (3,) degrees; DatasetError unless they are counter-clockwise.
+
+    Klipper solves its forward problem for this order alone: of another one it takes the mirror
+    image of the nozzle above the joints, homes there, and moves the arms beyond their reach.
+    """
+    angles = _each(stated, "angle", "degrees", defaults)
+    if are_counter_clockwise(angles * DEGREE):
+        return angles
+    cure = "correct the angles"
+    if are_counter_clockwise(-angles * DEGREE):
+        cure = (
+            f"state the angle in {STEPPERS[1]} and {STEPPERS[2]}, "
+            "then exchange the names of these two sections everywhere"
+        )
+    found = ", ".join(f"{angle:g}" for angle in angles)
+    field = next(f"{s} angle" for s in reversed(STEPPERS) if f"{s} angle" in stated)
+    raise stated.wrong(
+        field,
+        f"steppers a, b, c counter-clockwise seen from above, but they are at {found} degrees: "
+        f"Klipper cannot find its nozzle with these; {cure}",
+    )
+
+
 def _towers(stated: Stated) -> Towers:
     radius = stated.number("[printer] delta_radius", "mm", low=1.0)
-    angles = _each(stated, "angle", "degrees", TOWERS)
+    angles = _angles(stated, TOWERS)
     return Towers.of(
         radius,
         _each(stated, "arm_length", "mm, longer than the delta radius", low=radius),
@@ -162,7 +193,7 @@ def _shoulders(stated: Stated) -> Shoulders:
         np.full(3, height),
         _each(stated, "upper_arm_length", "mm", low=1.0) * MM,
         _each(stated, "lower_arm_length", "mm", low=1.0) * MM,
-        _each(stated, "angle", "degrees", SHOULDERS) * DEGREE,
+        _angles(stated, SHOULDERS) * DEGREE,
     )
     heights = _each(stated, "position_endstop", "the nozzle's height in mm") * MM
     tops = np.diag(rotary.joints(np.column_stack([np.zeros((3, 2)), heights])))
