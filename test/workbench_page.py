@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
 
@@ -22,18 +23,29 @@ def until(condition, what):
         time.sleep(0.05)
 
 
-class Served:
+def command(*arguments, port):
     """`parallel-cal workbench` as a person starts it."""
+    code = "import sys; from parallel_cal.cli.main import main; main(sys.argv[1:])"
+    given = [*arguments, "--port", port, "--no-open"]
+    return [sys.executable, "-c", code, "workbench", *map(str, given)]
 
-    def __init__(self, *arguments, log=None):
+
+def beside_a_played_robot(folder, told, port):
+    """The page on a session beside test/campaign_page.py's robot."""
+    program = Path(__file__).with_name("campaign_page.py")
+    return [sys.executable, str(program), str(folder), str(told), str(port)]
+
+
+class Served:
+    """A server of the page, by default `parallel-cal workbench`."""
+
+    def __init__(self, *arguments, log=None, command=command):
         with socket.socket() as free:
             free.bind(("127.0.0.1", 0))
             self.port = free.getsockname()[1]
         self.url = f"http://127.0.0.1:{self.port}/"
-        code = "import sys; from parallel_cal.cli.main import main; main(sys.argv[1:])"
-        given = [*arguments, "--port", self.port, "--no-open"]
         self.process = subprocess.Popen(
-            [sys.executable, "-c", code, "workbench", *map(str, given)],
+            command(*arguments, port=self.port),
             stderr=log or subprocess.DEVNULL,
             env={k: v for k, v in os.environ.items() if k != "PYTEST_CURRENT_TEST"},
         )

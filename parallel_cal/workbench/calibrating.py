@@ -1,4 +1,4 @@
-"""The robot calibrates itself: begun, watched, held and stopped on the page."""
+"""The robot calibrates itself: begun, watched, paused and stopped on the page."""
 
 from __future__ import annotations
 
@@ -17,14 +17,59 @@ from parallel_cal.workbench.looks import COLOURS, card, course, drawn
 AT_REST = ("", "stopped", "done")
 
 
+class CampaignBar:
+    """What the robot does by itself, with Pause and STOP: in the header, so that nobody has to
+    scroll for them while the robot moves."""
+
+    def __init__(self, live: Live):
+        self.live = live
+        with ui.row().classes("w-full no-wrap items-center gap-2"):
+            with ui.column().classes("grow min-w-0 gap-0"):
+                self.words = ui.label().classes("w-full campaign-words")
+                self.words.props("id=campaign aria-live=polite")
+                self.asked = ui.label().classes("w-full").props("id=asked role=alert")
+                self.asked.style(f"color: {COLOURS['amber']}")
+            self.steers = {
+                word: self._button(name, word)
+                for word, name in (
+                    ("continue", "It is done, go on"),
+                    ("resume", "Resume"),
+                    ("pause", "Pause"),
+                    ("stop", "STOP"),
+                )
+            }
+            self.steers["stop"].props("color=negative unelevated").tooltip(
+                "end the campaign: the robot is stopped on its path"
+            )
+
+    def show(self, told: dict[str, Any]) -> None:
+        """What is known of the campaign now, as `nodes.steering` tells."""
+        state = told["state"]
+        going = state not in AT_REST
+        for word, seen in (
+            ("resume", state == "paused"),
+            ("pause", state != "paused"),
+            ("continue", state == "asking"),
+        ):
+            self.steers[word].set_visibility(seen)
+        self.steers["pause"].set_enabled(going and state != "asking")
+        # Where nothing was heard of a campaign there may be one all the same.
+        self.steers["stop"].set_enabled(going or not state)
+        self.words.set_text(_words(told))
+        self.asked.set_text(told["reason"] if state == "asking" else "")
+        self.asked.set_visibility(state == "asking")
+
+    def _button(self, name: str, word: str) -> Any:
+        click = partial(_try, partial(self.live.steer, word))
+        return ui.button(name, on_click=click).props("dense").classes("shrink-0")
+
+
 class Calibrating:
-    """What is said is drawn once, and shown as it changes."""
+    """Begins a campaign, and shows how its error falls."""
 
     def __init__(self, live: Live):
         self.live, self._curve = live, list[Any]()
         with card("The robot calibrates itself"):
-            self.said = ui.label().props("id=campaign aria-live=polite")
-            self.asked = ui.label().props("id=asked role=alert").style(f"color: {COLOURS['amber']}")
             with ui.row().classes("items-center"):
                 self.poses, self.minutes, self.payload = (
                     ui.number(words, value=value, min=least).props("dense").classes("w-40")
@@ -34,16 +79,8 @@ class Calibrating:
                         ("kg that can be put on", 0, 0),
                     )
                 )
-                self.begin = self._button("Calibrate", self._begin)
-                self.steers = {
-                    word: self._button(name, partial(self._say, word))
-                    for word, name in (
-                        ("pause", "Pause"),
-                        ("resume", "Resume"),
-                        ("continue", "It is done, go on"),
-                        ("stop", "Stop"),
-                    )
-                }
+                self.begin = ui.button("Calibrate", on_click=self._begin).props("dense")
+            self.going = ui.label("It is at it: Pause and STOP are at the top of the page.")
             figure = course(
                 {"title": {"text": "poses measured"}, "rangemode": "tozero"}, "error [µm]",
                 mode="lines+markers", marker={"color": MEASURED, "size": 6},
@@ -52,19 +89,9 @@ class Calibrating:
 
     def show(self, told: dict[str, Any]) -> None:
         """What is known of it now, as `nodes.steering` tells."""
-        state = told["state"]
-        going = state not in AT_REST
-        self.begin.set_visibility(not going)
-        for word, seen in (
-            ("pause", going and state not in ("paused", "asking")),
-            ("resume", state == "paused"),
-            ("continue", state == "asking"),
-            ("stop", going),
-        ):
-            self.steers[word].set_visibility(seen)
-        self.said.set_text(_words(told))
-        self.asked.set_text(told["reason"] if state == "asking" else "")
-        self.asked.set_visibility(state == "asking")
+        at_rest = told["state"] in AT_REST
+        self.begin.set_visibility(at_rest)
+        self.going.set_visibility(not at_rest)
         self.chart.set_visibility(bool(told["curve"]))
         if told["curve"] != self._curve:
             self._curve = told["curve"]
@@ -73,22 +100,17 @@ class Calibrating:
             trace["y"] = [1e6 * error for _, error in self._curve]
             self.chart.update()
 
-    def _button(self, name: str, click: Callable[[], None]) -> Any:
-        return ui.button(name, on_click=click).props("dense")
-
     def _begin(self) -> None:
         numbers = (self.poses, self.minutes, self.payload)
         poses, minutes, payload = (float(one.value or 0) for one in numbers)
-        self._try(partial(self.live.calibrate, poses=int(poses), minutes=minutes, payload=payload))
+        _try(partial(self.live.calibrate, poses=int(poses), minutes=minutes, payload=payload))
 
-    def _say(self, word: str) -> None:
-        self._try(partial(self.live.steer, word))
 
-    def _try(self, ask: Callable[[], None]) -> None:
-        try:
-            ask()
-        except ParallelCalError as error:
-            ui.notify(str(error), type="negative")
+def _try(ask: Callable[[], None]) -> None:
+    try:
+        ask()
+    except ParallelCalError as error:
+        ui.notify(str(error), type="negative")
 
 
 def _words(told: dict[str, Any]) -> str:

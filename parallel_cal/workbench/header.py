@@ -9,6 +9,7 @@ from nicegui import ui
 
 from parallel_cal.reporting.colours import QUIET
 from parallel_cal.workbench.bench import Bench
+from parallel_cal.workbench.calibrating import CampaignBar
 from parallel_cal.workbench.looks import COLOURS
 
 NOTHING = {"colour": "grey", "words": "no samples in this session yet"}
@@ -19,23 +20,35 @@ class Header:
 
     def __init__(self, bench: Bench):
         self.bench = bench
-        with ui.header().classes("shadow"), ui.column().classes("w-full gap-1"):
-            with ui.row().classes("w-full no-wrap items-start"):
-                self.verdict = ui.label().classes("grow text-base leading-tight font-bold")
-                self.verdict.props("id=verdict role=status aria-live=polite")
-                with ui.row().classes("no-wrap gap-2"):
-                    self.undo = self._button("Undo", partial(bench.at_once, "undo"))
-                    self.redo = self._button("Redo", partial(bench.at_once, "redo"))
-                    self.fit = ui.button("Fit", on_click=partial(bench.begin, "fit")).props("dense")
-                    self.save = self._button("Save", bench.save)
-                    self.save.tooltip(f"write this model to {bench.output}")
-            self.numbers = ui.row().classes("items-center gap-x-6 gap-y-0")
-            with ui.row().classes("items-center w-full") as self.work:
-                self.stage = ui.label().props("id=stage")
-                self.fraction = ui.linear_progress(0.0, show_value=False).classes("w-64")
-                self.fraction.props('aria-label="progress"')
-                self._button("Cancel", bench.cancel)
-            self.message = ui.label().props("id=message role=alert")
+        self.campaign: CampaignBar | None = None
+        header = ui.header().classes("shadow")
+        with header, ui.column().classes("w-full no-wrap gap-1"):
+            if bench.live is not None:
+                header.classes("at-robot")
+                header.on("vue:mounted", js_handler="() => followHeaderHeight()")
+                self.campaign = CampaignBar(bench.live)
+            # What does not fit a small window scrolls beneath the robot's STOP, not with it.
+            with ui.column().classes("w-full no-wrap gap-1 header-details"):
+                self._draw_details()
+
+    def _draw_details(self) -> None:
+        bench = self.bench
+        with ui.row().classes("w-full no-wrap items-start"):
+            self.verdict = ui.label().classes("grow text-base leading-tight font-bold")
+            self.verdict.props("id=verdict role=status aria-live=polite")
+            with ui.row().classes("no-wrap gap-2"):
+                self.undo = self._button("Undo", partial(bench.at_once, "undo"))
+                self.redo = self._button("Redo", partial(bench.at_once, "redo"))
+                self.fit = ui.button("Fit", on_click=partial(bench.begin, "fit")).props("dense")
+                self.save = self._button("Save", bench.save)
+                self.save.tooltip(f"write this model to {bench.output}")
+        with ui.row().classes("items-center w-full") as self.work:
+            self.stage = ui.label().props("id=stage")
+            self.fraction = ui.linear_progress(0.0, show_value=False).classes("w-64")
+            self.fraction.props('aria-label="progress"')
+            self._button("Cancel", bench.cancel)
+        self.message = ui.label().props("id=message role=alert")
+        self.numbers = ui.row().classes("items-center gap-x-6 gap-y-0")
 
     def _button(self, name: str, step: Any) -> Any:
         return ui.button(name, on_click=step).props("dense outline")

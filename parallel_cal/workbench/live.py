@@ -9,7 +9,7 @@ from nicegui import run, ui
 
 from parallel_cal.reporting.colours import MEASURED, QUIET
 from parallel_cal.workbench.bench import Bench, Live
-from parallel_cal.workbench.calibrating import Calibrating
+from parallel_cal.workbench.calibrating import Calibrating, CampaignBar
 from parallel_cal.workbench.looks import COLOURS, card, course, drawn, table
 
 LOOK = 1.0  # s between two looks at the nodes
@@ -24,8 +24,9 @@ COLUMNS = {
 class LiveCard:
     """Looked at again and again, drawn once: what is new is put into what is there."""
 
-    def __init__(self, bench: Bench, live: Live):
-        self.bench, self.live = bench, live
+    def __init__(self, bench: Bench, live: Live, bar: CampaignBar | None):
+        """`bar` is the campaign's part of the header."""
+        self.bench, self.live, self.bar = bench, live, bar
         with card("Live"):
             self.trouble = (
                 ui.label().props("id=trouble role=alert").style(f"color: {COLOURS['amber']}")
@@ -71,6 +72,8 @@ class LiveCard:
         self._draw_errors(told["errors"])
         self._list_dropped(told["dropped"])
         self.campaign.show(told["campaign"])
+        if self.bar is not None:
+            self.bar.show(told["campaign"])
 
     def _served(self, model: dict[str, Any]) -> str:
         if not model.get("hash"):

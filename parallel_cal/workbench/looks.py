@@ -19,9 +19,25 @@ CLEAR = {
 }
 CSS = """
 .q-header { background: #fff; color: #1f2328 }
+.header-details { max-height: 50vh; overflow-y: auto }
+.campaign-words { overflow: hidden; display: -webkit-box; -webkit-box-orient: vertical;
+  -webkit-line-clamp: 2 }
+.q-header.at-robot { z-index: 7000 }
+body:has(.q-header.at-robot) :is(.q-dialog__inner, .q-dialog__backdrop) {
+  top: var(--header-height, 0px) }
+body:has(.q-header.at-robot) .q-dialog__inner > div { max-height: 100% }
 .body--dark .q-header { background: #1d1d1d; color: #e6edf3 }
 .body--dark .q-btn--outline, .body--dark .q-btn--flat { --q-primary: #7fc0f0 }
 """
+# A dialog begins beneath the header at a robot, so that STOP stays within reach.
+HEADER_HEIGHT = """<script>
+function followHeaderHeight() {
+  const header = document.querySelector(".q-header");
+  const tell = () => document.documentElement.style.setProperty(
+    "--header-height", header.offsetHeight + "px");
+  new ResizeObserver(tell).observe(header);
+}
+</script>"""
 # Plotly is fetched while the measurements are looked at, not once there is something to draw.
 HEAD = """<script>document.documentElement.lang = "en"</script>
 <script type="module">import("nicegui-plotly").catch(() => undefined)</script>"""

@@ -16,7 +16,7 @@ from parallel_cal.workbench.bench import Bench, Live
 from parallel_cal.workbench.failing import Failing
 from parallel_cal.workbench.header import Header
 from parallel_cal.workbench.live import LiveCard
-from parallel_cal.workbench.looks import CSS, HEAD, ROUND, card, drawn, table
+from parallel_cal.workbench.looks import CSS, HEAD, HEADER_HEIGHT, ROUND, card, drawn, table
 from parallel_cal.workbench.marking import SCRIPT, Marking, Place
 
 EMPTY = (
@@ -46,12 +46,12 @@ class Window:
         self.opened = set[str]()  # what is unfolded, and stays so
         ui.dark_mode(None)  # as the browser has it
         ui.colors(primary=MEASURED)
-        ui.add_head_html(HEAD + SCRIPT)
+        ui.add_head_html(HEAD + HEADER_HEIGHT + SCRIPT)
         ui.add_css(CSS)
         self.header = Header(bench)
         with ui.column().classes("w-full max-w-screen-xl mx-auto gap-4"):
             if bench.live is not None:
-                LiveCard(bench, bench.live)
+                LiveCard(bench, bench.live, self.header.campaign)
             with ui.column().classes("w-full") as self.top:
                 self.failing = Failing(self.marking)
             self.body = ui.column().classes("w-full gap-4")
