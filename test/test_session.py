@@ -1,16 +1,20 @@
 """A session in a folder: steps, undo, branches, exclusions; found again whatever happened."""
 
+import dataclasses
 import json
 import multiprocessing
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from parallel_cal.base.errors import BagError, DatasetError, FitError
+from parallel_cal.cli.main import main
 from parallel_cal.identification.options import FitOptions
-from parallel_cal.model.file.modelfile import read_model
+from parallel_cal.model.file.modelfile import model_hash, read_model
 from parallel_cal.recordings.loading import load_dataset
+from parallel_cal.session.saving import SaveRefused
 from parallel_cal.session.session import Session, SessionError
 
 MODEL, BAG = "config/delta_mockup_nominal.yaml", "bags/delta_backlash"
@@ -241,3 +245,183 @@ def test_a_verdict_stays_with_its_state(session, run_cli):
     assert "  explained: backlash" in run_cli("session", "show", session.folder)
     run_cli("session", "add", session.folder, "backlash")
     assert Session(session.folder).state.verdict == ""
+
+
+# ------------------------------------------------------------------ over the model in use
+
+
+@pytest.fixture(scope="module")
+def with_backlash(begun, tmp_path_factory):
+    """A model file with backlash, better than the geometry alone of the session after its fit."""
+    folder = tmp_path_factory.mktemp("backlash")
+    shutil.copytree(begun, folder / "s")
+    session = Session(folder / "s")
+    session.add("backlash")
+    session.save(folder / "robot.yaml")
+    return folder / "robot.yaml"
+
+
+@pytest.fixture
+def in_use(with_backlash, tmp_path):
+    """A robot's model file, as a campaign leaves it."""
+    return Path(shutil.copy(with_backlash, tmp_path / "robot.yaml"))
+
+
+def test_a_model_that_is_worse_than_the_one_in_use_is_refused_with_both_errors(session, in_use):
+    before = in_use.read_text()
+    with pytest.raises(SaveRefused) as refused:
+        session.save(in_use)
+    words = str(refused.value)
+    assert "the model in use errs by 32.5 um" in words
+    assert "this model by 37 um" in words
+    assert words.count("at held-out poses") == 2
+    assert "worse by a factor of 1.07 (position and orientation together)" in words
+    assert in_use.read_text() == before
+    assert session.state.step == "fit"
+
+
+def test_a_worse_model_is_written_where_the_owner_insists_and_the_history_keeps_that(
+    session, in_use
+):
+    better = in_use.read_text()
+    found = session.save(in_use, insist=lambda replacement: True)
+    written = read_model(in_use)
+    assert not written.effects
+    entry = written.history[-1]
+    assert entry["step"] == "save"
+    assert "this model is worse" in entry["forced"]
+    assert entry["errors"]["position_rms"] == pytest.approx(37.0e-6, rel=0.01)
+    assert entry["in_use"]["errors"]["position_rms"] == pytest.approx(32.5e-6, rel=0.01)
+    assert entry["in_use"]["hash"] == model_hash(better) == found.in_use_hash
+    assert in_use.with_name("robot.yaml.previous").read_text() == better
+    again = Session(session.folder)
+    assert again.state.step == "save to robot.yaml, insisted"
+    assert model_hash(again.model) == model_hash(in_use.read_text())  # the robot uses this state's
+    assert again.state.errors == again.history()[-2].errors
+    assert again.save(in_use).is_in_use  # nothing to ask, and nothing to write
+    assert in_use.with_name("robot.yaml.previous").read_text() == better
+
+
+def test_a_better_model_is_written_without_a_question_and_both_errors_are_told(session, tmp_path):
+    file = tmp_path / "robot.yaml"
+    shutil.copy(MODEL, file)
+    found = session.save(file)
+    assert not found.objections
+    assert "errs by 606 um" in found.comparison
+    assert "at samples that no fit of it used, this model by 37 um" in found.comparison
+    assert "better by a factor of" in found.comparison
+    assert read_model(file).history[-1]["step"] == "fit"
+    assert Session(session.folder).state == session.state
+
+
+def test_a_model_in_use_that_other_samples_made_is_judged_as_it_is(session, in_use, tmp_path):
+    """A campaign's samples come back through calibration_node under another hash."""
+    live = Session.new(tmp_path / "live", read_model(MODEL), [], fitting=FitOptions(hold_out=0.5))
+    live.take(dataclasses.replace(session.samples, sha256="of the collection").to_json)
+    live.fit()
+    with pytest.raises(SaveRefused, match="at samples that a fit of it may have used") as refused:
+        live.save(in_use)
+    errors = refused.value.replacement
+    assert errors.in_use_errors.position_rms < errors.errors.position_rms
+
+
+def test_an_amber_model_is_written_only_where_the_owner_insists(session, tmp_path):
+    file = tmp_path / "robot.yaml"
+    session.judged(session.state, "explained: backlash explains what is left")
+    with pytest.raises(SaveRefused, match="the verdict on this model is explained: backlash"):
+        session.save(file)
+    assert not file.exists()
+    session.save(file, insist=lambda replacement: True)
+    assert "explained: backlash" in read_model(file).history[-1]["forced"]
+
+
+def test_what_the_data_cannot_tell_is_asked_before_it_is_written(session, tmp_path):
+    session.choose(free=["*"])
+    with pytest.raises(SaveRefused, match="the data cannot tell platform bar's half length"):
+        session.save(tmp_path / "robot.yaml")
+    assert not (tmp_path / "robot.yaml").exists()
+
+
+def test_a_model_that_was_not_identified_on_the_samples_taken_since_is_asked_about(tmp_path):
+    every = load_dataset(BAG)
+    live = Session.new(tmp_path / "live", read_model(MODEL), [])
+    live.take(every.select(range(60)).to_json)
+    live.fit()
+    live.take(every.to_json)
+    with pytest.raises(SaveRefused, match="not identified on this session's samples"):
+        live.save(tmp_path / "robot.yaml")
+
+
+def test_a_model_whose_samples_are_gone_is_written_only_where_the_owner_insists(tmp_path):
+    bag = tmp_path / "bag"
+    shutil.copytree(BAG, bag)
+    session = Session.new(tmp_path / "s", read_model(MODEL), [bag])
+    session.fit()
+    shutil.rmtree(bag)
+    shutil.copy(MODEL, tmp_path / "robot.yaml")
+    again = Session(session.folder)
+    with pytest.raises(SaveRefused, match="there are no samples to judge both by"):
+        again.save(tmp_path / "robot.yaml")
+    again.save(tmp_path / "robot.yaml", insist=lambda replacement: True)
+    assert read_model(tmp_path / "robot.yaml").history[-1]["step"] == "save"
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"\xff\x00 no text", "cannot be compared with this one: .*not YAML"),
+        (b"mechanism: [", "cannot be compared with this one: "),
+        (
+            Path("config/argos_mockup_nominal.yaml").read_bytes(),
+            "is a argos.*, this model is a delta",
+        ),
+    ],
+)
+def test_a_file_in_use_that_is_no_model_of_this_robot_is_overwritten_only_on_request(
+    session, tmp_path, content, words
+):
+    file = tmp_path / "robot.yaml"
+    file.write_bytes(content)
+    with pytest.raises(SaveRefused, match=words):
+        session.save(file)
+    assert file.read_bytes() == content
+    session.save(file, insist=lambda replacement: True)
+    assert read_model(file).mechanism.name == session.model.mechanism.name
+    assert (tmp_path / "robot.yaml.previous").read_bytes() == content
+
+
+def test_a_confirmation_counts_for_the_models_that_were_compared_and_no_others(session, in_use):
+    with pytest.raises(SaveRefused) as refused:
+        session.save(in_use)
+    confirmed = refused.value.replacement.key
+    in_use.write_text(in_use.read_text() + "# a campaign has written another one\n")
+    with pytest.raises(SaveRefused):
+        session.save(in_use, insist=lambda replacement: replacement.key == confirmed)
+
+
+def test_a_file_that_is_exchanged_while_it_is_compared_is_not_overwritten(session, in_use):
+    def exchange(replacement):
+        in_use.write_text("mechanism: another\n")
+        return True
+
+    with pytest.raises(SessionError, match="was changed while it was compared"):
+        session.save(in_use, insist=exchange)
+    assert in_use.read_text() == "mechanism: another\n"
+    assert Session(session.folder).state.step == "fit"
+
+
+def test_the_command_line_refuses_a_worse_model_unless_forced(session, in_use, run_cli, capsys):
+    before = in_use.read_text()
+    with pytest.raises(SystemExit) as ended:
+        main(["session", "save", str(session.folder), "-o", str(in_use)])
+    assert ended.value.code == 1
+    said = capsys.readouterr().err
+    assert "this model is worse" in said
+    assert "--force to write it all the same" in said
+    assert in_use.read_text() == before
+    document = json.loads(
+        run_cli("session", "save", session.folder, "-o", in_use, "--force", "--json")
+    )
+    assert document["hash"] == model_hash(in_use.read_text())
+    assert document["errors"]["position_rms"] > document["in_use"]["errors"]["position_rms"]
+    assert "forced" in read_model(in_use).history[-1]

@@ -44,6 +44,11 @@ def test_a_bench_takes_steps_beside_and_shows_what_came_out(folder):
     assert bench.view["verdict"]["colour"] == "amber"
     assert bench.session.state.verdict.startswith("explained")
     bench.save()
+    until(lambda: not bench.busy, "Save")
+    assert "the verdict on this model is explained: backlash" in bench.question.words
+    assert not bench.output.exists()
+    bench.save(bench.question.key)
+    until(lambda: not bench.busy, "Save")
     assert bench.message == f"written: {folder / 'model.yaml'}"
     bench.begin("add", "thermal_expansion")
     until(lambda: not bench.busy, "add")
@@ -54,10 +59,11 @@ def test_a_bench_takes_steps_beside_and_shows_what_came_out(folder):
     bench.cancel()
     until(lambda: not bench.busy, "the end")
     assert bench.message == "cancelled; the session is as it was"
-    assert bench.session.state.step == "fit"
+    assert bench.session.state.step == "save to model.yaml, insisted"
     again = Bench(folder)  # what was looked at is kept
     assert not again.busy
     assert again.view == bench.view
+    again.at_once("undo")
     again.at_once("undo")
     assert again.session.state.step == "begin"
     until(lambda: not again.busy, "the kept view")
@@ -309,6 +315,9 @@ def test_a_full_disk_is_said_and_the_session_stays_as_it_was(folder):
         until(lambda: not bench.busy, "its end")
         assert "large" in bench.message  # as the system says it
         bench.save()
+        until(lambda: not bench.busy, "the question")
+        bench.save(bench.question.key)
+        until(lambda: not bench.busy, "its end")
     finally:
         limit(usual[0])
     assert bench.failed
@@ -406,3 +415,77 @@ def test_stop_and_pause_are_in_view_at_every_size_and_act(browser, at_robot, tmp
     page.get_by_role("button", name="STOP", exact=True).click()
     until(lambda: told.read_text().split() == ["pause", "resume", "stop"], "STOP to be told")
     page.locator("#campaign").get_by_text("stopped: ").wait_for()
+
+
+# ------------------------------------------------------------------ over the model in use
+
+
+@pytest.mark.wide
+def test_the_server_writes_over_a_better_model_only_what_the_owner_confirmed(folder, tmp_path):
+    from parallel_cal.workbench.bench import Bench
+
+    output = tmp_path / "robot.yaml"
+    session = Session(folder)
+    session.fit()
+    session.add("backlash")
+    session.save(output)
+    session.undo()
+    better = output.read_text()
+    bench = Bench(folder, output)
+
+    def save(*confirmed):
+        until(lambda: not bench.busy, "the look or step before")
+        bench.save(*confirmed)
+        until(lambda: not bench.busy, "Save")
+
+    save()
+    first = bench.question
+    assert "the model in use errs by 32.5 um" in first.words
+    assert "this model by 37 um" in first.words
+    save("yes")  # no page's click, but a request that knows of none
+    assert bench.question == first
+    assert output.read_text() == better
+    bench.keep_model_in_use()
+    assert bench.question is None
+    assert "is as it was" in bench.message
+    output.write_text(better + "# written by a campaign meanwhile\n")
+    save(first.key)
+    assert bench.question.key != first.key
+    assert "campaign" in output.read_text()
+    save(bench.question.key)
+    assert bench.question is None
+    assert bench.message.startswith(f"written: {output}")
+    assert not read_model(output).effects
+    assert "this model is worse" in read_model(output).history[-1]["forced"]
+    assert bench.session.state.step == "save to robot.yaml, insisted"
+    assert bench.view["verdict"]["colour"] == "amber"  # as it was: nothing to look at anew
+    assert Bench(folder, output).view == bench.view
+
+
+@pytest.mark.wide
+def test_the_page_asks_before_it_overwrites_a_better_model(browser, folder, tmp_path):
+    output = tmp_path / "robot.yaml"
+    session = Session(folder)
+    session.fit()
+    session.add("backlash")
+    session.save(output)
+    session.undo()
+    better = output.read_text()
+    served = Served(folder, "-o", output)
+    try:
+        page = browser.new_page(viewport={"width": 1280, "height": 800})
+        page.set_default_timeout(1000 * LONG)
+        page.goto(served.url)
+        page.locator("#verdict").get_by_text("one effect missing: backlash").wait_for()
+        page.get_by_role("button", name="Save", exact=True).click()
+        page.locator("#question").get_by_text("this model is worse by a factor of").wait_for()
+        page.get_by_role("button", name="Keep the model in use", exact=True).click()
+        page.locator("#message").get_by_text("not saved").wait_for()
+        assert output.read_text() == better
+        page.get_by_role("button", name="Save", exact=True).click()
+        page.get_by_role("button", name="Write it all the same", exact=True).click()
+        page.locator("#message").get_by_text("written").wait_for()
+        assert not read_model(output).effects
+        page.get_by_role("cell", name="save to robot.yaml, insisted").wait_for()
+    finally:
+        served.end()

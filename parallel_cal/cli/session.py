@@ -207,18 +207,27 @@ def switch(
 
 
 def save(folder: Folder, output: Out, force: Force = False, as_json: Json = False) -> None:
-    """Write the model of the last step, where nothing speaks against it, for the robot."""
+    """Write the model of the last step for the robot, unless the model in the file is better or
+    something speaks against this one."""
     from parallel_cal.base.errors import ParallelCalError
-    from parallel_cal.model.file.modelfile import model_hash, replace_model
+    from parallel_cal.model.file.modelfile import model_hash
+    from parallel_cal.session.saving import SaveRefused
 
     session = _open(folder)
-    if session.state.against and not force:
-        raise ParallelCalError(f"{session.state.against}; --force to write it all the same")
-    replace_model(session.model, output)
+    try:
+        found = session.save(output, lambda _: force, console.progress)
+    except SaveRefused as refused:
+        raise ParallelCalError(f"{refused}; --force to write it all the same") from None
+    console.progress("", 1.0)
+    console.warn(found.objections)
     sha256 = model_hash(session.model)
     if as_json:
-        return console.emit({"output": str(output), "hash": sha256})
-    console.say(f"written: {output} (sha256 {sha256[:12]})")
+        written = {"output": str(output), "hash": sha256}
+        return console.emit(written | found.document())
+    words = f"{output} holds this model already" if found.is_in_use else f"written: {output}"
+    console.say(f"{words} (sha256 {sha256[:12]})")
+    if found.comparison:
+        console.say(found.comparison)
 
 
 for command in (

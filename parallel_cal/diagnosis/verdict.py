@@ -25,6 +25,9 @@ from parallel_cal.identification.doubts import apart
 from parallel_cal.identification.methods.implicit import Estimate
 from parallel_cal.model.shelf import load_effect
 
+# The words that say: the model lacks what the data show.
+AMBER_VERDICTS = ("explained", "partly_explained", "unexplained")
+
 
 @dataclass(frozen=True)
 class Verdict:

@@ -18,7 +18,7 @@ from parallel_cal.recordings.dataset import Dataset
 
 
 def on_parameters(model: Model, estimate: Estimate, free: np.ndarray) -> list[str]:
-    """Parameters that went far, combinations that the data cannot tell or hardly tell."""
+    """Parameters that went far, combinations that the data cannot tell."""
     table = model.table
     moved = (model.values - table.nominal) / table.tolerance
     words = [
@@ -36,14 +36,20 @@ def on_parameters(model: Model, estimate: Estimate, free: np.ndarray) -> list[st
         )
     else:
         words += [f"the data cannot tell {direction_in_words(c, table)}" for c in unseen]
-    if estimate.spectrum.held and (weak := estimate.spectrum.weak):
-        named = [direction_in_words(c, model.table) for c in weak[: -MENTIONED - 1 : -1]]
-        more = f"; and {len(weak) - len(named)} more" if len(weak) > len(named) else ""
-        words.append(
-            f"tolerances stand in as priors for what the data tell less of, {len(weak)} "
-            f"combination{'s' * (len(weak) > 1)}: {'; '.join(named)}{more}"
-        )
     return words
+
+
+def on_priors(model: Model, estimate: Estimate) -> list[str]:
+    """Combinations that the data hardly tell, and tolerances do."""
+    weak = estimate.spectrum.weak
+    if not (estimate.spectrum.held and weak):
+        return []
+    named = [direction_in_words(c, model.table) for c in weak[: -MENTIONED - 1 : -1]]
+    more = f"; and {len(weak) - len(named)} more" if len(weak) > len(named) else ""
+    return [
+        f"tolerances stand in as priors for what the data tell less of, {len(weak)} "
+        f"combination{'s' * (len(weak) > 1)}: {'; '.join(named)}{more}"
+    ]
 
 
 def on_noise(estimate: Estimate, observations: Observations) -> list[str]:

@@ -25,6 +25,7 @@ from parallel_cal.identification.doubts import (
     on_held,
     on_noise,
     on_parameters,
+    on_priors,
     on_samples,
 )
 from parallel_cal.identification.estimators import estimator, need_settling
@@ -264,6 +265,7 @@ def fit_registered(
             *dataset.warnings,
             *insisted,
             *on_parameters(fitted, estimate, mask),
+            *on_priors(fitted, estimate),
             *on_noise(estimate, observations),
             *on_held(fitted, after.summary, lambda: noise_floor(fitted, observations)),
             *on_samples(estimate, dataset, options.loss),

@@ -23,9 +23,16 @@ from parallel_cal.recordings.options import ReadOptions
 from parallel_cal.recordings.signals import Signals, signals
 from parallel_cal.recordings.simulate import with_noise
 from parallel_cal.session.history import FILE, History, Record, SessionError, State
+from parallel_cal.session.saving import (
+    Replacement,
+    compare_with_model_in_use,
+    write_for_robot,
+)
 from parallel_cal.session.steps import Step, added, fitted, removed
 
 Progress = Callable[[str, float], None]
+CHANGED = "the session was changed meanwhile: look at it and try again"
+JUDGED = ("before", "errors", "noise", "against", "verdict")  # what a state knows of its model
 
 
 class Session(History):
@@ -193,6 +200,31 @@ class Session(History):
         write_atomically(file, found.csv())
         return file
 
+    def save(
+        self,
+        file: Path,
+        insist: Callable[[Replacement], bool] = lambda replacement: False,
+        progress: Progress | None = None,
+    ) -> Replacement:
+        """Write this state's model for the robot, over the model in use; what was compared.
+
+        SaveRefused where the model in use is better, or something speaks against this one, and the
+        owner does not `insist`. Where the owner does, that is in the model's history, and the
+        model as written is a new state.
+        """
+        if progress:
+            progress("comparing with the model in use", 0.0)
+        at = self.state
+        found = compare_with_model_in_use(self.model, at, lambda: self.dataset, self.options, file)
+        self.refresh()
+        if self.state != at:
+            raise SessionError(CHANGED)
+        written = write_for_robot(self.model, found, insist(found))
+        if written is not self.model:
+            kept = {name: getattr(at, name) for name in JUDGED}
+            self._advanced(f"save to {file.name}, insisted", written, **kept)
+        return found
+
     # ------------------------------------------------------------------ on disk
 
     def _committed(self, words: str, step: Step, **changes: Any) -> State:
@@ -211,7 +243,7 @@ class Session(History):
         start = self.state
         with self._changing() as record:
             if record.state != start:
-                raise SessionError("the session was changed meanwhile: look at it and try again")
+                raise SessionError(CHANGED)
             number = len(record.states)
             kept = {"excluded": start.excluded, "taken": start.taken, "fitting": start.fitting}
             file = start.model if model is None else f"models/{number}.yaml"

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
 from threading import Thread
@@ -37,6 +39,22 @@ class Live(Protocol):
     def close(self) -> None: ...
 
 
+@dataclass(frozen=True)
+class Question:
+    """What the owner has to confirm before a model is saved; `key` names just that."""
+
+    words: str
+    key: str
+
+
+@dataclass(frozen=True)
+class Done:
+    """What came out of work in the worker: a `message`, and a `question` to the owner."""
+
+    message: str
+    question: Question | None = None
+
+
 class Bench:
     """What all windows on a session share; `version` rises whenever something to be seen changes.
 
@@ -52,6 +70,7 @@ class Bench:
         self.version, self.seen = 0, 0
         self.stage, self.fraction = "", 0.0
         self.message, self.failed = "", False
+        self.question: Question | None = None
         self.busy, self._cancelled = False, False
         self._worker = Worker(first=_prepared)
         self.view: dict[str, Any] | None = None
@@ -65,13 +84,29 @@ class Bench:
 
     def begin(self, step: str, *given: Any, **options: Any) -> None:
         """Take a step of the session, then look at what came out; nothing while one goes on."""
+        self._begin(_work, step, given, options)
+
+    def save(self, confirmed: str = "") -> None:
+        """Compare the present model with the one in `output`, and write it there where it is
+        better; where it is not, that is the `question`, and only its key as `confirmed` writes
+        it. A key of another question counts for nothing: it is asked anew."""
+        self._begin(_save, self.output, confirmed)
+
+    def keep_model_in_use(self) -> None:
+        """The owner's other answer to the question: nothing is written."""
+        if self.question is not None:
+            self.question = None
+            self.message, self.failed = f"not saved: {self.output} is as it was", False
+            self._changed()
+
+    def _begin(self, function: Callable[..., Done], *given: Any) -> None:
         if self.busy:
             return
         self.busy, self._cancelled = True, False
         self.stage, self.fraction = "starting", 0.0
-        self.message, self.failed = "", False
+        self.message, self.failed, self.question = "", False, None
         self._changed()
-        Thread(target=self._do, args=(step, given, options), daemon=True).start()
+        Thread(target=self._do, args=(function, *given), daemon=True).start()
 
     def cancel(self) -> None:
         """End the step that is under way; the session stays as it was."""
@@ -97,20 +132,6 @@ class Bench:
             self.message, self.failed = str(error), True
         self._look()
 
-    def save(self) -> None:
-        """Write the present model for the robot; refused where something speaks against it."""
-        from parallel_cal.model.file.modelfile import read_model, replace_model
-
-        against = self.session.state.against
-        try:
-            if against:
-                raise ParallelCalError(f"{against}; not saved")
-            replace_model(read_model(self.session.folder / self.session.state.model), self.output)
-            self.message, self.failed = f"written: {self.output}", False
-        except (ParallelCalError, OSError) as error:
-            self.message, self.failed = str(error), True
-        self._changed()
-
     @property
     def planned(self) -> Path | None:
         """The poses to measure next, where some were planned for this state."""
@@ -129,13 +150,14 @@ class Bench:
         if not self.busy and self._taken_up():
             self._look()
 
-    def _do(self, *asked: Any) -> None:
+    def _do(self, function: Callable[..., Done], *given: Any) -> None:
         before = self.session.state.number
         try:
-            self.message = self._worker.work(
-                _work, self.session.folder, *asked, tell=self._told,
+            done: Done = self._worker.work(
+                function, self.session.folder, *given, tell=self._told,
                 wanted=lambda: not self._cancelled,
             )  # fmt: skip
+            self.message, self.question = done.message, done.question
         except Unwanted:
             self.message = "cancelled"
         except WorkError as error:
@@ -172,6 +194,7 @@ class Bench:
 
     def _look(self) -> None:
         """Show the present state: what is kept of it, else look at it anew."""
+        self.question = None  # it was about the state before
         self.view, self.seen = kept(self.session), self.seen + 1
         self._changed()
         if self.view is None:
@@ -217,7 +240,7 @@ def _work(
     given: Sequence[Any],
     options: Mapping[str, Any],
     tell: Callable[..., None],
-) -> str:
+) -> Done:
     """In the worker: one step of the session in `folder`, then its view, kept in a file; a word
     on what came out."""
     from parallel_cal.workbench.views import glance, view
@@ -233,4 +256,25 @@ def _work(
         file = place(session)
         file.parent.mkdir(exist_ok=True)
         write_atomically(file, json.dumps({"version": VERSION, "view": shown}))
-    return f"written: {done}" if isinstance(done, Path) else session.state.against
+    return Done(f"written: {done}" if isinstance(done, Path) else session.state.against)
+
+
+def _save(folder: Path, output: Path, confirmed: str, tell: Callable[..., None]) -> Done:
+    """In the worker: write the present model to `output`, or the question that has to be confirmed
+    first."""
+    from parallel_cal.session.saving import SaveRefused
+
+    session = _opened(folder)
+    session.refresh()
+    before = place(session)
+    try:
+        found = session.save(output, lambda replacement: replacement.key == confirmed, tell)
+    except SaveRefused as refused:
+        asked = refused.replacement
+        words = f"{'; '.join(asked.reasons)}. Write it to {output} all the same?"
+        return Done("", Question(words, asked.key))
+    if before.exists() and place(session) != before:  # the same numbers under another state
+        shutil.copyfile(before, place(session))
+    if found.is_in_use:
+        return Done(f"{output} holds this model already")
+    return Done("; ".join(filter(None, (f"written: {output}", found.comparison))))

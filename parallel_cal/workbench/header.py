@@ -20,6 +20,7 @@ class Header:
 
     def __init__(self, bench: Bench):
         self.bench = bench
+        self._key = ""  # of the question that is shown
         self.campaign: CampaignBar | None = None
         header = ui.header().classes("shadow")
         with header, ui.column().classes("w-full no-wrap gap-1"):
@@ -33,6 +34,12 @@ class Header:
 
     def _draw_details(self) -> None:
         bench = self.bench
+        with ui.column().classes("w-full gap-1") as self.asked:
+            self.question = ui.label().props("id=question role=alert")
+            self.question.style(f"color: {COLOURS['amber']}")
+            with ui.row().classes("gap-2"):
+                self._button("Keep the model in use", bench.keep_model_in_use)
+                self._button("Write it all the same", self._confirm)
         with ui.row().classes("w-full no-wrap items-start"):
             self.verdict = ui.label().classes("grow text-base leading-tight font-bold")
             self.verdict.props("id=verdict role=status aria-live=polite")
@@ -40,8 +47,10 @@ class Header:
                 self.undo = self._button("Undo", partial(bench.at_once, "undo"))
                 self.redo = self._button("Redo", partial(bench.at_once, "redo"))
                 self.fit = ui.button("Fit", on_click=partial(bench.begin, "fit")).props("dense")
-                self.save = self._button("Save", bench.save)
-                self.save.tooltip(f"write this model to {bench.output}")
+                self.save = self._button("Save", lambda: bench.save())
+                self.save.tooltip(
+                    f"write this model to {bench.output}, unless the model there is better"
+                )
         with ui.row().classes("items-center w-full") as self.work:
             self.stage = ui.label().props("id=stage")
             self.fraction = ui.linear_progress(0.0, show_value=False).classes("w-64")
@@ -52,6 +61,10 @@ class Header:
 
     def _button(self, name: str, step: Any) -> Any:
         return ui.button(name, on_click=step).props("dense outline")
+
+    def _confirm(self) -> None:
+        """Confirm the question as this window shows it, whatever another one is asked by now."""
+        self.bench.save(self._key)
 
     def show(self, afresh: bool) -> None:
         """How things are; the numbers only where the view is another one."""
@@ -68,6 +81,11 @@ class Header:
         self.work.set_visibility(bench.busy)
         self.stage.set_text(bench.stage)
         self.fraction.set_value(bench.fraction)
+        question = bench.question
+        self.asked.set_visibility(question is not None)
+        if question is not None:
+            self._key = question.key
+            self.question.set_text(question.words)
         self.message.set_visibility(bool(bench.message) and not bench.busy)
         self.message.set_text(bench.message)
         self.message.style(f"color: {COLOURS['amber'] if bench.failed else QUIET}")

@@ -15,6 +15,7 @@ from parallel_cal.diagnosis.patterns import Along
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.signature import Signature, signature
 from parallel_cal.diagnosis.thresholds import LEVELS
+from parallel_cal.diagnosis.verdict import AMBER_VERDICTS
 from parallel_cal.identification.budget import Budget, Iso9283, iso_9283
 from parallel_cal.identification.prediction_errors import Summary
 from parallel_cal.model.model import Model
@@ -160,7 +161,7 @@ def _verdict(found: Report) -> View:
     if verdict.word == "explained":
         count = "one effect" if len(effects) == 1 else f"{len(effects)} effects"
         return {"colour": AMBER, "words": f"{count} missing: {verdict.summary}"}
-    return {"colour": GREY if verdict.word == "cannot_know" else AMBER,
+    return {"colour": AMBER if verdict.word in AMBER_VERDICTS else GREY,
             "words": f"{verdict.word.replace('_', ' ')}: {verdict.summary}"}  # fmt: skip
 
 

@@ -1,0 +1,278 @@
+"""A session's model beside the model in use, on the same samples, before it takes its place.
+
+The file that a save overwrites is what a robot uses. A worse model, or one that is in doubt, is
+written only where the owner insists after reading both errors.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from parallel_cal.base.errors import ModelFileError, ParallelCalError
+from parallel_cal.base.files import PREVIOUS
+from parallel_cal.diagnosis.verdict import AMBER_VERDICTS
+from parallel_cal.identification.acceptance import in_words
+from parallel_cal.identification.doubts import on_parameters
+from parallel_cal.identification.fit import Result, fit
+from parallel_cal.identification.observations import observe
+from parallel_cal.identification.options import FitOptions
+from parallel_cal.identification.prediction_errors import (
+    ERRORS,
+    Errors,
+    Summary,
+    errors,
+    held_out_ratio,
+)
+from parallel_cal.identification.registration import registered
+from parallel_cal.identification.thresholds import NEGLIGIBLE
+from parallel_cal.model.file.modelfile import (
+    model_hash,
+    model_text,
+    parse_model,
+    replace_model,
+    write_model,
+)
+from parallel_cal.model.model import Model
+from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.session.history import SessionError, State
+
+HELD_OUT = "at held-out poses"
+UNSEEN = "at samples that no fit of it used"
+PERHAPS_USED = "at samples that a fit of it may have used"
+USED = "at the samples that it was fitted to"
+
+
+@dataclass(frozen=True)
+class Replacement:
+    """What is known before a model takes the place of the model in a file.
+
+    `comparison` is a sentence with the errors of both, empty where they cannot be compared;
+    `objections` are the reasons to ask the owner first, none where the model may be written.
+    `in_use_hash` is empty where there is no file that can be read; `errors` and `in_use_errors`
+    are summaries at the same samples, None where not known.
+    """
+
+    file: Path
+    comparison: str
+    objections: tuple[str, ...]
+    model_hash: str
+    in_use_hash: str
+    errors: Summary | None = None
+    in_use_errors: Summary | None = None
+
+    @property
+    def key(self) -> str:
+        """Names both models and what was found: a confirmation counts for nothing else."""
+        return model_hash("\n".join((self.model_hash, self.in_use_hash, *self.reasons)))
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """The objections, and the comparison where they do not contain it."""
+        more = (self.comparison,) if self.comparison else ()
+        return (*more, *(one for one in self.objections if one != self.comparison))
+
+    @property
+    def is_in_use(self) -> bool:
+        """Whether the file holds this very model."""
+        return self.model_hash == self.in_use_hash
+
+    def document(self) -> dict[str, Any]:
+        """What `parallel-cal session save --json` says of it; errors are SI."""
+        known = (self.errors, self.in_use_errors)
+        this, in_use = (None if e is None else e.document() for e in known)
+        return {
+            "comparison": self.comparison,
+            "objections": list(self.objections),
+            "errors": this,
+            "in_use": {"hash": self.in_use_hash, "errors": in_use},
+        }
+
+    def entry(self) -> dict[str, Any]:
+        """The history's entry of a model that the owner insisted on."""
+        found = self.document()
+        errors = {key: found[key] for key in ("errors", "in_use")}
+        return {"step": "save", "forced": "; ".join(self.reasons), **errors}
+
+
+class SaveRefused(SessionError):
+    """A model was not written, because the owner has to confirm the `replacement` first."""
+
+    def __init__(self, replacement: Replacement):
+        super().__init__(f"{'; '.join(replacement.reasons)}; {replacement.file} was not written")
+        self.replacement = replacement
+
+
+def compare_with_model_in_use(
+    model: Model,
+    state: State,
+    read_samples: Callable[[], Dataset],
+    options: FitOptions,
+    file: Path,
+) -> Replacement:
+    """Compare a session's model, that of `state`, with the model in `file` on the same samples.
+
+    Whatever keeps them from being compared is an objection, not an error.
+    """
+    own = model_hash(model)
+    objections = list[str]()
+    if not state.errors:
+        objections.append("this model was not identified on this session's samples: Fit does that")
+    if state.against:
+        objections.append(state.against)
+    if state.verdict.partition(":")[0] in AMBER_VERDICTS:
+        objections.append(f"the verdict on this model is {state.verdict}")
+    dataset: Dataset | None = None
+    judged: _Judged | None = None
+    try:
+        dataset = read_samples()
+        judged = _Judged.of(model, dataset, options, fitted_to_these=bool(state.errors))
+        objections += judged.doubts
+    except ParallelCalError as error:
+        objections.append(f"the errors of this model are not known: {error}")
+    if not file.exists():
+        known = None if judged is None else judged.errors.summary
+        return Replacement(file, "", tuple(objections), own, "", known)
+    in_use_hash = _hash_of(file)
+    if in_use_hash == own:
+        return Replacement(file, "", (), own, in_use_hash)
+    other: _Judged | None = None
+    try:
+        in_use = parse_model(model_text(file), str(file))
+        if in_use.mechanism.name != model.mechanism.name:
+            raise SessionError(
+                f"{file} is a {in_use.mechanism.name}, this model is a {model.mechanism.name}"
+            )
+        if dataset is None:
+            raise SessionError("there are no samples to judge both by")
+        last = bool(dataset.sha256) and _fitted_datasets(in_use)[-1:] == [dataset.sha256]
+        other = _Judged.of(in_use, dataset, options, fitted_to_these=last)
+    except ParallelCalError as error:
+        objections.insert(0, f"the model in use cannot be compared with this one: {error}")
+    if other is None or judged is None:
+        return Replacement(file, "", tuple(objections), own, in_use_hash)
+    new, old = _at_common_samples(judged.errors, other.errors)
+    ratio = held_out_ratio(old, new)
+    words = _comparison(old, other.where, new, judged.where, ratio)
+    if ratio is None or ratio > 1 + NEGLIGIBLE:
+        objections.insert(0, words)
+    return Replacement(file, words, tuple(objections), own, in_use_hash, new, old)
+
+
+def write_for_robot(model: Model, replacement: Replacement, insisted: bool) -> Model:
+    """Write the model to the replacement's file in one step and keep the file before beside it;
+    the model as written, with an entry in its history where the owner `insisted`.
+
+    SaveRefused where there are objections and nobody insists; SessionError where the file has
+    changed since it was compared.
+    """
+    if replacement.is_in_use:
+        return model
+    if replacement.objections:
+        if not insisted:
+            raise SaveRefused(replacement)
+        model = replace(model, history=(*model.history, replacement.entry()))
+    file = replacement.file
+    if (now := _hash_of(file)) != replacement.in_use_hash:
+        raise SessionError(
+            f"{file} was changed while it was compared: its sha256 is {now[:12] or 'unknown'}, "
+            f"expected {replacement.in_use_hash[:12] or 'no file'}; save again to compare with "
+            "what is there now"
+        )
+    if file.is_file() and not _is_text(file):
+        try:
+            shutil.copyfile(file, f"{file}{PREVIOUS}")
+        except OSError as error:
+            raise ModelFileError(f"{file}: cannot be laid aside: {error.strerror}") from None
+        write_model(model, file)
+    else:
+        replace_model(model, file)
+    return model
+
+
+def _hash_of(file: Path) -> str:
+    """sha256 (hex) of a file's content, "" where there is none that can be read."""
+    try:
+        return model_hash(file.read_bytes()) if file.is_file() else ""
+    except OSError:
+        return ""
+
+
+def _is_text(file: Path) -> bool:
+    try:
+        model_text(file)
+    except ModelFileError:
+        return False
+    return True
+
+
+@dataclass(frozen=True)
+class _Judged:
+    """A model's errors at samples, `where` these come from as far as its fits go, and `doubts`
+    about parameters that a fit to these samples leaves."""
+
+    errors: Errors
+    where: str
+    doubts: tuple[str, ...] = ()
+
+    @classmethod
+    def of(
+        cls, model: Model, dataset: Dataset, options: FitOptions, fitted_to_these: bool
+    ) -> _Judged:
+        """Errors at held-out poses where the model was fitted to just these samples, else those of
+        the model as it is: a fit of its own to few samples would make a good model look bad."""
+        if not fitted_to_these:
+            placed, _ = registered(model, dataset, options.joint_sigma)
+            found = errors(placed, observe(placed, dataset, options.joint_sigma))
+            return cls(found, PERHAPS_USED if _fitted_datasets(model) else UNSEEN)
+        result: Result = fit(model, dataset, options)
+        doubts = tuple(on_parameters(result.model, result.estimate, result.free))
+        if result.held_out.summary.known:
+            return cls(result.held_out, HELD_OUT, doubts)
+        return cls(result.before, USED, doubts)
+
+
+def _fitted_datasets(model: Model) -> list[str]:
+    """sha256 of the data of every fit in a model's history, the last one last."""
+    found = list[str]()
+    for entry in model.history:
+        data = entry.get("dataset")
+        each = data if isinstance(data, list) else [data]
+        found += [str(one.get("sha256", "")) for one in each if isinstance(one, dict)]
+    return found
+
+
+def _at_common_samples(one: Errors, other: Errors) -> tuple[Summary, Summary]:
+    """Summaries over the samples at which both are known, kind by kind."""
+    mine, theirs = one.parts(), other.parts()
+    for kind in ERRORS:
+        a, b = mine[kind], theirs[kind]
+        if a.shape == b.shape:
+            known = np.isfinite(a) & np.isfinite(b)
+            mine[kind], theirs[kind] = (np.where(known, part, np.nan) for part in (a, b))
+    return Errors(**mine).summary, Errors(**theirs).summary
+
+
+def _comparison(
+    old: Summary, old_where: str, new: Summary, new_where: str, ratio: float | None
+) -> str:
+    """`the model in use errs by 37 um at ..., this model by 114 um at ...: it is worse ...`"""
+    if ratio is None:
+        verdict = "which of them is better is not known"
+    elif abs(ratio - 1) <= NEGLIGIBLE:
+        verdict = "they are equally good"
+    else:
+        worse = ratio > 1
+        factor = ratio if worse else 1 / ratio
+        verdict = f"this model is {'worse' if worse else 'better'} by a factor of {factor:.3g}"
+        if new.position_rms and new.orientation_rms:
+            verdict += " (position and orientation together)"
+    return (
+        f"on the same samples the model in use errs by {in_words(old)} {old_where}, this model by "
+        f"{in_words(new)} {new_where}: {verdict}"
+    )
