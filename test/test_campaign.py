@@ -4,16 +4,19 @@ import itertools
 import json
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
 from campaign_cells import SimulatedCell, model_of
 
+from parallel_cal.base.errors import ModelFileError
 from parallel_cal.campaign.campaign import (
     FILE,
     Campaign,
     CampaignError,
     Goal,
+    Outcome,
     unfinished,
     write_better,
 )
@@ -31,6 +34,7 @@ from parallel_cal.session.session import Session
 
 DELTA = model_of("delta")
 TEXT = dump_model(DELTA)
+SLIP = Path(__file__).parent / "models" / "slip_model.yaml"  # written once, and never read again
 
 
 class Killed(BaseException):
@@ -589,6 +593,69 @@ def test_a_line_that_a_crash_cut_off_is_a_sample_that_was_not_taken(tmp_path):
     again = campaign(tmp_path, cell, Goal(poses=20))
     assert len(again.samples) == 19
     assert again.run().samples == 20
+
+
+@pytest.mark.wide
+def test_a_stored_judgement_that_cannot_be_read_is_set_aside_and_its_samples_judged_anew(
+    tmp_path, caplog
+):
+    """The model of a judgement of ours: a lag four of its sigmas below zero."""
+    judged_samples = []
+
+    def count_judgements(function, *given):
+        if function.__name__ == "judged":
+            judged_samples.append(len(given[1]))
+        return work(function, *given)
+
+    first = campaign(tmp_path, SimulatedCell(), Goal(poses=60))
+    while not first.judgements:
+        assert first._step() is None
+    first._step()  # one of the two poses that this judgement has planned
+    first.close()
+    known, planned = numbers(first), len(first.targets)
+    lines = [json.loads(line) for line in (tmp_path / FILE).read_text().splitlines()]
+    for line in lines:
+        if "judged" in line:
+            line["judged"]["text"] = SLIP.read_text()
+    (tmp_path / FILE).write_text("".join(json.dumps(line) + "\n" for line in lines))
+
+    said = []
+    again = campaign(tmp_path, SimulatedCell(), Goal(poses=60), said.append, count_judgements)
+    (warning,) = again.warnings
+    assert str(tmp_path / FILE) in warning
+    assert "effects.1.parameters.leg1.lag.value: -2.35" in warning
+    assert numbers(again) == known
+    more = [k for k in range(planned) if k not in again.samples]
+    assert {again.left_out[k] for k in more} == {"planned by a judgement that was set aside"}
+    outcome = again.run()
+    again.close()
+    assert warning in caplog.text
+    assert warning in {status.reason for status in said}
+    assert judged_samples[0] == len(known)  # before it goes anywhere
+    assert outcome.ended
+    assert outcome.document["warnings"] == [warning]
+
+    last = campaign(tmp_path, SimulatedCell(), Goal(poses=60), work=work)
+    assert last.warnings == []  # it has been judged anew
+    assert [*last.samples] == [*again.samples]
+    assert last.targets == again.targets
+    last.close()
+
+
+def test_a_model_that_cannot_be_read_begins_no_campaign(tmp_path):
+    with pytest.raises(ModelFileError, match=r"leg1\.lag\.value: -2\.35"):
+        Campaign(tmp_path / "new", SLIP.read_text(), Goal(), SimulatedCell(), work=work)
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_campaign_does_not_replace_a_model_file_by_one_that_cannot_be_read(tmp_path):
+    path = tmp_path / "robot.yaml"
+    path.write_text(TEXT)
+    outcome = Outcome(True, "done", text=SLIP.read_text())
+    with pytest.raises(ModelFileError, match=r"robot\.yaml \(not written\).*leg1\.lag\.value"):
+        write_better(outcome, str(path))
+    assert path.read_text() == TEXT
+    assert [*tmp_path.iterdir()] == [path]
 
 
 def test_a_folder_is_of_one_campaign_at_a_time_and_of_one_model(tmp_path):

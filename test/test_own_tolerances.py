@@ -10,9 +10,10 @@ from findings import dataset
 
 from parallel_cal.base.errors import FitError, ModelFileError
 from parallel_cal.identification.fit import fit
-from parallel_cal.model.file.modelfile import dump_model, read_model, write_model
-from parallel_cal.model.model import new_model
+from parallel_cal.model.file.modelfile import dump_model, parse_model, read_model, write_model
+from parallel_cal.model.model import Noise, new_model
 from parallel_cal.model.parameters import Parameter
+from parallel_cal.recordings.simulate import simulate
 from parallel_cal.session.steps import added, fitted
 from parallel_cal.virtual import joint_effects as ve
 from parallel_cal.virtual import robot as vr
@@ -131,6 +132,27 @@ def test_nobody_insists_on_a_play_below_zero():
     data = measured(7, effects=[vr.Backlash((-3e-2,) * 3)])
     with pytest.raises(FitError, match=r"^backlash.joint1.width would have to be -0.0"):
         fit(new_model("delta54").with_effect("backlash"), data, hold_out=0, insist=True)
+
+
+@pytest.mark.wide
+def test_what_a_fit_gives_can_be_read_again_though_the_data_cannot_tell_two_plays_apart():
+    """A robot whose play is below zero, which none is: between reversals that are all far apart a
+    lag and a backlash look alike, and each takes a part of it that its file would not excuse."""
+    crank = replace(new_model("slider_crank"), noise=Noise(1e-6, 1e-6, 1e-6))
+    rng = np.random.default_rng(1)
+    turns = rng.uniform(0.3, 1.0, 40) * rng.choice([-1, 1], 40)
+    robot = crank.with_effect("backlash", {"crank.width": -0.6e-3})
+    data = simulate(robot, 40, seed=1, targets=np.cumsum(turns)[:, None]).dataset()
+    width = {"crank.width": crank.with_effect("hysteresis").table["hysteresis.crank.width"].low}
+    both = crank.with_effect("hysteresis", width).with_effect("backlash")
+    with pytest.raises(FitError, match=r"^hysteresis.crank.lag would have to be -0.00023\d* rad"):
+        fit(both, data, hold_out=0)
+    less = crank.with_effect("backlash", {"crank.width": 0.6e-3})
+    data = simulate(less, 40, seed=1, targets=np.cumsum(turns)[:, None]).dataset()
+    found = fit(both, data, hold_out=0)
+    assert np.isinf(found.estimate.sigma[both.table.index_of("hysteresis.crank.lag")])
+    again = parse_model(dump_model(found.model))
+    assert again.value("hysteresis.crank.lag") == found.model.value("hysteresis.crank.lag") > 0
 
 
 def test_no_joint_turns_back_while_its_drive_winds_up_unless_somebody_insists():

@@ -8,6 +8,7 @@ goes on where it was left, however that ended.
 from __future__ import annotations
 
 import json
+import logging
 import os
 import time
 from collections.abc import Callable, Mapping
@@ -44,6 +45,8 @@ from parallel_cal.recordings.joining import joined
 from parallel_cal.session import goals
 from parallel_cal.session.session import FILE as SESSION
 from parallel_cal.session.session import Session
+
+log = logging.getLogger(__name__)
 
 FILE = "campaign.jsonl"
 MOST = 512 * MEGABYTE  # of a journal that is read again
@@ -126,7 +129,8 @@ class Campaign:
         control: Control | None = None,
     ):
         """`work` does what takes long; CampaignError where another process is at the folder, or
-        it holds another model's campaign."""
+        it holds another model's campaign, ModelFileError where the model cannot be read."""
+        parse_model(model, "the campaign's model")  # nothing is stored that cannot be read again
         self.folder, self.goal, self.control = Path(folder), goal, control or Control()
         self._cell, self._tell, self._work = cell, tell, work
         self.folder.mkdir(parents=True, exist_ok=True)
@@ -139,6 +143,8 @@ class Campaign:
         self.samples: dict[int, Sample] = {}
         self.left_out: dict[int, str] = {}
         self.judgements: list[Judgement] = []
+        self.warnings: list[str] = []
+        self._planned_unreadably: list[int] = []  # targets of judgements that were set aside
         self._begun, self._before = time.monotonic(), 0.0
         self._status = Status("planning", "", 0, np.nan, "")
         for entry in json_lines(self.folder / FILE, MOST):
@@ -148,6 +154,7 @@ class Campaign:
             raise CampaignError(f"{self.folder}: holds the campaign of another model")
         if not self.targets:
             self._write(begin=plain(goal), model=model)
+        self._leave_out_unreadable_plans()
         last = next(reversed(self.samples), None)
         self._sent = None if last is None else np.array(self.targets[last].joints)
         if not (self.folder / SESSION).exists():
@@ -178,8 +185,41 @@ class Campaign:
         if "left_out" in entry:
             self.left_out[entry["left_out"]] = entry["why"]
         if "judged" in entry:
-            self.judgements.append(Judgement.of(entry["judged"]))
-            self.targets += self.judgements[-1].targets
+            self._take_up_judgement(entry["judged"])
+
+    def _take_up_judgement(self, document: Mapping[str, Any]) -> None:
+        """Go on by a stored judgement, or set it aside where its model cannot be read: the samples
+        are there, and are judged anew."""
+        first = len(self.targets)
+        self.targets += map(Target.of, document["targets"])  # samples count them, readable or not
+        try:
+            self.judgements.append(self._readable_judgement(document))
+        except ParallelCalError as error:
+            self.warnings.append(f"{error}; this judgement is set aside, the samples judged anew")
+            self._planned_unreadably += range(first, len(self.targets))
+        else:
+            self.warnings.clear()  # what was set aside before has been judged anew since
+
+    def _readable_judgement(self, document: Mapping[str, Any]) -> Judgement:
+        """ParallelCalError with file, key and value for one whose model cannot be read."""
+        try:
+            judgement = Judgement.of(document)
+        except (KeyError, TypeError) as error:
+            raise CampaignError(
+                f"{self.folder / FILE}: a judgement has not the keys that this release expects: "
+                f"{error!r}"
+            ) from None
+        name = f"{self.folder / FILE}: model of the judgement of {judgement.samples} samples"
+        parse_model(judgement.text, name)
+        return judgement
+
+    def _leave_out_unreadable_plans(self) -> None:
+        """Go to no target of a judgement that was set aside: the new one plans its own."""
+        why = "planned by a judgement that was set aside"
+        for k in self._planned_unreadably:
+            if k not in self.samples and k not in self.left_out:
+                self.left_out[k] = why
+                self._write(left_out=k, why=why)
 
     @property
     def spent(self) -> float:
@@ -207,6 +247,9 @@ class Campaign:
 
     def run(self) -> Outcome:
         """Until it has come to an end; the robot rests then, however it came."""
+        for text in self.warnings:
+            log.warning("%s", text)
+            self._say("planning", text)
         try:
             while True:
                 try:
@@ -427,6 +470,7 @@ class Campaign:
             "minutes": self.spent / 60,
             "curve": [{"poses": n, "error_unseen": error} for n, error in curve],
             "left_out": list(self.left_out.values()),
+            "warnings": self.warnings,
             "folder": str(self.folder),
             "diagnosis": judgement.diagnosis,
         }

@@ -20,7 +20,7 @@ from parallel_cal.diagnosis.separate import told_apart
 from parallel_cal.identification.observations import observe
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.prediction_errors import errors
-from parallel_cal.model.file.modelfile import dump_model, parse_model
+from parallel_cal.model.file.modelfile import parse_model, readable_text
 from parallel_cal.model.mechanism import Box
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.session.session import Session
@@ -114,7 +114,7 @@ def judged(
         model, fitted, effects=question.effects, options=question.options, progress=tell
     )
     best = found.best.fitted.model
-    text = dump_model(best)
+    text = readable_text(best, f"the model of the judgement of {len(dataset)} samples")
     doubt = tuple(dict.fromkeys([*(n for s in found.swaps.values() for n in s),
                                  *found.robot_or_device]))  # fmt: skip
     targets, untold = list[Target](), tuple[str, ...]()
@@ -194,7 +194,8 @@ def concluded(folder: Path, judgements: Sequence[Judgement]) -> Conclusion:
         words += f", {one} added together"
         left.clear()
     refused = (f"{name} not added: {why[name]}" for name in left)
-    return Conclusion(dump_model(session.model), "; ".join([words, *refused]))
+    text = readable_text(session.model, "the campaign's last model")
+    return Conclusion(text, "; ".join([words, *refused]))
 
 
 def _added(session: Session, effects: Mapping[str, str], why: dict[str, str]) -> str:

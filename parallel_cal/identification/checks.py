@@ -68,12 +68,17 @@ def check_plausible(
     """A small residual bought with an absurd parameter is a failed fit, not a good one; absurd is
     what lies more than three of its own sigmas outside its range.
 
+    The sigmas are those that a model file states, as its reader applies the same rule: what passes
+    here can be written and read again. `estimate.sigma` is infinite where the data cannot see a
+    parameter, and would let any number pass.
+
     Where somebody insists, an effect's or a sensor's number is let be, and said: the model then has
     it with a tolerance that allows it. FitError for all others.
     """
     words, tolerances = [], dict(model.tolerances)
+    stated_sigma = np.sqrt(np.maximum(np.diag(estimate.covariance), 0.0))
     for i, p in enumerate(model.table):
-        low, high = p.plausible_range(float(estimate.sigma[i]))
+        low, high = p.plausible_range(float(stated_sigma[i]))
         value = float(model.values[i])
         if not free[i] or low <= value <= high:
             continue

@@ -22,9 +22,8 @@ from sensor_msgs.msg import JointState, Temperature
 from trajectory_msgs.msg import JointTrajectory
 
 from parallel_cal.base.errors import ParallelCalError, SolveError
-from parallel_cal.base.files import write_atomically
 from parallel_cal.base.rotation import matrix_to_quaternion
-from parallel_cal.model.file.modelfile import dump_model
+from parallel_cal.model.file.modelfile import write_model
 from parallel_cal.model.model import Noise, new_model
 from parallel_cal.nodes.conversions import joint_order, pose_message
 from parallel_cal.nodes.parameters import ACCEPTED, LATCHED, Changes, Setting, absolute, declare
@@ -163,7 +162,7 @@ class VirtualCellNode(Node):
             model.mechanism.joint_rates = ((limits.velocity, limits.acceleration),) * len(
                 model.joints
             )
-            write_atomically(path, dump_model(replace(model, noise=noise)))
+            write_model(replace(model, noise=noise), path)
 
     def _changed(self, changes: Changes) -> SetParametersResult:
         """Parameters may be set in another thread: the next tick hears of it."""

@@ -19,11 +19,11 @@ from parallel_cal.identification.observations import observe
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.prediction_errors import errors
 from parallel_cal.model.file.modelfile import (
-    dump_model,
     model_hash,
     model_text,
     parse_model,
     read_model,
+    readable_text,
     replace_text,
     write_text,
 )
@@ -103,8 +103,7 @@ def _judged(request: Request, step: Step) -> Outcome:
     reason, found = step.acceptance.against, step.result
     kinds = (found.before, found.after, found.held_out_before, found.held_out)
     means = tuple(_or_nan(kind.summary.position_mean) for kind in kinds)
-    text = dump_model(step.model)
-    parse_model(text, f"{request.output_file} (not written)")
+    text = readable_text(step.model, request.output_file)
     if reason and not request.force:
         message = f"{reason}; nothing was written (force writes it all the same)"
         return Outcome(False, message, step.document(), text, means)
@@ -151,8 +150,9 @@ def examine(
     try:
         report("reading the model file", 0.0)
         found = diagnose(read_model(model_file), dataset, options=options, progress=report)
+        text = readable_text(found.best.fitted.model, "the best model found")
     except ParallelCalError as error:
         return Outcome(False, str(error))
-    word, text = found.verdict.word, dump_model(found.best.fitted.model)
+    word = found.verdict.word
     message = f"{word}: {found.verdict.summary}"
     return Outcome(True, message, found.document(), text, verdict=word)

@@ -12,8 +12,8 @@ from parallel_cal.model.file.yamltext import parse_yaml
 from parallel_cal.model.model import Model
 
 __all__ = [
-    "dump_model", "model_hash", "model_text", "parse_model", "read_model", "replace_model",
-    "replace_text", "write_model", "write_text",
+    "dump_model", "model_hash", "model_text", "parse_model", "read_model", "readable_text",
+    "replace_model", "replace_text", "write_model", "write_text",
 ]  # fmt: skip
 
 MOST = 4 * MEGABYTE  # of a file: a second each, in which streams of the node that reads it suffer
@@ -43,29 +43,38 @@ def parse_model(text: str, name: str = "model") -> Model:
 
 def write_model(model: Model, path: str | Path) -> None:
     """Write a model file in one step; ModelFileError for a model that could not be read back."""
-    write_text(path, _checked(model, path))
+    write_text(path, readable_text(model, path))
 
 
 def replace_model(model: Model, path: str | Path) -> None:
     """The same; a file that was there is laid aside as `PATH.previous`."""
-    replace_text(path, _checked(model, path))
+    replace_text(path, readable_text(model, path))
 
 
 def replace_text(path: str | Path, text: str) -> None:
-    """Write a model file's text, and keep the one before beside it, with its permissions."""
+    """Write a model file's text, and keep the one before beside it, with its permissions;
+    ModelFileError, and both files as they were, for a text that could not be read back."""
+    parse_model(text, f"{path} (not written)")
     if Path(path).exists():
         write_text(f"{path}{PREVIOUS}", model_text(path), like=path)
     write_text(path, text)
 
 
-def _checked(model: Model, path: str | Path) -> str:
+def readable_text(model: Model, name: str | Path) -> str:
+    """The text of a model's file, which the reader accepts; `name` stands for the file in the
+    ModelFileError where it does not.
+
+    Whatever stores a model takes its text from here: `dump_model` alone also gives texts that
+    nobody can read back.
+    """
     text = dump_model(model)
-    parse_model(text, f"{path} (not written)")
+    parse_model(text, f"{name} (not written)")
     return text
 
 
 def write_text(path: str | Path, text: str, like: str | Path | None = None) -> None:
-    """Write a model file's text in one step; ModelFileError where that cannot be."""
+    """Write the text of a model file in one step, unchecked: for one that was just read, or that
+    is laid aside as it is. ModelFileError where the file cannot be written."""
     try:
         write_atomically(path, text, like)
     except OSError as error:
