@@ -59,6 +59,51 @@ def test_what_is_laid_aside_for_a_model_goes_nowhere_else_and_replaces_a_model_o
         folders.to_write(str(model), "model")
 
 
+@pytest.mark.parametrize(
+    ("name", "kind", "expected"),
+    [
+        (".bash_profile", "samples", r"must end in \.json"),
+        ("samples", "samples", r"must end in \.json"),
+        ("samples.json.sh", "samples", r"must end in \.json"),
+        ("robot.yaml", "samples", r"must end in \.json"),
+        (".profile.json", "samples", "begins with a dot"),
+        (".json", "samples", "begins with a dot"),
+        (".config/autostart/samples.json", "samples", "begins with a dot"),
+        (".bash_profile", "model", r"must end in \.yaml or \.yml"),
+        ("robot.json", "model", r"must end in \.yaml or \.yml"),
+        (".robot.yaml", "model", "begins with a dot"),
+        ("deep/.hidden/robot.yml", "model", "begins with a dot"),
+    ],
+)
+def test_a_file_that_a_shell_may_execute_is_refused_by_its_name(
+    folders, tmp_path, name, kind, expected
+):
+    path = str(tmp_path / "in" / name)
+    with pytest.raises(ParallelCalError, match=expected) as refused:
+        folders.to_write(path, kind)
+    assert path in str(refused.value)
+
+
+def test_a_link_with_a_good_name_does_not_lead_to_a_hidden_file(folders, tmp_path):
+    (tmp_path / "in" / "s.json").symlink_to(tmp_path / "in" / ".profile")
+    (tmp_path / "in" / ".profile").write_text(SAMPLES)
+    with pytest.raises(ParallelCalError, match=r"must end in \.json"):
+        folders.to_write(str(tmp_path / "in" / "s.json"), "samples")
+    (tmp_path / "in" / ".hidden").mkdir()
+    (tmp_path / "in" / "open").symlink_to(tmp_path / "in" / ".hidden")
+    with pytest.raises(ParallelCalError, match="begins with a dot"):
+        folders.to_write(str(tmp_path / "in" / "open" / "s.json"), "samples")
+
+
+def test_files_below_an_allowed_folder_that_is_hidden_itself_are_written(tmp_path):
+    """The usual folder is ~/.ros/parallel_cal."""
+    (tmp_path / ".ros" / "parallel_cal").mkdir(parents=True)
+    folders = Folders("", [tmp_path / ".ros" / "parallel_cal"])
+    for name, kind in (("s.json", "samples"), ("m.yaml", "model"), ("m.yml", "model")):
+        path = str(tmp_path / ".ros" / "parallel_cal" / name)
+        assert folders.to_write(path, kind) == path
+
+
 def test_listed_folders_stand_in_for_the_usual_ones(tmp_path):
     folders = Folders(f"{tmp_path}/a:{tmp_path}/b", [tmp_path / "in"])
     assert folders.to_read(f"{tmp_path}/b/x")

@@ -11,6 +11,7 @@ from parallel_cal.base.files import PREVIOUS
 from parallel_cal.nodes.parameters import absolute
 
 MARKS = {"model": b"parallel_cal:", "samples": b'"parallel_cal_samples"'}
+ENDINGS = {"model": (".yaml", ".yml"), "samples": (".json",)}
 HEAD = 4096  # bytes in which a file of ours says what it is
 
 
@@ -28,8 +29,7 @@ class Folders:
     def to_read(self, path: str) -> str:
         """The absolute path; ParallelCalError where it lies elsewhere."""
         named = absolute(path)
-        real = Path(os.path.realpath(named))
-        if not any(real == folder or folder in real.parents for folder in self._allowed):
+        if not self._places(named):
             listed = ", ".join(map(str, self._allowed)) or "none"
             raise ParallelCalError(
                 f"{path}: not in a folder that requests may use (allowed_folders: {listed})"
@@ -38,12 +38,43 @@ class Folders:
 
     def to_write(self, path: str, kind: str) -> str:
         """The same, and it replaces nothing but a file of the same `kind`, model or samples; nor
-        does the model file that is laid aside for it."""
+        does the model file that is laid aside for it.
+
+        A new file has the ending of its kind and is not hidden: a request chooses part of what is
+        in it, such as a frame's name, and a shell executes some files for their name alone.
+        """
         for one in (path, path + PREVIOUS) if kind == "model" else (path,):
-            named = Path(self.to_read(one))
-            if os.path.lexists(named) and not _holds(named, MARKS[kind]):
+            there = Path(self.to_read(one))
+            if os.path.lexists(there) and not _holds(there, MARKS[kind]):
                 raise ParallelCalError(f"{one}: exists and is no {kind} file; nothing was written")
-        return self.to_read(path)
+        named = self.to_read(path)
+        self._check_name(path, named, kind)
+        return named
+
+    def _check_name(self, path: str, named: str, kind: str) -> None:
+        """ParallelCalError for a hidden file or folder, or an ending of another kind; both of the
+        name itself and of the file that it leads to."""
+        names = Path(named).name, os.path.basename(os.path.realpath(named))
+        if not all(name.endswith(ENDINGS[kind]) for name in names):
+            expected = " or ".join(ENDINGS[kind])
+            raise ParallelCalError(
+                f"{path}: a {kind} file's name must end in {expected}; nothing was written"
+            )
+        visible = [place for place in self._places(named) if not _is_hidden(place)]
+        if names[0].startswith(".") or not visible:
+            raise ParallelCalError(
+                f"{path}: a {kind} file must not be hidden, nor lie in a hidden folder: expected "
+                "no name that begins with a dot; nothing was written"
+            )
+
+    def _places(self, named: str) -> list[Path]:
+        """Where a file lies below each allowed folder that holds it."""
+        real = Path(os.path.realpath(named))
+        return [real.relative_to(f) for f in self._allowed if real.is_relative_to(f)]
+
+
+def _is_hidden(place: Path) -> bool:
+    return any(part.startswith(".") for part in place.parts)
 
 
 def _holds(path: Path, mark: bytes) -> bool:
