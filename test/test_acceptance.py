@@ -10,10 +10,11 @@ from typer.testing import CliRunner
 from parallel_cal.base.errors import FitError
 from parallel_cal.cli.main import application
 from parallel_cal.diagnosis.catalogue import candidate
+from parallel_cal.diagnosis.comparison import compare
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.diagnosis.search import Search
-from parallel_cal.identification.acceptance import acceptance
-from parallel_cal.identification.fit import fit
+from parallel_cal.identification.acceptance import IN_SAMPLE, acceptance
+from parallel_cal.identification.fit import fit, fit_registered
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.prediction_errors import Errors
 from parallel_cal.model.file.modelfile import read_model, write_model
@@ -68,7 +69,7 @@ def by_hand(result, *, before, after):
         return Errors(**known)
 
     result = replace(result, held_out=errors(after))
-    vars(result)["before"] = errors(before)
+    vars(result)["held_out_before"] = errors(before)
     return result
 
 
@@ -175,3 +176,57 @@ def test_too_few_poses_to_leave_some_out_prove_nothing():
     step = fitted(true, few, force=True, fix=others)
     assert step.document()["acceptance"]["judged"] is False
     assert any("too few poses" in word for word in step.warnings)
+
+
+@pytest.fixture(scope="module")
+def recorded(clean):
+    """Samples with a sha256, by which a model's history knows them again."""
+    return replace(clean, sha256="5" * 64)
+
+
+@pytest.fixture(scope="module")
+def first(recorded):
+    """A fit of a few numbers of each chain."""
+    return fitted(new_model("delta54"), recorded, fix=["*"], free=["chain*.L*"])
+
+
+@pytest.mark.wide
+def test_a_model_fitted_twice_is_as_good_as_before_and_not_worse(first, recorded):
+    """Its own error at samples that it was fitted on is no error of poses that were held out."""
+    with pytest.raises(FitError, match="the model was fitted on these samples before"):
+        fitted(first.model, recorded)
+    second = fitted(first.model, recorded, force=True)
+    told = second.document()
+    assert told["before"] == compare(first.model, recorded).errors.document()
+    assert told["before"]["position_rms"] < told["held_out"]["after"]["position_rms"]
+    assert told["held_out"]["before"] == told["held_out"]["after"]
+    assert told["held_out"]["before"] == pytest.approx(first.document()["held_out"]["after"])
+    assert IN_SAMPLE in told["warnings"]
+    assert sum(IN_SAMPLE in words for words in second.warnings) == 1
+    assert IN_SAMPLE not in first.result.warnings
+
+
+@pytest.mark.wide
+def test_a_fit_of_more_numbers_beats_the_fewer_ones_identified_in_the_same_folds(first, recorded):
+    more = fitted(first.model, recorded, free=["chain*.D_*"])
+    fewer = fit_registered(first.model, recorded, FitOptions())
+    assert np.array_equal(fewer.free, ~first.model.fixed)
+    found, told = more.result.held_out_before, fewer.held_out
+    assert found.position == pytest.approx(told.position, abs=1e-9)
+    assert more.result.held_out.summary.position_rms < found.summary.position_rms
+    assert IN_SAMPLE in more.warnings
+
+
+@pytest.mark.wide
+def test_a_fit_by_another_method_is_held_against_the_method_of_the_model_before(first, recorded):
+    robust = fitted(first.model, recorded, force=True, loss="huber")
+    before = robust.result.held_out_before.summary
+    assert before.position_rms == pytest.approx(first.result.held_out.summary.position_rms)
+    assert before.position_rms != robust.result.held_out.summary.position_rms
+
+
+@pytest.mark.wide
+def test_samples_that_a_model_has_never_seen_judge_its_own_numbers(first):
+    other = fitted(first.model, replace(measured(7), sha256="7" * 64), force=True)
+    assert np.array_equal(other.result.held_out_before.position, other.result.before.position)
+    assert IN_SAMPLE not in other.warnings

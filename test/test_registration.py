@@ -7,10 +7,20 @@ import pytest
 from datasets import measured, quiet
 
 from parallel_cal.base.rotation import nearest_rotation, rotation_matrix
+from parallel_cal.campaign.judging import Question, judged
+from parallel_cal.diagnosis.comparison import compare
+from parallel_cal.diagnosis.diagnose import diagnose
+from parallel_cal.fleet import judging as fleet_judging
 from parallel_cal.identification.fit import fit
+from parallel_cal.identification.observations import observe
+from parallel_cal.identification.prediction_errors import errors
+from parallel_cal.identification.registration import registered
 from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.model.file.modelfile import dump_model
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_sensor
+from parallel_cal.reporting.contents import LeftOut
+from parallel_cal.session.steps import added
 
 SHIFT, TURN = np.array([1.2, -1.4, 0.3]), rotation_matrix(np.array([0.3, -0.2, 2.0]))
 
@@ -52,3 +62,60 @@ def test_a_target_that_is_stated_is_where_it_is_stated():
     found = fit(new_model("delta54").with_sensors((device,)), data, hold_out=0)
     assert error_at_unseen_poses(found.model) < 12e-6
     assert np.abs(np.array(found.registration.target_position) - target).max() < 2e-3
+
+
+@pytest.fixture(scope="module")
+def far():
+    return seen_by_a_tracker(measured(1))
+
+
+@pytest.mark.wide
+def test_the_errors_before_a_fit_are_those_that_compare_shows(far):
+    """A fit starts from frames that the robot's free numbers share in: another 0.5 mm off."""
+    model = new_model("delta54")
+    shown, fitted = compare(model, far), fit(model, far)
+    assert shown.registration is not None
+    assert fitted.document()["before"] == shown.errors.document()
+    assert np.array_equal(fitted.before.position, shown.errors.position)
+    assert errors(fitted.start, fitted.observations).summary != shown.errors.summary
+
+
+@pytest.mark.wide
+def test_at_held_out_poses_the_model_before_is_registered_by_the_other_poses(far):
+    model = new_model("delta54")
+    fitted = fit(model, far)
+    before = fitted.held_out_before
+    for train, test in far.folds(0.25, 0):
+        placed, registration = registered(model, far.select(train))
+        assert registration is not None
+        unseen = errors(placed, observe(placed, far.select(test)))
+        assert before.position[test] == pytest.approx(unseen.position, abs=1e-12)
+    assert np.array_equal(before.judged, fitted.held_out.judged)
+    assert before.summary.position_rms > fitted.before.summary.position_rms
+
+
+@pytest.mark.wide
+def test_an_effect_added_to_a_registered_robot_is_held_against_the_model_that_compare_shows(far):
+    model = new_model("delta54")
+    step = added(model, "backlash", far, force=True)
+    assert step.document()["before"] == compare(model, far).errors.document()
+    assert step.document()["held_out"]["before"] == fit(model, far).document()["held_out"]["before"]
+
+
+@pytest.mark.wide
+def test_a_campaign_s_error_before_is_that_of_the_model_registered_by_the_samples_used(far):
+    unseen = np.arange(len(far)) % 5 == 0
+    model = replace(new_model("delta54"), noise=replace(new_model("delta54").noise, joint=1.2e-4))
+    found = judged(Question(dump_model(model), effects=("backlash",)), far, unseen)
+    placed, _ = registered(model, far.select(~unseen))
+    shown = errors(placed, observe(placed, far.select(unseen))).summary
+    assert found.before["position"] == pytest.approx(shown.position_rms, rel=1e-6)
+
+
+@pytest.mark.wide
+def test_report_and_fleet_show_the_registered_model_before_at_held_out_poses(far):
+    model = new_model("delta54")
+    found = diagnose(model, far, effects=("backlash",))
+    expected = fit(model, far).held_out_before.summary
+    assert LeftOut.of(found).before == expected
+    assert fleet_judging._row(found)["before"] == expected

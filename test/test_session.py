@@ -54,6 +54,28 @@ def test_an_effect_that_helps_is_added_and_one_that_does_not_leaves_no_state(ses
     assert after.parent == before.number
 
 
+@pytest.mark.wide
+def test_a_second_fit_is_as_good_as_the_first(session):
+    first = session.state
+    second = session.fit()
+    assert second.before == first.errors
+    assert second.errors == pytest.approx(first.errors)
+    assert second.against == first.against == ""
+
+
+@pytest.mark.wide
+def test_a_session_of_a_fitted_file_says_that_its_samples_are_known(session, tmp_path):
+    from parallel_cal.workbench.views import view
+
+    again = Session.new(tmp_path / "again", session.model, [BAG], fitting=FitOptions(hold_out=0.5))
+    seen = view(again, lambda stage, fraction: None)
+    assert "that it was fitted on: its error here is in-sample" in seen["verdict"]["words"]
+    assert seen["tiles"][0]["where"] == "at the samples that the model was fitted on"
+    state = again.fit()
+    assert state.before == state.errors == pytest.approx(session.state.errors)
+    assert "the model was fitted on these samples before" in state.against
+
+
 def test_undo_and_redo_walk_along_the_branch(session):
     fit = session.state
     assert session.undo().step == "begin"

@@ -126,7 +126,7 @@ def judged(
     return Judgement(
         len(dataset), found.verdict.word, found.verdict.summary, found.effects, found.additions,
         doubt, untold, found.suspected, missing(found), text,
-        rms(found.model, dataset.select(unseen), question.options),
+        rms(found.base.fitted.given.model, dataset.select(unseen), question.options),
         rms(best, dataset.select(unseen), question.options),
         rms(best, dataset, question.options), tuple(targets), found.document(),
     )  # fmt: skip

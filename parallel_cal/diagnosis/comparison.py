@@ -17,10 +17,11 @@ from parallel_cal.diagnosis.patterns import Along, OddSample, Region, along, odd
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.identification.budget import iso_9283
 from parallel_cal.identification.fit import single_threaded
+from parallel_cal.identification.given_model import GivenModel
 from parallel_cal.identification.noise_floor import noise_floor
-from parallel_cal.identification.observations import Observations, observe
-from parallel_cal.identification.prediction_errors import ERRORS, Errors, Summary, errors
-from parallel_cal.identification.registration import Registration, registered, said
+from parallel_cal.identification.observations import Observations
+from parallel_cal.identification.prediction_errors import ERRORS, Errors, Summary
+from parallel_cal.identification.registration import Registration, said
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
@@ -147,15 +148,13 @@ class Comparison:
 def compare(model: Model, dataset: Dataset, joint_sigma: float | None = None) -> Comparison:
     """Predictions of a model beside what was measured, fitting nothing but the frames of a device
     that nobody has described."""
-    model, registration = registered(model, dataset, joint_sigma)
-    dataset = said(dataset, registration)
-    observations = observe(model, dataset, joint_sigma)
+    given = GivenModel.of(model, dataset, joint_sigma)
     with single_threaded():
         return Comparison(
-            model,
-            dataset,
-            observations,
-            errors(model, observations),
-            noise_floor(model, observations),
-            registration,
+            given.model,
+            said(dataset, given.registration),
+            given.observations,
+            given.errors,
+            noise_floor(given.model, given.observations),
+            given.registration,
         )

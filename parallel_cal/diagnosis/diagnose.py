@@ -33,8 +33,9 @@ from parallel_cal.diagnosis.statistics import holm
 from parallel_cal.diagnosis.thresholds import MISTRUSTED, REFITTED, SIGNIFICANT
 from parallel_cal.diagnosis.verdict import Findings, Verdict, judge
 from parallel_cal.identification.fit import Result, fit, fit_registered, single_threaded
+from parallel_cal.identification.given_model import GivenModel
 from parallel_cal.identification.options import FitOptions
-from parallel_cal.identification.registration import Registration, registered, said
+from parallel_cal.identification.registration import Registration, prepared_for_fit, said
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
 
@@ -145,14 +146,16 @@ def diagnose(
     """
     report = progress or (lambda stage, fraction: None)
     options = replace(options or FitOptions(), **changes)
-    model, registration = registered(model, dataset, options.joint_sigma, options)
+    given = GivenModel.of(model, dataset, options.joint_sigma)
+    model, registration = prepared_for_fit(given.model, given.registration, dataset, options)
     dataset = said(dataset, registration)
     names = names_of(model, also, effects)
 
     def without(aside: list[int]) -> Diagnosis:
         kept = dataset.excluding(aside, f"by --loss {options.loss}")
         least_squares = replace(options, loss="linear")
-        return _diagnosed(model, kept, names, least_squares, registration, report)
+        judged = replace(given, dataset=kept)
+        return _diagnosed(model, judged, names, least_squares, registration, report)
 
     def suspects(judged: Model) -> list[int]:
         """The worst ones: where most are mistrusted it is the model that is wrong."""
@@ -174,18 +177,18 @@ def diagnose(
 
 def _diagnosed(
     model: Model,
-    dataset: Dataset,
+    given: GivenModel,
     names: list[str],
     least_squares: FitOptions,
     registration: Registration | None,
     report: Progress,
 ) -> Diagnosis:
     """The diagnosis of samples that are all believed."""
+    dataset = given.dataset
 
     def refit(extended: Model, insist: bool) -> Result:
-        return fit_registered(
-            extended, dataset, replace(least_squares, insist=insist or least_squares.insist)
-        )
+        asked = replace(least_squares, insist=insist or least_squares.insist)
+        return fit_registered(extended, dataset, asked, given=given)
 
     with single_threaded():
         search = Search(model, refit, report)

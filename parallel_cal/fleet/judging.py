@@ -79,7 +79,7 @@ def _row(found: Diagnosis) -> Row:
         "summary": found.verdict.summary,
         "effects": found.effects,
         "robot_or_device": found.robot_or_device,
-        "before": base.before.summary,
+        "before": base.held_out_before.summary,
         "identified": base.held_out.summary,
         "after": best.held_out.summary,
         "noise": best.noise,

@@ -16,6 +16,11 @@ from parallel_cal.identification.observations import blocks
 from parallel_cal.identification.prediction_errors import Errors, Summary, held_out_ratio
 from parallel_cal.identification.units import UNITS
 
+IN_SAMPLE = (
+    "the model was fitted on these samples before, so its error here is in-sample; at held-out "
+    "poses it is judged with its numbers identified anew without these poses"
+)
+
 
 @dataclass(frozen=True)
 class Acceptance:
@@ -53,7 +58,7 @@ def acceptance(
     was changed (" with 'backlash'"). A share `rise` above 0 is for what makes a model smaller: its
     error may be larger by so much.
     """
-    before, after = (new.before if old is None else old.held_out), new.held_out
+    before, after = (new.held_out_before if old is None else old.held_out), new.held_out
     squares = np.array([_squared(new, before), _squared(new, after)])
     known = np.isfinite(squares).all(axis=0)
     if not known.any():
@@ -67,10 +72,11 @@ def acceptance(
     falls = ratio is not None and ratio < 1
     verb = "falls by no more than its own uncertainty" if falls else "does not fall"
     factor = "" if ratio is None else f"; factor {ratio:.3f}"
+    known_already = f"; {IN_SAMPLE}" if old is None and new.given.fits_of_these_samples else ""
     return Acceptance(
         then, now, True,
         f"the error at poses left out {'rises' if rise else verb}{change} "
-        f"({in_words(now, then)}{factor})",
+        f"({in_words(now, then)}{factor}){known_already}",
     )  # fmt: skip
 
 

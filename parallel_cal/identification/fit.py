@@ -29,6 +29,7 @@ from parallel_cal.identification.doubts import (
     on_samples,
 )
 from parallel_cal.identification.estimators import estimator, need_settling
+from parallel_cal.identification.given_model import Folds, GivenModel
 from parallel_cal.identification.methods.implicit import Estimate
 from parallel_cal.identification.noise_floor import noise_floor
 from parallel_cal.identification.observability import directions_in_words
@@ -36,12 +37,11 @@ from parallel_cal.identification.observations import Observations, observe
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.prediction_errors import Errors, Summary, errors, improvement
 from parallel_cal.identification.refit import considered
-from parallel_cal.identification.registration import Registration, registered, said
+from parallel_cal.identification.registration import Registration, prepared_for_fit, said
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
 
 Progress = Callable[[str, float], None]
-Folds = list[tuple[np.ndarray, np.ndarray]]  # indices of the samples seen, and of those left out
 Judged = Callable[[np.ndarray, np.ndarray], Errors | None]
 
 
@@ -50,7 +50,8 @@ class Result:
     """An identification with the inputs that made it.
 
     `held_out` errors come from fits that did not see the pose they are judged at; the
-    estimates themselves use all samples.
+    estimates themselves use all samples. `given` is the model that it is compared with, `start`
+    the one that it started from: the same, but for a device's frame that is identified, too.
     """
 
     model: Model
@@ -63,6 +64,7 @@ class Result:
     observations: Observations
     dataset: Dataset
     warnings: tuple[str, ...]
+    given: GivenModel
     registration: Registration | None = None
 
     @property
@@ -71,10 +73,10 @@ class Result:
         names = np.array(self.model.table.names)[self.free] if self.options.refit else ()
         return tuple(str(name) for name in names)
 
-    @cached_property
+    @property
     def before(self) -> Errors:
-        """Errors of the model that it started from."""
-        return errors(self.start, self.observations)
+        """Errors of the model as it was given: what `compare` shows of it."""
+        return self.given.errors
 
     @property
     def samples(self) -> int:
@@ -87,10 +89,39 @@ class Result:
 
     @cached_property
     def held_out_before(self) -> Errors:
-        """Errors of the model before at the poses that `held_out` judges."""
-        kinds = ("position", "orientation", "reading")
-        judged = np.any([np.isfinite(self.held_out.norms(kind)) for kind in kinds], axis=0)
-        return self.before.select(judged)
+        """Errors of the model as it was given at the poses that `held_out` judges, NaN at others.
+
+        They are out of sample as those are: a device's frame is registered by the other poses, and
+        numbers that were fitted to these samples are identified anew without the held-out ones.
+        """
+        if self.given.known_held_out is not None:
+            found = self.given.known_held_out
+        elif self.given.fits_of_these_samples:
+            found = self._refitted_without_held_out()
+        else:
+            found = self.given.errors_at_held_out(_folds(self.dataset, self.options))
+        return found.only_at(self.held_out.judged)
+
+    def _refitted_without_held_out(self) -> Errors:
+        """Errors at held-out poses of the given model where it was fitted to these samples before:
+        those of its numbers that are identified here, too, are identified in the same folds, by the
+        method and the loss of its last fit; the others keep their values on both sides. NaN where
+        they cannot be identified."""
+        start, last = self.given.model, self.given.fits_of_these_samples[-1]
+        own, here = _names(start, ~np.asarray(start.fixed)), _names(self.model, self.free)
+        how = {"method": last.get("method", "implicit"), "loss": last.get("loss", "linear")}
+        same = all(getattr(self.options, key) == value for key, value in how.items())
+        if same and here <= own and start.table.names == self.model.table.names:
+            return self.held_out
+        if not own & here:
+            return self.before
+        narrowed = replace(
+            self.options, **how, free=(), fix=sorted(own - here), refit=(), insist=True
+        )
+        try:
+            return fit_registered(start, self.dataset, narrowed).held_out
+        except FitError:
+            return self.before.blank()
 
     @cached_property
     def budgets(self) -> tuple[Budget, ...]:
@@ -206,15 +237,22 @@ def fit(
     cannot carry it.
     """
     options = replace(options or FitOptions(), **changes)
-    model, registration = registered(model, dataset, options.joint_sigma, options)
-    result = fit_registered(model, said(dataset, registration), options, progress)
+    given = GivenModel.of(model, dataset, options.joint_sigma)
+    start, registration = prepared_for_fit(given.model, given.registration, dataset, options)
+    result = fit_registered(start, said(dataset, registration), options, progress, given)
     return replace(result, registration=registration)
 
 
 def fit_registered(
-    model: Model, dataset: Dataset, options: FitOptions, progress: Progress | None = None
+    model: Model,
+    dataset: Dataset,
+    options: FitOptions,
+    progress: Progress | None = None,
+    given: GivenModel | None = None,
 ) -> Result:
-    """The same for a model that says where its device stands."""
+    """The same for a model that says where its device stands; `given` is what it is compared with,
+    the model itself where it is None."""
+    given = given or GivenModel(model, model, dataset, options.joint_sigma)
     report = progress or (lambda stage, fraction: None)
     mask, partial = chosen_parameters(model, options)
     estimate_with = estimator(options.method, options.prior, options.loss)
@@ -249,8 +287,7 @@ def fit_registered(
         fitted = model.with_values(estimate.values, estimate.covariance)
         fitted, insisted = check_plausible(fitted, estimate, mask, options.insist)
         after = errors(fitted, observations)
-        folds = dataset.folds(options.hold_out, options.seed) if options.hold_out > 0 else []
-        held_out = _held_out(folds, judged, after, report)
+        held_out = _held_out(_folds(dataset, options), judged, after, report)
     return Result(
         model=replace(fitted, fixed=model.fixed if partial else ~mask),
         start=model,
@@ -270,12 +307,21 @@ def fit_registered(
             *on_held(fitted, after.summary, lambda: noise_floor(fitted, observations)),
             *on_samples(estimate, dataset, options.loss),
         ),
+        given=given,
     )
+
+
+def _folds(dataset: Dataset, options: FitOptions) -> Folds:
+    return dataset.folds(options.hold_out, options.seed) if options.hold_out > 0 else []
+
+
+def _names(model: Model, mask: np.ndarray) -> set[str]:
+    return {name for name, chosen in zip(model.table.names, mask, strict=True) if chosen}
 
 
 def _held_out(folds: Folds, judged: Judged, like: Errors, report: Progress) -> Errors:
     """Errors at every pose of fits that left it out; NaN where leaving out is not possible."""
-    parts = {name: np.full_like(array, np.nan) for name, array in like.parts().items()}
+    parts = like.blank().parts()
     for k, (train, test) in enumerate(folds):
         report("leaving poses out", 0.2 + 0.8 * k / len(folds))
         if (unseen := judged(train, test)) is not None:

@@ -76,6 +76,20 @@ class Errors:
     def select(self, index: np.ndarray) -> Errors:
         return Errors(**{name: array[index] for name, array in self.parts().items()})
 
+    def blank(self) -> Errors:
+        """The same samples, nothing known of them."""
+        return Errors(**{name: np.full_like(a, np.nan) for name, a in self.parts().items()})
+
+    def only_at(self, samples: np.ndarray) -> Errors:
+        """The same at a mask (N,) of the samples, NaN at the others."""
+        return Errors(**{name: where_known(samples, a) for name, a in self.parts().items()})
+
+    @property
+    def judged(self) -> np.ndarray:
+        """(N,) whether an error of the pose or of a reading is known of a sample."""
+        kinds = ("position", "orientation", "reading")
+        return np.asarray(np.any([np.isfinite(self.norms(kind)) for kind in kinds], axis=0))
+
     def parts(self) -> dict[str, np.ndarray]:
         """The arrays by name."""
         return {part.name: getattr(self, part.name) for part in fields(self)}

@@ -107,16 +107,10 @@ def _degrees(quaternion: tuple[float, ...]) -> str:
 
 
 def registered(
-    model: Model,
-    dataset: Dataset,
-    joint_sigma: float | None = None,
-    options: FitOptions | None = None,
+    model: Model, dataset: Dataset, joint_sigma: float | None = None
 ) -> tuple[Model, Registration | None]:
     """The model with the sensor `device_frame` where the poses come in a frame that is not its
     base, or lie so far off that only frames explain it; the same model where neither is so.
-
-    Where a fit follows, with `options`, the robot's free numbers share in the fit of the frames;
-    those numbers of the frames stay free that the robot's do not already say.
     """
     frame, base = dataset.frame or "device", model.frames["base"]
     described = _device(model) is not None
@@ -129,11 +123,30 @@ def registered(
     if not (elsewhere or there.explained(found)):
         return model, None
     placed = _with_frames(model, found)
-    if options is not None:
-        placed = _settled(placed, observations, options)
     why = "another frame" if elsewhere else "in its own, nothing fitted"
     told = there.tilts or not (there.turns and there.placed.any())
     return placed, _registration(placed, frame, why, told)
+
+
+def registered_by(model: Model, observations: Observations) -> Model | None:
+    """The model with the frames that these samples show, None where they are too few to tell."""
+    there = _Poses.of(model, observations)
+    return None if there is None else _with_frames(model, there.frames())
+
+
+def prepared_for_fit(
+    model: Model, registration: Registration | None, dataset: Dataset, options: FitOptions
+) -> tuple[Model, Registration | None]:
+    """A registered model as a fit starts from it: the robot's free numbers share in the fit of the
+    frames, and those numbers of the frames stay free that the robot's do not already say.
+
+    A model that was not registered stays as it is.
+    """
+    if registration is None:
+        return model, None
+    settled = _settled(model, observe(model, dataset, options.joint_sigma), options)
+    frame, why, told = registration.frame, registration.why, registration.told
+    return settled, _registration(settled, frame, why, told)
 
 
 def said(dataset: Dataset, registration: Registration | None) -> Dataset:

@@ -112,8 +112,7 @@ class Session(History):
 
     def fit(self, progress: Progress | None = None) -> State:
         """Identify the model's free parameters; what speaks against the result is in the state."""
-        step = fitted(self.model, self.dataset, True, options=self.options, progress=progress)
-        return self._committed("fit", step)
+        return self._refitted("fit", progress)
 
     def add(self, effect: str, progress: Progress | None = None, force: bool = False) -> State:
         """Add an effect and identify anew; FitError where the errors at poses left out do not fall,

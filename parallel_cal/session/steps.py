@@ -14,7 +14,7 @@ from parallel_cal.diagnosis.entries import outdoes
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.search import superfluous
 from parallel_cal.diagnosis.verdict import robot_or_device
-from parallel_cal.identification.acceptance import Acceptance, acceptance
+from parallel_cal.identification.acceptance import IN_SAMPLE, Acceptance, acceptance
 from parallel_cal.identification.fit import Result, fit
 from parallel_cal.identification.moves import Moves, moves
 from parallel_cal.identification.prediction_errors import Summary
@@ -53,7 +53,9 @@ class Step:
     def warnings(self) -> tuple[str, ...]:
         """The fit's, and what speaks against the new model where it was taken by force."""
         against = self.acceptance.against
-        return (*self.result.warnings, against) if against else self.result.warnings
+        if not against:
+            return self.result.warnings
+        return (*(words for words in self.result.warnings if words not in against), against)
 
     def document(self) -> dict[str, Any]:
         """The result's, with the errors of what the step had to beat."""
@@ -69,6 +71,8 @@ def fitted(model: Model, dataset: Dataset, force: bool = False, **options: Any) 
     """Identify the model's free parameters; options as in `identification.fit`. FitError when
     that does not help at poses left out."""
     result = fit(model, dataset, **options)
+    if result.given.fits_of_these_samples:
+        result = replace(result, warnings=(*result.warnings, IN_SAMPLE))
     return _step("fit", result, _judged(acceptance(result), force))
 
 
@@ -92,7 +96,7 @@ def added(model: Model, effect: str, dataset: Dataset, force: bool = False, **op
         one = candidate(scene, name)  # with the settings that fit best to what the base leaves
         more.append(replace(one, settings=settings or one.settings))
         extended = extended.with_effect(name, more[-1].settings)
-    result = replace(fit(extended, base.dataset, **options), registration=base.registration)
+    result = _beside(fit(extended, base.dataset, **options), base)
     name = "+".join(one.name for one in more)
     found = acceptance(result, base, f" with '{name}'")
     if not found.against:
@@ -101,6 +105,12 @@ def added(model: Model, effect: str, dataset: Dataset, force: bool = False, **op
         doubts = (_doubted(scene, one) for one in more)
         found = replace(found, against=words if chance else next(filter(None, doubts), ""))
     return _step("add", result, _judged(found, force), base, name)
+
+
+def _beside(result: Result, rival: Result) -> Result:
+    """A fit with another effect, held against the model that its rival was given."""
+    given = replace(rival.given, known_held_out=rival.held_out_before)
+    return replace(result, given=given, registration=rival.registration)
 
 
 def _doubted(scene: Scene, one: Candidate) -> str:
@@ -126,8 +136,7 @@ def removed(
     """Identify anew without one of the effects; FitError when that costs accuracy."""
     model.without_effect(effect)  # a wrong name is better said before a fit
     with_it = fit(model, dataset, **options)
-    result = fit(with_it.start.without_effect(effect), with_it.dataset, **options)
-    result = replace(result, registration=with_it.registration)
+    result = _beside(fit(with_it.start.without_effect(effect), with_it.dataset, **options), with_it)
     found = acceptance(result, with_it, f" without '{effect}'", NEGLIGIBLE)
     return _step("remove", result, _judged(found, force), with_it, effect)
 

@@ -108,7 +108,7 @@ def _tile(tile: dict[str, Any]) -> None:
         ui.label(tile["name"]).classes("text-xs").style("opacity: 0.75")
         for one in tile["values"]:
             ui.label(f"{one['value']} {one['unit']}").classes("text-lg leading-tight").tooltip(
-                f"{one['kind']}, rms at poses left out"
+                f"{one['kind']}, rms {tile['where']}"
             )
 
 

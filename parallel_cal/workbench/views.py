@@ -17,6 +17,7 @@ from parallel_cal.diagnosis.signature import Signature, signature
 from parallel_cal.diagnosis.thresholds import LEVELS
 from parallel_cal.diagnosis.verdict import AMBER_VERDICTS
 from parallel_cal.identification.budget import Budget, Iso9283, iso_9283
+from parallel_cal.identification.given_model import fits_of
 from parallel_cal.identification.prediction_errors import Summary
 from parallel_cal.model.model import Model
 from parallel_cal.reporting import contents, drawings, maps, multiples, rounds, signatures, spaces
@@ -75,9 +76,11 @@ def view(session: Session, progress: Progress) -> View:
 
 def _compared(found: Comparison) -> View:
     kinds = [k for k in ("position", "orientation", "reading") if found.errors.summary.rms(k)]
-    tiles = [_tile("now", found.errors.summary, kinds)]
+    in_sample = any(fits_of(found.model, found.dataset))
+    where = "at the samples that the model was fitted on" if in_sample else "at all samples"
+    tiles = [_tile("now", found.errors.summary, kinds, where)]
     if found.noise.known:
-        tiles.append(_tile("noise alone", found.noise, kinds))
+        tiles.append(_tile("noise alone", found.noise, kinds, where))
     residuals = contents.Residuals.of(found.scene, found.field)
     return {
         "verdict": {"colour": GREY, "words": _compared_words(found)},
@@ -107,6 +110,11 @@ def _compared(found: Comparison) -> View:
 
 
 def _compared_words(found: Comparison) -> str:
+    if any(fits_of(found.model, found.dataset)):
+        return (
+            "compared with the measurements that it was fitted on: its error here is in-sample; "
+            "Fit judges it at poses left out"
+        )
     if any(entry.get("step") == "fit" for entry in found.model.history):
         return "compared with the measurements; Fit judges it at poses left out"
     return "compared with the measurements; not identified yet"
@@ -165,12 +173,14 @@ def _verdict(found: Report) -> View:
             "words": f"{verdict.word.replace('_', ' ')}: {verdict.summary}"}  # fmt: skip
 
 
-def _tile(name: str, e: Summary, kinds: list[str]) -> View:
+def _tile(
+    name: str, e: Summary, kinds: list[str], where: str = "at poses left out of the fit"
+) -> View:
     values = []
     for kind in kinds:
         unit, factor = small(unit_of(kind, {}))
         values.append({"value": number(e.rms(kind), factor), "unit": unit, "kind": kind})
-    return {"name": name, "values": values}
+    return {"name": name, "values": values, "where": where}
 
 
 def _budget(budgets: Sequence[Budget]) -> Iterator[View]:

@@ -1,0 +1,82 @@
+"""The model as it was given, before anything is identified: what `compare` shows and fits beat.
+
+Where nobody has said where the pose device stands, its frame and target are registered, and nothing
+else is changed. At held-out poses they are registered by the other poses alone, so that an error
+there is as much out of sample as that of the fit beside it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from parallel_cal.identification.observations import Observations, observe
+from parallel_cal.identification.prediction_errors import Errors, errors
+from parallel_cal.identification.registration import Registration, registered, registered_by
+from parallel_cal.model.model import Model
+from parallel_cal.recordings.dataset import Dataset
+
+Folds = list[tuple[np.ndarray, np.ndarray]]  # indices of the training and of the held-out samples
+
+
+@dataclass(frozen=True)
+class GivenModel:
+    """A model and the samples that it is judged by.
+
+    `unregistered` is the model as it came, `model` the one whose errors count. `known_held_out` are
+    its errors at held-out poses where another fit of the same samples has found them.
+    """
+
+    unregistered: Model
+    model: Model
+    dataset: Dataset
+    joint_sigma: float | None = None
+    registration: Registration | None = None
+    known_held_out: Errors | None = None
+
+    @classmethod
+    def of(cls, model: Model, dataset: Dataset, joint_sigma: float | None = None) -> GivenModel:
+        """Registered where the samples ask for it."""
+        placed, registration = registered(model, dataset, joint_sigma)
+        return cls(model, placed, dataset, joint_sigma, registration)
+
+    @cached_property
+    def observations(self) -> Observations:
+        return observe(self.model, self.dataset, self.joint_sigma)
+
+    @cached_property
+    def errors(self) -> Errors:
+        """At all samples."""
+        return errors(self.model, self.observations)
+
+    def errors_at_held_out(self, folds: Folds) -> Errors:
+        """At all samples, each one registered by the samples of the folds that do not hold it;
+        NaN where these are too few to register the device."""
+        if self.registration is None:
+            return self.errors
+        parts = self.errors.blank().parts()
+        for train, test in folds:
+            placed = registered_by(self.unregistered, self.observations.select(train))
+            if placed is not None:
+                unseen = errors(placed, self.observations.select(test))
+                for name, array in unseen.parts().items():
+                    parts[name][test] = array
+        return Errors(**parts)
+
+    @property
+    def fits_of_these_samples(self) -> tuple[Mapping[str, Any], ...]:
+        """Steps of the model's history that used these samples: its error at them is in-sample."""
+        return tuple(fits_of(self.unregistered, self.dataset))
+
+
+def fits_of(model: Model, dataset: Dataset) -> Iterator[Mapping[str, Any]]:
+    """Steps of a model's history that used these samples, as their sha256 tells."""
+    for entry in model.history:
+        data = entry.get("dataset")
+        sha256 = data.get("sha256") if isinstance(data, Mapping) else None
+        if sha256 and sha256 == dataset.sha256:
+            yield entry
