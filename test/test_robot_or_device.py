@@ -1,5 +1,6 @@
 """A robot must not learn its device's errors: what either may have made is said to be doubtful."""
 
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -7,22 +8,28 @@ import pytest
 import virtual_blind as vb
 import virtual_day as vd
 import virtual_findings as vf
+from datasets import JOINTS, as_dataset, measured
 from findings import clean, dataset, hiding, sized
 from twins import hexapod
 
 from parallel_cal.base.errors import FitError, ModelError
-from parallel_cal.diagnosis.device import cost, log_evidence
+from parallel_cal.diagnosis.catalogue import candidate
+from parallel_cal.diagnosis.device import cost, doubtful, log_evidence
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.diagnosis.scene import Scene
+from parallel_cal.diagnosis.search import Chosen, Search
 from parallel_cal.diagnosis.thresholds import EFFECT_SIZES, FIELD_SIZES
 from parallel_cal.identification.fit import fit
 from parallel_cal.model.file.modelfile import read_model, write_model
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_sensor
+from parallel_cal.recordings.csv_import import import_csv
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.session.steps import added
 from parallel_cal.virtual import joint_effects as ve
 from parallel_cal.virtual import robot as vr
+
+VERDICTS = Path(__file__).parents[2] / "shared" / "data" / "verdicts"
 
 
 @pytest.fixture(scope="module")
@@ -240,3 +247,61 @@ def test_a_device_effect_that_another_outdoes_is_not_added():
     yielding = dataset(vf.samples(day, [stand], vf.FINE, 0), vf.FINE)
     with pytest.raises(FitError, match="device_field explains clearly better what 'device_axes'"):
         added(new_model("delta54"), "device_axes", yielding)
+
+
+PLAY = vr.Backlash((0.6e-3, 0.5e-3, 0.4e-3))
+
+
+@pytest.mark.wide
+def test_backlash_is_named_beside_the_larger_model_where_only_positions_were_measured():
+    """The platform tilts: model 24 needs the larger model, whose closure has more rows."""
+    samples = vd.dwell_samples(vr.MOCK_UP, seed=0, noise=vf.FINE, effects=[PLAY], n_poses=70)
+    only_position = np.tile([True] * 3 + [False] * 3, (len(samples["q"]), 1))
+    data = as_dataset(samples, vf.FINE, only_position)
+    tried = ["backlash", "parallelogram_errors", "device_axes"]
+    found = diagnose(new_model("delta24"), data, effects=tried)
+    assert set(found.effects) == {"backlash", "parallelogram_errors"}
+    assert found.verdict.word == "explained"
+    assert not found.robot_or_device
+    estimated = found.best.fitted.parameters()
+    widths = [estimated[f"backlash.{joint}.width"].value for joint in JOINTS]
+    np.testing.assert_allclose(widths, PLAY.width, rtol=0.1)
+
+
+@pytest.mark.wide
+@pytest.mark.skipif(not VERDICTS.exists(), reason=f"needs {VERDICTS}, which is not in every clone")
+def test_the_shared_session_of_positions_alone_names_its_backlash():
+    table, columns = (VERDICTS / f"positions_model24.{end}" for end in ("csv", "columns.yaml"))
+    model = read_model(VERDICTS / "positions_model24.model.yaml")
+    found = diagnose(model, import_csv(table, columns))
+    assert set(found.effects) == {"backlash", "parallelogram_errors"}
+    assert found.verdict.word == "explained"
+
+
+@pytest.mark.wide
+@pytest.mark.parametrize("order", [1, -1])
+def test_effects_are_weighed_on_the_rows_of_the_larger_model_where_that_is_chosen(order):
+    """One of the effects makes sense for the larger model only: it has no scene of its own."""
+    result = fit(new_model("delta24"), measured(0, effects=[PLAY]), hold_out=0)
+    scene = Scene.of(result.model, result.dataset, result.observations, result.free)
+    names = ["backlash", "parallelogram_errors", "target_offset"]
+    chosen = [candidate(scene, name) for name in names[::order]]
+    device = [candidate(scene, name) for name in ("device_axes", "device_field")]
+    assert {one.scene and one.scene.rows for one in chosen} == {3, 6, None}
+    assert doubtful(scene, chosen, [*chosen, *device]) == []
+
+
+@pytest.mark.wide
+def test_an_effect_that_only_the_larger_model_can_have_fails_without_it_and_says_why():
+    data = measured(0, effects=[PLAY])
+    search = Search(
+        new_model("delta24"),
+        lambda model, insist: fit(model, data, insist=insist),
+        lambda stage, fraction: None,
+    )
+    both = search.fit(Chosen("parallelogram_errors"), Chosen("target_offset"))
+    assert both.result is not None
+    alone = search.fit(Chosen("target_offset"))
+    assert alone.result is None
+    assert "the platform does not turn" in alone.reason
+    assert "parallelogram_errors" in search.backward(both).names

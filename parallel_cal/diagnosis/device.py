@@ -46,13 +46,15 @@ def imitated(scene: Scene, chosen: Sequence[Candidate], ranked: Sequence[Candida
     own = [c for c in chosen if not c.effect.of_device and c.scene is scene]
     if not device or not own:
         return []
-    known = {c.name: _columns(scene, c) for c in {c.name: c for c in (*device, *chosen)}.values()}
+    shared = _shared_scene(scene, chosen)
+    all_named = {c.name: c for c in (*device, *chosen)}
+    known = {name: _columns(scene, shared, c) for name, c in all_named.items()}
 
     def price(*candidates: Candidate) -> float:
         names = dict.fromkeys(c.name for c in candidates)
-        return cost(scene, np.hstack([known[name] for name in names]))
+        return cost(shared, np.hstack([known[name] for name in names]))
 
-    left = _chi2_per_dof(scene, np.hstack([known[c.name] for c in chosen]))
+    left = _chi2_per_dof(shared, np.hstack([known[c.name] for c in chosen]))
     limit = price(*chosen) + APART**2 * max(left, 1.0)
     without = {one.name: price(*(c for c in chosen if c is not one), *device) for one in own}
     return [name for name, instead in without.items() if instead < limit]
@@ -77,9 +79,20 @@ def _chi2_per_dof(scene: Scene, B: np.ndarray) -> float:
     return float(left @ left) / max(scene.dof - int(rank), 1)
 
 
-def _columns(scene: Scene, one: Candidate) -> np.ndarray:
-    extended = scene.model.with_effect(one.name, one.settings)
-    return columns(extended, scene, new_numbers(scene.model, extended))
+def _shared_scene(scene: Scene, chosen: Sequence[Candidate]) -> Scene:
+    """The scene whose rows every chosen effect has: that of the larger model where one was chosen,
+    since its closure has more rows a sample, else `scene`."""
+    wider = (c.scene for c in chosen if c.effect.widens and c.scene is not None)
+    return next(wider, scene)
+
+
+def _columns(scene: Scene, shared: Scene, one: Candidate) -> np.ndarray:
+    """Columns of a candidate on the rows of `shared`; those of the larger model itself are its
+    parameters that the model of `scene` has not."""
+    if one.effect.widens:
+        return columns(shared.model, shared, new_numbers(scene.model, shared.model))
+    extended = shared.model.with_effect(one.name, one.settings)
+    return columns(extended, shared, new_numbers(shared.model, extended))
 
 
 def placed(scene: Scene, chosen: Sequence[Candidate]) -> list[str]:
@@ -89,15 +102,16 @@ def placed(scene: Scene, chosen: Sequence[Candidate]) -> list[str]:
     with both nearly no more. A bend that effects describe in fewer numbers stays the robot's.
     """
     own = [c for c in chosen if not c.effect.of_device and c.scene is scene]
-    fields = list(_smooth_fields(scene)) if own else []
+    shared = _shared_scene(scene, chosen)
+    fields = list(_smooth_fields(shared)) if own else []
     if not fields:
         return []
-    known = {c.name: scene.off_geometry(_columns(scene, c)) for c in chosen if c.scene is scene}
-    nothing = np.zeros((len(scene.residual), 0))
+    known = {c.name: shared.off_geometry(_columns(scene, shared, c)) for c in chosen}
+    nothing = np.zeros((len(shared.residual), 0))
 
     def likely(names: list[str], fields: Sequence[np.ndarray]) -> float:
         B = np.hstack([nothing, *(known[name] for name in names)])
-        return max(log_evidence(scene, B, field) for field in fields)
+        return max(log_evidence(shared, B, field) for field in fields)
 
     plain = likely([*known], [nothing])
     limit = max(plain, likely([*known], fields) - DECISIVE)

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from parallel_cal.base.errors import FitError
+from parallel_cal.base.errors import FitError, ModelError
 from parallel_cal.diagnosis.catalogue import Candidate
 from parallel_cal.diagnosis.scene import Progress, Scene
 from parallel_cal.diagnosis.scoring import log_p_of
@@ -103,7 +103,7 @@ class Search:
             for one in chosen:
                 model = model.with_effect(one.name, one.settings)
             result = self._refit(model, insist)
-        except FitError as error:
+        except (FitError, ModelError) as error:  # or an effect of the larger model, without it
             return Trial(chosen, None, str(error))
         return Trial(chosen, result)
 
