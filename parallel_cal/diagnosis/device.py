@@ -125,16 +125,21 @@ def log_evidence(scene: Scene, B: np.ndarray, F: np.ndarray) -> float:
     with Q = r^T (1 + C C^T)^-1 r and C their columns off the geometry times their sizes, the
     likeliest of a few. The noise's scale is whatever fits best.
     """
-    C = np.hstack([B, F])
-    gram, along = C.T @ C, C.T @ scene.residual
-    total, best = float(scene.residual @ scene.residual), -np.inf
-    for effect in EFFECT_SIZES if B.shape[1] else (1.0,):
-        for field in FIELD_SIZES if F.shape[1] else (1.0,):
-            size = np.repeat([effect, field], [B.shape[1], F.shape[1]])
-            L = np.linalg.cholesky(np.eye(len(size)) + size[:, None] * gram * size)
-            y = np.linalg.solve(L, size * along)
-            Q = max(total - float(y @ y), 1e-300)
-            best = max(best, -scene.dof / 2 * np.log(Q) - float(np.log(np.diag(L)).sum()))
+    r, best = scene.residual, -np.inf
+    # F alone is factorised once for all sizes; what it leaves of B, once for each size of F.
+    squares_F, turn_F = np.linalg.eigh(F.T @ F)
+    along_F, across = turn_F.T @ (F.T @ r), B.T @ F @ turn_F
+    for field in FIELD_SIZES if F.shape[1] else (1.0,):
+        shrink = field**2 / (1 + field**2 * np.maximum(squares_F, 0.0))
+        squares_B, turn_B = np.linalg.eigh(B.T @ B - across * shrink @ across.T)
+        along_B = turn_B.T @ (B.T @ r - across @ (shrink * along_F))
+        left = float(r @ r - shrink @ along_F**2)
+        spread_F = float(np.log(field**2 / shrink).sum())
+        for effect in EFFECT_SIZES if B.shape[1] else (1.0,):
+            grown = 1 + effect**2 * np.maximum(squares_B, 0.0)
+            Q = max(left - float(effect**2 / grown @ along_B**2), 1e-300)
+            likely = -scene.dof / 2 * np.log(Q) - (spread_F + float(np.log(grown).sum())) / 2
+            best = max(best, likely)
     return best
 
 
