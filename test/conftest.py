@@ -1,15 +1,21 @@
 """One BLAS thread in every test: results do not change, and workers do not fight for cores.
 
-Nodes keep their journals out of the home folder.
+Nodes keep their journals out of the home folder. Ctrl-C reaches the tests however they are started.
 """
 
 import os
+import signal
 import tempfile
 
 import pytest
 
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(name, "1")
+
+# A shell without job control ignores SIGINT for its background jobs ("make check &"), and every
+# child of such a job inherits that. Tests that send SIGINT would then wait for nothing.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture

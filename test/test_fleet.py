@@ -331,6 +331,23 @@ def test_ctrl_c_while_workers_start_is_not_theirs_and_waits_for_them(monkeypatch
 
 
 @pytest.mark.wide
+def test_tests_receive_ctrl_c_though_a_shell_started_them_in_the_background():
+    """`sh -c 'pytest &'` ignores SIGINT, and so would every process that a test starts."""
+    code = (
+        "import signal; before = signal.getsignal(signal.SIGINT); import conftest; "
+        "print(before.name, signal.getsignal(signal.SIGINT) is signal.default_int_handler)"
+    )
+    in_background = '"$0" -c "$1" & wait $!'
+    done = subprocess.run(
+        ["sh", "-c", in_background, sys.executable, code],
+        cwd=fleets.ROOT / "test",
+        capture_output=True,
+        text=True,
+    )
+    assert done.stdout == "SIG_IGN True\n", done.stderr
+
+
+@pytest.mark.wide
 def test_nobody_at_an_address_is_said(folder, monkeypatch):
     monkeypatch.setattr("parallel_cal.fleet.cluster.PATIENCE", 0.5)
     with pytest.raises(FleetError, match="no Dask scheduler answers"):
