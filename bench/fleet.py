@@ -10,7 +10,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 from rich.console import Console
@@ -25,6 +25,7 @@ from clusters import Cluster, cluster
 from parallel_cal.fleet.findings import Findings
 from parallel_cal.fleet.fleet import Fleet, judge
 from parallel_cal.fleet.jobs import Asked, FleetError
+from parallel_cal.fleet.rows import Row
 
 MEGABYTE = 1 << 20
 
@@ -33,17 +34,18 @@ class Watched:
     """Memory of a cluster's workers as rows come, and what dies on the way."""
 
     def __init__(self, workers: Cluster, kill_at: int):
-        self.workers, self.kill_at = workers, kill_at
+        self.workers, self.kill_at, self.done = workers, kill_at, 0
         self.memory: list[float] = []
 
-    def __call__(self, done: int, of: int, row: Any) -> None:
+    def __call__(self, row: Row) -> None:
         import psutil
 
         alive = [p for p in self.workers.workers if p.poll() is None]
         self.memory.append(max(psutil.Process(p.pid).memory_info().rss for p in alive) / MEGABYTE)
-        if row and done == self.kill_at:
+        self.done += 1
+        if self.done == self.kill_at:
             self.workers.kill(alive[0])
-        if row and done == 2 * self.kill_at:
+        if self.done == 2 * self.kill_at:
             self.workers.kill(self.workers.scheduler)
 
 
@@ -52,13 +54,13 @@ def on_cluster(listed: Path, folder: Path, asked: Asked, robots: int) -> tuple[F
     with tempfile.TemporaryDirectory() as first, cluster(first, 3, nanny=False) as workers:
         watched = Watched(workers, max(1, robots // 4))
         try:
-            judge(listed, folder, asked, scheduler=workers.address, progress=watched)
+            judge(listed, folder, asked, scheduler=workers.address, on_row=watched)
         except FleetError as error:
             Console().print(f"the scheduler was killed: {error}")
     with tempfile.TemporaryDirectory() as second, cluster(second, 3, nanny=False) as workers:
         again = Watched(workers, -1)
         return judge(
-            listed, folder, asked, scheduler=workers.address, progress=again
+            listed, folder, asked, scheduler=workers.address, on_row=again
         ), watched.memory + again.memory
 
 

@@ -425,6 +425,6 @@ def test_a_temperature_from_another_day_is_ignored_with_a_note(tmp_path):
 def test_progress_is_told_from_start_to_end(tmp_path):
     told = []
     bag = write_bag(tmp_path / "b", joint_states(MOVES) + poses(MOVES))
-    read_bag(bag, progress=lambda fraction, text: told.append(fraction))
+    read_bag(bag, progress=lambda stage, fraction: told.append(fraction))
     assert told[0] == 0.0
     assert told[-1] == 1.0

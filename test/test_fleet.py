@@ -260,11 +260,11 @@ def test_a_killed_worker_costs_no_row(tmp_path):
     fleet = fleets.written(tmp_path / "fleet", vf.drawn(2), 2, n_poses=24, n_replicates=4)
     with cluster(tmp_path, 2, nanny=False) as workers:
 
-        def kill_one(done, of, row):
-            if row and workers.workers[0].poll() is None:
+        def kill_one(row):
+            if workers.workers[0].poll() is None:
                 workers.kill(workers.workers[0])
 
-        found = judge(fleet, tmp_path / "out", QUICK, scheduler=workers.address, progress=kill_one)
+        found = judge(fleet, tmp_path / "out", QUICK, scheduler=workers.address, on_row=kill_one)
         assert workers.workers[0].poll() is not None
     assert [row["reason"] for row in found.rows] == [""] * 4
 
@@ -274,19 +274,19 @@ def test_a_killed_scheduler_costs_no_row_that_was_done(tmp_path):
     fleet = fleets.written(tmp_path / "fleet", vf.drawn(2), 2, n_poses=24, n_replicates=4)
     with cluster(tmp_path, 1) as first:
 
-        def kill_it(done, of, row):
-            if row and first.scheduler.poll() is None:
+        def kill_it(row):
+            if first.scheduler.poll() is None:
                 first.kill(first.scheduler)
 
         with pytest.raises(FleetError, match=r"scheduler is gone.*give the same command"):
-            judge(fleet, tmp_path / "out", QUICK, scheduler=first.address, progress=kill_it)
+            judge(fleet, tmp_path / "out", QUICK, scheduler=first.address, on_row=kill_it)
     kept = len(list((tmp_path / "out" / "recordings").glob("*.json")))
     assert 1 <= kept < 4
     begun = []
     again = judge(
-        fleet, tmp_path / "out", QUICK, workers=1, progress=lambda *said: begun.append(said[0])
+        fleet, tmp_path / "out", QUICK, workers=1, progress=lambda stage, done: begun.append(done)
     )
-    assert begun[0] == kept
+    assert begun[0] == kept / 4
     assert len(again.judged) == 4
 
 

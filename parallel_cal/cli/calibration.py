@@ -21,7 +21,7 @@ from parallel_cal.cli.arguments import (
     patterns,
     with_options,
 )
-from parallel_cal.cli.recordings import bag_progress, data_options
+from parallel_cal.cli.recordings import data_options
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.reporting import console
 
@@ -109,7 +109,7 @@ def model_and_data(path: Path, bags: list[Path], data: list[str] | None) -> tupl
     from parallel_cal.recordings.loading import load_sessions
 
     model, options = read_model(path), data_options(data)
-    return model, load_sessions(bags, options, bag_progress, joints=model.joints)
+    return model, load_sessions(bags, options, console.progress, joints=model.joints)
 
 
 def _finish(step: Step, output: Path | None, as_json: bool) -> None:

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from parallel_cal.cli.arguments import Data, JointSigma, Json, ModelFile
-from parallel_cal.cli.recordings import bag_progress, data_options
+from parallel_cal.cli.recordings import data_options
 from parallel_cal.reporting import console
 
 
@@ -93,7 +93,7 @@ def export_residuals(
     from parallel_cal.recordings.residuals import ROOT, TOPICS, write_residuals
 
     judged, options = read_model(model), data_options(data)
-    dataset, start = load_stamped(bag, options, bag_progress, joints=judged.joints)
+    dataset, start = load_stamped(bag, options, console.progress, joints=judged.joints)
     found = compare(judged, dataset, joint_sigma)
     stamps = start + (1e9 * dataset.time).round().astype(int)
     write_residuals(found.residuals(dataset.numbers, stamps), output, arrow_scale)

@@ -42,11 +42,10 @@ def fleet(
     from parallel_cal.reporting.fleet_page import robot_page, write_fleet_page
 
     asked = Asked(options, tuple(effect or ()), tuple(also or ()), data_options(data))
-    with console.bar("recordings") as bar:
+    with console.bar() as progress:
 
-        def progress(done: int, of: int, row: Row | None) -> None:
-            bar(done, of)
-            if row and row["reason"]:
+        def warn_of_failure(row: Row) -> None:
+            if row["reason"]:
                 console.warn([f"{row['robot']} {row['recording']}: {row['reason']}"])
 
         try:
@@ -58,6 +57,7 @@ def fleet(
                 workers=workers,
                 page=robot_page,
                 progress=progress,
+                on_row=warn_of_failure,
             )
         except KeyboardInterrupt:
             console.note(console.STOPPED)

@@ -26,7 +26,7 @@ def info(
     """Show what a recording holds: topics, samples, what was dropped and why, noise."""
     from parallel_cal.recordings import info as looking
 
-    show_info(looking.info(bag, data_options(data), bag_progress), as_json)
+    show_info(looking.info(bag, data_options(data), console.progress), as_json)
 
 
 def show_info(document: dict[str, Any], as_json: bool) -> None:
@@ -122,10 +122,6 @@ def replay(
     parameters = [f"bag:={json.dumps(str(bag))}", f"rate:={rate!r}"]
     arguments = [word for parameter in parameters for word in ("-p", parameter)]
     sys.exit(subprocess.run([sys.executable, "-c", code, "--ros-args", *arguments]).returncode)
-
-
-def bag_progress(fraction: float, text: str) -> None:
-    console.progress(text, fraction)
 
 
 def data_options(items: list[str] | None) -> ReadOptions:

@@ -60,7 +60,7 @@ def tolerance(
     found = tolerances(
         known, robots, poses, seed=seed, at=parse_conditions(known, at or []),
         planned=None if plan is None else planned_joints(plan, known), scheduler=scheduler,
-        progress=lambda done, of: console.progress("drawing robots", done / of),
+        progress=console.progress,
     )  # fmt: skip
     if output is not None:
         _write(output, "tolerance", found.document(), tolerances_page(found))
@@ -108,7 +108,7 @@ def power(
     known = _with_noise(model)
     planned = planned_session(plan, known, data_options(data), pace)
     question = Question(dump_model(known), planned, options, tuple(also or ()), seed)
-    with console.bar("sessions") as progress:
+    with console.bar() as progress:
         try:
             found = studies.power(
                 question, effect or (), sessions, folder=output, scheduler=scheduler,

@@ -10,6 +10,7 @@ import numpy as np
 
 from parallel_cal.base.documents import plain
 from parallel_cal.base.errors import FitError
+from parallel_cal.base.progress import Progress, ignore_progress
 from parallel_cal.diagnosis.catalogue import Candidate, candidate, names_of
 from parallel_cal.diagnosis.device import doubtful
 from parallel_cal.diagnosis.entries import (
@@ -26,7 +27,6 @@ from parallel_cal.diagnosis.lack_of_fit import LackOfFit, lack_of_fit
 from parallel_cal.diagnosis.noise import NoiseLevel
 from parallel_cal.diagnosis.noise_shape import NoiseShape
 from parallel_cal.diagnosis.patterns import OddSample, odd_samples
-from parallel_cal.diagnosis.scene import Progress
 from parallel_cal.diagnosis.search import Chosen, Search, Trial
 from parallel_cal.diagnosis.separate import NextMeasurement, next_measurement
 from parallel_cal.diagnosis.statistics import holm
@@ -144,7 +144,7 @@ def diagnose(
     aside first, and named. `changes` are options by name, as of `fit`. FitError where the
     baseline itself cannot be identified.
     """
-    report = progress or (lambda stage, fraction: None)
+    report = progress or ignore_progress
     options = replace(options or FitOptions(), **changes)
     given = GivenModel.of(model, dataset, options.joint_sigma)
     model, registration = prepared_for_fit(given.model, given.registration, dataset, options)

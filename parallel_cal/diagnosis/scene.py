@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -133,6 +132,3 @@ def orthonormal(J: np.ndarray, least: float, weak: float = 0.0) -> np.ndarray:
         return np.zeros((len(J), 0))
     left, sizes, _ = np.linalg.svd(J, full_matrices=False)
     return np.asarray(left[:, sizes > max(least * sizes[0], weak)])
-
-
-Progress = Callable[[str, float], None]

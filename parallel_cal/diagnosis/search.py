@@ -9,8 +9,9 @@ from functools import cached_property
 import numpy as np
 
 from parallel_cal.base.errors import FitError, ModelError
+from parallel_cal.base.progress import Progress
 from parallel_cal.diagnosis.catalogue import Candidate
-from parallel_cal.diagnosis.scene import Progress, Scene
+from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.scoring import log_p_of
 from parallel_cal.diagnosis.thresholds import (
     APART,

@@ -11,6 +11,7 @@ from typing import Any
 
 from parallel_cal.base.documents import plain
 from parallel_cal.base.files import write_atomically
+from parallel_cal.base.progress import Progress, ignore_progress
 from parallel_cal.fleet.cluster import cluster, need_extra, results
 from parallel_cal.fleet.findings import Findings, findings
 from parallel_cal.fleet.jobs import Asked, FleetError, Job, jobs_of
@@ -20,8 +21,6 @@ from parallel_cal.fleet.tolerances import next_robot
 from parallel_cal.model.file.modelfile import read_model, write_model
 from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import load_effect
-
-Progress = Callable[[int, int, Row | None], None]  # how many are done, of how many, the last one
 
 
 @dataclass(frozen=True)
@@ -62,6 +61,7 @@ def judge(
     workers: int | None = None,
     page: Page | None = None,
     progress: Progress | None = None,
+    on_row: Callable[[Row], None] | None = None,
 ) -> Fleet:
     """Judge the recordings of a folder or list of robots into a folder, on a Dask cluster where a
     `scheduler` is given; what is there already is not done again, unless it failed.
@@ -76,19 +76,21 @@ def judge(
     if robots.is_dir() and any(job.data.is_relative_to(folder.resolve()) for job in jobs):
         raise FleetError(f"{folder}: recordings are in it, expected a folder of its own")
     store = Rows(folder)
-    report = progress or (lambda done, of, row: None)
+    report = progress or ignore_progress
     with store.alone():
         inputs = {job.inputs(asked): job for job in jobs}
         done = {key: row for key in inputs if (row := store.known(key))}
         left = [(job, key) for key, job in inputs.items() if key not in done]
-        report(len(done), len(jobs), None)
+        report("recordings", len(done) / len(jobs))
         try:
             if left:
                 with cluster(scheduler, workers) as client:
                     for row, shown in results(client, left, asked, page):
                         store.keep(row, shown)
                         done[row["inputs"]] = row
-                        report(len(done), len(jobs), row)
+                        report("recordings", len(done) / len(jobs))
+                        if on_row:
+                            on_row(row)
         finally:  # what was done is there, however it ends
             rows = tuple(done[key] for key in inputs if key in done)
             store.gather(rows)

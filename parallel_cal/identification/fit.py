@@ -11,6 +11,7 @@ import numpy as np
 
 from parallel_cal.base.documents import plain
 from parallel_cal.base.errors import FitError
+from parallel_cal.base.progress import Progress, ignore_progress
 from parallel_cal.identification.budget import Budget, Iso9283, budgets, iso_9283
 from parallel_cal.identification.checks import (
     check_plausible,
@@ -41,7 +42,6 @@ from parallel_cal.identification.registration import Registration, prepared_for_
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
 
-Progress = Callable[[str, float], None]
 Judged = Callable[[np.ndarray, np.ndarray], Errors | None]
 
 
@@ -253,7 +253,7 @@ def fit_registered(
     """The same for a model that says where its device stands; `given` is what it is compared with,
     the model itself where it is None."""
     given = given or GivenModel(model, model, dataset, options.joint_sigma)
-    report = progress or (lambda stage, fraction: None)
+    report = progress or ignore_progress
     mask, partial = chosen_parameters(model, options)
     estimate_with = estimator(options.method, options.prior, options.loss)
     if partial:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from parallel_cal.base.documents import plain
 from parallel_cal.base.errors import FitError
+from parallel_cal.base.progress import Progress
 from parallel_cal.identification.checks import free_mask
 from parallel_cal.identification.fit import single_threaded
 from parallel_cal.identification.methods._estimate import Sought
@@ -153,7 +154,7 @@ def plan(
     model: Model,
     n: int,
     options: PlanOptions | None = None,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress | None = None,
     **changes: Any,
 ) -> Plan:
     """n poses from a pool by a criterion of 5.3.9; `changes` are options by name.

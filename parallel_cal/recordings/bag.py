@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from parallel_cal.base.errors import BagError, ParallelCalError
+from parallel_cal.base.progress import Progress
 from parallel_cal.recordings.channels import CHANNELS, Channel, stamp_of
 from parallel_cal.recordings.cleaning import assemble
 from parallel_cal.recordings.options import ReadOptions
-from parallel_cal.recordings.recording import Progress, Raw, Recording, TopicInfo
+from parallel_cal.recordings.recording import Raw, Recording, TopicInfo
 from parallel_cal.recordings.topics import choose_topics
 
 DATA_FILES = (".mcap", ".db3", ".zstd")
@@ -161,9 +162,9 @@ def _read_messages(
     for i, (connection, log, data) in enumerate(bag.messages(connections)):
         _decode(*targets[connection.topic, connection.msgtype], log, data, store)
         if progress and i % 2000 == 0:
-            progress(i / total, f"reading {bag.path.name}")
+            progress(f"reading {bag.path.name}", i / total)
     if progress:
-        progress(1.0, f"read {bag.path.name}")
+        progress(f"read {bag.path.name}", 1.0)
     return raws
 
 

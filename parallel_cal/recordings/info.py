@@ -11,12 +11,13 @@ import numpy as np
 
 from parallel_cal.base.documents import plain
 from parallel_cal.base.errors import DatasetError
+from parallel_cal.base.progress import Progress
 from parallel_cal.recordings.bag import list_topics, read_bag
 from parallel_cal.recordings.channels import named
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.loading import dataset_from_recording
 from parallel_cal.recordings.options import ReadOptions
-from parallel_cal.recordings.recording import COORDINATES, Dropped, Progress, Recording
+from parallel_cal.recordings.recording import COORDINATES, Dropped, Recording
 from parallel_cal.recordings.samplefile import holds_samples
 from parallel_cal.recordings.samples import READING
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.base.errors import DatasetError, UnfitError
+from parallel_cal.base.progress import Progress
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.recordings.bag import read_bag
 from parallel_cal.recordings.channels import CHANNELS
@@ -17,7 +18,7 @@ from parallel_cal.recordings.clocks import on_one_clock
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.joining import joined
 from parallel_cal.recordings.options import ReadOptions, SampleOptions
-from parallel_cal.recordings.recording import Array, Dropped, Progress, Recording
+from parallel_cal.recordings.recording import Array, Dropped, Recording
 from parallel_cal.recordings.replicates import replicate_ids
 from parallel_cal.recordings.samplefile import PER_SAMPLE, holds_samples
 from parallel_cal.recordings.samples import Samples, per_joint

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -13,7 +13,6 @@ from parallel_cal.base.rotation import quaternion_to_matrix
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
-Progress = Callable[[float, str], None]
 
 COORDINATES = ("x", "y", "z", "rx", "ry", "rz")
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 import json
 import signal
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
 from parallel_cal.base.documents import plain
+from parallel_cal.base.progress import Progress
 from parallel_cal.reporting.readable import columns
 
 STOPPED = "stopped; what is done is kept, and the same command goes on from there"
@@ -54,24 +55,23 @@ def progress(stage: str, fraction: float) -> None:
 
 
 @contextmanager
-def bar(what: str) -> Iterator[Callable[[int, int], None]]:
-    """A bar on stderr that is told how many are done of how many, where somebody looks at it.
+def bar() -> Iterator[Progress]:
+    """Show a progress bar on stderr if it is a terminal.
 
-    Told so, it raises the KeyboardInterrupt of a Ctrl-C that was swallowed where it came: in a
-    destructor, for example, or in another library's callback.
+    A Ctrl-C may be swallowed where it arrives, for example in a destructor or in another library's
+    callback. The next call of the bar then raises its KeyboardInterrupt.
     """
     from rich.console import Console
-    from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
+    from rich.progress import Progress as Bar
 
-    parts = (*Progress.get_default_columns()[:2], MofNCompleteColumn(), TimeRemainingColumn())
     shown = Console(stderr=True)
-    with Progress(*parts, console=shown, transient=True, disable=not shown.is_terminal) as drawn:
-        task, asked = drawn.add_task(what, total=None), list[int]()
+    with Bar(console=shown, transient=True, disable=not shown.is_terminal) as drawn:
+        task, asked = drawn.add_task("", total=1.0), list[int]()
 
-        def tell(done: int, of: int) -> None:
+        def report(stage: str, fraction: float) -> None:
             if asked:
                 raise KeyboardInterrupt
-            drawn.update(task, completed=done, total=of)
+            drawn.update(task, description=stage, completed=fraction)
 
         def interrupted(number: int, frame: object) -> None:
             asked.append(number)
@@ -79,6 +79,6 @@ def bar(what: str) -> Iterator[Callable[[int, int], None]]:
 
         before = signal.signal(signal.SIGINT, interrupted)
         try:
-            yield tell
+            yield report
         finally:
             signal.signal(signal.SIGINT, before)

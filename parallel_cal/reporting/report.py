@@ -9,11 +9,11 @@ from typing import Any
 
 from parallel_cal import __version__
 from parallel_cal.base.documents import plain
+from parallel_cal.base.progress import Progress
 from parallel_cal.diagnosis.comparison import compare
 from parallel_cal.diagnosis.diagnose import Diagnosis, diagnose
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.patterns import Along, Region, along, regions
-from parallel_cal.diagnosis.scene import Progress
 from parallel_cal.identification.budget import Budget, Iso9283
 from parallel_cal.identification.spread import Spread
 from parallel_cal.model.file.modelfile import model_hash

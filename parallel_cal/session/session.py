@@ -12,6 +12,7 @@ import numpy as np
 
 from parallel_cal.base.documents import plain
 from parallel_cal.base.files import write_atomically
+from parallel_cal.base.progress import Progress
 from parallel_cal.diagnosis.diagnose import Diagnosis, diagnose
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.file.modelfile import read_model, write_model
@@ -30,7 +31,6 @@ from parallel_cal.session.saving import (
 )
 from parallel_cal.session.steps import Step, added, fitted, removed
 
-Progress = Callable[[str, float], None]
 CHANGED = "the session was changed meanwhile: look at it and try again"
 JUDGED = ("before", "errors", "noise", "against", "verdict")  # what a state knows of its model
 

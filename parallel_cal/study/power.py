@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ import numpy as np
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.files import append_lines, held, json_lines
+from parallel_cal.base.progress import Progress, ignore_progress
 from parallel_cal.diagnosis.catalogue import Candidate, candidate, names_of
 from parallel_cal.diagnosis.scene import Scene, columns
 from parallel_cal.diagnosis.thresholds import SIGNIFICANT
@@ -133,9 +134,6 @@ class Power:
         }  # fmt: skip
 
 
-Progress = Callable[[int, int], None]  # sessions done, of those known to be needed by now
-
-
 def power(
     question: Question,
     effects: Sequence[str] = (),
@@ -153,7 +151,7 @@ def power(
     cannot begin, or not go on.
     """
     need_extra()
-    report = progress or (lambda done, of: None)
+    report = progress or ignore_progress
     own = Planted("", 0.0, 0)
     with single_threaded():
         base = fit(model_of(question.model), measured(question, own)[0], question.options)
@@ -173,12 +171,12 @@ def power(
     with _Sessions(folder, question) as store, cluster(scheduler, workers) as client:
         while True:
             left = [one for one in needed if one not in store.rows]
-            report(len(needed) - len(left), len(needed))
+            report("sessions", 1 - len(left) / len(needed))
             for done, (k, row) in enumerate(each(client, diagnosed, [(question, o) for o in left])):
                 if row is None:
                     raise FleetError(f"a session with {left[k].effect or 'nothing'}: {KILLER}")
                 store.keep(row)
-                report(len(needed) - len(left) + done + 1, len(needed))
+                report("sessions", 1 - (len(left) - done - 1) / len(needed))
             rows = [store.rows[one] for one in needed]
             tried = {one.effect: _tried(one.effect, rows) for one in all_of}
             more = [

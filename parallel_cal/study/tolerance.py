@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -12,6 +12,7 @@ import numpy as np
 
 from parallel_cal import __version__
 from parallel_cal.base.errors import FitError
+from parallel_cal.base.progress import Progress, ignore_progress
 from parallel_cal.base.rotation import rotation_vector
 from parallel_cal.fleet.cluster import KILLER, cluster, each, need_extra
 from parallel_cal.fleet.jobs import FleetError, check_version
@@ -138,7 +139,7 @@ def tolerances(
     at: Mapping[str, float] | None = None,
     planned: np.ndarray | None = None,
     scheduler: str | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> Tolerances:
     """Draw robots from a model's tolerances, and what each is off by where its nominal joints take
     it, under conditions `at`, on a Dask cluster where a `scheduler` is given.
@@ -152,7 +153,7 @@ def tolerances(
     nominal = model.with_values(np.where(drawn, table.nominal, model.values)).robot()
     if not drawn.any():
         raise FitError(f"{model.mechanism.name}: nothing in the model has a tolerance to stray by")
-    report = progress or (lambda done, of: None)
+    report = progress or ignore_progress
     with single_threaded():
         pool = make_pool(nominal, poses, np.random.default_rng([seed, 0]), symmetric=False)
         for k, name in enumerate(model.conditions):
@@ -169,7 +170,7 @@ def tolerances(
     found: dict[int, np.ndarray] = {}
     for k, norms in _done(calls, scheduler):
         found[k] = norms
-        report(len(found), len(calls))
+        report("simulating robots", len(found) / len(calls))
     norms = np.concatenate([found[k] for k in range(len(calls))])
     if np.isnan(norms).all():
         raise FitError(f"{model.mechanism.name}: no robot drawn from these tolerances can be moved")

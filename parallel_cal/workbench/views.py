@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from parallel_cal.base.documents import plain
+from parallel_cal.base.progress import Progress
 from parallel_cal.diagnosis.comparison import Comparison, compare
 from parallel_cal.diagnosis.diagnose import Diagnosis
 from parallel_cal.diagnosis.entries import Entry
@@ -34,7 +35,6 @@ from parallel_cal.reporting.readable import (
 from parallel_cal.reporting.report import Report, report
 from parallel_cal.session.session import Session
 
-Progress = Callable[[str, float], None]
 View = dict[str, Any]
 AMBER, GREEN, GREY = "amber", "green", "grey"
 
