@@ -20,7 +20,7 @@ from parallel_cal.identification.prediction_errors import Errors
 from parallel_cal.model.file.modelfile import read_model, write_model
 from parallel_cal.model.model import new_model
 from parallel_cal.session.goals import Request, proposed, written
-from parallel_cal.session.steps import added, fitted
+from parallel_cal.session.steps import add, fitted
 from parallel_cal.virtual import robot as vr
 
 FACES = ("command line", "node")
@@ -144,7 +144,7 @@ def test_all_three_faces_say_the_same_of_an_effect_that_is_not_there(clean, iden
         assert not done
         assert told in words
     with pytest.raises(FitError) as refused:
-        added(identified.model, "encoder_gain", clean)
+        add(identified.model, "encoder_gain", clean)
     assert told in str(refused.value)
 
 

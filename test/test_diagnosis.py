@@ -17,7 +17,7 @@ from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.identification.fit import fit
 from parallel_cal.model.model import Noise, new_model
 from parallel_cal.recordings.dataset import Dataset
-from parallel_cal.session.steps import added
+from parallel_cal.session.steps import add
 from parallel_cal.virtual import robot as vr
 
 MODEL = new_model("delta54")
@@ -100,7 +100,7 @@ def test_its_document_is_the_contracts(play):
 
 def test_what_it_proposes_add_accepts(play):
     _, data = play
-    step = added(MODEL, "backlash", data)
+    step = add(MODEL, "backlash", data)
     held = step.document()["held_out"]["after"]
     assert held["position_rms"] < step.document()["held_out_without_effect"]["position_rms"]
     assert step.model.history[-1]["effect"] == "backlash"
@@ -146,7 +146,7 @@ def test_an_unknown_gear_ratio_is_found_and_add_finds_it_too():
     # The second harmonic of half the ratio is the same wave.
     assert any(best["settings"]["ratio"] == pytest.approx(r, abs=0.3) for r in (37.3, 18.65))
     assert best["tried"] > 50
-    step = added(MODEL, "gear_transmission_error", data)
+    step = add(MODEL, "gear_transmission_error", data)
     ratio = step.document()["parameters"]["gear_transmission_error.ratio"]["value"]
     assert ratio == pytest.approx(best["settings"]["ratio"], rel=1e-6)
 

@@ -1,13 +1,23 @@
 """What `import parallel_cal` offers: every name in any order, nothing heavy before its use."""
 
+import dataclasses
+import doctest
+import html
+import inspect
+import io
 import random
+import re
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import parallel_cal as pc
+from parallel_cal.identification.options import FitKeywords, FitOptions
+from parallel_cal.planning.plan import PlanKeywords, PlanOptions
+from parallel_cal.recordings.options import ReadKeywords, ReadOptions
 
 HEAVY = "numpy casadi scipy yaml pydantic plotly rich rosbags rclpy typer".split()
 SHELVES = {"effects": "backlash", "mechanisms": "delta24", "sensors": "probe"}
@@ -48,6 +58,120 @@ def test_star_gives_them_all():
     assert fresh(code) == str(len(pc.__all__) + 1)  # and `before` itself
 
 
+USERS_SCRIPT = """
+import parallel_cal as pc
+
+model = pc.read_model("robot.yaml")
+data = pc.load_dataset("bag", joints=model.joints)
+result = pc.fit(model, data, hold_out=0.1)
+print(result.held_out.summary.position_rms)
+comparison: pc.Comparison = pc.compare(result.model, data)
+diagnosis = pc.diagnose(result.model, data, effects=["backlash"], loss="huber")
+step = pc.add(result.model, diagnosis.effects[0], data, seed=1)
+plan: pc.Plan = pc.plan(step.model, 30, criterion="D")
+pc.export(step.model, "c", "robot_c")
+pc.write_model(step.model, "better.yaml")
+
+pc.fit(model, 3, hold_ouut=5)  # WRONG
+result.estimat  # WRONG
+pc.nonsense(1)  # WRONG
+pc.plan(model, "thirty")  # WRONG
+step.model.valuess  # WRONG
+"""
+
+
+@pytest.mark.wide
+def test_a_type_checker_accepts_a_users_script_and_finds_its_mistakes(tmp_path):
+    script = tmp_path / "script.py"
+    script.write_text(USERS_SCRIPT)
+    wrong = {n for n, line in enumerate(USERS_SCRIPT.splitlines(), 1) if "# WRONG" in line}
+    command = [sys.executable, "-m", "mypy", "--strict", "--follow-imports=silent", str(script)]
+    root = Path(pc.__file__).parents[1]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=root)
+    found = {int(number) for number in re.findall(r"script\.py:(\d+): error", done.stdout)}
+    assert found == wrong, done.stdout + done.stderr
+
+
+PUBLIC_FUNCTIONS = [n for n in pc.__all__ if inspect.isfunction(getattr(pc, n))]
+
+
+@pytest.mark.wide
+@pytest.mark.parametrize("name", PUBLIC_FUNCTIONS)
+def test_every_public_function_is_documented_and_its_examples_run(name, monkeypatch):
+    monkeypatch.chdir(Path(pc.__file__).parents[1])
+    function = getattr(pc, name)
+    text = inspect.getdoc(function)
+    assert "Parameters\n----" in text
+    assert "Returns\n----" in text or function.__annotations__["return"] == "None"
+    (example,) = doctest.DocTestFinder(recurse=False).find(function, name, globs={})
+    flags = doctest.ELLIPSIS | doctest.IGNORE_EXCEPTION_DETAIL
+    said = io.StringIO()
+    result = doctest.DocTestRunner(optionflags=flags).run(example, out=said.write)
+    assert result.attempted > 0
+    assert result.failed == 0, said.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("options", "keywords"),
+    [
+        (FitOptions, FitKeywords),
+        (PlanOptions, PlanKeywords),
+        (ReadOptions, ReadKeywords),
+    ],
+)
+def test_keyword_arguments_are_the_fields_of_the_options(options, keywords):
+    fields = {field.name: field.type for field in dataclasses.fields(options)}
+    assert fields == {name: one.__forward_arg__ for name, one in keywords.__annotations__.items()}
+
+
+@pytest.fixture(scope="module")
+def results():
+    model = pc.new_model("delta24")
+    data = pc.simulate(model, 40, seed=3).dataset()
+    fitted = pc.fit(model, data)
+    return {
+        "Model": model,
+        "Dataset": data,
+        "FitResult": fitted,
+        "Comparison": pc.compare(model, data),
+        "Diagnosis": pc.diagnose(fitted.model, data, effects=["backlash"]),
+        "Step": pc.add(model, "backlash", data, force=True),
+        "Kinematics": pc.Kinematics(model),
+        "Simulation": pc.simulate(model, 3),
+    }
+
+
+def test_a_result_prints_on_one_line(results):
+    for name, result in results.items():
+        assert repr(result).startswith(f"{name}(")
+        assert len(repr(result)) < 200
+
+
+def test_a_notebook_shows_what_the_command_line_prints(results):
+    for name in ("FitResult", "Comparison", "Diagnosis", "Step"):
+        shown = results[name]._repr_html_()
+        assert html.unescape(shown) == f"<pre>{pc.show(results[name])}</pre>"
+
+
+def test_the_wrong_kind_of_argument_is_named_with_the_cure(results):
+    model, data = results["Model"], results["Dataset"]
+    for call in (pc.fit, pc.compare, pc.diagnose):
+        with pytest.raises(pc.ModelError, match=r"model is 'file.yaml' \(str\).*read_model"):
+            call("file.yaml", data)
+        with pytest.raises(pc.DatasetError, match=r"dataset is 'bag' \(str\).*load_dataset"):
+            call(model, "bag")
+
+
+def test_a_misspelt_option_is_named_with_the_nearest_one(results):
+    model, data = results["Model"], results["Dataset"]
+    with pytest.raises(pc.FitError, match="unknown option hold_ouut; did you mean 'hold_out'"):
+        pc.fit(model, data, hold_ouut=0.1)
+    with pytest.raises(pc.FitError, match="unknown option criterium; did you mean 'criterion'"):
+        pc.plan(model, 30, criterium="D")
+    with pytest.raises(pc.DatasetError, match="unknown option exclud; did you mean 'exclude'"):
+        pc.load_dataset("bag", exclud=[1])
+
+
 @pytest.mark.parametrize("shelf", SHELVES)
 @pytest.mark.parametrize(
     "first", ["", "import parallel_cal.{0}.{1}; ", "from parallel_cal.{0} import {1}; "]
@@ -67,7 +191,7 @@ def options(shelf):
 
 
 def test_a_name_that_is_not_there_is_an_attribute_error():
-    with pytest.raises(AttributeError, match="no attribute 'calibrate_it_all'"):
+    with pytest.raises(AttributeError, match="No parallel_cal attribute calibrate_it_all"):
         pc.calibrate_it_all  # noqa: B018
 
 

@@ -8,7 +8,7 @@ from parallel_cal.identification.fit import fit
 from parallel_cal.identification.moves import moves
 from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.recordings.loading import load_dataset
-from parallel_cal.session.steps import added
+from parallel_cal.session.steps import add
 
 MODEL, BAG = "config/delta_mockup_nominal.yaml", "bags/delta_backlash"
 
@@ -22,14 +22,14 @@ def fitted():
 
 def test_an_effect_that_is_there_moves_the_robot_by_what_the_data_show(fitted):
     base, data = fitted
-    step = added(base.model, "backlash", data)
+    step = add(base.model, "backlash", data)
     assert step.moves.measured == pytest.approx(step.moves.shown, rel=0.25)
     assert step.document()["moves_robot"]["measured"] == step.moves.measured
 
 
 def test_an_effect_that_is_not_there_moves_it_by_more(fitted):
     base, data = fitted
-    step = added(base.model, "thermal_expansion", data, force=True)
+    step = add(base.model, "thermal_expansion", data, force=True)
     assert step.moves.shown == 0
     assert step.moves.measured > 1e-6
 

@@ -14,7 +14,7 @@ from parallel_cal.model.file.modelfile import dump_model, parse_model, read_mode
 from parallel_cal.model.model import Noise, new_model
 from parallel_cal.model.parameters import Parameter
 from parallel_cal.recordings.simulate import simulate
-from parallel_cal.session.steps import added, fitted
+from parallel_cal.session.steps import add, fitted
 from parallel_cal.virtual import joint_effects as ve
 from parallel_cal.virtual import robot as vr
 
@@ -81,8 +81,8 @@ def test_a_model_file_says_so_of_effects_that_it_does_not_have_yet(tmp_path):
     assert '  "encoder_gain.*.gain": 0.004\n' in dump_model(model)
     driven = measured(2, effects=[ve.WrongPitch((0.012, -0.01, 0.011))])
     with pytest.raises(FitError, match=r"encoder_gain.joint\d.gain would have to be"):
-        added(new_model("delta54"), "encoder_gain", driven)
-    step = added(model, "encoder_gain", driven)
+        add(new_model("delta54"), "encoder_gain", driven)
+    step = add(model, "encoder_gain", driven)
     write_model(step.model, tmp_path / "added.yaml")
     again = read_model(tmp_path / "added.yaml")
     assert again.value("encoder_gain.joint1.gain") == pytest.approx(0.012, rel=0.1)

@@ -20,7 +20,7 @@ from parallel_cal.model.file.modelfile import dump_model
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_sensor
 from parallel_cal.reporting.contents import LeftOut
-from parallel_cal.session.steps import added
+from parallel_cal.session.steps import add
 
 SHIFT, TURN = np.array([1.2, -1.4, 0.3]), rotation_matrix(np.array([0.3, -0.2, 2.0]))
 
@@ -97,7 +97,7 @@ def test_at_held_out_poses_the_model_before_is_registered_by_the_other_poses(far
 @pytest.mark.wide
 def test_an_effect_added_to_a_registered_robot_is_held_against_the_model_that_compare_shows(far):
     model = new_model("delta54")
-    step = added(model, "backlash", far, force=True)
+    step = add(model, "backlash", far, force=True)
     assert step.document()["before"] == compare(model, far).errors.document()
     assert step.document()["held_out"]["before"] == fit(model, far).document()["held_out"]["before"]
 

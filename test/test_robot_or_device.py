@@ -25,7 +25,7 @@ from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_sensor
 from parallel_cal.recordings.csv_import import import_csv
 from parallel_cal.recordings.dataset import Dataset
-from parallel_cal.session.steps import added
+from parallel_cal.session.steps import add
 from parallel_cal.virtual import joint_effects as ve
 from parallel_cal.virtual import robot as vr
 
@@ -51,8 +51,8 @@ def test_what_the_device_may_have_made_is_not_called_explained(refracted):
 
 def test_and_it_is_not_added_unless_somebody_insists(refracted):
     with pytest.raises(FitError, match="may be the measuring device's"):
-        added(new_model("delta54"), "encoder_eccentricity", refracted)
-    step = added(new_model("delta54"), "encoder_eccentricity", refracted, force=True)
+        add(new_model("delta54"), "encoder_eccentricity", refracted)
+    step = add(new_model("delta54"), "encoder_eccentricity", refracted, force=True)
     assert "may be the measuring device's" in step.model.history[-1]["forced"]
 
 
@@ -68,7 +68,7 @@ def test_a_dent_in_the_devices_field_teaches_the_robot_nothing(seed):
     assert found.verdict.word == "partly_explained"
     for name in robots:
         with pytest.raises(FitError, match=f"{name} may be the measuring device's"):
-            added(new_model("delta54"), name, dented)
+            add(new_model("delta54"), name, dented)
 
 
 def dent(seed):
@@ -246,7 +246,7 @@ def test_a_device_effect_that_another_outdoes_is_not_added():
     stand = sized(vb.DEVICE["yielding stand"], 2e-5, 1.2, day, vf.FINE, 3)
     yielding = dataset(vf.samples(day, [stand], vf.FINE, 0), vf.FINE)
     with pytest.raises(FitError, match="device_field explains clearly better what 'device_axes'"):
-        added(new_model("delta54"), "device_axes", yielding)
+        add(new_model("delta54"), "device_axes", yielding)
 
 
 PLAY = vr.Backlash((0.6e-3, 0.5e-3, 0.4e-3))

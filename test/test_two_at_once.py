@@ -17,7 +17,7 @@ from parallel_cal.model.effect import parse_effects
 from parallel_cal.planning.posepool import make_pool
 from parallel_cal.recordings.joining import joined
 from parallel_cal.session.session import Session
-from parallel_cal.session.steps import added
+from parallel_cal.session.steps import add
 
 NAMES = ("backlash and hysteresis", "hysteresis and backlash")
 SHORT = (0.22e-3, 1.0e-3)  # m: ways beyond any slide's play, over which a wind-up is not complete
@@ -56,13 +56,13 @@ def test_play_and_wind_up_of_one_drive_are_found_where_each_alone_would_be_too_l
     assert "not plausible" in reasons["hysteresis"]
     for name in ("backlash", "hysteresis"):
         with pytest.raises(FitError, match="not plausible"):
-            added(both[0], name, both[1])
+            add(both[0], name, both[1])
 
 
 @pytest.mark.wide
 def test_they_are_added_at_once_with_the_settings_that_were_found(both, found):
     best = found.best.fitted.model
-    step = added(both[0], "+".join(found.additions), both[1])
+    step = add(both[0], "+".join(found.additions), both[1])
     assert step.model.history[-1]["effect"] == "+".join(found.effects)
     assert step.model.values == pytest.approx(best.values, abs=1e-7)
 

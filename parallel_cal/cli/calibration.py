@@ -74,11 +74,11 @@ def add(
     as_json: Json = False,
 ) -> None:
     """Add an effect and identify anew; refused when the error at poses left out does not fall."""
-    from parallel_cal.session.steps import added
+    from parallel_cal.session.steps import add
 
     start, dataset = model_and_data(model, bags, data)
     asked = replace(options, method=method, insist=force)
-    step = added(start, effect, dataset, force, options=asked, progress=console.progress)
+    step = add(start, effect, dataset, force, options=asked, progress=console.progress)
     _finish(step, output, as_json)
 
 
@@ -96,11 +96,11 @@ def remove(
     as_json: Json = False,
 ) -> None:
     """Remove an effect and identify anew; refused when the error at poses left out rises."""
-    from parallel_cal.session.steps import removed
+    from parallel_cal.session.steps import remove
 
     start, dataset = model_and_data(model, bags, data)
     asked = replace(options, method=method, insist=force)
-    step = removed(start, effect, dataset, force, options=asked, progress=console.progress)
+    step = remove(start, effect, dataset, force, options=asked, progress=console.progress)
     _finish(step, output, as_json)
 
 

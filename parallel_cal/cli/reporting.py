@@ -57,9 +57,15 @@ def report(
 
     other = None if against is None else read_model(against)
     judged, dataset = model_and_data(model, bags, data)
-    asked = {**vars(options), "effects": effect or (), "also": also or ()}
-    del asked["refit"]  # which a diagnosis does not have
-    made = reports.report(judged, dataset, against=other, progress=console.progress, **asked)
+    made = reports.report(
+        judged,
+        dataset,
+        against=other,
+        effects=effect or (),
+        also=also or (),
+        options=options,
+        progress=console.progress,
+    )
     if output is not None:
         console.progress("writing the report", 0.95)
         write_atomically(output, _text(made, output.suffix))

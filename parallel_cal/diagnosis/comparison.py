@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.base.documents import plain
+from parallel_cal.base.notebook import ShownInNotebook
 from parallel_cal.base.rotation import matrix_to_quaternion
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.lack_of_fit import LackOfFit, lack_of_fit
@@ -24,12 +25,12 @@ from parallel_cal.identification.prediction_errors import ERRORS, Errors, Summar
 from parallel_cal.identification.registration import Registration, said
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model
-from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.recordings.dataset import Dataset, check_inputs
 from parallel_cal.recordings.residuals import Residuals
 
 
 @dataclass(frozen=True)
-class Comparison:
+class Comparison(ShownInNotebook):
     """A model beside measurements: errors a sample, and what noise alone would show."""
 
     model: Model
@@ -38,6 +39,9 @@ class Comparison:
     errors: Errors
     noise: Summary
     registration: Registration | None = None
+
+    def __repr__(self) -> str:
+        return f"Comparison({self.model.mechanism.name}, {len(self.dataset)} samples)"
 
     @cached_property
     def scene(self) -> Scene:
@@ -146,8 +150,40 @@ class Comparison:
 
 
 def compare(model: Model, dataset: Dataset, joint_sigma: float | None = None) -> Comparison:
-    """Predictions of a model beside what was measured, fitting nothing but the frames of a device
-    that nobody has described."""
+    """Compare the predictions of a model with measurements.
+
+    Nothing is identified, except the frames of a device that measures in its own frame: the model
+    is registered first.
+
+    Parameters
+    ----------
+    model : Model
+    dataset : Dataset
+    joint_sigma : float, optional
+        Noise of the joint readings, 1 sigma, in rad or m. It replaces what recording and model file
+        state.
+
+    Returns
+    -------
+    Comparison
+        `errors` of every sample (m, rad), the `noise` floor, and what the errors correlate with
+        (`along`, `regions`, `structure`).
+
+    Raises
+    ------
+    FitError
+        If the samples have no usable pose, or the noise is unknown.
+
+    Examples
+    --------
+    >>> import parallel_cal as pc
+    >>> model = pc.read_model("config/delta_mockup_nominal.yaml")
+    >>> data = pc.load_dataset("bags/delta_backlash", joints=model.joints)
+    >>> comparison = pc.compare(model, data)
+    >>> bool(comparison.errors.summary.position_rms > 5e-4)
+    True
+    """
+    check_inputs(model, dataset)
     given = GivenModel.of(model, dataset, joint_sigma)
     with single_threaded():
         return Comparison(

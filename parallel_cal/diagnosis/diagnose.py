@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from parallel_cal.base.documents import plain
 from parallel_cal.base.errors import FitError
+from parallel_cal.base.notebook import ShownInNotebook
+from parallel_cal.base.options import with_changes
 from parallel_cal.base.progress import Progress, ignore_progress
 from parallel_cal.diagnosis.catalogue import Candidate, candidate, names_of
 from parallel_cal.diagnosis.device import doubtful
@@ -32,16 +34,19 @@ from parallel_cal.diagnosis.separate import NextMeasurement, next_measurement
 from parallel_cal.diagnosis.statistics import holm
 from parallel_cal.diagnosis.thresholds import MISTRUSTED, REFITTED, SIGNIFICANT
 from parallel_cal.diagnosis.verdict import Findings, Verdict, judge
-from parallel_cal.identification.fit import Result, fit, fit_registered, single_threaded
+from parallel_cal.identification.fit import FitResult, fit, fit_registered, single_threaded
 from parallel_cal.identification.given_model import GivenModel
-from parallel_cal.identification.options import FitOptions
+from parallel_cal.identification.options import FitKeywords, FitOptions
 from parallel_cal.identification.registration import Registration, prepared_for_fit, said
 from parallel_cal.model.model import Model
-from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.recordings.dataset import Dataset, check_inputs
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 
 @dataclass(frozen=True)
-class Diagnosis:
+class Diagnosis(ShownInNotebook):
     """A diagnosis with the inputs that made it.
 
     `base` is the model identified without further effects, `best` with those chosen; `ranked` the
@@ -67,6 +72,13 @@ class Diagnosis:
     suspected: tuple[str, ...]
     registration: Registration | None
     measure_next: NextMeasurement
+
+    def __repr__(self) -> str:
+        found = ", ".join(self.effects) or "no effect"
+        return (
+            f"Diagnosis({self.model.mechanism.name}, {len(self.dataset)} samples, "
+            f"{self.verdict.word}: {found})"
+        )
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -134,18 +146,54 @@ def diagnose(
     also: Iterable[str] = (),
     options: FitOptions | None = None,
     progress: Progress | None = None,
-    **changes: Any,
+    **changes: Unpack[FitKeywords],
 ) -> Diagnosis:
-    """What is missing in a model, judged on these data (see docs/judge_your_calibration.md).
+    """Find the physical effects that a model lacks.
 
-    The geometry is identified first; every effect of the catalogue (or only `effects`, and `also`
-    a user's own by Python path) is scored off the geometry, the best are refitted and judged at
-    poses left out. With a robust `loss`, samples that it gives less than half their weight are set
-    aside first, and named. `changes` are options by name, as of `fit`. FitError where the
-    baseline itself cannot be identified.
+    The free parameters are identified first. Then every candidate effect is scored on the
+    residuals, after removing all that the geometry could imitate. The best candidates are refitted
+    and judged at held-out poses. docs/judge_your_calibration.md explains the verdicts.
+
+    Parameters
+    ----------
+    model : Model
+    dataset : Dataset
+    effects : iterable of str, optional
+        Test only these effects of the catalogue.
+    also : iterable of str, optional
+        Python paths of your own effects, tested too.
+    options : FitOptions, optional
+        Options of the identification as one object.
+    progress : callable, optional
+        Called with a stage in words and the completed share (0 to 1).
+    **changes
+        Single options by name, as in `fit`. With a robust `loss`, samples that get less than half
+        their weight are excluded first, and named.
+
+    Returns
+    -------
+    Diagnosis
+        `verdict.word` is `at_noise`, `explained`, `partly_explained`, `unexplained` or
+        `cannot_know`; `effects` names what was found, `entries` lists every candidate,
+        `measure_next` proposes measurements.
+
+    Raises
+    ------
+    FitError
+        If the free parameters cannot be identified.
+
+    Examples
+    --------
+    >>> import parallel_cal as pc
+    >>> model = pc.read_model("config/delta_mockup_nominal.yaml")
+    >>> data = pc.load_dataset("bags/delta_backlash", joints=model.joints)
+    >>> diagnosis = pc.diagnose(model, data)
+    >>> diagnosis.verdict.word, diagnosis.effects
+    ('explained', ('backlash',))
     """
+    check_inputs(model, dataset)
     report = progress or ignore_progress
-    options = replace(options or FitOptions(), **changes)
+    options = with_changes(options or FitOptions(), changes, FitError)
     given = GivenModel.of(model, dataset, options.joint_sigma)
     model, registration = prepared_for_fit(given.model, given.registration, dataset, options)
     dataset = said(dataset, registration)
@@ -186,7 +234,7 @@ def _diagnosed(
     """The diagnosis of samples that are all believed."""
     dataset = given.dataset
 
-    def refit(extended: Model, insist: bool) -> Result:
+    def refit(extended: Model, insist: bool) -> FitResult:
         asked = replace(least_squares, insist=insist or least_squares.insist)
         return fit_registered(extended, dataset, asked, given=given)
 

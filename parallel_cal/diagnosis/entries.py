@@ -18,7 +18,7 @@ from parallel_cal.diagnosis.search import Chosen, Search, Trial, ratio_of
 from parallel_cal.diagnosis.statistics import holm
 from parallel_cal.diagnosis.thresholds import ALIKE, APART, REFITTED, RESAMPLES, SIGNIFICANT
 from parallel_cal.diagnosis.verdict import share_explained
-from parallel_cal.identification.fit import Estimated, Result
+from parallel_cal.identification.fit import Estimated, FitResult
 from parallel_cal.identification.prediction_errors import Summary
 
 
@@ -154,7 +154,7 @@ def chi2_before(base: Trial, after: Trial, ranked: Sequence[Candidate]) -> float
     return next((s.chi2_per_dof for s in wider if s is not None), base.scene.chi2_per_dof)
 
 
-def _new(name: str, before: Result, after: Result) -> bool:
+def _new(name: str, before: FitResult, after: FitResult) -> bool:
     """Whether a parameter is one that the base has not, or does not identify."""
     old, table = before.model.table, after.model.table
     if name not in old.names:

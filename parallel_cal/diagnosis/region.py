@@ -8,7 +8,7 @@ import numpy as np
 
 from parallel_cal.base.errors import FitError
 from parallel_cal.diagnosis.thresholds import BEYOND, FEWEST_BEYOND, POOL
-from parallel_cal.identification.fit import Result
+from parallel_cal.identification.fit import FitResult
 from parallel_cal.planning.expectation import prediction_blocks
 from parallel_cal.planning.posepool import make_pool
 
@@ -24,7 +24,7 @@ class Region:
     beyond: float
 
     @classmethod
-    def of(cls, result: Result) -> Region | None:
+    def of(cls, result: FitResult) -> Region | None:
         """None where the whole workspace was measured, or the robot does not control positions."""
         model, axes = result.model, [k for k in result.model.mechanism.controlled if k < 3]
         covariance, n = model.covariance, len(model.joints)

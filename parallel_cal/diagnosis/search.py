@@ -22,12 +22,12 @@ from parallel_cal.diagnosis.thresholds import (
     SIGNIFICANT,
 )
 from parallel_cal.identification.acceptance import acceptance
-from parallel_cal.identification.fit import Result
+from parallel_cal.identification.fit import FitResult
 from parallel_cal.identification.methods._estimate import Estimate
 from parallel_cal.identification.prediction_errors import held_out_ratio
 from parallel_cal.model.model import Model
 
-Refit = Callable[[Model, bool], Result]  # of a model; whether numbers out of range are let be
+Refit = Callable[[Model, bool], FitResult]  # of a model; whether numbers out of range are let be
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Trial:
     """A model identified anew with some effects, or why that failed."""
 
     chosen: tuple[Chosen, ...]
-    result: Result | None
+    result: FitResult | None
     reason: str = ""
 
     @property
@@ -65,7 +65,7 @@ class Trial:
         return tuple(c.name for c in self.chosen)
 
     @property
-    def fitted(self) -> Result:
+    def fitted(self) -> FitResult:
         """The identification; FitError where it failed."""
         if self.result is None:
             raise FitError(self.reason)
@@ -229,7 +229,7 @@ def _chance(before: Trial, after: Trial, one: Candidate) -> str:
     return ""
 
 
-def _too_large(before: Result, after: Result) -> float:
+def _too_large(before: FitResult, after: FitResult) -> float:
     """Rms of the new numbers in tolerances, where all effects' squares rise by more than the fall
     of chi2 is worth; else 0."""
     known = set(before.model.table.names)
@@ -240,7 +240,7 @@ def _too_large(before: Result, after: Result) -> float:
     return float(np.sqrt(squares[new & after.free].mean())) if rise > max(worth, 0.0) else 0.0
 
 
-def _sizes(result: Result) -> np.ndarray:
+def _sizes(result: FitResult) -> np.ndarray:
     """Squares of the effects' numbers in tolerances (n_parameters,), less what is their own
     uncertainty; 0 for all others."""
     table, sigma = result.model.table, result.estimate.sigma

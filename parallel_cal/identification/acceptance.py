@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from parallel_cal.identification.fit import Result
+from parallel_cal.identification.fit import FitResult
 from parallel_cal.identification.observations import blocks
 from parallel_cal.identification.prediction_errors import Errors, Summary, held_out_ratio
 from parallel_cal.identification.units import UNITS
@@ -49,7 +49,7 @@ class Acceptance:
 
 
 def acceptance(
-    new: Result, old: Result | None = None, change: str = "", rise: float = 0.0
+    new: FitResult, old: FitResult | None = None, change: str = "", rise: float = 0.0
 ) -> Acceptance:
     """Whether the error at poses left out falls, by more than its own uncertainty.
 
@@ -80,7 +80,7 @@ def acceptance(
     )  # fmt: skip
 
 
-def _unproven(new: Result) -> str:
+def _unproven(new: FitResult) -> str:
     why = "too few poses to leave some out" if new.options.hold_out else "no pose was left out"
     return f"{why}, so nothing proves that the new model is better"
 
@@ -92,7 +92,7 @@ def _clearly(fall: np.ndarray, known: np.ndarray, group: np.ndarray) -> bool:
     return bool(by_pose.mean() > by_pose.std() / np.sqrt(len(by_pose)))
 
 
-def _squared(result: Result, found: Errors) -> np.ndarray:
+def _squared(result: FitResult, found: Errors) -> np.ndarray:
     """Squared error (N,): of the pose in units of the device's noise; where none was measured, of
     what sensors read, or of the joints."""
     n = len(result.model.joints)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from parallel_cal.identification.fit import Result
+from parallel_cal.identification.fit import FitResult
 from parallel_cal.identification.thresholds import RELATIVE_RANK
 
 
@@ -26,7 +26,7 @@ class Evidence:
     pull: np.ndarray
 
     @classmethod
-    def of(cls, result: Result) -> Evidence:
+    def of(cls, result: FitResult) -> Evidence:
         """That of an identification; where its residuals are larger than the noise, as much less
         (Birge's ratio)."""
         model, found, free = result.model, result.estimate.spectrum, result.free

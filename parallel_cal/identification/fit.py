@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from parallel_cal.base.documents import plain
 from parallel_cal.base.errors import FitError
+from parallel_cal.base.notebook import ShownInNotebook
+from parallel_cal.base.options import with_changes
 from parallel_cal.base.progress import Progress, ignore_progress
 from parallel_cal.identification.budget import Budget, Iso9283, budgets, iso_9283
 from parallel_cal.identification.checks import (
@@ -35,18 +37,21 @@ from parallel_cal.identification.methods.implicit import Estimate
 from parallel_cal.identification.noise_floor import noise_floor
 from parallel_cal.identification.observability import directions_in_words
 from parallel_cal.identification.observations import Observations, observe
-from parallel_cal.identification.options import FitOptions
+from parallel_cal.identification.options import FitKeywords, FitOptions
 from parallel_cal.identification.prediction_errors import Errors, Summary, errors, improvement
 from parallel_cal.identification.refit import considered
 from parallel_cal.identification.registration import Registration, prepared_for_fit, said
 from parallel_cal.model.model import Model
-from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.recordings.dataset import Dataset, check_inputs
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 Judged = Callable[[np.ndarray, np.ndarray], Errors | None]
 
 
 @dataclass(frozen=True)
-class Result:
+class FitResult(ShownInNotebook):
     """An identification with the inputs that made it.
 
     `held_out` errors come from fits that did not see the pose they are judged at; the
@@ -66,6 +71,13 @@ class Result:
     warnings: tuple[str, ...]
     given: GivenModel
     registration: Registration | None = None
+
+    def __repr__(self) -> str:
+        return (
+            f"FitResult({self.model.mechanism.name}, {self.samples} samples, "
+            f"{self.estimate.spectrum.rank} of {int(self.free.sum())} free parameters identified, "
+            f"chi2/dof {self.estimate.chi2_per_dof:.3g})"
+        )
 
     @property
     def refit(self) -> tuple[str, ...]:
@@ -229,14 +241,69 @@ def fit(
     dataset: Dataset,
     options: FitOptions | None = None,
     progress: Progress | None = None,
-    **changes: Any,
-) -> Result:
-    """Identify a model's free parameters; errors at poses that the fit did not see.
+    **changes: Unpack[FitKeywords],
+) -> FitResult:
+    """Identify the free parameters of a model from measurements.
 
-    `changes` are options by name: `fit(model, dataset, hold_out=0.1)`. FitError where the data
-    cannot carry it.
+    Weighted least squares on the closure phi(q, x, p) = 0: each row is weighted by the noise that
+    it inherits from the measured quantities. If the poses are measured in the device's own frame,
+    the model is registered first. Cross-validation gives the errors at held-out poses; the
+    estimates use all samples.
+
+    Parameters
+    ----------
+    model : Model
+        The start. It names the free parameters and their tolerances.
+    dataset : Dataset
+        N samples: joint readings (N, nq) in rad or m, and measured poses.
+    options : FitOptions, optional
+        All options as one object.
+    progress : callable, optional
+        Called with a stage in words and the completed share (0 to 1). An exception that it raises
+        cancels the fit.
+    **changes
+        Single options by name:
+
+        - `hold_out` (default 0.25): share of the poses held out in each fold; 0 skips the
+          validation.
+        - `joint_sigma`: noise of the joint readings, 1 sigma, in rad or m. It replaces what
+          recording and model file state.
+        - `free`, `fix`: name patterns such as `"chain1.*"`.
+        - `refit`: name patterns. Only these are identified, and the others keep the covariance
+          that the model has.
+        - `prior`: None (tolerances act as priors where the data tell less), True (throughout),
+          False (nowhere) or a Prior.
+        - `method` (default `"implicit"`), `loss` (`"linear"`, or a robust one such as `"huber"`),
+          `seed` of the folds, `insist` (accept an effect's parameter outside its usual range).
+
+    Returns
+    -------
+    FitResult
+        `model` is the identified one. `after` holds its errors at the samples, `held_out` those at
+        held-out poses, `noise` the noise floor. `parameters()` lists every estimate with its sigma.
+
+    Raises
+    ------
+    FitError
+        If the data cannot determine the parameters, an estimate is physically impossible, or the
+        noise is unknown.
+
+    References
+    ----------
+    Vischer, P. (1996). Improving the Accuracy of Parallel Robots. Thesis 1570, EPFL, eq. 5.1 to
+    5.20.
+
+    Examples
+    --------
+    >>> import parallel_cal as pc
+    >>> model = pc.read_model("config/delta_mockup_nominal.yaml")
+    >>> data = pc.load_dataset("bags/delta_backlash", joints=model.joints)
+    >>> result = pc.fit(model, data, hold_out=0.2)
+    >>> result.held_out.summary.position_rms < result.before.summary.position_rms / 5
+    True
     """
-    options = replace(options or FitOptions(), **changes)
+    check_inputs(model, dataset)
+    options = with_changes(options or FitOptions(), changes, FitError)
     given = GivenModel.of(model, dataset, options.joint_sigma)
     start, registration = prepared_for_fit(given.model, given.registration, dataset, options)
     result = fit_registered(start, said(dataset, registration), options, progress, given)
@@ -249,7 +316,7 @@ def fit_registered(
     options: FitOptions,
     progress: Progress | None = None,
     given: GivenModel | None = None,
-) -> Result:
+) -> FitResult:
     """The same for a model that says where its device stands; `given` is what it is compared with,
     the model itself where it is None."""
     given = given or GivenModel(model, model, dataset, options.joint_sigma)
@@ -288,7 +355,7 @@ def fit_registered(
         fitted, insisted = check_plausible(fitted, estimate, mask, options.insist)
         after = errors(fitted, observations)
         held_out = _held_out(_folds(dataset, options), judged, after, report)
-    return Result(
+    return FitResult(
         model=replace(fitted, fixed=model.fixed if partial else ~mask),
         start=model,
         options=options,

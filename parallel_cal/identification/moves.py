@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from parallel_cal.identification.fit import Result
+from parallel_cal.identification.fit import FitResult
 from parallel_cal.identification.predictions import condition_columns
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions
 from parallel_cal.model.mechanism import poses_in_workspace
@@ -24,7 +24,7 @@ class Moves:
     shown: float | None
 
 
-def moves(before: Result, after: Result) -> Moves:
+def moves(before: FitResult, after: FitResult) -> Moves:
     """How far the robot (not the device) moves with another identification of the same samples."""
     old, new = before.model.robot(), after.model.robot()
     joints = after.observations.x[:, : len(old.joints)]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypedDict
 
 from parallel_cal.base.errors import FitError
 
@@ -41,3 +41,18 @@ class FitOptions:
         """FitError for a share of the poses that is none; too large ones are refused later."""
         if not self.hold_out >= 0:
             raise FitError(f"hold_out {self.hold_out}: expected 0 (no check) to 0.5")
+
+
+class FitKeywords(TypedDict, total=False):
+    """The fields of FitOptions as keyword arguments, for functions that take them by name."""
+
+    method: str
+    free: Sequence[str]
+    fix: Sequence[str]
+    refit: Sequence[str]
+    hold_out: float
+    joint_sigma: float | None
+    prior: bool | Prior | None
+    loss: str
+    seed: int
+    insist: bool

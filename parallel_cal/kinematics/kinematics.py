@@ -48,6 +48,9 @@ class Kinematics:
         self._joints, self._position, self._turn = slice(n), slice(n, n + 3), slice(n + 3, None)
         self._home_rotation = model.mechanism.home.configuration[n + 3 :]
 
+    def __repr__(self) -> str:
+        return f"Kinematics({self.model!r})"
+
     def direct(
         self, q: np.ndarray, at: Mapping[str, Any] | None = None, start: Solutions | None = None
     ) -> Solutions:

@@ -73,6 +73,13 @@ class Solutions:
     def __len__(self) -> int:
         return len(self.joints)
 
+    def __repr__(self) -> str:
+        if self.joints.ndim == 1:
+            status = Status(int(self.status)).text
+            return f"Solutions(joints={self.joints}, position={self.position}, {status})"
+        counts = {s.text: n for s in Status if (n := int(np.sum(self.status == s)))}
+        return f"Solutions({len(self)}: {counts})"
+
     def __getitem__(self, key: Any) -> Solutions:
         q, r, R = self.joints[key], self.position[key], self.rotation[key]
         return Solutions(q, r, R, self.residual[key], self.status[key])

@@ -62,6 +62,11 @@ class Model:
         if len(values) != len(self.table):
             raise ModelError(f"{len(values)} values for {len(self.table)} parameters")
 
+    def __repr__(self) -> str:
+        effects = "".join(f" + {effect.name}" for effect in self.effects)
+        sensors = "".join(f" + {sensor.name}" for sensor in self.sensors)
+        return f"Model({self.mechanism.name}{effects}{sensors}, {len(self.values)} parameters)"
+
     @cached_property
     def structure(self) -> Structure:
         return structure_of(self.mechanism, self.effects, self.sensors)
@@ -216,7 +221,34 @@ def new_model(
     effects: Sequence[str] = (),
     sensors: Sequence[Sensor] = (),
 ) -> Model:
-    """A model with nominal values, overwritten by the given ones."""
+    """Make a model of a mechanism with nominal values.
+
+    Parameters
+    ----------
+    mechanism : Mechanism or str
+        `pc.mechanisms.names()` lists the names; a Python path names your own.
+    values : mapping of str to float, optional
+        Values (m, rad) that replace nominal ones, by parameter name.
+    effects : sequence of str, optional
+        Names of effects, in the order in which they act.
+    sensors : sequence of Sensor, optional
+
+    Returns
+    -------
+    Model
+
+    Raises
+    ------
+    ModelError
+        If a name is unknown.
+
+    Examples
+    --------
+    >>> import parallel_cal as pc
+    >>> model = pc.new_model("delta24", effects=["backlash"])
+    >>> model.joints
+    ('joint1', 'joint2', 'joint3')
+    """
     if isinstance(mechanism, str):
         mechanism = load_mechanism(mechanism)
     loaded = tuple(load_effect(name) for name in effects)

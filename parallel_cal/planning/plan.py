@@ -5,13 +5,14 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, TypedDict
 
 import numpy as np
 
 from parallel_cal.base.documents import plain
 from parallel_cal.base.errors import FitError
+from parallel_cal.base.options import with_changes
 from parallel_cal.base.progress import Progress
 from parallel_cal.identification.checks import free_mask
 from parallel_cal.identification.fit import single_threaded
@@ -24,9 +25,25 @@ from parallel_cal.planning.expectation import Expectation, View
 from parallel_cal.planning.posepool import Pool, given_pool, make_pool
 from parallel_cal.planning.selection import CRITERIA, LINEAR, Choice, anneal, exchange
 
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
 POOL, UNSEEN, RANDOM_SETS = 1000, 200, 21
 METHODS = ("exchange", "annealing")
 PLACE = ("x", "y", "z", "qx", "qy", "qz", "qw")  # columns of a pose in a file
+
+
+class PlanKeywords(TypedDict, total=False):
+    """The fields of PlanOptions as keyword arguments."""
+
+    criterion: str
+    method: str
+    pool: int | Solutions
+    symmetric: bool
+    free: Sequence[str]
+    fix: Sequence[str]
+    prior: bool
+    seed: int
 
 
 @dataclass(frozen=True)
@@ -84,6 +101,9 @@ class Plan:
 
     def __len__(self) -> int:
         return len(self.poses)
+
+    def __repr__(self) -> str:
+        return f"Plan({len(self)} poses for {self.model!r}, criterion {self.options.criterion})"
 
     @property
     def names(self) -> list[str]:
@@ -155,14 +175,54 @@ def plan(
     n: int,
     options: PlanOptions | None = None,
     progress: Progress | None = None,
-    **changes: Any,
+    **changes: Unpack[PlanKeywords],
 ) -> Plan:
-    """n poses from a pool by a criterion of 5.3.9; `changes` are options by name.
+    """Choose the poses to measure, before anything is measured.
 
-    What has a noise figure in the model counts as measured. FitError where n poses cannot carry
-    the free parameters, the pool is too small, or there is no noise figure.
+    n poses are selected from a pool of random poses of the workspace such that the identification
+    from them is as good as possible by a criterion. Quantities with a noise figure in the model
+    count as measured.
+
+    Parameters
+    ----------
+    model : Model
+        States the free parameters, their tolerances and the measurement noise.
+    n : int
+        Number of poses.
+    options : PlanOptions, optional
+        All options as one object.
+    progress : callable, optional
+        Called with a stage in words and the completed share (0 to 1).
+    **changes
+        Single options by name: `criterion` (default `"prediction"`: mean variance of the predicted
+        pose over the workspace; or `"D"`, `"A"`, `"condition"`, `"noise_amplification"`), `method`,
+        `pool`, `symmetric`, `free`, `fix`, `prior`, `seed`.
+
+    Returns
+    -------
+    Plan
+        `poses` (n configurations; m, rad), `expected` and `random`: the expected errors with these
+        poses and with poses drawn at random. `csv()` gives the poses as a table.
+
+    Raises
+    ------
+    FitError
+        If n poses cannot determine the free parameters, the pool is too small, or the model states
+        no noise.
+
+    References
+    ----------
+    Vischer, P. (1996). Thesis 1570, EPFL, section 5.3.9.
+
+    Examples
+    --------
+    >>> import parallel_cal as pc
+    >>> model = pc.read_model("config/delta_mockup_nominal.yaml")
+    >>> plan = pc.plan(model, 30, pool=200)
+    >>> bool(plan.expected.position_rms < plan.random.position_rms)
+    True
     """
-    options = replace(options or PlanOptions(), **changes)
+    options = with_changes(options or PlanOptions(), changes, FitError)
     measured = _measured(model)
     sought = Sought(model, free_mask(model, options.free, options.fix), options.prior)
     _check_enough(model, n, sought.free)

@@ -7,13 +7,13 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from parallel_cal.base.documents import plain
-from parallel_cal.base.errors import DatasetError
+from parallel_cal.base.errors import DatasetError, ModelError
 from parallel_cal.base.files import write_atomically
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.recordings.recording import Array, Bools, Dropped
@@ -29,6 +29,9 @@ from parallel_cal.recordings.samplefile import (
     read_document,
     restored,
 )
+
+if TYPE_CHECKING:
+    from parallel_cal.model.model import Model
 
 NUMBER = "number"  # the condition that keeps a sample's number where others were excluded
 
@@ -68,6 +71,13 @@ class Dataset:
     source: str = ""
     sha256: str = ""
     frame: str = ""
+
+    def __repr__(self) -> str:
+        kinds = sorted({name.partition(".")[0] for name in self.conditions})
+        return (
+            f"Dataset({len(self)} samples of {len(self.joint_names)} joints, conditions: "
+            f"{', '.join(kinds) or 'none'}; {self.source or 'from arrays'})"
+        )
 
     @classmethod
     def from_arrays(
@@ -176,3 +186,16 @@ class Dataset:
             return cls(**{f.name: restored(f.name, document) for f in dataclasses.fields(cls)})
         except DatasetError as error:
             raise DatasetError(f"{name}: not a complete sample file: {error}") from None
+
+
+def check_inputs(model: Model, dataset: Dataset) -> None:
+    """Raise ModelError or DatasetError if an argument is of another kind, such as a file's path."""
+    for name, value, attribute, error, cure in (
+        ("model", model, "mechanism", ModelError, "read_model(path) or new_model(name)"),
+        ("dataset", dataset, "joint_names", DatasetError, "load_dataset(path)"),
+    ):
+        if not hasattr(value, attribute):
+            raise error(
+                f"{name} is {value!r:.60} ({type(value).__name__}); expected a "
+                f"{name.capitalize()}, as parallel_cal.{cure} returns it"
+            )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,12 +17,15 @@ from parallel_cal.recordings.channels import CHANNELS
 from parallel_cal.recordings.clocks import on_one_clock
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.joining import joined
-from parallel_cal.recordings.options import ReadOptions, SampleOptions
+from parallel_cal.recordings.options import ReadKeywords, ReadOptions, SampleOptions
 from parallel_cal.recordings.recording import Array, Dropped, Recording
 from parallel_cal.recordings.replicates import replicate_ids
 from parallel_cal.recordings.samplefile import PER_SAMPLE, holds_samples
 from parallel_cal.recordings.samples import Samples, per_joint
 from parallel_cal.recordings.sampling import conditions_of, samples_of
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 METRES = 10.0  # positions typically further than this from the origin are taken for millimetres
 TURNS = 4.0 * np.pi  # joints that travel further are taken for degrees, or turn endlessly
@@ -32,11 +35,42 @@ def load_dataset(
     path: str | Path,
     options: ReadOptions | None = None,
     progress: Progress | None = None,
-    **given: Any,
+    **given: Unpack[ReadKeywords],
 ) -> Dataset:
-    """Samples of a recording, or of a file written by `to_json`; `given` are options by name.
+    """Read the samples of a recording.
 
-    BagError or DatasetError when none can be had.
+    Parameters
+    ----------
+    path : str or Path
+        A rosbag2 folder or file, or a file of samples written by `Dataset.to_json`.
+    options : ReadOptions, optional
+        All options as one object.
+    progress : callable, optional
+        Called with a stage in words and the completed share (0 to 1).
+    **given
+        Single options by name, for example `joints` (the model's joint names in its order),
+        `exclude` (numbers of samples), `topics` ({channel: topic}), `joint_sigma` (rad or m),
+        `mode` (`"auto"`, `"dwell"` or `"continuous"`).
+
+    Returns
+    -------
+    Dataset
+        One sample per dwell, or per measured pose of a robot in motion. `warnings` says what looks
+        suspicious, `dropped` what could not be used.
+
+    Raises
+    ------
+    BagError
+        If the recording cannot be opened, or a stream in it cannot be used.
+    DatasetError
+        If there are no usable samples.
+
+    Examples
+    --------
+    >>> import parallel_cal as pc
+    >>> data = pc.load_dataset("bags/delta_backlash", exclude=[3])
+    >>> len(data), data.q.shape
+    (93, (93, 3))
     """
     return load_stamped(path, options, progress, **given)[0]
 
@@ -45,9 +79,9 @@ def load_stamped(
     path: str | Path,
     options: ReadOptions | None = None,
     progress: Progress | None = None,
-    **given: Any,
+    **given: Unpack[ReadKeywords],
 ) -> tuple[Dataset, int]:
-    """The same, and the stamp (ns) that its times count from: 0 for a file of samples."""
+    """Read samples and the stamp (ns) from which their times count: 0 for a file of samples."""
     options = (options or ReadOptions()).changed(**given)
     if holds_samples(Path(path)):
         dataset, start = in_order(Dataset.from_json(path), options.joints), 0
@@ -61,12 +95,33 @@ def load_sessions(
     paths: Sequence[str | Path],
     options: ReadOptions | None = None,
     progress: Progress | None = None,
-    **given: Any,
+    **given: Unpack[ReadKeywords],
 ) -> Dataset:
-    """One Dataset of one or more recordings; of more than one, samples know their `session`.
+    """Read one or more recordings of a robot as one dataset.
 
-    SampleOptions as in `load_dataset`, `exclude` counts through all of them; DatasetError where the
-    recordings do not go together.
+    Parameters
+    ----------
+    paths : sequence of str or Path
+        Recordings or files of samples. With more than one, the condition `session` numbers them
+        from 0.
+    options, progress, **given
+        As in `load_dataset`; `exclude` counts through all recordings.
+
+    Returns
+    -------
+    Dataset
+
+    Raises
+    ------
+    BagError, DatasetError
+        As `load_dataset`; also if the recordings differ in joints or frames.
+
+    Examples
+    --------
+    >>> import parallel_cal as pc
+    >>> data = pc.load_sessions(["bags/delta_backlash", "bags/delta_gear_ripple"])
+    >>> sorted(set(data.conditions["session"].tolist()))
+    [0.0, 1.0]
     """
     options = (options or ReadOptions()).changed(**given)
     datasets = [load_dataset(path, options.changed(exclude=()), progress) for path in paths]

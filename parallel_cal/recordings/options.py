@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 
 from parallel_cal.base.errors import BagError, DatasetError
+from parallel_cal.base.options import with_changes
 from parallel_cal.recordings.channels import CHANNELS
 from parallel_cal.recordings.recording import COORDINATES
 
@@ -92,8 +92,26 @@ class ReadOptions(SampleOptions):
                 raise BagError(f"{what}: {unknown} unknown; expected some of {', '.join(known)}")
 
     def changed(self, **given: Any) -> ReadOptions:
-        """With other values by name; DatasetError for an unknown one, naming those that exist."""
-        known = [item.name for item in dataclasses.fields(self)]
-        if unknown := sorted(set(given) - set(known)):
-            raise DatasetError(f"unknown option {', '.join(unknown)}; known: {', '.join(known)}")
-        return dataclasses.replace(self, **given)
+        """Return the options with some values changed; DatasetError for an unknown name."""
+        return with_changes(self, given, DatasetError)
+
+
+class ReadKeywords(TypedDict, total=False):
+    """The fields of ReadOptions as keyword arguments, for functions that take them by name."""
+
+    mode: str
+    min_dwell: float
+    trim_start: float
+    trim_end: float
+    still_tolerance: float | Sequence[float] | None
+    min_joint_messages: int
+    min_pose_messages: int | None
+    max_gap: float | None
+    joint_sigma: float | Sequence[float] | None
+    assume_units: bool
+    replicate_tolerance: float | None
+    topics: Mapping[str, str]
+    joints: Sequence[str] | None
+    measures: Sequence[str] | None
+    stamps: str
+    exclude: Sequence[int]

@@ -135,3 +135,6 @@ class Recording:
     notes: tuple[str, ...] = ()
     topics: tuple[TopicInfo, ...] = ()
     sha256: str = ""
+
+    def __repr__(self) -> str:
+        return f"Recording({self.source}, {len(self.joints.time)} joint states)"

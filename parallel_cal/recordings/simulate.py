@@ -38,6 +38,9 @@ class Simulation:
     model: Model
     recording: Recording
 
+    def __repr__(self) -> str:
+        return f"Simulation({self.model!r}, {self.recording!r})"
+
     def dataset(self) -> Dataset:
         """Its samples, as of a recording of it (`write_bag`)."""
         samples = dataset_from_recording(self.recording)
@@ -80,12 +83,40 @@ def simulate(
     quiet: bool = False,
     targets: np.ndarray | None = None,
 ) -> Simulation:
-    """A session of the robot `model`: `poses` drawn in its workspace, some visited again.
+    """Simulate a measuring session of a robot.
 
-    `effects` are hidden ones that it has, too, NAME[:param=value,...]. Noise is the model's, or
-    typical where it says nothing; `quiet` instruments state the same accuracy and make no errors.
-    `targets` are joints (poses, nq) to visit in this order, in place of what is drawn.
-    SolveError where the workspace cannot be reached.
+    Parameters
+    ----------
+    model : Model
+        The robot. Its noise is used; typical noise where it states none.
+    poses : int
+        Number of poses, drawn at random in the workspace.
+    seed : int, optional
+    effects : iterable of str, optional
+        Effects that the robot has in addition: `"NAME"` or `"NAME:parameter=value,..."`.
+    replicates : int, optional
+        How many of the poses are visited twice.
+    quiet : bool, optional
+        Simulate instruments that state their accuracy and make no errors.
+    targets : ndarray (poses, nq), optional
+        Joints (rad or m) to visit in this order, in place of random ones.
+
+    Returns
+    -------
+    Simulation
+        `dataset()` gives the samples; `write_bag` writes the recording.
+
+    Raises
+    ------
+    SolveError
+        If the workspace cannot be reached.
+
+    Examples
+    --------
+    >>> import parallel_cal as pc
+    >>> session = pc.simulate(pc.new_model("delta24"), 12, effects=["backlash:width=0.005"])
+    >>> len(session.dataset())
+    12
     """
     if poses < 1 or not 0 <= replicates <= poses:
         raise SolveError(f"{replicates} replicates of {poses} poses: expected at most one each")

@@ -24,7 +24,30 @@ WRITTEN = ("payload", "temperature", "joint_states", "measured_pose")
 
 
 def write_bag(session: Simulation, path: str | Path, storage: str = "mcap") -> None:
-    """Write a session as a rosbag2 folder, whole or not at all; BagError where one stands."""
+    """Write a simulated session as a rosbag2 folder.
+
+    Parameters
+    ----------
+    session : Simulation
+    path : str or Path
+        A folder that does not exist yet. It is written completely or not at all.
+    storage : str, optional
+        `"mcap"` or `"sqlite3"`.
+
+    Raises
+    ------
+    BagError
+        If the folder exists or cannot be written.
+
+    Examples
+    --------
+    >>> import parallel_cal as pc
+    >>> from tempfile import mkdtemp
+    >>> path = mkdtemp() + "/bag"
+    >>> pc.write_bag(pc.simulate(pc.new_model("delta24"), 5), path)
+    >>> len(pc.load_dataset(path))
+    5
+    """
     if storage not in STORAGES:
         raise BagError(f"storage '{storage}' unknown; expected {' or '.join(STORAGES)}")
     messages = _Session()

@@ -15,7 +15,7 @@ from parallel_cal.diagnosis.patterns import Along
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.search import Trial
 from parallel_cal.diagnosis.signature import joints
-from parallel_cal.identification.fit import Estimated, Result
+from parallel_cal.identification.fit import Estimated, FitResult
 from parallel_cal.identification.observability import directions_in_words
 from parallel_cal.identification.prediction_errors import ERRORS, Summary
 from parallel_cal.model.configuration import Configuration
@@ -233,7 +233,7 @@ class Described(Estimated):
     sigma_tolerances: float | None
 
 
-def parameters(result: Result) -> dict[str, Described]:
+def parameters(result: FitResult) -> dict[str, Described]:
     """Every parameter by name."""
     table = result.model.table
     return {
@@ -246,7 +246,7 @@ def parameters(result: Result) -> dict[str, Described]:
     }
 
 
-def combinations(result: Result) -> dict[str, list[dict[str, Any]]]:
+def combinations(result: FitResult) -> dict[str, list[dict[str, Any]]]:
     """What the data cannot tell at all, and what they tell worse than the tolerances do."""
     seen, table = result.estimate.spectrum, result.model.table
     return {
@@ -263,7 +263,7 @@ class Correlation:
     value: float
 
 
-def correlated(result: Result, most: int = 10) -> list[Correlation]:
+def correlated(result: FitResult, most: int = 10) -> list[Correlation]:
     """The strongest correlations of two free parameters, where they are worth a word."""
     names = [n for n, free in zip(result.model.table.names, result.free, strict=True) if free]
     with np.errstate(invalid="ignore", divide="ignore"):  # unidentified ones have no sigma

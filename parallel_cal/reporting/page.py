@@ -17,7 +17,28 @@ from parallel_cal.reporting.sections import body
 
 
 def page(report: Report, library: str = "") -> str:
-    """The page of a report; `library` is Plotly's file beside it where pages share one."""
+    """Make one HTML page of a report.
+
+    Parameters
+    ----------
+    report : Report
+    library : str, optional
+        Path of Plotly's file beside the page, for pages that share one. The default puts Plotly
+        into the page, which then needs no other file.
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> import parallel_cal as pc
+    >>> model = pc.read_model("config/delta_mockup_nominal.yaml")
+    >>> data = pc.load_dataset("bags/delta_backlash", joints=model.joints)
+    >>> html = pc.page(pc.report(model, data, effects=["backlash"]))
+    >>> "backlash" in html
+    True
+    """
     drawn = Drawn()
     p, samples = report.provenance, len(report.diagnosis.dataset)
     return drawn.page(

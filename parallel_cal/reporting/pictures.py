@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.diagnosis.comparison import Comparison
 from parallel_cal.diagnosis.diagnose import Diagnosis
-from parallel_cal.identification.fit import Result
+from parallel_cal.identification.fit import FitResult
 from parallel_cal.reporting import contents, figures, spaces
 from parallel_cal.reporting.readable import unit_of
 
@@ -18,8 +18,33 @@ if TYPE_CHECKING:
 
 @singledispatch
 def figure(result: Any) -> Figure:
-    """A plotly figure of what `compare` (residual arrows), `diagnose` (the falling error) or `fit`
-    (how far parameters moved) gives; ParallelCalError where there is nothing to draw."""
+    """Draw a result as a Plotly figure.
+
+    Parameters
+    ----------
+    result : FitResult, Comparison or Diagnosis
+        A fit shows how far parameters moved, a comparison the residual arrows, a diagnosis the
+        falling error.
+
+    Returns
+    -------
+    plotly.graph_objects.Figure
+
+    Raises
+    ------
+    ParallelCalError
+        If there is nothing to draw, for example no measured pose.
+    TypeError
+        For another kind of result.
+
+    Examples
+    --------
+    >>> import parallel_cal as pc
+    >>> model = pc.read_model("config/delta_mockup_nominal.yaml")
+    >>> data = pc.load_dataset("bags/delta_backlash", joints=model.joints)
+    >>> len(pc.figure(pc.compare(model, data)).data) > 0
+    True
+    """
     kind = type(result).__name__
     raise TypeError(f"figure takes what fit, compare or diagnose gives, not {kind}")
 
@@ -50,5 +75,5 @@ def _(diagnosis: Diagnosis) -> Any:
 
 
 @figure.register
-def _(result: Result) -> Any:
+def _(result: FitResult) -> Any:
     return _drawn(figures.parameter_bars(contents.parameters(result)))

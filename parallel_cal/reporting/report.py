@@ -2,25 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from datetime import datetime, timezone
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from parallel_cal import __version__
 from parallel_cal.base.documents import plain
+from parallel_cal.base.errors import FitError
+from parallel_cal.base.options import with_changes
 from parallel_cal.base.progress import Progress
 from parallel_cal.diagnosis.comparison import compare
 from parallel_cal.diagnosis.diagnose import Diagnosis, diagnose
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.patterns import Along, Region, along, regions
 from parallel_cal.identification.budget import Budget, Iso9283
+from parallel_cal.identification.options import FitKeywords, FitOptions
 from parallel_cal.identification.spread import Spread
 from parallel_cal.model.file.modelfile import model_hash
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.reporting import contents
 from parallel_cal.reporting.versus import Versus
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 
 @dataclass(frozen=True)
@@ -79,6 +85,9 @@ class Report:
     against: Versus | None
     provenance: Provenance
 
+    def __repr__(self) -> str:
+        return f"Report({self.diagnosis!r})"
+
     def document(self) -> Any:
         """The JSON document of `parallel-cal report`; all values SI, None where not known."""
         return plain(vars(self))
@@ -89,21 +98,51 @@ def report(
     dataset: Dataset,
     *,
     against: Model | None = None,
+    effects: Iterable[str] = (),
+    also: Iterable[str] = (),
+    options: FitOptions | None = None,
     progress: Progress | None = None,
-    **options: Any,
+    **changes: Unpack[FitKeywords],
 ) -> Report:
-    """Diagnose a model and gather what shows it; `against` is another model on the same data.
+    """Diagnose a model and collect everything that a reader needs to judge it.
 
-    Options as in `diagnosis.diagnose`; two models are compared as they stand, nothing is fitted.
-    FitError where the model cannot be identified or the other lacks something recorded.
+    Parameters
+    ----------
+    model : Model
+    dataset : Dataset
+    against : Model, optional
+        A second model, compared with the first on the same samples. Neither is fitted for this.
+    effects, also, options, progress, **changes
+        As in `diagnose`.
+
+    Returns
+    -------
+    Report
+        `page(report)` makes one HTML page of it.
+
+    Raises
+    ------
+    FitError
+        If the model cannot be identified, or the second model needs a condition that was not
+        recorded.
+
+    Examples
+    --------
+    >>> import parallel_cal as pc
+    >>> model = pc.read_model("config/delta_mockup_nominal.yaml")
+    >>> data = pc.load_dataset("bags/delta_backlash", joints=model.joints)
+    >>> report = pc.report(model, data, effects=["backlash"])
+    >>> "<html" in pc.page(report)
+    True
     """
-    options = {"hold_out": 0.25, "seed": 0} | options
-    found = diagnose(model, dataset, progress=progress, **options)
+    fitting = with_changes(options or FitOptions(), changes, FitError)
+    found = diagnose(model, dataset, effects=effects, also=also, options=fitting, progress=progress)
     versus = None
     if against is not None:
-        sigma = options.get("joint_sigma")
+        sigma = fitting.joint_sigma
         versus = Versus.of(compare(model, dataset, sigma), compare(against, dataset, sigma))
-    return report_of(found, options, versus)
+    stated = {**vars(fitting), "effects": tuple(effects), "also": tuple(also)}
+    return report_of(found, stated, versus)
 
 
 def report_of(found: Diagnosis, options: Mapping[str, Any], versus: Versus | None = None) -> Report:

@@ -12,7 +12,7 @@ from parallel_cal.diagnosis.comparison import Comparison
 from parallel_cal.diagnosis.diagnose import Diagnosis
 from parallel_cal.diagnosis.entries import Entry
 from parallel_cal.identification.budget import Iso9283, iso_9283
-from parallel_cal.identification.fit import Result
+from parallel_cal.identification.fit import FitResult
 from parallel_cal.identification.prediction_errors import ERRORS, Summary
 from parallel_cal.model.model import Model
 from parallel_cal.reporting.readable import (
@@ -35,7 +35,29 @@ BEYOND_CHANCE = 0.05  # of what errors go with
 
 @singledispatch
 def show(result: Any) -> str:
-    """A result of `fit`, `add`, `remove`, `compare` or `diagnose` as the command line prints it."""
+    """Format a result as the command line prints it.
+
+    Parameters
+    ----------
+    result : FitResult, Step, Comparison or Diagnosis
+
+    Returns
+    -------
+    str
+
+    Raises
+    ------
+    TypeError
+        For anything else.
+
+    Examples
+    --------
+    >>> import parallel_cal as pc
+    >>> model = pc.read_model("config/delta_mockup_nominal.yaml")
+    >>> data = pc.load_dataset("bags/delta_backlash", joints=model.joints)
+    >>> print(pc.show(pc.compare(model, data)).splitlines()[0])
+    94 samples
+    """
     kind = type(result).__name__
     raise TypeError(f"show takes what fit, add, remove, compare or diagnose gives, not {kind}")
 
@@ -56,7 +78,7 @@ def stepped(step: Step) -> str:
 
 
 @show.register
-def fitted(result: Result, without: Result | None = None) -> str:
+def fitted(result: FitResult, without: FitResult | None = None) -> str:
     """An identification; `without` is that of the same data without an effect added."""
     rival = result.held_out_before if without is None else without.held_out
     judged = {
@@ -83,7 +105,7 @@ def fitted(result: Result, without: Result | None = None) -> str:
     )
 
 
-def budget_lines(result: Result) -> Iterator[str]:
+def budget_lines(result: FitResult) -> Iterator[str]:
     """What the drawing's error is made of, and ISO 9283's figures with the identified model; of
     positions where they were measured."""
     for budget in result.budgets[:1]:

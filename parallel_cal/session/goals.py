@@ -29,7 +29,7 @@ from parallel_cal.model.file.modelfile import (
 )
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
-from parallel_cal.session.steps import Step, added, fitted
+from parallel_cal.session.steps import Step, add, fitted
 
 UNKNOWN = (math.nan,) * 4
 Tell = Callable[[str, float, float], None]  # stage, fraction, mean position error so far in m
@@ -84,7 +84,7 @@ def proposed(request: Request, dataset: Dataset, tell: Tell | None = None) -> Ou
         # Whether it may be written is judged later, as a message.
         how: dict[str, Any] = {"force": True, "options": request.options, "progress": report}
         if request.effect:
-            step = added(model, request.effect, dataset, **how)
+            step = add(model, request.effect, dataset, **how)
         else:
             step = fitted(model, dataset, **how)
         position_error = _or_nan(step.result.after.summary.position_mean)

@@ -19,7 +19,7 @@ from parallel_cal.base.files import PREVIOUS
 from parallel_cal.diagnosis.verdict import AMBER_VERDICTS
 from parallel_cal.identification.acceptance import in_words
 from parallel_cal.identification.doubts import on_parameters
-from parallel_cal.identification.fit import Result, fit
+from parallel_cal.identification.fit import FitResult, fit
 from parallel_cal.identification.observations import observe
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.prediction_errors import (
@@ -230,7 +230,7 @@ class _Judged:
             placed, _ = registered(model, dataset, options.joint_sigma)
             found = errors(placed, observe(placed, dataset, options.joint_sigma))
             return cls(found, PERHAPS_USED if _fitted_datasets(model) else UNSEEN)
-        result: Result = fit(model, dataset, options)
+        result: FitResult = fit(model, dataset, options)
         doubts = tuple(on_parameters(result.model, result.estimate, result.free))
         if result.held_out.summary.known:
             return cls(result.held_out, HELD_OUT, doubts)

@@ -29,7 +29,7 @@ from parallel_cal.session.saving import (
     compare_with_model_in_use,
     write_for_robot,
 )
-from parallel_cal.session.steps import Step, added, fitted, removed
+from parallel_cal.session.steps import Step, add, fitted, remove
 
 CHANGED = "the session was changed meanwhile: look at it and try again"
 JUDGED = ("before", "errors", "noise", "against", "verdict")  # what a state knows of its model
@@ -117,15 +117,14 @@ class Session(History):
     def add(self, effect: str, progress: Progress | None = None, force: bool = False) -> State:
         """Add an effect and identify anew; FitError where the errors at poses left out do not fall,
         and nobody insists."""
-        how = {"options": self.options, "progress": progress}
-        return self._committed(
-            f"add {effect}", added(self.model, effect, self.dataset, force, **how)
-        )
+        step = add(self.model, effect, self.dataset, force, options=self.options, progress=progress)
+        return self._committed(f"add {effect}", step)
 
     def remove(self, effect: str, progress: Progress | None = None, force: bool = False) -> State:
         """Remove an effect and identify anew; FitError where that costs accuracy."""
-        how = {"options": self.options, "progress": progress}
-        step = removed(self.model, effect, self.dataset, force, **how)
+        step = remove(
+            self.model, effect, self.dataset, force, options=self.options, progress=progress
+        )
         return self._committed(f"remove {effect}", step)
 
     def exclude(self, samples: Mapping[int, str], progress: Progress | None = None) -> State:
@@ -178,7 +177,7 @@ class Session(History):
     def diagnose(self, progress: Progress | None = None, **options: Any) -> Diagnosis:
         """What is missing in the model of this state; its verdict is kept with the state."""
         at = self.state
-        how = {"options": self.options, "progress": progress} | options
+        how: dict[str, Any] = {"options": self.options, "progress": progress} | options
         found = diagnose(self.model, self.dataset, **how)
         self.judged(at, f"{found.verdict.word}: {found.verdict.summary}")
         return found

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from parallel_cal.base.documents import plain
 from parallel_cal.base.errors import FitError
+from parallel_cal.base.notebook import ShownInNotebook
+from parallel_cal.base.progress import Progress
 from parallel_cal.diagnosis.catalogue import Candidate, candidate, names_of
 from parallel_cal.diagnosis.device import doubtful
 from parallel_cal.diagnosis.entries import outdoes
@@ -15,8 +17,9 @@ from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.search import superfluous
 from parallel_cal.diagnosis.verdict import robot_or_device
 from parallel_cal.identification.acceptance import IN_SAMPLE, Acceptance, acceptance
-from parallel_cal.identification.fit import Result, fit
+from parallel_cal.identification.fit import FitResult, fit
 from parallel_cal.identification.moves import Moves, moves
+from parallel_cal.identification.options import FitKeywords, FitOptions
 from parallel_cal.identification.prediction_errors import Summary
 from parallel_cal.identification.thresholds import NEGLIGIBLE
 from parallel_cal.model.effect import parse_effects
@@ -24,18 +27,31 @@ from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import load_effect
 from parallel_cal.recordings.dataset import Dataset
 
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+
+class StepKeywords(FitKeywords, total=False):
+    """What `fit` takes beside model and samples."""
+
+    options: FitOptions | None
+    progress: Progress | None
+
 
 @dataclass(frozen=True)
-class Step:
+class Step(ShownInNotebook):
     """What a step (`fit`, `add`, `remove`) leaves: the model to be written, with the step in its
     history, and whether it may replace the old one. `rival` is the identification of the same
     samples that an effect is held against: without the one added, with the one removed."""
 
     name: str
     model: Model
-    result: Result
+    result: FitResult
     acceptance: Acceptance
-    rival: Result | None = None
+    rival: FitResult | None = None
+
+    def __repr__(self) -> str:
+        return f"Step({self.name}, {self.result!r})"
 
     @property
     def before(self) -> Summary:
@@ -67,7 +83,9 @@ class Step:
         return document
 
 
-def fitted(model: Model, dataset: Dataset, force: bool = False, **options: Any) -> Step:
+def fitted(
+    model: Model, dataset: Dataset, force: bool = False, **options: Unpack[StepKeywords]
+) -> Step:
     """Identify the model's free parameters; options as in `identification.fit`. FitError when
     that does not help at poses left out."""
     result = fit(model, dataset, **options)
@@ -76,14 +94,52 @@ def fitted(model: Model, dataset: Dataset, force: bool = False, **options: Any) 
     return _step("fit", result, _judged(acceptance(result), force))
 
 
-def added(model: Model, effect: str, dataset: Dataset, force: bool = False, **options: Any) -> Step:
-    """Identify anew with one more effect, or several at once; FitError when that does not help at
-    poses left out.
+def add(
+    model: Model,
+    effect: str,
+    dataset: Dataset,
+    force: bool = False,
+    **options: Unpack[StepKeywords],
+) -> Step:
+    """Add an effect to a model and identify all free parameters again.
 
-    `effect` is NAME[:param=value,...], or several joined by `+`: given numbers are held; an unknown
-    gear ratio and the like are searched for. What it must beat is the model without the effect,
-    identified on the same data: otherwise the re-identification of the geometry would pass for
-    the effect's merit.
+    The new model is compared with the model without the effect, identified from the same samples.
+    Otherwise the improvement by the geometry would be credited to the effect.
+
+    Parameters
+    ----------
+    model : Model
+    effect : str
+        `"NAME"` or `"NAME:parameter=value,..."`; several effects are joined by `+`. A stated
+        parameter is fixed. An unknown gear ratio, order or lead is searched for.
+    dataset : Dataset
+    force : bool, optional
+        Return the step although something speaks against it.
+    **options
+        `options`, `progress` and single options by name, as in `fit`.
+
+    Returns
+    -------
+    Step
+        `step.model` is the new model, with this step in its history. `step.result` is the
+        identification, `step.rival` the one without the effect.
+
+    Raises
+    ------
+    FitError
+        If the error at held-out poses does not fall, the measuring device may be the cause, or the
+        data cannot determine the parameters. `force=True` accepts the first two.
+    ModelError
+        If there is no such effect.
+
+    Examples
+    --------
+    >>> import parallel_cal as pc
+    >>> model = pc.read_model("config/delta_mockup_nominal.yaml")
+    >>> data = pc.load_dataset("bags/delta_backlash", joints=model.joints)
+    >>> step = pc.add(model, "backlash", data)
+    >>> step.model.effects[-1].name
+    'backlash'
     """
     asked = parse_effects(effect)
     base = fit(model, dataset, **options)
@@ -107,7 +163,7 @@ def added(model: Model, effect: str, dataset: Dataset, force: bool = False, **op
     return _step("add", result, _judged(found, force), base, name)
 
 
-def _beside(result: Result, rival: Result) -> Result:
+def _beside(result: FitResult, rival: FitResult) -> FitResult:
     """A fit with another effect, held against the model that its rival was given."""
     given = replace(rival.given, known_held_out=rival.held_out_before)
     return replace(result, given=given, registration=rival.registration)
@@ -130,10 +186,51 @@ def _device(scene: Scene) -> list[Candidate]:
     return [candidate(scene, name) for name in names]
 
 
-def removed(
-    model: Model, effect: str, dataset: Dataset, force: bool = False, **options: Any
+def remove(
+    model: Model,
+    effect: str,
+    dataset: Dataset,
+    force: bool = False,
+    **options: Unpack[StepKeywords],
 ) -> Step:
-    """Identify anew without one of the effects; FitError when that costs accuracy."""
+    """Remove an effect from a model and identify all free parameters again.
+
+    Parameters
+    ----------
+    model : Model
+    effect : str
+        The name of an effect of the model.
+    dataset : Dataset
+    force : bool, optional
+        Return the step although it costs accuracy.
+    **options
+        `options`, `progress` and single options by name, as in `fit`.
+
+    Returns
+    -------
+    Step
+        As of `add`; `step.rival` is the identification with the effect.
+
+    Raises
+    ------
+    FitError
+        If the error at held-out poses rises by more than 1 %.
+    ModelError
+        If the model has no such effect.
+
+    Examples
+    --------
+    >>> import parallel_cal as pc
+    >>> model = pc.read_model("config/delta_mockup_nominal.yaml")
+    >>> data = pc.load_dataset("bags/delta_backlash", joints=model.joints)
+    >>> with_backlash = pc.add(model, "backlash", data).model
+    >>> pc.remove(with_backlash, "backlash", data)
+    Traceback (most recent call last):
+    ...
+    parallel_cal.session.steps.Unproven: ...
+    >>> pc.remove(with_backlash, "backlash", data, force=True).model.effects
+    ()
+    """
     model.without_effect(effect)  # a wrong name is better said before a fit
     with_it = fit(model, dataset, **options)
     result = _beside(fit(with_it.start.without_effect(effect), with_it.dataset, **options), with_it)
@@ -158,9 +255,9 @@ def _judged(found: Acceptance, force: bool) -> Acceptance:
 
 def _step(
     name: str,
-    result: Result,
+    result: FitResult,
     found: Acceptance,
-    rival: Result | None = None,
+    rival: FitResult | None = None,
     effect: str | None = None,
 ) -> Step:
     """The step's model with one more entry in its history: no date, so that it is repeatable."""
@@ -177,7 +274,7 @@ def _step(
     return Step(name, model, result, found, rival)
 
 
-def _unusual(result: Result) -> dict[str, Any]:
+def _unusual(result: FitResult) -> dict[str, Any]:
     """What was not plain least squares of all free parameters on all samples."""
     loss = result.options.loss if result.options.loss != "linear" else None
     samples = [doubted.sample for doubted in result.down_weighted]

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from parallel_cal.base.errors import FitError
-from parallel_cal.identification.fit import Result
+from parallel_cal.identification.fit import FitResult
 from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.model.model import Model
 from parallel_cal.short_cut.loop import Loop, loop_numbers
@@ -29,7 +29,9 @@ class Together:
     jacobian: np.ndarray
 
 
-def put_together(robot: Model, loops: Sequence[tuple[Loop, Result]], relinearise: bool) -> Together:
+def put_together(
+    robot: Model, loops: Sequence[tuple[Loop, FitResult]], relinearise: bool
+) -> Together:
     """The Delta's parameters from all loops' numbers, its tolerances as priors.
 
     `relinearise` follows the closures' curvature from step to step; without it only the loops'
@@ -51,7 +53,7 @@ def put_together(robot: Model, loops: Sequence[tuple[Loop, Result]], relinearise
     return Together(values, *stacked(values))
 
 
-def closures(result: Result) -> Rows:
+def closures(result: FitResult) -> Rows:
     """A loop's whitened closures (N,) and their Jacobian (N, 9) as functions of its numbers."""
     every = np.ones(len(result.model.values), dtype=bool)
     linearise = Linearisation(result.model, result.observations, every, weighted=True)
@@ -66,7 +68,7 @@ def closures(result: Result) -> Rows:
     return rows
 
 
-def linearised(result: Result) -> Rows:
+def linearised(result: FitResult) -> Rows:
     """The same to first order about the loop's estimate: estimate and covariance, as rows."""
     g0 = np.array(result.model.values)
     r, A = closures(result)(g0)

@@ -15,7 +15,7 @@ import numpy as np
 from parallel_cal.base.documents import plain
 from parallel_cal.base.errors import FitError
 from parallel_cal.identification.doubts import chi2_band
-from parallel_cal.identification.fit import Result, estimated, fit, single_threaded
+from parallel_cal.identification.fit import FitResult, estimated, fit, single_threaded
 from parallel_cal.identification.observability import Spectrum, directions_in_words, spectrum
 from parallel_cal.identification.prediction_errors import errors
 from parallel_cal.model.model import Model
@@ -30,7 +30,7 @@ class LoopResult:
     """One loop's identification, and how many of its nine numbers its data see."""
 
     loop: Loop
-    fit: Result
+    fit: FitResult
     rank: int
 
 

@@ -33,6 +33,12 @@ class Estimate:
     weight: np.ndarray | None = None
     system: System | None = None
 
+    def __repr__(self) -> str:
+        return (
+            f"Estimate({len(self.values)} parameters, rank {self.spectrum.rank}, "
+            f"chi2 {self.chi2:.4g}, {self.dof} degrees of freedom)"
+        )
+
     @property
     def chi2_per_dof(self) -> float:
         return self.chi2 / self.dof if self.dof > 0 else float("nan")

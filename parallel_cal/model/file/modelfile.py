@@ -20,7 +20,27 @@ MOST = 4 * MEGABYTE  # of a file: a second each, in which streams of the node th
 
 
 def read_model(path: str | Path) -> Model:
-    """The model in a file; ModelFileError names file, line, key, value and what is expected."""
+    """Read a model file.
+
+    Parameters
+    ----------
+    path : str or Path
+
+    Returns
+    -------
+    Model
+
+    Raises
+    ------
+    ModelFileError
+        Names file, line, key, value and what is expected.
+
+    Examples
+    --------
+    >>> import parallel_cal as pc
+    >>> pc.read_model("config/delta_mockup_nominal.yaml").mechanism.name
+    'delta54'
+    """
     return parse_model(model_text(path), str(path))
 
 
@@ -42,7 +62,27 @@ def parse_model(text: str, name: str = "model") -> Model:
 
 
 def write_model(model: Model, path: str | Path) -> None:
-    """Write a model file in one step; ModelFileError for a model that could not be read back."""
+    """Write a model file atomically: the old file stays until the new one is complete.
+
+    Parameters
+    ----------
+    model : Model
+    path : str or Path
+
+    Raises
+    ------
+    ModelFileError
+        If `read_model` could not read the file back, or the folder cannot be written.
+
+    Examples
+    --------
+    >>> import parallel_cal as pc
+    >>> from tempfile import mkdtemp
+    >>> path = mkdtemp() + "/robot.yaml"
+    >>> pc.write_model(pc.new_model("delta24"), path)
+    >>> pc.read_model(path)
+    Model(delta24, 24 parameters)
+    """
     write_text(path, readable_text(model, path))
 
 
@@ -82,6 +122,23 @@ def write_text(path: str | Path, text: str, like: str | Path | None = None) -> N
 
 
 def model_hash(model: Model | str | bytes) -> str:
-    """sha256 (hex) of a model's file text: what `sha256sum` says of the written file."""
+    """Compute the sha256 of a model's file text.
+
+    Parameters
+    ----------
+    model : Model, str or bytes
+        A model, or the text of a model file.
+
+    Returns
+    -------
+    str
+        Hexadecimal, equal to what `sha256sum` prints for the written file.
+
+    Examples
+    --------
+    >>> import parallel_cal as pc
+    >>> len(pc.model_hash(pc.new_model("delta24")))
+    64
+    """
     text = dump_model(model) if isinstance(model, Model) else model
     return hashlib.sha256(text.encode() if isinstance(text, str) else text).hexdigest()

@@ -1,0 +1,18 @@
+"""What a notebook shows of a result."""
+
+from __future__ import annotations
+
+from html import escape
+
+
+class ShownInNotebook:
+    """Gives a result a rich display: the text that the command line prints.
+
+    The text is made by `parallel_cal.show`, far above this room. It is reached through the public
+    names, as a user would reach it, so that results need not know how they are printed.
+    """
+
+    def _repr_html_(self) -> str:
+        import parallel_cal
+
+        return f"<pre>{escape(parallel_cal.show(self))}</pre>"

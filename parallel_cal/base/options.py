@@ -1,0 +1,28 @@
+"""Options that a caller gives by name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields, replace
+from typing import Any, TypeVar
+
+from parallel_cal.base.errors import ParallelCalError, nearest
+
+Options = TypeVar("Options")
+
+
+def with_changes(
+    options: Options, changes: Mapping[str, Any], error: type[ParallelCalError]
+) -> Options:
+    """Return the options (a dataclass) with some fields changed.
+
+    Raises
+    ------
+    ParallelCalError
+        The given kind of it, for a name that is no option.
+    """
+    known = [field.name for field in fields(options)]  # type: ignore[arg-type]
+    for name in changes:
+        if name not in known:
+            raise error(f"unknown option {name}{nearest(name, known)}. Options: {', '.join(known)}")
+    return replace(options, **changes)  # type: ignore[type-var]
