@@ -29,6 +29,7 @@ from parallel_cal.campaign.cell import CellError
 from parallel_cal.campaign.trajectory import Trajectory
 from parallel_cal.nodes import robot_cell
 from parallel_cal.nodes.client import Client
+from parallel_cal.nodes.inflow import Inflow
 from parallel_cal.nodes.robot_cell import RobotCell
 from parallel_cal.virtual.machines import MACHINES
 
@@ -144,7 +145,7 @@ def test_stamps_that_go_back_are_no_robot_that_never_rests():
         state.header.stamp = Time(sec=next(stamps))
         cell.hear(state)
 
-    cell = RobotCell(mock.Mock(), model, mock.Mock(), 0.3)
+    cell = RobotCell(mock.Mock(), model, mock.Mock(), 0.3, Inflow())
     hear()
     way = Trajectory(np.array([0.0, 1.0]), np.zeros((2, 3)), np.zeros((2, 3)))
     with pytest.raises(CellError, match="went back by 40 s: was the robot's driver started anew"):
@@ -153,7 +154,7 @@ def test_stamps_that_go_back_are_no_robot_that_never_rests():
 
 def test_a_robot_with_other_joints_is_named(monkeypatch):
     monkeypatch.setattr(robot_cell, "FOUND", 0.0)
-    cell = RobotCell(mock.Mock(), model_of("stewart"), mock.Mock(), 0.3)
+    cell = RobotCell(mock.Mock(), model_of("stewart"), mock.Mock(), 0.3, Inflow())
     cell.hear(JointState(name=["joint1", "joint2", "joint3"], position=[0.0] * 3))
     words = "joint_states name joint1, joint2, joint3, the model has leg1, leg2"
     with pytest.raises(CellError, match=words):

@@ -1,6 +1,7 @@
 """A subscription with a thread of its own: what the executor beside it notices of a stream."""
 
 import time
+from threading import Event
 
 import pytest
 
@@ -77,3 +78,30 @@ def test_a_publisher_that_offers_too_little_is_told(node):
     wait_until(executor, lambda: any("No messages will be received" in one for one in told))
     pump.end()
     assert any("RELIABILITY" in one for one in told)
+
+
+def test_what_came_in_counts_as_read_only_once_it_was_handed_over(node):
+    """Whoever waits for a message may conclude from `read_until` that none is on its way."""
+    executor, taken, handing, go_on = SingleThreadedExecutor(context=node.context), [], [], Event()
+    executor.add_node(node)
+
+    def take(messages):
+        handing.append(time.monotonic())
+        assert go_on.wait(30)
+        taken.extend(messages)
+
+    pump = Pump(node, JointState, "joint_states", QOS, take)
+    publisher = node.create_publisher(JointState, "joint_states", QOS)
+    wait_until(executor, lambda: publisher.get_subscription_count() == 1)
+    begin = time.monotonic()
+    wait_until(executor, lambda: pump.read_until > begin)  # also while nothing comes
+    publisher.publish(JointState(name=["joint1"], position=[0.5]))
+    wait_until(executor, lambda: handing)
+    before = pump.read_until
+    time.sleep(0.3)
+    assert pump.read_until == before < handing[0]
+    assert not taken
+    go_on.set()
+    wait_until(executor, lambda: pump.read_until > handing[0])
+    pump.end()
+    assert len(taken) == 1

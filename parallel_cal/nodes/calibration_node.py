@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 import time
-from collections import defaultdict, deque
+from collections import deque
 from contextlib import suppress
 from functools import partial
 from operator import itemgetter
@@ -38,6 +38,7 @@ from parallel_cal.nodes.conversions import message_class
 from parallel_cal.nodes.folders import Folders
 from parallel_cal.nodes.frames import MOVES_POSES, by_tf
 from parallel_cal.nodes.health import Stream
+from parallel_cal.nodes.inflow import Inflow
 from parallel_cal.nodes.jobs import in_words
 from parallel_cal.nodes.journal import Journal
 from parallel_cal.nodes.managed import AUTOSTART, Managed
@@ -62,6 +63,8 @@ from parallel_cal.recordings.recording import Dropped
 POSE_TYPES = ("PoseWithCovarianceStamped", "PoseStamped")
 # Reliable, and deep enough for minutes of a 1 kHz stream while this process is busy.
 STREAM = QoSProfile(depth=100_000)
+MEASURED = ("poses", "readings")  # kinds of channels that a measuring device fills by itself
+STREAMED = ("joints", *MEASURED)  # those that are read in threads of their own, however busy it is
 LONGER = 0.3  # s that a campaign rests beyond the least dwell, so that poses enough come
 BUSY = 0.25  # largest part of the time spent on looking at what was collected so far
 
@@ -102,12 +105,13 @@ class CalibrationNode(Managed):
         self._model_joints: tuple[Any, tuple[str, ...] | None] = (None, None)
         self._event, self._trouble, self._next_look = "", "", 0.0
         self._warnings: list[str] = []
-        self._waiting: deque[tuple[int, str, Any, int]] = deque()
-        self._health: defaultdict[str, Stream] = defaultdict(Stream)
-        self._base = ""
-        self._dropped_before: list[Dropped] = []
         for path in filter(None, self._parameter("channels").split(",")):
             take(path)
+        self._waiting: deque[tuple[int, str, Any, int]] = deque()
+        self._health = {name: Stream() for name in CHANNELS}
+        self._inflow, self._pumps = Inflow(), list[Pump]()
+        self._base = ""
+        self._dropped_before: list[Dropped] = []
         self._collector = Collector(self._joints(), self._options(), auto=self._auto())
         home = absolute(os.environ.get("ROS_HOME") or "~/.ros")
         self._folder = Path(absolute(self._parameter("journal_folder")) or f"{home}/parallel_cal")
@@ -121,7 +125,7 @@ class CalibrationNode(Managed):
         self._calibrator = Calibrator(self, self._collect, self._say, self._group, self._folders)
         here = Here(
             self._calibrator.files, self._take, self._folder / "campaigns", self._fit_options,
-            self._dwell,
+            self._dwell, self._inflow,
         )  # fmt: skip
         calibrator = self._calibrator
         self._campaigning = Campaigning(
@@ -231,10 +235,13 @@ class CalibrationNode(Managed):
 
     def _listen(self, channel: str, type: Any, qos: QoSProfile, overrides: Any = None,
                 **more: Any) -> None:  # fmt: skip
-        if channel == "joint_states":
-            self._pump = Pump(
-                self, type, channel, qos, self._on_states, qos_overriding_options=overrides
-            )
+        if CHANNELS[channel].kind in STREAMED:
+            on_messages = partial(self._on_stream, channel)
+            more["qos_overriding_options"] = overrides
+            pump = Pump(self, type, channel, qos, on_messages, **more)
+            self._pumps.append(pump)
+            if channel != "joint_states":
+                self._inflow.add_reader(pump)
             return
         self.create_subscription(
             type,
@@ -257,17 +264,25 @@ class CalibrationNode(Managed):
         health.done(received)
         sequence = info.get("publication_sequence_number") or 0
         self._waiting.append((received, channel, message, sequence))
+        if CHANNELS[channel].kind in MEASURED:
+            self._inflow.receive(channel, received)
+        elif CHANNELS[channel].kind == "words":
+            self._inflow.holds = True
 
-    def _on_states(self, waiting: Messages) -> None:
+    def _on_stream(self, channel: str, waiting: Messages) -> None:
+        """Messages of a stream, in the thread of its pump."""
         for message, info in waiting:
-            self._campaigning.hear(message)
-            self._on_message("joint_states", message, info)
+            if channel == "joint_states":
+                self._campaigning.hear(message)
+            self._on_message(channel, message, info)
 
     def _take_in(self) -> None:
         """What came since the last look, in the order in which it came."""
         came = [self._waiting.popleft() for _ in range(len(self._waiting))]
         for received, channel, message, sequence in sorted(came, key=itemgetter(0)):
             self._collector.receive(channel, message, received, sequence)
+            if CHANNELS[channel].kind in MEASURED:
+                self._inflow.process(channel)
             if self._recorder is not None:
                 self._record(channel, message, received)
 
@@ -340,7 +355,7 @@ class CalibrationNode(Managed):
             status=[
                 diagnostics(f"{name}: samples", level, said or "as it should be", items),
                 self._campaigning.diagnosis(name),
-                *(h.diagnosis(name, topic) for topic, h in self._health.items()),
+                *(h.diagnosis(name, topic) for topic, h in self._health.items() if h.total),
             ]
         )
         message.header.stamp = self.get_clock().now().to_msg()
@@ -472,7 +487,8 @@ class CalibrationNode(Managed):
 
     def end_work(self) -> None:
         """Keep what came in last, however the node ends, and stop what is at work."""
-        self._pump.end()
+        for pump in self._pumps:
+            pump.end()
         self._take_in()
         self._collector.refresh()
         self._keep()

@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +31,7 @@ from parallel_cal.model.file.modelfile import model_text, parse_model
 from parallel_cal.model.mechanism import Box
 from parallel_cal.model.model import Model
 from parallel_cal.nodes.calibration_messages import json_text
+from parallel_cal.nodes.inflow import Inflow
 from parallel_cal.nodes.jobs import InThread, Job, JobServer, OneAtATime, Say
 from parallel_cal.nodes.managed import Managed
 from parallel_cal.nodes.parameters import LATCHED
@@ -47,13 +47,15 @@ LEVELS = {"stopped": b"\x02", "asking": b"\x01", "paused": b"\x01"}
 @dataclass(frozen=True)
 class Here:
     """What a campaign needs of the node: `files` where a goal's model is and the better one goes,
-    `take` the sample of the dwell going on, `folder` for campaigns, `options` of a fit."""
+    `take` the sample of the dwell going on, `folder` for campaigns, `options` of a fit, `inflow` of
+    what the device measures."""
 
     files: Callable[[str, str], tuple[str, str]]
     take: Callable[[Model], Sample]
     folder: Path
     options: Callable[[], dict[str, Any]]
     dwell: Callable[[], float]
+    inflow: Inflow
 
 
 class Campaigning:
@@ -120,8 +122,13 @@ class Campaigning:
         cancel = self._one.cancel
         control = Control(lambda: cancel.asked)
         model = parse_model(text, model_file)
-        take = partial(in_front, self._node, self._here.take, model)
-        cell = RobotCell(self._command, model, take, self._here.dwell())
+
+        def take(meanwhile: Callable[[], None]) -> Sample:
+            return in_front(self._node, self._here.take, model, meanwhile=meanwhile)
+
+        cell = RobotCell(
+            self._command, model, take, self._here.dwell(), self._here.inflow, self._tell_reason
+        )
         left = None if goal.afresh else unfinished(self._here.folder, text)
         folder = left or self._here.folder / time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
         self._control, self._cell = control, cell
@@ -171,6 +178,11 @@ class Campaigning:
             reason=status.reason, poses=status.samples, error_unseen=status.unseen,
             verdict=status.verdict, folder=str(folder),
         )  # fmt: skip
+        self._told.publish(self._status)
+
+    def _tell_reason(self, reason: str) -> None:
+        """What a state that goes on waits for."""
+        self._status.reason = reason
         self._told.publish(self._status)
 
     def _finished(self, outcome: goals.Outcome, collection: Any) -> None:

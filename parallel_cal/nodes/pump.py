@@ -7,6 +7,8 @@ events are waited for here, too: in an executor's wait set they wake it at every
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Callable
 from threading import Thread
 from typing import Any
@@ -47,6 +49,7 @@ class Pump:
         **options: Any,
     ):
         self._node, self._take, self._ended = node, take, False
+        self.read_until = -math.inf  # time.monotonic(); what came in before it has been taken
         self._subscription = node.create_subscription(
             type, topic, lambda message: None, qos, callback_group=Nobody(), **options
         )
@@ -72,9 +75,12 @@ class Pump:
                 for event in events:
                     event.add_to_wait_set(waiting)
                 waiting.wait(PATIENCE)
+                empty = self.read_until
                 while len(messages) <= self._most:
+                    asked = time.monotonic()
                     one = handle.take_message(type, False)
                     if one is None:
+                        empty = asked
                         break
                     messages.append(one)
             for event in events:
@@ -82,3 +88,4 @@ class Pump:
                     event.callback(event.take_data())
             if messages:
                 self._take(messages)
+            self.read_until = empty

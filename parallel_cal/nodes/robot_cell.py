@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -18,6 +19,7 @@ from parallel_cal.campaign.checking import ARRIVED
 from parallel_cal.campaign.trajectory import Trajectory
 from parallel_cal.model.model import Model
 from parallel_cal.nodes.conversions import matched_joints, stop_message
+from parallel_cal.nodes.inflow import Inflow
 
 PROMPT = 0.01  # s between two looks, so that a motion ends at once when it is no longer wanted
 FOUND = 5.0  # s in which a node that has just begun must hear of the robot
@@ -30,19 +32,35 @@ ASTRAY = 0.03  # of its range, that a joint may be beside its way
 SPEED_OVER = 0.05  # s of readings that the speed is told by
 KEPT = 2000  # joint states to look back at
 LONGEST = 20.0  # s that a sample may take to come
+MAX_TAKING = 0.25  # of the time: it keeps the thread busy in which messages are processed
+MAX_PAUSE = 2.0  # s until it is tried again, however long it took
+SAID_EVERY = 1.0  # s between two words on what is waited for
+
+Take = Callable[[Callable[[], None]], Sample]  # what to call while it waits -> the dwell's sample
 
 
 class RobotCell:
     """A Cell by ROS: `command` publishes trajectories, `take` gives the sample of the dwell going
-    on, which must last `dwell` s."""
+    on, which must last `dwell` s. `inflow` tells how far the device's messages are processed, `say`
+    passes on what is waited for."""
 
-    def __init__(self, command: Any, model: Model, take: Callable[[], Sample], dwell: float):
+    def __init__(
+        self,
+        command: Any,
+        model: Model,
+        take: Take,
+        dwell: float,
+        inflow: Inflow,
+        say: Callable[[str], None] = lambda text: None,
+    ):
         self._command, self._model, self._take, self._dwell = command, model, take, dwell
+        self._inflow, self._say = inflow, say
         self._states: deque[tuple[float, float, np.ndarray]] = deque(maxlen=KEPT)
         self.done = Event()  # what a person was asked for
         self._range = model.mechanism.joint_ranges
         self._still = ALIKE * (model.noise.joint or 1e-4 * float(self._range.min()))
         self._set_out = self._rested = 0.0  # stamps of the last motion
+        self._rested_at = 0.0  # time.monotonic() when the robot was heard to have come to rest
         self._others: list[str] = []  # joints that were heard of, and are not this model's
 
     def hear(self, message: Any) -> None:
@@ -76,6 +94,7 @@ class RobotCell:
             if (there or time.monotonic() > late) and self._rests(begin + trajectory.seconds):
                 moved = np.abs(course - course[0]).max(axis=0) > self._still
                 self._set_out, self._rested = begin if moved.any() else 0.0, stamp - STILL
+                self._rested_at = self._heard_at(self._rested)
                 return
             if time.monotonic() > due:
                 raise CellError(
@@ -93,25 +112,38 @@ class RobotCell:
         self._command.publish(stop_message(self._model.joints, q, speed))
 
     def sample(self, go_on: Callable[[], None]) -> Sample:
+        """Wait for the device to measure the present dwell, then take its sample.
+
+        Waiting looks at the dwell's own joint states and at counts only, since taking a sample
+        takes longer the more there are. The target counts as lost only after all that came in has
+        been processed.
+        """
         due, why = time.monotonic() + LONGEST, "no pose came while the robot rested"
-        while time.monotonic() < due:
-            go_on()
-            stamp, _ = self._latest(self._rested)
-            if stamp < self._rested + self._dwell:
-                time.sleep(PROMPT)
-                continue
-            try:
-                found = self._take()
-            except DatasetError as error:
-                why = str(error)
+        taken, again, used = -math.inf, -math.inf, -math.inf
+        waiting = self._waiting(go_on)
+        while True:
+            waiting()
+            now, latest = time.monotonic(), self._inflow.latest
+            new = latest is not None and latest >= self._rested_at and latest > used
+            measured = self._rested_and_read() and (new or self._inflow.holds)
+            if measured and now >= again:
+                taken, used = now, used if latest is None else latest
+                try:
+                    found = self._take(waiting)
+                except DatasetError as error:
+                    why = str(error)
+                else:
+                    one = found.dataset
+                    begin = 1e-9 * found.start_ns + float(one.time[0] - one.duration[0] / 2)
+                    if begin > self._set_out:
+                        return found
+                    why = "the dwell has not come yet"
+                end = time.monotonic()
+                again = end + min(max(10 * PROMPT, (end - now) / MAX_TAKING), MAX_PAUSE)
+            elif now > due and self._inflow.has_read_until(due) and (taken > due or not measured):
+                raise CellError(f"no sample here: {why}: is the target lost?")
             else:
-                one = found.dataset
-                begin = 1e-9 * found.start_ns + float(one.time[0] - one.duration[0] / 2)
-                if begin > self._set_out:
-                    return found
-                why = "the dwell has not come yet"
-            time.sleep(10 * PROMPT)
-        raise CellError(f"no sample here: {why}: is the target lost?")
+                time.sleep(PROMPT)
 
     def ask(self, words: str, conditions: Mapping[str, float], go_on: Callable[[], None]) -> None:
         while not self.done.wait(PROMPT):
@@ -138,6 +170,33 @@ class RobotCell:
                 "driver started anew?"
             )
         return stamp, q
+
+    def _rested_and_read(self) -> bool:
+        """Whether the dwell has lasted long enough, and all that was measured in it has been
+        read."""
+        end, (stamp, _) = self._rested + self._dwell, self._latest(self._rested)
+        return stamp >= end and self._inflow.has_read_until(self._heard_at(end))
+
+    def _heard_at(self, stamp: float) -> float:
+        """When the first joint state of a stamp or later was heard."""
+        return next((heard for s, heard, _ in list(self._states) if s >= stamp), time.monotonic())
+
+    def _waiting(self, go_on: Callable[[], None]) -> Callable[[], None]:
+        """A function to call while a sample is waited for, which says what is not processed yet."""
+        said = time.monotonic()
+
+        def wait() -> None:
+            nonlocal said
+            go_on()
+            now, waiting = time.monotonic(), self._inflow.unprocessed
+            if now < said + SAID_EVERY:
+                return
+            behind = not self._inflow.has_read_until(said)
+            if waiting or behind:
+                self._say(f"{waiting} poses not yet processed{', more not yet read' * behind}")
+            said = now
+
+        return wait
 
     def _rests(self, since: float) -> bool:
         """Whether the readings of the last STILL seconds, all `since` a stamp, are alike."""

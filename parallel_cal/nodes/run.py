@@ -29,6 +29,7 @@ from parallel_cal.base.errors import ParallelCalError
 
 T = TypeVar("T")
 
+PROMPT = 0.05  # s between two looks at whether a thread that waits is still wanted
 HURRY = 0.8  # s from a signal to the end, whatever is still at work
 SWITCH = 5e-4  # s that a thread beside may keep the interpreter from the one that spins
 
@@ -83,8 +84,14 @@ class FrontExecutor(SingleThreadedExecutor):
         self.shutdown()
 
 
-def in_front(node: Node, function: Callable[..., T], *args: Any) -> T:
-    """What a function gives or raises in the thread that spins, called from the second one.
+def in_front(
+    node: Node,
+    function: Callable[..., T],
+    *args: Any,
+    meanwhile: Callable[[], None] = lambda: None,
+) -> T:
+    """What a function gives or raises in the thread that spins, called from the second one, which
+    calls `meanwhile` again and again while it waits: what that raises ends the waiting.
 
     ExternalShutdownException where that thread has ended.
     """
@@ -97,9 +104,10 @@ def in_front(node: Node, function: Callable[..., T], *args: Any) -> T:
             answer.set_exception(error)
 
     node.executor.create_task(call)
-    while not wait([answer], timeout=0.1).done:
+    while not wait([answer], timeout=PROMPT).done:
         if not node.context.ok():
             raise ExternalShutdownException
+        meanwhile()
     return answer.result()
 
 

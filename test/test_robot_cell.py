@@ -1,0 +1,280 @@
+"""The robot of a campaign waits for its device: what that costs, and when the target is lost."""
+
+# ruff: noqa: E402 - what needs ROS is imported after the check that it is there
+
+import os
+import time
+from contextlib import contextmanager
+from threading import Event, Thread
+from unittest import mock
+
+import numpy as np
+import pytest
+
+pytestmark = pytest.mark.ros
+rclpy = pytest.importorskip("rclpy")
+pytest.importorskip("parallel_cal_msgs")
+
+from builtin_interfaces.msg import Time
+from campaign_cells import model_of
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from parallel_cal_msgs.action import Calibrate
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import JointState
+
+from parallel_cal.base.errors import DatasetError
+from parallel_cal.campaign.cell import CellError, Sample
+from parallel_cal.model.file.modelfile import write_model
+from parallel_cal.nodes import robot_cell
+from parallel_cal.nodes.calibration_node import CalibrationNode
+from parallel_cal.nodes.client import own_domain
+from parallel_cal.nodes.collector import Collector
+from parallel_cal.nodes.inflow import Inflow
+from parallel_cal.nodes.robot_cell import RobotCell
+from parallel_cal.nodes.run import FrontExecutor
+
+MODEL = model_of("delta")
+HOME = list(MODEL.mechanism.home.joints)
+LONGEST = 1.0  # s, in place of 20
+QOS = QoSProfile(depth=10_000)
+
+
+class Reader:
+    """Reads all that came in at once, until it falls behind."""
+
+    behind_since = None
+
+    @property
+    def read_until(self):
+        return time.monotonic() if self.behind_since is None else self.behind_since
+
+
+class Desk:
+    """A RobotCell beside a robot that rests, with a device that is played by the test."""
+
+    def __init__(self, take):
+        self.inflow, self.reader, self.said = Inflow(), Reader(), []
+        self.inflow.add_reader(self.reader)
+        self.taken, self._take = 0, take
+        self.cell = RobotCell(
+            mock.Mock(), MODEL, self.taking, 0.1, self.inflow, self.said.append
+        )  # fmt: skip
+        self.script, self.begun = [], time.monotonic()
+
+    def taking(self, meanwhile):
+        self.taken += 1
+        return self._take()
+
+    def measure(self, poses=1):
+        for _ in range(poses):
+            self.inflow.receive("measured_pose", time.time_ns())
+
+    def go_on(self):
+        """Hear of the robot, and do what the script has for this moment."""
+        state = JointState(name=list(MODEL.joints), position=HOME)
+        now = time.monotonic() - self.begun
+        state.header.stamp = Time(sec=100 + int(now), nanosec=int(1e9 * (now % 1)))
+        self.cell.hear(state)
+        while self.script and now > self.script[0][0]:
+            self.script.pop(0)[1]()
+
+
+@pytest.fixture(autouse=True)
+def soon(monkeypatch):
+    monkeypatch.setattr(robot_cell, "LONGEST", LONGEST)
+    monkeypatch.setattr(robot_cell, "SAID_EVERY", 0.1)
+    monkeypatch.setattr(robot_cell, "SILENT", 30.0)  # whatever else this machine is at
+
+
+def a_sample():
+    return Sample(mock.Mock(time=np.array([1.0]), duration=np.array([0.2])), 10**9)
+
+
+def no_dwell():
+    raise DatasetError("no dwell to take")
+
+
+@pytest.mark.wide
+def test_a_device_that_says_nothing_is_noticed_without_one_sample_taken():
+    desk = Desk(no_dwell)
+    with pytest.raises(CellError, match="no pose came while the robot rested: is the target lost"):
+        desk.cell.sample(desk.go_on)
+    assert desk.taken == 0
+
+
+@pytest.mark.wide
+def test_a_device_that_streams_no_usable_pose_is_noticed_by_few_samples_taken():
+    desk = Desk(lambda: time.sleep(0.05) or no_dwell())
+    looks = []
+
+    def go_on():
+        looks.append(time.monotonic())
+        desk.measure()
+        desk.inflow.process("measured_pose")
+        desk.go_on()
+
+    with pytest.raises(CellError, match="no dwell to take: is the target lost"):
+        desk.cell.sample(go_on)
+    assert len(looks) > desk.taken
+    assert desk.taken <= 1 + (LONGEST + 0.3) / (0.05 / robot_cell.MAX_TAKING)
+
+
+@pytest.mark.wide
+def test_poses_that_came_in_and_are_not_read_yet_are_awaited_and_not_called_lost():
+    desk = Desk(a_sample)
+    desk.reader.behind_since = time.monotonic()
+    desk.measure(1376)
+    late = 3 * LONGEST
+    desk.script = [(late, lambda: setattr(desk.reader, "behind_since", None))]
+    begin = time.monotonic()
+    assert desk.cell.sample(desk.go_on).start_ns == 10**9
+    assert time.monotonic() - begin > late
+    assert desk.said[-1] == "1376 poses not yet processed, more not yet read"
+    assert desk.taken == 1
+
+
+@pytest.mark.wide
+def test_a_device_that_measures_once_in_a_while_is_awaited_pose_by_pose():
+    """The first pose falls where the robot still settles, the second one counts."""
+    answers = iter([no_dwell, a_sample])
+    desk = Desk(lambda: next(answers)())
+    measured = []
+
+    def go_on():
+        desk.go_on()
+        if len(measured) == desk.taken:
+            measured.append(desk.measure())
+
+    assert desk.cell.sample(go_on).start_ns == 10**9
+    assert len(measured) == desk.taken == 2
+
+
+@pytest.mark.wide
+def test_who_wants_no_more_of_it_is_heard_while_a_sample_is_taken():
+    """The thread that makes samples of messages is busy."""
+
+    class Enough(Exception):
+        pass
+
+    def go_on():
+        desk.go_on()
+        if desk.taken:
+            raise Enough
+
+    desk = Desk(a_sample)
+    desk.taking_waits = desk.cell._take
+    desk.cell._take = lambda meanwhile: (desk.taking_waits(meanwhile), meanwhile())[0]
+    desk.measure()
+    with pytest.raises(Enough):
+        desk.cell.sample(go_on)
+
+
+# ------------------------------------------------------------------ in the node
+
+
+class Played:
+    """calibration_node in this process, beside a robot at rest; `poses` plays its device."""
+
+    def __init__(self, folder):
+        write_model(MODEL, folder / "robot.yaml")
+        given = {"model_file": folder / "robot.yaml", "journal_folder": folder,
+                 "look_period": 3600.0}  # fmt: skip
+        parameters = [part for k, v in given.items() for part in ("-p", f"{k}:={v}")]
+        rclpy.init(args=["--ros-args", "-r", f"__ns:={own_domain()}", *parameters])
+        self.node, self.executor = CalibrationNode(), FrontExecutor()
+        self.executor.add_node(self.node)
+        self.device = rclpy.create_node("device")
+        self.states = self.device.create_publisher(JointState, "joint_states", QOS)
+        self.poses = self.device.create_publisher(PoseWithCovarianceStamped, "measured_pose", QOS)
+        self.ended, self.measuring = Event(), Event()
+        self.threads = [Thread(target=self.spin), Thread(target=self.play)]
+        for thread in self.threads:
+            thread.start()
+
+    def spin(self):
+        while not self.ended.is_set():
+            self.executor.spin_once(timeout_sec=0.05)
+
+    def play(self):
+        rng = np.random.default_rng(3)
+        while not self.ended.wait(0.01):
+            now = self.device.get_clock().now().to_msg()
+            q = np.array(HOME) + 1e-6 * rng.standard_normal(3)
+            state = JointState(name=list(MODEL.joints), position=q.tolist())
+            pose = PoseWithCovarianceStamped()
+            state.header.stamp = pose.header.stamp = now
+            pose.header.frame_id = "base"
+            x, y, z = np.array([0.0, 0.0, 0.2]) + 1e-6 * rng.standard_normal(3)
+            pose.pose.pose.position.x, pose.pose.pose.position.y = float(x), float(y)
+            pose.pose.pose.position.z, pose.pose.pose.orientation.w = float(z), 1.0
+            self.states.publish(state)
+            if self.measuring.is_set():
+                self.poses.publish(pose)
+
+    def cell(self):
+        campaigning = self.node._campaigning
+        campaigning._prepare(Calibrate.Goal())
+        end = time.monotonic() + 30
+        while not campaigning._cell._states:
+            assert time.monotonic() < end, "no joint states"
+            time.sleep(0.01)
+        return campaigning._cell
+
+    def close(self):
+        self.ended.set()
+        for thread in self.threads:
+            thread.join()
+        self.node.end_work()
+        self.executor.finish()
+        self.node.destroy_node()
+        self.device.destroy_node()
+        rclpy.try_shutdown()
+
+
+@contextmanager
+def played(folder):
+    with mock.patch.dict(os.environ):
+        one = Played(folder)
+        try:
+            yield one
+        finally:
+            one.close()
+
+
+@pytest.mark.wide
+def test_while_a_pose_is_awaited_nothing_is_made_anew_of_all_that_was_collected(
+    tmp_path, monkeypatch
+):
+    """It used to be ten times a second, and took longer with every sample."""
+    made = []
+    refresh = Collector.refresh
+    monkeypatch.setattr(Collector, "refresh", lambda *given: made.append(1) or refresh(*given))
+    with played(tmp_path) as desk:
+        cell = desk.cell()
+        made.clear()
+        with pytest.raises(CellError, match="is the target lost"):
+            cell.sample(lambda: None)
+        assert made == []
+        desk.measuring.set()
+        monkeypatch.setattr(robot_cell, "LONGEST", 20.0)
+        sample = cell.sample(lambda: None)
+    assert len(sample.dataset) == 1
+    np.testing.assert_allclose(sample.dataset.r[0], [0.0, 0.0, 0.2], atol=1e-5)
+
+
+@pytest.mark.wide
+def test_a_node_that_is_busy_for_longer_than_a_sample_may_take_has_not_lost_the_target(
+    tmp_path, monkeypatch
+):
+    """Poses come all the while; what makes samples of them does not get to it."""
+    with played(tmp_path) as desk:
+        cell, said, busy = desk.cell(), [], Event()
+        cell._say = said.append
+        desk.executor.create_task(lambda: busy.set() or time.sleep(3 * LONGEST))
+        assert busy.wait(10)
+        desk.measuring.set()
+        sample = cell.sample(lambda: None)
+    assert len(sample.dataset) == 1
+    assert said
+    assert all(" poses not yet processed" in reason for reason in said)
+    assert max(int(reason.split()[0]) for reason in said) > 10
