@@ -11,6 +11,7 @@ from parallel_cal.recordings.bag import read_bag
 from parallel_cal.recordings.clocks import DRIVER, clock_offset
 from parallel_cal.recordings.loading import dataset_from_recording
 from parallel_cal.recordings.options import SampleOptions
+from parallel_cal.recordings.recording import JointStream, PoseStream
 
 BAGS = Path(__file__).parents[1] / "bags"
 ALL = sorted(p.name for p in BAGS.iterdir() if (p / "metadata.yaml").exists())
@@ -74,6 +75,95 @@ def test_a_device_that_shows_noise_alone_tells_nothing():
     there = recording("delta_crosstalk")
     noise = 1e-5 * np.random.default_rng(0).standard_normal(there.pose.position.shape)
     assert clock_offset(there.joints, dataclasses.replace(there.pose, position=noise)) is None
+
+
+def drawn(seed, motion=None, joints=6, rate=20.0, length=5.0, drift=0.0, step=0.0, fine=False):
+    """Streams of a robot that rests, or whose joints follow `motion(t)`: 1 um (0.1 um if `fine`) of
+    reading noise, ten times as much of the device's, `drift` (m) of both, encoder `step` (m)."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(0.0, length, 1 / rate)
+    sigma, n = 1e-7 if fine else 1e-6, len(time)
+    bend = 1 - np.exp(-time / length)[:, None]
+    way = np.zeros((n, joints)) if motion is None else motion(time)
+    q = rng.uniform(-0.1, 0.1, joints) + way + sigma * rng.standard_normal((n, joints))
+    q = q + drift * rng.standard_normal(joints) * bend
+    q = np.round(q / step) * step if step else q
+    r = way @ (rng.standard_normal((joints, 3)) / np.sqrt(joints))
+    r = r + 10 * sigma * rng.standard_normal((n, 3)) + drift * rng.standard_normal(3) * bend
+    unturned = np.tile([0.0, 0.0, 0.0, 1.0], (n, 1))
+    names = tuple(f"leg{i + 1}" for i in range(joints))
+    seen = np.ones((n, 6), dtype=bool)
+    pose = PoseStream("pose", "base", time, r, unturned, seen, np.full((n, 6, 6), np.nan))
+    return JointStream("joints", names, time, q, np.full((n, joints), np.nan)), pose
+
+
+def offset_of(delay, *args, **how):
+    """What is found where the device's stamps are `delay` seconds later."""
+    joints, pose = drawn(*args, **how)
+    return clock_offset(joints, dataclasses.replace(pose, time=pose.time + delay))
+
+
+def moves(joints, which, begin=2.0, length=0.8):
+    """One smooth move of 30 to 50 mm of some joints among rest."""
+    ways = np.where(np.isin(range(joints), which), 0.03 + 0.02 * np.arange(joints) / joints, 0.0)
+
+    def at(time):
+        u = np.clip((time - begin) / length, 0, 1)
+        return (u**3 * (10 + u * (-15 + 6 * u)))[:, None] * ways
+
+    return at
+
+
+AT_REST = {
+    "white": {},
+    "one joint": {"joints": 1},
+    "two joints": {"joints": 2},
+    "three joints": {"joints": 3},
+    "four joints": {"joints": 4},
+    "five joints": {"joints": 5},
+    "thermal growth": {"drift": 5e-6},
+    "thermal growth above the noise": {"drift": 5e-6, "fine": True},
+    "encoder steps": {"step": 2e-6},
+    "encoder steps and thermal growth": {"step": 1e-6, "drift": 3e-6, "fine": True},
+    "fast readings": {"rate": 100.0},
+    "a long rest": {"length": 60.0, "drift": 5e-6},
+}
+
+
+def test_a_robot_at_rest_tells_no_offset():
+    found = [offset_of(0.0, seed) for seed in range(200)]
+    assert not any(found)
+
+
+@pytest.mark.wide
+@pytest.mark.parametrize("kind", AT_REST)
+@pytest.mark.parametrize("delay", [0.0, 0.03])
+def test_none_of_1000_looks_at_a_robot_at_rest_finds_an_offset(kind, delay):
+    assert not any(offset_of(delay, seed, **AT_REST[kind]) for seed in range(1000))
+
+
+@pytest.mark.parametrize("rate", [20.0, 100.0])
+@pytest.mark.parametrize("which", [[3], [0, 4], range(6)], ids=["one", "two", "all"])
+def test_a_short_move_among_rest_tells_the_offset(which, rate):
+    """Joints that rest are noise, and take no part."""
+    for delay in (0.2, 1.8, -1.8):
+        found = offset_of(delay, 1, moves(6, which), rate=rate)
+        assert found.delay == pytest.approx(delay, abs=5 * found.sigma + 1e-4)
+        assert found.sigma < 3e-3
+    assert offset_of(0.03, 1, moves(6, which), rate=rate) is None  # a driver's
+
+
+def test_motion_that_repeats_is_no_proof_of_an_offset_of_half_a_period():
+    def swing(time):
+        return 0.003 * np.sin(2 * np.pi * time)[:, None]
+
+    assert not any(offset_of(0.9 * DRIVER, seed, swing, joints=1) for seed in range(6))
+
+
+def test_a_device_that_does_not_see_the_motion_tells_nothing():
+    joints, _ = drawn(0, moves(6, range(6)))
+    for seed in range(50):
+        assert clock_offset(joints, drawn(seed)[1]) is None
 
 
 @pytest.mark.wide

@@ -4,6 +4,10 @@ While the robot moves, a pose's step follows from the joints' steps at the same 
 Jacobian that is nearly linear in the joints: dr = sum_i (b_i + sum_k B_ik q_k) dq_i. Which robot
 it is need not be known: b and B are fitted anew for every delay, and the one that leaves least is
 taken. A driver's few milliseconds are the effect `latency`; more than that are two clocks.
+
+Noise has a best delay, too. So only joints that move more than they are noisy count, the pose must
+move as well, and what the best delay explains must be more than so many fitted numbers explain of
+noise at the best of so many delays.
 """
 
 from __future__ import annotations
@@ -14,7 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from parallel_cal.base.rotation import rotation_vector
-from parallel_cal.recordings.recording import Array, JointStream, PoseStream, Recording
+from parallel_cal.recordings.dwells import jitter, noise_span
+from parallel_cal.recordings.recording import Array, Bools, JointStream, PoseStream, Recording
 
 DRIVER = 50e-3  # s: what one clock's stamps may differ by, and the effect `latency` reaches
 PAIRS = 800  # neighbouring poses that are looked at
@@ -25,6 +30,12 @@ EXPLAINED = (
 GRAIN = 1e-9  # of a unit column: joints that move alike are no fault here
 LONGEST = 1 << 18  # moments of the coarse search
 FINE = 14  # halvings of the fine search
+MIN_TRAVEL = 1.5  # noise spans that a joint or a coordinate moves through, or it stands still
+NOISE_WINDOW, NOISE_READINGS = 0.5, 60  # s and readings that the noise is estimated from, at least
+# Two steps of white noise that share a reading are correlated by -1/2, those of the joints as those
+# of the pose: regression of one on the other explains 1 + 2 / 4 times as much by chance.
+SHARED_READINGS = 1.5
+MAX_CHANCE = 1e-9  # that noise alone looks as much like motion; a live collector looks often
 
 
 @dataclass(frozen=True)
@@ -57,21 +68,25 @@ def clock_offset(joints: JointStream, pose: PoseStream) -> Offset | None:
     at_once, early, late = (steps.unexplained(d) for d in (0.0, -1.2 * DRIVER, 1.2 * DRIVER))
     if at_once <= min(early, late, EXPLAINED):
         return None
-    coarse = [0.0, *_alike(joints, pose, steps)]
-    near = min(coarse, key=steps.unexplained)
-    delay, width = near, max(steps.period, DRIVER)
-    for _ in range(FINE):
-        delay = min((delay - width, delay, delay + width), key=steps.unexplained)
-        width /= 2
+    alike, compared = _alike(steps.joints, pose, steps)
+    coarse = [0.0, *alike]
+    delay = steps.best_near(min(coarse, key=steps.unexplained))
     least = steps.unexplained(delay)
     if abs(delay) <= DRIVER or least > EXPLAINED * min(at_once, 1.0):
+        return None
+    # Motion that repeats is explained a period later, too: then it is the driver that is late.
+    own = steps.best_near(0.0)
+    if abs(own) <= DRIVER and least > EXPLAINED * steps.unexplained(own):
+        return None
+    if compared * steps.chance(delay) > MAX_CHANCE:
         return None
     return Offset(delay, steps.sigma(delay))
 
 
 @dataclass(frozen=True)
 class _Steps:
-    """Steps `y` (n, 3) of the pose from times `begin` to `end` (n,), and the joints' readings."""
+    """Steps `y` (n, 3) of the pose from times `begin` to `end` (n,), and the readings of the joints
+    that move."""
 
     joints: JointStream
     begin: Array
@@ -83,11 +98,17 @@ class _Steps:
     def of(cls, joints: JointStream, pose: PoseStream) -> _Steps | None:
         placed = pose.measured[:, :3].all(axis=1)
         turned = pose.measured[:, 3:].all(axis=1)
-        if len(joints.time) < FEWEST or len(pose.time) < FEWEST or np.ptp(joints.position) == 0:
+        if len(joints.time) < FEWEST or len(pose.time) < FEWEST:
+            return None
+        moving = _moving(joints.time, joints.position)
+        if not moving.any():
             return None
         gaps = np.diff(pose.time)
         period = float(np.median(gaps))
         known = np.asarray(placed if placed.any() else turned)
+        seen = pose.position if placed.any() else pose.rotation.reshape(-1, 9)
+        if not _moving(pose.time[known], seen[known]).any():
+            return None
         near = known[1:] & known[:-1] & (gaps > 0) & (gaps < 1.5 * max(period, 1e-9))
         at = np.flatnonzero(near)
         if len(at) < FEWEST:
@@ -97,14 +118,15 @@ class _Steps:
             y = pose.position[at + 1] - pose.position[at]
         else:
             y = rotation_vector(pose.rotation[at + 1] @ pose.rotation[at].transpose(0, 2, 1))
+        joints = dataclasses.replace(joints, position=joints.position[:, moving])
         return cls(joints, pose.time[at], pose.time[at + 1], y, period)
 
-    def _left(self, delay: float) -> tuple[float, float, int]:
-        """Squares of the steps that no Jacobian explains, of all steps, and how many were used."""
+    def _explain(self, delay: float) -> _Explained:
+        """How much of the steps the joints' steps `delay` earlier explain."""
         t = self.joints.time
         used = (self.begin - delay >= t[0]) & (self.end - delay <= t[-1])
         if used.sum() < max(FEWEST, 0.5 * len(used)):
-            return np.inf, 1.0, 1
+            return TOO_FEW
         before, after = (
             np.stack([np.interp(w[used] - delay, t, q) for q in self.joints.position.T], axis=1)
             for w in (self.begin, self.end)
@@ -115,23 +137,91 @@ class _Steps:
         X = X / np.maximum(np.linalg.norm(X, axis=0), 1e-300)
         y = self.y[used]
         B = np.linalg.solve(X.T @ X + GRAIN * np.eye(X.shape[1]), X.T @ y)
-        return float(np.sum((y - X @ B) ** 2)), float(np.sum(y**2)), int(used.sum())
+        squares = y.T @ y
+        # One coordinate that is much noisier than the others counts alone.
+        independent = np.trace(squares) ** 2 / max(np.sum(squares**2), 1e-300)
+        left, total = float(np.sum((y - X @ B) ** 2)), float(np.sum(y**2))
+        return _Explained(left, total, int(used.sum()), X.shape[1], float(independent))
 
     def unexplained(self, delay: float) -> float:
         """Share of the steps' squares that the joints' steps `delay` earlier do not explain."""
-        left, total, _ = self._left(delay)
-        return left / max(total, 1e-300)
+        return self._explain(delay).unexplained
+
+    def best_near(self, delay: float) -> float:
+        """The delay near this one that explains most of the steps."""
+        width = max(self.period, DRIVER)
+        for _ in range(FINE):
+            delay = min((delay - width, delay, delay + width), key=self.unexplained)
+            width /= 2
+        return delay
+
+    def chance(self, delay: float) -> float:
+        """Probability that steps of noise are explained as well as the steps at this delay."""
+        return self._explain(delay).chance
 
     def sigma(self, delay: float) -> float:
         """Of the delay: where the squares' parabola is one variance above its least."""
-        h = self.period / 4
-        here, low, high = (self._left(delay + d) for d in (0.0, -h, h))
-        bend = (low[0] + high[0] - 2 * here[0]) / h**2
-        return float(np.sqrt(2 * here[0] / max(3 * here[2], 1) / max(bend, 1e-300)))
+        here, h, bend = self._explain(delay), self.period / 4, 0.0
+        for _ in range(FINE):
+            low, high = self._explain(delay - h), self._explain(delay + h)
+            bend = (low.left + high.left - 2 * here.left) / h**2
+            if bend > 0:
+                break
+            h *= 2  # so near, interpolated noise hides how the squares rise
+        return float(np.sqrt(2 * here.left / max(3 * here.steps, 1) / max(bend, 1e-300)))
 
 
-def _alike(joints: JointStream, pose: PoseStream, steps: _Steps) -> list[float]:
-    """Delays at which the two streams' speeds look most alike, wherever either one begins."""
+@dataclass(frozen=True)
+class _Explained:
+    """Squares `left` of the `total` that `terms` fitted numbers a coordinate leave of `steps`;
+    `coordinates` (1 to 3) are as many independent ones of equal size as the steps have."""
+
+    left: float
+    total: float
+    steps: int
+    terms: int
+    coordinates: float
+
+    @property
+    def spare(self) -> int:
+        """Steps more than terms, of each coordinate."""
+        return self.steps - self.terms
+
+    @property
+    def unexplained(self) -> float:
+        """Share of the mean square that is left, less what so many terms explain of any noise."""
+        if self.spare <= 0:
+            return np.inf
+        return self.left / self.spare / max(self.total / self.steps, 1e-300)
+
+    @property
+    def chance(self) -> float:
+        """Probability that so many terms leave as little of white noise: an F-test."""
+        from scipy.special import betainc
+
+        if self.spare <= 0:
+            return 1.0
+        taken = max(self.total - self.left, 0.0) / self.terms
+        ratio = taken / max(self.left / self.spare, 1e-300) / SHARED_READINGS
+        fitted, rest = self.coordinates * self.terms, self.coordinates * self.spare
+        return float(betainc(rest / 2, fitted / 2, rest / (rest + fitted * ratio)))
+
+
+TOO_FEW = _Explained(np.inf, 1.0, 0, 0, 1.0)
+
+
+def _moving(time: Array, values: Array) -> Bools:
+    """Which columns (n,) go further than their noise and the device's steps reach at rest."""
+    if len(time) < FEWEST:
+        return np.zeros(values.shape[1], dtype=bool)
+    window = max(NOISE_WINDOW, NOISE_READINGS * float(np.median(np.diff(time))))
+    noise = noise_span(jitter(time, values, window), values)
+    return np.asarray(np.ptp(values, axis=0) > MIN_TRAVEL * noise)
+
+
+def _alike(joints: JointStream, pose: PoseStream, steps: _Steps) -> tuple[list[float], int]:
+    """Delays at which the two streams' speeds look most alike, wherever either one begins, and of
+    how many delays."""
     dt = max(steps.period, joints.period, max(np.ptp(joints.time), np.ptp(pose.time)) / LONGEST)
     ours = _speed(joints.time, joints.position / np.maximum(joints.position.std(axis=0), 1e-12), dt)
     seen = pose.position if pose.measured[:, :3].all() else pose.quaternion
@@ -139,7 +229,7 @@ def _alike(joints: JointStream, pose: PoseStream, steps: _Steps) -> list[float]:
     n = len(ours) + len(theirs)
     both = np.fft.irfft(np.fft.rfft(theirs, n) * np.conj(np.fft.rfft(ours, n)), n)
     best = [int(k) if k < len(theirs) else int(k) - n for k in np.argsort(-both)[:3]]
-    return [k * dt + float(pose.time[0] - joints.time[0]) for k in best]
+    return [k * dt + float(pose.time[0] - joints.time[0]) for k in best], n
 
 
 def _speed(time: Array, values: Array, dt: float) -> Array:

@@ -40,7 +40,7 @@ def still_tolerance(time: Array, q: Array, min_dwell: float) -> Array:
     travel = np.ptp(q, axis=0)
     calm = np.quantile(window_spread(time, q, min_dwell), 0.1, axis=0)
     sigma = jitter(time, q, min_dwell)
-    noise = np.maximum(10.0 * sigma, 1.5 * encoder_step(q))
+    noise = noise_span(sigma, q)
     tolerance = np.maximum(noise, np.minimum(4.0 * calm, SLOW * travel))
     dense = min_dwell > READINGS * np.median(np.diff(time))
     ceiling = np.maximum(CEILING * travel, 6.0 * sigma if dense else 0.0)
@@ -81,6 +81,11 @@ def jitter(time: Array, q: Array, length: float) -> Array:
     sums = np.cumsum(np.vstack([np.zeros(q.shape[1]), second**2]), axis=0)
     mean = np.maximum(sums[width:] - sums[:-width], 0.0) / width
     return np.sqrt(np.quantile(mean, 0.1, axis=0) / 6.0)
+
+
+def noise_span(sigma: Array, q: Array) -> Array:
+    """How far apart (nq,) noise of the `jitter` sigma brings readings: 10 sigma or 1.5 steps."""
+    return np.maximum(10.0 * sigma, 1.5 * encoder_step(q))
 
 
 def encoder_step(q: Array) -> Array:
