@@ -1,9 +1,9 @@
-"""Draws docs/falling_error.svg from what kinematics_node answers at poses that no fit has seen.
+"""Draw docs/falling_error.svg from the answers of kinematics_node at held-out poses.
 
 .venv/bin/pip install matplotlib && .venv/bin/python docs/falling_error.py
 
-Both nodes run; the answers are kept in docs/falling_error.json. With --draw only the picture is
-made anew.
+Both nodes run. Their answers are stored in docs/falling_error.json. With --draw, the script draws
+the picture from the stored answers and starts no node.
 """
 
 from __future__ import annotations
@@ -99,12 +99,12 @@ def draw(record: dict[str, Any]) -> None:
     _two_answers(axes, measured[one], answered[one, 1:], norms[one, 1:])
     axes.axhline(record["noise"] * 1e6, color="0.35", lw=1, ls=(0, (4, 3)))
     axes.annotate(
-        f"noise alone: {record['noise'] * 1e6:.1f} {UM}",
+        f"noise floor: {record['noise'] * 1e6:.1f} {UM}",
         (-0.45, record["noise"] * 0.88e6), va="top", fontsize=9, color="0.35",
     )  # fmt: skip
     axes.set(yscale="log", ylim=(3, 2200), xlim=(-0.5, 2.5), xticks=range(3))
     axes.set_xticklabels([step.format(record["effect"].replace("_", " ")) for step in STEPS])
-    axes.set_ylabel(f"position error at unseen poses [{UM}]")
+    axes.set_ylabel(f"position error at held-out poses [{UM}]")
     axes.spines[["top", "right"]].set_visible(False)
     figure.savefig(REPOSITORY / "docs" / "falling_error.svg", metadata={"Date": None})
 
@@ -125,10 +125,10 @@ def _typical(norms: np.ndarray) -> int:
 def _two_answers(axes: Any, measured: np.ndarray, answered: np.ndarray, norms: np.ndarray) -> None:
     """The same question to kinematics_node before and after, in its own numbers."""
     rows = [
-        ("position of one pose [mm], and what kinematics_node answers", "", "0.15"),
+        ("position at one held-out pose [mm]", "", "0.15"),
         ("measured", _in_mm(measured), "0.15"),
-        ("before", f"{_in_mm(answered[0])}   {norms[0]:.0f} {UM} off", COLOURS[1]),
-        ("after", f"{_in_mm(answered[1])}   {norms[1]:.0f} {UM} off", COLOURS[2]),
+        ("before", f"{_in_mm(answered[0])}   error {norms[0]:.0f} {UM}", COLOURS[1]),
+        ("after", f"{_in_mm(answered[1])}   error {norms[1]:.0f} {UM}", COLOURS[2]),
     ]
     for i, (what, text, colour) in enumerate(rows):
         style = {"transform": axes.transAxes, "fontsize": 9, "color": colour, "va": "top"}
