@@ -609,9 +609,9 @@ def test_a_direct_problem_loads_nothing_heavy_that_it_does_not_need():
 
 def test_a_ctrl_c_that_was_swallowed_ends_the_work_at_its_next_step():
     before = signal.getsignal(signal.SIGINT)
-    with console.bar("sessions") as tell:
+    with console.bar() as progress:
         with contextlib.suppress(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
         with pytest.raises(KeyboardInterrupt):
-            tell(1, 2)
+            progress("sessions", 0.5)
     assert signal.getsignal(signal.SIGINT) is before
