@@ -17,7 +17,8 @@ from timing import Row, processor_each, show
 sys.path.insert(0, str(Path(__file__).parents[1] / "test"))
 from datasets import measured
 
-from parallel_cal.identification.fit import fit, single_threaded
+from parallel_cal.base.threads import single_threaded
+from parallel_cal.identification.fit import fit
 from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.methods.implicit import estimate
 from parallel_cal.identification.observations import Observations, observe

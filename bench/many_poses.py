@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.table import Table
 
 from parallel_cal.base.rotation import rotation_matrix
-from parallel_cal.identification.fit import single_threaded
+from parallel_cal.base.threads import single_threaded
 from parallel_cal.identification.methods.implicit import estimate
 from parallel_cal.identification.observations import Observations
 from parallel_cal.kinematics.kinematics import Kinematics

@@ -20,7 +20,7 @@ import virtual_setups as vs
 from tied import dataset
 
 from parallel_cal.base.errors import FitError
-from parallel_cal.identification.fit import single_threaded
+from parallel_cal.base.threads import single_threaded
 from parallel_cal.identification.methods.implicit import Estimate, estimate
 from parallel_cal.identification.observations import observe
 from parallel_cal.kinematics.kinematics import Kinematics

@@ -19,8 +19,8 @@ from bench.tables import optimisers
 from bench.tables.parallelogram import base_parameters
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.rotation import rotation_matrix
+from parallel_cal.base.threads import single_threaded
 from parallel_cal.identification.estimators import method_named
-from parallel_cal.identification.fit import single_threaded
 from parallel_cal.identification.methods import implicit, semiparametric
 from parallel_cal.identification.methods._factors import separated
 from parallel_cal.identification.methods._robust import robust

@@ -6,8 +6,8 @@ from method_cases import ROBOTS, SIGMA, evidence_of, strayed, true_poses
 
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.rotation import rotation_vector
+from parallel_cal.base.threads import single_threaded
 from parallel_cal.identification.estimators import method_named
-from parallel_cal.identification.fit import single_threaded
 from parallel_cal.kinematics.kinematics import Kinematics
 
 METHODS = (

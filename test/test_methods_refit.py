@@ -8,8 +8,9 @@ import virtual_day as vd
 from datasets import as_dataset, measured, redrawn
 
 from parallel_cal.base.errors import FitError
+from parallel_cal.base.threads import single_threaded
 from parallel_cal.diagnosis.comparison import compare
-from parallel_cal.identification.fit import fit, single_threaded
+from parallel_cal.identification.fit import fit
 from parallel_cal.identification.methods.implicit import estimate
 from parallel_cal.identification.observations import observe
 from parallel_cal.identification.prior import Prior

@@ -11,8 +11,8 @@ from parallel_cal.virtual import argos as va
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from bench.tables.argos import session, with_device
+from parallel_cal.base.threads import single_threaded
 from parallel_cal.identification.doubts import chi2_band
-from parallel_cal.identification.fit import single_threaded
 from parallel_cal.identification.methods.implicit import estimate
 from parallel_cal.identification.observations import observe
 

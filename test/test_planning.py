@@ -10,8 +10,8 @@ import virtual_day as vd
 from datasets import as_dataset
 
 from parallel_cal.base.errors import FitError
+from parallel_cal.base.threads import single_threaded
 from parallel_cal.cli import main as cli
-from parallel_cal.identification.fit import single_threaded
 from parallel_cal.identification.methods.implicit import estimate
 from parallel_cal.identification.observations import observe
 from parallel_cal.kinematics.kinematics import Kinematics

@@ -13,7 +13,7 @@ from time import perf_counter
 from typing import Any
 
 from bench.tables.common import rounded
-from parallel_cal.identification.fit import single_threaded
+from parallel_cal.base.threads import single_threaded
 
 DOCS = Path(__file__).parents[2] / "docs"
 GROUPS = ("slider_crank", "delta", "argos", "paper")

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.base.errors import FitError
+from parallel_cal.base.threads import single_threaded
 from parallel_cal.campaign.targets import Target, next_targets
 from parallel_cal.campaign.way import Guard
 from parallel_cal.diagnosis.diagnose import Diagnosis, diagnose
@@ -104,6 +105,7 @@ class Question:
     options: FitOptions = field(default_factory=FitOptions)
 
 
+@single_threaded()
 def judged(
     question: Question, dataset: Dataset, unseen: np.ndarray, tell: Tell | None = None
 ) -> Judgement:
@@ -168,6 +170,7 @@ class Conclusion:
     words: str
 
 
+@single_threaded()
 def concluded(folder: Path, judgements: Sequence[Judgement]) -> Conclusion:
     """The session's last steps: identify, and add each effect that was found, as far as that is
     proven at poses left out; the model of an earlier judgement where since then all that was

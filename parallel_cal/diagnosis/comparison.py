@@ -11,13 +11,13 @@ import numpy as np
 from parallel_cal.base.documents import plain
 from parallel_cal.base.notebook import ShownInNotebook
 from parallel_cal.base.rotation import matrix_to_quaternion
+from parallel_cal.base.threads import single_threaded
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.lack_of_fit import LackOfFit, lack_of_fit
 from parallel_cal.diagnosis.noise import PureError
 from parallel_cal.diagnosis.patterns import Along, OddSample, Region, along, odd_samples, regions
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.identification.budget import iso_9283
-from parallel_cal.identification.fit import single_threaded
 from parallel_cal.identification.given_model import GivenModel
 from parallel_cal.identification.noise_floor import noise_floor
 from parallel_cal.identification.observations import Observations
@@ -44,28 +44,34 @@ class Comparison(ShownInNotebook):
         return f"Comparison({self.model.mechanism.name}, {len(self.dataset)} samples)"
 
     @cached_property
+    @single_threaded()
     def scene(self) -> Scene:
         """The model linearised at its own predictions, nothing of it free."""
         nothing = np.zeros(len(self.model.values), bool)
         return Scene.of(self.model, self.dataset, self.observations, nothing)
 
     @cached_property
+    @single_threaded()
     def field(self) -> Field:
         return Field.of(self.scene)
 
     @cached_property
+    @single_threaded()
     def along(self) -> tuple[Along, ...]:
         return along(self.scene, self.field)
 
     @cached_property
+    @single_threaded()
     def regions(self) -> tuple[Region, ...]:
         return regions(self.scene, self.field)
 
     @cached_property
+    @single_threaded()
     def structure(self) -> LackOfFit:
         return lack_of_fit(self.scene, self.field)
 
     @cached_property
+    @single_threaded()
     def odd_samples(self) -> tuple[OddSample, ...]:
         return odd_samples(self.scene, self.field)
 
@@ -149,6 +155,7 @@ class Comparison(ShownInNotebook):
         return {key: plain(value) for key, value in document.items()}
 
 
+@single_threaded()
 def compare(model: Model, dataset: Dataset, joint_sigma: float | None = None) -> Comparison:
     """Compare the predictions of a model with measurements.
 
@@ -185,12 +192,11 @@ def compare(model: Model, dataset: Dataset, joint_sigma: float | None = None) ->
     """
     check_inputs(model, dataset)
     given = GivenModel.of(model, dataset, joint_sigma)
-    with single_threaded():
-        return Comparison(
-            given.model,
-            said(dataset, given.registration),
-            given.observations,
-            given.errors,
-            noise_floor(given.model, given.observations),
-            given.registration,
-        )
+    return Comparison(
+        given.model,
+        said(dataset, given.registration),
+        given.observations,
+        given.errors,
+        noise_floor(given.model, given.observations),
+        given.registration,
+    )

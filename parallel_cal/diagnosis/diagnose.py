@@ -13,6 +13,7 @@ from parallel_cal.base.errors import FitError
 from parallel_cal.base.notebook import ShownInNotebook
 from parallel_cal.base.options import with_changes
 from parallel_cal.base.progress import Progress, ignore_progress
+from parallel_cal.base.threads import single_threaded
 from parallel_cal.diagnosis.catalogue import Candidate, candidate, names_of
 from parallel_cal.diagnosis.device import doubtful
 from parallel_cal.diagnosis.entries import (
@@ -34,7 +35,7 @@ from parallel_cal.diagnosis.separate import NextMeasurement, next_measurement
 from parallel_cal.diagnosis.statistics import holm
 from parallel_cal.diagnosis.thresholds import MISTRUSTED, REFITTED, SIGNIFICANT
 from parallel_cal.diagnosis.verdict import Findings, Verdict, judge
-from parallel_cal.identification.fit import FitResult, fit, fit_registered, single_threaded
+from parallel_cal.identification.fit import FitResult, fit, fit_registered
 from parallel_cal.identification.given_model import GivenModel
 from parallel_cal.identification.options import FitKeywords, FitOptions
 from parallel_cal.identification.registration import Registration, prepared_for_fit, said
@@ -138,6 +139,7 @@ class Diagnosis(ShownInNotebook):
         return {key: plain(value) for key, value in document.items()}
 
 
+@single_threaded()
 def diagnose(
     model: Model,
     dataset: Dataset,

@@ -14,6 +14,7 @@ import numpy as np
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.files import PREVIOUS, write_atomically
+from parallel_cal.base.threads import single_threaded
 from parallel_cal.exporting.editing import as_it_is, edited, fresh
 from parallel_cal.exporting.projection import Firmware, Machine, Projection, loss
 from parallel_cal.importing.stated import Stated
@@ -34,6 +35,7 @@ class Exported:
     remarks: list[str] = field(default_factory=list)
 
 
+@single_threaded()
 def export(model: Model, target: str, folder: str | Path) -> Exported:
     """Write a calibrated model for a controller or another program.
 
@@ -84,6 +86,7 @@ def export(model: Model, target: str, folder: str | Path) -> Exported:
     return result
 
 
+@single_threaded()
 def export_into(model: Model, target: str, files: Sequence[Path]) -> Exported:
     """Put a firmware's numbers into its own configuration files, comments and order kept; what they
     were stays beside them as `NAME.previous`."""

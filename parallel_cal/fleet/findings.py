@@ -11,6 +11,7 @@ import numpy as np
 
 from parallel_cal.base.confidence import CHANCE
 from parallel_cal.base.errors import ModelError
+from parallel_cal.base.threads import single_threaded
 from parallel_cal.fleet.drift import Jump, Trend, jump, trend
 from parallel_cal.fleet.judging import Row, in_order
 from parallel_cal.fleet.population import Population, Sorted, sorted_out
@@ -112,6 +113,7 @@ class Findings:
     changed: tuple[Change, ...]
 
 
+@single_threaded()
 def findings(rows: Sequence[Row], drawing: Model) -> Findings | None:
     """What the rows say together, beside the drawing's model; None of fewer than four robots."""
     judged = [row for row in rows if not row["reason"]]

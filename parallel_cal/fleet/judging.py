@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.base.documents import plain
+from parallel_cal.base.threads import single_threaded
 from parallel_cal.diagnosis.catalogue import new_numbers, not_recorded
 from parallel_cal.diagnosis.diagnose import Diagnosis, diagnose
 from parallel_cal.diagnosis.scene import Scene, columns
@@ -24,6 +25,7 @@ Page = Callable[[Diagnosis], str]
 LONG_AGO = 1e9  # s since 1970: what counts from its own beginning is smaller
 
 
+@single_threaded()
 def judged(job: Job, asked: Asked, inputs: str, page: Page | None = None) -> tuple[Row, str]:
     """The row of a recording, and its page where one is wanted; whatever fails is its `reason`.
 

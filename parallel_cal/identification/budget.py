@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from parallel_cal.base.threads import single_threaded
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prediction_errors import Errors, Summary, judgeable
 from parallel_cal.identification.predictions import predicted
@@ -42,6 +43,7 @@ class Budget:
     parts: tuple[Part, ...]
 
 
+@single_threaded()
 def budgets(model: Model, observations: Observations, noise: Summary) -> tuple[Budget, ...]:
     """A budget of each kind of error that was measured."""
     n = len(model.joints)

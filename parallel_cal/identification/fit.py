@@ -14,6 +14,7 @@ from parallel_cal.base.errors import FitError
 from parallel_cal.base.notebook import ShownInNotebook
 from parallel_cal.base.options import with_changes
 from parallel_cal.base.progress import Progress, ignore_progress
+from parallel_cal.base.threads import single_threaded
 from parallel_cal.identification.budget import Budget, Iso9283, budgets, iso_9283
 from parallel_cal.identification.checks import (
     check_plausible,
@@ -236,6 +237,7 @@ def estimated(model: Model, sigma: np.ndarray, fixed: np.ndarray) -> dict[str, E
     }
 
 
+@single_threaded()
 def fit(
     model: Model,
     dataset: Dataset,
@@ -403,10 +405,3 @@ def scaled(estimate: Estimate) -> Estimate:
     if estimate.dof <= 0:
         return estimate
     return replace(estimate, covariance=estimate.covariance * estimate.chi2_per_dof)
-
-
-def single_threaded() -> Any:
-    """One BLAS thread: a second one costs more than it brings on matrices this small."""
-    from threadpoolctl import threadpool_limits
-
-    return threadpool_limits(limits=1)

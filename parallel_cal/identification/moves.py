@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from parallel_cal.base.threads import single_threaded
 from parallel_cal.identification.fit import FitResult
 from parallel_cal.identification.predictions import condition_columns
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions
@@ -24,6 +25,7 @@ class Moves:
     shown: float | None
 
 
+@single_threaded()
 def moves(before: FitResult, after: FitResult) -> Moves:
     """How far the robot (not the device) moves with another identification of the same samples."""
     old, new = before.model.robot(), after.model.robot()

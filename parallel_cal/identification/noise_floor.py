@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from parallel_cal.base.threads import single_threaded
 from parallel_cal.identification.linearisation import Linearisation, by_joint
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prediction_errors import (
@@ -16,6 +17,7 @@ from parallel_cal.identification.prediction_errors import (
 from parallel_cal.model.model import Model
 
 
+@single_threaded()
 def noise_floor(model: Model, observations: Observations, seed: int = 0) -> Summary:
     """The errors a perfect model of this robot would show: measurement noise alone.
 

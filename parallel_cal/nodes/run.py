@@ -26,6 +26,7 @@ from rclpy.node import Node
 from rclpy.task import Task
 
 from parallel_cal.base.errors import ParallelCalError
+from parallel_cal.base.threads import single_threaded
 
 T = TypeVar("T")
 
@@ -161,6 +162,7 @@ def ros(args: list[str] | None = None) -> Iterator[Callable[[], bool]]:
         rclpy.try_shutdown()
 
 
+@single_threaded()
 def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
     """Spin a node until SIGINT or SIGTERM ends it; its exit status."""
     sys.setswitchinterval(SWITCH)

@@ -14,8 +14,8 @@ from parallel_cal.base.documents import plain
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.options import with_changes
 from parallel_cal.base.progress import Progress
+from parallel_cal.base.threads import single_threaded
 from parallel_cal.identification.checks import free_mask
-from parallel_cal.identification.fit import single_threaded
 from parallel_cal.identification.methods._estimate import Sought
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions
 from parallel_cal.kinematics.solutions import concatenated
@@ -170,6 +170,7 @@ def _errors(e: Expectation) -> dict[str, float | None]:
     return {k: float(v) if np.isfinite(v) else None for k, v in values.items()}
 
 
+@single_threaded()
 def plan(
     model: Model,
     n: int,
@@ -232,23 +233,22 @@ def plan(
         if progress:
             progress("choosing poses", fraction)
 
-    with single_threaded():
-        if isinstance(options.pool, Solutions):
-            pool = given_pool(model, options.pool, rng)
-        else:
-            pool = make_pool(model, options.pool, rng, options.symmetric)
-        groups = _number_of_groups(n, pool)
-        unseen = make_pool(model, UNSEEN, np.random.default_rng([options.seed, 1]), symmetric=False)
-        view = View(sought, measured, pool, unseen)
-        problem = view.problem(options.criterion)
-        report(0.0)
-        if options.chosen_method == "exchange":
-            chosen = exchange(problem, groups, report)
-        else:
-            chosen = anneal(problem, groups, rng, report)
-        random = _typical(view, problem, groups, rng)
-        rows = view.rows(chosen)
-        expected = view.expectation(rows)
+    if isinstance(options.pool, Solutions):
+        pool = given_pool(model, options.pool, rng)
+    else:
+        pool = make_pool(model, options.pool, rng, options.symmetric)
+    groups = _number_of_groups(n, pool)
+    unseen = make_pool(model, UNSEEN, np.random.default_rng([options.seed, 1]), symmetric=False)
+    view = View(sought, measured, pool, unseen)
+    problem = view.problem(options.criterion)
+    report(0.0)
+    if options.chosen_method == "exchange":
+        chosen = exchange(problem, groups, report)
+    else:
+        chosen = anneal(problem, groups, rng, report)
+    random = _typical(view, problem, groups, rng)
+    rows = view.rows(chosen)
+    expected = view.expectation(rows)
     _check_seeing(expected, view.rank, options.prior)
     return Plan(
         model=model,
@@ -264,6 +264,7 @@ def plan(
     )
 
 
+@single_threaded()
 def expected_at(model: Model, q: np.ndarray) -> Expectation:
     """What an identification would be worth from poses at given joints q (N, nq), under neutral
     conditions. FitError where they cannot carry the free parameters, or there is no noise
@@ -271,17 +272,16 @@ def expected_at(model: Model, q: np.ndarray) -> Expectation:
     measured, free = _measured(model), free_mask(model, (), ())
     _check_enough(model, len(q), free)
     rng = np.random.default_rng(0)
-    with single_threaded():
-        poses = Kinematics(model).direct(q)
-        unseen = make_pool(model, UNSEEN, rng, symmetric=False)
-        whole = Pool(
-            concatenated([poses, unseen.poses]),
-            np.arange(len(q) + len(unseen.poses))[:, None],
-            np.vstack([model.condition_rows(None, len(q)), unseen.a]),
-            None,
-        )
-        view = View(Sought(model, free, False), measured, whole, unseen)
-        expected = view.expectation(np.arange(len(q)))
+    poses = Kinematics(model).direct(q)
+    unseen = make_pool(model, UNSEEN, rng, symmetric=False)
+    whole = Pool(
+        concatenated([poses, unseen.poses]),
+        np.arange(len(q) + len(unseen.poses))[:, None],
+        np.vstack([model.condition_rows(None, len(q)), unseen.a]),
+        None,
+    )
+    view = View(Sought(model, free, False), measured, whole, unseen)
+    expected = view.expectation(np.arange(len(q)))
     _check_seeing(expected, view.rank, prior=False)
     return expected
 

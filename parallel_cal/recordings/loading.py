@@ -11,6 +11,7 @@ import numpy as np
 
 from parallel_cal.base.errors import DatasetError, UnfitError
 from parallel_cal.base.progress import Progress
+from parallel_cal.base.threads import single_threaded
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.recordings.bag import read_bag
 from parallel_cal.recordings.channels import CHANNELS
@@ -75,6 +76,7 @@ def load_dataset(
     return load_stamped(path, options, progress, **given)[0]
 
 
+@single_threaded()
 def load_stamped(
     path: str | Path,
     options: ReadOptions | None = None,
@@ -91,6 +93,7 @@ def load_stamped(
     return dataset.excluding(options.exclude), start
 
 
+@single_threaded()
 def load_sessions(
     paths: Sequence[str | Path],
     options: ReadOptions | None = None,

@@ -10,6 +10,7 @@ import numpy as np
 
 from parallel_cal.base.errors import SolveError
 from parallel_cal.base.rotation import matrix_to_quaternion, rotation_matrix
+from parallel_cal.base.threads import single_threaded
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.effect import parse_effect
 from parallel_cal.model.mechanism import poses_in_workspace
@@ -73,6 +74,7 @@ def _matching(model: Model, effect: str, key: str) -> np.ndarray:
     return model.table.matching([f"{effect}.{key}" if exact or not tail else f"{effect}.*.{key}"])
 
 
+@single_threaded()
 def simulate(
     model: Model,
     poses: int,

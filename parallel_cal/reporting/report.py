@@ -12,6 +12,7 @@ from parallel_cal.base.documents import plain
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.options import with_changes
 from parallel_cal.base.progress import Progress
+from parallel_cal.base.threads import single_threaded
 from parallel_cal.diagnosis.comparison import compare
 from parallel_cal.diagnosis.diagnose import Diagnosis, diagnose
 from parallel_cal.diagnosis.field import Field
@@ -93,6 +94,7 @@ class Report:
         return plain(vars(self))
 
 
+@single_threaded()
 def report(
     model: Model,
     dataset: Dataset,
@@ -145,6 +147,7 @@ def report(
     return report_of(found, stated, versus)
 
 
+@single_threaded()
 def report_of(found: Diagnosis, options: Mapping[str, Any], versus: Versus | None = None) -> Report:
     """A diagnosis that was made with some options, and all that shows it."""
     scene, best = found.base.scene, found.best.fitted

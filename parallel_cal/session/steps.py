@@ -10,6 +10,7 @@ from parallel_cal.base.documents import plain
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.notebook import ShownInNotebook
 from parallel_cal.base.progress import Progress
+from parallel_cal.base.threads import single_threaded
 from parallel_cal.diagnosis.catalogue import Candidate, candidate, names_of
 from parallel_cal.diagnosis.device import doubtful
 from parallel_cal.diagnosis.entries import outdoes
@@ -83,6 +84,7 @@ class Step(ShownInNotebook):
         return document
 
 
+@single_threaded()
 def fitted(
     model: Model, dataset: Dataset, force: bool = False, **options: Unpack[StepKeywords]
 ) -> Step:
@@ -94,6 +96,7 @@ def fitted(
     return _step("fit", result, _judged(acceptance(result), force))
 
 
+@single_threaded()
 def add(
     model: Model,
     effect: str,
@@ -186,6 +189,7 @@ def _device(scene: Scene) -> list[Candidate]:
     return [candidate(scene, name) for name in names]
 
 
+@single_threaded()
 def remove(
     model: Model,
     effect: str,

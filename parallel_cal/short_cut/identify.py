@@ -14,8 +14,9 @@ import numpy as np
 
 from parallel_cal.base.documents import plain
 from parallel_cal.base.errors import FitError
+from parallel_cal.base.threads import single_threaded
 from parallel_cal.identification.doubts import chi2_band
-from parallel_cal.identification.fit import FitResult, estimated, fit, single_threaded
+from parallel_cal.identification.fit import FitResult, estimated, fit
 from parallel_cal.identification.observability import Spectrum, directions_in_words, spectrum
 from parallel_cal.identification.prediction_errors import errors
 from parallel_cal.model.model import Model
@@ -95,6 +96,7 @@ class Combination:
         return tuple(words)
 
 
+@single_threaded()
 def short_cut(
     robot: Model,
     recordings: Sequence[tuple[Loop, Dataset]],
@@ -113,8 +115,7 @@ def short_cut(
     robot = replace(robot, fixed=robot.fixed | robot.table.matching(fix))
     _check_arms([loop for loop, _ in recordings])
     found = [identify(robot, loop, data, joint_sigma) for loop, data in recordings]
-    with single_threaded():
-        return combine(robot, found, relinearise)
+    return combine(robot, found, relinearise)
 
 
 def _model54(robot: Model) -> Model:
@@ -134,6 +135,7 @@ def _check_arms(loops: Sequence[Loop]) -> None:
         raise FitError(f"no loop holds arm {names}: record it tied to another arm")
 
 
+@single_threaded()
 def identify(
     robot: Model,
     loop: Loop,
@@ -152,6 +154,7 @@ def identify(
     return LoopResult(loop, result, seen.rank)
 
 
+@single_threaded()
 def combine(robot: Model, loops: Sequence[LoopResult], relinearise: bool = True) -> Combination:
     """All loops as one Delta: covariance = (sum G^T A^T A G + T^-2)^-1, with A^T A the inverse of
     a loop's covariance, G = d g/dp and T the tolerances. FitError where they do not go together.

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from parallel_cal.base.errors import DatasetError
+from parallel_cal.base.threads import single_threaded
 from parallel_cal.kinematics.kinematics import Kinematics, Status
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
@@ -27,6 +28,7 @@ def planned_joints(path: Path, model: Model) -> np.ndarray:
     return load_dataset(path, joints=model.joints).q
 
 
+@single_threaded()
 def planned_session(
     path: Path, model: Model, options: ReadOptions, pace: float = MOVE + DWELL
 ) -> Dataset:

@@ -15,12 +15,13 @@ import numpy as np
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.files import append_lines, held, json_lines
 from parallel_cal.base.progress import Progress, ignore_progress
+from parallel_cal.base.threads import single_threaded
 from parallel_cal.diagnosis.catalogue import Candidate, candidate, names_of
 from parallel_cal.diagnosis.scene import Scene, columns
 from parallel_cal.diagnosis.thresholds import SIGNIFICANT
 from parallel_cal.fleet.cluster import KILLER, cluster, each, need_extra
 from parallel_cal.fleet.jobs import FleetError
-from parallel_cal.identification.fit import fit, single_threaded
+from parallel_cal.identification.fit import fit
 from parallel_cal.model.model import Model
 from parallel_cal.study.session import (
     Planted,

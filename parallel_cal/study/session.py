@@ -12,10 +12,10 @@ import numpy as np
 from parallel_cal import __version__
 from parallel_cal.base.documents import plain
 from parallel_cal.base.rotation import rotation_matrix, rotation_vector
+from parallel_cal.base.threads import single_threaded
 from parallel_cal.diagnosis.catalogue import new_numbers, recorded
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.fleet.jobs import ONE, check_version, reason
-from parallel_cal.identification.fit import single_threaded
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions
 from parallel_cal.model.model import Model

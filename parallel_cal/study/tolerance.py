@@ -14,9 +14,9 @@ from parallel_cal import __version__
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.progress import Progress, ignore_progress
 from parallel_cal.base.rotation import rotation_vector
+from parallel_cal.base.threads import single_threaded
 from parallel_cal.fleet.cluster import KILLER, cluster, each, need_extra
 from parallel_cal.fleet.jobs import FleetError, check_version
-from parallel_cal.identification.fit import single_threaded
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.kinematics.solutions import Solutions
 from parallel_cal.model.file.modelfile import dump_model, parse_model

@@ -1,0 +1,69 @@
+"""One thread for linear algebra: a second one costs more than it brings on matrices this small.
+
+Beside other work it costs far more: threads of OpenBLAS wait for each other by spinning, and a
+solve of 0.1 ms takes a whole time slice of the processor.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from threading import Lock
+from typing import Any
+
+# The number of threads belongs to the process, not to a Python thread: the first that comes in
+# limits it, and the last that goes out restores what was before.
+_lock = Lock()
+_inside = 0
+_limits: list[Any] = []
+_modules = 0  # how many were loaded when libraries were last looked for
+
+
+@contextmanager
+def single_threaded() -> Iterator[None]:
+    """One BLAS thread, as a context or as a decorator of a public function; afterwards as before.
+
+    It takes up to a millisecond where nothing limits yet, and a microsecond inside of another: for
+    a fit or a diagnosis, not for the direct problem of one pose.
+    """
+    _enter()
+    try:
+        yield
+    finally:
+        _leave()
+
+
+def _enter() -> None:
+    global _inside, _modules
+    with _lock:
+        # Modules that were loaded since, such as SciPy's, may have brought a BLAS of their own.
+        if not _inside or _modules != len(sys.modules):
+            from threadpoolctl import threadpool_limits
+
+            _let_any_thread_set_limits()
+            _limits.append(threadpool_limits(limits=1))
+            _let_any_thread_set_limits()
+            _modules = len(sys.modules)
+        _inside += 1
+
+
+def _leave() -> None:
+    global _inside
+    with _lock:
+        _inside -= 1
+        if _inside:
+            return
+        _let_any_thread_set_limits()
+        while _limits:  # the latest first: it found what earlier ones had limited
+            _limits.pop().restore_original_limits()
+        _let_any_thread_set_limits()
+
+
+def _let_any_thread_set_limits() -> None:
+    """From 3.8 on threadpoolctl ignores, without a word, all threads but the first that set a
+    limit. Who restores ours may be another one; the lock keeps them from setting it at once."""
+    from threadpoolctl import OpenBLASController
+
+    if hasattr(OpenBLASController, "clear_controlling_thread"):
+        OpenBLASController.clear_controlling_thread(force=True)
