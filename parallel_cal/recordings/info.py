@@ -12,6 +12,7 @@ import numpy as np
 from parallel_cal.base.documents import plain
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.base.progress import Progress
+from parallel_cal.base.threads import single_threaded
 from parallel_cal.recordings.bag import list_topics, read_bag
 from parallel_cal.recordings.channels import named
 from parallel_cal.recordings.dataset import Dataset
@@ -22,6 +23,7 @@ from parallel_cal.recordings.samplefile import holds_samples
 from parallel_cal.recordings.samples import READING
 
 
+@single_threaded()
 def info(
     path: str | Path, options: ReadOptions | None = None, progress: Progress | None = None
 ) -> dict[str, Any]:
