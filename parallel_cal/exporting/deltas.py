@@ -8,7 +8,7 @@ import numpy as np
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.rotation import rotation_matrix
-from parallel_cal.exporting.projection import Array, Frame, Machine, fitted
+from parallel_cal.exporting.projection import Array, Bed, Frame, Machine, fitted
 from parallel_cal.importing.deltas import Shoulders, Towers, are_counter_clockwise
 from parallel_cal.model.model import Model
 
@@ -31,6 +31,7 @@ class Chains:
     homed: Array
     arms: Array
     tilt: tuple[float, float]
+    bed: Bed | None  # where a probe touched it
 
     def machine(self, delta: Towers | Shoulders, origin: Array | None = None) -> Machine:
         """The firmware with these numbers, its origin shifted from the frame's by `origin`."""
@@ -64,6 +65,7 @@ def chains_of(model: Model, places: Array | None) -> Chains:
     angles, planned = _angles(model), _angles(model.with_values(model.table.nominal))
     down = not linear and m.home.position[2] > up.mean()
     height, tilt = _plate(model)
+    bed = None if height is None else Bed(height, tilt)
     if height is None:
         height = m.workspace.high[2] if down else 0.0
     angles, planned = (-each if down else each for each in (angles, planned))
@@ -85,7 +87,7 @@ def chains_of(model: Model, places: Array | None) -> Chains:
     homed = frame.motors(stops + offset) - (height if linear else 0.0)
     heights = (up - height)[rows] * (-1 if down else 1)
     return Chains(frame, stops, radius[rows], angles[rows], heights, rods[rows], homed, arms[rows],
-                  tilt)  # fmt: skip
+                  tilt, bed)  # fmt: skip
 
 
 def towers(model: Model, places: Array | None, tilted: bool) -> tuple[Towers, Chains]:
@@ -99,7 +101,7 @@ def towers(model: Model, places: Array | None, tilted: bool) -> tuple[Towers, Ch
 
     slopes = c.tilt if tilted else ()
     start = np.array([c.radius.mean(), *c.rods, *c.angles, *c.homed, *slopes])
-    return made(fitted(model, start, lambda v: c.machine(made(v)))), c
+    return made(fitted(model, start, lambda v: c.machine(made(v)), c.bed)), c
 
 
 def shoulders(model: Model, places: Array | None, level: bool) -> tuple[Shoulders, Chains]:
@@ -114,7 +116,7 @@ def shoulders(model: Model, places: Array | None, level: bool) -> tuple[Shoulder
 
     heights = [c.heights.mean()] if level else c.heights
     start = np.array([c.radius.mean(), *c.arms, *c.rods, *c.angles, *c.homed, *heights])
-    return made(fitted(model, start, lambda v: c.machine(made(v)))), c
+    return made(fitted(model, start, lambda v: c.machine(made(v)), c.bed)), c
 
 
 def like_towers(model: Model, places: Array) -> tuple[Towers, Machine]:
@@ -127,7 +129,7 @@ def like_towers(model: Model, places: Array) -> tuple[Towers, Machine]:
         return c.machine(delta, np.array([v[5], v[6], 0.0]))
 
     start = np.array([c.radius.mean(), c.rods.mean(), *c.homed, 0.0, 0.0])
-    found = machine(fitted(model, start, machine))
+    found = machine(fitted(model, start, machine, c.bed))
     return found.firmware, found  # type: ignore[return-value]
 
 
@@ -145,7 +147,9 @@ def like_shoulders(model: Model, places: Array, one_stop: bool) -> tuple[Shoulde
 
     tops = [c.homed.mean()] if one_stop else c.homed
     lengths = [c.radius.mean(), c.arms.mean(), c.rods.mean()]
-    found = machine(fitted(model, np.array([*lengths, 0, 0, c.heights.mean(), *tops]), machine))
+    found = machine(
+        fitted(model, np.array([*lengths, 0, 0, c.heights.mean(), *tops]), machine, c.bed)
+    )
     return found.firmware, found  # type: ignore[return-value]
 
 

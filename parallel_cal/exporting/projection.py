@@ -22,6 +22,8 @@ from parallel_cal.model.model import Model
 
 Array = np.ndarray
 FITTED, JUDGED = 400, 2000  # poses over the workspace that numbers are fitted to, and judged at
+BED_POSES = 200  # on the plate of a probe, where a printer's first layer is
+BED_WEIGHT = 10.0  # of a height on that plate beside any other error over the workspace
 STEP = 1e-6  # rad or m, for differences
 MICRO = 1e6  # of m or rad: the fit's unit, so that its tolerances are far below any digit
 
@@ -84,16 +86,56 @@ class Projection:
     remarks: tuple[str, ...] = ()
 
 
-class Wanted:
-    """Poses over a model's workspace, and how its joints stand there."""
+@dataclass(frozen=True)
+class Bed:
+    """The plate z = height + slopes . (x, y) of {B} (m, 1) that a probe touched."""
 
-    def __init__(self, model: Model, n: int, seed: int):
+    height: float
+    slopes: tuple[float, float]
+
+    @property
+    def normal(self) -> Array:
+        return np.array([-self.slopes[0], -self.slopes[1], 1.0])
+
+    def poses(self, model: Model, n: int) -> tuple[Array, Array]:
+        """Poses (n,) on it, evenly over the round bed around the workspace's box."""
+        low, high = (
+            np.array(corner)
+            for corner in (model.mechanism.workspace.low, model.mechanism.workspace.high)
+        )
+        k = np.arange(n) + 0.5
+        out, around = np.sqrt(k / n), k * np.pi * (3 - 5**0.5)  # a sunflower's seeds
+        xy = np.column_stack([np.cos(around), np.sin(around)]) * out[:, None]
+        xy = (low + high)[:2] / 2 + xy * (high - low)[:2] / 2**0.5
+        z = self.height + xy @ np.array(self.slopes)
+        return np.column_stack([xy, z]), np.broadcast_to(np.eye(3), (n, 3, 3))
+
+
+class Wanted:
+    """Those of some poses that a model reaches, and how its joints stand there."""
+
+    def __init__(self, model: Model, r: Array, R: Array):
         self.kinematics, m = Kinematics(model, quick=True), model.mechanism
-        found = self.kinematics.inverse(*poses_in_workspace(m, n, np.random.default_rng(seed)))
+        found = self.kinematics.inverse(r, R)
         self.at = found[found.solved]
         self.controlled, self.more = m.controlled, len(m.joints) > len(m.controlled)
-        if not len(self.at):
-            raise ModelError(f"{m.name} reaches no pose of its workspace")
+
+    @classmethod
+    def over_workspace(cls, model: Model, n: int, seed: int) -> Wanted:
+        """Of n poses over the model's workspace; ModelError where none is reached."""
+        rng = np.random.default_rng(seed)
+        wanted = cls(model, *poses_in_workspace(model.mechanism, n, rng))
+        if not len(wanted.at):
+            raise ModelError(f"{model.mechanism.name} reaches no pose of its workspace")
+        return wanted
+
+    @classmethod
+    def on_bed(cls, model: Model, bed: Bed, machine: Machine) -> Wanted:
+        """Of poses on a bed, whose rim lies outside the workspace's box: where both the model and
+        a machine reach."""
+        r, R = bed.poses(model, BED_POSES)
+        reached = np.isfinite(machine.readings(r, R)).all(axis=1)
+        return cls(model, r[reached], R[reached])
 
     @cached_property
     def slopes(self) -> Array:
@@ -120,17 +162,31 @@ def apart(wanted: Solutions, found: Solutions) -> Array:
     return np.hstack([found.position - wanted.position, turned])
 
 
-def fitted(model: Model, start: Array, machine: Callable[[Array], Machine]) -> Array:
+def fitted(
+    model: Model, start: Array, machine: Callable[[Array], Machine], bed: Bed | None = None
+) -> Array:
     """The numbers (k,) with which a machine's motors take the robot where it shall go, by least
-    squares in what it controls; `start` is near them."""
+    squares in what it controls; `start` is near them.
+
+    Heights on a printer's `bed` weigh more: what the firmware cannot follow (leaning towers) shall
+    not be traded for them.
+    """
     from scipy.optimize import least_squares
 
-    wanted = Wanted(model, FITTED, seed=2)
-    r, R = wanted.at.position, wanted.at.rotation
+    wanted = Wanted.over_workspace(model, FITTED, seed=2)
+    parts = [(wanted.at, wanted.slopes)]
+    if bed is not None:
+        on_bed = Wanted.on_bed(model, bed, machine(start))
+        heights = np.einsum("i,nij->nj", bed.normal, on_bed.slopes)[:, None]
+        parts.append((on_bed.at, BED_WEIGHT * heights))
 
     def missed(numbers: Array) -> Array:
-        off = machine(numbers).readings(r, R) - wanted.at.joints
-        return np.asarray(MICRO * np.einsum("nij,nj->ni", wanted.slopes, off).ravel())
+        at = machine(numbers)
+        rows = [
+            np.einsum("nij,nj->ni", slopes, at.readings(to.position, to.rotation) - to.joints)
+            for to, slopes in parts
+        ]
+        return MICRO * np.concatenate([row.ravel() for row in rows])
 
     if np.isnan(missed(start)).any():
         raise ModelError(f"{model.mechanism.name}: the firmware does not reach all its workspace")
@@ -142,7 +198,7 @@ def fitted(model: Model, start: Array, machine: Callable[[Array], Machine]) -> A
 def loss(model: Model, machine: Machine) -> dict[str, Any]:
     """Where the robot goes less where its controller sends it, at poses that the fit did not see;
     of robots with more joints than freedoms that of their lines, too (m)."""
-    wanted = Wanted(model, JUDGED, seed=1)
+    wanted = Wanted.over_workspace(model, JUDGED, seed=1)
     q = machine.readings(wanted.at.position, wanted.at.rotation)
     start = wanted.at[np.isfinite(q).all(axis=1)]
     found = wanted.kinematics.direct(q[np.isfinite(q).all(axis=1)], start=start)
