@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -63,7 +63,6 @@ def new(
         raise typer.BadParameter(
             "expected a MECHANISM (and its options), or --from FILE, or serial --from URDF"
         )
-    set_ups = tuple(_sensor(item) for item in sensor or [])
     if of_urdf and configuration:
         from parallel_cal.importing.urdf import arm
 
@@ -71,7 +70,7 @@ def new(
         model, values, remarks = found.model, f"as in {configuration[0]}", found.remarks
     else:
         model, values, remarks = _new(mechanism, option, configuration)
-    model = model.with_sensors(set_ups) if set_ups else model
+    model = _with_set_ups(model, sensor or [])
     replace_model(model, output)
     document = {"file": str(output), "mechanism": model.mechanism.name, "hash": model_hash(model)}
     if as_json:
@@ -118,8 +117,18 @@ def options_given(options: list[str] | None) -> dict[str, Any]:
     return given
 
 
-def _sensor(item: str) -> Sensor:
-    """`probe: {height: 0.3}`: a sensor and its options as in a model file (YAML)."""
+def _with_set_ups(model: Model, items: list[str]) -> Model:
+    """With these sensors, those that a controller's setup describes keeping what is not given."""
+    own = {sensor.name: sensor for sensor in model.sensors}
+    for item in items:
+        changed = _sensor(item, {name: one.options for name, one in own.items()})
+        own[changed.name] = changed
+    return model.with_sensors(tuple(own.values())) if items else model
+
+
+def _sensor(item: str, known: Mapping[str, Mapping[str, Any]]) -> Sensor:
+    """`probe: {height: 0.3}`: a sensor and its options as in a model file (YAML), beside those that
+    are `known` of one with this name."""
     from parallel_cal.model.file.sensoroptions import read_sensor
     from parallel_cal.model.file.yamltext import parse_yaml
 
@@ -128,7 +137,7 @@ def _sensor(item: str) -> Sensor:
     if isinstance(data, dict) and len(data) == 1:
         [(name, options)] = data.items()
         if isinstance(options, dict):
-            return read_sensor(document, (name,), name, options)
+            return read_sensor(document, (name,), name, {**known.get(name, {}), **options})
     raise ParallelCalError(f"--sensor {item}: expected 'NAME' or 'NAME: {{KEY: VALUE, ...}}'")
 
 

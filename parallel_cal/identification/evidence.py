@@ -38,7 +38,8 @@ class Evidence:
         held = found.directions[found.rank - len(found.weak) : found.rank] if found.held else None
         known = np.zeros_like(A) if held is None else held.T @ held
         assumed = result.observations.noise_assumed
-        known = np.eye(len(A)) if result.options.prior else known * (chi2 if assumed else 1.0)
+        known = np.eye(len(A)) if result.options.prior else known
+        known = known * (chi2 if assumed else 1.0)
         pull = known @ ((model.values - table.nominal)[free] / scale)
         birge = chi2 if assumed else np.fmax(chi2, 1.0)
         return cls(

@@ -39,6 +39,7 @@ def spectrum(
     free: np.ndarray,
     prior: bool | Prior | None,
     held: float = 0.0,
+    variance: float = 1.0,
 ) -> Spectrum:
     """Rank and covariance of the free parameters from a whitened Jacobian (n, n_free).
 
@@ -46,7 +47,8 @@ def spectrum(
     infinite, the covariance holds only what the data sees (enough to predict poses like the
     measured ones). Weak directions are seen, but worse than the tolerance knows, which limits
     them where it was the prior along them (`held`: the residuals' variance, 1 where the noise is
-    known, 0 where nothing was held).
+    known, 0 where nothing was held). `variance`, that of the residuals in noise units, is what a
+    prior of all weighs.
     """
     tolerance = (table.likely if held else table.tolerance)[free]
     names = [name for name, is_free in zip(table.names, free, strict=True) if is_free]
@@ -58,7 +60,9 @@ def spectrum(
     lost = np.sum(unseen**2, axis=0) > LOST
     if prior:
         information = (seen.T * sizes[:rank] ** 2) @ seen
-        covariance = np.linalg.inv(information + Knowledge.of(prior, table, free).information)
+        covariance = np.linalg.inv(
+            information + Knowledge.of(prior, table, free, variance).information
+        )
         lost = np.zeros_like(lost)
     return Spectrum(
         sizes,

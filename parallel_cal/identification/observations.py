@@ -27,7 +27,7 @@ class Observations:
     x (N, nq+12) configurations (q, r, R9); S (N, nq+6, nq+6) covariance of (q, r, w);
     measured (N, nq+6) mask; a (N, n_conditions); group (N,) equal for replicates;
     reading (N, n_channels) of the model's sensors (m), NaN where not read; `noise_from` says
-    for joint and pose whose figure S is.
+    for joint and pose whose figure S is, and for readings where nobody stated theirs.
     """
 
     x: np.ndarray
@@ -74,6 +74,8 @@ def observe(model: Model, dataset: Dataset, joint_sigma: float | None = None) ->
     S[:, n:, n:] = pose
     a = conditions(model, dataset)
     noise_from = {"joint": joint_from, "pose": pose_from}
+    if set(model.structure.channels_without_sigma) & set(_read(dataset)):
+        noise_from["reading"] = ASSUMED
     return Observations(x, S, measured, a, np.asarray(dataset.pose_id), reading, noise_from)
 
 

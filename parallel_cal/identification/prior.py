@@ -50,13 +50,16 @@ class Knowledge:
     information: np.ndarray
 
     @classmethod
-    def of(cls, prior: bool | Prior, table: ParameterTable, free: np.ndarray) -> Knowledge:
-        """All that a prior says; nothing without one."""
+    def of(
+        cls, prior: bool | Prior, table: ParameterTable, free: np.ndarray, weight: float = 1.0
+    ) -> Knowledge:
+        """All that a prior says, `weight` the residuals' variance in noise units; nothing without
+        one."""
         known = Prior.tolerances(table) if isinstance(prior, bool) else prior
         tolerance = table.tolerance[free]
         scaled = known.covariance[np.ix_(free, free)] / np.outer(tolerance, tolerance)
         information = _inverse(scaled) if prior else np.zeros_like(scaled)
-        return cls(tolerance, free, np.asarray(known.mean)[free], information)
+        return cls(tolerance, free, np.asarray(known.mean)[free], weight * information)
 
     @classmethod
     def along(

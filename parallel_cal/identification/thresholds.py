@@ -27,6 +27,7 @@ TURNED = 1e-4  # rad: by so much directions may turn that tolerances were held a
 CHOICES = 8  # of these directions, each where the last ones led to
 FACTOR_STEP = 1e-9  # tolerances: of parameters that follow from linear factors
 NEWTON_STEP = 1e-12  # m: of the coordinates that the closure is solved for
+VARIANCE_STEPS = 20  # in which an unknown noise and what tolerances hold settle together
 WEIGHT_STEP = 1e-6  # of a sample's weight under a robust loss
 
 # What is counted with exact numbers: factors of a closure, parameters of a complete model

@@ -27,14 +27,14 @@ MM, DEGREE = 1e-3, np.pi / 180
 NAMES = ("joint1", "joint2", "joint3")
 CLEAR = 0.05  # m above the bed, the middle of what is used
 FLAT = 1e-6  # of a triangle on the unit circle: with less area it has no sense of rotation
-REPEATS = 5e-6  # m, 1 sigma of a good probe: a guess
 NOT_STATED = (
     "towers' or motors' leans, errors between the two rods of a pair and the effector's size have "
     "no number in the firmware: they are at the mechanism's nominal values"
 )
-GUESSED = (
-    f"the probe is taken to repeat to {REPEATS * 1e6:.0f} um: measure it, and put it in (sensors, "
-    "sigma)"
+NOT_MEASURED = (
+    "nobody stated what the probe repeats to, so a fit takes its noise from the residuals: touch "
+    "one place ten times, and state the standard deviation (--sensor 'probe: {sigma: 5.0e-6}', m; "
+    "in the model file under sensors)"
 )
 
 
@@ -182,9 +182,9 @@ def configured(
     """The model of a printer whose probe has its tip at `tip` (m of {P}) and whose bed is
     z = plate . (x, y)."""
     at = {"tip": tuple(map(float, tip))} if np.any(tip) else {}
-    probe = load_sensor("probe", height=0.0, sigma=REPEATS, **at)
+    probe = load_sensor("probe", height=0.0, sigma=None, **at)
     model: Model = new_model(delta.mechanism(), sensors=[probe])
     values = model.values.copy()
     for axis, slope in (("rx", plate[1]), ("ry", -plate[0])):
         values[model.table.index_of(f"probe.plate.{axis}")] = slope
-    return Configured(model.with_values(values), (NOT_STATED, GUESSED, *remarks))
+    return Configured(model.with_values(values), (NOT_STATED, NOT_MEASURED, *remarks))

@@ -24,7 +24,10 @@ class Sensor(ABC):
     physics: ClassVar[str]
     source: ClassVar[str]
     fixed: tuple[str, ...] = ()  # patterns of its own parameters that are known
-    sigma: float = 0.0  # standard deviation of one reading (m)
+    # Standard deviation of one reading (m). None: nobody stated it, so `guessed_sigma` weighs the
+    # readings, and a fit scales it by its residuals before anything is judged by it.
+    sigma: float | None = 0.0
+    guessed_sigma: ClassVar[float] = 20e-6
 
     @abstractmethod
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
@@ -50,6 +53,11 @@ class Sensor(ABC):
     def tolerances(self, table: ParameterTable, mechanism: Mechanism) -> Mapping[str, float]:
         """Tolerances of effects' numbers by full name, where the catalogue knows less."""
         return {}
+
+    @property
+    def weighing_sigma(self) -> float:
+        """The standard deviation (m) that its readings are weighed by, stated or guessed."""
+        return self.guessed_sigma if self.sigma is None else self.sigma
 
     @property
     def name(self) -> str:

@@ -188,8 +188,13 @@ class Structure:
 
     @property
     def standard_uncertainty(self) -> np.ndarray:
-        """Standard deviation of each channel (m)."""
-        return np.array([s.sigma for s in self.sensors for _ in s.channels], dtype=float)
+        """Standard deviation of each channel (m), a guess where nobody stated one."""
+        return np.array([s.weighing_sigma for s in self.sensors for _ in s.channels], dtype=float)
+
+    @property
+    def channels_without_sigma(self) -> tuple[str, ...]:
+        """Channels of which nobody stated how much their readings scatter."""
+        return tuple(c for s in self.sensors if s.sigma is None for c in s.channels)
 
     @cached_property
     def rows(self) -> Any:

@@ -18,11 +18,12 @@ class Probe(Sensor):
     """Height (m) of `tip` in {P} above the plate z = `height` of {B}, tilt and height unknown.
 
     Along the plate's normal, or where the gauge is `mounted` on the platform along z of {P}.
+    `sigma` (m) is what its readings scatter by, 1 sigma; None where nobody stated it.
     """
 
     height: float
     tip: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    sigma: float = 2e-6
+    sigma: float | None = 2e-6
     mounted: bool = False
     fixed: tuple[str, ...] = ("tip.*",)
 

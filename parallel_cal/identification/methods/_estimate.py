@@ -10,7 +10,7 @@ import numpy as np
 from parallel_cal.identification.linearisation import System
 from parallel_cal.identification.observability import Spectrum, spectrum
 from parallel_cal.identification.prior import Knowledge, Prior
-from parallel_cal.identification.thresholds import GAIN, STEP, UNSEEN_GAIN
+from parallel_cal.identification.thresholds import GAIN, STEP, UNSEEN_GAIN, VARIANCE_STEPS
 from parallel_cal.model.model import Model
 
 
@@ -66,24 +66,39 @@ class Sought:
     def seen(self, system: System, held: bool = True) -> Spectrum:
         """What the data see at a point; without a prior of all (None) the tolerances are known
         where the data tell less, if that was made use of (`held`)."""
-        weight = self._variance(system) if held and self.prior is None else 0.0
-        return spectrum(system.triangle, self.model.table, self.free, self.prior, weight)
+        variance = self._variance(system)
+        weight = variance if held and self.prior is None else 0.0
+        return spectrum(system.triangle, self.model.table, self.free, self.prior, weight, variance)
 
     def known(self, system: System, seen: Spectrum | None = None) -> Knowledge:
         """The prior; None is the tolerances along directions that the data at a point, where this
         is `seen`, tell less of."""
         table, free = self.model.table, self.free
         if self.prior is not None:
-            return Knowledge.of(self.prior, table, free)
-        found, variance = seen or self.seen(system), self._variance(system)
+            return Knowledge.of(self.prior, table, free, self._variance(system))
+        variance = self._variance(system)
+        found = seen or self.seen(system)
         weak = found.directions[found.rank - len(found.weak) : found.rank]
         unseen, start = found.directions[found.rank :], self.model.values
         return Knowledge.along(weak, unseen, start, self.model, free, variance)
 
     def _variance(self, system: System) -> float:
-        """Of the residuals in noise units, where only the noise's proportions are known."""
-        dof = int(system.informative.sum()) - int(self.free.sum())
-        return max(system.chi2, 1e-300) / max(dof, 1) if self.assumed else 1.0
+        """Of the residuals in noise units, where only the noise's proportions are known.
+
+        Directions that tolerances hold take few degrees of freedom, and which these are depends on
+        the variance itself. Where fewer than one is left, the figures are taken as they are.
+        """
+        if not self.assumed:
+            return 1.0
+        scale = self.model.table.likely[self.free]
+        size = np.linalg.eigvalsh(system.normal * np.outer(scale, scale)).clip(0)
+        rows, chi2, variance = float(system.informative.sum()), max(system.chi2, 1e-300), 0.0
+        for _ in range(VARIANCE_STEPS):
+            taken = np.sum(size / np.maximum(size + variance, 1e-300))
+            if rows - taken < 1 and variance > 0:
+                return 1.0
+            variance = float(chi2 / max(rows - taken, 1.0))
+        return variance
 
 
 class NormalEquations:
