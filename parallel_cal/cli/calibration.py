@@ -57,7 +57,7 @@ def fit(
     start, dataset = model_and_data(model, bags, data)
     force = force or output is None  # where nothing is written nothing is refused
     step = fitted(start, dataset, force, options=asked, progress=console.progress)
-    _finish(step, output, as_json)
+    _finish(step, bags, output, as_json)
 
 
 @with_options
@@ -79,7 +79,7 @@ def add(
     start, dataset = model_and_data(model, bags, data)
     asked = replace(options, method=method, insist=force)
     step = add(start, effect, dataset, force, options=asked, progress=console.progress)
-    _finish(step, output, as_json)
+    _finish(step, bags, output, as_json)
 
 
 @with_options
@@ -101,7 +101,7 @@ def remove(
     start, dataset = model_and_data(model, bags, data)
     asked = replace(options, method=method, insist=force)
     step = remove(start, effect, dataset, force, options=asked, progress=console.progress)
-    _finish(step, output, as_json)
+    _finish(step, bags, output, as_json)
 
 
 def model_and_data(path: Path, bags: list[Path], data: list[str] | None) -> tuple[Model, Dataset]:
@@ -112,14 +112,15 @@ def model_and_data(path: Path, bags: list[Path], data: list[str] | None) -> tupl
     return model, load_sessions(bags, options, console.progress, joints=model.joints)
 
 
-def _finish(step: Step, output: Path | None, as_json: bool) -> None:
+def _finish(step: Step, bags: list[Path], output: Path | None, as_json: bool) -> None:
     """Write the model, then say what came out: a file that cannot be written is no success."""
     from parallel_cal.model.file.modelfile import model_hash, replace_model
 
     written = {}
     if output is not None:
-        replace_model(step.model, output)
-        written = {"output": str(output), "hash": model_hash(step.model)}
+        model = _with_files(step.model, bags)
+        replace_model(model, output)
+        written = {"output": str(output), "hash": model_hash(model)}
     console.progress("", 1.0)
     console.warn(step.warnings)
     if as_json:
@@ -129,6 +130,14 @@ def _finish(step: Step, output: Path | None, as_json: bool) -> None:
     console.say(text.show(step))
     if written:
         console.say(f"written: {output} (sha256 {written['hash'][:12]})")
+
+
+def _with_files(model: Model, bags: list[Path]) -> Model:
+    """With the names of the recordings in the last step of its history, for who needs them again
+    (`export` judges a printer's bed by its touches)."""
+    *earlier, last = model.history
+    dataset = last["dataset"] | {"files": [path.as_posix() for path in bags]}
+    return replace(model, history=(*earlier, last | {"dataset": dataset}))
 
 
 def compare(

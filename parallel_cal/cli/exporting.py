@@ -4,13 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.cli.arguments import Data, JointSigma, Json, ModelFile
 from parallel_cal.cli.recordings import data_options
 from parallel_cal.reporting import console
+
+if TYPE_CHECKING:
+    from parallel_cal.exporting.heights import BedHeights
+    from parallel_cal.importing.touched import Touches
+    from parallel_cal.model.model import Model
 
 
 def export(
@@ -30,6 +36,16 @@ def export(
         list[Path] | None,
         typer.Option(help="edit the numbers in the controller's own file instead (repeat)"),
     ] = None,
+    touches: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="samples (.json) of the bed, to judge the firmware's heights by (repeat) "
+            "[default: those that the model was fitted on]"
+        ),
+    ] = None,
+    force: Annotated[
+        bool, typer.Option("--force", help="write numbers that make heights at the touches worse")
+    ] = False,
     as_json: Json = False,
 ) -> None:
     """Write the calibrated model for a controller: the robot alone, its effects in it."""
@@ -39,21 +55,68 @@ def export(
     if (output is None) == (not into):
         raise typer.BadParameter("expected either -o FOLDER or --into FILE")
     robot = read_model(model)
+    judged = _touches(robot, model, touches or [], bool(into))
     if into:
-        done = exporting.export_into(robot, to, into)
+        done = exporting.export_into(robot, to, into, judged, force)
     else:
-        done = exporting.export(robot, to, output or Path())
+        done = exporting.export(robot, to, output or Path(), judged)
     files = [str(path) for path in done.paths]
     if as_json:
-        document = {"loss": done.loss, "before": done.before, "remarks": done.remarks}
+        document = {
+            "loss": done.loss,
+            "before": done.before,
+            "heights": done.heights,
+            "remarks": done.remarks,
+        }
         return console.emit({"target": to, "files": files} | (document if done.loss else {}))
     console.say(f"written: {', '.join(files)}")
     if done.loss:
         console.say(f"lost by the firmware's fewer numbers: {_lost(done.loss)}")
     if done.before:
         console.say(f"with the numbers it had: {_lost(done.before)}")
+    if done.heights:
+        console.say(_heights(done.heights))
     for remark in done.remarks:
         console.say(f"- {remark}")
+
+
+def _touches(model: Model, file: Path, given: list[Path], into: bool) -> Touches | None:
+    """The touches that are given, else those that the model was fitted on where their files still
+    are: as its history names them, from this folder or from the model's. None without any, which
+    is said where numbers are replaced."""
+    from parallel_cal.exporting.heights import why_not
+    from parallel_cal.importing.touched import touches_in
+    from parallel_cal.recordings.loading import load_sessions
+
+    if given:
+        return touches_in(load_sessions(given, joints=model.joints), model.joints)
+    steps = [step["dataset"] for step in model.history if isinstance(step.get("dataset"), dict)]
+    if not into or not steps or why_not(model):
+        return None
+    last = steps[-1]
+    for folder in (Path(), file.parent):
+        paths = [folder / name for name in last.get("files", [])]
+        if paths and all(path.is_file() for path in paths):
+            try:
+                dataset = load_sessions(paths, joints=model.joints)
+            except ParallelCalError:  # another file under that name
+                continue
+            if dataset.sha256 == last.get("sha256"):
+                return touches_in(dataset, model.joints)
+    console.warn([
+        f"whether the bed gets better is not known: the touches that {file} was fitted on "
+        f"({last.get('source')}) are not here; give their samples: --touches TOUCHES.json"
+    ])  # fmt: skip
+    return None
+
+
+def _heights(heights: BedHeights) -> str:
+    """`height at 109 touches by the firmware's formula, rms: 595.2 -> 17.1 um`."""
+    before = "" if heights.before is None else f"{1e6 * heights.before:.1f} -> "
+    return (
+        f"height at {heights.touches} touches by the firmware's formula, rms: "
+        f"{before}{1e6 * heights.after:.1f} um"
+    )
 
 
 def _lost(loss: Mapping[str, Any]) -> str:

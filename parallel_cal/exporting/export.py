@@ -16,8 +16,10 @@ from parallel_cal.base.errors import ModelError
 from parallel_cal.base.files import PREVIOUS, write_atomically
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.exporting.editing import as_it_is, edited, fresh
+from parallel_cal.exporting.heights import BedHeights, bed_heights
 from parallel_cal.exporting.projection import Firmware, Machine, Projection, loss
 from parallel_cal.importing.stated import Stated
+from parallel_cal.importing.touched import Touches
 from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import load_module, own, shelf_names
 
@@ -27,16 +29,19 @@ SHELF = "exporting.targets"
 @dataclass(frozen=True)
 class Exported:
     """The files that were written; where a firmware has its own, fewer numbers: what it loses, what
-    it lost with the numbers it had, and what else to know."""
+    it lost with the numbers it had, heights at touches of its bed, and what else to know."""
 
     paths: list[Path]
     loss: Mapping[str, Any] | None = None
     before: Mapping[str, Any] | None = None
     remarks: list[str] = field(default_factory=list)
+    heights: BedHeights | None = None
 
 
 @single_threaded()
-def export(model: Model, target: str, folder: str | Path) -> Exported:
+def export(
+    model: Model, target: str, folder: str | Path, touches: Touches | None = None
+) -> Exported:
     """Write a calibrated model for a controller or another program.
 
     Errors of the measuring device are not exported. A firmware whose kinematics has fewer
@@ -51,6 +56,8 @@ def export(model: Model, target: str, folder: str | Path) -> Exported:
         `files(model, option=default, ...) -> {name: text}`, or one of a firmware: the mechanisms
         that it `HOLDS`, `project(model)` and `firmware(settings(paths))`.
     folder : str or Path
+    touches : Touches, optional
+        Samples of a bed probe. The heights at the touches are computed by the firmware's formula.
 
     Returns
     -------
@@ -78,27 +85,42 @@ def export(model: Model, target: str, folder: str | Path) -> Exported:
     elif given or not _holds(module, model):
         raise _refusal(name, module, model, given)
     result = Exported([])
+    if touches is not None and not _holds(module, model):
+        raise ModelError(f"{name} is no firmware with numbers of its own: export without touches")
     if _holds(module, model):
         projection, found = _projected(name, module, robot)
         made |= {file: fresh(numbers) for file, numbers in projection.settings.items()}
-        result = Exported([], loss(robot, found), None, _remarks(robot, projection))
+        heights = None if touches is None else bed_heights(robot, None, found, touches)
+        result = Exported([], loss(robot, found), None, _remarks(robot, projection), heights)
     result.paths.extend(_written(Path(folder), made))
     return result
 
 
 @single_threaded()
-def export_into(model: Model, target: str, files: Sequence[Path]) -> Exported:
+def export_into(
+    model: Model,
+    target: str,
+    files: Sequence[Path],
+    touches: Touches | None = None,
+    force: bool = False,
+) -> Exported:
     """Put a firmware's numbers into its own configuration files, comments and order kept; what they
-    were stays beside them as `NAME.previous`."""
+    were stays beside them as `NAME.previous`.
+
+    ModelError, and no file is changed, where heights at `touches` of the bed get worse, unless
+    somebody insists (`force`).
+    """
     module, robot = load_module(SHELF, target), model.robot()
     if not _holds(module, model):
         raise _refusal(target, module, model)
     stated: Stated = module.settings(files)
-    now = module.firmware(stated)
+    later = _read_later(module, files)
+    now = module.firmware(module.settings([*files, *later]))
     projection, found = _projected(target, module, robot)
     if type(now) is not type(found.firmware):
         raise ModelError(f"{files[0]}: it is configured for another kind of machine")
     texts: dict[Path, str] = {}
+    written = {field for numbers in projection.settings.values() for field in numbers}
     cleared = [field for field in getattr(module, "CLEARED", ()) if field in stated]
     for file, numbers in projection.settings.items():
         its = [path for path in files if path.suffix == Path(file).suffix]
@@ -106,12 +128,44 @@ def export_into(model: Model, target: str, files: Sequence[Path]) -> Exported:
             raise ModelError(f"{target}: numbers belong into {file}, too: --into that file as well")
         texts |= edited(stated, {**numbers, **dict.fromkeys(cleared, "0")}, its)
         cleared = []
-    before = loss(robot, replace(found, firmware=now))
-    after = loss(robot, replace(found, firmware=_read(module, files, texts)))
+    old, new = (
+        replace(found, firmware=firmware) for firmware in (now, _read(module, files, texts))
+    )
+    heights = None if touches is None else bed_heights(robot, old, new, touches)
+    if heights is not None and heights.worse and not force:
+        raise _worse_bed(files, heights)
+    before, after = loss(robot, old), loss(robot, new)
     for path, text in texts.items():
         write_atomically(path.with_name(path.name + PREVIOUS), as_it_is(path), like=path)
         write_atomically(path, text)
-    return Exported(list(texts), after, before, _remarks(robot, projection))
+    remarks = _remarks(robot, projection)
+    for path in later:
+        if winning := [field for field in module.settings([path]).texts if field in written]:
+            remarks.append(
+                f"{path} is read after {files[-1]} and still has {', '.join(winning)}, which win: "
+                "remove them there, or export --into that file as well"
+            )
+    return Exported(list(texts), after, before, remarks, heights)
+
+
+def _read_later(module: ModuleType, files: Sequence[Path]) -> list[Path]:
+    """Files that a firmware reads after these, though nobody named them: their numbers won."""
+    later: list[Path] = module.read_later(files) if hasattr(module, "read_later") else []
+    return [path for path in later if path.resolve() not in {file.resolve() for file in files}]
+
+
+def _worse_bed(files: Sequence[Path], heights: BedHeights) -> ModelError:
+    """That new numbers would make the bed worse, by how much, and what to do."""
+    before, after = 1e6 * (heights.before or 0.0), 1e6 * heights.after
+    words = (
+        f"the new numbers make the bed worse: height at {heights.touches} touches by the "
+        f"firmware's formula, rms: {before:.1f} -> {after:.1f} um, expected less than before"
+    )
+    cure = (
+        "touch more places, leave bad touches out (fit --data exclude=N), hold what the firmware "
+        "has no number for (fit --fix), or --force"
+    )
+    return ModelError(f"{', '.join(map(str, files))}: {words}; nothing was written: {cure}")
 
 
 def _holds(module: ModuleType, model: Model) -> bool:

@@ -13,6 +13,7 @@ from parallel_cal.base.errors import DatasetError
 from parallel_cal.importing.deltas import MM, NAMES, Delta
 from parallel_cal.importing.stated import Place, sha256
 from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.recordings.loading import in_order
 from parallel_cal.recordings.recording import Array, Dropped
 from parallel_cal.recordings.samples import READING
 
@@ -21,6 +22,30 @@ NO_SIZE = (
     "size: cannot_know: touches of a plate cannot tell the size: a printer too large by a "
     "hundredth touches alike; a printed length that is measured tells it"
 )
+
+
+@dataclass(frozen=True)
+class Touches:
+    """Joints (N, nq), m or rad, at touches of a bed, and the height (N,) m of the probe's tip over
+    it that was stored."""
+
+    q: Array
+    height: Array
+    source: str
+    sha256: str
+
+
+def touches_in(dataset: Dataset, joints: Sequence[str]) -> Touches:
+    """The touches among a dataset's samples, by joints in this order; DatasetError without any."""
+    height = dataset.conditions.get(PROBE, np.full(len(dataset), np.nan))
+    touched = np.isfinite(height)
+    if not touched.any():
+        raise DatasetError(
+            f"{dataset.source}: no touch of a bed in it: expected readings of the sensor 'probe', "
+            "as `import rrf`, `klipper`, `marlin` and `linuxcnc` make them"
+        )
+    q = in_order(dataset, joints).q
+    return Touches(q[touched], height[touched], dataset.source, dataset.sha256)
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ Source: Duet documentation, G-code dictionary (M665, M666, M669).
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from fractions import Fraction
 from pathlib import Path
@@ -15,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.exporting.deltas import LINEAR, ROTARY, TOWERS, shoulders, towers
+from parallel_cal.exporting.editing import as_it_is
 from parallel_cal.exporting.projection import Firmware, Frame, Machine, Projection, fitted
 from parallel_cal.importing.deltas import DEGREE, MM
 from parallel_cal.importing.fivebar import TURNS, FiveBars
@@ -26,13 +28,22 @@ from parallel_cal.importing.stated import Stated
 from parallel_cal.model.model import Model
 
 HOLDS = (*LINEAR, *ROTARY, "five_bar", "cable")
-FILE = "config.g"
+FILE, OVERRIDE = "config.g", "config-override.g"
+LOADS_OVERRIDE = re.compile(r"^\s*M501\b", re.MULTILINE | re.IGNORECASE)
 TEETH = 20  # of a motor's gear, where they suit
 THIN = 2e-6  # m: the firmware divides by the build-up, and less than this drowns in its rounding
 
 
 def settings(paths: Sequence[Path]) -> Stated:
     return settings_of(paths, rrf.CODES)
+
+
+def read_later(paths: Sequence[Path]) -> list[Path]:
+    """`config-override.g` beside a file whose M501 has the firmware read it."""
+    overrides = [
+        path.with_name(OVERRIDE) for path in paths if LOADS_OVERRIDE.search(as_it_is(path))
+    ]
+    return [path for path in overrides if path.is_file()]
 
 
 def firmware(stated: Stated) -> Firmware:
