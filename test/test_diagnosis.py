@@ -10,8 +10,8 @@ import virtual_findings as vf
 from datasets import JOINTS, measured
 from findings import clean, dataset, hiding
 
-import parallel_cal.diagnosis.diagnose as diagnosing
 import parallel_cal.identification.fit as fitting
+import parallel_cal.identification.given_model as given_model
 from parallel_cal.base.errors import FitError
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.identification.fit import fit
@@ -60,7 +60,7 @@ def test_refits_look_for_no_frame_again_and_judge_no_start(monkeypatch, there, r
 
         return call
 
-    for module, name in ((fitting, "registered"), (diagnosing, "registered"), (fitting, "errors")):
+    for module, name in ((given_model, "registered"), (fitting, "errors")):
         monkeypatch.setattr(module, name, counted(getattr(module, name)))
     found = diagnose(MODEL, data, effects=["backlash"])
     folds = len(found.dataset.folds(0.25, 0))

@@ -7,7 +7,8 @@ import pytest
 
 from parallel_cal.base.errors import ModelFileError
 from parallel_cal.identification.options import FitOptions
-from parallel_cal.model.file.modelfile import model_hash, replace_text
+from parallel_cal.model.file.modelfile import dump_model, model_hash, replace_text
+from parallel_cal.model.model import new_model
 from parallel_cal.recordings.loading import load_dataset
 from parallel_cal.session.goals import Request, proposed, undone, written
 
@@ -32,9 +33,10 @@ def test_undo_gives_the_file_before_back_and_undone_twice_the_new_one(tmp_path):
 def test_a_file_laid_aside_has_the_permissions_of_the_one_that_was_there(tmp_path):
     """Also where an older one with others is replaced."""
     model, aside = tmp_path / "m.yaml", tmp_path / "m.yaml.previous"
+    text = dump_model(new_model("delta24"))
     model.write_text("parallel_cal: 1\n"), aside.write_text("parallel_cal: 1\n")
     model.chmod(0o600), aside.chmod(0o644)
-    replace_text(model, "parallel_cal: 2\n")
+    replace_text(model, text)
     assert aside.stat().st_mode & 0o777 == 0o600
 
 

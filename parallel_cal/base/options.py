@@ -24,5 +24,5 @@ def with_changes(
     known = [field.name for field in fields(options)]  # type: ignore[arg-type]
     for name in changes:
         if name not in known:
-            raise error(f"unknown option {name}{nearest(name, known)}; options: {', '.join(known)}")
+            raise error(f"unknown option {name}{nearest(name, known)}; known: {', '.join(known)}")
     return replace(options, **changes)  # type: ignore[type-var]
