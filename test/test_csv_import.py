@@ -60,6 +60,34 @@ def test_columns_become_samples_in_si(files):
     assert data.sha256 == hashlib.sha256(TABLE.encode()).hexdigest()
 
 
+def test_a_motors_angle_becomes_the_way_of_its_joint(files):
+    """Revolutions, or degrees, of a motor that moves its joint by so much a revolution."""
+    moved = MAP.replace(
+        "slide: {column: b_mm, unit: mm}", "slide: {column: a_deg, per_rev: -72 mm}"
+    )
+    data = import_csv(*files(columns=moved))
+    np.testing.assert_allclose(data.q[:, 1], [-0.018, 0.036, -0.009], atol=1e-12)
+    geared = MAP.replace("arm: {column: a_deg, unit: deg}", "arm: {column: n, unit: rev, per_rev: "
+                         "36 deg}")  # fmt: skip
+    data = import_csv(*files(TABLE.replace("number", "n"), geared))
+    np.testing.assert_allclose(data.q[:, 0], np.radians([36, 72, 108]))
+
+
+@pytest.mark.parametrize("way", ["72", "72 furlong", "mm", "0 mm", "nan mm", "72mm"])
+def test_a_way_for_each_revolution_that_is_none_is_refused_by_line_and_key(files, way):
+    columns = MAP.replace("unit: deg}", f"unit: deg, per_rev: '{way}'}}")
+    words = r"map.yaml:2: joints.arm.per_rev: .*expected a number and a unit, as in 71.2 mm"
+    with pytest.raises(ParallelCalError, match=words):
+        import_csv(*files(columns=columns))
+
+
+def test_a_length_is_no_motors_angle(files):
+    columns = MAP.replace("unit: mm}\nposition", "unit: mm, per_rev: 72 mm}\nposition")
+    words = "t.csv:1: column b_mm is in mm, but .*map.yaml says per_rev 72 mm, which is of an angle"
+    with pytest.raises(ParallelCalError, match=words):
+        import_csv(*files(columns=columns))
+
+
 def test_what_the_map_does_not_name_is_not_measured(files):
     kept = [line for line in MAP.splitlines() if line.split(":")[0] not in ("orientation", "noise")]
     data = import_csv(*files(columns="\n".join(kept)))

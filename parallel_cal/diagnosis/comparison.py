@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -160,7 +160,7 @@ def compare(model: Model, dataset: Dataset, joint_sigma: float | None = None) ->
     """Compare the predictions of a model with measurements.
 
     Nothing is identified, except the frames of a device that measures in its own frame: the model
-    is registered first.
+    is registered first. Joint readings that no such robot can show are a warning here.
 
     Parameters
     ----------
@@ -191,10 +191,13 @@ def compare(model: Model, dataset: Dataset, joint_sigma: float | None = None) ->
     True
     """
     check_inputs(model, dataset)
-    given = GivenModel.of(model, dataset, joint_sigma)
+    given = GivenModel.of(model, dataset, joint_sigma, insist=True)
+    dataset = said(dataset, given.registration)
+    if given.observations.doubts:
+        dataset = replace(dataset, warnings=(*dataset.warnings, given.observations.doubts))
     return Comparison(
         given.model,
-        said(dataset, given.registration),
+        dataset,
         given.observations,
         given.errors,
         noise_floor(given.model, given.observations),

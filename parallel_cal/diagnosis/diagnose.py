@@ -196,7 +196,7 @@ def diagnose(
     check_inputs(model, dataset)
     report = progress or ignore_progress
     options = with_changes(options or FitOptions(), changes, FitError)
-    given = GivenModel.of(model, dataset, options.joint_sigma)
+    given = GivenModel.of(model, dataset, options.joint_sigma, options.insist)
     model, registration = prepared_for_fit(given.model, given.registration, dataset, options)
     dataset = said(dataset, registration)
     names = names_of(model, also, effects)

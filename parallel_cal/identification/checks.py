@@ -11,6 +11,7 @@ from parallel_cal.base.errors import FitError
 from parallel_cal.identification.methods._estimate import Estimate
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.options import FitOptions
+from parallel_cal.identification.prediction_errors import Errors
 from parallel_cal.identification.prior import Prior
 from parallel_cal.model.model import Model
 from parallel_cal.model.parameters import BEYOND, Parameter
@@ -93,6 +94,23 @@ def check_plausible(
             raise FitError(why)
         words.append(f"{why}: taken all the same")
     return replace(model, tolerances=tolerances), words
+
+
+def check_joint_errors(model: Model, found: Errors) -> None:
+    """FitError where a joint's errors are as large as its range: such a model says nothing of the
+    robot, whatever it improves, so that nobody can insist."""
+    m = model.mechanism
+    for i, (low, high) in enumerate(m.joint_limits):
+        error = found.joint[:, i]
+        error = error[np.isfinite(error)]
+        rms = float(np.sqrt(np.mean(error**2))) if len(error) else 0.0
+        if rms > high - low:
+            raise FitError(
+                f"the best fit misses the readings of joint {m.joints[i]} by {rms:.4g} "
+                f"{m.joint_units[i]} rms, more than its whole range ({low:.4g} to {high:.4g}): "
+                "check the readings' units, the order of the joints and the mechanism; nothing was "
+                "identified"
+            )
 
 
 def _nearest(model: Model, estimate: Estimate, free: np.ndarray) -> np.ndarray:

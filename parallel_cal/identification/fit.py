@@ -17,6 +17,7 @@ from parallel_cal.base.progress import Progress, ignore_progress
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.identification.budget import Budget, Iso9283, budgets, iso_9283
 from parallel_cal.identification.checks import (
+    check_joint_errors,
     check_plausible,
     chosen_parameters,
     lacking,
@@ -306,7 +307,7 @@ def fit(
     """
     check_inputs(model, dataset)
     options = with_changes(options or FitOptions(), changes, FitError)
-    given = GivenModel.of(model, dataset, options.joint_sigma)
+    given = GivenModel.of(model, dataset, options.joint_sigma, options.insist)
     start, registration = prepared_for_fit(given.model, given.registration, dataset, options)
     result = fit_registered(start, said(dataset, registration), options, progress, given)
     return replace(result, registration=registration)
@@ -321,13 +322,13 @@ def fit_registered(
 ) -> FitResult:
     """The same for a model that says where its device stands; `given` is what it is compared with,
     the model itself where it is None."""
-    given = given or GivenModel(model, model, dataset, options.joint_sigma)
+    given = given or GivenModel(model, model, dataset, options.joint_sigma, options.insist)
     report = progress or ignore_progress
     mask, partial = chosen_parameters(model, options)
     estimate_with = estimator(options.method, options.prior, options.loss)
     if partial:
         need_settling(options.method, "a partial re-calibration")
-    observations = observe(model, dataset, options.joint_sigma)
+    observations = observe(model, dataset, options.joint_sigma, options.insist)
     if words := lacking(model, observations, mask, options.prior):
         raise FitError(words)
 
@@ -356,6 +357,7 @@ def fit_registered(
         fitted = model.with_values(estimate.values, estimate.covariance)
         fitted, insisted = check_plausible(fitted, estimate, mask, options.insist)
         after = errors(fitted, observations)
+        check_joint_errors(fitted, after)
         held_out = _held_out(_folds(dataset, options), judged, after, report)
     return FitResult(
         model=replace(fitted, fixed=model.fixed if partial else ~mask),
@@ -369,6 +371,7 @@ def fit_registered(
         dataset=dataset,
         warnings=(
             *dataset.warnings,
+            *([f"{observations.doubts}: taken all the same"] if observations.doubts else ()),
             *insisted,
             *on_parameters(fitted, estimate, mask),
             *on_priors(fitted, estimate),

@@ -35,18 +35,25 @@ class GivenModel:
     model: Model
     dataset: Dataset
     joint_sigma: float | None = None
+    insist: bool = False
     registration: Registration | None = None
     known_held_out: Errors | None = None
 
     @classmethod
-    def of(cls, model: Model, dataset: Dataset, joint_sigma: float | None = None) -> GivenModel:
-        """Registered where the samples ask for it."""
-        placed, registration = registered(model, dataset, joint_sigma)
-        return cls(model, placed, dataset, joint_sigma, registration)
+    def of(
+        cls,
+        model: Model,
+        dataset: Dataset,
+        joint_sigma: float | None = None,
+        insist: bool = False,
+    ) -> GivenModel:
+        """Register the model if the samples need it; `insist` accepts implausible readings."""
+        placed, registration = registered(model, dataset, joint_sigma, insist)
+        return cls(model, placed, dataset, joint_sigma, insist, registration)
 
     @cached_property
     def observations(self) -> Observations:
-        return observe(self.model, self.dataset, self.joint_sigma)
+        return observe(self.model, self.dataset, self.joint_sigma, self.insist)
 
     @cached_property
     def errors(self) -> Errors:

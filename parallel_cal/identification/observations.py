@@ -9,6 +9,7 @@ import numpy as np
 
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.rotation import rotation_matrix, rotation_vector
+from parallel_cal.identification.readings import doubt_readings
 from parallel_cal.identification.thresholds import BLOCKS
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model
@@ -27,7 +28,8 @@ class Observations:
     x (N, nq+12) configurations (q, r, R9); S (N, nq+6, nq+6) covariance of (q, r, w);
     measured (N, nq+6) mask; a (N, n_conditions); group (N,) equal for replicates;
     reading (N, n_channels) of the model's sensors (m), NaN where not read; `noise_from` says
-    for joint and pose whose figure S is, and for readings where nobody stated theirs.
+    for joint and pose whose figure S is, and for readings where nobody stated theirs; `doubts`
+    why no such robot shows the joint readings, where somebody insisted on them.
     """
 
     x: np.ndarray
@@ -37,6 +39,7 @@ class Observations:
     group: np.ndarray
     reading: np.ndarray
     noise_from: dict[str, str]
+    doubts: str = ""
 
     def __len__(self) -> int:
         return len(self.x)
@@ -59,8 +62,13 @@ def blocks(dataset: Dataset) -> np.ndarray:
     return np.unique(dataset.pose_id, return_inverse=True)[1]
 
 
-def observe(model: Model, dataset: Dataset, joint_sigma: float | None = None) -> Observations:
-    """What a dataset says of a model: joints in its order, noise from option, recording or file."""
+def observe(
+    model: Model, dataset: Dataset, joint_sigma: float | None = None, insist: bool = False
+) -> Observations:
+    """What a dataset says of a model: joints in its order, noise from option, recording or file.
+
+    FitError for joint readings that no such robot shows, unless somebody insists.
+    """
     order, reading = _joint_order(model, dataset), _readings(model, dataset)
     x = Configuration(dataset.q[:, order], dataset.r, dataset.R).rows
     measured = np.ones((len(x), len(order) + 6), dtype=bool)
@@ -76,7 +84,11 @@ def observe(model: Model, dataset: Dataset, joint_sigma: float | None = None) ->
     noise_from = {"joint": joint_from, "pose": pose_from}
     if set(model.structure.channels_without_sigma) & set(_read(dataset)):
         noise_from["reading"] = ASSUMED
-    return Observations(x, S, measured, a, np.asarray(dataset.pose_id), reading, noise_from)
+    group = np.asarray(dataset.pose_id)
+    doubts = doubt_readings(model, x, measured, a, dataset.source)
+    if doubts and not insist:
+        raise FitError(doubts)
+    return Observations(x, S, measured, a, group, reading, noise_from, doubts)
 
 
 def _joint_order(model: Model, dataset: Dataset) -> list[int]:

@@ -107,14 +107,16 @@ def _degrees(quaternion: tuple[float, ...]) -> str:
 
 
 def registered(
-    model: Model, dataset: Dataset, joint_sigma: float | None = None
+    model: Model, dataset: Dataset, joint_sigma: float | None = None, insist: bool = False
 ) -> tuple[Model, Registration | None]:
     """The model with the sensor `device_frame` where the poses come in a frame that is not its
     base, or lie so far off that only frames explain it; the same model where neither is so.
+
+    Joint readings that no such robot shows are a FitError, unless somebody insists.
     """
     frame, base = dataset.frame or "device", model.frames["base"]
     described = _device(model) is not None
-    observations = observe(model, dataset, joint_sigma)
+    observations = observe(model, dataset, joint_sigma, insist)
     there = _Poses.of(model, observations)
     elsewhere = dataset.frame not in ("", base) and not described
     if there is None or not (elsewhere or there.off):
@@ -144,7 +146,7 @@ def prepared_for_fit(
     """
     if registration is None:
         return model, None
-    settled = _settled(model, observe(model, dataset, options.joint_sigma), options)
+    settled = _settled(model, observe(model, dataset, options.joint_sigma, options.insist), options)
     frame, why, told = registration.frame, registration.why, registration.told
     return settled, _registration(settled, frame, why, told)
 

@@ -10,6 +10,14 @@ MENTIONED = 2  # weak directions, the weakest: a document has them all
 NEGLIGIBLE = 0.01  # of the error at poses left out: what the removal of an effect may cost
 BLOCKS = 40  # stretches into which a continuous motion is cut, as if each were a pose
 
+# Joint readings that no such robot shows
+MOST_READINGS = 0.8  # of a joint's readings: a few wild ones say nothing about their unit
+MAX_SPAN = 3.0  # of a joint's range: limits are stated wrongly, but not by so much
+MAX_DISTANCE = 10.0  # of a joint's range: no zero is so far off
+MAX_ARC = 1.5  # of a joint's range: what readings span at most without whole turns
+MIN_CORRELATION = 0.9  # of readings and inverse solutions, for their ratio to be a unit
+SAME_UNIT = 0.05  # in the logarithm: by so much a ratio may differ from a unit's
+
 # What the data can see
 RELATIVE_RANK = 1e-6  # of the largest singular value, columns in units of tolerance
 LOST = 1e-6  # squared share of a parameter in directions that the data cannot see

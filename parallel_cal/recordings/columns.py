@@ -2,25 +2,57 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, ValidationError
+from pydantic import Field, ValidationError, field_validator
 
 from parallel_cal.model.effect import CONDITIONS
 from parallel_cal.model.file.schema import NoisePart, Part, sentence, suggestion
 from parallel_cal.model.file.yamltext import Document, parse_yaml
 from parallel_cal.recordings.channels import named
+from parallel_cal.recordings.table import UNITS
 
 Length = Literal["m", "cm", "mm", "um", "nm", "in", "ft", "mil"]
 Angle = Literal["rad", "mrad", "deg", "arcmin", "arcsec", "gon", "rev"]
 
 
 class JointColumn(Part):
-    """A joint's readings; its name in the model file is the key. Without `unit` the header says."""
+    """A joint's readings; its name in the model file is the key. Without `unit` the header says.
+
+    `per_rev` is how far the joint goes while the motor that was read turns once (`71.2 mm`,
+    negative where it goes back): the column then holds the motor's angle.
+    """
 
     column: str
     unit: Literal[Angle, Length] | None = None
+    per_rev: str | None = None
+
+    @field_validator("per_rev")
+    @classmethod
+    def _check_travel(cls, text: str | None) -> str | None:
+        if text is not None:
+            travel(text)
+        return text
+
+    @property
+    def per_radian(self) -> float:
+        """How far the joint goes (m or rad) while its column grows by a radian; 1 without
+        `per_rev`."""
+        return 1.0 if self.per_rev is None else travel(self.per_rev) / (2 * math.pi)
+
+
+def travel(text: str) -> float:
+    """`71.2 mm` or `3.6 deg` in m or rad; ValueError for anything else, and for zero."""
+    number, _, unit = text.strip().partition(" ")
+    try:
+        value = float(number) * UNITS[unit.strip()]
+    except (ValueError, KeyError):
+        value = math.nan
+    if not math.isfinite(value) or value == 0:
+        raise ValueError(f"'{text}': expected a number and a unit, as in 71.2 mm or 3.6 deg")
+    return value
 
 
 class ReadingColumn(Part):

@@ -15,12 +15,13 @@ from parallel_cal.base.rotation import quaternion_to_matrix
 from parallel_cal.recordings.columns import (
     ColumnMap,
     Join,
+    JointColumn,
     read_column_map,
 )
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.recording import Dropped
 from parallel_cal.recordings.samples import READING
-from parallel_cal.recordings.table import UNITS, Table, read_table, said_unit
+from parallel_cal.recordings.table import LENGTHS, UNITS, Table, read_table, said_unit
 
 
 def import_csv(paths: str | Path | Sequence[str | Path], columns: str | Path) -> Dataset:
@@ -37,7 +38,7 @@ def of_tables(given: Sequence[Table], wanted: ColumnMap, asks: str) -> Dataset:
     """The dataset of tables that hold what is `wanted`; `asks` is who wants it."""
     tables, dropped = _joined([*given], wanted.join)
     found = Columns(tables, asks).checked(wanted)
-    joints = [found.si([joint.column], joint.unit) for joint in wanted.joints.values()]
+    joints = [found.joint(joint) for joint in wanted.joints.values()]
     r = found.si(wanted.position.columns, wanted.position.unit) if wanted.position else None
     R, n = _rotation(wanted, found), len(tables[0].rows)
     readings = {
@@ -87,6 +88,18 @@ class Columns:
     def si(self, names: Sequence[str], unit: str | None, gaps: bool = False) -> np.ndarray:
         """(N, len(names)) in m or rad; `gaps`: an empty cell is NaN, else an error."""
         return np.column_stack([self._column(name, unit, gaps) for name in names])
+
+    def joint(self, wanted: JointColumn) -> np.ndarray:
+        """(N, 1) readings of a joint in m or rad; DatasetError where per_rev is of a length."""
+        table, word = self._of(wanted.column)
+        unit = wanted.unit or said_unit(word)[1]
+        if wanted.per_rev is not None and unit in LENGTHS:
+            raise DatasetError(
+                f"{table.path}:1: column {word} is in {unit}, but {self.map} says per_rev "
+                f"{wanted.per_rev}, which is of an angle: give the motor's unit (unit: rev or "
+                "deg), or take per_rev out"
+            )
+        return self.si([wanted.column], wanted.unit) * wanted.per_radian
 
     def numbers(self, names: Sequence[str]) -> np.ndarray:
         """(N, len(names)) as they stand; DatasetError at a cell that is no finite number."""

@@ -79,7 +79,7 @@ def proposed(request: Request, dataset: Dataset, tell: Tell | None = None) -> Ou
     try:
         report("reading the model file", 0.0)
         model = read_model(request.model_file)
-        seen = observe(model, dataset, request.options.joint_sigma)
+        seen = observe(model, dataset, request.options.joint_sigma, request.options.insist)
         position_error = _or_nan(errors(model, seen).summary.position_mean)
         # Whether it may be written is judged later, as a message.
         how: dict[str, Any] = {"force": True, "options": request.options, "progress": report}

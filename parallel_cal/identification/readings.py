@@ -1,0 +1,130 @@
+"""Joint readings that no robot of a model's kind shows: most often their unit is another one.
+
+Real robots are read beyond their nominal limits, from wrong zeros and after whole turns, so only
+readings that span a joint's range several times, or lie many ranges away, are refused.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from parallel_cal.identification.thresholds import (
+    MAX_ARC,
+    MAX_DISTANCE,
+    MAX_SPAN,
+    MIN_CORRELATION,
+    MOST_READINGS,
+    SAME_UNIT,
+)
+from parallel_cal.kinematics.kinematics import Kinematics
+from parallel_cal.model.mechanism import Mechanism
+from parallel_cal.model.model import Model
+from parallel_cal.recordings.table import ANGLES, LENGTHS
+
+USUAL_UNITS = {"m": ("mm", "cm", "um"), "rad": ("deg", "mrad")}  # that people mistake for SI
+SHOWN_IN = {"m": ("mm", 1e3), "rad": ("deg", 180 / np.pi)}
+
+
+def doubt_readings(
+    model: Model, x: np.ndarray, measured: np.ndarray, a: np.ndarray, source: str
+) -> str:
+    """Why the joint readings cannot be of such a robot, and what may be the cure; empty where they
+    can. `x`, `measured` and `a` are as observations have them."""
+    m, q = model.mechanism, x[:, : len(model.joints)]
+    excess = _excess(m, q)
+    if not excess.any():
+        return ""
+    worst = int(np.argmax(excess))
+    name, unit, (low, high) = m.joints[worst], m.joint_units[worst], m.joint_limits[worst]
+    others = [joint for joint, e in zip(m.joints, excess, strict=True) if e and joint != name]
+    also = f" (as do the readings of {', '.join(others)})" if others else ""
+    return (
+        f"{source or 'samples'}: joint {name} reads {q[:, worst].min():.4g} to "
+        f"{q[:, worst].max():.4g} {unit}, its limits are {low:.4g} to {high:.4g} {unit}: the "
+        f"readings span, or lie away by, {excess[worst]:.3g} times its range{also}. "
+        f"{_guess(model, x, measured, a, worst)}. If the joint does go there, state its limits in "
+        "the model file (low, high)"
+    )
+
+
+def _excess(m: Mechanism, q: np.ndarray) -> np.ndarray:
+    """How many ranges (nq,) the readings (N, nq) of joints span, or lie away, whose readings cannot
+    be true; 0 of all others."""
+    excess = np.zeros(q.shape[1])
+    tail = (1 - MOST_READINGS) / 2
+    for i, ((low, high), turn) in enumerate(zip(m.joint_limits, m.turns, strict=True)):
+        width = high - low
+        if not 0 < width < np.inf:
+            continue
+        first, middle, last = np.quantile(q[:, i], [tail, 0.5, 1 - tail])
+        span = (last - first) / width
+        away = max(low - middle, middle - high, 0.0) / width
+        if not turn:
+            absurd = span > MAX_SPAN or away > MAX_DISTANCE
+        elif MAX_ARC * width < MOST_READINGS * turn:  # without whole turns they can still be seen
+            absurd = span > MAX_SPAN and _arc(q[:, i], turn) > MAX_ARC * width
+        else:
+            absurd = span > MAX_DISTANCE
+        excess[i] = max(span, away) if absurd else 0.0
+    return excess
+
+
+def _arc(angles: np.ndarray, turn: float) -> float:
+    """The shortest arc of the circle that holds most of the angles (N,)."""
+    n = len(angles)
+    most = int(np.ceil(MOST_READINGS * n))
+    around = np.sort(angles % turn)
+    around = np.concatenate([around, around + turn])
+    return float(np.min(around[most - 1 : most - 1 + n] - around[:n]))
+
+
+def _guess(model: Model, x: np.ndarray, measured: np.ndarray, a: np.ndarray, i: int) -> str:
+    """What the readings of joint i may be in, and how to say so."""
+    unit, read = model.mechanism.joint_units[i], x[:, i]
+    cure = "say so in the column map (unit: {}; see docs/import_csv.md), or publish them in {}"
+    if scale := _scale(model, x, measured, a, i):
+        units = LENGTHS if unit == "m" else ANGLES
+        nearest = min(units, key=lambda name: abs(np.log(abs(scale) / units[name])))
+        if abs(np.log(abs(scale) / units[nearest])) < SAME_UNIT:
+            return f"By the measured poses they are in {nearest}: {cure.format(nearest, unit)}"
+        shown, factor = SHOWN_IN[unit]
+        one, turn = f"{scale * factor:.4g} {shown}", f"{2 * np.pi * scale * factor:.4g} {shown}"
+        return (
+            f"By the measured poses one unit of them is {one}, so that they may be a motor's "
+            f"revolutions (column map: unit: rev, per_rev: {one}), its radians (per_rev: {turn}), "
+            f"or encoder counts: see docs/import_csv.md, or publish them in {unit}"
+        )
+    low, high = model.mechanism.joint_limits[i]
+    margin = (high - low) / 2
+    for name in USUAL_UNITS[unit]:
+        there = read * (LENGTHS | ANGLES)[name]
+        if low - margin <= there.min() and there.max() <= high + margin:
+            return f"In {name} they would be near the limits: {cure.format(name, unit)}"
+    other = " or ".join(USUAL_UNITS[unit])
+    return (
+        f"Are they in {other}, a motor's revolutions or encoder counts? Then "
+        f"{cure.format('..., per_rev: ...', unit)}"
+    )
+
+
+def _scale(
+    model: Model, x: np.ndarray, measured: np.ndarray, a: np.ndarray, i: int
+) -> float | None:
+    """How far joint i goes by the measured poses (m or rad) where its reading grows by one; None
+    where these do not tell, as those in an unknown frame."""
+    n = len(model.joints)
+    controlled = [n + k for k in model.mechanism.controlled]
+    given = np.flatnonzero(measured[:, controlled].all(axis=1))
+    if len(given) < 3:
+        return None
+    position, turned = model.structure.located(x[given, n:], model.values)
+    at = {name: a[given, k] for k, name in enumerate(model.conditions)}
+    found = Kinematics(model).inverse(position, turned.reshape(-1, 3, 3), at)
+    read, true = x[given[found.solved], i], found.joints[found.solved, i]
+    if len(read) < 3 or np.ptp(read) == 0 or np.ptp(true) == 0:
+        return None
+    (variance, covariance), (_, other) = np.cov(read, true)
+    if abs(covariance) < MIN_CORRELATION * np.sqrt(variance * other):
+        return None
+    # Noise and a rough geometry blur both ways: the ratio of the spreads is in the middle.
+    return float(np.sign(covariance) * np.sqrt(other / variance))

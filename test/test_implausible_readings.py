@@ -1,0 +1,231 @@
+"""Joint readings in another unit are refused at the door, with joint, values and cure; readings
+that a real robot may show are not."""
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from datasets import measured
+
+from parallel_cal.base.errors import FitError
+from parallel_cal.base.rotation import matrix_to_quaternion
+from parallel_cal.cli import main as cli
+from parallel_cal.diagnosis.comparison import compare
+from parallel_cal.diagnosis.diagnose import diagnose
+from parallel_cal.identification.fit import fit
+from parallel_cal.identification.observations import observe
+from parallel_cal.mechanisms.delta54 import Delta54
+from parallel_cal.mechanisms.linear_delta import LinearDelta
+from parallel_cal.mechanisms.stewart42 import (
+    BASE,
+    PLATFORM,
+    RETRACTED,
+    Stewart42,
+    leg_parameters,
+    ring,
+)
+from parallel_cal.model.file.modelfile import write_model
+from parallel_cal.model.mechanism import Home
+from parallel_cal.model.model import Noise, new_model
+from parallel_cal.model.parameters import ParameterTable
+from parallel_cal.recordings.csv_import import import_csv
+from parallel_cal.recordings.dataset import Dataset
+from parallel_cal.session.goals import Request, examine, proposed
+from parallel_cal.session.steps import add
+from parallel_cal.virtual import robot as vr
+
+JUGGLEBOT = Path(__file__).parents[2] / "shared" / "data" / "jugglebot" / "poses_108.csv"
+NOISE = Noise(joint=1e-5, position=1e-5, orientation=1e-4)
+
+
+def stewart(limits=(0.0, 0.2)):
+    mechanism = Stewart42()
+    mechanism.joint_limits = (limits,) * 6
+    return replace(new_model(mechanism), noise=NOISE)
+
+
+def legs(scale=1.0, offset=0.0, poses=40, places=None):
+    """Samples of a nominal Stewart platform whose legs are read `scale` times, plus `offset`, by
+    the distance of their balls; `places` scales the positions that the device shows."""
+    rng = np.random.default_rng(0)
+    r = np.array([0.0, 0.0, 0.3]) + rng.uniform(-0.05, 0.05, (poses, 3))
+    R = vr.turn(rng.uniform(-0.15, 0.15, (poses, 3)))
+    ends = r[:, None] + np.einsum("nij,kj->nki", R, PLATFORM) - BASE
+    q = np.linalg.norm(ends, axis=2) - RETRACTED + 1e-5 * rng.standard_normal((poses, 6))
+    return Dataset.from_arrays(
+        stewart().joints, scale * q + offset, r * (places or 1.0), R, source="legs.csv"
+    )
+
+
+def delta(change=lambda q: q):
+    """Samples of the thesis' mock-up whose joint readings are changed, and its model."""
+    data = measured()
+    return new_model(Delta54()), replace(data, q=change(data.q))
+
+
+@pytest.mark.parametrize(
+    ("scale", "words"),
+    [
+        (1e3, "By the measured poses they are in mm: say so in the column map (unit: mm"),
+        (1e2, "they are in cm: say so in the column map (unit: cm"),
+        (1e6, "they are in um: "),
+        (1 / 0.0254, "they are in in: "),
+        (1 / 0.012, "revolutions (column map: unit: rev, per_rev: 12 mm), its radians (per_rev"),
+        (-4096 / 0.005, "encoder counts"),
+    ],
+)
+def test_legs_in_another_unit_are_refused_with_joint_values_limits_and_cure(scale, words):
+    data = legs(scale)
+    with pytest.raises(FitError) as error:
+        observe(stewart(), data)
+    said = str(error.value)
+    assert words in said
+    worst = next(j for j in stewart().joints if f"joint {j} reads" in said)
+    q = data.q[:, stewart().joints.index(worst)]
+    assert said.startswith(
+        f"legs.csv: joint {worst} reads {q.min():.4g} to {q.max():.4g} m, its limits are 0 to 0.2 m"
+    )
+    assert "model file (low, high)" in said
+
+
+def test_angles_in_degrees_are_refused_though_whole_turns_change_nothing():
+    with pytest.raises(FitError, match=r"joint\d reads .* rad, .*they are in deg: say so"):
+        observe(*delta(np.degrees))
+
+
+def test_the_unit_is_guessed_from_the_limits_where_no_pose_tells():
+    data = legs(1e3)
+    unseen = replace(data, measured=np.zeros_like(data.measured))
+    with pytest.raises(FitError, match="In mm they would be near the limits: say so"):
+        observe(stewart(), unseen)
+    counts = replace(unseen, q=1e9 * data.q)
+    with pytest.raises(FitError, match="Are they in mm or cm or um, a motor's revolutions"):
+        observe(stewart(), counts)
+
+
+def test_nothing_is_fitted_to_such_readings_through_any_door(tmp_path):
+    model, data, file = stewart(), legs(1e3), str(tmp_path / "m.yaml")
+    write_model(model, file)
+    refused = "they are in mm"
+    for identify in (fit, diagnose, lambda m, d: add(m, "thermal_expansion", d)):
+        with pytest.raises(FitError, match=refused):
+            identify(model, data)
+    assert refused in proposed(Request(file, file), data).message
+    assert refused in examine(file, data, Request(file, file).options, lambda *_: None).message
+
+
+@pytest.mark.wide
+def test_a_comparison_shows_such_readings_and_warns():
+    [said] = [w for w in compare(stewart(), legs(1e3)).dataset.warnings if "they are in mm" in w]
+    assert "leg" in said
+    assert not any("limits" in w for w in compare(stewart(), legs()).dataset.warnings)
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.3, -0.5, 1.5])
+@pytest.mark.parametrize("scale", [1.0, 1.5, -1.0])
+def test_wrong_zeros_gains_and_signs_are_a_robots_own(scale, offset):
+    assert len(observe(stewart(), legs(scale, offset))) == 40
+
+
+def test_whole_turns_of_a_joint_that_turns_are_legitimate():
+    rng = np.random.default_rng(1)
+    observe(*delta(lambda q: q + 2 * np.pi * rng.integers(-20, 20, q.shape)))
+    observe(*delta(lambda q: q + 1000 * np.pi))
+
+
+def test_a_few_wild_readings_are_no_unit():
+    data = legs()
+    q = data.q.copy()
+    q[::20] = 1e4
+    observe(stewart(), replace(data, q=q))
+
+
+def test_who_states_the_limits_or_insists_is_believed():
+    data = legs(1e3)
+    observe(stewart((0.0, 200.0)), data)
+    observe(stewart((-np.inf, np.inf)), data)
+    assert len(observe(stewart(), data, insist=True)) == 40
+    narrow = stewart((0.0, 0.01))
+    with pytest.raises(FitError, match=r"its limits are 0 to 0\.01 m"):
+        fit(narrow, legs(), hold_out=0)
+    found = fit(narrow, legs(), hold_out=0, insist=True)
+    assert any("its limits are 0 to 0.01 m" in w for w in found.warnings)
+
+
+def test_a_carriage_within_its_rail_is_left_alone():
+    model = new_model(LinearDelta())
+    q = np.random.default_rng(0).uniform(*model.mechanism.joint_limits[0], (30, 3))
+    data = Dataset.from_arrays(model.joints, q, np.zeros((30, 3)), np.tile(np.eye(3), (30, 1, 1)))
+    observe(replace(model, noise=NOISE), data)
+    with pytest.raises(FitError, match=r"joint\d reads .* its limits are 0 to 0\.6 m"):
+        observe(replace(model, noise=NOISE), replace(data, q=1e3 * q))
+
+
+def run(*arguments):
+    with pytest.raises(SystemExit) as ended:
+        cli.main([str(a) for a in arguments])
+    return ended.value.code
+
+
+def column_map(columns, **joint):
+    legs = {name: {"column": column, **joint} for name, column in columns.items()}
+    position = {"columns": ["position_x", "position_y", "position_z"], "unit": "mm"}
+    turned = [f"orientation_{axis}" for axis in "xyzw"]
+    # JSON is YAML
+    return json.dumps({"joints": legs, "position": position, "orientation": turned})
+
+
+@pytest.mark.wide
+def test_a_fit_that_misses_a_joints_whole_range_is_never_written(tmp_path, capsys):
+    """Positions in mm are taken for m, and tolerances allow any geometry."""
+    data, file, better = legs(places=1e3), tmp_path / "m.yaml", tmp_path / "better.yaml"
+    write_model(stewart(), file)
+    file.write_text(file.read_text().replace("tolerance: 0.001", "tolerance: 1000.0"))
+    header = [f"leg{i}_m" for i in range(1, 7)] + ["position_x", "position_y", "position_z"]
+    header += [f"orientation_{axis}" for axis in "xyzw"]
+    rows = np.hstack([data.q, 1e3 * data.r, matrix_to_quaternion(data.R)])
+    np.savetxt(tmp_path / "t.csv", rows, delimiter=",", header=",".join(header), comments="")
+    map_file, samples = tmp_path / "map.yaml", tmp_path / "s.json"
+    map_file.write_text(column_map({f"leg{i}": f"leg{i}" for i in range(1, 7)}))
+    assert run("import-csv", tmp_path / "t.csv", "--columns", map_file, "-o", samples) == 0
+    for more in ((), ("--force",)):
+        capsys.readouterr()
+        assert run("fit", file, samples, "-o", better, *more) == 1
+        said = capsys.readouterr().err.replace("\n", " ")
+        assert "misses the readings of joint leg" in said
+        assert "more than its whole range (0 to 0.2)" in said
+        assert not better.exists()
+
+
+def jugglebot():
+    """A model of the machine as its builders state it (README beside the data)."""
+    turns, pairs = np.arange(6) // 2, (np.arange(6) + 1) // 2
+    base = ring(0.41, tuple(200 + 100 * turns + 20 * pairs))
+    platform = ring(0.219075, tuple(154.3012223 + 8.6024446 * turns + 111.3975554 * pairs))
+    mechanism, height = Stewart42(), 0.565
+    length = float(np.linalg.norm(platform[0] + [0, 0, height] - base[0]))
+    table = leg_parameters(platform, base, length)
+    mechanism.parameters = ParameterTable(replace(p, tolerance=0.02) for p in table)
+    mechanism.home = Home(joints=(0.0,) * 6, position=(0.0, 0.0, height))
+    mechanism.joint_limits = ((0.0, 0.3),) * 6
+    return replace(new_model(mechanism), noise=Noise(1e-3, 1e-3, 1e-3, assumed=True))
+
+
+@pytest.mark.skipif(not JUGGLEBOT.exists(), reason=f"{JUGGLEBOT} is not here")
+def test_motor_revolutions_of_a_real_hexapod_are_refused_and_what_the_message_says_cures_it(
+    tmp_path,
+):
+    columns = {f"leg{i}": f"leg_length_{i}" for i in range(1, 7)}
+    file = tmp_path / "map.yaml"
+    file.write_text(column_map(columns, unit="m"))
+    with pytest.raises(FitError) as error:
+        fit(jugglebot(), import_csv(JUGGLEBOT, file))
+    assert "leg5 reads 0.2299 to 3.966 m, its limits are 0 to 0.3 m" in str(error.value)
+    per_rev = re.search(r"unit: rev, per_rev: ([0-9.]+ mm)\)", str(error.value))[1]
+    assert float(per_rev.split()[0]) == pytest.approx(71.03, rel=0.05)
+    file.write_text(column_map(columns, unit="rev", per_rev=per_rev))
+    found = fit(jugglebot(), import_csv(JUGGLEBOT, file))
+    assert found.held_out.summary.position_rms < 3e-3  # 55 mm before
