@@ -260,45 +260,69 @@ def check(name: str, folder: Path = BAGS) -> bool:
 # ---------------------------------------------------------------------------------------------
 
 README = """# Recordings of virtual robots
-All are synthetic: `parallel_cal/virtual` builds the robots from points and rods, independently of
-the rest of the package, `test/bag_catalogue.py` lists the recordings, and one command,
-`make bags`, writes them all (and this page):
 
-    python test/make_bags.py            # --only NAME for one, --check to compare instead
-    python test/make_baselines.py       # models/, from which a user starts
+The recordings are simulated. `parallel_cal/virtual` builds the robots from points and rods,
+independently of the rest of the package. `test/bag_catalogue.py` lists the recordings. `make bags`
+writes all of them, and this page. You can also run the scripts:
 
-**The Delta robot** has the geometry that Vischer's thesis identified on the Delta mock-up (EPFL
-1996, table 5.18); its controller believes in the nominal one (table 5.12, D_x = 76 mm). So it
-misses its targets by 0.6 mm on average, as the mock-up did. The Argos has the geometry of table
-5.22. The hexapod is designed as `stewart42` is; its balls and legs are off by 0.5 mm (1 sigma).
+    python test/make_bags.py            # --only NAME writes one, --check only compares
+    python test/make_baselines.py       # writes models/, the model files to start from
 
-**The session**: 74 or 90 poses spread over the workspace (Delta: a cube of 0.12 m side at (0, 0,
-0.2) m), and 20 or 30 of them once more later, reached from another side. The robot rests 1 s at
-each, 10 s where something creeps, and moves for 0.5 to 0.8 s in between, joints in straight lines.
-The device goes on publishing during the moves. `delta_latency` never stops: it is read pose by
-pose (`mode="continuous"`).
+## Robots
 
-| topic | type | what |
+- **Delta.** It has the geometry that Vischer's thesis identified on the Delta mock-up (EPFL 1996,
+  table 5.18). Its controller uses the nominal geometry (table 5.12, D_x = 76 mm). Its mean
+  position error is therefore 0.6 mm, like that of the mock-up.
+- **Argos.** It has the geometry of table 5.22.
+- **Hexapod.** Its nominal geometry is that of `stewart42`. Its balls and legs deviate by 0.5 mm
+  (1 sigma).
+
+## Measurements
+
+The robot visits 74 or 90 poses in its workspace. The workspace of the Delta is a cube of 0.12 m
+side at (0, 0, 0.2) m. The robot visits 20 or 30 of these poses a second time, from another
+approach direction. It rests for 1 s at each pose, or for 10 s if the recording has a slow effect.
+A motion takes 0.5 to 0.8 s and is a straight line in joint space. The device also publishes during
+the motions. In `delta_latency` the robot never stops, and each measured pose is one sample
+(`mode="continuous"`).
+
+| topic | type | content |
 |---|---|---|
-| `joint_states` | `sensor_msgs/JointState` | position only |
-| `measured_pose` | `geometry_msgs/PoseWithCovarianceStamped` | frame `base`; Argos: variances of \
-1e6 m^2, position is not measured |
+| `joint_states` | `sensor_msgs/JointState` | positions only |
+| `measured_pose` | `geometry_msgs/PoseWithCovarianceStamped` | poses in the frame `base`. \
+Argos: the position is not measured, and its variances are 1e6 m^2. |
 | `temperature` | `sensor_msgs/Temperature` | degC |
-| `payload` | `geometry_msgs/InertiaStamped` | 0.2 kg, latched; in `delta_compliance` at every \
-change |
+| `payload` | `geometry_msgs/InertiaStamped` | 0.2 kg, latched. In `delta_compliance` one message \
+at each change. |
 
-**Noise** (1 sigma; the thesis' instruments, sections 2.3.2 and 4.2): joints 25 arcsec, position
-10 um and orientation 15 arcsec per axis. Recordings that start from `delta54_fine.yaml` have a
-fifth of that; Argos' orientation has 47 arcsec, the hexapod's legs 3 um. Each is one error per
-dwell, constant while the robot rests, plus a fifth of it anew in every message: averaging within a
-dwell hardly helps, as in life. In `delta_latency` the whole error is new in every message. The
-covariance in the messages is that accuracy. Time starts at 2026-01-01 00:00 UTC; header stamp = log
-time. All are compressed with zstd: mcap inside the file, sqlite3 as a whole (`.db3.zstd`).
+Time starts at 2026-01-01 00:00 UTC. The header stamp is the log time. All recordings are compressed
+with zstd: mcap inside the file, sqlite3 as a whole (`.db3.zstd`).
 
-**What is hidden** in each is in `truth/NAME.yaml`, for tests only: the effects, the true geometry,
-the noise, when each dwell was, and which verdict is right.
+## Noise
 
-| recording | holds | start from | joints, poses | data file | bytes | sha256 |
+The table gives one standard deviation. The values are those of the instruments in the thesis
+(sections 2.3.2 and 4.2).
+
+| recordings | joints | position per axis | orientation per axis |
+|---|---|---|---|
+| Delta | 25 arcsec | 10 um | 15 arcsec |
+| those that start from `delta54_fine.yaml` | 5 arcsec | 2 um | 3 arcsec |
+| Argos | 25 arcsec | not measured | 47 arcsec |
+| hexapod | 3 um | 10 um | 15 arcsec |
+
+Each dwell has one error, which is constant while the robot rests. Each message adds an independent
+error of a fifth of this size. Averaging within a dwell therefore reduces the error only a little,
+as with real instruments. In `delta_latency` the whole error is independent in each message. The
+covariance in the messages is this accuracy.
+
+## Hidden effects
+
+`truth/NAME.yaml` has what a recording hides: the effects, the true geometry, the noise, the time
+of each dwell, and the correct verdict. Only tests use these files.
+
+## Recordings
+
+| recording | content | start from | joints, poses | data file | bytes | sha256 |
 |---|---|---|---|---|---|---|
 """
 
