@@ -46,16 +46,22 @@ text { font: 11px sans-serif; fill: #57606a } .name { font-weight: bold; fill: #
 @media (prefers-color-scheme: dark) { text { fill: #9198a1 } .name { fill: #e6edf3 } }"""
 HEAD = f"""# Gallery of effects
 
-What each effect of the catalogue leaves in the residuals of a model that lacks it, and what its
-lookalikes make of the same residuals. Grey: residuals in sigmas, along what tells most (gears:
-within one turn of their input). Orange: the pattern, a rolling mean or one mean a level; its share
-of the residuals' sum of squares is written above. Where a lookalike's share is nearly as large,
-data of this kind do not tell the two apart: the words say what does.
+Each picture shows the residuals of a model that lacks one effect. Its first panel shows the pattern
+of this effect. The next panels show how well the lookalikes fit these residuals.
 
-The robots are virtual: {POSES} poses, every number of the effect one tolerance (three or ten where
-that would hardly be seen), a fifth of the usual noise, and everything recorded: direction, travel,
-velocity, temperature, payload, time, session. `parallel-cal report` lays the same patterns over
-your own data. Made by `make gallery`.
+- **Grey:** residuals in sigmas, against the quantity on which the pattern depends most. For a gear
+  this is the angle within one turn of its input.
+- **Orange:** the pattern, as a rolling mean, or as one mean for each level.
+- **Percentage:** the share of the residuals' sum of squares that the pattern accounts for. If the
+  share of a lookalike is nearly as large, data of this kind do not distinguish the two effects. The
+  text names the measurements that do.
+
+The robots are simulated. Each has {POSES} poses. Every parameter of the effect has the size of one
+tolerance, or of three or ten if one tolerance would hardly be visible. The noise is a fifth of the
+usual noise. All conditions are recorded: direction, travel, velocity, temperature, payload, time
+and session.
+
+`parallel-cal report` draws these patterns over your own data. `make gallery` writes this page.
 """
 
 
@@ -217,12 +223,13 @@ def page() -> str:
     for name in shelf_names("effects"):
         effect = load_effect(name)
         alike = ", ".join(f"[{other}](#{other})" for other in effect.lookalikes)
-        words = [effect.physics, f"Lookalikes: {alike or 'none'}."]
+        words = [effect.physics + "\n", f"- Lookalikes: {alike or 'none'}."]
         if effect.separated_by:
-            words.append(f"Told apart by {effect.separated_by}.")
+            words.append(f"- Measurements that distinguish them: {effect.separated_by}.")
         if effect.remedy:
-            words.append(f"At the machine: {effect.remedy}.")
-        parts.append(f"## {name}\n\n{' '.join(words)}\n\n![{name}](gallery/{name}.svg)\n")
+            words.append(f"- Remedy: {effect.remedy}.")
+        text = "\n".join(words)
+        parts.append(f"## {name}\n\n{text}\n\n![{name}](gallery/{name}.svg)\n")
     return "\n".join(parts)
 
 

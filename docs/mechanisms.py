@@ -29,10 +29,17 @@ polyline { fill: none; stroke-linecap: round; stroke-linejoin: round }
 @media (prefers-color-scheme: dark) { text { fill: #e6edf3; stroke: #0d1117 } }"""
 HEAD = """# Mechanisms
 
-Each mechanism of the shelf, drawn by itself at home from the points that its closure ties
-together: what a motor moves (blue), what follows (green), the platform (rose), base and axes
-(grey). Names are those of the parameters, chain by chain alike; `parallel-cal mechanisms NAME`
-lists them with their tolerances. Made by `make gallery`.
+Each mechanism on the shelf draws itself in its home configuration, from the points that its closure
+connects. The labels are names of parameters. If chains are alike, each name is shown once.
+`parallel-cal mechanisms NAME` lists all parameters with their tolerances. `make gallery` writes
+this page.
+
+| colour | part |
+|---|---|
+| blue | links that a motor moves |
+| green | passive links |
+| rose | platform |
+| grey | base and axes |
 """
 
 
