@@ -35,7 +35,7 @@ import virtual_blind as vb
 import virtual_findings as vf
 from printers import PRINTERS
 
-from parallel_cal.fleet.cluster import cluster, each
+from parallel_cal.fleet.cluster import cluster, run_each
 from parallel_cal.virtual import robot as vr
 
 CLEARLY = 1.1  # of the true error before: its own uncertainty at 80 poses
@@ -365,7 +365,7 @@ def made(
 ) -> Iterable[Outcome]:
     """The outcomes of cases one by one, written as they come, while there is time."""
     with cluster(scheduler, jobs) as client:
-        for _, outcome in each(client, run, [(case,) for case in cases]):
+        for _, outcome in run_each(client, run, [(case,) for case in cases]):
             if file is not None:
                 with file.open("a") as lines:
                     lines.write(json.dumps(asdict(outcome)) + "\n")

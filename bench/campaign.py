@@ -31,14 +31,14 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "test"))
 from campaign_cells import SimulatedCell, model_of
 
 from parallel_cal.campaign.campaign import Campaign, Goal
-from parallel_cal.campaign.judging import judged
+from parallel_cal.campaign.judging import judge_samples
 from parallel_cal.campaign.targets import first_targets
 from parallel_cal.campaign.way import Guard
-from parallel_cal.fleet.cluster import cluster, each
+from parallel_cal.fleet.cluster import cluster, run_each
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.file.modelfile import dump_model
 from parallel_cal.planning.plan import plan
-from parallel_cal.planning.posepool import make_pool, usable
+from parallel_cal.planning.posepool import find_usable_poses, make_pool
 from parallel_cal.virtual.kinds import KINDS, kinds_of
 
 ROBOTS = ("delta", "stewart", "argos", "linear_delta")
@@ -98,7 +98,7 @@ class ByPlan:
 
     def __call__(self, function, *given):
         found = function(*given)
-        if function is judged:
+        if function is judge_samples:
             found = replace(found, targets=tuple(map(self.instead, found.targets)))
         return found
 
@@ -110,7 +110,7 @@ def campaign(cell, seed, plan=None):
     with tempfile.TemporaryDirectory() as folder:
         one = Campaign(folder, dump_model(model), goal, cell, **given)
         if plan:
-            one._plan([*map(plan.instead, first_targets(Guard.of(model), MOST, seed))])
+            one._add_targets([*map(plan.instead, first_targets(Guard.of(model), MOST, seed))])
         outcome = one.run()
         one.close()
     last = one.judgements[-1] if one.judgements else None
@@ -131,7 +131,7 @@ def given_poses(kind, model, seed):
     axes = [np.linspace(a, b, side) for a, b in zip(m.workspace.low, m.workspace.high, strict=True)]
     places = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, n)
     found = Kinematics(model).inverse(*m.poses(places))
-    joints = found.joints[usable(model, found)]
+    joints = found.joints[find_usable_poses(model, found)]
     return joints[rng.permutation(len(joints))][:MOST]
 
 
@@ -168,7 +168,7 @@ def hunted(robot, seed, names, slow=False, plans=()):
 def all_of(asked, calls):
     """Number and answer of each campaign as it ends, on all cores or on a cluster."""
     with cluster(asked.scheduler, None) as client:
-        for k, answer in each(client, hunted, calls):
+        for k, answer in run_each(client, hunted, calls):
             print(answer[2], flush=True)
             yield k, answer
     print()

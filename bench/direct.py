@@ -15,7 +15,7 @@ import numpy as np
 from timing import Row, processor_each, show
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "test"))
-from parallel_cal.base.compiled import Batch, Single, compiled
+from parallel_cal.base.compiled import Batch, Single, compile_function
 from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.kinematics.newton import newton_functions
@@ -84,7 +84,7 @@ def buffer_rows(model: Model, problem: str, name: str, given: np.ndarray) -> lis
     rows = []
     for label, f, batch in (
         ("virtual machine", functions.solve, Batch(functions.solve)),
-        ("compiled C", compiled(functions.solve), Batch(functions.solve, compile=True)),
+        ("compiled C", compile_function(functions.solve), Batch(functions.solve, compile=True)),
     ):
         single = Single(f)
         arguments = (given[0], np.zeros(0), k)

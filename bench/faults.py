@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.base.errors import ParallelCalError
-from parallel_cal.base.worker import OverBudget, Worker, WorkError
+from parallel_cal.base.worker import TimeBudgetExceeded, Worker, WorkError
 from parallel_cal.model.file.modelfile import model_hash, parse_model, read_model, write_model
 from parallel_cal.nodes.collector import Collector
 from parallel_cal.nodes.journal import Journal
@@ -69,7 +69,7 @@ def files(kind: str, n: int, mutant: Callable[[int], str]) -> Row:
     for i in range(n):
         try:
             what = worker.work(outcome_of, kind, mutant(i), seconds=PATIENCE)
-        except OverBudget:
+        except TimeBudgetExceeded:
             what = "hung"
         except WorkError as error:
             what = "crashed"
@@ -282,9 +282,9 @@ class Pair:
     """Both nodes as processes, a client, and joint states at 200 Hz that must all be answered."""
 
     def __init__(self, folder: Path, **parameters: Any):
-        from parallel_cal.nodes.client import Client, Process, own_domain
+        from parallel_cal.nodes.client import Client, Process, use_private_domain
 
-        self.folder, self.namespace = folder, own_domain()
+        self.folder, self.namespace = folder, use_private_domain()
         self.model = Path(shutil.copy(MODEL, folder / "robot.yaml"))
         files = {"model_file": str(self.model), "journal_folder": str(folder / "journal")}
         self.nodes = [
@@ -344,7 +344,7 @@ def requests(n: int, folder: Path) -> Row:
         }
         asked = pair.client.ask(ComputeFK, "kinematics_node/compute_fk", **fields)
         try:
-            refused += bool(pair.client.answer(asked, "an answer", PATIENCE).message)
+            refused += bool(pair.client.await_result(asked, "an answer", PATIENCE).message)
         except ParallelCalError as error:
             sys.stderr.write(f"request: {error}\n")
             hung += 1
@@ -356,7 +356,7 @@ def traffic(n: int, folder: Path) -> Row:
     from parallel_cal_msgs.msg import CollectionStatus
 
     pair = Pair(folder)
-    status = pair.client.latest(CollectionStatus, "calibration_node/collection_status")
+    status = pair.client.subscribe_latest(CollectionStatus, "calibration_node/collection_status")
     pair.client.wait(lambda: bool(status), "a status")
     player = pair.process("replay_node", bag=str(BAG), rate=6.0, loop=True, wait_for_subscribers=4)
     begin, sizes, seen = time.monotonic(), [], []

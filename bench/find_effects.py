@@ -23,7 +23,7 @@ import virtual_findings as vf
 from findings import clean, hiding
 
 from parallel_cal.diagnosis.diagnose import Diagnosis, diagnose
-from parallel_cal.fleet.cluster import cluster, each
+from parallel_cal.fleet.cluster import cluster, run_each
 from parallel_cal.model.model import new_model
 
 SIZE, LARGE = 0.6, 1.5  # sigmas of the residual, of a single effect and of uncatalogued ones
@@ -58,7 +58,7 @@ def draw(hidden: tuple[str, ...], seed: int) -> Drawn:
 
 def _over_noise(found: Diagnosis) -> float:
     """Held-out RMS over the noise floor, the geometric mean of position and orientation."""
-    after, floor = found.best.fitted.held_out.summary, found.best.fitted.noise
+    after, floor = found.best.fitted.held_out.summary, found.best.fitted.noise_floor
     ratios = [after.rms(k) / floor.rms(k) for k in ("position", "orientation")]
     return float(np.exp(np.mean(np.log(ratios))))
 
@@ -99,7 +99,7 @@ def main() -> None:
     calls = [(hidden, seed) for _, hidden, draws in wanted for seed in range(draws)]
     found: dict[tuple[tuple[str, ...], int], Drawn] = {}
     with cluster(asked.scheduler, None) as client:
-        for k, drawn in each(client, draw, calls):
+        for k, drawn in run_each(client, draw, calls):
             found[calls[k]] = drawn
             done = [one for one in wanted if all((one[1], s) in found for s in range(one[2]))]
             for name, hidden, draws in done:

@@ -24,7 +24,7 @@ from clusters import Cluster, cluster
 
 from parallel_cal.fleet.findings import Findings
 from parallel_cal.fleet.fleet import Fleet, judge
-from parallel_cal.fleet.jobs import Asked, FleetError
+from parallel_cal.fleet.jobs import FleetError, FleetOptions
 from parallel_cal.fleet.rows import Row
 
 MEGABYTE = 1 << 20
@@ -49,7 +49,9 @@ class Watched:
             self.workers.kill(self.workers.scheduler)
 
 
-def on_cluster(listed: Path, folder: Path, asked: Asked, robots: int) -> tuple[Fleet, list[float]]:
+def on_cluster(
+    listed: Path, folder: Path, asked: FleetOptions, robots: int
+) -> tuple[Fleet, list[float]]:
     """Three workers; one is killed after a quarter, the scheduler after a half; then all again."""
     with tempfile.TemporaryDirectory() as first, cluster(first, 3, nanny=False) as workers:
         watched = Watched(workers, max(1, robots // 4))
@@ -72,7 +74,7 @@ def main(
     one: Annotated[bool, typer.Option(help="a run on one process, too")] = True,
     effect: Annotated[list[str] | None, typer.Option(help="only these; none: all")] = None,
 ) -> None:
-    asked = Asked(effects=tuple(effect or ()))
+    asked = FleetOptions(effects=tuple(effect or ()))
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         members = vf.drawn(robots)

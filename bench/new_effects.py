@@ -54,7 +54,9 @@ class Robot:
         n, joints = reading.shape
         came = np.sign(np.diff(reading, axis=0, prepend=reading[-1:]))
         warm = 20 + 4 * np.sin(np.arange(n) / 17 + seed)
-        at = vr.At(10.0 * np.arange(n), warm, np.where(np.arange(n) * 6 // n % 2, 1.2, 0.2), came)
+        at = vr.SampleConditions(
+            10.0 * np.arange(n), warm, np.where(np.arange(n) * 6 // n % 2, 1.2, 0.2), came
+        )
         gauges = [e for e in effects if isinstance(e, vs.Gauge)]
         _, r, R = vr.truth(self.twin, [e for e in effects if e not in gauges], reading, at)
         q_error, r_error, w_error = vd.errors(self.noise, n, joints, seed)

@@ -17,7 +17,7 @@ from parallel_cal_msgs.msg import JointConfiguration, Solution, SolutionSet
 from parallel_cal_msgs.srv import ComputeFK
 from timing import Row, show
 
-from parallel_cal.nodes.client import own_domain
+from parallel_cal.nodes.client import use_private_domain
 from parallel_cal.nodes.kinematics_node import KinematicsNode
 from parallel_cal.nodes.run import run
 
@@ -72,7 +72,7 @@ def measure() -> None:
 
 
 def main() -> None:
-    own_domain()
+    use_private_domain()
     parameter = f"model_file:={PRESET}"
     command = [sys.executable, __file__, "--serve", "--ros-args", "-p", parameter]
     with subprocess.Popen(command, stdin=subprocess.DEVNULL) as server:

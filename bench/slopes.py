@@ -14,7 +14,7 @@ from timing import processor_each
 sys.path.insert(0, str(Path(__file__).parents[1] / "test"))
 from datasets import measured
 
-from parallel_cal.diagnosis.catalogue import names_of
+from parallel_cal.diagnosis.catalogue import list_effects_to_test
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.identification.fit import fit
 from parallel_cal.model.model import new_model
@@ -42,7 +42,7 @@ def over_parameters(n: int) -> float:
 def over_catalogue(n: int) -> float:
     """Seconds of a diagnosis that looks for n effects on 94 samples."""
     model, data = new_model("delta54", vr.TABLE_5_12), measured(0)
-    names = names_of(model)[:n]
+    names = list_effects_to_test(model)[:n]
     return processor_each(lambda: diagnose(model, data, effects=names), least=1, repeats=2)
 
 

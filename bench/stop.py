@@ -46,7 +46,7 @@ def main() -> None:
                 stops.append(time.perf_counter() - begin)
                 client.wait(lambda v=speed: _speed(states[-1]) < v / 2, "the robot slower")
                 slower.append(time.perf_counter() - begin)
-                client.answer(result, "the end")
+                client.await_result(result, "the end")
     show(
         f"A campaign is cancelled, median of {TIMES}",
         [

@@ -15,20 +15,26 @@ import numpy as np
 
 from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.diagnosis.catalogue import Candidate, candidate
-from parallel_cal.diagnosis.patterns import mean_along
+from parallel_cal.diagnosis.patterns import compute_mean_profile
 from parallel_cal.diagnosis.scene import Scene
-from parallel_cal.diagnosis.signature import Panel, explained, follows, laid_over, signature
+from parallel_cal.diagnosis.signature import (
+    Panel,
+    compute_explained_residual,
+    compute_overlay_pattern,
+    compute_pattern_strength,
+    signature,
+)
 from parallel_cal.diagnosis.thresholds import LEVELS
 from parallel_cal.identification.fit import fit
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.effect import Effect
 from parallel_cal.model.mechanism import poses_in_workspace
 from parallel_cal.model.model import Model, new_model
-from parallel_cal.model.shelf import load_effect, load_sensor, shelf_names
+from parallel_cal.model.shelf import list_plugins, load_effect, load_sensor
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.simulate import stated_noise, with_effects
 from parallel_cal.reporting.contents import unit_along
-from parallel_cal.reporting.readable import large
+from parallel_cal.reporting.readable import value_unit
 
 DOCS = Path(__file__).parent
 ROBOTS = ("delta54", "linear_delta", "cable", "stewart42")  # the first that can have it
@@ -143,13 +149,15 @@ def bare(name: str) -> Model:
 
 def telling(one: Candidate) -> Panel:
     """The panel whose pattern follows its abscissa most."""
-    return max(signature(one).panels, key=lambda panel: follows(panel.at, panel.pattern))
+    return max(
+        signature(one).panels, key=lambda panel: compute_pattern_strength(panel.at, panel.pattern)
+    )
 
 
 def share(one: Candidate) -> float:
     assert one.scene is not None
     r = one.scene.residual
-    return float(np.sum(explained(one) ** 2) / (r @ r))
+    return float(np.sum(compute_explained_residual(one) ** 2) / (r @ r))
 
 
 def picture(one: Candidate) -> str:
@@ -160,10 +168,10 @@ def picture(one: Candidate) -> str:
     for name in effect.lookalikes[:3]:
         other = candidate(scene, name)
         if other.score is not None and other.scene is one.scene:
-            patterns.append((f"{name}: {share(other):.0%}", laid_over(panel, other)))
+            patterns.append((f"{name}: {share(other):.0%}", compute_overlay_pattern(panel, other)))
     size = 1.1 * max(float(np.quantile(abs(panel.residual), 0.98)), 2.0)
     mechanism = scene.model.mechanism
-    unit, factor = large(unit_along(mechanism, panel.abscissa))
+    unit, factor = value_unit(unit_along(mechanism, panel.abscissa))
     panels = [
         drawn(panel, pattern, factor, size, title, k * WIDTH)
         for k, (title, pattern) in enumerate(patterns)
@@ -196,7 +204,7 @@ def drawn(
 
     spread = 0.2 * spare * np.random.default_rng(0).uniform(-1, 1, len(panel.at)) * (spare > 0)
     dots = "".join(f"M{at}h0" for at in place(panel.at + spread, panel.residual))
-    mean = mean_along("", panel.at, pattern[:, None])
+    mean = compute_mean_profile("", panel.at, pattern[:, None])
     x, y = mean.at, mean.mean[:, 0]
     if len(np.unique(panel.at)) <= LEVELS:
         strokes = zip(place(x - 0.6 * spare, y), place(x + 0.6 * spare, y), strict=True)
@@ -220,7 +228,7 @@ def drawn(
 def page() -> str:
     """The page, one section an effect."""
     parts = [HEAD]
-    for name in shelf_names("effects"):
+    for name in list_plugins("effects"):
         effect = load_effect(name)
         alike = ", ".join(f"[{other}](#{other})" for other in effect.lookalikes)
         words = [effect.physics + "\n", f"- Lookalikes: {alike or 'none'}."]
@@ -235,7 +243,7 @@ def page() -> str:
 
 def main(only: list[str]) -> None:
     (DOCS / "gallery").mkdir(exist_ok=True)
-    for name in only or shelf_names("effects"):
+    for name in only or list_plugins("effects"):
         text = picture(found(load_effect(name)))
         (DOCS / "gallery" / f"{name}.svg").write_text(text, encoding="utf-8")
     (DOCS / "gallery.md").write_text(page(), encoding="utf-8")

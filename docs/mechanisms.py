@@ -12,8 +12,8 @@ import numpy as np
 
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.model import Model, new_model
-from parallel_cal.model.shelf import load_mechanism, shelf_names
-from parallel_cal.reporting.drawings import Drawn, flat, labelled, lines
+from parallel_cal.model.shelf import list_plugins, load_mechanism
+from parallel_cal.reporting.drawings import DrawnLine, flat, lines, select_labelled
 
 DOCS = Path(__file__).parent
 LINKS = ({"joint": "R", "axes": "parallel", "a": 0.3}, {"joint": "R", "a": 0.2})
@@ -43,7 +43,7 @@ this page.
 """
 
 
-def view(parts: list[Drawn]) -> np.ndarray:
+def view(parts: list[DrawnLine]) -> np.ndarray:
     """Rows (2, 3) that turn {B} into the picture's right and up."""
     if flat(parts):
         return np.eye(3)[:2]
@@ -71,7 +71,7 @@ def picture(model: Model) -> str:
         for part in parts
     ]
     taken: list[tuple[float, float]] = []
-    for part in labelled(parts):
+    for part in select_labelled(parts):
         x, y = on_paper(part.middle[None])[0]
         half = 3.1 * len(part.label)
         x = float(np.clip(x, half + 4, WIDTH - half - 4))
@@ -93,7 +93,7 @@ def what(mechanism: Mechanism) -> str:
 def page() -> str:
     """The page, one picture a mechanism."""
     parts = [HEAD]
-    for name in shelf_names("mechanisms"):
+    for name in list_plugins("mechanisms"):
         mechanism = load_mechanism(name, **OPTIONS.get(name, {}))
         words = f"{what(mechanism)} {len(mechanism.parameters)} parameters."
         parts.append(f"## {name}\n\n{words}\n\n![{name}](mechanisms/{name}.svg)\n")
@@ -102,7 +102,7 @@ def page() -> str:
 
 def main() -> None:
     (DOCS / "mechanisms").mkdir(exist_ok=True)
-    for name in shelf_names("mechanisms"):
+    for name in list_plugins("mechanisms"):
         model = new_model(load_mechanism(name, **OPTIONS.get(name, {})))
         (DOCS / "mechanisms" / f"{name}.svg").write_text(picture(model), encoding="utf-8")
     (DOCS / "mechanisms.md").write_text(page(), encoding="utf-8")

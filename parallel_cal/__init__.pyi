@@ -24,7 +24,7 @@ from .diagnosis.comparison import Comparison as Comparison
 from .diagnosis.comparison import compare as compare
 from .diagnosis.diagnose import Diagnosis as Diagnosis
 from .diagnosis.diagnose import diagnose as diagnose
-from .exporting.export import Exported as Exported
+from .exporting.export import ExportResult as ExportResult
 from .exporting.export import export as export
 from .identification.fit import FitResult as FitResult
 from .identification.fit import fit as fit

@@ -42,7 +42,7 @@ def orientations():
     rng, noise = np.random.default_rng(0), vr.Noise(5e-5, 5e-6, 3e-4)
     robot, home = va.Argos(va.spherical(va.TABLE_5_22)), va.Argos.home_turn
     q = np.radians(rng.uniform(-30, 30, (40, 3)))
-    R = np.array([robot.turned(row, home) for row in q])
+    R = np.array([robot.orientation_at_origin(row, home) for row in q])
     dq, _, w = noise.draw(rng, len(q))
     return Dataset.from_arrays(
         JOINTS, q + dq, np.zeros((40, 3)), vr.turn(w) @ R,

@@ -19,7 +19,7 @@ from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.prediction_errors import Errors
 from parallel_cal.model.file.modelfile import read_model, write_model
 from parallel_cal.model.model import new_model
-from parallel_cal.session.goals import Request, proposed, written
+from parallel_cal.session.goals import Request, propose_model, write_proposal
 from parallel_cal.session.steps import add, fitted
 from parallel_cal.virtual import robot as vr
 
@@ -49,7 +49,7 @@ def answer(clean, identified, tmp_path):
         output = tmp_path / f"{face}.yaml"
         if face == "node":
             request = Request(str(model), str(output), FitOptions(hold_out=hold_out), force, effect)
-            outcome = written(request, proposed(request, clean))
+            outcome = write_proposal(request, propose_model(request, clean))
             return outcome.success, outcome.message, output
         words = ["add", model, effect] if effect else ["fit", model]
         words += [samples, "-o", output, "--hold-out", hold_out, *(["--force"] if force else [])]
@@ -77,7 +77,7 @@ def test_a_fall_that_all_poses_share_is_accepted_and_named(identified):
     found = acceptance(by_hand(identified, before=[4e-5], after=[3e-5]))
     assert found.judged
     assert not found.against
-    assert found.errors == "error at poses left out 40 to 30 um"
+    assert found.description == "error at poses left out 40 to 30 um"
 
 
 def test_a_rise_is_refused_with_its_factor(identified):
@@ -136,7 +136,7 @@ def test_where_no_pose_was_left_out_nothing_is_proven_and_only_force_writes(face
 def test_all_three_faces_say_the_same_of_an_effect_that_is_not_there(clean, identified, answer):
     search = Search(identified.model, lambda model, insist: fit(model, clean), lambda *_: None)
     base = search.fit()
-    _, against = search.accepts(base, candidate(base.scene, "encoder_gain"))
+    _, against = search.try_adding(base, candidate(base.scene, "encoder_gain"))
     told = against.replace("fall (", "fall with 'encoder_gain' (")
     assert "does not fall" in told
     for face in FACES:
@@ -158,7 +158,7 @@ def test_an_effect_that_is_there_is_taken_by_all_three(tmp_path):
     data.to_json(samples)
     assert diagnose(start, data, effects=["backlash"]).effects == ("backlash",)
     request = Request(str(model), str(tmp_path / "node.yaml"), effect="backlash")
-    assert written(request, proposed(request, data)).success
+    assert write_proposal(request, propose_model(request, data)).success
     words = ["add", str(model), "backlash", str(samples), "-o", str(tmp_path / "line.yaml")]
     assert CliRunner().invoke(application(words), words).exit_code == 0
     nothing = diagnose(start, data, effects=["backlash"], hold_out=0)

@@ -29,7 +29,7 @@ from parallel_cal.campaign.campaign import FILE
 from parallel_cal.cli.calibrating import calibrate
 from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.nodes.calibrate import Calibration
-from parallel_cal.nodes.client import Client, NodeError, own_domain
+from parallel_cal.nodes.client import Client, NodeError, use_private_domain
 
 ABORTED, CANCELED = 6, 5
 
@@ -38,14 +38,16 @@ class Desk:
     """A virtual cell and calibration_node, and a client of both."""
 
     def __init__(self, folder, **cell):
-        self.folder, self.namespace = folder, own_domain()
+        self.folder, self.namespace = folder, use_private_domain()
         self.file = folder / "robot.yaml"
         self.given = {"robot": "delta", "seed": 2, "rate": 4.0, "model_file": str(self.file)} | cell
         self.cell = self.robot()
         self.client = Client("tester", self.namespace, [])
         self.client.wait(self.file.exists, "the nominal model")
         self.node = self.start()
-        self.status = self.client.latest(CalibrationStatus, "calibration_node/session_status")
+        self.status = self.client.subscribe_latest(
+            CalibrationStatus, "calibration_node/session_status"
+        )
 
     def robot(self):
         return NodeProcess("virtual_cell_node", self.folder, self.namespace, **self.given)
@@ -202,11 +204,11 @@ def test_killed_it_goes_on_with_the_samples_that_it_had(desk):
     desk.client.close()
     desk.client = Client("again", desk.namespace, [])
     desk.node = desk.start()
-    desk.status = desk.client.latest(CalibrationStatus, "calibration_node/session_status")
+    desk.status = desk.client.subscribe_latest(CalibrationStatus, "calibration_node/session_status")
     handle, result = desk.goal()
     desk.wait_for(len(before) + 2)
-    desk.client.answer(handle.cancel_goal_async(), "the cancelling")
-    desk.client.answer(result, "the result")
+    desk.client.await_result(handle.cancel_goal_async(), "the cancelling")
+    desk.client.await_result(result, "the result")
     after = desk.measured()
     assert after[: len(before)] == before
     assert len(set(after)) == len(after)

@@ -50,8 +50,8 @@ from parallel_cal.model.file.modelfile import model_hash, read_model, write_mode
 from parallel_cal.model.model import Noise, new_model
 from parallel_cal.model.shelf import load_sensor
 from parallel_cal.nodes import client as node_client
-from parallel_cal.nodes.client import Client, Process, own_domain
-from parallel_cal.nodes.jobs import OneAtATime
+from parallel_cal.nodes.client import Client, Process, use_private_domain
+from parallel_cal.nodes.jobs import WorkSlot
 from parallel_cal.nodes.recorder import Recorder
 from parallel_cal.recordings.bag import list_topics, read_bag
 from parallel_cal.recordings.loading import load_dataset
@@ -76,7 +76,7 @@ class Robot:
     """Both nodes on a copy of the preset, and a client of theirs."""
 
     def __init__(self, folder):
-        self.folder, self.namespace = folder, own_domain()
+        self.folder, self.namespace = folder, use_private_domain()
         self.model_file = folder / "robot.yaml"
         self.processes = []
         shutil.copy(PRESET, self.model_file)
@@ -85,11 +85,13 @@ class Robot:
             self.start(node, **files)
         self.client = Client("tester", self.namespace, self.processes)
         self.latched = {
-            "status": self.client.latest(CollectionStatus, "calibration_node/collection_status"),
-            "dropped": self.client.latest(String, "calibration_node/dropped"),
-            "result": self.client.latest(String, "calibration_node/result"),
-            "residuals": self.client.latest(MarkerArray, "calibration_node/residuals"),
-            "model": self.client.latest(ModelStatus, "kinematics_node/model_status"),
+            "status": self.client.subscribe_latest(
+                CollectionStatus, "calibration_node/collection_status"
+            ),
+            "dropped": self.client.subscribe_latest(String, "calibration_node/dropped"),
+            "result": self.client.subscribe_latest(String, "calibration_node/result"),
+            "residuals": self.client.subscribe_latest(MarkerArray, "calibration_node/residuals"),
+            "model": self.client.subscribe_latest(ModelStatus, "kinematics_node/model_status"),
         }
 
     def start(self, node, **parameters):
@@ -110,7 +112,7 @@ class Robot:
     def play(self, bag, rate=20.0):
         """Replay a bag and wait until all of it has been looked at."""
         already, expected = received(self.status), sum(counts(bag))
-        listeners = self.client.listeners(topic.name for topic in list_topics(bag)[0])
+        listeners = self.client.count_subscribers(topic.name for topic in list_topics(bag)[0])
         player = self.start("replay_node", bag=str(bag), rate=rate, wait_for_subscribers=listeners)
         self.client.wait(lambda: received(self.status) >= already + expected, "the bag", 120)
         self.client.wait(lambda: player.status is not None, "the end of the replay")
@@ -122,7 +124,7 @@ class Robot:
         return handle
 
     def outcome(self, handle):
-        return self.client.answer(handle.get_result_async(), "the result")
+        return self.client.await_result(handle.get_result_async(), "the result")
 
     def identified(self, **goal):
         answer = self.outcome(self.identify(**goal))
@@ -375,7 +377,7 @@ def test_undo_is_about_whichever_of_its_model_files_replaced_another(robot, tmp_
     before = model.read_bytes()
     older = b"# old\n" + before
     (tmp_path / "m.yaml.previous").write_bytes(older)
-    namespace = own_domain() + "_undo"
+    namespace = use_private_domain() + "_undo"
     files = {"model_file": str(model), "output_file": str(tmp_path / "never.yaml")}
     node = Process("calibration_node", tmp_path, namespace, journal=False, **files)
     client = Client("tester", namespace, [node])
@@ -407,7 +409,7 @@ def test_a_user_s_own_method_that_never_returns_ends_when_its_goal_is_cancelled(
     begun = tmp_path / "mine" / "begun"
     monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
     shutil.copy(PRESET, tmp_path / "m.yaml")
-    namespace = own_domain() + "_endless"
+    namespace = use_private_domain() + "_endless"
     node = Process(
         "calibration_node", tmp_path, namespace, journal=False, allow_foreign_modules=True,
         model_file=str(tmp_path / "m.yaml"), allowed_folders=f"{tmp_path}:{collected.folder}",
@@ -418,10 +420,10 @@ def test_a_user_s_own_method_that_never_returns_ends_when_its_goal_is_cancelled(
     identify = "calibration_node/identify"
     handle = client.send_goal(Identify, identify, heard.append, method="mine.endless")
     client.wait(begun.exists, "its beginning")
-    client.answer(handle.cancel_goal_async(), "the cancel")
-    assert client.answer(handle.get_result_async(), "the end").status == CANCELED
+    client.await_result(handle.cancel_goal_async(), "the cancel")
+    assert client.await_result(handle.get_result_async(), "the end").status == CANCELED
     again = client.send_goal(Identify, identify, heard.append)
-    assert client.answer(again.get_result_async(), "the result").result.success
+    assert client.await_result(again.get_result_async(), "the result").result.success
     begun.unlink()
     client.send_goal(Identify, identify, heard.append, method="mine.endless")
     client.wait(begun.exists, "its beginning")
@@ -517,7 +519,11 @@ def test_after_a_cancelled_goal_the_next_one_is_served(full):
 
 @mock.patch.dict(os.environ)
 def test_a_node_stopped_in_the_middle_of_an_identification_ends_cleanly(full, many, tmp_path):
-    namespace, model, heard = own_domain() + "_stopped", full.fresh_model("stopped.yaml"), []
+    namespace, model, heard = (
+        use_private_domain() + "_stopped",
+        full.fresh_model("stopped.yaml"),
+        [],
+    )
     before = Path(model).read_bytes()
     node = Process("calibration_node", tmp_path, namespace, model_file=model)
     client = Client("tester", namespace, [node])
@@ -531,10 +537,10 @@ def test_a_node_stopped_in_the_middle_of_an_identification_ends_cleanly(full, ma
 
 
 def test_a_goal_that_rclpy_dropped_does_not_keep_the_next_one_out():
-    one = OneAtATime(None)
+    one = WorkSlot(None)
     one.begin("the first", promised=True)
     one.begin("the second", promised=True)
-    one.kept()
+    one.confirm()
     with pytest.raises(ParallelCalError, match="the second"):
         one.begin("the third")
 
@@ -588,13 +594,13 @@ def test_diagnostics_tell_of_the_samples_and_of_every_stream(full):
 
 def played(tmp_path, bag, by):
     """A node that a bag was played to, then ended by a signal; its journals are in `j`."""
-    namespace, processes = own_domain() + "_journal", []
+    namespace, processes = use_private_domain() + "_journal", []
     node = Process("calibration_node", tmp_path, namespace, journal_folder=str(tmp_path / "j"))
     processes.append(node)
     client = Client("tester", namespace, processes)
-    status = client.latest(CollectionStatus, "calibration_node/collection_status")
+    status = client.subscribe_latest(CollectionStatus, "calibration_node/collection_status")
     client.wait(lambda: bool(status), "a status")
-    listeners = client.listeners(topic.name for topic in list_topics(bag)[0])
+    listeners = client.count_subscribers(topic.name for topic in list_topics(bag)[0])
     replay = {"bag": str(bag), "rate": 50.0, "wait_for_subscribers": listeners}
     processes.append(Process("replay_node", tmp_path, namespace, **replay))
     client.wait(lambda: received(status[0]) >= sum(counts(bag)), "the bag", 120)
@@ -617,7 +623,7 @@ def test_samples_outlive_their_node_however_it_ends_until_they_are_saved(tmp_pat
         files = {"journal_folder": folder, "allowed_folders": str(tmp_path)}
         node = Process("calibration_node", tmp_path, namespace, **files)
         client = Client("tester", namespace, [node])
-        status = client.latest(CollectionStatus, "calibration_node/collection_status")
+        status = client.subscribe_latest(CollectionStatus, "calibration_node/collection_status")
         client.wait(lambda s=status: bool(s), "a status")
         assert status[0].samples == expected
         if expected:
@@ -649,11 +655,11 @@ def test_a_raw_recording_is_a_bag_of_the_messages_as_they_came(tmp_path):
 
 @mock.patch.dict(os.environ)
 def test_a_node_that_is_stopped_while_it_records_ends_as_well_as_any(tmp_path):
-    namespace, folder = own_domain() + "_recording", str(tmp_path / "j")
+    namespace, folder = use_private_domain() + "_recording", str(tmp_path / "j")
     parameters = {"journal_folder": folder, "record": True}
     node = NodeProcess("calibration_node", tmp_path, namespace, **parameters)
     client = Client("tester", namespace, [node])
-    status = client.latest(CollectionStatus, "calibration_node/collection_status")
+    status = client.subscribe_latest(CollectionStatus, "calibration_node/collection_status")
     client.wait(lambda: bool(status) and "recording to" in status[0].last_event, "a recording")
     client.close()
     assert node.end(signal.SIGTERM) == 0
@@ -664,12 +670,12 @@ def test_a_node_that_is_stopped_while_it_records_ends_as_well_as_any(tmp_path):
 @pytest.mark.wide
 @mock.patch.dict(os.environ)
 def test_without_auto_collect_samples_are_taken_by_hand(tmp_path):
-    namespace, processes = own_domain() + "_manual", []
+    namespace, processes = use_private_domain() + "_manual", []
     processes.append(Process("calibration_node", tmp_path, namespace, auto_collect=False))
     client = Client("tester", namespace, processes)
-    status = client.latest(CollectionStatus, "calibration_node/collection_status")
+    status = client.subscribe_latest(CollectionStatus, "calibration_node/collection_status")
     client.wait(lambda: bool(status), "a status")
-    listeners = client.listeners(topic.name for topic in list_topics(CLEAN)[0])
+    listeners = client.count_subscribers(topic.name for topic in list_topics(CLEAN)[0])
     replay = {"bag": str(CLEAN), "rate": 50.0, "wait_for_subscribers": listeners}
     processes.append(Process("replay_node", tmp_path, namespace, **replay))
     client.wait(lambda: received(status[0]) >= sum(counts(CLEAN)), "the bag", 120)
@@ -693,7 +699,7 @@ def test_without_auto_collect_samples_are_taken_by_hand(tmp_path):
 )
 @mock.patch.dict(os.environ)
 def test_a_parameter_that_is_not_allowed_is_one_clear_line(tmp_path, name, value, expected):
-    node = NodeProcess("calibration_node", tmp_path, own_domain() + "_bad", **{name: value})
+    node = NodeProcess("calibration_node", tmp_path, use_private_domain() + "_bad", **{name: value})
     assert node.ended() == 1
     assert node.said.startswith(f"error: parameter {name}: expected {expected}: ")
     assert node.said.count("\n") == 1
@@ -718,14 +724,14 @@ def test_with_a_clock_that_stands_still_a_topic_of_another_type_is_told_and_path
 ):
     os.environ["HOME"] = str(tmp_path)
     shutil.copy(PRESET, tmp_path / "robot.yaml")
-    namespace = own_domain() + "_still"
+    namespace = use_private_domain() + "_still"
     allowed = f"~:{REPOSITORY}"
     parameters = {
         "model_file": "~/robot.yaml", "use_sim_time": True, "allowed_folders": allowed
     }  # fmt: skip
     node = Process("calibration_node", tmp_path, namespace, **parameters)
     client = Client("tester", namespace, [node])
-    status = client.latest(CollectionStatus, "calibration_node/collection_status")
+    status = client.subscribe_latest(CollectionStatus, "calibration_node/collection_status")
     client._node.create_publisher(PoseStamped, "measured_pose", 10)
     told = "measured_pose is published as geometry_msgs/msg/PoseStamped, expected"
     client.wait(lambda: bool(status) and told in status[0].last_event, "the other type")
@@ -754,12 +760,12 @@ def test_a_constraint_session_gives_the_samples_of_its_bag_and_calibrates_the_ro
     model_file, saved = tmp_path / "plate.yaml", tmp_path / "samples.json"
     model = new_model("delta24", sensors=[sensor])
     write_model(dataclasses.replace(model, noise=Noise(joint=ts.PLATE.joint)), model_file)
-    namespace, processes = own_domain() + "_tied", []
+    namespace, processes = use_private_domain() + "_tied", []
     processes.append(Process("calibration_node", tmp_path, namespace, model_file=str(model_file)))
     client = Client("tester", namespace, processes)
-    status = client.latest(CollectionStatus, "calibration_node/collection_status")
+    status = client.subscribe_latest(CollectionStatus, "calibration_node/collection_status")
     client.wait(lambda: bool(status), "a status")
-    listeners = client.listeners(topic.name for topic in list_topics(bag)[0])
+    listeners = client.count_subscribers(topic.name for topic in list_topics(bag)[0])
     processes.append(Process("replay_node", tmp_path, namespace, bag=str(bag), rate=20.0,
                              wait_for_subscribers=listeners))  # fmt: skip
     joints = next(t.count for t in list_topics(bag)[0] if t.name.endswith("joint_states"))
@@ -768,7 +774,7 @@ def test_a_constraint_session_gives_the_samples_of_its_bag_and_calibrates_the_ro
     assert client.call(SaveSamples, "calibration_node/save_samples", path=str(saved)).samples == 60
     goal = {"hold_out": 0.25, "method": "implicit"}
     handle = client.send_goal(Identify, "calibration_node/identify", lambda feedback: None, **goal)
-    result = client.answer(handle.get_result_async(), "the result").result
+    result = client.await_result(handle.get_result_async(), "the result").result
     client.close()
     assert processes[0].end() == 0
     live, offline = load_dataset(saved), load_dataset(bag)

@@ -17,13 +17,19 @@ from parallel_cal.campaign.campaign import (
     CampaignError,
     Goal,
     Outcome,
-    unfinished,
-    write_better,
+    find_unfinished,
+    write_improved_model,
 )
 from parallel_cal.campaign.cell import CellError, Control, Sample
 from parallel_cal.campaign.checking import Checker
-from parallel_cal.campaign.judging import Conclusion, Judgement, Question, concluded
-from parallel_cal.campaign.targets import Target, ends, first_targets, rarer, spread
+from parallel_cal.campaign.judging import Conclusion, Judgement, JudgementRequest, conclude
+from parallel_cal.campaign.targets import (
+    Target,
+    first_targets,
+    get_condition_range,
+    select_rarer,
+    select_spread_out,
+)
 from parallel_cal.campaign.way import Guard
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.file.modelfile import dump_model, parse_model, read_model
@@ -118,7 +124,7 @@ def test_a_robot_that_rests_where_it_was_sent_may_be_read_a_little_inside(tmp_pa
 
 def test_places_are_spread_from_the_middle_to_the_corners():
     places = np.array([[x, y] for x in range(5) for y in range(5)], float)
-    chosen = {tuple(places[i]) for i in spread(places, 5)}
+    chosen = {tuple(places[i]) for i in select_spread_out(places, 5)}
     assert chosen == {(2, 2), (0, 0), (4, 4), (0, 4), (4, 0)}
 
 
@@ -134,7 +140,7 @@ def test_the_first_poses_are_of_three_kinds_and_may_all_be_gone_to():
     assert len(again) == 4
     assert len(fitted) - len(again) == max(12, -(-2 * free // 6))
     for target in targets:
-        assert guard.allowed(np.array([target.joints, *target.via])).all()
+        assert guard.is_allowed(np.array([target.joints, *target.via])).all()
     for target in again:
         first = next(t for t in fitted if t.joints == target.joints and t is not target)
         assert first.via == target.via[::-1]
@@ -146,10 +152,10 @@ def test_the_first_poses_are_of_three_kinds_and_may_all_be_gone_to():
 
 def test_a_condition_is_brought_to_the_end_at_which_less_was_measured():
     air = np.array([22.0, 22.5, 21.9, 25.8])
-    low, high = ends(air, 4.0)
+    low, high = get_condition_range(air, 4.0)
     assert (low, high) == (21.9, 25.9)
-    assert rarer(air, (low, high)) == high
-    assert rarer(np.array([0.0, 1.0, 1.0]), (0.0, 1.0)) == 0.0
+    assert select_rarer(air, (low, high)) == high
+    assert select_rarer(np.array([0.0, 1.0, 1.0]), (0.0, 1.0)) == 0.0
 
 
 # ------------------------------------------------------------------ what it finds
@@ -166,17 +172,17 @@ def judgement(**change):
 
 def test_it_ends_when_eight_more_poses_have_changed_nothing():
     before = judgement(samples=24)
-    assert not before.settles(None)
-    assert judgement().settles(before)
-    assert not judgement(verdict="partly_explained").settles(before)
-    assert not judgement(effects=("hysteresis",)).settles(before)
+    assert not before.is_final(None)
+    assert judgement().is_final(before)
+    assert not judgement(verdict="partly_explained").is_final(before)
+    assert not judgement(effects=("hysteresis",)).is_final(before)
     heavier = (Target((0.5, 0.5, 0.5), conditions={"payload": 1.0}),)
-    assert not judgement(targets=heavier).settles(before)
+    assert not judgement(targets=heavier).is_final(before)
 
 
 def test_it_goes_on_while_an_effect_is_suspected():
     suspecting = judgement(suspected=("thermal_expansion",))
-    assert not suspecting.settles(suspecting)
+    assert not suspecting.is_final(suspecting)
 
 
 def test_it_ends_in_doubt_where_no_poses_tell_and_whichever_name_comes_first():
@@ -185,8 +191,8 @@ def test_it_ends_in_doubt_where_no_poses_tell_and_whichever_name_comes_first():
         judgement(effects=(name,), doubt=(rival,), untold=pair)
         for name, rival in (pair, pair[::-1])
     )
-    assert one.settles(other)
-    assert not judgement(effects=pair[:1], doubt=pair[1:]).settles(one)
+    assert one.is_final(other)
+    assert not judgement(effects=pair[:1], doubt=pair[1:]).is_final(one)
 
 
 @pytest.fixture(scope="module")
@@ -217,7 +223,7 @@ def test_the_written_model_is_as_good_as_the_noise_where_nothing_was_measured(ca
     _one, outcome, cell, _ = calibrated
     file = tmp_path / "robot.yaml"
     file.write_text(TEXT)
-    written = write_better(outcome, str(file))
+    written = write_improved_model(outcome, str(file))
     assert written.path == str(file)
     assert (tmp_path / "robot.yaml.previous").read_text() == TEXT
     rng, off = np.random.default_rng(5), {}
@@ -283,9 +289,9 @@ def test_load_and_warmth_are_looked_at_one_at_a_time_by_the_same_eight_poses(tmp
 
 def test_what_was_found_is_not_written_where_the_error_at_unseen_poses_has_risen(tmp_path):
     """A frame softer than any that is known was taken for arms that give and a bumped tracker."""
-    early = replace(quick(Question("early"), [None] * 24, None), unseen={"position": 20e-6})
+    early = replace(quick(JudgementRequest("early"), [None] * 24, None), unseen={"position": 20e-6})
     late = replace(early, samples=80, unseen={"position": 44e-6}, text="late")
-    found = concluded(tmp_path, [early, late])
+    found = conclude(tmp_path, [early, late])
     assert found.text == "early"
     assert "the model is that of 24 poses" in found.words
     assert "rise 2.2 times" in found.words
@@ -653,7 +659,7 @@ def test_a_campaign_does_not_replace_a_model_file_by_one_that_cannot_be_read(tmp
     path.write_text(TEXT)
     outcome = Outcome(True, "done", text=SLIP.read_text())
     with pytest.raises(ModelFileError, match=r"robot\.yaml \(not written\).*leg1\.lag\.value"):
-        write_better(outcome, str(path))
+        write_improved_model(outcome, str(path))
     assert path.read_text() == TEXT
     assert [*tmp_path.iterdir()] == [path]
 
@@ -662,11 +668,11 @@ def test_a_folder_is_of_one_campaign_at_a_time_and_of_one_model(tmp_path):
     one = campaign(tmp_path / "a", SimulatedCell(), Goal(poses=20))
     with pytest.raises(CampaignError, match="another process is at this campaign"):
         campaign(tmp_path / "a", SimulatedCell(), Goal(poses=20))
-    assert unfinished(tmp_path, TEXT) == tmp_path / "a"
+    assert find_unfinished(tmp_path, TEXT) == tmp_path / "a"
     other = dump_model(DELTA.with_effect("backlash"))
-    assert unfinished(tmp_path, other) is None
+    assert find_unfinished(tmp_path, other) is None
     one.run()
     one.close()
-    assert unfinished(tmp_path, TEXT) is None
+    assert find_unfinished(tmp_path, TEXT) is None
     with pytest.raises(CampaignError, match="another model"):
         Campaign(tmp_path / "a", other, Goal(), SimulatedCell())

@@ -81,7 +81,7 @@ def until_rest(desk):
 
 def home(desk):
     """A person brings the robot back: whatever went wrong may have led it anywhere."""
-    joints = list(map(float, MACHINES["delta"].as_drawn().home_joints))
+    joints = list(map(float, MACHINES["delta"].make_nominal().home_joints))
     point = JointTrajectoryPoint(positions=joints, time_from_start=Duration(sec=3))
     names = list(MACHINES["delta"].joints)
     desk.hand.publish(JointTrajectory(joint_names=names, points=[point]))
@@ -122,7 +122,7 @@ def test_what_goes_wrong_stops_the_robot_and_is_told(desk, fault):
 def test_all_that_was_sent_keeps_limits_workspace_and_boxes(desk):
     """Runs last of this module: judged by the robot as drawn, which shares no code."""
     machine = MACHINES["delta"]
-    robot, limits = machine.as_drawn(), machine.limits
+    robot, limits = machine.make_nominal(), machine.limits
     assert len(desk.driven) > len(FAULTS)
     for message in desk.driven:
         q = np.array([point.positions for point in message.points])
@@ -143,7 +143,7 @@ def test_stamps_that_go_back_are_no_robot_that_never_rests():
     def hear():
         state = JointState(name=list(model.joints), position=[0.0] * 3)
         state.header.stamp = Time(sec=next(stamps))
-        cell.hear(state)
+        cell.on_joint_state(state)
 
     cell = RobotCell(mock.Mock(), model, mock.Mock(), 0.3, Inflow())
     hear()
@@ -155,7 +155,7 @@ def test_stamps_that_go_back_are_no_robot_that_never_rests():
 def test_a_robot_with_other_joints_is_named(monkeypatch):
     monkeypatch.setattr(robot_cell, "FOUND", 0.0)
     cell = RobotCell(mock.Mock(), model_of("stewart"), mock.Mock(), 0.3, Inflow())
-    cell.hear(JointState(name=["joint1", "joint2", "joint3"], position=[0.0] * 3))
+    cell.on_joint_state(JointState(name=["joint1", "joint2", "joint3"], position=[0.0] * 3))
     words = "joint_states name joint1, joint2, joint3, the model has leg1, leg2"
     with pytest.raises(CellError, match=words):
         cell.joints()
@@ -178,7 +178,7 @@ class Killed(Desk):
     def begin(self):
         self.client.close()
         self.client = Client("again", self.namespace, [])
-        self.client.wait(lambda: self.client.listeners(["joint_trajectory"]), "the cell")
+        self.client.wait(lambda: self.client.count_subscribers(["joint_trajectory"]), "the cell")
         endless = {"enough": 1e-9, "poses": 500}  # else it knows all before it is killed
         handle = self.client.send_goal(
             Calibrate, "calibration_node/calibrate", lambda news: None, **endless

@@ -7,8 +7,8 @@ import pytest
 
 from parallel_cal.base.errors import ModelFileError
 from parallel_cal.campaign.targets import first_targets
-from parallel_cal.campaign.trajectory import rates, through, trapezoid
-from parallel_cal.campaign.way import Guard, WayError
+from parallel_cal.campaign.trajectory import plan_trajectory, rates, trapezoid
+from parallel_cal.campaign.way import Guard, PathError
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.file.modelfile import dump_model, parse_model, read_model
 from parallel_cal.model.mechanism import Box, Workspace
@@ -75,7 +75,7 @@ def test_positions_follow_from_the_velocities_and_no_limit_is_passed():
 
 def test_the_robot_rests_at_every_stop_and_times_go_on():
     stops = [np.zeros(3), np.full(3, 0.2), np.full(3, 0.1)]
-    motion = through(stops, DELTA.mechanism)
+    motion = plan_trajectory(stops, DELTA.mechanism)
     assert (np.diff(motion.time) > 0).all()
     rests = np.flatnonzero(np.abs(motion.velocities).max(axis=1) < 1e-12)
     assert motion.positions[rests] == pytest.approx(np.repeat(stops[1:], 2, axis=0))
@@ -99,51 +99,51 @@ def test_velocities_are_the_model_files_or_a_quarter_of_the_range_a_second():
 
 def test_a_way_between_two_poses_of_the_workspace_is_one_line():
     a, b = joints_at(0.05, 0, 0.2), joints_at(-0.05, 0.05, 0.16)
-    assert [stop.tolist() for stop in Guard.of(DELTA).way(a, [b])] == [a.tolist(), b.tolist()]
+    assert [stop.tolist() for stop in Guard.of(DELTA).plan_path(a, [b])] == [a.tolist(), b.tolist()]
 
 
 def test_a_joint_does_not_end_after_a_way_that_its_play_swallows():
     guard, here = Guard.of(DELTA), joints_at(0.0, 0.0, 0.2)
     least = 3e-3
     there = here + [0.1, -least / 5, 0.0]
-    away, last = guard.drawn_out(here, [there])
+    away, last = guard.lengthen_approach(here, [there])
     assert (last == there).all()
     assert away == pytest.approx([here[0], there[1] + least, here[2]])
-    assert guard.drawn_out(here, [here + 0.1]) == [pytest.approx(here + 0.1)]
+    assert guard.lengthen_approach(here, [here + 0.1]) == [pytest.approx(here + 0.1)]
 
 
 def test_where_the_model_knows_its_play_a_way_is_a_quarter_longer_than_that():
     known = DELTA.with_effect("backlash")
     values = known.table.vector(known.table.mapping(known.values) | {"backlash.joint2.width": 1e-3})
     guard, here = Guard.of(known.with_values(values)), joints_at(0.0, 0.0, 0.2)
-    away, _ = guard.drawn_out(here, [here + [0.1, -1e-4, 1e-4]])
+    away, _ = guard.lengthen_approach(here, [here + [0.1, -1e-4, 1e-4]])
     assert away == pytest.approx(here + [0.0, 1.25e-3 - 1e-4, 1e-4 - 3e-3], abs=1e-9)
 
 
 def test_a_reach_of_two_workspaces_is_as_far_again_from_their_middle():
     beyond = np.array([joints_at(0.0, 0.075, 0.2), joints_at(0.0, 0.125, 0.2)])
-    assert Guard.of(DELTA).allowed(beyond).tolist() == [False, False]
-    assert Guard.of(DELTA, reach=2.0).allowed(beyond).tolist() == [True, False]
+    assert Guard.of(DELTA).is_allowed(beyond).tolist() == [False, False]
+    assert Guard.of(DELTA, reach=2.0).is_allowed(beyond).tolist() == [True, False]
 
 
 def test_no_way_leads_to_joints_outside_their_limits():
     low, high = DELTA.mechanism.joint_limits[0]
     beyond = joints_at(0, 0, 0.2) + np.array([high, 0, 0])
-    with pytest.raises(WayError, match=r"reach|limits|workspace|singularity"):
-        Guard.of(DELTA).way(joints_at(0, 0, 0.2), [beyond])
+    with pytest.raises(PathError, match=r"reach|limits|workspace|singularity"):
+        Guard.of(DELTA).plan_path(joints_at(0, 0, 0.2), [beyond])
     narrow = parse_model(dump_model(DELTA))
     narrow.mechanism.joint_limits = ((low, 0.6),) * 3
-    with pytest.raises(WayError, match="outside the joint limits"):
-        Guard.of(narrow).way(joints_at(0, 0, 0.2), [joints_at(0, 0, 0.255)])
+    with pytest.raises(PathError, match="outside the joint limits"):
+        Guard.of(narrow).plan_path(joints_at(0, 0, 0.2), [joints_at(0, 0, 0.255)])
 
 
 def test_no_way_leads_out_of_the_workspace_or_out_of_reach():
     here = joints_at(0, 0, 0.2)
-    with pytest.raises(WayError, match="outside the workspace"):
-        Guard.of(DELTA).way(here, [joints_at(0.075, 0, 0.2)])
+    with pytest.raises(PathError, match="outside the workspace"):
+        Guard.of(DELTA).plan_path(here, [joints_at(0.075, 0, 0.2)])
     # Arms that hang 90 degrees apart cannot carry one platform.
-    with pytest.raises(WayError, match=r"reach|singularity|workspace"):
-        Guard.of(DELTA).way(here, [np.array([-0.5, 2.0, 2.0])])
+    with pytest.raises(PathError, match=r"reach|singularity|workspace"):
+        Guard.of(DELTA).plan_path(here, [np.array([-0.5, 2.0, 2.0])])
 
 
 def test_no_way_leads_near_a_singularity_or_beyond_it():
@@ -152,12 +152,12 @@ def test_no_way_leads_near_a_singularity_or_beyond_it():
     model.mechanism.workspace = Workspace((-10.0,), (10.0,))
     model.mechanism.joint_limits = ((-10.0, 10.0),)
     guard, home = Guard.of(model), np.array(model.mechanism.home.joints)
-    guard.way(home, [home - 0.4])
-    with pytest.raises(WayError, match="too near a singularity"):
-        guard.way(home, [home - 0.7])
-    assert guard.trouble(home[None] - 3.2) is None
-    with pytest.raises(WayError, match="too near a singularity"):
-        guard.way(home, [home - 3.2])
+    guard.plan_path(home, [home - 0.4])
+    with pytest.raises(PathError, match="too near a singularity"):
+        guard.plan_path(home, [home - 0.7])
+    assert guard.find_violation(home[None] - 3.2) is None
+    with pytest.raises(PathError, match="too near a singularity"):
+        guard.plan_path(home, [home - 3.2])
 
 
 def test_a_box_to_keep_out_of_is_gone_round_by_way_of_home_or_not_at_all():
@@ -165,13 +165,13 @@ def test_a_box_to_keep_out_of_is_gone_round_by_way_of_home_or_not_at_all():
     a, b = joints_at(0.055, 0.055, 0.15), joints_at(0.055, -0.055, 0.15)
     middle = Kinematics(DELTA).direct((a + b) / 2).position
     box = Box(tuple(middle - 0.004), tuple(middle + 0.004))
-    stops = Guard.of(DELTA, [box]).way(a, [b])
+    stops = Guard.of(DELTA, [box]).plan_path(a, [b])
     assert len(stops) == 3
     assert stops[1] == pytest.approx(DELTA.mechanism.home.joints)
     there = Kinematics(DELTA).direct(b).position
     around = Box(tuple(there - 0.01), tuple(there + 0.01))
-    with pytest.raises(WayError, match="inside the box to keep out of x"):
-        Guard.of(DELTA, [around]).way(a, [b])
+    with pytest.raises(PathError, match="inside the box to keep out of x"):
+        Guard.of(DELTA, [around]).plan_path(a, [b])
 
 
 def test_the_arms_keep_out_of_a_box_too():
@@ -182,13 +182,13 @@ def test_the_arms_keep_out_of_a_box_too():
     far = points[np.argmax(np.linalg.norm(points - [0, 0, 0.2], axis=1))]
     assert np.linalg.norm(far - [0, 0, 0.2]) > 0.09
     box = Box(tuple(far - 0.005), tuple(far + 0.005))
-    with pytest.raises(WayError, match="keep out"):
-        Guard.of(DELTA, [box]).way(q, [joints_at(0.01, 0, 0.2)])
+    with pytest.raises(PathError, match="keep out"):
+        Guard.of(DELTA, [box]).plan_path(q, [joints_at(0.01, 0, 0.2)])
 
 
 def test_a_robot_that_stands_where_it_must_not_be_is_not_moved():
-    with pytest.raises(WayError, match="where the robot is: outside the workspace"):
-        Guard.of(DELTA).way(joints_at(0, 0, 0.28), [joints_at(0, 0, 0.2)])
+    with pytest.raises(PathError, match="where the robot is: outside the workspace"):
+        Guard.of(DELTA).plan_path(joints_at(0, 0, 0.28), [joints_at(0, 0, 0.2)])
 
 
 def test_a_robot_that_rests_a_hair_beyond_a_joint_limit_is_taken_back():
@@ -198,14 +198,14 @@ def test_a_robot_that_rests_a_hair_beyond_a_joint_limit_is_taken_back():
     there, guard = joints_at(0.01, 0, 0.19), Guard.of(model)
     assert there[0] < q[0]
     hair = [1e-4, 0.0, 0.0]
-    assert guard.way(q + hair, [there])[0] == pytest.approx(q)
-    with pytest.raises(WayError, match="where the robot is: outside the joint limits"):
-        guard.way(q + np.array([0.1, 0, 0]), [there])
+    assert guard.plan_path(q + hair, [there])[0] == pytest.approx(q)
+    with pytest.raises(PathError, match="where the robot is: outside the joint limits"):
+        guard.plan_path(q + np.array([0.1, 0, 0]), [there])
 
 
 def test_where_too_few_poses_may_be_gone_to_it_says_what_forbids_them():
     table = Box((-0.1, -0.1, 0.0), (0.1, 0.1, 0.3))
-    with pytest.raises(WayError, match=r"only 0 of 400 .*: 400 are inside the box to keep out of"):
+    with pytest.raises(PathError, match=r"only 0 of 400 .*: 400 are inside the box to keep out of"):
         first_targets(Guard.of(DELTA, [table]), 80)
 
 

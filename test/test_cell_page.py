@@ -20,7 +20,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from parallel_cal.nodes.client import Client, own_domain
+from parallel_cal.nodes.client import Client, use_private_domain
 
 PAGE = (Path(__file__).parents[1] / "docs" / "cell.md").read_text()
 
@@ -28,7 +28,7 @@ PAGE = (Path(__file__).parents[1] / "docs" / "cell.md").read_text()
 @mock.patch.dict(os.environ)
 def test_the_pages_program_goes_straight_from_where_the_robot_is_to_every_point():
     (program,) = re.findall(r"^```python\n(.*?)^```$", PAGE, flags=re.M | re.S)
-    namespace = own_domain()
+    namespace = use_private_domain()
     process = subprocess.Popen(
         [sys.executable, "-c", program, "--ros-args", "-r", f"__ns:={namespace}"],
         stderr=subprocess.DEVNULL,

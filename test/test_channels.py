@@ -104,7 +104,7 @@ def test_a_topic_given_to_no_channel_is_refused_with_those_there_are():
     with pytest.raises(BagError, match=r"topics: \['humdity'\] unknown.*humidity"):
         ReadOptions(topics={"humdity": "lab/air"})
     with pytest.raises(DatasetError, match=r"humdity.*; known: .*stamps"):
-        ReadOptions().changed(humdity="lab/air")
+        ReadOptions().with_values(humdity="lab/air")
 
 
 def test_messages_that_its_decoder_does_not_understand_are_counted(samples, monkeypatch):

@@ -56,7 +56,7 @@ def test_a_triangle_on_circles_that_was_put_there_is_found_again():
     z, triangles = three_circles.balls(C, u, np.linalg.norm(towards, axis=1), B)
     assert len(z) == 16
     best = min(triangles, key=lambda points: np.abs(points - P).max())
-    position, turn = three_circles.placed(B, best)
+    position, turn = three_circles.fit_pose(B, best)
     assert np.abs(best - P).max() < 1e-6
     assert np.abs(position - r).max() < 1e-6
     assert np.abs(turn - R).max() < 1e-6

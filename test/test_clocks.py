@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from parallel_cal.recordings.bag import read_bag
-from parallel_cal.recordings.clocks import DRIVER, clock_offset
+from parallel_cal.recordings.clocks import MAX_DRIVER_DELAY_S, clock_offset
 from parallel_cal.recordings.loading import dataset_from_recording
 from parallel_cal.recordings.options import SampleOptions
 from parallel_cal.recordings.recording import JointStream, PoseStream
@@ -66,7 +66,7 @@ def test_the_uncertainty_is_that_of_the_delay(name):
 
 
 def test_what_a_driver_may_be_late_by_stays_an_effect():
-    for delay in (-0.8 * DRIVER, 0.8 * DRIVER):
+    for delay in (-0.8 * MAX_DRIVER_DELAY_S, 0.8 * MAX_DRIVER_DELAY_S):
         there = late("delta_crosstalk", delay)
         assert clock_offset(there.joints, there.pose) is None
 
@@ -157,7 +157,7 @@ def test_motion_that_repeats_is_no_proof_of_an_offset_of_half_a_period():
     def swing(time):
         return 0.003 * np.sin(2 * np.pi * time)[:, None]
 
-    assert not any(offset_of(0.9 * DRIVER, seed, swing, joints=1) for seed in range(6))
+    assert not any(offset_of(0.9 * MAX_DRIVER_DELAY_S, seed, swing, joints=1) for seed in range(6))
 
 
 def test_a_device_that_does_not_see_the_motion_tells_nothing():

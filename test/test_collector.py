@@ -15,7 +15,7 @@ from rosbags.typesys import Stores, get_typestore
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.nodes import collector as collector_module
 from parallel_cal.nodes.collector import Collector
-from parallel_cal.recordings.joining import joined
+from parallel_cal.recordings.joining import join_datasets
 from parallel_cal.recordings.loading import load_dataset
 from parallel_cal.recordings.samplefile import PER_SAMPLE
 
@@ -418,10 +418,10 @@ def test_sessions_on_different_spheres_keep_the_readings_of_both(tied):
     feed(one, tied[:third])
     feed(other, [m for m in tied if m[0] == "constraint"][:2] + tied[third + 40 : 2 * third])
     parts = [c.collection().dataset for c in (one, other)]
-    both = joined(parts, [10**12, 2 * 10**12])
+    both = join_datasets(parts, [10**12, 2 * 10**12])
     assert {"reading.plane", "reading.sphere1"} <= both.conditions.keys()
     assert not both.warnings
-    assert both.sha256 != joined(parts[::-1], [10**12, 2 * 10**12]).sha256
+    assert both.sha256 != join_datasets(parts[::-1], [10**12, 2 * 10**12]).sha256
 
 
 def test_neither_poses_nor_a_constraint_is_said(tied):

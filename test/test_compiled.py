@@ -117,7 +117,7 @@ def without_a_home(folder, monkeypatch):
 
 
 def from_another_machine(folder, monkeypatch):
-    compiled.compiled(squared())
+    compiled.compile_function(squared())
     (library,) = folder.rglob("*.so")
     library.unlink()  # it is still mapped
     library.write_text("not for this machine")
@@ -139,7 +139,7 @@ def test_a_sample_is_the_same_to_the_last_bit_whatever_is_computed_beside_it(
 ):
     x, k = ca.SX.sym("x", 3), ca.SX.sym("k", 2)
     function = ca.Function("some", [x, k], [ca.sin(x * k[0]) * x + k[1], ca.sqrt(ca.sumsqr(x))])
-    one = compiled.Single(compiled.compiled(function) if compile else function)
+    one = compiled.Single(compiled.compile_function(function) if compile else function)
     given, known = np.random.default_rng(n).standard_normal((n, 3)), np.array([1.3, -0.2])
     expected = [np.array(out) for out in zip(*(one(row, known) for row in given), strict=True)]
     batch = compiled.Batch(function, compile)
@@ -173,7 +173,7 @@ def test_where_machine_code_cannot_be_had_the_virtual_machine_serves_in_silence(
     spoiled, tmp_path, monkeypatch, capfd
 ):
     spoiled(tmp_path, monkeypatch)
-    function = compiled.compiled(squared())
+    function = compiled.compile_function(squared())
     assert function.class_name() == "SXFunction"
     np.testing.assert_array_equal(np.array(function([3, 4])).ravel(), [9, 16])
     (many,) = compiled.Batch(squared(), compile=True)(np.full((600, 2), [3.0, 4.0]))

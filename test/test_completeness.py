@@ -79,12 +79,12 @@ def mechanism(name):
 def test_the_rank_of_the_identification_jacobian_is_what_the_formulas_count(
     name, without, C, frames
 ):
-    found = completeness.check(mechanism(name), without=without)
+    found = completeness.compute_completeness(mechanism(name), without=without)
     assert found.needed == C
     assert found.rank == found.parameters == C - 6 * (2 - frames)
     assert found.redundant == 0
-    assert found.complete(frames)
-    assert frames == 0 or not found.complete(frames - 1)
+    assert found.is_complete(frames)
+    assert frames == 0 or not found.is_complete(frames - 1)
 
 
 SIMPLIFIED = [  # C by the formulas with both frames arbitrary; what the smaller model neglects
@@ -96,28 +96,33 @@ SIMPLIFIED = [  # C by the formulas with both frames arbitrary; what the smaller
 
 @pytest.mark.parametrize(("name", "C", "neglected"), SIMPLIFIED, ids=lambda v: str(v))
 def test_a_simplified_model_with_both_frames_is_still_less_than_complete(name, C, neglected):
-    found = completeness.check(load_mechanism(name))
+    found = completeness.compute_completeness(load_mechanism(name))
     assert found.rank == found.parameters
     assert found.needed < C, neglected
 
 
 def test_the_rank_does_not_depend_on_the_robot_or_the_poses_drawn():
-    ranks = {completeness.check(load_mechanism("delta54"), seed=seed).rank for seed in range(3)}
+    ranks = {
+        completeness.compute_completeness(load_mechanism("delta54"), seed=seed).rank
+        for seed in range(3)
+    }
     assert ranks == {54}
 
 
 @pytest.mark.parametrize("name", load_mechanism("scara16").parameters.names)
 def test_a_scara_with_any_one_parameter_left_out_is_not_complete(name):
-    found = completeness.check(load_mechanism("scara16"), without=[name])
-    assert (found.rank, found.needed, found.complete()) == (15, 16, False)
+    found = completeness.compute_completeness(load_mechanism("scara16"), without=[name])
+    assert (found.rank, found.needed, found.is_complete()) == (15, 16, False)
 
 
 def test_the_papers_51_parameters_hold_48_independent_ones_and_54_with_the_hubs():
-    without_hubs = completeness.check(load_mechanism("delta51"), without=["chain*.p_*"])
+    without_hubs = completeness.compute_completeness(
+        load_mechanism("delta51"), without=["chain*.p_*"]
+    )
     assert (without_hubs.parameters, without_hubs.rank, without_hubs.needed) == (51, 48, 54)
-    with_hubs = completeness.check(load_mechanism("delta51"))
+    with_hubs = completeness.compute_completeness(load_mechanism("delta51"))
     assert (with_hubs.parameters, with_hubs.rank, with_hubs.needed) == (60, 54, 54)
-    assert with_hubs.complete()
+    assert with_hubs.is_complete()
     assert with_hubs.redundant == 6  # an arm turned on its axis, and slid along it, three times
 
 
@@ -125,19 +130,23 @@ def test_the_papers_51_parameters_hold_48_independent_ones_and_54_with_the_hubs(
 def test_a_perfect_delta_shows_42_of_them_which_are_the_ones_free_by_default(name):
     """Its platform does not tilt, so a ball on the platform is a point on the base (eq. 13)."""
     delta = load_mechanism(name)
-    assert completeness.check(delta, spread=0).rank == 42
-    free = completeness.check(delta, spread=0, without=delta.fixed)
+    assert completeness.compute_completeness(delta, spread=0).rank == 42
+    free = completeness.compute_completeness(delta, spread=0, without=delta.fixed)
     assert (free.parameters, free.rank) == (42, 42)
 
 
 def test_the_papers_parallelogram_lacks_one_coordinate_of_the_base_frame():
-    found = completeness.check(load_mechanism("parallelogram"))
+    found = completeness.compute_completeness(load_mechanism("parallelogram"))
     C = completeness.planar_or_spherical(R=4, S=0, E=1, L=1)
     assert (found.parameters, found.rank, found.needed) == (10, 10, C) == (10, 10, 11)
-    perfect = completeness.check(load_mechanism("parallelogram"), spread=0, without=["h"])
+    perfect = completeness.compute_completeness(
+        load_mechanism("parallelogram"), spread=0, without=["h"]
+    )
     assert (perfect.parameters, perfect.rank) == (9, 6)  # section III-B
     fixed = load_mechanism("parallelogram").fixed
-    free = completeness.check(load_mechanism("parallelogram"), spread=0, without=fixed)
+    free = completeness.compute_completeness(
+        load_mechanism("parallelogram"), spread=0, without=fixed
+    )
     assert (free.parameters, free.rank) == (6, 6)  # eq. 73
 
 

@@ -27,7 +27,7 @@ def test_one_part_serves_several_of_the_others():
 def test_a_change_turns_about_the_bases_axes():
     """Half a turn about the base's x takes the platform's x axis, along y, to -y."""
     one = Configuration(np.array([1.0]), np.zeros(3), QUARTER)
-    moved = one.moved(np.array([0.5, 1, 2, 3, np.pi, 0, 0]))
+    moved = one.apply_change(np.array([0.5, 1, 2, 3, np.pi, 0, 0]))
     assert moved.q.tolist() == [1.5]
     assert moved.r.tolist() == [1, 2, 3]
     np.testing.assert_allclose(moved.R, [[0, -1, 0], [-1, 0, 0], [0, 0, -1]], atol=1e-15)
@@ -39,4 +39,4 @@ def test_the_change_between_two_configurations_moves_one_to_the_other():
         Configuration(rng.normal(size=(5, 2)), rng.normal(size=(5, 3)), rotation_matrix(w))
         for w in rng.normal(size=(2, 5, 3))
     )
-    assert here.moved(there.change_from(here)).rows == pytest.approx(there.rows, abs=1e-14)
+    assert here.apply_change(there.change_from(here)).rows == pytest.approx(there.rows, abs=1e-14)

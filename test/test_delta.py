@@ -127,7 +127,7 @@ def test_nominal_values_are_those_of_table_5_12():
 @pytest.mark.parametrize("name", ["delta24", "delta_nominal"])
 def test_small_model_widened_answers_the_same(name):
     small = strayed(name, 7)
-    large = small.widened()
+    large = small.widen()
     q = Kinematics(small).inverse(small.mechanism.sample(200, np.random.default_rng(8))).joints
     a, b = Kinematics(small).direct(q), Kinematics(large).direct(q)
     assert np.abs(a.position - b.position).max() < 1e-13

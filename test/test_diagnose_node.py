@@ -27,8 +27,8 @@ from visualization_msgs.msg import MarkerArray
 
 from parallel_cal.model.file.modelfile import model_hash, read_model
 from parallel_cal.model.shelf import load_effect
-from parallel_cal.nodes.client import Client, Process, own_domain
-from parallel_cal.nodes.demo_nodes import DemoNodes, kept_apart
+from parallel_cal.nodes.client import Client, Process, use_private_domain
+from parallel_cal.nodes.demo_nodes import DemoNodes, select_held_out
 from parallel_cal.recordings.bag import list_topics
 from parallel_cal.recordings.loading import load_dataset
 
@@ -114,7 +114,7 @@ def learn(session, name):
     if not effects:
         return effects
     samples, joints = session.samples()
-    apart = kept_apart(samples)
+    apart = select_held_out(samples)
     session.remove(apart)
     session.wait_until_served(session.identify(0.25, quiet).hash)
 
@@ -212,7 +212,7 @@ def samples(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def bench(samples):
-    with mock.patch.dict(os.environ), running(samples, own_domain()) as bench:
+    with mock.patch.dict(os.environ), running(samples, use_private_domain()) as bench:
         yield bench
 
 
@@ -331,7 +331,7 @@ def test_an_effect_can_be_named_with_what_is_known_of_it(loaded):
 def test_a_node_stopped_in_the_middle_of_its_work_ends_cleanly_and_writes_nothing(
     work, samples, tmp_path, environment
 ):
-    heard, namespace = [], f"{own_domain()}_stopped_{work}"
+    heard, namespace = [], f"{use_private_domain()}_stopped_{work}"
     with running(tmp_path, namespace, samples) as bench:
         before = bench.model_file.read_bytes()
         path = str(samples / "many.json")

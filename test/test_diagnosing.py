@@ -8,14 +8,14 @@ from datasets import measured, quiet
 from findings import clean
 from scipy import stats
 
-from parallel_cal.base.confidence import CHANCE, SIGMAS
+from parallel_cal.base.confidence import SIGMAS_AT_SIGNIFICANCE_LEVEL, SIGNIFICANCE_LEVEL
 from parallel_cal.base.errors import ModelError
 from parallel_cal.diagnosis import catalogue
-from parallel_cal.diagnosis.catalogue import candidate, names_of
+from parallel_cal.diagnosis.catalogue import candidate, list_effects_to_test
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.lack_of_fit import lack_of_fit, smooth_map
 from parallel_cal.diagnosis.noise import NoiseLevel
-from parallel_cal.diagnosis.patterns import along, odd_samples, regions
+from parallel_cal.diagnosis.patterns import compute_residual_profiles, odd_samples, regions
 from parallel_cal.diagnosis.scene import Scene, columns
 from parallel_cal.diagnosis.scoring import canonical_correlation, f_test, log_p_of, score
 from parallel_cal.diagnosis.statistics import holm, morans_i, runs_test
@@ -84,7 +84,9 @@ def test_visits_of_one_pose_do_not_pass_for_alike_neighbours():
 
 
 def test_bands_hold_what_is_no_more_than_chance():
-    assert 2 * stats.norm.sf(SIGMAS) == pytest.approx(CHANCE, rel=1e-3)
+    assert 2 * stats.norm.sf(SIGMAS_AT_SIGNIFICANCE_LEVEL) == pytest.approx(
+        SIGNIFICANCE_LEVEL, rel=1e-3
+    )
 
 
 @pytest.mark.parametrize(("F", "q", "dof"), [(0.3, 3, 40), (1.0, 1, 7), (12.0, 6, 300)])
@@ -266,7 +268,7 @@ def test_a_smooth_map_finds_the_size_and_the_scale_of_a_wave_and_nothing_in_nois
 
 def test_noise_has_no_lack_of_fit(here):
     left = lack_of_fit(here, Field.of(here))
-    assert not left.found
+    assert not left.has_structure
     assert left.map.share < 0.1
 
 
@@ -283,7 +285,7 @@ def test_a_wild_sample_is_named_and_no_other():
 def test_what_the_errors_go_with_is_named_first():
     data = measured(4, effects=[vr.Backlash((1e-3, 0.0, 0.0))])
     here = fitted_scene(data)
-    entries = along(here, Field.of(here))
+    entries = compute_residual_profiles(here, Field.of(here))
     assert entries[0].name == "direction.joint1"
     assert entries[0].strength > 5
     assert entries[0].at.tolist() == [-1.0, 1.0]
@@ -317,4 +319,4 @@ def test_an_own_effect_that_is_wrong_is_said_so_and_not_left_out(
     (package / f"{name}.py").write_text(FAULTY.format(tolerance=tolerance))
     monkeypatch.syspath_prepend(str(tmp_path))
     with pytest.raises(ModelError, match=words):
-        names_of(new_model("delta54"), also=[f"of_mine.{name}"])
+        list_effects_to_test(new_model("delta54"), also=[f"of_mine.{name}"])

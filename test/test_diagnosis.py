@@ -116,7 +116,7 @@ def test_each_kind_of_physics_is_called_by_its_name(name):
     called = {n for e in found.effects for n in (e, *found.swaps.get(e, []))}
     assert called & set(kind.names)
     assert found.verdict.word == "explained"
-    after, floor = found.best.fitted.held_out.summary, found.best.fitted.noise
+    after, floor = found.best.fitted.held_out.summary, found.best.fitted.noise_floor
     # A complete model of 42 numbers does as well on poses it has not seen: 5 % over the noise.
     assert after.position_rms < 1.12 * floor.position_rms
 

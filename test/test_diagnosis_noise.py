@@ -59,8 +59,8 @@ def test_noise_that_wanders_is_no_give_under_loads_that_were_changed_as_slowly()
     found = found_in(noisy(vb.correlated, 5))
     assert not found.effects
     give = next(e for e in found.entries if e.name == "joint_compliance")
-    assert give.candidate.wanders
-    assert not next(e for e in found.entries if e.name == "backlash").candidate.wanders
+    assert give.candidate.varies_slowly
+    assert not next(e for e in found.entries if e.name == "backlash").candidate.varies_slowly
 
 
 @pytest.mark.wide
@@ -76,7 +76,7 @@ def test_a_drift_in_white_noise_is_still_a_drift():
 def test_noise_that_grows_outwards_is_said_to_grow():
     found = found_in(noisy(vb.growing, 0))
     assert not found.effects
-    assert found.noise_shape.grows
+    assert found.noise_shape.grows_from_centre
     assert found.verdict.word == "at_noise"
     assert "times larger far from the centre" in found.verdict.summary
 
@@ -84,4 +84,4 @@ def test_noise_that_grows_outwards_is_said_to_grow():
 @pytest.mark.parametrize(("variance", "contradicted"), [(1.4, False), (1.6, True), (0.6, True)])
 def test_replicates_that_may_be_luck_contradict_no_stated_noise(variance, contradicted):
     """150 degrees of freedom: 1.4 has a chance of 9e-4, 1.6 of 4e-6 and 0.6 of 3e-5."""
-    assert PureError(variance, 150).contradict is contradicted
+    assert PureError(variance, 150).contradicts_stated_noise is contradicted

@@ -12,12 +12,12 @@ import pytest
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.mechanism import poses_in_workspace
 from parallel_cal.model.model import new_model
-from parallel_cal.model.shelf import load_mechanism, shelf_names
+from parallel_cal.model.shelf import list_plugins, load_mechanism
 from parallel_cal.reporting import drawings
 
 DOCS = Path(__file__).parents[1] / "docs"
 LINKS = [{"joint": "R", "axes": "parallel", "a": 0.3}, {"joint": "R", "a": 0.2}]
-NAMES = shelf_names("mechanisms")
+NAMES = list_plugins("mechanisms")
 
 
 def model_of(name):
@@ -132,10 +132,10 @@ def test_a_mechanism_without_lines_has_no_drawing(monkeypatch):
 
 
 def test_a_line_whose_parameters_moved_far_is_marked_and_told_where_one_points():
-    from parallel_cal.reporting.contents import Described
+    from parallel_cal.reporting.contents import DescribedParameter
 
     model = new_model("delta24")
-    moved = Described(
+    moved = DescribedParameter(
         value=0.246, sigma=2e-5, nominal=0.24, moved_tolerances=12.0, unit="m", fixed=False,
         words="rod length of chain 1", sigma_tolerances=0.04,
     )  # fmt: skip

@@ -15,9 +15,9 @@ from parallel_cal.model.effect import CONDITIONS
 from parallel_cal.model.file.modelfile import dump_model, parse_model
 from parallel_cal.model.mechanism import poses_in_workspace
 from parallel_cal.model.model import new_model
-from parallel_cal.model.shelf import load_effect, load_mechanism, load_sensor, shelf_names
+from parallel_cal.model.shelf import list_plugins, load_effect, load_mechanism, load_sensor
 
-EFFECTS = shelf_names("effects")
+EFFECTS = list_plugins("effects")
 MECHANISMS = (
     *("delta54", "delta24", "stewart42", "planar_stewart", "argos27", "argos9"),
     *("scara16", "cable", "linear_delta", "slider_crank"),

@@ -165,7 +165,7 @@ def test_the_effect_is_found_and_brings_poses_left_out_to_the_noise(name):
     low, high = chi2_band(found.estimate.dof)
     assert low < found.estimate.chi2_per_dof < high
     before, after = (f.document()["held_out"]["after"]["position_rms"] for f in (plain, found))
-    assert after < 1.15 * found.noise.position_rms
+    assert after < 1.15 * found.noise_floor.position_rms
     assert before > 1.5 * after
 
 

@@ -10,7 +10,7 @@ import pytest
 import virtual_day as vd
 from twins import hexapod, joints_near_home
 
-from parallel_cal.diagnosis.catalogue import recorded
+from parallel_cal.diagnosis.catalogue import collect_recorded_values
 from parallel_cal.effects.encoder_crosstalk import SIZE
 from parallel_cal.identification.doubts import chi2_band
 from parallel_cal.identification.fit import fit
@@ -494,7 +494,7 @@ def test_a_gear_of_unknown_ratio_is_found_by_scanning_and_then_refined():
     data = measured(DELTA, [ve.GearRipple(true, RIPPLE, PHASE)], n=150)
     start = fit(new_model("delta54"), data, hold_out=0).model
     observations = observe(start, data)
-    scan = list(load_effect(name).scan(start.mechanism, recorded(data)))
+    scan = list(load_effect(name).scan(start.mechanism, collect_recorded_values(data)))
     tried = [start.with_effect(name, setting) for setting in scan]
     amplitudes = tried[0].table.matching([f"{name}.joint*"])
     best = min(tried, key=lambda model: estimate(model, observations, amplitudes).chi2)

@@ -51,16 +51,16 @@ def test_where_a_plate_is_higher_the_tip_is_nearer(number, size, higher):
 
 
 def test_a_tip_aside_rises_and_sinks_as_the_platform_leans():
-    lean = vr.about("y", np.arcsin(0.6))  # x of the platform goes down by 0.6 a metre
+    lean = vr.axis_rotation("y", np.arcsin(0.6))  # x of the platform goes down by 0.6 a metre
     r, R = sees("probe_offset", {"o_x": 1e-3, "o_y": 2e-3, "o_z": -5e-3}, R=lean)
     np.testing.assert_allclose(r - [0.1, -0.2, 0.3], [-2.2e-3, 2e-3, -4.6e-3], atol=1e-15)
     np.testing.assert_array_equal(R, lean)
 
 
 def test_a_stem_slants_about_its_tip_which_stays_where_it_is():
-    tip, lean = np.array([0.01, 0.02, -0.03]), vr.about("x", 0.3)
+    tip, lean = np.array([0.01, 0.02, -0.03]), vr.axis_rotation("x", 0.3)
     r, R = sees("probe_tilt", {"tilt_x": 0.02}, R=lean, tip=tip)
-    np.testing.assert_allclose(R, vr.about("x", 0.32), atol=1e-6)
+    np.testing.assert_allclose(R, vr.axis_rotation("x", 0.32), atol=1e-6)
     np.testing.assert_allclose(r + R @ tip, [0.1, -0.2, 0.3] + lean @ tip, atol=1e-15)
 
 
@@ -68,7 +68,7 @@ def test_a_gauge_mounted_on_the_platform_reads_along_the_platforms_z():
     sensor = load_sensor("probe", height=0.2, mounted=True)
     table = sensor.table(load_mechanism("stewart42"))
     s = Named(table.names, ca.DM(table.nominal))["probe"]
-    shown = sensor.readings(ca.DM([0, 0, 0.25]), ca.DM(vr.about("x", np.pi / 3)), s)
+    shown = sensor.readings(ca.DM([0, 0, 0.25]), ca.DM(vr.axis_rotation("x", np.pi / 3)), s)
     assert float(shown) == pytest.approx(0.1, abs=1e-15)
 
 

@@ -11,7 +11,7 @@ from parallel_cal.kinematics.every import direct_all
 from parallel_cal.kinematics.kinematics import Kinematics, Status
 from parallel_cal.model.file.modelfile import dump_model, parse_model
 from parallel_cal.model.model import new_model
-from parallel_cal.model.shelf import load_effect, load_mechanism, shelf_names
+from parallel_cal.model.shelf import list_plugins, load_effect, load_mechanism
 from parallel_cal.recordings.loading import load_dataset
 from parallel_cal.recordings.simulate import simulate, stated_noise
 from parallel_cal.recordings.writer import write_bag
@@ -21,7 +21,7 @@ NEEDS_PRIOR = {"rssr"}  # one angle against another tells little: the tolerances
 
 
 @pytest.mark.wide
-@pytest.mark.parametrize("name", sorted(set(shelf_names("mechanisms")) - NEEDS_OPTIONS))
+@pytest.mark.parametrize("name", sorted(set(list_plugins("mechanisms")) - NEEDS_OPTIONS))
 def test_file_bag_samples_and_fit_work_with(name, tmp_path):
     model = parse_model(dump_model(new_model(name)), name)
     write_bag(simulate(model, 60, 3, replicates=8), tmp_path / "bag", "mcap")
@@ -163,7 +163,7 @@ def test_a_module_without_a_mechanism_or_an_unknown_path_is_a_clear_error():
         load_mechanism("nobody.has_this")
 
 
-@pytest.mark.parametrize("name", sorted(set(shelf_names("mechanisms")) - NEEDS_OPTIONS))
+@pytest.mark.parametrize("name", sorted(set(list_plugins("mechanisms")) - NEEDS_OPTIONS))
 def test_joints_that_are_no_numbers_are_invalid_input_even_where_all_poses_are_asked_for(name):
     kinematics = Kinematics(new_model(name))
     joints = np.full(len(kinematics.model.joints), np.nan)
@@ -187,7 +187,7 @@ def test_a_singular_start_ends_in_a_status_and_not_in_an_error():
     assert Status(int(answer.status)) in (Status.SINGULAR, Status.UNREACHABLE, Status.NOT_CONVERGED)
 
 
-@pytest.mark.parametrize("name", [n for n in shelf_names("mechanisms") if n != "serial"])
+@pytest.mark.parametrize("name", [n for n in list_plugins("mechanisms") if n != "serial"])
 def test_home_closes(name):
     model = new_model(name)
     home = model.mechanism.home

@@ -100,7 +100,9 @@ def test_a_hexapod_turns_about_x_then_y_then_z(tmp_path):
     robot = stewart.Stewart(model.table.mapping(model.values))
     r, _ = poses_in_workspace(model.mechanism, 10, np.random.default_rng(2))
     for k, (a, b, c) in enumerate(np.random.default_rng(3).uniform(-9, 9, (10, 3))):
-        turned = [vr.about(axis, np.radians(t)) for axis, t in zip("zyx", (c, b, a), strict=True)]
+        turned = [
+            vr.axis_rotation(axis, np.radians(t)) for axis, t in zip("zyx", (c, b, a), strict=True)
+        ]
         status, joints = component.inverse([*r[k] * 1e3, a, b, c, 1, 2, 3])
         assert status == 0
         q = robot.inverse(r[k], turned[0] @ turned[1] @ turned[2])[0]

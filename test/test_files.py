@@ -2,7 +2,7 @@
 
 import pytest
 
-from parallel_cal.base.files import kept
+from parallel_cal.base.files import load_or_compute
 
 
 @pytest.fixture
@@ -18,7 +18,7 @@ def made(tmp_path, monkeypatch):
         times.append(1)
         return [path.read_text() for path in sorted(folder.iterdir())]
 
-    return lambda: (kept(sorted(folder.iterdir()), make), len(times))
+    return lambda: (load_or_compute(sorted(folder.iterdir()), make), len(times))
 
 
 def test_a_document_is_made_again_when_a_source_changes_and_not_before(made, tmp_path):

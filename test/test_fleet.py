@@ -19,8 +19,8 @@ from datasets import measured
 from parallel_cal.base.errors import DatasetError, ModelError
 from parallel_cal.fleet.cluster import cluster as on_this_machine
 from parallel_cal.fleet.fleet import judge
-from parallel_cal.fleet.jobs import Asked, FleetError, Job, jobs_of
-from parallel_cal.fleet.judging import judged
+from parallel_cal.fleet.jobs import FleetError, FleetOptions, Job, jobs_of
+from parallel_cal.fleet.judging import judge_recording
 from parallel_cal.fleet.rows import Rows
 from parallel_cal.identification.evidence import Evidence
 from parallel_cal.identification.fit import fit
@@ -31,7 +31,7 @@ from parallel_cal.recordings.loading import load_dataset
 pq = pytest.importorskip("pyarrow.parquet")
 distributed = pytest.importorskip("distributed")
 
-QUICK = Asked(effects=("backlash",))
+QUICK = FleetOptions(effects=("backlash",))
 BAG = fleets.ROOT / "bags" / "delta_backlash"
 
 
@@ -85,7 +85,9 @@ def test_samples_that_count_from_1970_say_when_they_were_taken(folder, since):
     data = load_dataset(BAG)
     replace(data, time=data.time + since).to_json(folder / "samples.json")
     job = replace(jobs_of(folder)[0], data=folder / "samples.json")
-    assert judged(job, QUICK, "")[0]["time"] == (since + data.time.min() if since else None)
+    assert judge_recording(job, QUICK, "")[0]["time"] == (
+        since + data.time.min() if since else None
+    )
 
 
 @pytest.mark.parametrize(
@@ -154,7 +156,7 @@ def test_results_go_into_a_folder_of_their_own(folder):
 
 
 def test_an_unknown_effect_is_refused_before_work_begins(folder):
-    for asked in (Asked(effects=("backlsh",)), Asked(also=("backlsh",))):
+    for asked in (FleetOptions(effects=("backlsh",)), FleetOptions(also=("backlsh",))):
         with pytest.raises(ModelError, match="did you mean 'backlash'"):
             judge(folder, folder / "out", asked)
     assert not (folder / "out").exists()
@@ -165,29 +167,29 @@ def test_what_cannot_be_judged_is_a_row_with_its_reason(folder):
     stewart = fleets.ROOT / "bags" / "stewart_backlash"
     cases = {folder / "cut.mcap": "cut short", folder / "none": "no such", stewart: "leg1"}
     for data, words in cases.items():
-        row, _ = judged(Job("x", "y", folder / "all.yaml", data, 3.0), QUICK, "0")
+        row, _ = judge_recording(Job("x", "y", folder / "all.yaml", data, 3.0), QUICK, "0")
         assert words in row["reason"]
         assert (row["robot"], row["recording"], row["time"]) == ("x", "y", 3.0)
         assert "verdict" not in row
-    row, _ = judged(Job("x", "y", folder / "no.yaml", BAG), QUICK, "0")
+    row, _ = judge_recording(Job("x", "y", folder / "no.yaml", BAG), QUICK, "0")
     assert "no.yaml: cannot be read" in row["reason"]
 
 
 def test_a_worker_of_another_version_does_nothing(folder):
     with pytest.raises(FleetError, match=r"there, 9\.9 is asked for"):
-        judged(Job("x", "y", folder / "all.yaml", BAG), Asked(version="9.9"), "0")
+        judge_recording(Job("x", "y", folder / "all.yaml", BAG), FleetOptions(version="9.9"), "0")
 
 
 def test_other_inputs_make_another_hash(folder):
     job = Job("x", "y", folder / "all.yaml", BAG)
     others = [
-        job.inputs(QUICK),
-        job.inputs(Asked(options=FitOptions(hold_out=0.5))),
-        Job("z", "y", folder / "all.yaml", BAG).inputs(QUICK),
-        Job("x", "y", folder / "all.yaml", fleets.ROOT / "bags" / "delta_clean").inputs(QUICK),
+        job.hash_inputs(QUICK),
+        job.hash_inputs(FleetOptions(options=FitOptions(hold_out=0.5))),
+        Job("z", "y", folder / "all.yaml", BAG).hash_inputs(QUICK),
+        Job("x", "y", folder / "all.yaml", fleets.ROOT / "bags" / "delta_clean").hash_inputs(QUICK),
     ]
     (folder / "all.yaml").write_text(fleets.NOMINAL.read_text() + "\n")
-    assert len({*others, job.inputs(QUICK)}) == 5
+    assert len({*others, job.hash_inputs(QUICK)}) == 5
 
 
 # ----------------------------------------------------------------------------- evidence
@@ -202,7 +204,7 @@ def test_evidence_of_well_seen_parameters_is_the_inverse_of_their_covariance():
     covariance = found.estimate.covariance[np.ix_(free, free)]
     assert told.information @ covariance * birge == pytest.approx(np.eye(6), abs=1e-6)
     assert told.pull == pytest.approx(np.zeros(6))
-    two = told.only(["chain1.Lb", "chain3.Lb"])
+    two = told.marginalise(["chain1.Lb", "chain3.Lb"])
     own = [told.names.index(name) for name in two.names]
     assert np.linalg.inv(two.information) == pytest.approx(birge * covariance[np.ix_(own, own)])
 
@@ -216,7 +218,7 @@ def test_evidence_is_without_the_tolerances_that_held_an_estimate():
         for prior in (True, False)
     )
     assert np.abs(one.centre - other.centre).max() > 1e-9
-    ones, others = (e.about(e.names, np.zeros(9), np.full(9, 1e-4)) for e in (one, other))
+    ones, others = (e.recentre(e.names, np.zeros(9), np.full(9, 1e-4)) for e in (one, other))
     scale = np.sqrt(np.diag(others.information))
     assert ones.information == pytest.approx(others.information, rel=0.05, abs=0.01 * scale.max())
     assert np.linalg.solve(ones.information, ones.pull) == pytest.approx(
@@ -227,7 +229,7 @@ def test_evidence_is_without_the_tolerances_that_held_an_estimate():
 def test_evidence_about_other_numbers_is_the_same_likelihood():
     """Worked by hand: p = 3 +- 0.5 of which a prior of pull 2 was taken out, seen from 1 in 0.1."""
     told = Evidence(("p",), np.array([3.0]), np.array([[4.0]]), np.array([2.0]))
-    seen = told.about(("q", "p"), np.array([0.0, 1.0]), np.array([1.0, 0.1]))
+    seen = told.recentre(("q", "p"), np.array([0.0, 1.0]), np.array([1.0, 0.1]))
     assert seen.information == pytest.approx(np.diag([0.0, 0.04]))
     assert seen.pull == pytest.approx([0.0, (2.0 + 4.0 * 2.0) * 0.1])
 

@@ -6,10 +6,10 @@ import pytest
 import virtual_fleet as vf
 from datasets import as_dataset
 
-from parallel_cal.base.documents import plain
+from parallel_cal.base.documents import to_json_value
 from parallel_cal.fleet.findings import findings
-from parallel_cal.fleet.jobs import Asked, jobs_of
-from parallel_cal.fleet.judging import judged
+from parallel_cal.fleet.jobs import FleetOptions, jobs_of
+from parallel_cal.fleet.judging import judge_recording
 from parallel_cal.fleet.tolerances import next_robot
 from parallel_cal.identification.evidence import Evidence
 from parallel_cal.identification.fit import fit
@@ -19,7 +19,7 @@ from parallel_cal.model.file.modelfile import read_model, write_model
 from parallel_cal.reporting.fleets import change_in_words, effect_in_words
 from parallel_cal.virtual.robot import Delta
 
-ASKED = Asked(FitOptions(hold_out=0.5), effects=("backlash", "encoder_second_harmonic"))
+ASKED = FleetOptions(FitOptions(hold_out=0.5), effects=("backlash", "encoder_second_harmonic"))
 DRAWING = read_model(fleets.NOMINAL)
 
 
@@ -32,7 +32,7 @@ PLAYS = tuple(f"backlash.joint{i}.width" for i in (1, 2, 3))
 def document(names, estimate, sigma):
     A = np.eye(len(names)) / sigma**2
     told = Evidence(names, np.asarray(estimate, float), A, np.zeros(len(names)))
-    return plain(vars(told))
+    return to_json_value(vars(told))
 
 
 def row(robot, recording="0", lengths=(0.24, 0.24), play=None, plays=(0.0,) * 3, when=None):
@@ -162,7 +162,7 @@ def test_recordings_in_which_other_effects_were_found_are_no_contradiction():
 
 
 def test_recordings_that_tell_nothing_contradict_none():
-    nothing = plain(vars(Evidence.nothing(NUMBERS)))
+    nothing = to_json_value(vars(Evidence.uninformative(NUMBERS)))
     rows = [row(f"r{k}", f"{i}") for k in range(6) for i in range(2)]
     rows[1] |= {"evidence": nothing}
     rows[2] |= {"evidence": nothing}
@@ -195,7 +195,7 @@ def test_a_spread_that_the_data_do_not_show_is_zero():
 
 def rows_of(folder, members, recordings):
     jobs = jobs_of(fleets.written(folder, members, recordings))
-    return [judged(job, ASKED, str(k))[0] for k, job in enumerate(jobs)]
+    return [judge_recording(job, ASKED, str(k))[0] for k, job in enumerate(jobs)]
 
 
 @pytest.fixture(scope="module")
@@ -255,7 +255,7 @@ def error_of(model, robot, reading):
 def fitted_row(member):
     """What a fleet has of a robot that lacks nothing, without its diagnosis."""
     result = fit(DRAWING, as_dataset(member.measured(0, 0.0)), hold_out=0)
-    told = plain(vars(Evidence.of(result)))
+    told = to_json_value(vars(Evidence.of(result)))
     row = {"robot": member.name, "recording": "0", "mechanism": "delta54", "reason": ""}
     return row | {"effects": [], "time": None, "evidence": told, "effects_evidence": {}}
 

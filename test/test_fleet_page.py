@@ -10,11 +10,11 @@ import virtual_fleet as vf
 
 from parallel_cal.fleet.findings import findings
 from parallel_cal.fleet.fleet import Fleet
-from parallel_cal.fleet.jobs import Asked, jobs_of
-from parallel_cal.fleet.judging import judged
+from parallel_cal.fleet.jobs import FleetOptions, jobs_of
+from parallel_cal.fleet.judging import judge_recording
 from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.reporting.fleet_page import LIBRARY, robot_page, write_fleet_page
-from parallel_cal.reporting.fleets import said
+from parallel_cal.reporting.fleets import format_fleet
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 DRAWS = ["--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader"]
@@ -25,10 +25,10 @@ NAMES = ("a <b>", "c/d", "e", "f")
 def folder(tmp_path_factory):
     """Four robots, one of them twice; a fifth whose recording failed; the first has a report."""
     path = tmp_path_factory.mktemp("page")
-    asked = Asked(effects=("backlash",))
+    asked = FleetOptions(effects=("backlash",))
     jobs = jobs_of(fleets.written(path, vf.drawn(1), 2, n_poses=24, n_replicates=4))
-    first, shown = judged(jobs[0], asked, "0", robot_page)
-    later = judged(jobs[1], asked, "1")[0] | {"robot": "e"}
+    first, shown = judge_recording(jobs[0], asked, "0", robot_page)
+    later = judge_recording(jobs[1], asked, "1")[0] | {"robot": "e"}
     rows = [first | {"robot": name} for name in NAMES] + [later]
     rows.append({"robot": "z", "recording": "y", "inputs": "2", "reason": "cut <short>"})
     (path / "reports").mkdir()
@@ -55,7 +55,7 @@ def test_the_page_has_every_robot_and_why_a_recording_failed(folder):
     assert robots.count("href=") == 1
     assert "cut &lt;short&gt;" in part(text, "failed")
     assert "backlash: in 4 of 4 robots" in part(text, "together")
-    assert "failed: z y: cut <short>" in said(fleet)
+    assert "failed: z y: cut <short>" in format_fleet(fleet)
 
 
 @pytest.mark.wide

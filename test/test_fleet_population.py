@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from parallel_cal.fleet.drift import trend
-from parallel_cal.fleet.population import population, sorted_out
+from parallel_cal.fleet.population import population, separate_outliers
 from parallel_cal.identification.evidence import Evidence
 
 NAMES = ("a", "b", "c")
@@ -81,7 +81,7 @@ def test_two_faulty_robots_are_named_with_their_parameter_and_do_not_widen_the_s
         robots[i] = Evidence(
             one.names, one.centre, one.information, one.pull + one.information @ np.array(shift)
         )
-    found = sorted_out(robots, 0.01)
+    found = separate_outliers(robots, 0.01)
     assert sorted(found.outlying) == [5, 17]
     assert [found.outlying[i][0].parameter for i in (5, 17)] == [2, 0]
     assert found.outlying[5][0].size == pytest.approx(6.0, abs=3 * found.outlying[5][0].sigma)
@@ -91,7 +91,7 @@ def test_two_faulty_robots_are_named_with_their_parameter_and_do_not_widen_the_s
 @pytest.mark.wide
 def test_in_sound_fleets_hardly_a_robot_is_named():
     named = [
-        len(sorted_out(fleet(20, [9, k], np.zeros(3), np.full(3, 0.5)), 0.01).outlying)
+        len(separate_outliers(fleet(20, [9, k], np.zeros(3), np.full(3, 0.5)), 0.01).outlying)
         for k in range(20)
     ]
     assert sum(named) <= 2  # of 400 robots; 1 % of the fleets may name one

@@ -15,7 +15,7 @@ from rclpy.time import Time  # noqa: E402
 
 from parallel_cal.base.errors import DatasetError  # noqa: E402
 from parallel_cal.model.file.modelfile import read_model  # noqa: E402
-from parallel_cal.nodes.frames import Transform, in_base, lookup, moved  # noqa: E402
+from parallel_cal.nodes.frames import Transform, lookup, to_base_frame, transform_dataset  # noqa: E402
 from parallel_cal.recordings.dataset import Dataset  # noqa: E402
 from parallel_cal.recordings.loading import load_dataset  # noqa: E402
 
@@ -40,7 +40,7 @@ def samples(model):
 
 def test_a_pose_is_moved_by_hand_worked_numbers(samples):
     """A quarter turn about z: x goes to y, y to -x; then 1, 2, 3 m on."""
-    there = moved(samples, STANDS, "base")
+    there = transform_dataset(samples, STANDS, "base")
     np.testing.assert_allclose(there.r[0], [0.8, 2.1, 3.3], atol=1e-15)
     np.testing.assert_allclose(there.R[0], QUARTER)
     np.testing.assert_allclose(np.diag(there.pose_cov[0]), [4e-10, 1e-10, 9e-10, 4e-8, 1e-8, 9e-8])
@@ -51,19 +51,21 @@ def test_what_was_not_measured_stays_so(samples):
     blind = replace(
         samples, measured=np.array([[True] * 3 + [False] * 3]), pose_cov=np.full((1, 6, 6), np.nan)
     )
-    there = moved(blind, STANDS, "base")
+    there = transform_dataset(blind, STANDS, "base")
     np.testing.assert_array_equal(there.R, samples.R)
     assert np.isnan(there.pose_cov).all()
     with pytest.raises(DatasetError, match="single coordinates"):
-        moved(replace(samples, measured=np.array([[True, False] + [True] * 4])), STANDS, "base")
+        transform_dataset(
+            replace(samples, measured=np.array([[True, False] + [True] * 4])), STANDS, "base"
+        )
 
 
 def test_another_frame_without_a_transform_is_refused_where_the_samples_do_not_tell_it(
     samples, model
 ):
     with pytest.raises(DatasetError, match="frame 'tracker', the model's base is 'base'"):
-        in_base(samples, model, lambda target, source: None)
-    there, said = in_base(samples, model, lambda target, source: STANDS)
+        to_base_frame(samples, model, lambda target, source: None)
+    there, said = to_base_frame(samples, model, lambda target, source: STANDS)
     assert (there.frame, said) == ("base", "poses moved from 'tracker' to 'base' by TF (static)")
 
 
@@ -71,21 +73,21 @@ def test_a_tracker_s_frame_is_registered_by_the_samples_as_the_command_line_does
     """The tracker shows Q r + s with Q a quarter turn: it stands at -Q^T s = (-2, 1, -3) m."""
     model = read_model(ROOT / "config" / "delta_mockup_identified.yaml")
     own = load_dataset(ROOT / "bags" / "delta_clean")
-    shown = moved(own, STANDS, "tracker")
-    there, said = in_base(shown, model, lambda target, source: None, 1e-4)
+    shown = transform_dataset(own, STANDS, "tracker")
+    there, said = to_base_frame(shown, model, lambda target, source: None, 1e-4)
     assert there is shown
     assert said.startswith("frame 'tracker' was registered to 'base' (another frame): ")
     numbers = said.split("): ")[1].split(" m, rotation ")
     np.testing.assert_allclose(np.array(numbers[0].split(), float), [-2, 1, -3], atol=2e-3)
     turned = np.array(numbers[1].split(" deg")[0].split(), float)
     np.testing.assert_allclose(turned, [0, 0, -90], atol=0.05)
-    assert in_base(own, model, lambda target, source: None, 1e-4) == (own, "")
+    assert to_base_frame(own, model, lambda target, source: None, 1e-4) == (own, "")
 
 
 def test_poses_of_the_right_name_in_the_wrong_place_are_registered_too():
     model = read_model(ROOT / "config" / "delta_mockup_identified.yaml")
-    wrong = moved(load_dataset(ROOT / "bags" / "delta_clean"), STANDS, "base")
-    there, said = in_base(wrong, model, lambda target, source: None, 1e-4)
+    wrong = transform_dataset(load_dataset(ROOT / "bags" / "delta_clean"), STANDS, "base")
+    there, said = to_base_frame(wrong, model, lambda target, source: None, 1e-4)
     assert there is wrong
     assert "registered to 'base' (in its own, nothing fitted)" in said
 

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from parallel_cal.model.shelf import load_effect, shelf_names
+from parallel_cal.model.shelf import list_plugins, load_effect
 
 DOCS = Path(__file__).parents[1] / "docs"
-EFFECTS = shelf_names("effects")
+EFFECTS = list_plugins("effects")
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import pytest
 
-from parallel_cal.nodes.gate import AGREE, Gate
+from parallel_cal.nodes.gate import MIN_AGREEING_MESSAGES, Gate
 
 S = 1_000_000_000
 
@@ -65,14 +65,14 @@ def test_of_two_publishers_at_once_nothing_is_taken():
     for apart in (5.0, 0.0):
         a, b = steady("a" * 300), steady("b" * 300, begin=apart, log=0.005, sequence=700)
         passed, gate = through(sorted(a + b, key=lambda m: m[2]))
-        assert len(passed) <= 2 * AGREE
+        assert len(passed) <= 2 * MIN_AGREEING_MESSAGES
         assert "two publishers" in gate.trouble
 
 
 def test_with_equal_counts_they_are_told_apart_too():
     a, b = steady("a" * 300), steady("b" * 300, log=0.005)
     passed, gate = through(sorted(a + b, key=lambda m: m[2]))
-    assert len(passed) <= 2 * AGREE
+    assert len(passed) <= 2 * MIN_AGREEING_MESSAGES
     assert gate.strays > 590
 
 

@@ -24,7 +24,7 @@ def test_loss_is_counted_by_the_publisher_s_count_and_is_a_warning_then_an_error
     stream = Stream()
     for sequence in range(1, 1000):
         if not 300 <= sequence < 300 + lost:
-            stream.heard(sequence)
+            stream.count_received(sequence)
     status, items = told(stream)
     assert status.level == level
     assert items["Lost since startup"] == str(lost)
@@ -34,9 +34,9 @@ def test_loss_is_counted_by_the_publisher_s_count_and_is_a_warning_then_an_error
 def test_refusals_and_what_was_skipped_are_told_with_the_reason():
     stream = Stream()
     for sequence in range(1, 101):
-        stream.heard(sequence)
-    stream.refused("a joint is missing")
-    stream.skipped(101)
+        stream.count_received(sequence)
+    stream.count_refused("a joint is missing")
+    stream.count_skipped(101)
     status, items = told(stream)
     assert status.level == DiagnosticStatus.WARN
     assert "refused" in status.message
@@ -46,7 +46,7 @@ def test_refusals_and_what_was_skipped_are_told_with_the_reason():
 
 def test_what_is_over_leaves_the_window_and_stays_in_the_total():
     stream = Stream()
-    stream.heard(1), stream.heard(3)
+    stream.count_received(1), stream.count_received(3)
     for _ in range(11):
         status, items = told(stream)
     assert status.level == DiagnosticStatus.OK
@@ -56,9 +56,9 @@ def test_what_is_over_leaves_the_window_and_stays_in_the_total():
 
 def test_two_publishers_are_told_apart_and_their_losses_added():
     sources = Sources()
-    a, b = sources.of(100_000), sources.of(1)
+    a, b = sources.identify(100_000), sources.identify(1)
     assert a is not b
-    assert sources.of(100_003) is a
-    assert sources.of(2) is b
+    assert sources.identify(100_003) is a
+    assert sources.identify(2) is b
     assert sources.lost == 2
-    assert sources.of(None) is None
+    assert sources.identify(None) is None

@@ -10,7 +10,7 @@ from parallel_cal.kinematics.every import direct_all
 from parallel_cal.kinematics.kinematics import Kinematics, Status
 from parallel_cal.kinematics.solvers import homotopy
 from parallel_cal.kinematics.solvers._platform import all_poses, start_system
-from parallel_cal.kinematics.solvers._quadrics import CERTAIN, alpha
+from parallel_cal.kinematics.solvers._quadrics import MAX_CERTIFIED_ALPHA, alpha
 from parallel_cal.kinematics.solvers._study import quadrics
 from parallel_cal.model.model import new_model
 from parallel_cal.virtual import robot as vr
@@ -109,7 +109,7 @@ def test_the_stored_start_system_has_forty_certified_zeros():
     size, _ = alpha(zeros, M)
     overlap = np.abs(zeros @ zeros.conj().T) - np.eye(40)
     assert zeros.shape == (40, 8)
-    assert (size < CERTAIN).all()
+    assert (size < MAX_CERTIFIED_ALPHA).all()
     assert overlap.max() < 1 - 1e-6
 
 

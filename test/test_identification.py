@@ -414,7 +414,7 @@ def test_a_damped_step_is_not_taken_for_the_end():
     step, promised = normal.step(1e12)
     assert np.abs(step / tolerance).max() < 1e-8
     assert promised < 1e-10 * system.chi2
-    assert not normal.arrived
+    assert not normal.has_converged
 
 
 def test_worst_sample_comes_first_in_a_comparison():

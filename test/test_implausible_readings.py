@@ -33,7 +33,7 @@ from parallel_cal.model.model import Noise, new_model
 from parallel_cal.model.parameters import ParameterTable
 from parallel_cal.recordings.csv_import import import_csv
 from parallel_cal.recordings.dataset import Dataset
-from parallel_cal.session.goals import Request, examine, proposed
+from parallel_cal.session.goals import Request, examine, propose_model
 from parallel_cal.session.steps import add
 from parallel_cal.virtual import robot as vr
 
@@ -113,7 +113,7 @@ def test_nothing_is_fitted_to_such_readings_through_any_door(tmp_path):
     for identify in (fit, diagnose, lambda m, d: add(m, "thermal_expansion", d)):
         with pytest.raises(FitError, match=refused):
             identify(model, data)
-    assert refused in proposed(Request(file, file), data).message
+    assert refused in propose_model(Request(file, file), data).message
     assert refused in examine(file, data, Request(file, file).options, lambda *_: None).message
 
 

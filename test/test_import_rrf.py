@@ -86,7 +86,7 @@ def test_the_model_as_configured_is_the_firmwares_formula(files, config):
     from parallel_cal.importing.importers import rrf
 
     _, path = files(config)
-    delta = rrf.delta_of(settings([path], rrf.CODES))
+    delta = rrf.read_delta(settings([path], rrf.CODES))
     model = configured([path]).model
     pose = Kinematics(model).direct(delta.joints(POINTS))
     plate = np.array(getattr(delta, "tilt", (0, 0)))

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.cli import main as cli
-from parallel_cal.identification.completeness import check
+from parallel_cal.identification.completeness import compute_completeness
 from parallel_cal.importing.urdf import arm
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.file.modelfile import read_model
@@ -131,7 +131,7 @@ def test_the_links_are_those_of_table_3_5(file):
     assert model.value("link2.a") == pytest.approx(0.425)
     assert model.value("link3.a") == pytest.approx(0.39225)
     for name, ends in ((UR5, ("world", "camera")), (SCARA, ("base", "d"))):
-        counted = check(arm(file(name), *ends).model.mechanism).document()
+        counted = compute_completeness(arm(file(name), *ends).model.mechanism).document()
         assert counted["parameters"] == counted["needed"] == counted["rank"]
 
 

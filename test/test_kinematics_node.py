@@ -46,7 +46,7 @@ from parallel_cal.exporting.tree import tree_of
 from parallel_cal.kinematics.every import direct_all
 from parallel_cal.kinematics.kinematics import Kinematics, Status
 from parallel_cal.model.file.modelfile import model_hash, read_model, write_model
-from parallel_cal.nodes.client import Client, own_domain
+from parallel_cal.nodes.client import Client, use_private_domain
 
 CONFIG = Path(__file__).parents[1] / "config"
 NOMINAL, IDENTIFIED = CONFIG / "delta_mockup_nominal.yaml", CONFIG / "delta_mockup_identified.yaml"
@@ -82,7 +82,7 @@ class Robot:
     """The node on a file of its own, and a client of it."""
 
     def __init__(self, folder):
-        self.folder, self.namespace = folder, own_domain()
+        self.folder, self.namespace = folder, use_private_domain()
         self.file = folder / "robot.yaml"
         self.known = {}
         shutil.copy(NOMINAL, self.file)
@@ -90,7 +90,7 @@ class Robot:
         files = {"model_file": str(self.file), "allowed_folders": f"{folder}:{CONFIG}"}
         self.process = NodeProcess(NODE, folder, self.namespace, **files)
         self.client = Client("tester", self.namespace, [self.process])
-        self.status = self.client.latest(ModelStatus, f"{NODE}/model_status")
+        self.status = self.client.subscribe_latest(ModelStatus, f"{NODE}/model_status")
         self.diagnostics = {}
         self.client._node.create_subscription(DiagnosticArray, "/diagnostics", self._diagnosed, 10)
         self.client.wait(lambda: bool(self.status), "a model status")
@@ -577,12 +577,12 @@ def outside_limits(robot):
 
 @mock.patch.dict(os.environ)
 def test_without_a_file_it_says_so_and_recovers_when_one_comes_under_other_topic_names(tmp_path):
-    namespace, file = own_domain() + "_empty", tmp_path / "later" / "robot.yaml"
+    namespace, file = use_private_domain() + "_empty", tmp_path / "later" / "robot.yaml"
     ros = ["-r", "joint_states:=arm/angles"]
     ros += ["-p", f"qos_overrides.{namespace}/arm/angles.subscription.reliability:=reliable"]
     process = NodeProcess(NODE, tmp_path, namespace, ros=ros, model_file=str(file))
     client = Client("tester", namespace, [process])
-    status = client.latest(ModelStatus, f"{NODE}/model_status")
+    status = client.subscribe_latest(ModelStatus, f"{NODE}/model_status")
     client.wait(lambda: bool(status), "a status")
     assert (status[0].ok, status[0].source, status[0].hash) == (False, "startup", "")
     request = {"configurations": configurations([0.5] * 3)}
@@ -601,7 +601,7 @@ def test_without_a_file_it_says_so_and_recovers_when_one_comes_under_other_topic
 
 
 def test_a_parameter_of_the_wrong_kind_is_one_clear_line_and_a_whole_number_will_do(tmp_path):
-    process = NodeProcess(NODE, tmp_path, own_domain() + "_kinds", time_from_start="soon")
+    process = NodeProcess(NODE, tmp_path, use_private_domain() + "_kinds", time_from_start="soon")
     assert process.ended() == 1
     assert process.said.startswith("error: parameter time_from_start: expected a number")
     assert process.said.count("\n") == 1
@@ -633,7 +633,7 @@ def test_parameters_refused_together_leave_the_model_as_it_is(robot):
 def stewart(tmp_path_factory):
     """A node on a Stewart platform, whose requests may take four seconds."""
     with mock.patch.dict(os.environ):
-        folder, namespace = tmp_path_factory.mktemp("stewart"), own_domain() + "_stewart"
+        folder, namespace = tmp_path_factory.mktemp("stewart"), use_private_domain() + "_stewart"
         file = shutil.copy(CONFIG / "stewart_general.yaml", folder / "robot.yaml")
         limits = {"request_time": 4.0, "request_poses": 500}
         process = NodeProcess(NODE, folder, namespace, model_file=str(file), **limits)
@@ -704,7 +704,7 @@ def test_poses_go_on_while_a_request_is_worked_on(stewart):
 
 @mock.patch.dict(os.environ)
 def test_a_signal_ends_the_node_within_two_seconds_whatever_runs(tmp_path):
-    namespace = own_domain() + "_busy"
+    namespace = use_private_domain() + "_busy"
     file = CONFIG / "stewart_general.yaml"
     process = NodeProcess(NODE, tmp_path, namespace, model_file=str(file), request_time=600.0)
     client = Client("tester", namespace, [process])

@@ -22,7 +22,7 @@ pytest.importorskip("parallel_cal_msgs", reason="the messages (msg_defs) are not
 from ros_helpers import NodeProcess
 
 from parallel_cal.nodes import calibration_node, kinematics_node
-from parallel_cal.nodes.client import Client, own_domain
+from parallel_cal.nodes.client import Client, use_private_domain
 
 REPOSITORY = Path(__file__).parents[1]
 PRESET = REPOSITORY / "config" / "delta_mockup_nominal.yaml"
@@ -93,7 +93,7 @@ def test_the_page_about_the_nodes_names_every_parameter(node):
 
 @mock.patch.dict(os.environ)
 def test_both_nodes_run_with_every_topic_under_the_name_given(actions, tmp_path):
-    namespace = own_domain()
+    namespace = use_private_domain()
     topics = {n for n, a in arguments(actions).items() if vars(a).get("default_value") == n}
     given = {"model_file": str(PRESET), "namespace": namespace, "pose_type": "PoseStamped"}
     processes = list(started(actions, tmp_path, given | {t: f"arm/{t}" for t in topics}))

@@ -6,7 +6,7 @@ import pytest
 from datasets import measured
 
 from parallel_cal.identification.fit import fit
-from parallel_cal.identification.spread import Spread
+from parallel_cal.identification.spread import PositionUncertainty
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.model import new_model
 from parallel_cal.reporting import maps
@@ -50,7 +50,7 @@ def test_a_bar_says_how_long_a_residual_of_a_round_size_is_drawn():
 
 
 def test_the_workspace_map_has_the_sigma_that_the_answered_pose_has(identified):
-    found = Spread.of(identified)
+    found = PositionUncertainty.of(identified)
     assert found.across == "xyz"
     assert len(found.places) == 3 * 49 - 3 * 7 + 1  # three grids, what they share once
     at = found.places[30]
@@ -67,18 +67,18 @@ def test_the_workspace_map_has_the_sigma_that_the_answered_pose_has(identified):
 
 
 def test_a_model_that_was_never_identified_has_no_workspace_map():
-    assert Spread.of(new_model("delta54")) is None
+    assert PositionUncertainty.of(new_model("delta54")) is None
 
 
 def test_a_robot_that_only_turns_has_no_map_of_places(identified):
     model = new_model("argos9")
     values = np.eye(len(model.values)) * 1e-8
-    assert Spread.of(model.with_values(model.values, values)) is None
+    assert PositionUncertainty.of(model.with_values(model.values, values)) is None
 
 
 def test_a_planar_robot_is_shown_in_plan_alone():
     model = new_model("planar_stewart")
     model = model.with_values(model.values, np.eye(len(model.values)) * 1e-10)
-    found = Spread.of(model)
+    found = PositionUncertainty.of(model)
     assert found.across == "xy"
     assert len(of(maps.workspace(found)[0], "pose")) == 1

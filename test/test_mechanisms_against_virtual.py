@@ -17,13 +17,13 @@ from parallel_cal.base.rotation import quaternion_to_matrix, rotation_vector
 from parallel_cal.kinematics import solving
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.model import new_model
-from parallel_cal.model.shelf import load_mechanism, shelf_names
+from parallel_cal.model.shelf import list_plugins, load_mechanism
 from parallel_cal.virtual import argos as va
 from parallel_cal.virtual import stewart as vt
 from parallel_cal.virtual.linear_delta import LinearDelta
 from parallel_cal.virtual.robot import turn
 
-SHELF = shelf_names("mechanisms")
+SHELF = list_plugins("mechanisms")
 SIX_LINES = [(1, 1, 2), (-1, 1, 2), (0, -1.4, 2.1), (1.1, -1, 0.1), (-1, -1, 0), (0, 1.5, -0.1)]
 # Waist, two parallel arms, and three wrist axes through one point; the last frame is anywhere.
 SIX_R = [

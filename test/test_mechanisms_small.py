@@ -122,7 +122,9 @@ def test_spherical_argos_agrees_with_the_one_of_pantographs(name):
     model = strayed(name, 1)
     robot = argos.Argos(argos.spherical(model.table.mapping(model.values)))
     for row in solved_poses(model, 20):
-        turned = robot.turned(row[:3], row[6:].reshape(3, 3) @ rotation_matrix(np.full(3, 0.02)))
+        turned = robot.orientation_at_origin(
+            row[:3], row[6:].reshape(3, 3) @ rotation_matrix(np.full(3, 0.02))
+        )
         assert np.abs(turned.ravel() - row[6:]).max() < 1e-9
 
 
@@ -452,7 +454,7 @@ def test_every_argos_has_eight_joint_sets(name):
 @pytest.mark.parametrize("options", [{}, {"radius": 0.3}], ids=["mock-up", "larger"])
 def test_small_argos_widened_answers_the_same(name, options):
     small = strayed(name, 7, **options)
-    large = small.widened()
+    large = small.widen()
     q = solved_poses(small, 200)[:, :3]
     a, b = Kinematics(small).direct(q), Kinematics(large).direct(q)
     assert np.abs(a.rotation - b.rotation).max() < 1e-13
@@ -463,7 +465,7 @@ def test_small_argos_widened_answers_the_same(name, options):
 def test_argos_9_rows_are_the_first_ones_of_argos_27_anywhere():
     small = strayed("argos9", 8, radius=0.2)
     q, R = np.array([0.3, -0.4, 0.5]), rotation_matrix(np.array([0.4, 1.1, -0.7]))
-    rows = phi(small.widened(), q, np.zeros(3), R)
+    rows = phi(small.widen(), q, np.zeros(3), R)
     assert rows[:3] == pytest.approx(phi(small, q, np.zeros(3), R), abs=1e-15)
     assert np.abs(rows[3:]).max() < 1e-15
 

@@ -20,10 +20,10 @@ from bench.tables.parallelogram import base_parameters
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.base.threads import single_threaded
-from parallel_cal.identification.estimators import method_named
+from parallel_cal.identification.estimators import load_method
 from parallel_cal.identification.methods import implicit, semiparametric
-from parallel_cal.identification.methods._factors import separated
-from parallel_cal.identification.methods._robust import robust
+from parallel_cal.identification.methods._factors import separate_factors
+from parallel_cal.identification.methods._robust import estimate_robustly
 from parallel_cal.identification.methods._separation import Separation
 from parallel_cal.identification.observations import Observations, observe
 from parallel_cal.kinematics.kinematics import Kinematics
@@ -142,14 +142,14 @@ EXPANDED = [(m, r) for m in ("semiparametric", "cascaded") for r in ("slider_cra
 @pytest.mark.parametrize("method", ITERATED)
 def test_a_robot_without_noise_is_found_exactly(method, robot):
     model, truth, observations = shown(robot, noisy=False)
-    found = method_named(method)(model, observations, ~model.fixed)
+    found = load_method(method)(model, observations, ~model.fixed)
     assert np.abs(found.values - truth).max() < 1e-9
 
 
 @pytest.mark.parametrize(("method", "robot"), EXPANDED)
 def test_linear_factors_give_the_parameters_back_without_noise(method, robot):
     model, truth, observations = shown(robot, noisy=False)
-    found = method_named(method)(model, observations, ~model.fixed)
+    found = load_method(method)(model, observations, ~model.fixed)
     assert np.abs(found.values - truth).max() < 1e-9
 
 
@@ -159,7 +159,7 @@ def test_what_linear_calibration_leaves_is_of_second_order(robot):
     left = []
     for share in (1.0, 0.1):  # of the way from the truth to the nominal robot
         start = model.with_values(truth + share * (model.values - truth))
-        step = method_named("linear")(start, observations, ~model.fixed).values - truth
+        step = load_method("linear")(start, observations, ~model.fixed).values - truth
         left.append(np.abs(step / model.table.tolerance)[~model.fixed].max())
     assert left[1] < 0.02 * left[0]
 
@@ -170,7 +170,7 @@ def test_what_linear_calibration_leaves_is_of_second_order(robot):
 def test_noisy_data_predict_unseen_poses(method, robot):
     model, truth, observations = shown(robot, noisy=True)
     true = unseen(robot, truth)
-    found = method_named(method)(model, observations, ~model.fixed)
+    found = load_method(method)(model, observations, ~model.fixed)
     before = position_error(model, true).mean()
     after = position_error(model.with_values(found.values), true).mean()
     assert after < before / 10
@@ -182,7 +182,7 @@ def test_noisy_data_predict_unseen_poses(method, robot):
 )
 def test_semiparametric_models_have_as_many_factors_as_are_independent(robot, factors):
     """Section 5.3.8 counts 3, 36 and, for the Stewart platform, 174: see below."""
-    assert sum(len(row) for row in separated(new_model(robot))) == factors
+    assert sum(len(row) for row in separate_factors(new_model(robot))) == factors
 
 
 def test_a_stewart_leg_expands_into_45_monomials_of_which_17_combinations_matter():
@@ -235,7 +235,7 @@ def euler_products(x, angles):
 def test_an_expanded_closure_is_the_closure():
     for robot in ("slider_crank", "delta24", "stewart42"):
         model, truth, observations = shown(robot, noisy=True)
-        factors = semiparametric.semiparametric(model.with_values(truth))
+        factors = semiparametric.make_factor_model(model.with_values(truth))
         phi, _ = semiparametric.closure_rows(factors, observations)
         true, _ = semiparametric.closure_rows(model.with_values(truth), observations)
         assert np.abs(phi).max() < 1e-2  # (a Stewart leg's length is squared: another scale)
@@ -273,9 +273,9 @@ def test_sensitivity_matrix_finds_the_papers_six_base_parameters():
 
 def test_sensitivity_matrix_repeated_is_forward_calibration():
     model, truth, observations = shown("delta54", noisy=False)
-    found = method_named("sensitivity")(model, observations, ~model.fixed, iterations=5)
+    found = load_method("sensitivity")(model, observations, ~model.fixed, iterations=5)
     assert np.abs(found.values - truth).max() < 1e-9
-    once = method_named("sensitivity")(model, observations, ~model.fixed)
+    once = load_method("sensitivity")(model, observations, ~model.fixed)
     true = unseen("delta54", truth)
     error = position_error(model.with_values(once.values), true).mean()
     assert error < position_error(model, true).mean() / 10
@@ -289,7 +289,7 @@ def test_predicted_sigma_is_the_spread_over_200_draws(method):
     model, free = new_model("slider_crank", CRANK), np.ones(3, dtype=bool)
     with single_threaded():
         found = [
-            method_named(method)(model, crank_evidence(NOISE["slider_crank"], s), free)
+            load_method(method)(model, crank_evidence(NOISE["slider_crank"], s), free)
             for s in range(200)
         ]
     spread = np.std([e.values for e in found], axis=0, ddof=1)
@@ -377,7 +377,7 @@ def test_a_robust_loss_is_not_pulled_by_a_few_bad_samples(loss):
     clean = implicit.estimate(model, observations, ~model.fixed)
     observations.x[[3, 30, 60], 3:6] += 0.5 * MM
     pulled = implicit.estimate(model, observations, ~model.fixed)
-    held = robust(implicit.estimate, model, observations, ~model.fixed, loss)
+    held = estimate_robustly(implicit.estimate, model, observations, ~model.fixed, loss)
     errors = [
         position_error(model.with_values(e.values), true).mean() for e in (clean, held, pulled)
     ]
@@ -389,11 +389,11 @@ def test_what_a_method_cannot_do_is_a_clear_error():
     observations.measured[:, 3] = False
     for method in ("inverse", "semiparametric", "cascaded"):
         with pytest.raises(FitError, match=r"needs x at every sample.*implicit"):
-            method_named(method)(model, observations, ~model.fixed)
+            load_method(method)(model, observations, ~model.fixed)
     crank = new_model("slider_crank")
     for method in ("semiparametric", "cascaded"):
         with pytest.raises(FitError, match="takes no prior"):
-            method_named(method)(crank, crank_evidence(), ~crank.fixed, prior=True)
+            load_method(method)(crank, crank_evidence(), ~crank.fixed, prior=True)
     bent = new_model("delta24").with_effect("encoder_eccentricity")
     with pytest.raises(FitError, match="cannot be separated"):
-        separated(bent)
+        separate_factors(bent)

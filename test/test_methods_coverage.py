@@ -7,7 +7,7 @@ from method_cases import ROBOTS, SIGMA, evidence_of, strayed, true_poses
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.rotation import rotation_vector
 from parallel_cal.base.threads import single_threaded
-from parallel_cal.identification.estimators import method_named
+from parallel_cal.identification.estimators import load_method
 from parallel_cal.kinematics.kinematics import Kinematics
 
 METHODS = (
@@ -34,7 +34,7 @@ SOME_THEN_ALL = [
 def identified(method, model, observations, steps=1):
     with single_threaded():
         for _ in range(steps):
-            found = method_named(method)(model, observations, ~model.fixed)
+            found = load_method(method)(model, observations, ~model.fixed)
             model = model.with_values(found.values)
     return model, found
 

@@ -12,10 +12,10 @@ from parallel_cal.cli import main as cli
 from parallel_cal.identification.fit import fit
 from parallel_cal.model.file.modelfile import read_model, write_model
 from parallel_cal.model.model import new_model
-from parallel_cal.model.shelf import shelf_names
+from parallel_cal.model.shelf import list_plugins
 from parallel_cal.virtual import robot as vr
 
-METHODS = shelf_names("identification.methods")
+METHODS = list_plugins("identification.methods")
 ECCENTRIC = vr.EncoderEccentricity((4e-3, -3e-3, 2e-3), (1e-3, 4e-3, -3e-3))
 EXPANDED = ("semiparametric", "cascaded")  # they know no effect that needs its own functions
 

@@ -14,7 +14,7 @@ from parallel_cal.identification.fit import fit
 from parallel_cal.identification.methods.implicit import estimate
 from parallel_cal.identification.observations import observe
 from parallel_cal.identification.prior import Prior
-from parallel_cal.identification.refit import considered
+from parallel_cal.identification.refit import add_consider_covariance
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.file.modelfile import read_model, write_model
 from parallel_cal.model.model import Noise, new_model
@@ -93,7 +93,7 @@ def test_the_sigma_of_refitted_parameters_is_their_spread_over_draws(draws):
             start = model.with_values(start.values, start.covariance)
             observations = observe(model, few(1000 + seed))
             again = estimate(start, observations, offsets)
-            found.append(considered(start, observations, offsets, again))
+            found.append(add_consider_covariance(start, observations, offsets, again))
     values = np.array([e.values for e in found])
     covariance = np.mean([e.covariance for e in found], axis=0)
     spread = np.cov(values.T)
@@ -127,7 +127,7 @@ def test_two_sessions_one_after_the_other_are_both_at_once():
     whole, poses = measured(1), np.arange(94)
     first, second = whole.select(poses % 2 == 0), whole.select(poses % 2 == 1)
     start = fit(model, first, hold_out=0).model
-    both = fit(start, second, hold_out=0, prior=Prior.result_of(start))
+    both = fit(start, second, hold_out=0, prior=Prior.from_model(start))
     at_once = fit(model, whole, hold_out=0)
     apart = (both.model.values - at_once.model.values)[both.free]
     apart /= at_once.estimate.sigma[both.free]
@@ -142,7 +142,7 @@ def test_a_prior_makes_one_pose_enough(calibrated):
     one = few(0).select(np.arange(1))
     with pytest.raises(FitError, match="1 different poses give 6 equations"):
         fit(calibrated, one, hold_out=0)
-    sure = Prior.result_of(calibrated)
+    sure = Prior.from_model(calibrated)
     result = fit(calibrated, measured(3).select(np.arange(1)), hold_out=0, prior=sure)
     free, before = result.free, np.sqrt(np.diag(calibrated.covariance))
     assert (result.estimate.sigma[free] <= before[free] * (1 + 1e-9)).all()
@@ -154,7 +154,7 @@ def test_a_prior_that_knows_a_free_parameter_exactly_is_an_error(calibrated):
     with pytest.raises(FitError, match="singular: fix the parameters"):
         fit(calibrated, measured(0), prior=exact)
     with pytest.raises(FitError, match="no covariance to start from"):
-        Prior.result_of(new_model("delta54"))
+        Prior.from_model(new_model("delta54"))
 
 
 def mean_error(model, data):

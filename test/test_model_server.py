@@ -15,10 +15,10 @@ from parallel_cal.kinematics.every import inverse_all
 from parallel_cal.kinematics.kinematics import Kinematics, Status
 from parallel_cal.model.file.modelfile import model_hash, read_model, write_model
 from parallel_cal.model.model import new_model
-from parallel_cal.model.shelf import shelf_names
+from parallel_cal.model.shelf import list_plugins
 from parallel_cal.nodes.file_watch import DEBOUNCE, FileWatch
 from parallel_cal.nodes.following import DirectionTracker, Memory, joints_for
-from parallel_cal.nodes.model_server import ModelServer, Served, self_test
+from parallel_cal.nodes.model_server import ModelServer, ServedModel, self_test
 
 CONFIG = Path(__file__).parents[1] / "config"
 NOMINAL, IDENTIFIED = CONFIG / "delta_mockup_nominal.yaml", CONFIG / "delta_mockup_identified.yaml"
@@ -102,7 +102,7 @@ def test_a_late_compilation_does_not_bring_an_old_model_back(server):
     assert server.current.hash == model_hash(IDENTIFIED.read_text())
 
 
-@pytest.mark.parametrize("name", [n for n in shelf_names("mechanisms") if n != "serial"])
+@pytest.mark.parametrize("name", [n for n in list_plugins("mechanisms") if n != "serial"])
 def test_every_mechanism_passes_its_self_test(name):
     self_test(Kinematics(new_model(name)))
 
@@ -129,7 +129,7 @@ class CountedWatch(FileWatch):
 
     def _settled(self):
         self.looks += 1
-        return super()._settled()
+        return super()._has_settled_change()
 
 
 def unseen(changed, watch):
@@ -249,7 +249,7 @@ def test_noise_on_a_slow_motion_does_not_turn_it_round():
 
 
 def served(model):
-    return Served(model, Kinematics(model), "", "")
+    return ServedModel(model, Kinematics(model), "", "")
 
 
 def test_a_target_is_reached_on_the_branch_the_robot_is_on():
@@ -259,10 +259,10 @@ def test_a_target_is_reached_on_the_branch_the_robot_is_on():
     position = np.array([0.01, 0.02, 0.2])
     home = kinematics.inverse(position)
     other = next(s for s in inverse_all(model, position) if s.joints[0] > 1.5)
-    memory.moved(model, other.joints, 0.0, None)
+    memory.on_joint_state(model, other.joints, 0.0, None)
     found = joints_for(served(model), memory, position + 0.001, None)
     assert np.abs(found.joints - other.joints).max() < 0.1
-    memory.moved(model, home.joints, 0.0, None)
+    memory.on_joint_state(model, home.joints, 0.0, None)
     found = joints_for(served(model), memory, position + 0.001, None)
     assert np.abs(found.joints - home.joints).max() < 0.1
 
@@ -283,7 +283,7 @@ def test_a_target_is_approached_from_where_the_robot_is():
     )
     kinematics, memory = Kinematics(model), Memory(1e-4)
     for q in (0.3, 0.5):  # it comes from below and must go down again
-        memory.moved(model, np.full(3, q), 0.0, None)
+        memory.on_joint_state(model, np.full(3, q), 0.0, None)
     target = kinematics.direct(np.full(3, 0.4)).position
     found = joints_for(served(model), memory, target, None)
     downwards = {f"direction.{j}": -1.0 for j in model.joints}
@@ -297,8 +297,8 @@ def test_what_the_model_needs_and_nobody_says_is_listed():
     model = new_model("delta24", effects=["backlash"])
     memory = Memory(1e-4)
     assert memory.unheard(model) == [f"direction.{j}" for j in model.joints]
-    memory.moved(model, np.zeros(3), 0.0, None)
-    memory.moved(model, np.ones(3), 1.0, None)
+    memory.on_joint_state(model, np.zeros(3), 0.0, None)
+    memory.on_joint_state(model, np.ones(3), 1.0, None)
     assert memory.unheard(model) == []
     assert memory.conditions(model) == {f"direction.{j}": 1.0 for j in model.joints}
     assert memory.heard["velocity.joint1"] == 1.0

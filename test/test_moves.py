@@ -5,7 +5,7 @@ import json
 import pytest
 
 from parallel_cal.identification.fit import fit
-from parallel_cal.identification.moves import moves
+from parallel_cal.identification.moves import compute_platform_shift
 from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.recordings.loading import load_dataset
 from parallel_cal.session.steps import add
@@ -23,20 +23,20 @@ def fitted():
 def test_an_effect_that_is_there_moves_the_robot_by_what_the_data_show(fitted):
     base, data = fitted
     step = add(base.model, "backlash", data)
-    assert step.moves.measured == pytest.approx(step.moves.shown, rel=0.25)
-    assert step.document()["moves_robot"]["measured"] == step.moves.measured
+    assert step.platform_shift.measured == pytest.approx(step.platform_shift.shown, rel=0.25)
+    assert step.document()["moves_robot"]["measured"] == step.platform_shift.measured
 
 
 def test_an_effect_that_is_not_there_moves_it_by_more(fitted):
     base, data = fitted
     step = add(base.model, "thermal_expansion", data, force=True)
-    assert step.moves.shown == 0
-    assert step.moves.measured > 1e-6
+    assert step.platform_shift.shown == 0
+    assert step.platform_shift.measured > 1e-6
 
 
 def test_nothing_moves_between_a_result_and_itself(fitted):
     base, _ = fitted
-    found = moves(base, base)
+    found = compute_platform_shift(base, base)
     assert (found.measured, found.workspace, found.shown) == (0, 0, 0)
 
 

@@ -17,7 +17,7 @@ def drawn(seed):
 def test_white_noise_has_no_shape_but_for_one_time_in_a_hundred():
     shapes = [noise_shape(*drawn(seed)) for seed in range(60)]
     assert sum(s.correlated for s in shapes) <= 3
-    assert sum(s.grows for s in shapes) <= 3
+    assert sum(s.grows_from_centre for s in shapes) <= 3
     assert np.mean([s.correlation for s in shapes]) == pytest.approx(0, abs=0.01)
 
 
@@ -33,7 +33,7 @@ def test_noise_of_which_nine_tenths_stay_is_correlated_over_ten_samples():
         memories.append(shape.memory)
     # e^(-10 s / T) = 0.9 gives T = 95 s; means over 150 samples shorten it a little
     assert 50 < np.median(memories) < 110
-    assert shape.words[0].startswith("noise is correlated over")
+    assert shape.remarks[0].startswith("noise is correlated over")
 
 
 def test_noise_three_times_larger_outside_is_said_to_be_so():
@@ -41,7 +41,7 @@ def test_noise_three_times_larger_outside_is_said_to_be_so():
         z, time, places = drawn(seed)
         away = np.linalg.norm(places, axis=1)
         shape = noise_shape(z * (1 + 2 * away / away.max())[:, None], time, places)
-        assert shape.grows
+        assert shape.grows_from_centre
         assert not shape.correlated
         # the outer third lies about 0.85, the inner 0.4 of the way out: 2.7 / 1.8
         assert shape.growth == pytest.approx(1.5, abs=0.35)
@@ -57,5 +57,5 @@ def test_the_order_in_which_samples_are_given_does_not_matter():
 
 def test_too_few_samples_and_no_residuals_say_nothing():
     z, time, places = drawn(0)
-    assert not noise_shape(z[:5], time[:5], places[:5]).words
-    assert not noise_shape(0 * z, time, places).words
+    assert not noise_shape(z[:5], time[:5], places[:5]).remarks
+    assert not noise_shape(0 * z, time, places).remarks

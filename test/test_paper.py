@@ -134,7 +134,7 @@ def test_the_simple_mechanism_is_the_complete_one_with_equal_rods():
     q = np.linspace(-0.8, 0.8, 21)[:, None]
     x = 0.951 * np.sin(q + 0.01)  # eq. 34
     assert np.abs(Kinematics(simple).direct(q).position[:, :1] - x).max() < 1e-15
-    wide = Kinematics(simple.widened()).direct(q)
+    wide = Kinematics(simple.widen()).direct(q)
     assert np.abs(wide.position - Kinematics(simple).direct(q).position).max() < 1e-14
     assert np.abs(wide.rotation - np.eye(3)).max() < 1e-13
 
@@ -282,7 +282,9 @@ def test_a_rods_slopes_are_the_papers_matrices_with_one_sign_put_right(rod):
     slopes = model.structure.closure(x, [], model.values)[1:]
     J, J_v = (np.array(slope)[RODS.index(rod)] for slope in slopes)
     b, a = (np.array([k(f"rod{rod}.{n}_{axis}") for axis in "xyz"]) for n in "ba")
-    turn = vr.about("z", np.radians([-90, 30, 150][i - 1])) @ vr.about("x", q[i - 1])
+    turn = vr.axis_rotation("z", np.radians([-90, 30, 150][i - 1])) @ vr.axis_rotation(
+        "x", q[i - 1]
+    )
     AP, BC, l = -turn @ a, -s.rotation @ b, k(f"rod{rod}.l")
     AB = s.position - BC - (np.array([k(f"chain{i}.p_{axis}") for axis in "xyz"]) - AP)
     assert l * J[3:] == pytest.approx([*AB, *np.cross(AB, BC)], abs=1e-14)
@@ -308,8 +310,8 @@ class PointDelta(vr.RodRobot):
         p = self.parameters
         beta = np.array([[p[f"chain{i}.beta_{k}"] for k in "xyz"] for i in (1, 2, 3)])
         hub = np.array([[p[f"chain{i}.p_{k}"] for k in "xyz"] for i in (1, 2, 3)])
-        frame = vr.turn(beta) @ vr.about("z", np.radians([-90, 30, 150]))
-        frame = frame @ vr.about("x", np.asarray(q))
+        frame = vr.turn(beta) @ vr.axis_rotation("z", np.radians([-90, 30, 150]))
+        frame = frame @ vr.axis_rotation("x", np.asarray(q))
         A = self.points("a")
         return np.concatenate([hub + vr.apply(frame, A[:3]), hub + vr.apply(frame, A[3:])], -2)
 
@@ -350,7 +352,7 @@ def test_model_54_and_joint_points_describe_the_same_robots(seed):
     other = new_model("delta51", from_delta54(one.table.mapping(one.values)))
     assert_same_robot(one, other, q)
     points = off_nominal("delta51", seed, size=2)
-    assert_same_robot(points, points.widened(), q)
+    assert_same_robot(points, points.widen(), q)
 
 
 def assert_same_robot(one, other, q):

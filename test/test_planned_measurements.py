@@ -7,9 +7,9 @@ import pytest
 from findings import travel
 from settling import DOUBTS, settled
 
-from parallel_cal.diagnosis.separate import told_apart
+from parallel_cal.diagnosis.separate import explain_separation
 from parallel_cal.model.model import Noise, new_model
-from parallel_cal.planning.course import Course
+from parallel_cal.planning.course import Schedule
 from parallel_cal.planning.plan import plan
 from parallel_cal.planning.posepool import make_pool
 from parallel_cal.virtual import robot as vr
@@ -44,7 +44,7 @@ def test_a_way_that_would_be_too_short_is_planned_as_long_as_it_will_be():
     model = new_model("delta54").with_effect("hysteresis")
     pool = make_pool(model, 50, np.random.default_rng(1), symmetric=False)
     least = np.array([2e-3, 0.0, 30e-3])
-    longer = pool.drawn_out(model, least)
+    longer = pool.lengthen_approach(model, least)
     before, after = pool.approach.ways, longer.approach.ways
     assert np.array_equal(np.sign(after), np.sign(before))
     assert np.array_equal(np.abs(after), np.maximum(np.abs(before), least))
@@ -57,23 +57,23 @@ def test_a_way_that_would_be_too_short_is_planned_as_long_as_it_will_be():
 def test_a_course_is_cold_then_warm_then_cold_again_as_fast_as_it_was_seen_to_change():
     """4 K in 1000 s were recorded, a sample in 10 s: blocks of 20 poses last 200 s."""
     time = np.arange(0.0, 1001.0, 10.0)
-    course = Course.after({"time": time, "temperature": 18 + 0.004 * time}, 20)
+    course = Schedule.after({"time": time, "temperature": 18 + 0.004 * time}, 20)
     assert course.temperature.tolist() == [18.0, 22.0, 18.0]
     assert course.begin.tolist() == [2000.0, 3200.0, 4400.0]
     assert course.step == 10.0
 
 
 def test_a_hall_that_never_changed_is_asked_to_change_by_what_can_be_felt():
-    course = Course.after({"time": np.arange(10.0), "temperature": np.full(10, 21.0)}, 5)
+    course = Schedule.after({"time": np.arange(10.0), "temperature": np.full(10, 21.0)}, 5)
     assert course.temperature.tolist() == [21.0, 25.0, 21.0]
 
 
 def test_advice_is_for_the_pair_that_is_in_doubt():
-    assert "short" in told_apart("hysteresis", "latency")
+    assert "short" in explain_separation("hysteresis", "latency")
     for pair in (("backlash", "hysteresis"), ("hysteresis", "backlash")):
-        assert "ways of some mrad" in told_apart(*pair)
-        assert "both directions" not in told_apart(*pair)
-    assert told_apart("base_drift", "thermal_expansion") == told_apart(
+        assert "ways of some mrad" in explain_separation(*pair)
+        assert "both directions" not in explain_separation(*pair)
+    assert explain_separation("base_drift", "thermal_expansion") == explain_separation(
         "thermal_expansion", "base_drift"
     )
 

@@ -20,8 +20,8 @@ from parallel_cal.model.model import Noise, new_model
 from parallel_cal.model.words import describe, direction_in_words
 from parallel_cal.planning.indices import indices, prediction_rms
 from parallel_cal.planning.plan import plan
-from parallel_cal.planning.posepool import clear, make_pool
-from parallel_cal.planning.selection import Choice, anneal, exchange
+from parallel_cal.planning.posepool import find_clear_poses, make_pool
+from parallel_cal.planning.selection import SelectionProblem, anneal, exchange
 from parallel_cal.virtual import robot as vr
 
 FULL = Noise(vr.THESIS_NOISE.joint, vr.THESIS_NOISE.position, vr.THESIS_NOISE.orientation)
@@ -80,7 +80,7 @@ def test_prediction_error_is_the_propagated_covariance():
 
 def small_problem(criterion, seed=0):
     A = np.random.default_rng(seed).normal(size=(12, 2, 3))
-    return Choice(A, 1e-4 * np.eye(3), np.diag([1.0, 2.0, 0.5]), criterion, 3)
+    return SelectionProblem(A, 1e-4 * np.eye(3), np.diag([1.0, 2.0, 0.5]), criterion, 3)
 
 
 def best_cost(problem, n):
@@ -164,7 +164,7 @@ def test_every_planned_pose_is_solvable_inside_and_away_from_singularities(crite
     assert np.abs(poses.position - found.poses.position).max() < 1e-9
     low, high = np.array(model.mechanism.workspace.low), np.array(model.mechanism.workspace.high)
     assert ((found.poses.position >= low) & (found.poses.position <= high)).all()
-    assert clear(model, found.poses).all()
+    assert find_clear_poses(model, found.poses).all()
     assert distances(model, found.poses).direct.min() > 0.09
     assert len(np.unique(found.poses.position, axis=0)) == 12
 
@@ -174,7 +174,7 @@ def test_poses_near_a_singularity_are_not_candidates():
     model = noisy("slider_crank")
     at = np.array([62.6e-3, 100e-3])
     poses = Kinematics(model).inverse(np.column_stack([at, np.zeros((2, 2))]))
-    assert clear(model, poses).tolist() == [False, True]
+    assert find_clear_poses(model, poses).tolist() == [False, True]
 
 
 def test_the_same_seed_gives_the_same_plan():
@@ -185,7 +185,7 @@ def test_the_same_seed_gives_the_same_plan():
 
 def test_symmetric_sets_return_to_themselves_after_a_third_of_a_turn():
     found = plan(noisy(), 12, pool=300, symmetric=True)
-    T = vr.about("z", 2 * np.pi / 3)
+    T = vr.axis_rotation("z", 2 * np.pi / 3)
     turned = found.poses.position @ T.T
     gaps = np.linalg.norm(turned[:, None] - found.poses.position[None], axis=2).min(axis=1)
     assert gaps.max() < 1e-12

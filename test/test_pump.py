@@ -13,7 +13,7 @@ from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
 
-from parallel_cal.nodes.client import own_domain  # noqa: E402
+from parallel_cal.nodes.client import use_private_domain  # noqa: E402
 from parallel_cal.nodes.pump import Pump  # noqa: E402
 
 QOS = QoSProfile(depth=1000)
@@ -32,7 +32,7 @@ class CountingExecutor(SingleThreadedExecutor):
 
 @pytest.fixture
 def node():
-    context, namespace = rclpy.Context(), own_domain()
+    context, namespace = rclpy.Context(), use_private_domain()
     rclpy.init(context=context)
     node = rclpy.create_node("listener", namespace=namespace, context=context)
     node.create_timer(3600.0, lambda: None)

@@ -7,19 +7,19 @@ import pytest
 from datasets import measured, quiet
 
 from parallel_cal.base.rotation import nearest_rotation, rotation_matrix
-from parallel_cal.campaign.judging import Question, judged
+from parallel_cal.campaign.judging import JudgementRequest, judge_samples
 from parallel_cal.diagnosis.comparison import compare
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.fleet import judging as fleet_judging
 from parallel_cal.identification.fit import fit
 from parallel_cal.identification.observations import observe
 from parallel_cal.identification.prediction_errors import errors
-from parallel_cal.identification.registration import registered
+from parallel_cal.identification.registration import register_device
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.file.modelfile import dump_model
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_sensor
-from parallel_cal.reporting.contents import LeftOut
+from parallel_cal.reporting.contents import HeldOutErrors
 from parallel_cal.session.steps import add
 
 SHIFT, TURN = np.array([1.2, -1.4, 0.3]), rotation_matrix(np.array([0.3, -0.2, 2.0]))
@@ -52,7 +52,7 @@ def test_a_delta_before_a_tracker_that_stands_anywhere_is_as_good_as_before_its_
     where = found.registration
     assert np.abs(np.array(where.position) - SHIFT).max() < 5e-3
     assert np.abs(np.array(where.target_position)).max() < 1e-3
-    assert "does not turn enough to tell" in where.words
+    assert "does not turn enough to tell" in where.description
 
 
 def test_a_target_that_is_stated_is_where_it_is_stated():
@@ -86,7 +86,7 @@ def test_at_held_out_poses_the_model_before_is_registered_by_the_other_poses(far
     fitted = fit(model, far)
     before = fitted.held_out_before
     for train, test in far.folds(0.25, 0):
-        placed, registration = registered(model, far.select(train))
+        placed, registration = register_device(model, far.select(train))
         assert registration is not None
         unseen = errors(placed, observe(placed, far.select(test)))
         assert before.position[test] == pytest.approx(unseen.position, abs=1e-12)
@@ -106,8 +106,8 @@ def test_an_effect_added_to_a_registered_robot_is_held_against_the_model_that_co
 def test_a_campaign_s_error_before_is_that_of_the_model_registered_by_the_samples_used(far):
     unseen = np.arange(len(far)) % 5 == 0
     model = replace(new_model("delta54"), noise=replace(new_model("delta54").noise, joint=1.2e-4))
-    found = judged(Question(dump_model(model), effects=("backlash",)), far, unseen)
-    placed, _ = registered(model, far.select(~unseen))
+    found = judge_samples(JudgementRequest(dump_model(model), effects=("backlash",)), far, unseen)
+    placed, _ = register_device(model, far.select(~unseen))
     shown = errors(placed, observe(placed, far.select(unseen))).summary
     assert found.before["position"] == pytest.approx(shown.position_rms, rel=1e-6)
 
@@ -117,5 +117,5 @@ def test_report_and_fleet_show_the_registered_model_before_at_held_out_poses(far
     model = new_model("delta54")
     found = diagnose(model, far, effects=("backlash",))
     expected = fit(model, far).held_out_before.summary
-    assert LeftOut.of(found).before == expected
+    assert HeldOutErrors.of(found).before == expected
     assert fleet_judging._row(found)["before"] == expected

@@ -21,7 +21,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
 
 from parallel_cal.nodes import replay_node
-from parallel_cal.nodes.client import LATCHED, Client, own_domain
+from parallel_cal.nodes.client import LATCHED, Client, use_private_domain
 from parallel_cal.recordings.bag import list_topics, raw_messages
 
 BAG = Path(__file__).parents[1] / "bags" / "delta_clean"
@@ -32,7 +32,7 @@ NODE = "replay_node"
 @pytest.fixture
 def client():
     with mock.patch.dict(os.environ):
-        namespace = own_domain()
+        namespace = use_private_domain()
         client = Client("listener", namespace, [])
         client.namespace = namespace
         yield client

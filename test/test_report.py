@@ -17,7 +17,7 @@ from parallel_cal.model.file.modelfile import model_hash, write_model
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_sensor
 from parallel_cal.reporting.arrows import arrows, colour, scale_of
-from parallel_cal.reporting.figures import thinned
+from parallel_cal.reporting.figures import select_evenly
 from parallel_cal.reporting.page import page
 from parallel_cal.reporting.readable import number, probability, vector, with_unit
 from parallel_cal.reporting.report import report
@@ -374,10 +374,10 @@ def test_colours_name_directions_and_the_scale_is_round():
 
 
 def test_long_recordings_are_thinned_out_evenly_from_end_to_end():
-    kept = thinned(100_000, 500)
+    kept = select_evenly(100_000, 500)
     assert (kept[0], kept[-1], len(kept)) == (0, 99_999, 500)
     assert np.ptp(np.diff(kept)) <= 1
-    np.testing.assert_array_equal(thinned(7, 500), range(7))
+    np.testing.assert_array_equal(select_evenly(7, 500), range(7))
 
 
 # --------------------------------------------------------------------------------- command line

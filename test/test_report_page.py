@@ -14,7 +14,7 @@ from datasets import measured
 from parallel_cal.model.model import new_model
 from parallel_cal.reporting.multiples import multiples, peak
 from parallel_cal.reporting.page import page
-from parallel_cal.reporting.readable import rounded_to
+from parallel_cal.reporting.readable import round_to_sigma
 from parallel_cal.reporting.report import report
 from parallel_cal.session.steps import fitted
 from parallel_cal.virtual import robot as vr
@@ -75,10 +75,10 @@ def test_a_panel_says_in_the_axis_own_sigmas_how_far_its_mean_goes(made, text):
 
 
 def test_the_furthest_mean_is_that_which_leaves_the_band_furthest():
-    from parallel_cal.diagnosis.patterns import Along
+    from parallel_cal.diagnosis.patterns import ResidualProfile
 
     mean, band = np.array([[1.0, -0.2], [0.1, -0.9]]), np.array([1.0, 0.3])
-    entry = Along("direction", np.array([-1.0, 1.0]), mean, band, 4.3, 0.0, 1.0)
+    entry = ResidualProfile("direction", np.array([-1.0, 1.0]), mean, band, 4.3, 0.0, 1.0)
     assert peak(entry) == "mean up to 0.9 σ, 3.0 × the band"
 
 
@@ -108,10 +108,10 @@ def test_every_free_parameter_has_its_value_sigma_and_unit(made, text):
 
 
 def test_a_value_has_as_many_decimals_as_its_sigma_allows():
-    assert rounded_to(0.24012345, 2.3e-5, 1e3) == ("240.123", "0.023")
-    assert rounded_to(-1.2345, 0.4, 1.0) == ("-1.23", "0.40")
-    assert rounded_to(1234.5, 37.0) == ("1234", "37")
-    assert rounded_to(0.5, None) == ("0.500000", "–")
+    assert round_to_sigma(0.24012345, 2.3e-5, 1e3) == ("240.123", "0.023")
+    assert round_to_sigma(-1.2345, 0.4, 1.0) == ("-1.23", "0.40")
+    assert round_to_sigma(1234.5, 37.0) == ("1234", "37")
+    assert round_to_sigma(0.5, None) == ("0.500000", "–")
 
 
 def test_samples_are_sorted_by_a_column_that_is_seen_at_once(text):

@@ -27,7 +27,7 @@ from parallel_cal.campaign.cell import CellError, Sample
 from parallel_cal.model.file.modelfile import write_model
 from parallel_cal.nodes import robot_cell
 from parallel_cal.nodes.calibration_node import CalibrationNode
-from parallel_cal.nodes.client import own_domain
+from parallel_cal.nodes.client import use_private_domain
 from parallel_cal.nodes.collector import Collector
 from parallel_cal.nodes.inflow import Inflow
 from parallel_cal.nodes.robot_cell import RobotCell
@@ -74,7 +74,7 @@ class Desk:
         state = JointState(name=list(MODEL.joints), position=HOME)
         now = time.monotonic() - self.begun
         state.header.stamp = Time(sec=100 + int(now), nanosec=int(1e9 * (now % 1)))
-        self.cell.hear(state)
+        self.cell.on_joint_state(state)
         while self.script and now > self.script[0][0]:
             self.script.pop(0)[1]()
 
@@ -180,7 +180,7 @@ class Played:
         given = {"model_file": folder / "robot.yaml", "journal_folder": folder,
                  "look_period": 3600.0}  # fmt: skip
         parameters = [part for k, v in given.items() for part in ("-p", f"{k}:={v}")]
-        rclpy.init(args=["--ros-args", "-r", f"__ns:={own_domain()}", *parameters])
+        rclpy.init(args=["--ros-args", "-r", f"__ns:={use_private_domain()}", *parameters])
         self.node, self.executor = CalibrationNode(), FrontExecutor()
         self.executor.add_node(self.node)
         self.device = rclpy.create_node("device")

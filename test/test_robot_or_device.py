@@ -14,7 +14,7 @@ from twins import hexapod
 
 from parallel_cal.base.errors import FitError, ModelError
 from parallel_cal.diagnosis.catalogue import candidate
-from parallel_cal.diagnosis.device import cost, doubtful, log_evidence
+from parallel_cal.diagnosis.device import cost, find_doubtful_effects, log_evidence
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.search import Chosen, Search
@@ -208,7 +208,7 @@ def before_hexapod(device, seed=1):
     )
     pose = rng.permutation(np.concatenate([np.arange(120), rng.choice(120, 30, replace=False)]))
     reading = robot.inverse(r, R)[0][pose]
-    _, r, R = vr.truth(robot, [device], reading, vr.At(*np.zeros((4, 150))))
+    _, r, R = vr.truth(robot, [device], reading, vr.SampleConditions(*np.zeros((4, 150))))
     q_error, r_error, w_error = vd.errors(noise, 150, 6, seed)
     sigma = np.repeat([noise.position, noise.orientation], 3)
     return Dataset.from_arrays(
@@ -233,7 +233,9 @@ def test_the_cost_of_a_number_is_its_misfit_and_its_square_in_tolerances():
     data = clean(0)
     result = fit(new_model("delta54"), data, hold_out=0)
     scene = Scene.of(result.model, result.dataset, result.observations, result.free)
-    B = scene.off_geometry(np.random.default_rng(0).standard_normal((len(scene.residual), 2)))
+    B = scene.project_off_geometry(
+        np.random.default_rng(0).standard_normal((len(scene.residual), 2))
+    )
     e = np.linalg.solve(np.eye(2) + B.T @ B, B.T @ scene.residual)
     by_hand = np.sum((scene.residual - B @ e) ** 2) + np.sum(e**2)
     assert cost(scene, B) == pytest.approx(by_hand)
@@ -288,7 +290,7 @@ def test_effects_are_weighed_on_the_rows_of_the_larger_model_where_that_is_chose
     chosen = [candidate(scene, name) for name in names[::order]]
     device = [candidate(scene, name) for name in ("device_axes", "device_field")]
     assert {one.scene and one.scene.rows for one in chosen} == {3, 6, None}
-    assert doubtful(scene, chosen, [*chosen, *device]) == []
+    assert find_doubtful_effects(scene, chosen, [*chosen, *device]) == []
 
 
 @pytest.mark.wide

@@ -22,7 +22,7 @@ pytestmark = [pytest.mark.ros, pytest.mark.wide]
 pytest.importorskip("rclpy")
 pytest.importorskip("parallel_cal_msgs")
 
-from parallel_cal.nodes.client import Client, own_domain
+from parallel_cal.nodes.client import Client, use_private_domain
 from parallel_cal.recordings.loading import load_dataset
 
 ROOT = Path(__file__).parents[1]
@@ -98,7 +98,7 @@ def said(command, prefix, folder):
 
 @mock.patch.dict(os.environ)
 def test_the_commands_of_the_page_do_what_it_says(prefix, tmp_path):
-    own_domain()
+    use_private_domain()
     shutil.copy(ROOT / "config" / "delta_mockup_nominal.yaml", tmp_path / "robot.yaml")
     load_dataset(ROOT / "bags" / "delta_clean").to_json(tmp_path / "samples.json")
     start, *others = COMMANDS

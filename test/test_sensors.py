@@ -54,7 +54,7 @@ def check_jacobian(model, observations):
         changed = linearise.blocks(model.values + step * column, x)[0]
         assert np.abs((changed - phi) / step - J[:, :, k]).max() < 1e-4
     for k, column in enumerate(np.eye(C.shape[2])):
-        near = Configuration.from_rows(x).moved(np.tile(step * column, (len(x), 1))).rows
+        near = Configuration.from_rows(x).apply_change(np.tile(step * column, (len(x), 1))).rows
         changed = linearise.blocks(model.values, near)
         assert np.abs((changed[0] - phi) / step - C[:, :, k]).max() < 1e-4
 
@@ -285,7 +285,7 @@ def argos_session(device, n=47, seed=0, spherical=True):
     q = np.radians(rng.uniform(-30, 30, (n, 3)))
     if spherical:
         robot = va.Argos(va.spherical(va.TABLE_5_22))
-        R = np.array([robot.turned(row, HOME_TURN) for row in q])
+        R = np.array([robot.orientation_at_origin(row, HOME_TURN) for row in q])
         r = np.zeros((n, 3))
     else:
         r, R = va.Argos(spatial_argos()).forward(q)
@@ -439,8 +439,8 @@ def test_what_a_device_shows_and_where_the_platform_is_are_inverse():
     model = new_model("argos27", sensors=[argos_frames(True)])
     values = model.values + 0.3 * model.table.tolerance
     pose = np.concatenate([np.ones((3, 3)) * 0.01, np.tile(HOME_TURN.ravel(), (3, 1))], axis=1)
-    seen = np.concatenate(model.structure.shown(pose, values), axis=1)
-    back = np.concatenate(model.structure.located(seen, values), axis=1)
+    seen = np.concatenate(model.structure.to_device(pose, values), axis=1)
+    back = np.concatenate(model.structure.to_base(seen, values), axis=1)
     assert np.abs(seen - pose).max() > 0.01
     assert np.abs(back - pose).max() < 1e-12
 

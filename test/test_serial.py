@@ -281,7 +281,7 @@ def test_the_scara_of_the_documentation_moves_as_model_16_and_is_complete():
     q = np.random.default_rng(0).uniform([-1, 0.3, -0.1], [1, 2.5, 0.1], (20, 3))
     found, known = (Kinematics(new_model(m)).direct(q) for m in (arm, "scara16"))
     assert np.abs(found.position - known.position).max() < 1e-15
-    assert completeness.check(arm).rank == completeness.serial(R=2, P=1)
+    assert completeness.compute_completeness(arm).rank == completeness.serial(R=2, P=1)
 
 
 def test_an_arm_is_described_in_its_model_file(tmp_path):

@@ -15,7 +15,7 @@ from parallel_cal.identification.fit import fit
 from parallel_cal.model.effect import parse_effect
 from parallel_cal.model.model import new_model
 from parallel_cal.recordings.dataset import Dataset
-from parallel_cal.recordings.joining import joined
+from parallel_cal.recordings.joining import join_datasets
 from parallel_cal.recordings.loading import load_dataset, load_sessions
 from parallel_cal.recordings.simulate import simulate, with_effects
 from parallel_cal.recordings.travel import travel
@@ -98,7 +98,7 @@ def two():
 
 
 def test_samples_know_their_session_and_time_goes_on(two):
-    both = joined(two)
+    both = join_datasets(two)
     assert len(both) == 70
     np.testing.assert_array_equal(both.conditions["session"], np.repeat([0.0, 1.0], 35))
     assert (np.diff(both.time) > 0).all()
@@ -110,7 +110,7 @@ def test_samples_know_their_session_and_time_goes_on(two):
 
 
 def test_replicates_stay_within_their_session(two):
-    ids = joined(two).pose_id
+    ids = join_datasets(two).pose_id
     assert not set(ids[:35]) & set(ids[35:])
     for part, own in ((ids[:35], two[0].pose_id), (ids[35:], two[1].pose_id)):
         np.testing.assert_array_equal(part[:, None] == part, own[:, None] == own)
@@ -118,34 +118,34 @@ def test_replicates_stay_within_their_session(two):
 
 def test_what_only_one_session_recorded_is_left_out_and_said(two):
     warm = replace(two[0], conditions={**two[0].conditions, "temperature": np.full(35, 21.0)})
-    both = joined((warm, two[1]))
+    both = join_datasets((warm, two[1]))
     assert "temperature" not in both.conditions
     assert any("temperature of virtual robot is not used" in w for w in both.warnings)
 
 
 def test_the_hash_of_several_is_theirs_in_order(two):
     one, other = (replace(d, sha256=s) for d, s in zip(two, ("a", "b"), strict=True))
-    assert joined((one, other)).sha256 != joined((other, one)).sha256
-    assert joined((one, other)).source == "virtual robot, the second"
+    assert join_datasets((one, other)).sha256 != join_datasets((other, one)).sha256
+    assert join_datasets((one, other)).source == "virtual robot, the second"
 
 
 def test_recordings_of_another_robot_or_set_up_do_not_go_together(two):
     with pytest.raises(DatasetError, match=r"the second: joint_names is .*'a'.*only recordings of"):
-        joined((two[0], replace(two[1], joint_names=("a", "b", "c"))))
+        join_datasets((two[0], replace(two[1], joint_names=("a", "b", "c"))))
     with pytest.raises(DatasetError, match="the second: frame is tracker, but"):
-        joined((two[0], replace(two[1], frame="tracker")))
+        join_datasets((two[0], replace(two[1], frame="tracker")))
 
 
 def test_the_same_recording_does_not_count_twice(two):
     twice = replace(two[0], sha256="a"), replace(two[1], sha256="a")
     with pytest.raises(DatasetError, match="the second: the same recording as virtual robot;"):
-        joined(twice)
+        join_datasets(twice)
 
 
 def test_parts_of_one_collection_keep_the_time_between_them(two):
     """Samples of a file first: nobody knows when they were taken; 100 s lie between the others."""
     parts = [*two, replace(two[0], sha256="")]
-    all_three = joined(parts, [0, 10**12, 10**12 + 100 * 10**9])
+    all_three = join_datasets(parts, [0, 10**12, 10**12 + 100 * 10**9])
     end = two[0].time.max()
     began = all_three.time[::35] - [d.time[0] for d in parts]
     np.testing.assert_allclose(began, [0, end, end + 100])
@@ -157,9 +157,9 @@ def test_parts_of_one_collection_keep_the_time_between_them(two):
 
 def test_parts_that_know_no_time_have_none_together():
     parts = [Dataset.from_arrays(["a"], [[0.1 * k]], [[0.0, 0.0, 0.2 * k]]) for k in (1, 2)]
-    assert "time" not in joined(parts, [0, 0]).conditions
+    assert "time" not in join_datasets(parts, [0, 0]).conditions
     timed = [replace(one, conditions={"time": np.zeros(1)}) for one in parts]
-    assert joined(timed, [10**9, 3 * 10**9]).conditions["time"].tolist() == [0.0, 2.0]
+    assert join_datasets(timed, [10**9, 3 * 10**9]).conditions["time"].tolist() == [0.0, 2.0]
 
 
 def test_homing_anew_between_two_recordings_is_found(two, tmp_path):
@@ -206,7 +206,7 @@ def test_one_recording_alone_is_as_it_is(two, tmp_path):
 
 
 def test_saved_samples_of_several_sessions_are_read_back(two, tmp_path):
-    joined(two).to_json(tmp_path / "both.json")
+    join_datasets(two).to_json(tmp_path / "both.json")
     both = load_dataset(tmp_path / "both.json")
     np.testing.assert_array_equal(both.conditions["session"], np.repeat([0.0, 1.0], 35))
 

@@ -16,7 +16,7 @@ from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.recordings.bag import list_topics, read_bag
 from parallel_cal.recordings.dataset import Dataset
-from parallel_cal.recordings.joining import joined
+from parallel_cal.recordings.joining import join_datasets
 from parallel_cal.recordings.loading import dataset_from_recording, load_dataset
 from parallel_cal.recordings.options import SampleOptions
 from parallel_cal.recordings.topics import choose_topics
@@ -190,7 +190,7 @@ def test_readings_survive_saving_and_joining(tmp_path):
     assert column(again, PLANE) == column(dataset, PLANE)
     only_plane = dataset.select(dataset.conditions[SPHERE] != 0.0)
     del (only_plane.conditions)[SPHERE]
-    both = joined([only_plane, replace(again, source="again", sha256="another")])
+    both = join_datasets([only_plane, replace(again, source="again", sha256="another")])
     assert column(both, SPHERE) == [None] * 3 + [None, None, 0.0, None]
     assert not any("not used" in warning for warning in both.warnings)
 

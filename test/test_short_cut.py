@@ -15,7 +15,7 @@ from parallel_cal.base.errors import FitError
 from parallel_cal.cli import main as cli
 from parallel_cal.identification.doubts import chi2_band
 from parallel_cal.kinematics.kinematics import Kinematics
-from parallel_cal.mechanisms.rssr import Circle, numbers_of
+from parallel_cal.mechanisms.rssr import Circle, compute_parameters
 from parallel_cal.model.file.modelfile import read_model, write_model
 from parallel_cal.model.mechanism import Home
 from parallel_cal.model.model import new_model
@@ -63,10 +63,10 @@ def test_a_loops_nine_numbers_are_read_from_its_balls_circles():
     numbers |= {"output.r": 0.12, "output.s": -0.16, "output.q0": 2.8, "L": 0.23}
     loop = Rssr(numbers)
     angles = np.array([[0.0], [np.pi / 2], [np.pi]])
-    one, other = loop.balls(angles, vr.about("z", angles[:, 0]))
+    one, other = loop.balls(angles, vr.axis_rotation("z", angles[:, 0]))
     # Anywhere in space: what the loop is does not depend on where it stands.
     place = [points @ vr.turn([0.4, -1.0, 2.0]).T + [0.1, 0.5, -0.3] for points in (one, other)]
-    found = np.array(numbers_of(*[Circle(*map(ca.DM, points)) for points in place], 0.23))
+    found = np.array(compute_parameters(*[Circle(*map(ca.DM, points)) for points in place], 0.23))
     assert found.ravel() == pytest.approx(list(numbers.values()), abs=1e-14)
 
 
@@ -89,7 +89,7 @@ def test_a_loop_closes_where_the_virtual_arms_hold_its_rod(loop):
     q = vs.tied(robot, loop).places(60)
     one, other = Loop.parse(loop).arms
     x = np.zeros((60, 13))
-    x[:, 0], x[:, 4:] = q[:, one], vr.about("z", q[:, other]).reshape(-1, 9)
+    x[:, 0], x[:, 4:] = q[:, one], vr.axis_rotation("z", q[:, other]).reshape(-1, 9)
     model = loop_model(truth, Loop.parse(loop), Home((0.0,)))
     phi, _, _ = model.structure.closure_batch(x, np.zeros((60, 0)), model.values)
     assert np.abs(phi).max() < 1e-13

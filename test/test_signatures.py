@@ -11,7 +11,11 @@ from tied import dataset as tied
 from parallel_cal.diagnosis.catalogue import candidate
 from parallel_cal.diagnosis.comparison import compare
 from parallel_cal.diagnosis.scene import Scene
-from parallel_cal.diagnosis.signature import follows, joints, signature
+from parallel_cal.diagnosis.signature import (
+    compute_joint_components,
+    compute_pattern_strength,
+    signature,
+)
 from parallel_cal.identification.fit import fit
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_sensor
@@ -44,7 +48,7 @@ def test_a_joints_own_residual_is_measured_minus_the_inverse_of_the_measured_pos
     )
     result = fit(new_model("delta24"), positions, hold_out=0)
     scene = Scene.of(result.model, positions, result.observations, result.free)
-    found = joints(scene)
+    found = compute_joint_components(scene)
     own = found.values(scene.by_sample(scene.residual))
     exact = compare(result.model, positions).errors.joint
     np.testing.assert_allclose(own, exact, atol=2e-3 * np.abs(exact).max())
@@ -57,7 +61,7 @@ def test_a_joint_that_reads_too_much_has_a_residual_of_just_that_much():
     q[7, 1] += 1e-4
     found = compare(model, replace(data, q=q, joint_sigma=[1e-5] * 3)).scene
     rows = found.by_sample(found.residual)
-    own = joints(found).values(rows)[7]
+    own = compute_joint_components(found).values(rows)[7]
     # What 54 parameters take of one reading among all is a few parts in a hundred.
     assert own == pytest.approx([0.0, 1e-4, 0.0], abs=1.2e-5)
 
@@ -88,9 +92,9 @@ def test_a_gears_pattern_is_laid_into_one_turn_of_its_input(ripple):
     assert 0 <= panel.at.min() < panel.at.max() <= panel.period
     assert np.corrcoef(panel.residual, panel.pattern)[0, 1] > 0.8
     # Where it is folded the ripple is one curve: bins of an eighth of a turn show most of it.
-    assert follows(panel.at, panel.pattern) > 0.6 * np.mean(panel.pattern**2)
+    assert compute_pattern_strength(panel.at, panel.pattern) > 0.6 * np.mean(panel.pattern**2)
     joint = dict(zip(ripple.model.joints, ripple.x.T, strict=False))["joint3"]
-    assert follows(joint, panel.pattern) < 0.2 * np.mean(panel.pattern**2)
+    assert compute_pattern_strength(joint, panel.pattern) < 0.2 * np.mean(panel.pattern**2)
 
 
 def test_an_effect_that_touches_no_joint_is_shown_in_the_coordinates_that_follow_it_most():
@@ -124,7 +128,7 @@ def test_orientations_alone_and_readings_alone_have_signatures_too():
     result = fit(new_model("delta24", sensors=[sensor]), data, hold_out=0)
     scene = Scene.of(result.model, data, result.observations, result.free)
     # One length a sample says nothing of a single joint: what was read is shown.
-    assert not joints(scene).names
+    assert not compute_joint_components(scene).names
     found = signature(candidate(scene, "encoder_eccentricity"))
     assert {p.component for p in found.panels} <= set(scene.model.structure.channels)
     assert len(found.panels[0].sample) < len(data)  # of a hole only those of this hole

@@ -10,9 +10,9 @@ from parallel_cal.kinematics import solving
 from parallel_cal.kinematics.kinematics import Kinematics, Status
 from parallel_cal.model.mechanism import poses_in_workspace
 from parallel_cal.model.model import new_model
-from parallel_cal.model.shelf import shelf_names
+from parallel_cal.model.shelf import list_plugins
 
-ALL = set(shelf_names("mechanisms")) - {"serial"}  # it needs a chain of its own
+ALL = set(list_plugins("mechanisms")) - {"serial"}  # it needs a chain of its own
 SPHERICAL = {"argos9", "argos_nominal"}
 SIX_RODS = {"delta54", "delta51", "linear_delta", "stewart42"}
 SMALL = {
@@ -131,7 +131,7 @@ def test_the_closed_form_calls_a_target_out_of_reach_unreachable(name):
 
 def test_every_solver_says_in_its_last_line_what_it_is_for():
     purposes = solving.solvers()
-    assert set(purposes) == set(shelf_names("kinematics.solvers")) >= {"newton", "closed_form"}
+    assert set(purposes) == set(list_plugins("kinematics.solvers")) >= {"newton", "closed_form"}
     for purpose in purposes.values():
         assert purpose.startswith(("Prefer it", "Kept as the thesis' own"))
         assert len(purpose) <= 100

@@ -21,11 +21,18 @@ from parallel_cal.model.file.modelfile import dump_model, write_model
 from parallel_cal.model.model import Noise, new_model
 from parallel_cal.recordings.options import ReadOptions
 from parallel_cal.recordings.simulate import simulate, with_noise
-from parallel_cal.reporting.studies import power_page, power_said
+from parallel_cal.reporting.studies import format_power, power_page
 from parallel_cal.study import power as study
 from parallel_cal.study.planned import planned_session
-from parallel_cal.study.power import CLEAN, Detectable, Tried, next_sizes, power, predicted
-from parallel_cal.study.session import Planted, Question, diagnosed, measured
+from parallel_cal.study.power import (
+    CLEAN,
+    Detectable,
+    SizeResult,
+    next_sizes,
+    power,
+    predict_detectability,
+)
+from parallel_cal.study.session import PlantedEffect, Question, diagnose_session, simulate_session
 from parallel_cal.study.tolerance import model_of
 from parallel_cal.virtual import robot as vr
 
@@ -101,20 +108,22 @@ def test_what_is_planted_errs_as_worked_by_hand(tmp_path):
     model = replace(crank(Noise(1e-4, 1e-5, None)), fixed=np.ones(3, bool))
     planned = written(tmp_path, model, [angle, angle - 0.01] * 100)
     question = Question(dump_model(model), planned)
-    data, rms = measured(question, Planted("backlash", 1.0, 0))
+    data, rms = simulate_session(question, PlantedEffect("backlash", 1.0, 0))
     assert rms == pytest.approx(19.5e-6, rel=0.03)
-    assert measured(question, Planted("backlash", 2.0, 0))[1] == pytest.approx(2 * rms, rel=1e-3)
+    assert simulate_session(question, PlantedEffect("backlash", 2.0, 0))[1] == pytest.approx(
+        2 * rms, rel=1e-3
+    )
     assert np.std(data.q - planned.q) == pytest.approx(1e-4, rel=0.2)
     true = np.where(planned.conditions["direction.crank"] > 0, 1, -1) * rms + planned.r[:, 0]
     assert np.sqrt(np.mean((data.r[:, 0] - true) ** 2)) == pytest.approx(1e-5, rel=0.2)
-    clean, nothing = measured(question, Planted("", 0.0, 0))
+    clean, nothing = simulate_session(question, PlantedEffect("", 0.0, 0))
     assert nothing == 0
     assert np.sqrt(np.mean((clean.r - planned.r)[:, 0] ** 2)) == pytest.approx(1e-5, rel=0.2)
 
 
 def test_a_session_of_one_number_is_the_same_robot_and_noise_with_any_size(question):
     small, large, other = (
-        measured(question, Planted("encoder_eccentricity", size, k))[0]
+        simulate_session(question, PlantedEffect("encoder_eccentricity", size, k))[0]
         for size, k in ((0.1, 3), (4.0, 3), (0.1, 4))
     )
     np.testing.assert_array_equal(small.q, large.q)
@@ -128,8 +137,8 @@ def test_lines_that_hold_a_platform_by_more_than_it_needs_fit_each_other():
     model = with_noise(new_model("cable"))
     planned = simulate(model, 20, quiet=True).dataset()
     question = Question(dump_model(model), planned)
-    assert 1e-6 < measured(question, Planted("base_drift", 1.0, 0))[1] < 20e-6
-    data, nothing = measured(question, Planted("", 0.0, 0))
+    assert 1e-6 < simulate_session(question, PlantedEffect("base_drift", 1.0, 0))[1] < 20e-6
+    data, nothing = simulate_session(question, PlantedEffect("", 0.0, 0))
     assert nothing == 0
     assert np.abs(data.q - planned.q).max() > 1e-3  # a robot of its own
 
@@ -139,7 +148,7 @@ def test_lines_that_hold_a_platform_by_more_than_it_needs_fit_each_other():
 
 def tried(**found):
     """`_30=2`: of size 0.3, two of four."""
-    return [Tried(float(k[1:]) / 100, 4, n, {}, 1e-5) for k, n in found.items()]
+    return [SizeResult(float(k[1:]) / 100, 4, n, {}, 1e-5) for k, n in found.items()]
 
 
 def test_sizes_are_tried_until_most_and_few_find_it():
@@ -194,8 +203,8 @@ def test_a_study_ends_where_it_knows_goes_on_where_it_was_and_counts_false_alarm
     assert (found.clean, found.false_alarms) == (8, {"base_drift": 1})
     assert found.sessions == len(asked) == len(set(asked))
     assert max(Counter((one.effect, one.size) for one in asked).values()) == 8
-    assert "false alarms in 8 sessions without any effect: base_drift in 1" in power_said(found)
-    assert "backlash is called base_drift in 4 of 16 sessions" in power_said(found)
+    assert "false alarms in 8 sessions without any effect: base_drift in 1" in format_power(found)
+    assert "backlash is called base_drift in 4 of 16 sessions" in format_power(found)
     assert "What 24 poses of slider_crank tell" in power_page(found)
     lines = (tmp_path / "out" / "sessions.jsonl").read_text().splitlines()
     cut = "\n".join([*lines[:-3], lines[-3][:20]])  # a crash in the middle of a line
@@ -214,11 +223,13 @@ def test_what_cannot_be_planted_is_named(question, tmp_path):
 
 
 def test_what_fails_is_a_row_with_its_reason(question):
-    row = diagnosed(replace(question, model=dump_model(new_model("stewart42"))), Planted("", 0, 0))
+    row = diagnose_session(
+        replace(question, model=dump_model(new_model("stewart42"))), PlantedEffect("", 0, 0)
+    )
     assert row["reason"]
     assert row["effects"] == []
     with pytest.raises(FleetError, match=r"there, 9\.9 is asked for"):
-        diagnosed(replace(question, version="9.9"), Planted("", 0.0, 0))
+        diagnose_session(replace(question, version="9.9"), PlantedEffect("", 0.0, 0))
 
 
 @pytest.mark.wide
@@ -229,14 +240,14 @@ def test_the_prediction_is_what_the_test_of_the_diagnosis_passes(question):
     model = model_of(question.model)
 
     def scored(one):
-        found = fit(model, measured(question, one)[0])
+        found = fit(model, simulate_session(question, one)[0])
         return candidate(
             Scene.of(found.model, found.dataset, found.observations, found.free), "backlash"
         )
 
-    found = predicted(question, scored(Planted("", 0.0, 0)), level)
+    found = predict_detectability(question, scored(PlantedEffect("", 0.0, 0)), level)
     for size, share in zip(found.predicted, (0.5, 0.9), strict=True):
-        passed = [scored(Planted("backlash", size, k)).p_value < level for k in range(60)]
+        passed = [scored(PlantedEffect("backlash", size, k)).p_value < level for k in range(60)]
         assert np.mean(passed) == pytest.approx(share, abs=0.2)
 
 

@@ -14,9 +14,9 @@ from parallel_cal.model.file.modelfile import write_model
 from parallel_cal.model.mechanism import Workspace
 from parallel_cal.model.model import Noise, new_model
 from parallel_cal.planning.plan import plan
-from parallel_cal.reporting.studies import remarks, tolerances_page, tolerances_said
+from parallel_cal.reporting.studies import format_tolerances, remarks, tolerances_page
 from parallel_cal.study.planned import planned_joints
-from parallel_cal.study.tolerance import strayed, straying, tolerances
+from parallel_cal.study.tolerance import draw_values, find_varying_parameters, tolerances
 from parallel_cal.virtual.robot import TABLE_5_12, Delta
 
 
@@ -38,7 +38,9 @@ def test_a_cranks_budget_is_that_worked_by_hand():
     assert found.linear == {"position": pytest.approx(2291.2e-6, rel=1e-4)}
     # 1133.6 um of the offset beside the others' 330.95
     assert found.budget[0].halved["position"] == pytest.approx(1180.9e-6, rel=1e-4)
-    assert found.budget[0].of(found.linear, "position") == pytest.approx(0.9792, abs=1e-4)
+    assert found.budget[0].compute_fraction(found.linear, "position") == pytest.approx(
+        0.9792, abs=1e-4
+    )
     assert found.summary("position")["rms"] == pytest.approx(2291e-6, rel=0.1)
     assert not found.differs("position")
     first, *others = remarks(found)
@@ -56,7 +58,9 @@ def test_a_play_counts_by_half_of_it_and_is_never_negative():
     assert play.rms["position"] == pytest.approx(19.485e-6, rel=0.02)
     table = found.model.table
     drawn = [
-        strayed(table, table.nominal, straying(found.model), np.random.default_rng(k))[-1]
+        draw_values(
+            table, table.nominal, find_varying_parameters(found.model), np.random.default_rng(k)
+        )[-1]
         for k in range(100)
     ]
     assert min(drawn) > 0
@@ -131,7 +135,7 @@ def test_what_a_calibration_leaves_is_what_the_plan_expects(planned):
     # other places of the workspace are asked
     assert left.calibrated.position_rms == pytest.approx(found.expected.position_rms, rel=0.15)
     assert left.document()["calibrated"]["poses"] == 24
-    assert "calibrated at the 24 poses of the plan, it keeps" in tolerances_said(left)
+    assert "calibrated at the 24 poses of the plan, it keeps" in format_tolerances(left)
     assert "Tolerances of delta54" in tolerances_page(left)
     with pytest.raises(FitError, match="at least"):
         tolerances(model, 2, 20, planned=joints[:5])

@@ -18,8 +18,8 @@ import parallel_cal as pc
 from parallel_cal.base import threads
 from parallel_cal.base.worker import Worker
 from parallel_cal.exporting.export import export
-from parallel_cal.fleet.jobs import Asked, Job
-from parallel_cal.fleet.judging import judged
+from parallel_cal.fleet.jobs import FleetOptions, Job
+from parallel_cal.fleet.judging import judge_recording
 from parallel_cal.identification.noise_floor import noise_floor
 from parallel_cal.model.file.modelfile import dump_model
 from parallel_cal.planning.plan import expected_at
@@ -135,13 +135,13 @@ def test_a_page_is_drawn_with_one_thread(diagnosis, solves):
 @pytest.mark.wide
 def test_what_a_dask_worker_is_sent_solves_with_one_thread(solves):
     recording = fleets.ROOT / "bags" / "delta_backlash"
-    job, asked = Job("a", "monday", fleets.NOMINAL, recording), Asked(effects=("backlash",))
-    row, _ = judged(job, asked, "inputs")
+    job, asked = Job("a", "monday", fleets.NOMINAL, recording), FleetOptions(effects=("backlash",))
+    row, _ = judge_recording(job, asked, "inputs")
     assert not row["reason"]
     check_one_thread(solves)
     planned = pc.load_dataset(recording)
     question = study.Question(dump_model(MODEL), planned)
-    assert not study.diagnosed(question, study.Planted("", 0.0, 0))["reason"]
+    assert not study.diagnose_session(question, study.PlantedEffect("", 0.0, 0))["reason"]
     check_one_thread(solves)
 
 

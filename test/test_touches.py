@@ -33,9 +33,9 @@ def touched(seed, bad=()):
 def test_noise_of_touches_has_no_structure(seed):
     compared, _ = touched(seed)
     assert compared.structure.p_value > 0.01
-    assert min(a.p_value for a in compared.along) > 0.01
-    assert "z" not in [a.name for a in compared.along]  # it is the residual once more
-    assert {"x", "y"} <= {a.name for a in compared.along}
+    assert min(a.p_value for a in compared.residual_profiles) > 0.01
+    assert "z" not in [a.name for a in compared.residual_profiles]  # it is the residual once more
+    assert {"x", "y"} <= {a.name for a in compared.residual_profiles}
 
 
 def test_a_bad_touch_is_located():

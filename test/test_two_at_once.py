@@ -6,16 +6,16 @@ from campaign_cells import SimulatedCell, model_of
 from workbench_page import until
 
 from parallel_cal.base.errors import FitError
-from parallel_cal.campaign.trajectory import through
+from parallel_cal.campaign.trajectory import plan_trajectory
 from parallel_cal.diagnosis.catalogue import candidate
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.diagnosis.search import Chosen, Search
-from parallel_cal.diagnosis.separate import doubts
+from parallel_cal.diagnosis.separate import rank_rival_pairs
 from parallel_cal.identification.fit import fit
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.effect import parse_effects
 from parallel_cal.planning.posepool import make_pool
-from parallel_cal.recordings.joining import joined
+from parallel_cal.recordings.joining import join_datasets
 from parallel_cal.session.session import Session
 from parallel_cal.session.steps import add
 
@@ -31,9 +31,9 @@ def visited(seed, names, poses):
     for q in make_pool(model, 3 * poses, rng, symmetric=False).poses.joints[:poses]:
         step = rng.choice([-1, 1], len(q)) * rng.uniform(*SHORT, len(q))
         for stop in (q, q + step):
-            cell.move(through([cell.joints(), stop], model.mechanism), lambda: None)
+            cell.move(plan_trajectory([cell.joints(), stop], model.mechanism), lambda: None)
             samples.append(cell.sample(lambda: None).dataset)
-    return model, joined(samples, [1] * len(samples))
+    return model, join_datasets(samples, [1] * len(samples))
 
 
 @pytest.fixture(scope="module")
@@ -97,7 +97,7 @@ def test_a_rival_that_would_turn_a_joint_back_is_no_doubt():
     assert found.effects == ("backlash",)
     rivals = {"backlash": ["hysteresis"]}
     widths = [doubt.model.value("hysteresis.leg1.width")
-              for doubt in doubts(found.best, rivals, found.ranked)]  # fmt: skip
+              for doubt in rank_rival_pairs(found.best, rivals, found.ranked)]  # fmt: skip
     assert sorted(widths) == pytest.approx([1e-4, 3e-4])
 
 
@@ -107,7 +107,7 @@ def test_a_setting_that_was_found_without_the_other_effect_is_found_again_beside
     options = FitOptions()
     search = Search(model, lambda extended, insist: fit(extended, data, options), lambda *_: None)
     astray = Chosen("screw_pitch_error", (("lead", 4.99e-3),))
-    trial = search.settled(
+    trial = search.rescan_settings(
         search.fit(Chosen("backlash"), astray),
         lambda without: [candidate(without.scene, name) for name in ("screw_pitch_error",)],
     )

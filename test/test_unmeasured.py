@@ -42,7 +42,7 @@ def test_whitened_columns_are_the_whitener_times_the_columns(coordinates):
     system, T = linearise(model.values, x), linearise.whiteners(model.values, x)
     phi, C, J = linearise.blocks(model.values, x)
     assert np.abs(T @ J - system.jacobian).max() < 1e-7 * np.abs(system.jacobian).max()
-    carried = phi + (C @ linearise.away(x)[:, :, None])[:, :, 0]
+    carried = phi + (C @ linearise.compute_adjustments(x)[:, :, None])[:, :, 0]
     assert np.allclose((T @ carried[:, :, None])[:, :, 0], system.residual, atol=1e-6)
     unseen = [3 + POSE.split().index(c) for c in POSE.split() if c not in coordinates.split()]
     assert np.abs(T @ C[:, :, unseen]).max() < 1e-6 * np.abs(T @ C).max()

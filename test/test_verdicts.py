@@ -16,8 +16,8 @@ from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.noise_shape import NoiseShape
 from parallel_cal.diagnosis.region import Region
 from parallel_cal.diagnosis.search import Trial
-from parallel_cal.diagnosis.verdict import called
-from parallel_cal.identification.doubts import apart
+from parallel_cal.diagnosis.verdict import format_effect_names
+from parallel_cal.identification.doubts import format_distinctly
 from parallel_cal.identification.fit import fit
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.model import new_model
@@ -28,18 +28,21 @@ MODEL = new_model("delta54")
 
 
 def test_a_number_outside_its_limits_is_shown_with_the_digits_that_say_so():
-    assert apart([1.1712, 0.85, 1.1708]) == ["1.1712", "0.8500", "1.1708"]
-    assert apart([1.30, 1.17]) == ["1.30", "1.17"]
+    assert format_distinctly([1.1712, 0.85, 1.1708]) == ["1.1712", "0.8500", "1.1708"]
+    assert format_distinctly([1.30, 1.17]) == ["1.30", "1.17"]
 
 
 def test_several_smooth_errors_of_a_joints_angle_are_called_that():
     """Two are named both; of more, one is an example."""
     discs = ["encoder_eccentricity", "encoder_second_harmonic", "encoder_gain"]
     words = "a smooth error of the joint's angle, e.g. encoder_eccentricity"
-    assert called(discs) == words
-    assert called([*discs, "device_axes"]) == f"{words} or device_axes"
-    assert called(discs[:2]) == "encoder_eccentricity or encoder_second_harmonic"
-    assert called(["backlash", "hysteresis", "latency"]) == "backlash or hysteresis or latency"
+    assert format_effect_names(discs) == words
+    assert format_effect_names([*discs, "device_axes"]) == f"{words} or device_axes"
+    assert format_effect_names(discs[:2]) == "encoder_eccentricity or encoder_second_harmonic"
+    assert (
+        format_effect_names(["backlash", "hysteresis", "latency"])
+        == "backlash or hysteresis or latency"
+    )
 
 
 # --------------------------------------------------------------------------- where it holds
@@ -57,7 +60,7 @@ def test_a_small_cube_says_how_far_off_the_rest_of_the_workspace_may_be():
     region = Region.of(fit(MODEL, within(0.06, 0), hold_out=0))
     np.testing.assert_allclose(region.high - region.low, 0.06, atol=5e-3)
     assert region.beyond > 2 * region.inside
-    assert region.words.startswith(" inside x -")
+    assert region.description.startswith(" inside x -")
     assert Region.of(fit(MODEL, within(0.12, 0), hold_out=0)) is None
 
 
@@ -65,7 +68,9 @@ def test_a_small_cube_says_how_far_off_the_rest_of_the_workspace_may_be():
 def test_and_so_far_off_the_robot_is_there():
     """Rms of five robots' true errors in the rest of the workspace, beside what was said."""
     reading, _ = vr.NOMINAL.inverse(vd.targets(300, 77))
-    _, truth, _ = vr.truth(vr.MOCK_UP, [], reading, vr.At(*np.zeros((3, 300)), np.zeros((300, 3))))
+    _, truth, _ = vr.truth(
+        vr.MOCK_UP, [], reading, vr.SampleConditions(*np.zeros((3, 300)), np.zeros((300, 3)))
+    )
     said, errors = [], []
     for seed in range(5):
         result = fit(MODEL, within(0.06, seed), hold_out=0)

@@ -8,7 +8,11 @@ import virtual_arm as va
 from arms import nominal, seen
 
 from parallel_cal.base.rotation import quaternion_to_matrix, rotation_vector
-from parallel_cal.diagnosis.catalogue import new_numbers, not_recorded, recorded
+from parallel_cal.diagnosis.catalogue import (
+    collect_recorded_values,
+    find_missing_conditions,
+    find_new_parameters,
+)
 from parallel_cal.diagnosis.comparison import compare
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.diagnosis.scene import Scene, columns
@@ -67,10 +71,12 @@ def test_columns_through_what_the_closure_sees_are_the_columns_themselves():
     scene = Scene.of(result.model, data, result.observations, result.free)
     for name in ("backlash", "base_compliance", "device_axes", "gear_transmission_error"):
         model = result.model.with_effect(name)
-        assert not not_recorded(model, data)
-        settings = next(iter(model.effects[-1].scan(model.mechanism, recorded(data))))
+        assert not find_missing_conditions(model, data)
+        settings = next(
+            iter(model.effects[-1].scan(model.mechanism, collect_recorded_values(data)))
+        )
         model = model.with_settings(name, settings)
-        new, a = new_numbers(result.model, model), conditions(model, data)
+        new, a = find_new_parameters(result.model, model), conditions(model, data)
         which = tuple(int(i) for i in np.flatnonzero(new))
         by_v = model.structure.columns(which)(scene.x, a, model.values)[0]
         J = scene.whitener @ by_v.reshape(len(data), len(which), -1).transpose(0, 2, 1)
@@ -97,7 +103,7 @@ def test_what_a_joint_hides_is_named(kind, effect, pose):
     found = diagnose(nominal(kind), data, effects=[*HIDDEN, "encoder_gain", "device_axes"])
     assert found.effects[:1] == (effect,)
     best = found.best.fitted
-    assert best.held_out.summary.position_rms < 1.3 * best.noise.position_rms
+    assert best.held_out.summary.position_rms < 1.3 * best.noise_floor.position_rms
 
 
 @pytest.mark.wide
@@ -127,7 +133,7 @@ def test_a_tracker_that_stands_anywhere_is_registered_and_said(kind, pose, frame
     before = compare(model, data)
     assert 0.3e-3 < before.errors.summary.position_rms < 4e-3  # the robot's own, no more
     where = before.registration
-    assert where.words in before.dataset.warnings
+    assert where.description in before.dataset.warnings
     assert before.document()["registration"]["frame"] == (frame or "device")
     assert np.abs(np.array(where.position) - va.FAR_AWAY.shift).max() < 20e-3
     turned = rotation_vector(quaternion_to_matrix(where.quaternion))
@@ -138,7 +144,7 @@ def test_a_tracker_that_stands_anywhere_is_registered_and_said(kind, pose, frame
     assert sum(w.startswith(f"frame '{frame or 'device'}' was registered to 'base'")
                for w in result.warnings) == 1  # fmt: skip
     assert result.document()["registration"]["base"] == "base"
-    assert result.held_out.summary.position_rms < 1.15 * result.noise.position_rms
+    assert result.held_out.summary.position_rms < 1.15 * result.noise_floor.position_rms
     # Nothing of the frames that the robot's own numbers say already is left free to run.
     assert len(result.document()["unidentifiable"]) == (0 if pose else 3)
     moved = (result.model.values - result.model.table.nominal) / result.model.table.tolerance

@@ -64,10 +64,10 @@ def test_a_rounding_error_of_its_place_does_not_turn_a_joint_back():
     cell = Cell("delta", 0, ["backlash"])
     cell.follow([1.0], [cell.drive.state.q + 0.1])
     cell.advance(2.0)
-    before, _ = cell.stands()
+    before, _ = cell.true_pose()
     cell.follow([0.1], [np.nextafter(cell.drive.state.q, 0.0)])
     cell.advance(3.0)
-    np.testing.assert_allclose(cell.stands()[0], before, atol=1e-9)
+    np.testing.assert_allclose(cell.true_pose()[0], before, atol=1e-9)
 
 
 def test_points_with_velocities_are_joined_by_cubics():
@@ -120,7 +120,7 @@ def test_a_mechanical_stop_holds_a_joint_that_is_sent_beyond():
 
 def test_a_trackers_clock_is_ahead_and_gains():
     tracker = Tracker(period=0.05, begin=0.004, offset=2.0, drift=1e-3)
-    taken = tracker.taken(0.0, 0.16)
+    taken = tracker.sampling_times(0.0, 0.16)
     np.testing.assert_allclose(taken, [0.004, 0.054, 0.104, 0.154], atol=1e-12)
     np.testing.assert_allclose(tracker.stamps(np.array([0.0, 10.0])), [2.0, 12.01])
 
@@ -128,7 +128,7 @@ def test_a_trackers_clock_is_ahead_and_gains():
 def test_a_tracker_that_stands_aside_and_is_turned_sees_the_target_from_there():
     quarter = np.array([0.0, 0.0, np.pi / 2])
     tracker = Tracker(shift=np.array([1.0, 0, 0]), spin=quarter, target=np.array([0.0, 0, 0.1]))
-    r, R = tracker.sees(np.array([[1.0, 2.0, 0.5]]), np.eye(3)[None])
+    r, R = tracker.observe(np.array([[1.0, 2.0, 0.5]]), np.eye(3)[None])
     # 2 m along the base's y, which is the tracker's x; the target 0.1 m above the platform
     np.testing.assert_allclose(r, [[2.0, 0.0, 0.6]], atol=1e-15)
     np.testing.assert_allclose(R[0], turn(-quarter), atol=1e-15)
@@ -144,7 +144,7 @@ def quiet(robot="delta", **options):
 @pytest.mark.parametrize("robot", MACHINES)
 def test_without_noise_tracker_and_encoders_show_what_the_robot_is(robot):
     cell = quiet(robot, seed=3)
-    home = np.asarray(cell.machine.as_drawn().home_joints, float)
+    home = np.asarray(cell.machine.make_nominal().home_joints, float)
     there = home + 0.1 * cell.machine.lever * np.resize([1.0, -1.0, 0.5], len(home))
     cell.follow([1.0], [there])
     shown = cell.advance(2.0)
@@ -202,7 +202,7 @@ def test_a_lost_target_gives_no_poses_and_a_swapped_one_stands_beside():
     cell.change_at(2.0, lost_target=False, swapped_target=True)
     shown = cell.advance(3.0)
     assert not ((shown.stamp > 1.01) & (shown.stamp < 2.0)).any()
-    r, R = cell.stands()
+    r, R = cell.true_pose()
     np.testing.assert_allclose(shown.r[-1], r + R @ OTHER_SHIFT, atol=1e-12)
     np.testing.assert_allclose(shown.r[0], r, atol=1e-12)
 

@@ -25,12 +25,12 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.nodes import virtual_cell_node
-from parallel_cal.nodes.client import Client, own_domain
+from parallel_cal.nodes.client import Client, use_private_domain
 from parallel_cal.nodes.conversions import stop_message
 from parallel_cal.virtual.machines import MACHINES
 
 REPOSITORY = Path(__file__).parents[1]
-HOME = np.array(MACHINES["delta"].as_drawn().home_joints)
+HOME = np.array(MACHINES["delta"].make_nominal().home_joints)
 SEED, FAST = 3, 5.0
 NODE = "virtual_cell_node"
 
@@ -103,7 +103,7 @@ def position(message):
 def fast(tmp_path_factory):
     with mock.patch.dict(os.environ):
         folder = tmp_path_factory.mktemp("cell")
-        cell = Cell(folder, own_domain(), rate=FAST, model_file=str(folder / "robot.yaml"))
+        cell = Cell(folder, use_private_domain(), rate=FAST, model_file=str(folder / "robot.yaml"))
         cell.model_file = folder / "robot.yaml"
         yield cell
         assert cell.close() == 0
@@ -116,7 +116,7 @@ def test_a_trajectory_is_driven_and_the_tracker_sees_the_robot_where_its_rods_ho
     fast.passed(1.0)
     begin = len(fast.poses)
     fast.client.wait(lambda: len(fast.poses) > begin + 20, "poses")
-    true, _ = MACHINES["delta"].as_built(SEED).forward(there)
+    true, _ = MACHINES["delta"].make_built(SEED).forward(there)
     seen = np.mean([position(p) for p in fast.poses[begin:]], axis=0)
     np.testing.assert_allclose(seen, true, atol=5 * 10e-6)
     assert np.diff([stamp(s) for s in fast.states[-100:]]) == pytest.approx(0.01, abs=1e-6)
@@ -158,7 +158,7 @@ def test_faults_and_loads_are_parameters(fast):
 
 def test_a_stop_ends_the_motion_within_a_tenth_of_a_second(tmp_path):
     with mock.patch.dict(os.environ):
-        cell = Cell(tmp_path, f"{own_domain()}/slow", joint_rate=200.0)
+        cell = Cell(tmp_path, f"{use_private_domain()}/slow", joint_rate=200.0)
         try:
             cell.send((2.0, HOME + 0.8))
             cell.client.wait(lambda: cell.joints()[0] > HOME[0] + 0.4, "half of the way")
@@ -179,7 +179,7 @@ def test_a_stop_ends_the_motion_within_a_tenth_of_a_second(tmp_path):
 def test_a_kind_that_no_robot_has_is_told_in_one_line(tmp_path):
     with mock.patch.dict(os.environ):
         wrong = {"robot": "argos", "effects": "soft_rods"}
-        process = NodeProcess(NODE, tmp_path, f"{own_domain()}/none", **wrong)
+        process = NodeProcess(NODE, tmp_path, f"{use_private_domain()}/none", **wrong)
         assert process.ended() == 1
         assert process.said.startswith("error: effect soft_rods: a argos may have eccentricity")
 
@@ -195,7 +195,7 @@ def test_the_launch_file_starts_the_cell_and_both_nodes_on_the_model_that_it_wri
     declared = arguments(actions)
     assert all(a.description for a in declared.values())
     with mock.patch.dict(os.environ):
-        namespace = f"{own_domain()}/launched"
+        namespace = f"{use_private_domain()}/launched"
         values = {n: getattr(a, "default_value", None) for n, a in declared.items()}
         values |= {"model_file": str(tmp_path / "robot.yaml"), "namespace": namespace}
         types = {"seed": int, "rate": float}
@@ -208,10 +208,10 @@ def test_the_launch_file_starts_the_cell_and_both_nodes_on_the_model_that_it_wri
             }
             processes.append(NodeProcess(node.executable, tmp_path, namespace, **given))
         client = Client("tester", namespace, processes)
-        status = client.latest(ModelStatus, "kinematics_node/model_status")
+        status = client.subscribe_latest(ModelStatus, "kinematics_node/model_status")
         try:
             client.wait(lambda: status and status[-1].mechanism == "delta54", "the model")
-            client.wait(lambda: client.listeners(["joint_states"]) == 2, "both listeners")
+            client.wait(lambda: client.count_subscribers(["joint_states"]) == 2, "both listeners")
         finally:
             client.close()
             ended = [process.end() for process in processes]

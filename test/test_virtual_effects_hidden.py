@@ -15,7 +15,7 @@ SILENT = vr.Noise(0, 0, 0)
 
 def at(time=0.0, temperature=20.0, payload=0.0):
     n = np.ones(1)
-    return vr.At(time * n, temperature * n, payload * n, np.ones((1, 3)))
+    return vr.SampleConditions(time * n, temperature * n, payload * n, np.ones((1, 3)))
 
 
 def stand(*effects, **circumstances):
@@ -60,7 +60,7 @@ def test_a_warm_part_moves_the_platform_as_the_3_4_5_triangle_says(part, rise):
 def test_a_creeping_base_shifts_and_turns_the_pose_in_proportion_to_time():
     r, R = stand(he.BaseDrift(v=(1e-7, 0, 0), w=(0, 1e-6, 0)), time=100.0)
     np.testing.assert_allclose(r, [1e-5 + 1e-4 * 0.2, 0, 0.2], atol=2e-9)
-    np.testing.assert_allclose(R, vr.about("y", 1e-4), atol=1e-14)
+    np.testing.assert_allclose(R, vr.axis_rotation("y", 1e-4), atol=1e-14)
 
 
 def test_a_leaning_axis_shows_the_others_coordinates_too_small():

@@ -18,13 +18,13 @@ from parallel_cal.virtual.robot import (
     NOMINAL,
     TABLE_5_12,
     TABLE_5_18,
-    At,
     Backlash,
     Delta,
     Effect,
     EncoderEccentricity,
     Noise,
     Parameters,
+    SampleConditions,
     truth,
     turn,
 )
@@ -42,8 +42,8 @@ for i in (1, 2, 3):
     PAPER |= {f"chain{i}.b_x": 0.03, f"chain{i}.d_z": 0.02}
 
 
-def circumstances(n: int, direction: float = 1.0) -> At:
-    return At(np.zeros(n), np.full(n, 20.0), np.zeros(n), np.full((n, 3), direction))
+def circumstances(n: int, direction: float = 1.0) -> SampleConditions:
+    return SampleConditions(np.zeros(n), np.full(n, 20.0), np.zeros(n), np.full((n, 3), direction))
 
 
 # --- geometry ---------------------------------------------------------------------------------
@@ -185,11 +185,11 @@ def test_effects_act_in_order_and_on_the_pose_through_the_true_geometry() -> Non
 
 def test_geometry_may_differ_from_sample_to_sample() -> None:
     class Growth(Effect):
-        def geometry(self, parameters: Parameters, at: At) -> Parameters:
+        def geometry(self, parameters: Parameters, at: SampleConditions) -> Parameters:
             grown = 1 + 1e-5 * (at.temperature - 20)
             return {**parameters, "chain1.La_x": parameters["chain1.La_x"] * grown}
 
-    at = At(np.zeros(2), np.array([20.0, 30.0]), np.zeros(2), np.ones((2, 3)))
+    at = SampleConditions(np.zeros(2), np.array([20.0, 30.0]), np.zeros(2), np.ones((2, 3)))
     _, r, _ = truth(MOCK_UP, [Growth()], np.full((2, 3), 0.5), at)
     longer = Delta(TABLE_5_18 | {"chain1.La_x": TABLE_5_18["chain1.La_x"] * 1.0001})
     np.testing.assert_allclose(r[0], MOCK_UP.forward([0.5] * 3)[0], atol=1e-14)

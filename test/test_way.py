@@ -11,7 +11,7 @@ from parallel_cal.base.errors import ModelFileError, SolveError
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.file.modelfile import dump_model, parse_model
 from parallel_cal.model.model import new_model
-from parallel_cal.nodes.way import Bounds, way_to
+from parallel_cal.nodes.way import Bounds, check_path
 
 NOMINAL = Path(__file__).parents[1] / "config" / "delta_mockup_nominal.yaml"
 BOUNDS = Bounds(crossing=1.0, singularity=0.02)
@@ -30,7 +30,7 @@ def with_rates(*rates):
 def way(model, start, goal, bounds=BOUNDS):
     kinematics = Kinematics(model)
     target = kinematics.direct(np.array(goal))
-    return way_to(kinematics, np.array(start), target, None, bounds)
+    return check_path(kinematics, np.array(start), target, None, bounds)
 
 
 def test_the_slowest_joint_sets_the_time_by_velocity_or_by_acceleration():

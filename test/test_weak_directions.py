@@ -14,7 +14,7 @@ from parallel_cal.identification.doubts import chi2_band
 from parallel_cal.identification.fit import fit
 from parallel_cal.identification.linearisation import System
 from parallel_cal.identification.methods._descent import minimise
-from parallel_cal.identification.methods._estimate import Sought
+from parallel_cal.identification.methods._estimate import EstimationProblem
 from parallel_cal.identification.methods.implicit import estimate
 from parallel_cal.identification.observations import ASSUMED, observe
 from parallel_cal.identification.prior import Prior
@@ -114,6 +114,6 @@ def test_a_floor_that_is_rough_is_a_floor():
         residual = np.array([[100.0, 50 * (away - 1) + 0.01 * (-1) ** len(steps)]])
         return System(residual, np.array([[[0.0], [50 / tolerance]]]), np.array([2]), np.copy)
 
-    found = minimise(Sought(model, free), reach, "", 50)
+    found = minimise(EstimationProblem(model, free), reach, "", 50)
     assert found.iterations < 20
     assert (found.values[0] - model.table.nominal[0]) / tolerance == pytest.approx(1, abs=1e-3)

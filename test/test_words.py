@@ -8,7 +8,7 @@ from parallel_cal.model.model import new_model
 from parallel_cal.model.words import parameters_in_words
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.simulate import with_effects
-from parallel_cal.reporting.text import errors_table, given_numbers
+from parallel_cal.reporting.text import errors_table, find_given_parameters
 
 
 def test_winches_err_in_degrees_and_arms_in_arcmin():
@@ -21,7 +21,7 @@ def test_winches_err_in_degrees_and_arms_in_arcmin():
 def test_a_gear_ratio_that_was_found_is_shown_and_a_mass_that_nobody_gave_is_not():
     model = new_model("delta24", effects=["gear_transmission_error", "joint_compliance"])
     found = with_effects(model, [("gear_transmission_error", {"ratio": 37.0})])
-    assert given_numbers(found) == {"gear_transmission_error.ratio"}
+    assert find_given_parameters(found) == {"gear_transmission_error.ratio"}
 
 
 def test_a_simulated_compliance_hides_no_masses():

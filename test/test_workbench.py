@@ -63,8 +63,8 @@ def test_a_bench_takes_steps_beside_and_shows_what_came_out(folder):
     again = Bench(folder)  # what was looked at is kept
     assert not again.busy
     assert again.view == bench.view
-    again.at_once("undo")
-    again.at_once("undo")
+    again.run_now("undo")
+    again.run_now("undo")
     assert again.session.state.step == "begin"
     until(lambda: not again.busy, "the kept view")
     bench.follow()
@@ -330,7 +330,7 @@ def test_a_full_disk_is_said_and_the_session_stays_as_it_was(folder):
 
 
 def test_views_are_kept_as_plain_data(tmp_path):
-    from parallel_cal.workbench.bench import VERSION, kept
+    from parallel_cal.workbench.bench import VIEW_VERSION, load_view
 
     class Kept:
         folder = tmp_path
@@ -338,16 +338,16 @@ def test_views_are_kept_as_plain_data(tmp_path):
         class state:
             number = 3
 
-    assert kept(Kept) is None
+    assert load_view(Kept) is None
     (tmp_path / "views").mkdir()
-    whole = {"version": VERSION, "view": {"tiles": []}}
+    whole = {"version": VIEW_VERSION, "view": {"tiles": []}}
     Path(tmp_path / "views" / "3.json").write_text(json.dumps(whole))
-    assert kept(Kept) == {"tiles": []}
-    older = whole | {"version": VERSION - 1}
+    assert load_view(Kept) == {"tiles": []}
+    older = whole | {"version": VIEW_VERSION - 1}
     Path(tmp_path / "views" / "3.json").write_text(json.dumps(older))
-    assert kept(Kept) is None
+    assert load_view(Kept) is None
     Path(tmp_path / "views" / "3.json").write_text("{ half")
-    assert kept(Kept) is None
+    assert load_view(Kept) is None
 
 
 # ------------------------------------------------------------------ at a robot

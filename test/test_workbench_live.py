@@ -14,7 +14,7 @@ pytest.importorskip("rclpy")
 from ros_helpers import NodeProcess
 from workbench_page import LONG, Served, opened, until
 
-from parallel_cal.nodes.client import own_domain
+from parallel_cal.nodes.client import use_private_domain
 from parallel_cal.nodes.watch import Watch
 from parallel_cal.session.session import Session
 
@@ -34,7 +34,7 @@ def nodes_on(folder, name="_node"):
 
 
 def test_the_loop_on_nodes_that_the_workbench_starts(tmp_path):
-    own_domain()
+    use_private_domain()
     with opened() as browser:
         served = Served(
             "--ros", MODEL, "--session", tmp_path / "s", "--hold-out", 0.5, "--namespace", "cell"
@@ -75,7 +75,7 @@ def test_the_loop_on_nodes_that_the_workbench_starts(tmp_path):
 
 
 def test_a_robot_is_let_calibrate_itself_held_and_stopped_on_the_page(tmp_path):
-    own_domain()
+    use_private_domain()
     file = tmp_path / "robot.yaml"
     cell = NodeProcess(
         "virtual_cell_node", tmp_path, "/cell", robot="delta", seed=2, rate=4.0,
@@ -111,7 +111,7 @@ def test_a_robot_is_let_calibrate_itself_held_and_stopped_on_the_page(tmp_path):
 
 
 def test_what_nodes_tell_is_gathered_and_missed_where_nobody_speaks(tmp_path):
-    namespace = own_domain()
+    namespace = use_private_domain()
     watch = Watch(namespace)
     try:
         until(lambda: len(watch.snapshot()["trouble"]) == 2, "nobody is there")
@@ -142,7 +142,7 @@ def test_what_nodes_tell_is_gathered_and_missed_where_nobody_speaks(tmp_path):
 
 
 def test_without_nodes_and_without_a_model_there_is_nothing_to_open(tmp_path, capsys):
-    own_domain()
+    use_private_domain()
     code = "import sys; from parallel_cal.cli.main import main; main(sys.argv[1:])"
     done = subprocess.run(
         [sys.executable, "-c", code, "workbench", "--ros", "--no-open"],

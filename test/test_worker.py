@@ -8,7 +8,7 @@ import time
 import numpy as np
 import pytest
 
-from parallel_cal.base.worker import OverBudget, Unwanted, Worker, WorkError
+from parallel_cal.base.worker import TimeBudgetExceeded, WorkCancelled, Worker, WorkError
 
 
 def nothing():
@@ -62,7 +62,7 @@ def test_what_is_told_comes_in_order_and_then_the_result(worker):
 
 def test_what_was_told_is_there_when_the_time_is_over(worker):
     done = []
-    with pytest.raises(OverBudget):
+    with pytest.raises(TimeBudgetExceeded):
         worker.work(count_for_ever, seconds=0.2, tell=done.append)
     assert done[:3] == [0, 1, 2]
     assert told(worker, 2) == [0, 1]
@@ -86,7 +86,7 @@ def test_what_goes_wrong_there_is_a_sentence_here_and_the_next_work_is_done(
 
 def test_work_that_nobody_wants_any_more_ends_though_it_would_never_return(worker):
     asked = iter([True, True, False])
-    with pytest.raises(Unwanted):
+    with pytest.raises(WorkCancelled):
         worker.work(never_return, wanted=lambda: next(asked))
     assert told(worker, 2) == [0, 1]
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from parallel_cal.virtual import robot as vr
-from parallel_cal.virtual.robot import Array, At, Effect
+from parallel_cal.virtual.robot import Array, Effect, SampleConditions
 
 
 @dataclass(frozen=True)
@@ -21,7 +21,7 @@ class Refraction(Effect):
     size: float  # m at the top of the workspace
     across: tuple[float, float]
 
-    def device(self, r: Array, R: Array, at: At) -> tuple[Array, Array]:
+    def device(self, r: Array, R: Array, at: SampleConditions) -> tuple[Array, Array]:
         layer = ((r[:, 2:] - 0.2) / 0.06) ** 2
         return r + self.size * layer * np.array([*self.across, 1.0]), R
 
@@ -32,7 +32,7 @@ class YieldingStand(Effect):
 
     size: float  # m for all three arms out
 
-    def device(self, r: Array, R: Array, at: At) -> tuple[Array, Array]:
+    def device(self, r: Array, R: Array, at: SampleConditions) -> tuple[Array, Array]:
         lean = self.size * np.concatenate([r[:, :2], np.hypot(r[:, :1], r[:, 1:2])], 1) / 0.06
         return r + lean * np.abs(r[:, 2:] / 0.2) ** 3, R
 
@@ -44,7 +44,7 @@ class Bump(Effect):
     size: float
     when: float  # share of the session
 
-    def device(self, r: Array, R: Array, at: At) -> tuple[Array, Array]:
+    def device(self, r: Array, R: Array, at: SampleConditions) -> tuple[Array, Array]:
         late = at.time > self.when * at.time.max()
         return r + self.size * late[:, None] * np.array([0.7, -0.5, 0.5]), R
 
@@ -56,7 +56,7 @@ class Wander(Effect):
     size: float  # m, rms over the session
     seed: int
 
-    def device(self, r: Array, R: Array, at: At) -> tuple[Array, Array]:
+    def device(self, r: Array, R: Array, at: SampleConditions) -> tuple[Array, Array]:
         walk = np.cumsum(np.random.default_rng(self.seed).standard_normal((len(r), 3)), axis=0)
         walk -= walk.mean(axis=0)
         return r + self.size * walk / np.sqrt((walk**2).mean()), R

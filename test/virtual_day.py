@@ -18,10 +18,10 @@ from parallel_cal.virtual.robot import (
     NOMINAL,
     THESIS_NOISE,
     Array,
-    At,
     Effect,
     Noise,
     RodRobot,
+    SampleConditions,
     truth,
     turn,
 )
@@ -70,9 +70,9 @@ class Day:
         """Errors (visits, n) that stay while the robot rests, at these times."""
         raise NotImplementedError
 
-    def at(self, time: Array) -> At:
+    def at(self, time: Array) -> SampleConditions:
         """The circumstances at these times."""
-        return At(time, self.air(time), self.load(time), self.direction(time))
+        return SampleConditions(time, self.air(time), self.load(time), self.direction(time))
 
 
 @dataclass(frozen=True)
@@ -277,8 +277,10 @@ def errors(noise: Noise, n: int, joints: int, seed: int) -> tuple[Array, Array, 
     return q * noise.joint, r * noise.position, w * noise.orientation
 
 
-def circumstances(n: int, joints: int, seed: int, heaviest: float) -> At:
+def circumstances(n: int, joints: int, seed: int, heaviest: float) -> SampleConditions:
     """n samples: one of four payloads each, air between 12 and 30 degC, in no order."""
     rng = np.random.default_rng([seed, 8])
     payload = heaviest * rng.choice([0.0, 0.25, 0.5, 1.0], n)
-    return At(np.arange(n) * 10.0, rng.uniform(12, 30, n), payload, np.ones((n, joints)))
+    return SampleConditions(
+        np.arange(n) * 10.0, rng.uniform(12, 30, n), payload, np.ones((n, joints))
+    )

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from parallel_cal.virtual.robot import Array, At, Effect, Parameters, apply, turn
+from parallel_cal.virtual.robot import Array, Effect, Parameters, SampleConditions, apply, turn
 
 GRAVITY = 9.81  # m/s^2, along -z of the base
 
@@ -23,7 +23,7 @@ class GearRipple(Effect):
     phase: tuple[float, ...]
     ratio: float
 
-    def arm(self, reading: Array, robot: Any, at: At) -> Array:
+    def arm(self, reading: Array, robot: Any, at: SampleConditions) -> Array:
         wave = np.sin(self.ratio * reading + np.array(self.phase))
         return reading + np.array(self.amplitude) * wave
 
@@ -38,7 +38,7 @@ class JointCompliance(Effect):
 
     compliance: tuple[float, ...]
 
-    def arm(self, reading: Array, robot: Any, at: At) -> Array:
+    def arm(self, reading: Array, robot: Any, at: SampleConditions) -> Array:
         angle = reading
         for _ in range(3):  # twist and torque settle at once: a twist is a thousandth of a turn
             torque = -GRAVITY * at.payload[:, None] * lift(robot, angle)
@@ -62,7 +62,7 @@ class ThermalGrowth(Effect):
     base: float
     reference: float = 20.0
 
-    def geometry(self, parameters: Parameters, at: At) -> Parameters:
+    def geometry(self, parameters: Parameters, at: SampleConditions) -> Parameters:
         warmer = at.temperature - self.reference
         return {k: v * (1 + self.growth(k) * warmer) for k, v in parameters.items()}
 
@@ -79,7 +79,7 @@ class BaseDrift(Effect):
     v: tuple[float, float, float]
     w: tuple[float, float, float]
 
-    def device(self, r: Array, R: Array, at: At) -> tuple[Array, Array]:
+    def device(self, r: Array, R: Array, at: SampleConditions) -> tuple[Array, Array]:
         turned = turn(np.array(self.w) * at.time[:, None])
         return apply(turned, r) + np.array(self.v) * at.time[:, None], turned @ R
 
@@ -92,7 +92,7 @@ class LeaningAxes(Effect):
     xz: float
     yz: float
 
-    def device(self, r: Array, R: Array, at: At) -> tuple[Array, Array]:
+    def device(self, r: Array, R: Array, at: SampleConditions) -> tuple[Array, Array]:
         axes = np.array([[1, self.xy, self.xz], [0, 1, self.yz], [0, 0, 1.0]])  # columns
         return apply(np.linalg.inv(axes), r), R
 
@@ -114,5 +114,5 @@ class CrossTalk(Effect):
     amplitude: tuple[float, ...]
     waves: float
 
-    def arm(self, reading: Array, robot: Any, at: At) -> Array:
+    def arm(self, reading: Array, robot: Any, at: SampleConditions) -> Array:
         return reading + np.array(self.amplitude) * np.sin(self.waves * np.roll(reading, -1, -1))

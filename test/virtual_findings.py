@@ -14,7 +14,7 @@ import virtual_effects_hidden as hidden
 import virtual_sessions as days
 
 from parallel_cal.virtual import robot as vr
-from parallel_cal.virtual.robot import Array, At, Effect
+from parallel_cal.virtual.robot import Array, Effect, SampleConditions
 
 FINE = vr.Noise(joint=5 * vr.ARCSEC, position=2e-6, orientation=3 * vr.ARCSEC)
 FINEST = vr.Noise(joint=2 * vr.ARCSEC, position=0.8e-6, orientation=1.2 * vr.ARCSEC)
@@ -83,7 +83,7 @@ class Outside(Effect):
     way: Callable[[Array, float], Array]
     size: float
 
-    def arm(self, reading: Array, robot: object, at: At) -> Array:
+    def arm(self, reading: Array, robot: object, at: SampleConditions) -> Array:
         return reading + self.way(reading, self.size)
 
 
@@ -94,7 +94,7 @@ class Dented(Effect):
     size: float
     centre: tuple[float, float, float]
 
-    def device(self, r: Array, R: Array, at: At) -> tuple[Array, Array]:
+    def device(self, r: Array, R: Array, at: SampleConditions) -> tuple[Array, Array]:
         away = r - np.array(self.centre)
         near = np.exp(-np.sum(away**2, axis=-1, keepdims=True) / (2 * 0.02**2))
         return r + self.size * near * np.array([0.6, -0.5, 0.6]), R

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from parallel_cal.virtual.robot import Array, Parameters, about, apply, stack, turn
+from parallel_cal.virtual.robot import Array, Parameters, apply, axis_rotation, stack, turn
 from parallel_cal.virtual.stewart import Assembly, column, numbered, vectors
 
 # Table 2, millimetres: nominal parameters and the errors that the paper planted (q0 in degrees).
@@ -95,8 +95,8 @@ class Delta51(Assembly):
 
     def ends(self, q: Array, r: Array, R: Array) -> tuple[Array, Array]:
         """The rods' ends A on the arms and B on the platform, shape (..., 6 rods, 3) each."""
-        axes = about("z", np.array(self.thetas))
-        held = axes @ about("x", q)
+        axes = axis_rotation("z", np.array(self.thetas))
+        held = axes @ axis_rotation("x", q)
         arms, platform = [], []
         for side in self.sides:
             arm = vectors(self.parameters, ["a_x", "a_y", "a_z"], side)

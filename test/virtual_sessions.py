@@ -124,4 +124,4 @@ def climbing(seed: int) -> Session:
     rng = np.random.default_rng(seed)
     move = rng.uniform(-1, 1, (90, 6)) * ([0.04, 0.04, 0.03] + [np.radians(10)] * 3)
     r, R = np.asarray(DESIGNED.home) + move[:, :3], turn(move[:, 3:])
-    return visit(DESIGNED.needed(r, R) - DESIGNED.offset, DESIGNED.home_joints, 20, seed)
+    return visit(DESIGNED.leg_lengths(r, R) - DESIGNED.offset, DESIGNED.home_joints, 20, seed)

@@ -110,7 +110,7 @@ class Device:
 def gimbal(angles):
     """Three rings in series, the outermost first: turned about x, then its y, then its z."""
     a, b, c = np.moveaxis(np.asarray(angles), -1, 0)
-    return vr.about("x", a) @ vr.about("y", b) @ vr.about("z", c)
+    return vr.axis_rotation("x", a) @ vr.axis_rotation("y", b) @ vr.axis_rotation("z", c)
 
 
 def angles(R):

@@ -5,8 +5,16 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from parallel_cal.virtual.robot import Array, Parameters, about, apply, solve, stack
-from parallel_cal.virtual.stewart import Assembly, Pose, _batch, _moved, column, numbered, vectors
+from parallel_cal.virtual.robot import Array, Parameters, apply, axis_rotation, solve, stack
+from parallel_cal.virtual.stewart import (
+    Assembly,
+    Pose,
+    _batch,
+    _make_pose_function,
+    column,
+    numbered,
+    vectors,
+)
 
 
 class SliderCrank(Assembly):
@@ -35,7 +43,7 @@ class Rssr(Assembly):
     """
 
     moves = controls = "rz"
-    home_turn = about("z", 1.14)
+    home_turn = axis_rotation("z", 1.14)
     home_joints = (1.14,)
 
     def ball(self, crank: str, angle: ArrayLike) -> Array:
@@ -46,7 +54,7 @@ class Rssr(Assembly):
 
     def balls(self, q: Array, R: Array) -> tuple[Array, Array]:
         """The rod's ends: on the input crank at q, on the output crank where R has turned it."""
-        lean = about("x", self.parameters["alpha"])
+        lean = axis_rotation("x", self.parameters["alpha"])
         foot = stack([self.parameters["a"], 0.0, 0.0])
         return foot + apply(lean, self.ball("input", q[..., 0])), apply(R, self.ball("output", 0.0))
 
@@ -84,9 +92,9 @@ class Cable(Assembly):
         """The point that three lines hold; the others must agree, or ValueError."""
         q = np.asarray(q, dtype=float)
         r0, R0 = _batch(q.shape[:-1], *(start or (self.home, self.home_turn)))
-        pose = _moved(r0, R0, ["x", "y", "z"])
+        pose = _make_pose_function(r0, R0, ["x", "y", "z"])
         r, R = pose(solve(lambda u: self.gaps(q, *pose(u), u)[..., :3], np.zeros(r0.shape)))
-        if np.max(self.open_by(q, r, R), initial=0) > 1e-9:
+        if np.max(self.max_gap(q, r, R), initial=0) > 1e-9:
             raise ValueError("a line is slack or overstretched there")
         return r, R
 
@@ -114,7 +122,7 @@ class FiveBar(Assembly):
         """Where crank and rod meet, left and right."""
         p, found = self.parameters, []
         for k, side in enumerate(("left", "right")):
-            arm = apply(about("z", q[..., k] + p[f"{side}.q0"]), np.array([1.0, 0.0, 0.0]))
+            arm = apply(axis_rotation("z", q[..., k] + p[f"{side}.q0"]), np.array([1.0, 0.0, 0.0]))
             found.append(stack([p[f"{side}.x"], p[f"{side}.y"], 0.0]) + p[f"{side}.crank"] * arm)
         return found
 

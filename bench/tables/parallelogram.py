@@ -79,7 +79,7 @@ def base_parameters(model: Model, observations: Observations, free: np.ndarray) 
     system = Prediction(model, observations, free, direct=True)(model.values)
     assert system is not None
     columns, names = system.columns, np.array(model.table.names)[free]
-    kept = sensitivity.in_base(columns * model.table.tolerance[free])
+    kept = sensitivity.find_base_parameters(columns * model.table.tolerance[free])
     grouping = np.linalg.lstsq(columns[:, kept], columns[:, ~kept], rcond=None)[0]
     return Base(tuple(names[kept]), tuple(names[~kept]), np.where(
         np.abs(grouping) > 1e-6, grouping, 0.0))  # fmt: skip

@@ -19,9 +19,11 @@ from parallel_cal.base.files import cache_folder
 
 log = logging.getLogger(__name__)
 
-MANY = 512  # samples that one call of compiled code takes
-SPREAD = 10_000  # samples that are worth a core of their own
-LARGE = 10_000  # instructions: looking for common ones would take longer than it saves
+BATCH_SIZE = 512  # samples that one call of compiled code takes
+MIN_SAMPLES_PER_CORE = 10_000  # samples that are worth a core of their own
+MAX_INSTRUCTIONS_FOR_CSE = (
+    10_000  # instructions: looking for common ones would take longer than it saves
+)
 # Without `interposition` CasADi's x * x and |x| stay calls of functions that others might replace.
 # Without `contract` a loop may round a product differently from the same code outside it.
 FLAGS = ("-O2", "-fPIC", "-shared", "-fno-semantic-interposition", "-ffp-contract=off")
@@ -60,11 +62,11 @@ class Batch:
     itself, so how many there are changes no bit.
     """
 
-    SIZES = (MANY, 16)
+    SIZES = (BATCH_SIZE, 16)
 
     def __init__(self, function: ca.Function, compile: bool = False):
-        self.function = compiled(function) if compile else function
-        self._many = _many(function) if compile else None
+        self.function = compile_function(function) if compile else function
+        self._many = _compile_mapped(function) if compile else None
         self._chunks: dict[tuple[int, int, tuple[int, ...]], _Chunk] = {}
         self._lock = Lock()
 
@@ -75,23 +77,25 @@ class Batch:
         room = -(-n // self.SIZES[-1]) * self.SIZES[-1]
         out = [np.empty((room, self.function.numel_out(i))) for i in range(self.function.n_out())]
         with self._lock:
-            cores = min(_cores(), n // SPREAD)
+            cores = min(_cores(), n // MIN_SAMPLES_PER_CORE)
             if cores < 2:
-                self._part(0, given, out, 0, n)
+                self._evaluate_range(0, given, out, 0, n)
             else:
                 from concurrent.futures import ThreadPoolExecutor
 
                 share = -(-n // (cores * self.SIZES[0])) * self.SIZES[0]
                 with ThreadPoolExecutor(cores) as pool:
                     parts = [
-                        pool.submit(self._part, i, given, out, begin, min(begin + share, n))
+                        pool.submit(
+                            self._evaluate_range, i, given, out, begin, min(begin + share, n)
+                        )
                         for i, begin in enumerate(range(0, n, share))
                     ]
                 for part in parts:
                     part.result()
         return [array[:n] for array in out]
 
-    def _part(
+    def _evaluate_range(
         self, core: int, given: list[np.ndarray], out: list[np.ndarray], begin: int, end: int
     ) -> None:
         """The samples from `begin` to `end`, through this core's own buffers."""
@@ -100,15 +104,15 @@ class Batch:
             size = next((s for s in self.SIZES if end - begin >= s), self.SIZES[-1])
             key = core, size, shared
             if key not in self._chunks:
-                self._chunks[key] = _Chunk(self._mapped(size, shared))
+                self._chunks[key] = _Chunk(self._get_mapped_function(size, shared))
             rows = [a if a.ndim == 1 else _rows(a, begin, size) for a in given]
             self._chunks[key](rows, [a[begin : begin + size] for a in out])
             begin += size
 
-    def _mapped(self, size: int, shared: tuple[int, ...]) -> ca.Function:
+    def _get_mapped_function(self, size: int, shared: tuple[int, ...]) -> ca.Function:
         """The function of so many samples at once."""
         f = self.function
-        if self._many is not None and (size, shared) == (MANY, (f.n_in() - 1,)):
+        if self._many is not None and (size, shared) == (BATCH_SIZE, (f.n_in() - 1,)):
             return self._many
         return f.map(f"many{size}", "serial", size, list(shared), [])
 
@@ -145,27 +149,27 @@ def _cores() -> int:
 def dense(name: str, inputs: Sequence[ca.SX], outputs: Sequence[ca.SX]) -> ca.Function:
     """A function with dense outputs; common sub-expressions shared where it is not too large."""
     plain = ca.Function(name, list(inputs), [ca.densify(o) for o in outputs])
-    if plain.n_instructions() > LARGE:
+    if plain.n_instructions() > MAX_INSTRUCTIONS_FOR_CSE:
         return plain
     return ca.Function(name, list(inputs), [ca.densify(o) for o in ca.cse(list(outputs))])
 
 
-def compiled(function: ca.Function) -> ca.Function:
+def compile_function(function: ca.Function) -> ca.Function:
     """The function as machine code from the cache or the C compiler; itself without one."""
-    return _external(function, function)
+    return _load_external(function, function)
 
 
-def _many(function: ca.Function) -> ca.Function:
+def _compile_mapped(function: ca.Function) -> ca.Function:
     """It for many samples at once, from the same library; the last argument is theirs together."""
-    return _external(function, _repeated(function))
+    return _load_external(function, _map_function(function))
 
 
-def _repeated(function: ca.Function) -> ca.Function:
+def _map_function(function: ca.Function) -> ca.Function:
     name = f"{function.name()}_many"
-    return function.map(name, "serial", MANY, [function.n_in() - 1], [])
+    return function.map(name, "serial", BATCH_SIZE, [function.n_in() - 1], [])
 
 
-def _external(function: ca.Function, wanted: ca.Function) -> ca.Function:
+def _load_external(function: ca.Function, wanted: ca.Function) -> ca.Function:
     """What is wanted of the function's library; itself where none can be had."""
     if os.environ.get("PARALLEL_CAL_COMPILE") == "never":
         return wanted
@@ -189,7 +193,7 @@ def _compile(function: ca.Function, library: Path) -> None:
         # CasADi writes its C file into the given folder; the name carries no directory.
         code = ca.CodeGenerator("code.c")
         code.add(function)
-        code.add(_repeated(function))  # a loop over the same code
+        code.add(_map_function(function))  # a loop over the same code
         code.generate(f"{folder}{os.sep}")
         built = Path(folder, "code.so")
         command = [compiler, *FLAGS, f"{folder}/code.c", "-o", str(built), "-lm"]

@@ -31,7 +31,7 @@ class ModelError(ParallelCalError):
     """A model is put together wrongly: unknown mechanism, effect, parameter or condition."""
 
 
-def told(name: str, error: Exception) -> ModelError:
+def wrap_plugin_error(name: str, error: Exception) -> ModelError:
     """What the file of a mechanism or an effect raised, in one line that says where."""
     if isinstance(error, ParallelCalError):
         return ModelError(f"{name}: {error}")
@@ -41,7 +41,7 @@ def told(name: str, error: Exception) -> ModelError:
     return ModelError(f"{name}: {type(error).__name__}: {' '.join(str(error).split())}{place}")
 
 
-def nearest(word: str, known: list[str]) -> str:
+def format_suggestion(word: str, known: list[str]) -> str:
     """`; did you mean 'backlash'?` where one of the known words is near."""
     from difflib import get_close_matches
 

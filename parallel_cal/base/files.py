@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 MEGABYTE = 1 << 20
-PREVIOUS = ".previous"  # behind the name of a file that was replaced
+BACKUP_SUFFIX = ".previous"  # behind the name of a file that was replaced
 
 
 def read_text(
@@ -56,7 +56,7 @@ def write_atomically(path: str | Path, text: str, like: str | Path | None = None
     _sync_folder(target.parent)
 
 
-def held(path: Path) -> int | None:
+def open_locked(path: Path) -> int | None:
     """A file opened to be read and appended to, made where there is none; None where another
     process is at it."""
     flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
@@ -101,7 +101,7 @@ def cache_folder() -> Path:
     return Path(base) / "parallel_cal"
 
 
-def kept(sources: Iterable[Path], make: Callable[[], Any]) -> Any:
+def load_or_compute(sources: Iterable[Path], make: Callable[[], Any]) -> Any:
     """What `make` gives, a JSON document; or gave when these files had these names and contents."""
     digest = hashlib.sha256()
     for path in sources:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import fields, replace
 from typing import Any, TypeVar
 
-from parallel_cal.base.errors import ParallelCalError, nearest
+from parallel_cal.base.errors import ParallelCalError, format_suggestion
 
 Options = TypeVar("Options")
 
@@ -24,5 +24,7 @@ def with_changes(
     known = [field.name for field in fields(options)]  # type: ignore[arg-type]
     for name in changes:
         if name not in known:
-            raise error(f"unknown option {name}{nearest(name, known)}; known: {', '.join(known)}")
+            raise error(
+                f"unknown option {name}{format_suggestion(name, known)}; known: {', '.join(known)}"
+            )
     return replace(options, **changes)  # type: ignore[type-var]

@@ -25,16 +25,16 @@ from typing import Any
 from parallel_cal.base.errors import ParallelCalError
 
 MEGABYTE = 1 << 20
-START = 60.0  # s that a new process may take on a busy machine; not counted as work
-POLITE = 5  # added to the process' niceness
-PROMPT = 0.05  # s between two looks at whether the work is still wanted
+STARTUP_TIMEOUT_S = 60.0  # s that a new process may take on a busy machine; not counted as work
+NICENESS_INCREMENT = 5  # added to the process' niceness
+POLL_INTERVAL_S = 0.05  # s between two looks at whether the work is still wanted
 
 
-class OverBudget(ParallelCalError):
+class TimeBudgetExceeded(ParallelCalError):
     """The time for a piece of work is over."""
 
 
-class Unwanted(ParallelCalError):
+class WorkCancelled(ParallelCalError):
     """A piece of work was ended because nobody wants it any more."""
 
 
@@ -90,7 +90,9 @@ class Worker:
             if self._process is None:
                 self._start()
             try:
-                return self._result((function, given, tell is not None), seconds, tell, wanted)
+                return self._await_result(
+                    (function, given, tell is not None), seconds, tell, wanted
+                )
             except WorkError:
                 raise
             except BaseException as error:
@@ -103,7 +105,7 @@ class Worker:
                     raise WorkError("the node ends" if self._ended else how) from None
                 raise
 
-    def _result(
+    def _await_result(
         self,
         asked: tuple[Any, ...],
         seconds: float,
@@ -111,16 +113,16 @@ class Worker:
         wanted: Callable[[], bool],
     ) -> Any:
         assert self._pipe is not None
-        end = time.monotonic() + START
+        end = time.monotonic() + STARTUP_TIMEOUT_S
         while True:
             left = end - time.monotonic()
             if left <= 0:
-                raise OverBudget("over budget")
+                raise TimeBudgetExceeded("over budget")
             if not wanted():
-                raise Unwanted("ended before it was done")
+                raise WorkCancelled("ended before it was done")
             if self._ended:
                 raise EOFError
-            if not self._pipe.poll(min(left, PROMPT)):
+            if not self._pipe.poll(min(left, POLL_INTERVAL_S)):
                 continue
             kind, value = self._pipe.recv()
             if kind == "ready":
@@ -164,10 +166,10 @@ class Worker:
 def serve(descriptor: int, memory: int | None) -> None:
     """The worker's side: do what comes down the pipe until the other process is gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the one that ends its worker
-    os.nice(POLITE)
+    os.nice(NICENESS_INCREMENT)
     pipe = Connection(descriptor)
     parent = os.getppid()
-    Thread(target=_end_with, args=(parent,), daemon=True).start()
+    Thread(target=_exit_with_parent, args=(parent,), daemon=True).start()
     if first := pipe.recv():
         first()
     if memory is not None:
@@ -180,10 +182,10 @@ def serve(descriptor: int, memory: int | None) -> None:
             function, given, telling = pipe.recv()
         except (EOFError, ConnectionResetError):  # the other end is gone, or was killed
             return
-        pipe.send(_done(pipe, function, given, telling))
+        pipe.send(_execute(pipe, function, given, telling))
 
 
-def _done(
+def _execute(
     pipe: Connection, function: Callable[..., Any], given: tuple[Any, ...], telling: bool
 ) -> tuple[str, Any]:
     def tell(*said: Any) -> None:
@@ -199,7 +201,7 @@ def _done(
         return "failed", f"{type(error).__name__}: {error}"
 
 
-def _end_with(parent: int) -> None:
+def _exit_with_parent(parent: int) -> None:
     """A process that was killed tells nobody."""
     while os.getppid() == parent:
         time.sleep(0.5)

@@ -19,29 +19,29 @@ from typing import Any
 
 import numpy as np
 
-from parallel_cal.base.documents import plain
+from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.errors import ParallelCalError
-from parallel_cal.base.files import MEGABYTE, append_lines, held, json_lines
-from parallel_cal.campaign.cell import Aborted, Cell, Control, Held, Sample
-from parallel_cal.campaign.checking import Checker, Odd
+from parallel_cal.base.files import MEGABYTE, append_lines, json_lines, open_locked
+from parallel_cal.campaign.cell import AbortRequested, Cell, Control, PauseRequested, Sample
+from parallel_cal.campaign.checking import Checker, ImplausibleSample
 from parallel_cal.campaign.judging import (
     Conclusion,
     Judgement,
-    Question,
-    concluded,
-    first_kind,
-    judged,
+    JudgementRequest,
+    conclude,
+    judge_samples,
+    select_primary_error,
 )
-from parallel_cal.campaign.targets import BROUGHT_ABOUT, Target, first_targets
-from parallel_cal.campaign.trajectory import through
-from parallel_cal.campaign.way import Guard, WayError
+from parallel_cal.campaign.targets import ADJUSTABLE_CONDITIONS, Target, first_targets
+from parallel_cal.campaign.trajectory import plan_trajectory
+from parallel_cal.campaign.way import Guard, PathError
 from parallel_cal.identification.observations import observe
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.file.modelfile import model_hash, parse_model, replace_text
 from parallel_cal.model.mechanism import Box
 from parallel_cal.model.shelf import load_effect
 from parallel_cal.recordings.dataset import Dataset
-from parallel_cal.recordings.joining import joined
+from parallel_cal.recordings.joining import join_datasets
 from parallel_cal.session import goals
 from parallel_cal.session.session import FILE as SESSION
 from parallel_cal.session.session import Session
@@ -49,7 +49,7 @@ from parallel_cal.session.session import Session
 log = logging.getLogger(__name__)
 
 FILE = "campaign.jsonl"
-MOST = 512 * MEGABYTE  # of a journal that is read again
+MAX_JOURNAL_BYTES = 512 * MEGABYTE  # of a journal that is read again
 BATCH = 8  # poses from one judgement to the next
 
 
@@ -111,7 +111,7 @@ Tell = Callable[[Status], None]
 Work = Callable[..., Any]  # a function and what it is given -> what it returns
 
 
-def _here(function: Callable[..., Any], *given: Any) -> Any:
+def _call_directly(function: Callable[..., Any], *given: Any) -> Any:
     return function(*given)
 
 
@@ -125,7 +125,7 @@ class Campaign:
         goal: Goal,
         cell: Cell,
         tell: Tell = lambda status: None,
-        work: Work = _here,
+        work: Work = _call_directly,
         control: Control | None = None,
     ):
         """`work` does what takes long; CampaignError where another process is at the folder, or
@@ -134,7 +134,7 @@ class Campaign:
         self.folder, self.goal, self.control = Path(folder), goal, control or Control()
         self._cell, self._tell, self._work = cell, tell, work
         self.folder.mkdir(parents=True, exist_ok=True)
-        file = held(self.folder / FILE)
+        file = open_locked(self.folder / FILE)
         if file is None:
             raise CampaignError(f"{self.folder}: another process is at this campaign")
         self._file = file
@@ -147,20 +147,20 @@ class Campaign:
         self._planned_unreadably: list[int] = []  # targets of judgements that were set aside
         self._begun, self._before = time.monotonic(), 0.0
         self._status = Status("planning", "", 0, np.nan, "")
-        for entry in json_lines(self.folder / FILE, MOST):
-            self._take_up(entry)
+        for entry in json_lines(self.folder / FILE, MAX_JOURNAL_BYTES):
+            self._restore_entry(entry)
         if model_hash(self.model) != model_hash(model):
             os.close(file)
             raise CampaignError(f"{self.folder}: holds the campaign of another model")
         if not self.targets:
-            self._write(begin=plain(goal), model=model)
+            self._write(begin=to_json_value(goal), model=model)
         self._leave_out_unreadable_plans()
         last = next(reversed(self.samples), None)
         self._sent = None if last is None else np.array(self.targets[last].joints)
         if not (self.folder / SESSION).exists():
             fitting = FitOptions(hold_out=goal.hold_out, joint_sigma=goal.joint_sigma)
             Session.new(self.folder, parse_model(model), [], fitting=fitting)
-        self._judge_by(self.judgements[-1] if self.judgements else None)
+        self._use_model_of(self.judgements[-1] if self.judgements else None)
 
     def close(self) -> None:
         """Let others at the folder."""
@@ -171,14 +171,14 @@ class Campaign:
     def _write(self, **entry: Any) -> None:
         """Append a line, and be sure of it."""
         entry["spent"] = self.spent
-        append_lines(self._file, [json.dumps(plain(entry), allow_nan=False)])
+        append_lines(self._file, [json.dumps(to_json_value(entry), allow_nan=False)])
 
-    def _take_up(self, entry: Mapping[str, Any]) -> None:
+    def _restore_entry(self, entry: Mapping[str, Any]) -> None:
         self._before = entry.get("spent", self._before)
         if "model" in entry:
             self.model = entry["model"]
         if "targets" in entry:
-            self.targets += map(Target.of, entry["targets"])
+            self.targets += map(Target.from_document, entry["targets"])
         if "sample" in entry:
             dataset = Dataset.from_document(entry["sample"], FILE)
             self.samples[entry["target"]] = Sample(dataset, entry["start_ns"])
@@ -191,7 +191,9 @@ class Campaign:
         """Go on by a stored judgement, or set it aside where its model cannot be read: the samples
         are there, and are judged anew."""
         first = len(self.targets)
-        self.targets += map(Target.of, document["targets"])  # samples count them, readable or not
+        self.targets += map(
+            Target.from_document, document["targets"]
+        )  # samples count them, readable or not
         try:
             self.judgements.append(self._readable_judgement(document))
         except ParallelCalError as error:
@@ -203,7 +205,7 @@ class Campaign:
     def _readable_judgement(self, document: Mapping[str, Any]) -> Judgement:
         """ParallelCalError with file, key and value for one whose model cannot be read."""
         try:
-            judgement = Judgement.of(document)
+            judgement = Judgement.from_document(document)
         except (KeyError, TypeError) as error:
             raise CampaignError(
                 f"{self.folder / FILE}: a judgement has not the keys that this release expects: "
@@ -230,7 +232,7 @@ class Campaign:
     def dataset(self) -> Dataset:
         """All samples, in the order in which they were measured."""
         found = list(self.samples.values())
-        return joined([s.dataset for s in found], [s.start_ns for s in found])
+        return join_datasets([s.dataset for s in found], [s.start_ns for s in found])
 
     @property
     def _last(self) -> Dataset | None:
@@ -239,7 +241,7 @@ class Campaign:
         return None if last is None else last.dataset
 
     @property
-    def unseen(self) -> np.ndarray:
+    def validation_mask(self) -> np.ndarray:
         """Which samples (N,) no fit may see."""
         return np.array([self.targets[k].unseen for k in self.samples], dtype=bool)
 
@@ -249,40 +251,40 @@ class Campaign:
         """Until it has come to an end; the robot rests then, however it came."""
         for text in self.warnings:
             log.warning("%s", text)
-            self._say("planning", text)
+            self._report_status("planning", text)
         try:
             while True:
                 try:
                     if (outcome := self._step()) is not None:
                         return self._end(outcome)
-                except Held:
+                except PauseRequested:
                     self._cell.stop()
-                    self._say("paused", "on request; resume goes on")
+                    self._report_status("paused", "on request; resume goes on")
                     self.control.wait()
-        except Aborted:
+        except AbortRequested:
             self._cell.stop()
-            return self._stopped("aborted on request; calibrate again to go on")
+            return self._make_stopped_outcome("aborted on request; calibrate again to go on")
         except ParallelCalError as error:
             self._cell.stop()
-            return self._stopped(str(error))
+            return self._make_stopped_outcome(str(error))
         except BaseException:
             self._cell.stop()
             raise
 
     def _step(self) -> Outcome | None:
         """One pose further, or one judgement; the outcome where that was the last."""
-        self.control.go_on()
+        self.control.check_interrupted()
         if not self.targets:
-            self._say("planning", "the first poses")
+            self._report_status("planning", "the first poses")
             for name in self.goal.effects:
                 load_effect(name)  # unknown ones are told before the robot moves
-            self._plan(first_targets(self._guard, self.goal.poses, self.goal.seed))
+            self._add_targets(first_targets(self._guard, self.goal.poses, self.goal.seed))
         due = [
             k
             for k in range(len(self.targets))
             if k not in self.samples and k not in self.left_out
         ]  # fmt: skip
-        over = self._over_budget()
+        over = self._describe_exhausted_budget()
         if due and not over:
             self._measure(due[0])
             return None
@@ -290,7 +292,7 @@ class Campaign:
             raise CampaignError(over or f"no pose can be gone to: {self._reasons()}")
         return self._judge(over)
 
-    def _over_budget(self) -> str:
+    def _describe_exhausted_budget(self) -> str:
         if len(self.samples) >= self.goal.poses:
             return f"{len(self.samples)} poses are measured, as many as were allowed"
         if self.spent > 60 * self.goal.minutes:
@@ -300,10 +302,10 @@ class Campaign:
     def _reasons(self) -> str:
         return "; ".join(dict.fromkeys(self.left_out.values()))
 
-    def _say(self, state: str, reason: str) -> None:
+    def _report_status(self, state: str, reason: str) -> None:
         last = self.judgements[-1] if self.judgements else None
         self._status = Status(
-            state, reason, len(self.samples), last.error_unseen if last else np.nan,
+            state, reason, len(self.samples), last.validation_error if last else np.nan,
             last.verdict if last else "",
         )  # fmt: skip
         self._tell(self._status)
@@ -313,11 +315,13 @@ class Campaign:
     def _measure(self, k: int) -> None:
         """Go to a target and take its sample, or leave it out where no way may be driven."""
         target = self.targets[k]
-        self._bring_about(target.conditions)
+        self._request_conditions(target.conditions)
         try:
-            sample = self._sampled(target, f"pose {k + 1} of {len(self.targets)}, {target.purpose}")
-        except WayError as error:
-            if self._guard.astray(self._where()):
+            sample = self._take_sample(
+                target, f"pose {k + 1} of {len(self.targets)}, {target.purpose}"
+            )
+        except PathError as error:
+            if self._guard.describe_violation(self._get_current_joints()):
                 raise
             self.left_out[k] = str(error)
             self._write(left_out=k, why=str(error))
@@ -325,47 +329,49 @@ class Campaign:
         again = None
         try:
             self._checker.check(sample.dataset, np.array(target.joints), self._last)
-        except Odd as odd:
-            again = self._looked_again(odd)
+        except ImplausibleSample as odd:
+            again = self._remeasure_previous(odd)
         self._keep(k, sample)
         if again is not None:
-            self._plan([again[0]])
+            self._add_targets([again[0]])
             self._keep(len(self.targets) - 1, again[1])
 
-    def _sampled(self, target: Target, why: str) -> Sample:
+    def _take_sample(self, target: Target, why: str) -> Sample:
         """Go to a target and take its sample; WayError where no way may be driven."""
         stops = [np.array(q) for q in (*target.via, target.joints)]
-        way = self._way(self._where(), stops)
-        self._say("moving", why)
-        self._cell.move(through(way, self._guard.model.mechanism), self.control.go_on)
+        way = self._plan_path(self._get_current_joints(), stops)
+        self._report_status("moving", why)
+        self._cell.move(
+            plan_trajectory(way, self._guard.model.mechanism), self.control.check_interrupted
+        )
         self._checker.check_arrived(self._cell.joints(), stops[-1])
         self._sent = stops[-1]
-        self._say("sampling", why)
-        return self._cell.sample(self.control.go_on)
+        self._report_status("sampling", why)
+        return self._cell.sample(self.control.check_interrupted)
 
-    def _where(self) -> np.ndarray:
+    def _get_current_joints(self) -> np.ndarray:
         """Joints (nq,) where the robot is: where it was sent while it rests there, for at the edge
         of what is forbidden it may be read, or rest, a little inside."""
         here = self._cell.joints()
-        if self._sent is None or not self._checker.arrived(here, self._sent):
+        if self._sent is None or not self._checker.has_arrived(here, self._sent):
             return here
         return self._sent
 
-    def _looked_again(self, odd: Odd) -> tuple[Target, Sample]:
+    def _remeasure_previous(self, odd: ImplausibleSample) -> tuple[Target, Sample]:
         """The pose before an odd one once more: where it is as it was, robot and device are, and it
         is the model that knows no better; else the odd one is raised."""
         k, before = next(reversed(self.samples.items()))
         target = replace(self.targets[k], purpose="the pose before, to see whether anything moved")
         try:
-            sample = self._sampled(target, f"{odd}; back to {target.purpose}")
-        except WayError:
+            sample = self._take_sample(target, f"{odd}; back to {target.purpose}")
+        except PathError:
             raise odd from None
-        if not self._checker.same(sample.dataset, before.dataset):
+        if not self._checker.is_same_pose(sample.dataset, before.dataset):
             raise odd
-        self._checker.changed()  # the model is known to be wrong, until there is a better one
+        self._checker.mark_conditions_changed()  # the model is known to be wrong, until there is a better one
         return target, sample
 
-    def _plan(self, targets: list[Target]) -> None:
+    def _add_targets(self, targets: list[Target]) -> None:
         self._write(targets=targets)
         self.targets += targets
 
@@ -375,39 +381,39 @@ class Campaign:
         self._write(target=k, sample=sample.dataset, start_ns=sample.start_ns)
         self.samples[k] = sample
 
-    def _way(self, here: np.ndarray, stops: list[np.ndarray]) -> list[np.ndarray]:
+    def _plan_path(self, here: np.ndarray, stops: list[np.ndarray]) -> list[np.ndarray]:
         """Past the joints' play where that may be driven."""
-        with suppress(WayError):
-            return self._guard.way(here, self._guard.drawn_out(here, stops))
-        return self._guard.way(here, stops)
+        with suppress(PathError):
+            return self._guard.plan_path(here, self._guard.lengthen_approach(here, stops))
+        return self._guard.plan_path(here, stops)
 
-    def _bring_about(self, conditions: Mapping[str, float]) -> None:
+    def _request_conditions(self, conditions: Mapping[str, float]) -> None:
         """Ask a person for what is not so yet."""
         known = self._last.conditions if self._last else {}
         other = {
             name: value
             for name, value in conditions.items()
-            if name in known and abs(float(known[name][0]) - value) > BROUGHT_ABOUT[name][0]
+            if name in known and abs(float(known[name][0]) - value) > ADJUSTABLE_CONDITIONS[name][0]
         }
         if not other:
             return
         words = "; ".join(
-            f"bring {name} to {value:.3g} {BROUGHT_ABOUT[name][1]} (it is {known[name][0]:.3g})"
+            f"bring {name} to {value:.3g} {ADJUSTABLE_CONDITIONS[name][1]} (it is {known[name][0]:.3g})"
             for name, value in other.items()
         )
-        self._say("asking", f"{words}, then continue")
-        self._cell.ask(words, other, self.control.go_on)
-        self._checker.changed()
+        self._report_status("asking", f"{words}, then continue")
+        self._cell.ask(words, other, self.control.check_interrupted)
+        self._checker.mark_conditions_changed()
 
     # ------------------------------------------------------------------ what it comes to
 
     def _judge(self, over: str) -> Outcome | None:
         """What the samples say; an outcome where that is enough, or all there may be."""
-        if not over and self._unjudged() == 0:
+        if not over and self._count_unjudged() == 0:
             return self._outcome(False, f"no more poses to go to: {self._reasons()}")
         last = self.judgements[-1] if self.judgements else None
-        if last is None or self._unjudged():
-            self._say("judging", f"{len(self.samples)} samples")
+        if last is None or self._count_unjudged():
+            self._report_status("judging", f"{len(self.samples)} samples")
             dataset = self.dataset
             Session(self.folder).take(dataset.to_json)
             goal = self.goal
@@ -415,20 +421,20 @@ class Campaign:
             options = FitOptions(hold_out=goal.hold_out, joint_sigma=goal.joint_sigma)
             seed = goal.seed + 1 + len(self.judgements)
             changes = {"payload": goal.payload, "temperature": goal.warmer}
-            question = Question(
+            question = JudgementRequest(
                 self.model, goal.keep_out, goal.reach, goal.effects, min(BATCH, left), left,
                 changes, seed, options,
             )  # fmt: skip
-            before, last = last, self._work(judged, question, dataset, self.unseen)
+            before, last = last, self._work(judge_samples, question, dataset, self.validation_mask)
             self._write(judged=last)
             self.targets += last.targets
             self.judgements.append(last)
-            self._go_on_by(last)
+            self._adopt_judgement(last)
         else:
             before = self.judgements[-2] if len(self.judgements) > 1 else None
-        if self.goal.enough and last.error_unseen <= self.goal.enough:
+        if self.goal.enough and last.validation_error <= self.goal.enough:
             return self._outcome(True, f"the error at unseen poses is small enough: {last.summary}")
-        if not self.goal.enough and last.settles(before):
+        if not self.goal.enough and last.is_final(before):
             alike = last.untold and f"; poses do not tell {' from '.join(last.untold)}"
             return self._outcome(True, f"{last.summary}{alike or ''}")
         if over:
@@ -436,31 +442,31 @@ class Campaign:
             return self._outcome(False, f"{over}: {last.summary}{wanted and f'; {wanted}'}")
         return None
 
-    def _unjudged(self) -> int:
+    def _count_unjudged(self) -> int:
         """How many samples the last judgement did not know."""
         return len(self.samples) - (self.judgements[-1].samples if self.judgements else 0)
 
-    def _judge_by(self, judgement: Judgement | None) -> None:
+    def _use_model_of(self, judgement: Judgement | None) -> None:
         """From here on ways are looked at, and samples checked, by the best model there is."""
         model = parse_model(judgement.text if judgement else self.model)
         self._guard = Guard.of(replace(model, covariance=None), self.goal.keep_out, self.goal.reach)
         self._checker = Checker(model, judgement.usual if judgement else {})
 
-    def _go_on_by(self, judgement: Judgement) -> None:
+    def _adopt_judgement(self, judgement: Judgement) -> None:
         """Where the better model sees the robot in a place in which it must not be, it goes home by
         the model that led it there."""
-        before, here = self._guard, self._where()
-        self._judge_by(judgement)
-        if judgement.targets and self._guard.astray(here):
+        before, here = self._guard, self._get_current_joints()
+        self._use_model_of(judgement)
+        if judgement.targets and self._guard.describe_violation(here):
             home = np.array(before.model.mechanism.home.joints)
-            way = through(before.way(here, [home]), before.model.mechanism)
-            self._cell.move(way, self.control.go_on)
+            way = plan_trajectory(before.plan_path(here, [home]), before.model.mechanism)
+            self._cell.move(way, self.control.check_interrupted)
             self._sent = home
 
     def _outcome(self, success: bool, message: str) -> Outcome:
         judgement = self.judgements[-1]
-        curve = [(0, first_kind(judgement.before))]
-        curve += [(one.samples, one.error_unseen) for one in self.judgements]
+        curve = [(0, select_primary_error(judgement.before))]
+        curve += [(one.samples, one.validation_error) for one in self.judgements]
         document = {
             "success": success,
             "message": message,
@@ -475,38 +481,40 @@ class Campaign:
             "diagnosis": judgement.diagnosis,
         }
         return Outcome(
-            success, message, plain(document), verdict=judgement.verdict,
+            success, message, to_json_value(document), verdict=judgement.verdict,
             samples=len(self.samples), curve=tuple(curve),
         )  # fmt: skip
 
     def _end(self, outcome: Outcome) -> Outcome:
         """The better model, where it is proven to be one, and the last line."""
-        self._say("judging", "the model to be written")
-        found: Conclusion = self._work(concluded, self.folder, self.judgements)
+        self._report_status("judging", "the model to be written")
+        found: Conclusion = self._work(conclude, self.folder, self.judgements)
         outcome = replace(outcome, text=found.text, message=f"{outcome.message} ({found.words})")
         self._write(end=outcome.message, success=outcome.success)
-        self._say("done", outcome.message)
+        self._report_status("done", outcome.message)
         return outcome
 
-    def _stopped(self, why: str) -> Outcome:
-        self._say("stopped", why)
+    def _make_stopped_outcome(self, why: str) -> Outcome:
+        self._report_status("stopped", why)
         if not self.judgements:
             return Outcome(False, why, ended=False, samples=len(self.samples))
         return replace(self._outcome(False, why), ended=False)
 
 
-def unfinished(folder: Path, model: str) -> Path | None:
+def find_unfinished(folder: Path, model: str) -> Path | None:
     """The newest of a folder's campaigns that began with this model and did not come to an end."""
     wanted = model_hash(model)
     for file in sorted(folder.glob(f"*/{FILE}"), reverse=True):
-        entries = json_lines(file, MOST)  # no further than the model where it is another one
+        entries = json_lines(
+            file, MAX_JOURNAL_BYTES
+        )  # no further than the model where it is another one
         began = next((e["model"] for e in entries if "model" in e), "")
         if model_hash(began) == wanted and not any("end" in e for e in entries):
             return file.parent
     return None
 
 
-def write_better(outcome: Outcome, path: str) -> Outcome:
+def write_improved_model(outcome: Outcome, path: str) -> Outcome:
     """Write the proven model to a file, the one before kept."""
     if not outcome.text:
         return outcome

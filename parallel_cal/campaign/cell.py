@@ -13,18 +13,18 @@ from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.campaign.trajectory import Trajectory
 from parallel_cal.recordings.dataset import Dataset
 
-PROMPT = 0.05  # s between two looks at whether it is still wanted
+POLL_INTERVAL_S = 0.05  # s between two looks at whether it is still wanted
 
 
 class CellError(ParallelCalError):
     """The robot or the device does not do what it was asked for; it is stopped."""
 
 
-class Held(Exception):
+class PauseRequested(Exception):
     """Somebody wants a pause."""
 
 
-class Aborted(Exception):
+class AbortRequested(Exception):
     """Somebody wants no more of it."""
 
 
@@ -72,7 +72,7 @@ class Control:
         return self._aborted or self._ended()
 
     @property
-    def wanted(self) -> bool:
+    def should_continue(self) -> bool:
         """Whether what is under way shall go on."""
         return not (self._held or self.aborted)
 
@@ -90,16 +90,16 @@ class Control:
             self._held, self._aborted = held, self._aborted or aborted
             self._changed.notify_all()
 
-    def go_on(self) -> None:
+    def check_interrupted(self) -> None:
         """Held or Aborted where that is wanted."""
         if self.aborted:
-            raise Aborted
+            raise AbortRequested
         if self._held:
-            raise Held
+            raise PauseRequested
 
     def wait(self) -> None:
         """Until it goes on; Aborted where it does not."""
         with self._changed:
             while self._held and not self.aborted:
-                self._changed.wait(PROMPT)
-        self.go_on()
+                self._changed.wait(POLL_INTERVAL_S)
+        self.check_interrupted()

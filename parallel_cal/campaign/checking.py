@@ -19,13 +19,13 @@ from parallel_cal.planning.expectation import prediction_blocks
 from parallel_cal.planning.posepool import Pool
 from parallel_cal.recordings.dataset import Dataset
 
-JUMP = 8.0  # times what is usual: no noise does that
-ROUGH = 4.0  # sigmas of what tolerances allow, while nothing is identified yet
-ARRIVED = 0.01  # of its range, in which a joint must be of where it was sent
-SEE_TO_IT = "a collision, a slip, or a target that was lost or changed: see to it"
+MAX_ERROR_RATIO = 8.0  # times what is usual: no noise does that
+MAX_TOLERANCE_SIGMAS = 4.0  # sigmas of what tolerances allow, while nothing is identified yet
+ARRIVAL_TOLERANCE = 0.01  # of its range, in which a joint must be of where it was sent
+LIKELY_CAUSES = "a collision, a slip, or a target that was lost or changed: see to it"
 
 
-class Odd(CellError):
+class ImplausibleSample(CellError):
     """A sample is far from where the model puts it, though no further than tolerances allow: what
     is wrong may be the model."""
 
@@ -40,7 +40,7 @@ class Checker:
     def _robot(self) -> Kinematics:
         return Kinematics(self._model)
 
-    def changed(self) -> None:
+    def mark_conditions_changed(self) -> None:
         """Conditions are others now: what is usual under these is not known."""
         self._as_before = False
 
@@ -55,19 +55,19 @@ class Checker:
         found = errors(self._model, observe(self._model, sample))
         for kind, usual in self._usual.items():
             error = float(found.norms(kind)[0])
-            if error > JUMP * usual:
-                raise Odd(f"{_said(kind, error, usual)}: {SEE_TO_IT}")
+            if error > MAX_ERROR_RATIO * usual:
+                raise ImplausibleSample(f"{_format_error(kind, error, usual)}: {LIKELY_CAUSES}")
 
-    def same(self, one: Dataset, other: Dataset) -> bool:
+    def is_same_pose(self, one: Dataset, other: Dataset) -> bool:
         """Whether two samples (1,) of one pose are, as far as is usual."""
         apart = {"position": float(np.linalg.norm(one.r[0] - other.r[0])),
                  "orientation": _angle(one.R[0], other.R[0])}  # fmt: skip
-        return all(apart[kind] <= JUMP * usual for kind, usual in self._usual.items())
+        return all(apart[kind] <= MAX_ERROR_RATIO * usual for kind, usual in self._usual.items())
 
     def check_arrived(self, q: np.ndarray, sent: np.ndarray) -> None:
         """CellError where joints (nq,) are not where they were sent."""
-        m, away = self._model.mechanism, self._away(q, sent)
-        if (away > ARRIVED).any():
+        m, away = self._model.mechanism, self._compute_joint_deviation(q, sent)
+        if (away > ARRIVAL_TOLERANCE).any():
             i = int(np.argmax(away))
             unit = m.joint_units[i]
             raise CellError(
@@ -75,11 +75,11 @@ class Checker:
                 "move, its encoder is stuck, or something is in the way"
             )
 
-    def arrived(self, q: np.ndarray, sent: np.ndarray) -> bool:
+    def has_arrived(self, q: np.ndarray, sent: np.ndarray) -> bool:
         """Whether joints (nq,) are where they were sent."""
-        return bool((self._away(q, sent) < ARRIVED).all())
+        return bool((self._compute_joint_deviation(q, sent) < ARRIVAL_TOLERANCE).all())
 
-    def _away(self, q: np.ndarray, sent: np.ndarray) -> np.ndarray:
+    def _compute_joint_deviation(self, q: np.ndarray, sent: np.ndarray) -> np.ndarray:
         """How far joints (nq,) are from where they were sent, in their ranges."""
         return np.asarray(np.abs(q - sent) / self._model.mechanism.joint_ranges)
 
@@ -88,27 +88,27 @@ class Checker:
         reached = self._robot.direct(np.vstack([last.q, sample.q]))
         if not reached.solved.all():
             return
-        allowed = self._rough
+        allowed = self._tolerance_errors
         if sample.measured[0, :3].all() and last.measured[0, :3].all():
             moved = float(np.linalg.norm(sample.r[0] - last.r[0]))
             expected = float(np.linalg.norm(reached.position[1] - reached.position[0]))
-            if abs(moved - expected) > ROUGH * allowed["position"]:
+            if abs(moved - expected) > MAX_TOLERANCE_SIGMAS * allowed["position"]:
                 raise CellError(
                     f"the platform should have moved {1e3 * expected:.2f} mm and moved "
-                    f"{1e3 * moved:.2f} mm, more apart than tolerances allow: {SEE_TO_IT}"
+                    f"{1e3 * moved:.2f} mm, more apart than tolerances allow: {LIKELY_CAUSES}"
                 )
         if sample.measured[0, 3:].all() and last.measured[0, 3:].all():
             turned = _angle(sample.R[0], last.R[0])
             expected = _angle(reached.rotation[1], reached.rotation[0])
-            if abs(turned - expected) > ROUGH * allowed["orientation"]:
+            if abs(turned - expected) > MAX_TOLERANCE_SIGMAS * allowed["orientation"]:
                 raise CellError(
                     f"the platform should have turned by {np.degrees(expected):.2f} degrees and "
                     f"turned by {np.degrees(turned):.2f}, more apart than tolerances allow: "
-                    f"{SEE_TO_IT}"
+                    f"{LIKELY_CAUSES}"
                 )
 
     @cached_property
-    def _rough(self) -> dict[str, float]:
+    def _tolerance_errors(self) -> dict[str, float]:
         """Rms errors (m, rad) of a model with errors as large as its tolerances, at home."""
         model = self._model
         home = self._robot.direct(np.array([model.mechanism.home.joints]))
@@ -127,7 +127,7 @@ def _angle(one: np.ndarray, other: np.ndarray) -> float:
     return float(np.linalg.norm(rotation_vector(one @ other.T)))
 
 
-def _said(kind: str, error: float, usual: float) -> str:
+def _format_error(kind: str, error: float, usual: float) -> str:
     factor, unit = next((factor, unit) for one, factor, unit in UNITS if one == kind)
     return (
         f"the {kind} is {factor * error:.3g} {unit} from where the model puts it, "

@@ -17,7 +17,7 @@ from parallel_cal.base.threads import single_threaded
 from parallel_cal.campaign.targets import Target, next_targets
 from parallel_cal.campaign.way import Guard
 from parallel_cal.diagnosis.diagnose import Diagnosis, diagnose
-from parallel_cal.diagnosis.separate import told_apart
+from parallel_cal.diagnosis.separate import explain_separation
 from parallel_cal.identification.observations import observe
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.prediction_errors import errors
@@ -25,12 +25,14 @@ from parallel_cal.model.file.modelfile import parse_model, readable_text
 from parallel_cal.model.mechanism import Box
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.session.session import Session
-from parallel_cal.session.steps import Unproven
+from parallel_cal.session.steps import UnprovenStepError
 
-DONE = ("at_noise", "explained")
+FINAL_VERDICTS = ("at_noise", "explained")
 KINDS = ("position", "orientation")
-RISEN = 1.5  # times the error at unseen poses: they are the same ones, so that it is no chance
-LISTS = ("effects", "additions", "doubt", "untold", "suspected", "missing")
+MAX_ERROR_RISE = (
+    1.5  # times the error at unseen poses: they are the same ones, so that it is no chance
+)
+TUPLE_FIELDS = ("effects", "additions", "doubt", "untold", "suspected", "missing")
 Tell = Callable[[str, float], None]
 
 
@@ -61,18 +63,18 @@ class Judgement:
     diagnosis: Mapping[str, Any] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, document: Mapping[str, Any]) -> Judgement:
+    def from_document(cls, document: Mapping[str, Any]) -> Judgement:
         """From JSON."""
-        lists = {key: tuple(document[key]) for key in LISTS}
-        targets = tuple(map(Target.of, document["targets"]))
+        lists = {key: tuple(document[key]) for key in TUPLE_FIELDS}
+        targets = tuple(map(Target.from_document, document["targets"]))
         return cls(**{**document, **lists, "targets": targets})
 
     @property
-    def error_unseen(self) -> float:
+    def validation_error(self) -> float:
         """rms at the poses that no fit saw, m (rad where no position is measured)."""
-        return first_kind(self.unseen)
+        return select_primary_error(self.unseen)
 
-    def settles(self, before: Judgement | None) -> bool:
+    def is_final(self, before: Judgement | None) -> bool:
         """Whether nothing is left to find: nothing is suspected, nor in doubt that poses may tell,
         no condition is to be changed yet, and the samples since the judgement before have changed
         nothing; where an effect was found they were to show what hides beside it."""
@@ -84,11 +86,11 @@ class Judgement:
         ):
             return False
         names, were = ({*one.effects, *one.doubt} for one in (self, before))
-        return self.verdict in DONE and (self.verdict, names) == (before.verdict, were)
+        return self.verdict in FINAL_VERDICTS and (self.verdict, names) == (before.verdict, were)
 
 
 @dataclass(frozen=True)
-class Question:
+class JudgementRequest:
     """What is asked about samples: the model's text, boxes to keep out of and how many times as
     large as the workspace what may be used is, how many `more` poses are to be measured next and
     how many are `left` in all, by how much conditions may be changed for them, and how it is
@@ -106,8 +108,8 @@ class Question:
 
 
 @single_threaded()
-def judged(
-    question: Question, dataset: Dataset, unseen: np.ndarray, tell: Tell | None = None
+def judge_samples(
+    question: JudgementRequest, dataset: Dataset, unseen: np.ndarray, tell: Tell | None = None
 ) -> Judgement:
     """Diagnose the samples that are not `unseen` (N,); FitError where they identify nothing."""
     model = parse_model(question.model)
@@ -127,17 +129,19 @@ def judged(
         )
     return Judgement(
         len(dataset), found.verdict.word, found.verdict.summary, found.effects, found.additions,
-        doubt, untold, found.suspected, missing(found), text,
+        doubt, untold, found.suspected, describe_missing_evidence(found), text,
         rms(found.base.fitted.given.model, dataset.select(unseen), question.options),
         rms(best, dataset.select(unseen), question.options),
         rms(best, dataset, question.options), tuple(targets), found.document(),
     )  # fmt: skip
 
 
-def missing(found: Diagnosis) -> tuple[str, ...]:
+def describe_missing_evidence(found: Diagnosis) -> tuple[str, ...]:
     """What would settle what is in doubt, a sentence each."""
     told = [
-        told_apart(name, other) for name in found.effects for other in found.swaps.get(name, ())
+        explain_separation(name, other)
+        for name in found.effects
+        for other in found.swaps.get(name, ())
     ]
     record = [
         f"record {' and '.join(conditions)} for {name}"
@@ -156,7 +160,7 @@ def rms(model: Any, dataset: Dataset, options: FitOptions) -> dict[str, float]:
     return {kind: float(value) for kind, value in found.items() if value is not None}
 
 
-def first_kind(errors: Mapping[str, float]) -> float:
+def select_primary_error(errors: Mapping[str, float]) -> float:
     """The position's, or where none was measured the orientation's; NaN where there is none."""
     return next(iter(errors.values()), np.nan)
 
@@ -171,13 +175,13 @@ class Conclusion:
 
 
 @single_threaded()
-def concluded(folder: Path, judgements: Sequence[Judgement]) -> Conclusion:
+def conclude(folder: Path, judgements: Sequence[Judgement]) -> Conclusion:
     """The session's last steps: identify, and add each effect that was found, as far as that is
     proven at poses left out; the model of an earlier judgement where since then all that was
     added and measured has made the error at unseen poses rise."""
-    judgement, best = judgements[-1], min(judgements, key=lambda one: one.error_unseen)
-    now, least = judgement.error_unseen, best.error_unseen
-    if now > RISEN * least > 0 and least < first_kind(best.before):
+    judgement, best = judgements[-1], min(judgements, key=lambda one: one.validation_error)
+    now, least = judgement.validation_error, best.validation_error
+    if now > MAX_ERROR_RISE * least > 0 and least < select_primary_error(best.before):
         words = "what was measured and found since made the error at unseen poses rise"
         return Conclusion(
             best.text,
@@ -189,11 +193,13 @@ def concluded(folder: Path, judgements: Sequence[Judgement]) -> Conclusion:
         return Conclusion("", f"{state.against}; nothing was written")
     words, why = "identified", dict[str, str]()
     left = dict(zip(judgement.effects, judgement.additions, strict=True))
-    while one := _added(session, left, why):
+    while one := _add_first_proven(session, left, why):
         words += f", {one} added"
         del left[one]
     together = {" and ".join(left): "+".join(left.values())} if len(left) > 1 else {}
-    if one := _added(session, together, why):  # alone each would need what no such robot has
+    if one := _add_first_proven(
+        session, together, why
+    ):  # alone each would need what no such robot has
         words += f", {one} added together"
         left.clear()
     refused = (f"{name} not added: {why[name]}" for name in left)
@@ -201,12 +207,12 @@ def concluded(folder: Path, judgements: Sequence[Judgement]) -> Conclusion:
     return Conclusion(text, "; ".join([words, *refused]))
 
 
-def _added(session: Session, effects: Mapping[str, str], why: dict[str, str]) -> str:
+def _add_first_proven(session: Session, effects: Mapping[str, str], why: dict[str, str]) -> str:
     """The first of some effects that is added, or nothing; of those before it why not."""
     for name, text in effects.items():
         try:
             session.add(text)
-        except Unproven as error:
+        except UnprovenStepError as error:
             why[name] = error.against
         except FitError as error:
             why[name] = str(error)

@@ -9,25 +9,25 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.base.errors import FitError
-from parallel_cal.campaign.way import Guard, WayError
+from parallel_cal.campaign.way import Guard, PathError
 from parallel_cal.diagnosis.catalogue import Candidate
 from parallel_cal.diagnosis.diagnose import Diagnosis
-from parallel_cal.diagnosis.separate import doubts, settling, strengthening
-from parallel_cal.diagnosis.thresholds import APART
+from parallel_cal.diagnosis.separate import plan_refinement, plan_separation, rank_rival_pairs
+from parallel_cal.diagnosis.thresholds import MIN_SEPARATION_SIGMAS
 from parallel_cal.model.shelf import load_effect
-from parallel_cal.planning.approach import approaches, controlled
-from parallel_cal.planning.plan import equations_a_pose, plan
+from parallel_cal.planning.approach import approaches, controlled_coordinates
+from parallel_cal.planning.plan import equations_per_pose, plan
 from parallel_cal.planning.posepool import Pool, make_pool
 from parallel_cal.recordings.simulate import with_noise
 
 POOL = 400  # poses to choose the first ones from
-UNSEEN = 6  # poses that no fit ever sees
-REPEATED = 4  # of the first poses that are come to once more, from the other side
+N_VALIDATION_POSES = 6  # poses that no fit ever sees
+N_REPEATED_POSES = 4  # of the first poses that are come to once more, from the other side
 AMPLE, ENOUGH = 2.0, 1.25  # times as many equations as unknowns, in the first poses; at least
-FEWEST = 12  # first poses
+MIN_FIRST_POSES = 12  # first poses
 SUSPECTS = 3  # effects that the next poses are to tell of, where nothing is in doubt yet
 # What a person changes: so much makes it another one, and its unit.
-BROUGHT_ABOUT = {"payload": (0.05, "kg"), "temperature": (1.5, "degC")}
+ADJUSTABLE_CONDITIONS = {"payload": (0.05, "kg"), "temperature": (1.5, "degC")}
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Target:
     unseen: bool = False
 
     @classmethod
-    def of(cls, document: Mapping[str, Any]) -> Target:
+    def from_document(cls, document: Mapping[str, Any]) -> Target:
         """From JSON."""
         via = tuple(tuple(stop) for stop in document["via"])
         return cls(**{**document, "joints": tuple(document["joints"]), "via": via})
@@ -53,32 +53,32 @@ def first_targets(guard: Guard, most: int, seed: int = 0) -> list[Target]:
     what is free best, and some of these again, come to from the other side."""
     model, rng = with_noise(guard.model), np.random.default_rng(seed)
     pool = make_pool(model, POOL, rng, symmetric=False).poses
-    drawn, pool = pool, pool[np.flatnonzero(guard.allowed(pool.joints))]
+    drawn, pool = pool, pool[np.flatnonzero(guard.is_allowed(pool.joints))]
     if len(pool) < min(most, POOL // 2):  # of many the next are drawn anew
-        raise WayError(
+        raise PathError(
             f"only {len(pool)} of {len(drawn)} poses drawn in the workspace may be gone to: "
-            f"{guard.against(drawn.joints)}"
+            f"{guard.summarise_violations(drawn.joints)}"
         )
-    unseen = spread(controlled(model, pool), UNSEEN)
+    unseen = select_spread_out(controlled_coordinates(model, pool), N_VALIDATION_POSES)
     free = int((~np.asarray(model.fixed)).sum())
-    least = int(np.ceil(ENOUGH * free / equations_a_pose(model)))
-    if most < least + UNSEEN + REPEATED:
+    least = int(np.ceil(ENOUGH * free / equations_per_pose(model)))
+    if most < least + N_VALIDATION_POSES + N_REPEATED_POSES:
         raise FitError(
             f"{most} poses are too few for {free} free parameters: at least "
-            f"{least + UNSEEN + REPEATED}, of which {UNSEEN} are never fitted and {REPEATED} are "
+            f"{least + N_VALIDATION_POSES + N_REPEATED_POSES}, of which {N_VALIDATION_POSES} are never fitted and {N_REPEATED_POSES} are "
             "second visits; or fix parameters"
         )
-    ample = int(np.ceil(AMPLE * free / equations_a_pose(model)))
-    n = min(max(FEWEST, ample), most - UNSEEN - REPEATED)
+    ample = int(np.ceil(AMPLE * free / equations_per_pose(model)))
+    n = min(max(MIN_FIRST_POSES, ample), most - N_VALIDATION_POSES - N_REPEATED_POSES)
     rest = pool[np.setdiff1d(np.arange(len(pool)), unseen)]
     chosen = plan(model, n, pool=rest, seed=seed).poses
-    again = rng.choice(n, min(REPEATED, n), replace=False)
+    again = rng.choice(n, min(N_REPEATED_POSES, n), replace=False)
     ways = approaches(model, chosen[again], rng)
     first = [Target(tuple(q), purpose="to identify the model") for q in chosen.joints.tolist()]
     second = []
     for k, i in enumerate(again):
-        stops = [tuple(stop.joints.tolist()) for stop in ways.stops(k)] if ways.ok[k] else []
-        if stops and guard.allowed(np.array(stops)).all():
+        stops = [tuple(stop.joints.tolist()) for stop in ways.waypoints(k)] if ways.ok[k] else []
+        if stops and guard.is_allowed(np.array(stops)).all():
             first[i] = Target(first[i].joints, tuple(stops), purpose="come to from one side")
         words = "the same pose from the other side"
         second.append(Target(first[i].joints, first[i].via[::-1], purpose=words))
@@ -88,7 +88,7 @@ def first_targets(guard: Guard, most: int, seed: int = 0) -> list[Target]:
     return [*(once[i] for i in rng.permutation(len(once))), *second]
 
 
-def spread(places: np.ndarray, n: int) -> np.ndarray:
+def select_spread_out(places: np.ndarray, n: int) -> np.ndarray:
     """Indices of n places (N, k), each the furthest from those before it; first the middle one."""
     scaled = (places - places.mean(axis=0)) / np.maximum(np.ptp(places, axis=0), 1e-12)
     found = [int(np.argmin(np.linalg.norm(scaled, axis=1)))]
@@ -115,17 +115,30 @@ def next_targets(
     What tells two apart lies in the workspace, or where that does not settle it in as much more as
     the guard's reach allows."""
     so_far = found.dataset.conditions
-    may = {name: ends(so_far[name], by) for name, by in changes.items() if by and name in so_far}
+    may = {
+        name: get_condition_range(so_far[name], by)
+        for name, by in changes.items()
+        if by and name in so_far
+    }
     reaches = sorted({1.0, guard.reach})
-    if untried := _untried(found, guard, n, may, seed):
+    if untried := _plan_untried_conditions(found, guard, n, may, seed):
         return untried, ()
     payloads, untold = may.get("payload", tuple(so_far.get("payload", ())[-1:])), list[str]()
-    for doubt in doubts(found.best, rivals(found), found.ranked):
+    for doubt in rank_rival_pairs(found.best, find_rivals(found), found.ranked):
         telling, last = (
-            settling(doubt, so_far, seed, (size,), reaches, guard.allowed, payloads, guard.shortest)
+            plan_separation(
+                doubt,
+                so_far,
+                seed,
+                (size,),
+                reaches,
+                guard.is_allowed,
+                payloads,
+                guard.min_approach,
+            )
             for size in (n, left)
         )
-        if telling is None or last is None or last.sigmas.then < APART:
+        if telling is None or last is None or last.sigmas.then < MIN_SEPARATION_SIGMAS:
             untold += [doubt.effect, doubt.rival]
             continue
         purpose = f"to tell {' from '.join(telling.separates)}"
@@ -139,19 +152,19 @@ def next_targets(
             for pose in telling.poses
         ]
         return targets, ()
-    return _strengthened(found, guard, n, may, seed), tuple(dict.fromkeys(untold))
+    return _plan_refinement(found, guard, n, may, seed), tuple(dict.fromkeys(untold))
 
 
-def _untried(
+def _plan_untried_conditions(
     found: Diagnosis, guard: Guard, n: int, may: Mapping[str, tuple[float, float]], seed: int
 ) -> list[Target]:
     """n poses under conditions that were never others and that effects may depend on, one at a
     time, and a load comes off again: what goes back is no bump. None where all were."""
     so_far = found.dataset.conditions
     suspects = {
-        name: [one for one in able(found) if name in one.effect.needs]
+        name: [one for one in find_addable_effects(found) if name in one.effect.needs]
         for name, (_, high) in may.items()
-        if np.max(so_far[name]) < high - BROUGHT_ABOUT[name][0]
+        if np.max(so_far[name]) < high - ADJUSTABLE_CONDITIONS[name][0]
     }
     never = [name for name, some in suspects.items() if some]
     blocks = [
@@ -163,22 +176,22 @@ def _untried(
     blocks, targets = blocks[:n], list[Target]()
     for k, (name, under) in enumerate(blocks):
         share = (n - len(targets)) // (len(blocks) - k)
-        pool = strengthening(
-            found.best, suspects[name], share, under, guard.allowed, seed, guard.shortest
+        pool = plan_refinement(
+            found.best, suspects[name], share, under, guard.is_allowed, seed, guard.min_approach
         )
         targets += _targets(pool, f"to see what {name} does", under)
     return targets
 
 
-def _strengthened(
+def _plan_refinement(
     found: Diagnosis, guard: Guard, n: int, may: Mapping[str, tuple[float, float]], seed: int
 ) -> list[Target]:
     """Where nothing can be told apart: n poses that make the model surer, and what it lacks."""
     so_far = found.dataset.conditions
-    likely = [one for one in able(found) if one.testable]
+    likely = [one for one in find_addable_effects(found) if one.testable]
     suspects = [one for one in likely if one.name in found.suspected]
     under = {
-        name: rarer(so_far[name], both)
+        name: select_rarer(so_far[name], both)
         for name, both in may.items()
         if any(name in one.effect.needs for one in suspects)
     }
@@ -188,24 +201,24 @@ def _strengthened(
     purpose = "to be surer of the model"
     if suspects:
         purpose += f", and of {', '.join(one.name for one in suspects)}"
-    pool = strengthening(
-        found.best, suspects, n, under, guard.allowed, seed, guard.shortest, guard.reach
+    pool = plan_refinement(
+        found.best, suspects, n, under, guard.is_allowed, seed, guard.min_approach, guard.reach
     )
     return _targets(pool, purpose, under)
 
 
-def ends(so_far: np.ndarray, change: float) -> tuple[float, float]:
+def get_condition_range(so_far: np.ndarray, change: float) -> tuple[float, float]:
     """What a condition was at least, (N,), and what it may be changed to."""
     return float(np.min(so_far)), float(np.min(so_far)) + change
 
 
-def rarer(so_far: np.ndarray, both: tuple[float, float]) -> float:
+def select_rarer(so_far: np.ndarray, both: tuple[float, float]) -> float:
     """Which of two values of a condition was measured under, (N,), at fewer of the samples."""
     low, high = both
     return high if 2 * np.count_nonzero(so_far > (low + high) / 2) < len(so_far) else low
 
 
-def rivals(found: Diagnosis) -> dict[str, list[str]]:
+def find_rivals(found: Diagnosis) -> dict[str, list[str]]:
     """For each effect found those that fit as well, errors of the device among them."""
     device = [
         one.name
@@ -218,7 +231,7 @@ def rivals(found: Diagnosis) -> dict[str, list[str]]:
     }
 
 
-def able(found: Diagnosis) -> list[Candidate]:
+def find_addable_effects(found: Diagnosis) -> list[Candidate]:
     """Effects of the robot that the model does not have, the likeliest first, and that could be
     told beside it."""
     best = found.best.fitted.model
@@ -238,7 +251,7 @@ def _targets(pool: Pool, purpose: str, conditions: Mapping[str, float]) -> list[
     return [
         Target(
             tuple(q),
-            () if ways is None else tuple(tuple(s.joints.tolist()) for s in ways.stops(i)),
+            () if ways is None else tuple(tuple(s.joints.tolist()) for s in ways.waypoints(i)),
             conditions,
             purpose,
         )

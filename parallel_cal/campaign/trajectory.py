@@ -11,10 +11,14 @@ import numpy as np
 
 from parallel_cal.model.mechanism import Mechanism
 
-CROSSING = 4.0  # s in which a joint crosses its range, where the model file gives it no velocity
-RISE = 0.5  # s in which it comes to its velocity, where the model file gives no acceleration
-PAUSE = 0.15  # s of rest on the way, so that one that follows late gets there, too
-NEXT = 1e-6  # s: points that are nearer to each other are one
+DEFAULT_CROSSING_TIME_S = (
+    4.0  # s in which a joint crosses its range, where the model file gives it no velocity
+)
+DEFAULT_RISE_TIME_S = (
+    0.5  # s in which it comes to its velocity, where the model file gives no acceleration
+)
+WAYPOINT_PAUSE_S = 0.15  # s of rest on the way, so that one that follows late gets there, too
+MIN_POINT_SPACING_S = 1e-6  # s: points that are nearer to each other are one
 STEP = 0.05  # s from point to point: a controller that goes straight between them is near enough
 
 
@@ -39,8 +43,10 @@ def rates(mechanism: Mechanism) -> tuple[np.ndarray, np.ndarray]:
     spans = zip(mechanism.joint_limits, mechanism.joint_units, strict=True)
     endless = {"rad": 2 * math.pi, "m": mechanism.length}
     width = [high - low if math.isfinite(high - low) else endless[u] for (low, high), u in spans]
-    velocity = np.where(np.isfinite(velocity), velocity, np.array(width) / CROSSING)
-    return velocity, np.where(np.isfinite(acceleration), acceleration, velocity / RISE)
+    velocity = np.where(np.isfinite(velocity), velocity, np.array(width) / DEFAULT_CROSSING_TIME_S)
+    return velocity, np.where(
+        np.isfinite(acceleration), acceleration, velocity / DEFAULT_RISE_TIME_S
+    )
 
 
 def trapezoid(
@@ -61,7 +67,7 @@ def trapezoid(
     seconds = rise + 1 / top
     corners = [rise, seconds - rise, seconds]
     time = np.unique([*np.arange(STEP, seconds, STEP), *corners])
-    time = time[np.diff(time, append=np.inf) > NEXT]
+    time = time[np.diff(time, append=np.inf) > MIN_POINT_SPACING_S]
     left = np.maximum(seconds - time, 0.0)
     share = np.where(time <= rise, A * time**2 / 2, top * (time - rise / 2))
     share = np.where(left < rise, 1 - A * left**2 / 2, share)
@@ -70,13 +76,13 @@ def trapezoid(
     return Trajectory(time, start + share[:, None] * way, speed[:, None] * way)
 
 
-def through(stops: Sequence[np.ndarray], mechanism: Mechanism) -> Trajectory:
+def plan_trajectory(stops: Sequence[np.ndarray], mechanism: Mechanism) -> Trajectory:
     """From the first of some joints (nq,) to the last, with a rest of PAUSE at each of them."""
     limits, end = rates(mechanism), 0.0
     time, positions, velocities = [], [], []
     for a, b in pairwise(stops):
         leg = trapezoid(a, b, *limits)
-        time += [*(leg.time + end), leg.seconds + end + PAUSE]
+        time += [*(leg.time + end), leg.seconds + end + WAYPOINT_PAUSE_S]
         positions += [*leg.positions, b]
         velocities += [*leg.velocities, np.zeros(len(b))]
         end = time[-1]

@@ -16,19 +16,21 @@ from parallel_cal.kinematics.kinematics import Kinematics, Solutions, Status
 from parallel_cal.kinematics.singularity import distances
 from parallel_cal.model.mechanism import Box
 from parallel_cal.model.model import Model
-from parallel_cal.planning.approach import controlled
+from parallel_cal.planning.approach import controlled_coordinates
 from parallel_cal.planning.posepool import CLEARANCE
 
-FINE = 1 / 100  # of a joint's range between two points that are looked at
-BEYOND = 0.02  # of the workspace's size: a way between poses on its face may bulge so far
-ALONG = 9  # points on each line of the robot's picture that are held against the boxes
+CHECK_STEP = 1 / 100  # of a joint's range between two points that are looked at
+MAX_WORKSPACE_OVERSHOOT = (
+    0.02  # of the workspace's size: a way between poses on its face may bulge so far
+)
+POINTS_PER_LINE = 9  # points on each line of the robot's picture that are held against the boxes
 # A way after a joint has turned that is shorter than its play need not move what it drives: as much
 # play as any drive may have, or so many times what the model knows of it.
 PLAY, BEYOND_PLAY = {"rad": 3e-3, "m": 0.2e-3}, 1.25
-UP_TO = np.linspace(0.0, 1.0, ALONG)[:, None]
+LINE_FRACTIONS = np.linspace(0.0, 1.0, POINTS_PER_LINE)[:, None]
 
 
-class WayError(ParallelCalError):
+class PathError(ParallelCalError):
     """A way must not be driven."""
 
 
@@ -46,28 +48,28 @@ class Guard:
         """With the model file's boxes, and more."""
         return cls(model.robot(), (*model.mechanism.keep_out, *more), reach)
 
-    def way(self, start: np.ndarray, stops: Sequence[np.ndarray]) -> list[np.ndarray]:
+    def plan_path(self, start: np.ndarray, stops: Sequence[np.ndarray]) -> list[np.ndarray]:
         """Joints (nq,) to rest at from `start` to the last of some stops, by way of home where a
         straight way leads through what is forbidden; WayError where no way is known."""
-        if astray := self.astray(start):
-            raise WayError(f"where the robot is: {astray}; bring it to where it may work")
-        start = self._within_limits(start)
+        if astray := self.describe_violation(start):
+            raise PathError(f"where the robot is: {astray}; bring it to where it may work")
+        start = self._clip_to_limits(start)
         found, home = [start], np.array(self.model.mechanism.home.joints)
         for a, b in pairwise([start, *stops]):
-            if (why := self.trouble(self.points(a, b))) is None:
+            if (why := self.find_violation(self.points(a, b))) is None:
                 found.append(b)
                 continue
-            if any(self.trouble(self.points(*leg)) for leg in ((a, home), (home, b))):
+            if any(self.find_violation(self.points(*leg)) for leg in ((a, home), (home, b))):
                 share, words = why
-                raise WayError(f"{words} {share:.0%} along the way")
+                raise PathError(f"{words} {share:.0%} along the way")
             found += [home, b]
         return found
 
-    def drawn_out(self, start: np.ndarray, stops: Sequence[np.ndarray]) -> list[np.ndarray]:
+    def lengthen_approach(self, start: np.ndarray, stops: Sequence[np.ndarray]) -> list[np.ndarray]:
         """The same stops with one more before the last where a joint would end there after a way
         that its play swallows: it comes from further away, on the same side."""
         *before, last = [start, *stops]
-        step, least = last - before[-1], self.shortest
+        step, least = last - before[-1], self.min_approach
         short = (step != 0) & (np.abs(step) < least)
         if not short.any():
             return list(stops)
@@ -75,7 +77,7 @@ class Guard:
         return [*before[1:], away, last]
 
     @cached_property
-    def shortest(self) -> np.ndarray:
+    def min_approach(self) -> np.ndarray:
         """The shortest way (nq,) after a turn that moves what a joint drives: rad or m."""
         m, known = self.model.mechanism, self.model.table.mapping(self.model.values)
         found = []
@@ -87,47 +89,49 @@ class Guard:
 
     def points(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """Joints (n, nq) along the straight way from one to the other."""
-        n = 2 + int(np.max(np.abs(b - a) / (FINE * self.model.mechanism.joint_ranges)))
+        n = 2 + int(np.max(np.abs(b - a) / (CHECK_STEP * self.model.mechanism.joint_ranges)))
         return a + np.linspace(0.0, 1.0, n)[:, None] * (b - a)
 
-    def trouble(self, q: np.ndarray) -> tuple[float, str] | None:
+    def find_violation(self, q: np.ndarray) -> tuple[float, str] | None:
         """The first of some joints (n, nq) where the robot must not be, as a share of their way,
         and why; None where it may be at all of them."""
-        bad = [(int(np.argmax(mask)), words) for mask, words in self._forbidden(q) if mask.any()]
+        bad = [
+            (int(np.argmax(mask)), words) for mask, words in self._find_violations(q) if mask.any()
+        ]
         if not bad:
             return None
         i, words = min(bad, key=lambda found: found[0])
         return i / max(len(q) - 1, 1), words
 
-    def astray(self, q: np.ndarray) -> str:
+    def describe_violation(self, q: np.ndarray) -> str:
         """Why the robot must not be at joints (nq,) where it is; empty where it may. One that was
         sent to a limit may be read, or rest, a little beyond it."""
-        why = self.trouble(self._within_limits(q)[None])
+        why = self.find_violation(self._clip_to_limits(q)[None])
         return why[1] if why else ""
 
-    def _within_limits(self, q: np.ndarray) -> np.ndarray:
+    def _clip_to_limits(self, q: np.ndarray) -> np.ndarray:
         """Joints (nq,) that are beyond their limits by less than what is looked at, at these."""
         m = self.model.mechanism
         at = np.clip(q, *np.array(m.joint_limits).T)
-        return np.where(np.abs(q - at) < FINE * np.asarray(m.joint_ranges), at, q)
+        return np.where(np.abs(q - at) < CHECK_STEP * np.asarray(m.joint_ranges), at, q)
 
-    def allowed(self, q: np.ndarray) -> np.ndarray:
+    def is_allowed(self, q: np.ndarray) -> np.ndarray:
         """At which of some joints (n, nq) the robot may be, (n,)."""
-        return ~np.any([mask for mask, _ in self._forbidden(q)], axis=0)
+        return ~np.any([mask for mask, _ in self._find_violations(q)], axis=0)
 
-    def against(self, q: np.ndarray) -> str:
+    def summarise_violations(self, q: np.ndarray) -> str:
         """How many of some joints (n, nq) are forbidden for which reason."""
-        counts = ((int(mask.sum()), words) for mask, words in self._forbidden(q))
+        counts = ((int(mask.sum()), words) for mask, words in self._find_violations(q))
         return ", ".join(f"{count} are {words}" for count, words in counts if count)
 
-    def _forbidden(self, q: np.ndarray) -> list[tuple[np.ndarray, str]]:
+    def _find_violations(self, q: np.ndarray) -> list[tuple[np.ndarray, str]]:
         """Of some joints (n, nq) those where the robot must not be, (n,) for every reason."""
         at = self._robot.direct(q)
         return [
-            *((at.status == status, _words(status)) for status in Status if status),
-            (self._outside(at), "outside the workspace"),
-            (~self._clear(at), "too near a singularity, or beyond it"),
-            *((self._within(at, box), f"inside the box to keep out of {box}")
+            *((at.status == status, _describe_status(status)) for status in Status if status),
+            (self._is_outside_workspace(at), "outside the workspace"),
+            (~self._is_clear(at), "too near a singularity, or beyond it"),
+            *((self._is_in_box(at, box), f"inside the box to keep out of {box}")
               for box in self.keep_out),
         ]  # fmt: skip
 
@@ -144,20 +148,20 @@ class Guard:
         d = distances(self.model, home)
         return d.direct, d.inverse, d.direct_sign, d.inverse_sign
 
-    def _clear(self, at: Solutions) -> np.ndarray:
+    def _is_clear(self, at: Solutions) -> np.ndarray:
         here, (direct, inverse, one, other) = distances(self.model, at), self._home
         far = (here.direct > CLEARANCE * direct) & (here.inverse > CLEARANCE * inverse)
         same = (here.direct_sign == one) & (here.inverse_sign == other)
         return np.asarray(far & same)
 
-    def _outside(self, at: Solutions) -> np.ndarray:
+    def _is_outside_workspace(self, at: Solutions) -> np.ndarray:
         box = self.model.mechanism.workspace
         low, high = np.array(box.low), np.array(box.high)
-        slack = ((self.reach - 1) / 2 + BEYOND) * (high - low)
-        here = controlled(self.model, at)
+        slack = ((self.reach - 1) / 2 + MAX_WORKSPACE_OVERSHOOT) * (high - low)
+        here = controlled_coordinates(self.model, at)
         return np.asarray(((here < low - slack) | (here > high + slack)).any(axis=1))
 
-    def _within(self, at: Solutions, box: Box) -> np.ndarray:
+    def _is_in_box(self, at: Solutions, box: Box) -> np.ndarray:
         """Where the platform's origin, or a line of the robot's picture, is inside a box."""
         points = self._lines(at)
         low, high = np.array(box.low), np.array(box.high)
@@ -166,15 +170,15 @@ class Guard:
 
     def _lines(self, at: Solutions) -> np.ndarray:
         """Points (n, k, 3) m of the robot: its platform's origin, and along what it draws."""
-        if self._drawn is None:
+        if self._line_end_function is None:
             return at.position[:, None]
-        flat = self._drawn(at.configuration.rows)[0]
+        flat = self._line_end_function(at.configuration.rows)[0]
         ends = flat.reshape(len(at), -1, 2, 1, 3)
-        along = ends[:, :, 0] + UP_TO * (ends[:, :, 1] - ends[:, :, 0])
+        along = ends[:, :, 0] + LINE_FRACTIONS * (ends[:, :, 1] - ends[:, :, 0])
         return np.concatenate([at.position[:, None], along.reshape(len(at), -1, 3)], axis=1)
 
     @cached_property
-    def _drawn(self) -> Batch | None:
+    def _line_end_function(self) -> Batch | None:
         """Both ends of every moving line of the mechanism's picture, as one row."""
         s = self.model.structure
         lines = self.model.mechanism.drawing(s.q, s.r, s.R, s.geometry)
@@ -186,6 +190,6 @@ class Guard:
         return Batch(dense("picture", [s.configuration], [points]))
 
 
-def _words(status: Status) -> str:
+def _describe_status(status: Status) -> str:
     words = {Status.OUTSIDE_LIMITS: "outside the joint limits", Status.SINGULAR: "singular"}
     return words.get(status, "out of the robot's reach")

@@ -73,18 +73,18 @@ def calibrate(
     with Calibration(model, namespace, cell, interrupted=lambda: bool(asked)) as calibration:
 
         def hear(status: Any) -> None:
-            told(status, last)
+            print_status(status, last)
             if status.state == "asking":
                 if cell is not None:
                     console.note("the virtual robot's owner does so at once")
-                    calibration.bring_about(status.reason)
+                    calibration.set_requested_conditions(status.reason)
                 elif sys.stdin.isatty():
                     console.note("press Enter when it is done")
                     while not asked and not select.select([sys.stdin], [], [], 0.1)[0]:
                         pass
                     if not asked:
                         sys.stdin.readline()
-                        calibration.go_on()
+                        calibration.confirm_done()
 
         result = calibration.run(
             hear, minutes, poses=poses, enough=enough, effects=effects or [],
@@ -115,7 +115,7 @@ def _box(text: str) -> list[float]:
     return numbers
 
 
-def told(status: Any, last: list[str]) -> None:
+def print_status(status: Any, last: list[str]) -> None:
     """A line for every pose and every change of state, on stderr."""
     error = "" if math.isnan(status.error_unseen) else f", {1e6 * status.error_unseen:.0f} um off"
     line = f"{status.state}: {status.reason} ({status.poses} poses{error})"

@@ -54,7 +54,7 @@ def fit(
     from parallel_cal.session.steps import fitted
 
     asked = replace(options, method=method, refit=patterns(refit), insist=force)
-    start, dataset = model_and_data(model, bags, data)
+    start, dataset = read_model_and_data(model, bags, data)
     force = force or output is None  # where nothing is written nothing is refused
     step = fitted(start, dataset, force, options=asked, progress=console.progress)
     _finish(step, bags, output, as_json)
@@ -76,7 +76,7 @@ def add(
     """Add an effect and identify anew; refused when the error at poses left out does not fall."""
     from parallel_cal.session.steps import add
 
-    start, dataset = model_and_data(model, bags, data)
+    start, dataset = read_model_and_data(model, bags, data)
     asked = replace(options, method=method, insist=force)
     step = add(start, effect, dataset, force, options=asked, progress=console.progress)
     _finish(step, bags, output, as_json)
@@ -98,13 +98,15 @@ def remove(
     """Remove an effect and identify anew; refused when the error at poses left out rises."""
     from parallel_cal.session.steps import remove
 
-    start, dataset = model_and_data(model, bags, data)
+    start, dataset = read_model_and_data(model, bags, data)
     asked = replace(options, method=method, insist=force)
     step = remove(start, effect, dataset, force, options=asked, progress=console.progress)
     _finish(step, bags, output, as_json)
 
 
-def model_and_data(path: Path, bags: list[Path], data: list[str] | None) -> tuple[Model, Dataset]:
+def read_model_and_data(
+    path: Path, bags: list[Path], data: list[str] | None
+) -> tuple[Model, Dataset]:
     from parallel_cal.model.file.modelfile import read_model
     from parallel_cal.recordings.loading import load_sessions
 
@@ -150,7 +152,7 @@ def compare(
     """Errors of a model at every sample of a recording, worst first; fits nothing."""
     from parallel_cal.diagnosis import comparison
 
-    judged, dataset = model_and_data(model, bags, data)
+    judged, dataset = read_model_and_data(model, bags, data)
     compared = comparison.compare(judged, dataset, joint_sigma)
     console.progress("", 1.0)
     console.warn(compared.dataset.warnings)

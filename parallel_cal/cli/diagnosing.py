@@ -11,7 +11,7 @@ from parallel_cal.cli.arguments import (
     Tested,
     with_options,
 )
-from parallel_cal.cli.calibration import model_and_data
+from parallel_cal.cli.calibration import read_model_and_data
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.reporting import console
 
@@ -30,7 +30,7 @@ def diagnose(
     """Say which physical effect the model lacks, how sure that is, and what to measure next."""
     from parallel_cal.diagnosis import diagnose as diagnosis
 
-    judged, dataset = model_and_data(model, bags, data)
+    judged, dataset = read_model_and_data(model, bags, data)
     found = diagnosis.diagnose(
         judged, dataset, effects=effect or (), also=also or (), options=options,
         progress=console.progress,

@@ -71,9 +71,9 @@ def export(
         return console.emit({"target": to, "files": files} | (document if done.loss else {}))
     console.say(f"written: {', '.join(files)}")
     if done.loss:
-        console.say(f"lost by the firmware's fewer numbers: {_lost(done.loss)}")
+        console.say(f"lost by the firmware's fewer numbers: {_format_loss(done.loss)}")
     if done.before:
-        console.say(f"with the numbers it had: {_lost(done.before)}")
+        console.say(f"with the numbers it had: {_format_loss(done.before)}")
     if done.heights:
         console.say(_heights(done.heights))
     for remark in done.remarks:
@@ -119,7 +119,7 @@ def _heights(heights: BedHeights) -> str:
     )
 
 
-def _lost(loss: Mapping[str, Any]) -> str:
+def _format_loss(loss: Mapping[str, Any]) -> str:
     """`mean 12.3 um, max 40.1 um at x 42 y -42 z 0 mm (2000 poses)`."""
     units = {"position": ("um", 1e6), "orientation": ("urad", 1e6)}
     said = []

@@ -38,10 +38,10 @@ def fleet(
 ) -> None:
     """Fit and diagnose every recording of every robot; a command that was ended goes on."""
     from parallel_cal.fleet.fleet import judge
-    from parallel_cal.fleet.jobs import Asked
+    from parallel_cal.fleet.jobs import FleetOptions
     from parallel_cal.reporting.fleet_page import robot_page, write_fleet_page
 
-    asked = Asked(options, tuple(effect or ()), tuple(also or ()), data_options(data))
+    asked = FleetOptions(options, tuple(effect or ()), tuple(also or ()), data_options(data))
     with console.bar() as progress:
 
         def warn_of_failure(row: Row) -> None:
@@ -65,7 +65,7 @@ def fleet(
     write_fleet_page(found, output)
     if as_json:
         return console.emit(found.document() | {"output": str(output)})
-    from parallel_cal.reporting.fleets import said
+    from parallel_cal.reporting.fleets import format_fleet
 
-    console.say(said(found))
+    console.say(format_fleet(found))
     console.say(f"written: {output / 'fleet.html'}")

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from parallel_cal.cli.arguments import Json
-from parallel_cal.cli.models import options_given
+from parallel_cal.cli.models import parse_options
 from parallel_cal.cli.recordings import show_info
 from parallel_cal.reporting import console
 
@@ -28,7 +28,7 @@ def import_(
     from parallel_cal.importing.door import samples
     from parallel_cal.recordings.info import info_of
 
-    dataset = samples(kind, files, **options_given(option))
+    dataset = samples(kind, files, **parse_options(option))
     dataset.to_json(output)
     document = info_of(dataset)
     show_info(document | {"output": str(output)} if as_json else document, as_json)

@@ -13,7 +13,7 @@ import typer
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.cli.arguments import Json, ModelFile
 from parallel_cal.reporting import console
-from parallel_cal.reporting.readable import fixed_vector, large
+from parallel_cal.reporting.readable import format_fixed_vector, value_unit
 
 if TYPE_CHECKING:
     import numpy as np
@@ -65,15 +65,15 @@ def direct(
 ) -> None:
     """Pose for given joints (forward kinematics)."""
     q = _numbers(joints, "--joints")
-    _one_of(q, table, "--joints", output, every or covariance)
+    _check_one_input(q, table, "--joints", output, every or covariance)
     import numpy as np
 
     from parallel_cal.cli.tables import direct_table
     from parallel_cal.kinematics import answers, solving
 
-    robot, conditions = _robot_and_conditions(model, at)
+    robot, conditions = _read_robot_and_conditions(model, at)
     if table is not None:
-        return _many(*direct_table(robot, table, conditions, solver), output, as_json)
+        return _output_table(*direct_table(robot, table, conditions, solver), output, as_json)
     if q is not None and len(q) != len(robot.joints):
         raise ParallelCalError(
             f"--joints: {len(q)} values given, {robot.mechanism.name} has {len(robot.joints)} "
@@ -81,7 +81,7 @@ def direct(
         )
     found = solving.direct(robot, np.array(q), conditions, every, solver)
     known = answers.direct_covariances(robot, found, conditions) if covariance else None
-    _one(found, robot, known, _pose_sigma, as_json)
+    _print_solutions(found, robot, known, _pose_sigma, as_json)
 
 
 def inverse(
@@ -101,21 +101,21 @@ def inverse(
     """Joints for a given pose (inverse kinematics)."""
     place = _numbers(position, "--position", 3)
     quaternion = _numbers(orientation, "--orientation", 4)
-    _one_of(place or quaternion, table, "--position", output, every or covariance)
+    _check_one_input(place or quaternion, table, "--position", output, every or covariance)
     import numpy as np
 
     from parallel_cal.cli.tables import inverse_table
     from parallel_cal.kinematics import answers, solving
 
-    robot, conditions = _robot_and_conditions(model, at)
+    robot, conditions = _read_robot_and_conditions(model, at)
     if table is not None:
-        return _many(*inverse_table(robot, table, conditions, solver), output, as_json)
+        return _output_table(*inverse_table(robot, table, conditions, solver), output, as_json)
     r = np.array(robot.mechanism.home.position if place is None else place)
-    R = None if quaternion is None else answers.rotation_of(quaternion)
+    R = None if quaternion is None else answers.parse_rotation(quaternion)
     _warn_of_unused(robot, {"position": place, "orientation": quaternion})
     found = solving.inverse(robot, r, R, conditions, every, solver)
     known = answers.inverse_covariances(robot, found, conditions) if covariance else None
-    _one(found, robot, known, partial(_joint_sigma, robot), as_json)
+    _print_solutions(found, robot, known, partial(_joint_sigma, robot), as_json)
 
 
 def _numbers(text: str | None, option: str, n: int | None = None) -> list[float] | None:
@@ -131,7 +131,7 @@ def _numbers(text: str | None, option: str, n: int | None = None) -> list[float]
     return values
 
 
-def _one_of(
+def _check_one_input(
     values: list[float] | None, table: Path | None, option: str, output: Path | None, more: bool
 ) -> None:
     if (values is None) == (table is None):
@@ -142,7 +142,7 @@ def _one_of(
         raise typer.BadParameter("--output goes with --input; one problem's answer is printed")
 
 
-def _robot_and_conditions(path: Path, at: list[str] | None) -> tuple[Model, dict[str, float]]:
+def _read_robot_and_conditions(path: Path, at: list[str] | None) -> tuple[Model, dict[str, float]]:
     from parallel_cal.kinematics.answers import parse_conditions
     from parallel_cal.model.file.modelfile import read_model
 
@@ -166,16 +166,16 @@ def _warn_of_unused(model: Model, given: dict[str, list[float] | None]) -> None:
     )
 
 
-def _one(
+def _print_solutions(
     solutions: Solutions,
     model: Model,
     covariances: list[np.ndarray] | None,
     words: Callable[[np.ndarray], str],
     as_json: bool,
 ) -> None:
-    from parallel_cal.kinematics.answers import rows_of
+    from parallel_cal.kinematics.answers import to_rows
 
-    rows = rows_of(solutions)
+    rows = to_rows(solutions)
     if covariances is not None:
         for row, covariance in zip(rows, covariances, strict=True):
             row["covariance"] = covariance
@@ -187,19 +187,19 @@ def _one(
     console.table(
         ("status", "position [mm]", "quaternion x y z w", f"joints [{name}]", "residual [m]"),
         [
-            (r["status"], fixed_vector(r["position"], 1e3, 4),
-             fixed_vector(r["quaternion"], 1, 7), fixed_vector(r["joints"], factor, 5),
+            (r["status"], format_fixed_vector(r["position"], 1e3, 4),
+             format_fixed_vector(r["quaternion"], 1, 7), format_fixed_vector(r["joints"], factor, 5),
              f"{r['residual']:.1e}" if math.isfinite(r["residual"]) else "-")
             for r in rows
         ],
     )  # fmt: skip
     if solutions.complete is not None:
-        console.say(_how_many(solutions))
+        console.say(_format_solution_count(solutions))
     for covariance in covariances or []:
         console.say(f"1 sigma from the fit: {words(covariance.diagonal() ** 0.5)}")
 
 
-def _how_many(found: Solutions) -> str:
+def _format_solution_count(found: Solutions) -> str:
     n, usable = found.solved.sum(), found.ok.sum()
     known = "" if found.complete else "; others may exist"
     first = ", home branch first" if n > 1 else ""
@@ -207,24 +207,24 @@ def _how_many(found: Solutions) -> str:
 
 
 def _pose_sigma(sigma: np.ndarray) -> str:
-    turned = fixed_vector(sigma[3:], 60 * 180 / math.pi, 3)
-    return f"position {fixed_vector(sigma[:3], 1e6, 1)} um, orientation {turned} arcmin"
+    turned = format_fixed_vector(sigma[3:], 60 * 180 / math.pi, 3)
+    return f"position {format_fixed_vector(sigma[:3], 1e6, 1)} um, orientation {turned} arcmin"
 
 
 def _joint_sigma(model: Model, sigma: np.ndarray) -> str:
     name, factor = _joint_unit(model)
-    return f"joints {fixed_vector(sigma, factor, 5)} {name}"
+    return f"joints {format_fixed_vector(sigma, factor, 5)} {name}"
 
 
 def _joint_unit(model: Model) -> tuple[str, float]:
     units = set(model.mechanism.joint_units)
-    return large(units.pop()) if len(units) == 1 else ("rad|m", 1.0)
+    return value_unit(units.pop()) if len(units) == 1 else ("rad|m", 1.0)
 
 
-def _many(text: str, found: Solutions, output: Path | None, as_json: bool) -> None:
+def _output_table(text: str, found: Solutions, output: Path | None, as_json: bool) -> None:
     from parallel_cal.base.files import write_atomically
     from parallel_cal.cli.tables import counts
-    from parallel_cal.kinematics.answers import rows_of
+    from parallel_cal.kinematics.answers import to_rows
 
     if output is not None:
         write_atomically(output, text)
@@ -233,7 +233,7 @@ def _many(text: str, found: Solutions, output: Path | None, as_json: bool) -> No
     said = {} if found.message is None else {"message": found.message}
     summary = "; ".join([summary, *said.values()])
     if as_json and output is None:
-        console.emit({"solutions": rows_of(found), **said})
+        console.emit({"solutions": to_rows(found), **said})
     elif as_json:
         console.emit({"output": str(output), "rows": len(found), "statuses": statuses, **said})
     elif output is None:

@@ -67,7 +67,7 @@ def application(words: Sequence[str]) -> typer.Typer:
     return app
 
 
-def gathered(arguments: Sequence[str]) -> list[str]:
+def join_option_values(arguments: Sequence[str]) -> list[str]:
     """`--joints 0.1 -0.2` as `--joints=0.1 -0.2`: an option cannot take any number of values."""
     out: list[str] = []
     taking = None
@@ -75,12 +75,12 @@ def gathered(arguments: Sequence[str]) -> list[str]:
         if taking is not None and taking(argument):
             out[-1] += ("" if out[-1].endswith("=") else " ") + argument
             continue
-        taking = _TAKES.get(argument)
+        taking = _VALUE_CHECKS.get(argument)
         out.append(argument + "=" if taking else argument)
-    return [word[:-1] if word[:-1] in _TAKES else word for word in _split_at(out)]
+    return [word[:-1] if word[:-1] in _VALUE_CHECKS else word for word in _split_conditions(out)]
 
 
-def _split_at(words: list[str]) -> list[str]:
+def _split_conditions(words: list[str]) -> list[str]:
     """`--at=a=1 b=2` as two options."""
     out: list[str] = []
     for word in words:
@@ -98,7 +98,7 @@ def _is_number(word: str) -> bool:
         return False
 
 
-_TAKES = {
+_VALUE_CHECKS = {
     "--joints": _is_number,
     "--position": _is_number,
     "--orientation": _is_number,
@@ -108,7 +108,7 @@ _TAKES = {
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Entry point: exit 0 ok, 1 one clear line, 2 wrong usage."""
-    given = gathered(sys.argv[1:] if arguments is None else arguments)
+    given = join_option_values(sys.argv[1:] if arguments is None else arguments)
     try:
         application(given)(args=given, prog_name="parallel-cal")
     except ParallelCalError as error:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from parallel_cal.base.errors import ParallelCalError
-from parallel_cal.base.files import kept
+from parallel_cal.base.files import load_or_compute
 from parallel_cal.cli.arguments import Json, Out
 from parallel_cal.reporting import console
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from parallel_cal.model.model import Model
     from parallel_cal.model.sensor import Sensor
 
-SHOWN = "name unit nominal tolerance group label".split()  # of a parameter
+PARAMETER_FIELDS = "name unit nominal tolerance group label".split()  # of a parameter
 
 Option = Annotated[
     list[str] | None, typer.Option(metavar="KEY=VALUE", help="option of the mechanism")
@@ -66,10 +66,10 @@ def new(
     if of_urdf and configuration:
         from parallel_cal.importing.urdf import arm
 
-        found = arm(configuration[0], from_link, to_link, **options_given(option))
+        found = arm(configuration[0], from_link, to_link, **parse_options(option))
         model, values, remarks = found.model, f"as in {configuration[0]}", found.remarks
     else:
-        model, values, remarks = _new(mechanism, option, configuration)
+        model, values, remarks = _make_model(mechanism, option, configuration)
     model = _with_set_ups(model, sensor or [])
     replace_model(model, output)
     document = {"file": str(output), "mechanism": model.mechanism.name, "hash": model_hash(model)}
@@ -81,7 +81,7 @@ def new(
         console.say(f"- {remark}")
 
 
-def _new(
+def _make_model(
     mechanism: str | None,
     options: list[str] | None,
     configuration: list[Path] | None,
@@ -101,10 +101,10 @@ def _new(
 def _mechanism(name: str, options: list[str]) -> Mechanism:
     from parallel_cal.model.shelf import load_mechanism
 
-    return load_mechanism(name, **options_given(options))
+    return load_mechanism(name, **parse_options(options))
 
 
-def options_given(options: list[str] | None) -> dict[str, Any]:
+def parse_options(options: list[str] | None) -> dict[str, Any]:
     """`--option KEY=VALUE`, the value as in a model file (YAML)."""
     from parallel_cal.model.file.yamltext import parse_yaml
 
@@ -148,7 +148,7 @@ def mechanisms(
 ) -> None:
     """List the mechanisms, or one's parameters and whether they describe every such robot."""
     if name is not None:
-        return _one_mechanism(name, option or [], as_json)
+        return _print_mechanism(name, option or [], as_json)
     rows = _rows("mechanisms", _mechanism_row)
     if as_json:
         return console.emit({"mechanisms": rows})
@@ -163,15 +163,15 @@ def mechanisms(
     )  # fmt: skip
 
 
-def _one_mechanism(name: str, options: list[str], as_json: bool) -> None:
+def _print_mechanism(name: str, options: list[str], as_json: bool) -> None:
     """Its numbers, and how many of those that a complete model has are among them (eq. 3.3)."""
-    from parallel_cal.identification.completeness import check
+    from parallel_cal.identification.completeness import compute_completeness
     from parallel_cal.reporting.readable import in_unit
 
     m = _mechanism(name, options)
-    counted = check(m)
+    counted = compute_completeness(m)
     if as_json:
-        numbers = [{k: getattr(p, k) for k in SHOWN} for p in m.parameters]
+        numbers = [{k: getattr(p, k) for k in PARAMETER_FIELDS} for p in m.parameters]
         return console.emit(
             _row(name, type(m), m) | {"parameters": numbers, "completeness": counted.document()}
         )
@@ -189,13 +189,13 @@ def _rows(shelf: str, row: Callable[[str], dict[str, Any]]) -> list[dict[str, An
     to build what is on it takes longer than all the rest."""
 
     def rows() -> list[dict[str, Any]]:
-        from parallel_cal.model.shelf import shelf_names
+        from parallel_cal.model.shelf import list_plugins
 
-        return [row(name) for name in shelf_names(shelf)]
+        return [row(name) for name in list_plugins(shelf)]
 
     rooms = [Path(__file__).parents[1] / room for room in ("base", "model", shelf)]
     sources = sorted(path for room in rooms for path in room.rglob("*.py"))
-    return kept([Path(__file__), *sources], rows)
+    return load_or_compute([Path(__file__), *sources], rows)
 
 
 def _mechanism_row(name: str) -> dict[str, Any]:
@@ -270,11 +270,11 @@ def sensors(as_json: Json = False) -> None:
         return console.emit({"sensors": rows})
     console.table(
         ("sensor", "options", "what"),
-        [(r["name"], _without_defaults(r["options"]), r["physics"]) for r in rows],
+        [(r["name"], _strip_defaults(r["options"]), r["physics"]) for r in rows],
     )
 
 
-def _without_defaults(options: list[str]) -> str:
+def _strip_defaults(options: list[str]) -> str:
     return ", ".join(option.partition("=")[0] for option in options)
 
 

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from parallel_cal.base.documents import plain
+from parallel_cal.base.documents import to_json_value
 from parallel_cal.cli.arguments import Fix, Free, Json, ModelFile, Prior, patterns
 from parallel_cal.reporting import console
-from parallel_cal.reporting.readable import fixed, fixed_vector
+from parallel_cal.reporting.readable import format_fixed, format_fixed_vector
 
 if TYPE_CHECKING:
     from parallel_cal.planning.plan import Plan
@@ -60,7 +60,7 @@ def plan(
     document = found.document()
     console.warn(found.warnings)
     if output is not None:
-        write_atomically(output, as_file(found, output.suffix))
+        write_atomically(output, format_plan(found, output.suffix))
     if as_json:
         extra = {} if output is None else {"output": str(output)}
         return console.emit({**document, **extra})
@@ -69,13 +69,13 @@ def plan(
         console.say(f"{output}: {len(found)} poses")
 
 
-def as_file(found: Plan, suffix: str) -> str:
+def format_plan(found: Plan, suffix: str) -> str:
     """The poses as CSV (m, rad), or with everything else as YAML or JSON, by the file's name."""
     import json
 
     if suffix.lower() in (".yaml", ".yml", ".json"):
         # JSON is YAML.
-        return json.dumps(plain(found.document()), indent=1) + "\n"
+        return json.dumps(to_json_value(found.document()), indent=1) + "\n"
     return found.csv()
 
 
@@ -91,15 +91,17 @@ def _show(found: Plan, document: dict[str, Any]) -> None:
     console.table(
         header,
         [
-            (str(i + 1), *(fixed(v, 1, 5) for v in row["position"]),
-             fixed_vector(np.round(row["quaternion"], 5) + 0.0, 1, 5),
-             *(fixed(v, 1, 5) for v in row["joints"]))
+            (str(i + 1), *(format_fixed(v, 1, 5) for v in row["position"]),
+             format_fixed_vector(np.round(row["quaternion"], 5) + 0.0, 1, 5),
+             *(format_fixed(v, 1, 5) for v in row["joints"]))
             for i, row in enumerate(document["poses"])
         ],
     )  # fmt: skip
     console.say("")
     columns = (document["indices"], document["random"])
-    rows = [[words, *(_short(column[key]) for column in columns)] for key, words in NAMES.items()]
+    rows = [
+        [words, *(_format_short(column[key]) for column in columns)] for key, words in NAMES.items()
+    ]
     expected = (document["expected"], document["random"]["expected"])
     rows += [
         ["expected position error at unseen poses, rms [um]", *_numbers(expected, "position", 1e6)],
@@ -116,15 +118,15 @@ def _show_parameters(found: Plan, parameters: dict[str, dict[str, Any]], worst: 
     sigmas = {k: v["sigma_tolerances"] for k, v in parameters.items()}
     order = sorted(sigmas, key=lambda k: -(math.inf if sigmas[k] is None else sigmas[k]))
     told = [
-        f"{describe(name, found.model.table)} ({name}) {_short(sigmas[name])}"
+        f"{describe(name, found.model.table)} ({name}) {_format_short(sigmas[name])}"
         for name in order[:worst]
     ]
     console.say(f"known worst, sigma in tolerances: {'; '.join(told)}")
 
 
 def _numbers(columns: tuple[dict[str, Any], ...], kind: str, factor: float) -> list[str]:
-    return [fixed(column[f"{kind}_rms"], factor, 2) for column in columns]
+    return [format_fixed(column[f"{kind}_rms"], factor, 2) for column in columns]
 
 
-def _short(value: float | None) -> str:
+def _format_short(value: float | None) -> str:
     return "-" if value is None else f"{value:.4g}"

@@ -129,7 +129,7 @@ def data_options(items: list[str] | None) -> ReadOptions:
 
     `channels` are Python paths of channels of one's own, before their topics are named.
     """
-    from parallel_cal.recordings.channels import CHANNELS, take
+    from parallel_cal.recordings.channels import CHANNELS, register_channels
     from parallel_cal.recordings.options import ReadOptions
 
     others = [f.name for f in fields(ReadOptions) if f.name not in ("topics", "joints")]
@@ -144,7 +144,7 @@ def data_options(items: list[str] | None) -> ReadOptions:
             )
         if key == "channels":
             for path in value.split(","):
-                take(path)
+                register_channels(path)
         elif key in CHANNELS:
             topics[key] = value
         elif key == "exclude":

@@ -18,7 +18,7 @@ from parallel_cal.cli.arguments import (
     Tested,
     with_options,
 )
-from parallel_cal.cli.calibration import model_and_data
+from parallel_cal.cli.calibration import read_model_and_data
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.reporting import console
 
@@ -56,7 +56,7 @@ def report(
     from parallel_cal.reporting import report as reports
 
     other = None if against is None else read_model(against)
-    judged, dataset = model_and_data(model, bags, data)
+    judged, dataset = read_model_and_data(model, bags, data)
     made = reports.report(
         judged,
         dataset,

@@ -44,7 +44,7 @@ def _open(folder: Path) -> Session:
     return Session(folder)
 
 
-def _say(session: Session, state: State, as_json: bool) -> None:
+def _print_state(session: Session, state: State, as_json: bool) -> None:
     console.progress("", 1.0)
     if state.against:
         console.warn([state.against])
@@ -54,12 +54,12 @@ def _say(session: Session, state: State, as_json: bool) -> None:
 
 
 def _line(state: State) -> str:
-    from parallel_cal.session.history import shown
+    from parallel_cal.session.history import format_first_error
 
     left_out = "" if not state.excluded else f"; {len(state.excluded)} samples left out"
     if not state.errors:
         return f"{state.step}{left_out}"
-    before, after, noise = map(shown, (state.before, state.errors, state.noise))
+    before, after, noise = map(format_first_error, (state.before, state.errors, state.noise))
     return (
         f"{state.step}: error at poses left out {before} to {after}, noise alone {noise}{left_out}"
     )
@@ -92,7 +92,7 @@ def new(
 
 def show(folder: Folder, as_json: Json = False) -> None:
     """The steps of the branch, and the branches beside it."""
-    from parallel_cal.session.history import History, shown
+    from parallel_cal.session.history import History, format_first_error
 
     session = History(folder)
     if as_json:
@@ -104,7 +104,7 @@ def show(folder: Folder, as_json: Json = False) -> None:
     if len(session.record.branches) > 1:
         here = session.record.branch
         rows = [
-            (("* " if name == here else "  ") + name, state.step, shown(state.errors))
+            (("* " if name == here else "  ") + name, state.step, format_first_error(state.errors))
             for name, state in session.compared().items()
         ]
         console.table(("branch", "last step", "left out"), rows)
@@ -116,8 +116,8 @@ def fit(folder: Folder, free: Free = None, fix: Fix = None, as_json: Json = Fals
     asked = {"free": free, "fix": fix}
     changed = {key: patterns(given) for key, given in asked.items() if given is not None}
     if changed:
-        return _say(session, session.choose(console.progress, **changed), as_json)
-    _say(session, session.fit(console.progress), as_json)
+        return _print_state(session, session.choose(console.progress, **changed), as_json)
+    _print_state(session, session.fit(console.progress), as_json)
 
 
 def plan(
@@ -136,13 +136,13 @@ def plan(
 def add(folder: Folder, effect: EffectName, force: Force = False, as_json: Json = False) -> None:
     """Add an effect; refused when the error at poses left out does not fall."""
     session = _open(folder)
-    _say(session, session.add(effect, console.progress, force), as_json)
+    _print_state(session, session.add(effect, console.progress, force), as_json)
 
 
 def remove(folder: Folder, effect: EffectName, force: Force = False, as_json: Json = False) -> None:
     """Remove an effect; refused when the error at poses left out rises."""
     session = _open(folder)
-    _say(session, session.remove(effect, console.progress, force), as_json)
+    _print_state(session, session.remove(effect, console.progress, force), as_json)
 
 
 def diagnose(folder: Folder, as_json: Json = False) -> None:
@@ -165,25 +165,27 @@ def exclude(
 ) -> None:
     """Leave samples out, with a reason, and identify anew."""
     session = _open(folder)
-    _say(session, session.exclude(dict.fromkeys(samples, reason), console.progress), as_json)
+    _print_state(
+        session, session.exclude(dict.fromkeys(samples, reason), console.progress), as_json
+    )
 
 
 def include(folder: Folder, samples: Samples, as_json: Json = False) -> None:
     """Take back samples that were left out, and identify anew."""
     session = _open(folder)
-    _say(session, session.include(samples, console.progress), as_json)
+    _print_state(session, session.include(samples, console.progress), as_json)
 
 
 def undo(folder: Folder, as_json: Json = False) -> None:
     """One step back."""
     session = _open(folder)
-    _say(session, session.undo(), as_json)
+    _print_state(session, session.undo(), as_json)
 
 
 def redo(folder: Folder, as_json: Json = False) -> None:
     """Take the step again that was undone last."""
     session = _open(folder)
-    _say(session, session.redo(), as_json)
+    _print_state(session, session.redo(), as_json)
 
 
 def branch(
@@ -193,7 +195,7 @@ def branch(
 ) -> None:
     """Begin a branch here, to try something beside."""
     session = _open(folder)
-    _say(session, session.start_branch(name), as_json)
+    _print_state(session, session.start_branch(name), as_json)
 
 
 def switch(
@@ -203,7 +205,7 @@ def switch(
 ) -> None:
     """Go on with another branch."""
     session = _open(folder)
-    _say(session, session.switch(name), as_json)
+    _print_state(session, session.switch(name), as_json)
 
 
 def save(folder: Folder, output: Out, force: Force = False, as_json: Json = False) -> None:

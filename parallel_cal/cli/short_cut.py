@@ -16,9 +16,9 @@ from parallel_cal.cli.arguments import (
     OptionalOut,
     patterns,
 )
-from parallel_cal.cli.calibration import model_and_data
+from parallel_cal.cli.calibration import read_model_and_data
 from parallel_cal.reporting import console
-from parallel_cal.reporting.readable import fixed, in_unit
+from parallel_cal.reporting.readable import format_fixed, in_unit
 
 ARCMIN = 60 * 180 / math.pi
 
@@ -40,10 +40,10 @@ def short_cut(
     """
     from parallel_cal.model.file.modelfile import model_hash, replace_model
     from parallel_cal.short_cut import identify
-    from parallel_cal.short_cut.loop import loops_in
+    from parallel_cal.short_cut.loop import split_by_loop
 
-    robot, dataset = model_and_data(model, bags, data)
-    loops = loops_in(dataset)
+    robot, dataset = read_model_and_data(model, bags, data)
+    loops = split_by_loop(dataset)
     found = identify.short_cut(robot, loops, fix=patterns(fix), joint_sigma=joint_sigma)
     document = found.document()
     if output is not None:
@@ -59,7 +59,7 @@ def short_cut(
 def _show(document: dict[str, Any]) -> None:
     console.say(
         f"{document['rank']} of {document['free']} free parameters identified, chi2/dof "
-        f"{fixed(document['chi2_per_dof'])}; rms error of each loop's second arm:"
+        f"{format_fixed(document['chi2_per_dof'])}; rms error of each loop's second arm:"
     )
     header = ("loop", "samples", "seen of 9", "before [arcmin]", "after [arcmin]")
     rows = [
@@ -67,7 +67,7 @@ def _show(document: dict[str, Any]) -> None:
             k["loop"],
             str(k["samples"]),
             str(k["rank"]),
-            *(fixed(k[when]["orientation_rms"], ARCMIN) for when in ("before", "after")),
+            *(format_fixed(k[when]["orientation_rms"], ARCMIN) for when in ("before", "after")),
         )
         for k in document["loops"]
     ]
@@ -83,6 +83,6 @@ def _show_parameters(parameters: Mapping[str, dict[str, Any]]) -> None:
         if not p["fixed"]:
             value, unit = in_unit(p["value"], p["unit"])
             sigma, _ = in_unit(p["sigma"], p["unit"])
-            moved = fixed(p["moved_tolerances"])
+            moved = format_fixed(p["moved_tolerances"])
             rows.append((name, value, sigma, unit, moved))
     console.table(("parameter", "value", "sigma", "unit", "moved [tolerances]"), rows)

@@ -52,7 +52,7 @@ def tolerance(
     """Say what accuracy a design will have, and which tolerance costs most."""
     from parallel_cal.kinematics.answers import parse_conditions
     from parallel_cal.model.file.modelfile import read_model
-    from parallel_cal.reporting.studies import tolerances_page, tolerances_said
+    from parallel_cal.reporting.studies import format_tolerances, tolerances_page
     from parallel_cal.study.planned import planned_joints
     from parallel_cal.study.tolerance import tolerances
 
@@ -66,7 +66,7 @@ def tolerance(
         _write(output, "tolerance", found.document(), tolerances_page(found))
     if as_json:
         return console.emit(found.document())
-    console.say(tolerances_said(found))
+    console.say(format_tolerances(found))
     if output is not None:
         console.say(f"written: {output / 'tolerance.html'}")
 
@@ -100,7 +100,7 @@ def power(
 ) -> None:
     """Say which effects of which size a session would find; a command that was ended goes on."""
     from parallel_cal.model.file.modelfile import dump_model
-    from parallel_cal.reporting.studies import power_page, power_said
+    from parallel_cal.reporting.studies import format_power, power_page
     from parallel_cal.study import power as studies
     from parallel_cal.study.planned import planned_session
     from parallel_cal.study.session import Question
@@ -120,7 +120,7 @@ def power(
     _write(output, "power", found.document(), power_page(found))
     if as_json:
         return console.emit(found.document())
-    console.say(power_said(found))
+    console.say(format_power(found))
     console.say(f"written: {output / 'power.html'}")
 
 
@@ -139,9 +139,9 @@ def _with_noise(path: Path) -> Model:
 def _write(folder: Path, name: str, document: dict[str, Any], page: str) -> None:
     import json
 
-    from parallel_cal.base.documents import plain
+    from parallel_cal.base.documents import to_json_value
     from parallel_cal.base.files import write_atomically
 
     folder.mkdir(parents=True, exist_ok=True)
-    write_atomically(folder / f"{name}.json", json.dumps(plain(document), allow_nan=False))
+    write_atomically(folder / f"{name}.json", json.dumps(to_json_value(document), allow_nan=False))
     write_atomically(folder / f"{name}.html", page)

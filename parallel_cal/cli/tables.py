@@ -23,7 +23,7 @@ POSITION = ("x", "y", "z")
 QUATERNION = ("qx", "qy", "qz", "qw")
 
 
-def _checked(table: Table, wanted: Sequence[str], optional: Sequence[str]) -> Table:
+def _check_columns(table: Table, wanted: Sequence[str], optional: Sequence[str]) -> Table:
     """SolveError where the table has not the wanted columns, or others than the optional ones."""
     known, header = {*wanted, *optional}, table.header
     if not {*wanted} <= {*header} <= known or len(set(header)) < len(header):
@@ -42,14 +42,14 @@ def _columns(table: Table, names: Sequence[str]) -> np.ndarray:
 
 def direct_table(model: Model, path: Path, at: Conditions, solver: str) -> tuple[str, Solutions]:
     """Poses for a table of joints: the CSV text and the solutions."""
-    table = _checked(read_table(path), model.joints, model.conditions)
+    table = _check_columns(read_table(path), model.joints, model.conditions)
     q = _columns(table, model.joints)
     conditions = _conditions(model, table, at)
-    good = _good(q, conditions)
-    found = _filled(model, good)
+    good = _find_finite_rows(q, conditions)
+    found = _make_invalid_solutions(model, good)
     if good.any():
-        some = direct(model, q[good], _those(conditions, good), solver=solver)
-        found = _put(found, some, good)
+        some = direct(model, q[good], _select_rows(conditions, good), solver=solver)
+        found = _insert_solutions(found, some, good)
     names = (*POSITION, *QUATERNION)
     return _text(table, names, np.hstack([found.position, found.quaternion]), found), found
 
@@ -63,12 +63,12 @@ def inverse_table(model: Model, path: Path, at: Conditions, solver: str) -> tupl
         r = _columns(table, POSITION)
     R = _rotations(table) if "qw" in table.header else None
     conditions = _conditions(model, table, at)
-    good = _good(r if R is None else np.hstack([r, R.reshape(n, 9)]), conditions)
-    found = _filled(model, good)
+    good = _find_finite_rows(r if R is None else np.hstack([r, R.reshape(n, 9)]), conditions)
+    found = _make_invalid_solutions(model, good)
     if good.any():
         turned = None if R is None else R[good]
-        some = inverse(model, r[good], turned, _those(conditions, good), solver=solver)
-        found = _put(found, some, good)
+        some = inverse(model, r[good], turned, _select_rows(conditions, good), solver=solver)
+        found = _insert_solutions(found, some, good)
     return _text(table, model.joints, found.joints, found), found
 
 
@@ -79,10 +79,10 @@ def _pose_table(model: Model, path: Path) -> Table:
     turned = bool(header & {*QUATERNION}) or not {*model.mechanism.controls} & {*POSITION}
     placed = bool(header & {*POSITION}) or not turned
     wanted = (*(POSITION if placed else ()), *(QUATERNION if turned else ()))
-    return _checked(table, wanted, model.conditions)
+    return _check_columns(table, wanted, model.conditions)
 
 
-def _good(numbers: np.ndarray, conditions: Conditions) -> np.ndarray:
+def _find_finite_rows(numbers: np.ndarray, conditions: Conditions) -> np.ndarray:
     """Rows (n,) that hold numbers only."""
     good = np.isfinite(numbers).all(axis=1)
     for column in conditions.values():
@@ -90,7 +90,7 @@ def _good(numbers: np.ndarray, conditions: Conditions) -> np.ndarray:
     return good
 
 
-def _filled(model: Model, good: np.ndarray) -> Solutions:
+def _make_invalid_solutions(model: Model, good: np.ndarray) -> Solutions:
     """An answer for every row, all of them still invalid."""
     n = len(good)
     return Solutions(
@@ -102,7 +102,7 @@ def _filled(model: Model, good: np.ndarray) -> Solutions:
     )
 
 
-def _put(found: Solutions, some: Solutions, good: np.ndarray) -> Solutions:
+def _insert_solutions(found: Solutions, some: Solutions, good: np.ndarray) -> Solutions:
     for part in ("joints", "position", "rotation", "residual", "status"):
         getattr(found, part)[good] = getattr(some, part)
     return replace(found, message=some.message)
@@ -120,7 +120,7 @@ def _conditions(model: Model, table: Table, at: Conditions) -> dict[str, np.ndar
     return {**{name: np.array(value) for name, value in at.items()}, **columns}
 
 
-def _those(conditions: Conditions, good: np.ndarray) -> dict[str, np.ndarray]:
+def _select_rows(conditions: Conditions, good: np.ndarray) -> dict[str, np.ndarray]:
     return {
         name: column[good] if np.ndim(column) else column for name, column in conditions.items()
     }

@@ -66,7 +66,7 @@ def workbench(
                 "no model: give MODEL.yaml" + (" to start the nodes on" if ros else "")
             )
         folder = model if model.is_dir() else session or model.with_suffix(".session")
-        _ready(folder, model, bags or [], options, data, ros)
+        _prepare_session(folder, model, bags or [], options, data, ros)
         output = output or served or folder / "model.yaml"
         if watch and not served:
             _start(watch, folder, output)
@@ -97,7 +97,7 @@ def _start(watch: Watch, folder: Path, model_file: Path) -> None:
     console.note(f"started kinematics_node and calibration_node on {model_file}")
 
 
-def _ready(
+def _prepare_session(
     folder: Path, model: Path, bags: list[Path], options: FitOptions, data: list[str] | None,
     ros: bool,
 ) -> None:  # fmt: skip

@@ -12,19 +12,19 @@ from parallel_cal.base.errors import ModelError
 from parallel_cal.diagnosis.scene import Scene, columns
 from parallel_cal.diagnosis.scoring import Score, quick_log_p, score
 from parallel_cal.diagnosis.thresholds import (
-    AS_WELL,
-    ENOUGH_AS_GOOD,
+    EQUAL_FIT_LOG_P,
+    EQUAL_SHUFFLES_TO_STOP,
     LEVELS,
+    MAX_LOG_P_TO_REFINE,
+    MIN_SLOW_CORRELATION,
+    MIN_VISIBLE_SIGMAS,
     SHUFFLES,
-    SLOW,
     STRETCHES,
-    VISIBLE_SIGMAS,
-    WORTH_REFINING,
 )
 from parallel_cal.identification.observations import conditions
 from parallel_cal.model.effect import Effect
 from parallel_cal.model.model import Model
-from parallel_cal.model.shelf import load_effect, shelf_names
+from parallel_cal.model.shelf import list_plugins, load_effect
 from parallel_cal.recordings.dataset import Dataset
 
 
@@ -53,7 +53,7 @@ class Candidate:
         return self.score is not None and not self.reason
 
     @cached_property
-    def wanders(self) -> bool:
+    def varies_slowly(self) -> bool:
         """Whether it goes with time, temperature, or a condition that was changed as slowly (loads
         in turn), as noise may that is not white."""
         if {"time", "temperature"} & set(self.effect.needs):
@@ -63,7 +63,10 @@ class Candidate:
         dataset = self.scene.dataset
         order = np.argsort(dataset.time, kind="stable")
         names = self.effect.conditions(self.scene.model.mechanism)
-        return any(_alike(dataset.conditions[name][order]) > SLOW for name in names)
+        return any(
+            _compute_neighbour_correlation(dataset.conditions[name][order]) > MIN_SLOW_CORRELATION
+            for name in names
+        )
 
     @property
     def log_p(self) -> float:
@@ -87,7 +90,7 @@ class Candidate:
             return None
         scene = self.scene
         extended = scene.model.with_effect(self.name, self.settings)
-        a, new = conditions(extended, scene.dataset), new_numbers(scene.model, extended)
+        a, new = conditions(extended, scene.dataset), find_new_parameters(scene.model, extended)
         own = [extended.conditions.index(c) for c in self.effect.conditions(extended.mechanism)]
         rng, as_good = np.random.default_rng(0), 1
         order = np.argsort(scene.dataset.time, kind="stable")
@@ -108,18 +111,20 @@ class Candidate:
             other[order] = np.concatenate([stretches[k] for k in rng.permutation(len(stretches))])
             B = known[level[other], range(len(a))] if few else under(a[other[:, None], own])
             as_good += quick_log_p(scene, B.reshape(len(scene.residual), -1)) <= self.score.log_p
-            if as_good > ENOUGH_AS_GOOD:
-                return ENOUGH_AS_GOOD / drawn
+            if as_good > EQUAL_SHUFFLES_TO_STOP:
+                return EQUAL_SHUFFLES_TO_STOP / drawn
         return as_good / (SHUFFLES + 1)
 
 
-def _alike(values: np.ndarray) -> float:
+def _compute_neighbour_correlation(values: np.ndarray) -> float:
     """Correlation of neighbours in a series (N,), 0 where it never changes."""
     away = values - values.mean()
     return float(away[1:] @ away[:-1] / max(away @ away, 1e-300))
 
 
-def names_of(model: Model, also: Iterable[str] = (), only: Iterable[str] = ()) -> list[str]:
+def list_effects_to_test(
+    model: Model, also: Iterable[str] = (), only: Iterable[str] = ()
+) -> list[str]:
     """Effects to test: the shelf's, or `only` these, and a user's own by Python path (`also`).
 
     ModelError for one of the user's own whose file is wrong: asked for, it is not left out.
@@ -128,7 +133,7 @@ def names_of(model: Model, also: Iterable[str] = (), only: Iterable[str] = ()) -
     for name in own:
         if name not in has and not load_effect(name).applies(model.mechanism):
             model.with_effect(name)
-    wanted = dict.fromkeys([*(list(only) or shelf_names("effects")), *own])
+    wanted = dict.fromkeys([*(list(only) or list_plugins("effects")), *own])
     return [name for name in wanted if name not in has]
 
 
@@ -141,36 +146,42 @@ def candidate(scene: Scene, name: str) -> Candidate:
         plain = scene.model.with_effect(name)
     except ModelError as error:
         return Candidate(name, effect, reason=str(error))
-    if missing := not_recorded(plain, scene.dataset):
+    if missing := find_missing_conditions(plain, scene.dataset):
         reason = f"cannot be tested: no {' and no '.join(missing)} recorded"
         return Candidate(name, effect, missing=missing, reason=reason)
     if plain.mechanism is not scene.model.mechanism:
-        return _wider(scene, name, effect, plain)
+        return _score_larger_model(scene, name, effect, plain)
     a = conditions(plain, scene.dataset)
-    settings = list(effect.scan(scene.model.mechanism, recorded(scene.dataset)))
+    settings = list(effect.scan(scene.model.mechanism, collect_recorded_values(scene.dataset)))
     if not settings:
         reason = f"cannot be tested: {', '.join(effect.needs)} never changed"
         return Candidate(name, effect, reason=reason)
-    many = [quick_log_p(scene, of_last(scene, plain, setting, a)) for setting in settings]
+    many = [
+        quick_log_p(scene, compute_effect_columns(scene, plain, setting, a)) for setting in settings
+    ]
     best = int(np.argmin(many))
     setting = settings[best]
     sigma: Mapping[str, float] = {}
-    worth = effect.refines and many[best] < WORTH_REFINING
+    worth = effect.refines and many[best] < MAX_LOG_P_TO_REFINE
     if worth and len(settings) > 1 and len(setting) == 1:
         (key,) = setting
         step = float(np.ptp([one[key] for one in settings[max(best - 1, 0) : best + 2]]) / 2)
         near = (setting, *effect.multiples(setting))
-        setting, sigma = _meant([_peak(scene, plain, key, one[key], step, a) for one in near])
-    highest = score(scene, of_last(scene, plain, setting, a))
+        setting, sigma = _select_setting(
+            [_peak(scene, plain, key, one[key], step, a) for one in near]
+        )
+    highest = score(scene, compute_effect_columns(scene, plain, setting, a))
     return Candidate(
-        name, effect, setting, highest, scene, len(settings), (), _unseen(highest), sigma
+        name, effect, setting, highest, scene, len(settings), (), _explain_invisible(highest), sigma
     )
 
 
-def of_last(scene: Scene, plain: Model, settings: Mapping[str, float], a: np.ndarray) -> np.ndarray:
+def compute_effect_columns(
+    scene: Scene, plain: Model, settings: Mapping[str, float], a: np.ndarray
+) -> np.ndarray:
     """Columns of a model's last effect with these settings, conditions a (N, n_conditions)."""
     extended = plain.with_settings(plain.effects[-1].name, settings)
-    return columns(extended, scene, new_numbers(scene.model, extended), a)
+    return columns(extended, scene, find_new_parameters(scene.model, extended), a)
 
 
 @dataclass(frozen=True)
@@ -189,7 +200,7 @@ def _peak(scene: Scene, plain: Model, key: str, near: float, step: float, a: np.
     from scipy.optimize import minimize_scalar
 
     def log_p(value: float) -> float:
-        return quick_log_p(scene, of_last(scene, plain, {key: value}, a))
+        return quick_log_p(scene, compute_effect_columns(scene, plain, {key: value}, a))
 
     optimum = minimize_scalar(
         log_p, bounds=(near - step, near + step), method="bounded", options={"xatol": 1e-3 * step}
@@ -201,43 +212,43 @@ def _peak(scene: Scene, plain: Model, key: str, near: float, step: float, a: np.
     return Peak(key, value, at, bend**-0.5 if bend > 0 else None)
 
 
-def _meant(peaks: list[Peak]) -> tuple[dict[str, float], dict[str, float]]:
+def _select_setting(peaks: list[Peak]) -> tuple[dict[str, float], dict[str, float]]:
     """The last of several settings that fits as well as the best, and its sigma."""
     best = min(peak.log_p for peak in peaks)
-    peak = [peak for peak in peaks if peak.log_p < best + AS_WELL][-1]
+    peak = [peak for peak in peaks if peak.log_p < best + EQUAL_FIT_LOG_P][-1]
     return {peak.key: peak.value}, {} if peak.sigma is None else {peak.key: peak.sigma}
 
 
-def _unseen(score: Score) -> str:
+def _explain_invisible(score: Score) -> str:
     """Why a score says nothing: all that the effect could show hides in the geometry, or in the
     noise."""
     if not score.q:
         return "cannot be seen with this set-up: the geometry absorbs it"
-    if score.size < VISIBLE_SIGMAS:
+    if score.size < MIN_VISIBLE_SIGMAS:
         return f"cannot be seen: at its typical size it makes {score.size:.1g} sigmas"
     return ""
 
 
-def new_numbers(before: Model, after: Model) -> np.ndarray:
+def find_new_parameters(before: Model, after: Model) -> np.ndarray:
     """Mask of the free parameters that `after` has and `before` has not, or holds fixed."""
     old = {n for n, fixed in zip(before.table.names, before.fixed, strict=True) if not fixed}
     return np.array([n not in old for n in after.table.names]) & ~np.asarray(after.fixed)
 
 
-def not_recorded(model: Model, dataset: Dataset) -> tuple[str, ...]:
+def find_missing_conditions(model: Model, dataset: Dataset) -> tuple[str, ...]:
     """Conditions, without their joints, that a model needs and the data lack."""
     lacking = (c for c in model.conditions if c not in dataset.conditions)
     return tuple(dict.fromkeys(c.split(".")[0] for c in lacking))
 
 
-def recorded(dataset: Dataset) -> dict[str, np.ndarray]:
+def collect_recorded_values(dataset: Dataset) -> dict[str, np.ndarray]:
     """Conditions and joint readings by name, (N,) each."""
     return {**dataset.conditions, **dict(zip(dataset.joint_names, dataset.q.T, strict=True))}
 
 
-def _wider(scene: Scene, name: str, effect: Effect, wide: Model) -> Candidate:
+def _score_larger_model(scene: Scene, name: str, effect: Effect, wide: Model) -> Candidate:
     """A larger model's further parameters, in a scene of its own: its rows differ."""
-    new = new_numbers(scene.model, wide)
+    new = find_new_parameters(scene.model, wide)
     observations = replace(scene.observations, a=conditions(wide, scene.dataset))
     wider = Scene.of(wide, scene.dataset, observations, ~np.asarray(wide.fixed) & ~new)
     return Candidate(name, effect, score=score(wider, columns(wide, wider, new)), scene=wider)

@@ -8,21 +8,28 @@ from typing import Any
 
 import numpy as np
 
-from parallel_cal.base.documents import plain
+from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.notebook import ShownInNotebook
 from parallel_cal.base.rotation import matrix_to_quaternion
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.lack_of_fit import LackOfFit, lack_of_fit
 from parallel_cal.diagnosis.noise import PureError
-from parallel_cal.diagnosis.patterns import Along, OddSample, Region, along, odd_samples, regions
+from parallel_cal.diagnosis.patterns import (
+    OddSample,
+    Region,
+    ResidualProfile,
+    compute_residual_profiles,
+    odd_samples,
+    regions,
+)
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.identification.budget import iso_9283
 from parallel_cal.identification.given_model import GivenModel
 from parallel_cal.identification.noise_floor import noise_floor
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prediction_errors import ERRORS, Errors, Summary
-from parallel_cal.identification.registration import Registration, said
+from parallel_cal.identification.registration import Registration, add_registration_warning
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset, check_inputs
@@ -57,8 +64,8 @@ class Comparison(ShownInNotebook):
 
     @cached_property
     @single_threaded()
-    def along(self) -> tuple[Along, ...]:
-        return along(self.scene, self.field)
+    def residual_profiles(self) -> tuple[ResidualProfile, ...]:
+        return compute_residual_profiles(self.scene, self.field)
 
     @cached_property
     @single_threaded()
@@ -144,7 +151,7 @@ class Comparison(ShownInNotebook):
             "channels": self.model.structure.channels,
             "rows": [{key: c[i] for key, c in columns.items()} for i in self.worst_first],
             "where": {
-                "along": self.along,
+                "along": self.residual_profiles,
                 "regions": self.regions,
                 "structure": self.structure,
                 "odd_samples": self.odd_samples,
@@ -152,7 +159,7 @@ class Comparison(ShownInNotebook):
                 "replicates": PureError.of(self.scene, self.field),
             },
         }
-        return {key: plain(value) for key, value in document.items()}
+        return {key: to_json_value(value) for key, value in document.items()}
 
 
 @single_threaded()
@@ -192,7 +199,7 @@ def compare(model: Model, dataset: Dataset, joint_sigma: float | None = None) ->
     """
     check_inputs(model, dataset)
     given = GivenModel.of(model, dataset, joint_sigma, insist=True)
-    dataset = said(dataset, given.registration)
+    dataset = add_registration_warning(dataset, given.registration)
     if given.observations.doubts:
         dataset = replace(dataset, warnings=(*dataset.warnings, given.observations.doubts))
     return Comparison(

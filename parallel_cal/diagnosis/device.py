@@ -12,26 +12,37 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from parallel_cal.diagnosis.catalogue import Candidate, new_numbers
+from parallel_cal.diagnosis.catalogue import Candidate, find_new_parameters
 from parallel_cal.diagnosis.scene import Scene, columns
 from parallel_cal.diagnosis.thresholds import (
-    APART,
     CENTRES,
-    DECISIVE,
     EFFECT_SIZES,
     FIELD_LENGTHS,
     FIELD_SIZES,
+    MIN_LOG_EVIDENCE_GAIN,
+    MIN_SEPARATION_SIGMAS,
 )
 from parallel_cal.identification.linearisation import Linearisation
 
 
-def doubtful(scene: Scene, chosen: Sequence[Candidate], ranked: Sequence[Candidate]) -> list[str]:
+def find_doubtful_effects(
+    scene: Scene, chosen: Sequence[Candidate], ranked: Sequence[Candidate]
+) -> list[str]:
     """Names of the robot's effects among `chosen` that may be the device's: by the size of what
     they do, or by its form."""
-    return list(dict.fromkeys([*imitated(scene, chosen, ranked), *placed(scene, chosen)]))
+    return list(
+        dict.fromkeys(
+            [
+                *find_device_lookalikes(scene, chosen, ranked),
+                *find_position_only_effects(scene, chosen),
+            ]
+        )
+    )
 
 
-def imitated(scene: Scene, chosen: Sequence[Candidate], ranked: Sequence[Candidate]) -> list[str]:
+def find_device_lookalikes(
+    scene: Scene, chosen: Sequence[Candidate], ranked: Sequence[Candidate]
+) -> list[str]:
     """Names of the robot's effects among `chosen` that the device could as well have made.
 
     With all that the device may do in place of the effect, misfit and price (see `cost`) rise by
@@ -55,7 +66,7 @@ def imitated(scene: Scene, chosen: Sequence[Candidate], ranked: Sequence[Candida
         return cost(shared, np.hstack([known[name] for name in names]))
 
     left = _chi2_per_dof(shared, np.hstack([known[c.name] for c in chosen]))
-    limit = price(*chosen) + APART**2 * max(left, 1.0)
+    limit = price(*chosen) + MIN_SEPARATION_SIGMAS**2 * max(left, 1.0)
     without = {one.name: price(*(c for c in chosen if c is not one), *device) for one in own}
     return [name for name, instead in without.items() if instead < limit]
 
@@ -63,7 +74,7 @@ def imitated(scene: Scene, chosen: Sequence[Candidate], ranked: Sequence[Candida
 def cost(scene: Scene, B: np.ndarray) -> float:
     """min over e of |r - B e|^2 + |e|^2: misfit of the residual r (n,) by columns B (n, k) in
     tolerances, off the geometry, and what numbers e cost that stray as far."""
-    B = scene.off_geometry(B)
+    B = scene.project_off_geometry(B)
     along = B.T @ scene.residual
     return float(
         scene.residual @ scene.residual
@@ -73,7 +84,7 @@ def cost(scene: Scene, B: np.ndarray) -> float:
 
 def _chi2_per_dof(scene: Scene, B: np.ndarray) -> float:
     """Of what columns B (n, k) leave of the residual."""
-    B = scene.off_geometry(B)
+    B = scene.project_off_geometry(B)
     numbers, _, rank, _ = np.linalg.lstsq(B, scene.residual)
     left = scene.residual - B @ numbers
     return float(left @ left) / max(scene.dof - int(rank), 1)
@@ -90,12 +101,12 @@ def _columns(scene: Scene, shared: Scene, one: Candidate) -> np.ndarray:
     """Columns of a candidate on the rows of `shared`; those of the larger model itself are its
     parameters that the model of `scene` has not."""
     if one.effect.widens:
-        return columns(shared.model, shared, new_numbers(scene.model, shared.model))
+        return columns(shared.model, shared, find_new_parameters(scene.model, shared.model))
     extended = shared.model.with_effect(one.name, one.settings)
-    return columns(extended, shared, new_numbers(shared.model, extended))
+    return columns(extended, shared, find_new_parameters(shared.model, extended))
 
 
-def placed(scene: Scene, chosen: Sequence[Candidate]) -> list[str]:
+def find_position_only_effects(scene: Scene, chosen: Sequence[Candidate]) -> list[str]:
     """Names of the robot's effects among `chosen` that say no more than where the platform was.
 
     With a smooth field of place instead, the data are likelier than with the effects alone, and
@@ -106,7 +117,7 @@ def placed(scene: Scene, chosen: Sequence[Candidate]) -> list[str]:
     fields = list(_smooth_fields(shared)) if own else []
     if not fields:
         return []
-    known = {c.name: shared.off_geometry(_columns(scene, shared, c)) for c in chosen}
+    known = {c.name: shared.project_off_geometry(_columns(scene, shared, c)) for c in chosen}
     nothing = np.zeros((len(shared.residual), 0))
 
     def likely(names: list[str], fields: Sequence[np.ndarray]) -> float:
@@ -114,7 +125,7 @@ def placed(scene: Scene, chosen: Sequence[Candidate]) -> list[str]:
         return max(log_evidence(shared, B, field) for field in fields)
 
     plain = likely([*known], [nothing])
-    limit = max(plain, likely([*known], fields) - DECISIVE)
+    limit = max(plain, likely([*known], fields) - MIN_LOG_EVIDENCE_GAIN)
     without = {c.name: likely([n for n in known if n != c.name], fields) for c in own}
     return [name for name, instead in without.items() if instead > limit]
 
@@ -160,15 +171,17 @@ def _smooth_fields(scene: Scene) -> Iterator[np.ndarray]:
     by_place /= np.sqrt(np.sum(by_place**2) / (3 * len(by_place)))
     places = scene.x[:, n : n + 3]
     places = places / np.maximum(places.std(axis=0), 1e-12)
-    centres = places[_apart(places)]
+    centres = places[_select_centres(places)]
     for length in FIELD_LENGTHS:
-        L = np.linalg.cholesky(_alike(centres, centres, length) + 1e-6 * np.eye(len(centres)))
-        smooth = np.linalg.solve(L, _alike(centres, places, length)).T
+        L = np.linalg.cholesky(
+            _gaussian_kernel(centres, centres, length) + 1e-6 * np.eye(len(centres))
+        )
+        smooth = np.linalg.solve(L, _gaussian_kernel(centres, places, length)).T
         F = np.einsum("nri,nm->nrim", by_place, smooth)
-        yield scene.off_geometry(F.reshape(len(scene.residual), -1))
+        yield scene.project_off_geometry(F.reshape(len(scene.residual), -1))
 
 
-def _apart(places: np.ndarray) -> list[int]:
+def _select_centres(places: np.ndarray) -> list[int]:
     """Indices of places (N, 3), each the furthest from those before it."""
     chosen = [int(np.argmin(np.sum((places - places.mean(axis=0)) ** 2, axis=1)))]
     away = np.sum((places - places[chosen[0]]) ** 2, axis=1)
@@ -178,6 +191,6 @@ def _apart(places: np.ndarray) -> list[int]:
     return chosen
 
 
-def _alike(a: np.ndarray, b: np.ndarray, length: float) -> np.ndarray:
+def _gaussian_kernel(a: np.ndarray, b: np.ndarray, length: float) -> np.ndarray:
     apart = np.sum((a[:, None] - b[None]) ** 2, axis=2)
     return np.asarray(np.exp(-apart / (2 * length**2)))

@@ -8,21 +8,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from parallel_cal.base.documents import plain
+from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.notebook import ShownInNotebook
 from parallel_cal.base.options import with_changes
 from parallel_cal.base.progress import Progress, ignore_progress
 from parallel_cal.base.threads import single_threaded
-from parallel_cal.diagnosis.catalogue import Candidate, candidate, names_of
-from parallel_cal.diagnosis.device import doubtful
+from parallel_cal.diagnosis.catalogue import Candidate, candidate, list_effects_to_test
+from parallel_cal.diagnosis.device import find_doubtful_effects
 from parallel_cal.diagnosis.entries import (
     Entry,
     NegativeControl,
     chi2_before,
     entries,
+    is_clearly_better,
     negative_control,
-    outdoes,
     rivals_of,
 )
 from parallel_cal.diagnosis.field import Field
@@ -33,12 +33,20 @@ from parallel_cal.diagnosis.patterns import OddSample, odd_samples
 from parallel_cal.diagnosis.search import Chosen, Search, Trial
 from parallel_cal.diagnosis.separate import NextMeasurement, next_measurement
 from parallel_cal.diagnosis.statistics import holm
-from parallel_cal.diagnosis.thresholds import MISTRUSTED, REFITTED, SIGNIFICANT
+from parallel_cal.diagnosis.thresholds import (
+    EFFECT_SIGNIFICANCE_LEVEL,
+    MAX_MISTRUSTED_SHARE,
+    MAX_REFITTED_CANDIDATES,
+)
 from parallel_cal.diagnosis.verdict import Findings, Verdict, judge
 from parallel_cal.identification.fit import FitResult, fit, fit_registered
 from parallel_cal.identification.given_model import GivenModel
 from parallel_cal.identification.options import FitKeywords, FitOptions
-from parallel_cal.identification.registration import Registration, prepared_for_fit, said
+from parallel_cal.identification.registration import (
+    Registration,
+    add_registration_warning,
+    prepared_for_fit,
+)
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset, check_inputs
 
@@ -122,7 +130,7 @@ class Diagnosis(ShownInNotebook):
                 "replicates_dof": self.noise.pure_error.dof,
                 "misstated": self.noise.misstated,
                 "shape": self.noise_shape,
-                "floor": best.noise,
+                "floor": best.noise_floor,
             },
             "candidates": self.entries,
             "negative_control": self.negative_control,
@@ -136,7 +144,7 @@ class Diagnosis(ShownInNotebook):
             "warnings": best.warnings,
             "dataset": {"source": self.dataset.source, "sha256": self.dataset.sha256},
         }
-        return {key: plain(value) for key, value in document.items()}
+        return {key: to_json_value(value) for key, value in document.items()}
 
 
 @single_threaded()
@@ -198,19 +206,19 @@ def diagnose(
     options = with_changes(options or FitOptions(), changes, FitError)
     given = GivenModel.of(model, dataset, options.joint_sigma, options.insist)
     model, registration = prepared_for_fit(given.model, given.registration, dataset, options)
-    dataset = said(dataset, registration)
-    names = names_of(model, also, effects)
+    dataset = add_registration_warning(dataset, registration)
+    names = list_effects_to_test(model, also, effects)
 
     def without(aside: list[int]) -> Diagnosis:
         kept = dataset.excluding(aside, f"by --loss {options.loss}")
         least_squares = replace(options, loss="linear")
         judged = replace(given, dataset=kept)
-        return _diagnosed(model, judged, names, least_squares, registration, report)
+        return _diagnose_trusted(model, judged, names, least_squares, registration, report)
 
     def suspects(judged: Model) -> list[int]:
         """The worst ones: where most are mistrusted it is the model that is wrong."""
         found = fit(judged, dataset, options, hold_out=0).down_weighted
-        worst = found[: int(MISTRUSTED * len(dataset))]  # least trusted first
+        worst = found[: int(MAX_MISTRUSTED_SHARE * len(dataset))]  # least trusted first
         return sorted(one.sample for one in worst)
 
     if options.loss == "linear":
@@ -225,7 +233,7 @@ def diagnose(
     return found if again == aside else without(again)
 
 
-def _diagnosed(
+def _diagnose_trusted(
     model: Model,
     given: GivenModel,
     names: list[str],
@@ -245,27 +253,27 @@ def _diagnosed(
         report("identifying the geometry", 0.0)
         base = search.fit()
         catalogue = _Catalogue(names, report)
-        ranked = catalogue.ranked(base)
-        best, against = _searched(search, catalogue)
+        ranked = catalogue.rank(base)
+        best, against = _search_effects(search, catalogue)
         swaps = search.swaps(best, rivals_of(best, ranked))
         left = Field.of(best.scene)
         structure, before = lack_of_fit(best.scene, left), chi2_before(base, best, ranked)
-        noise = NoiseLevel.of(best.scene, left, structure.found)
+        noise = NoiseLevel.of(best.scene, left, structure.has_structure)
         shape = NoiseShape.of(best.scene, left)
-        more = catalogue.significant(best)
+        more = catalogue.select_significant(best)
         tried = [search.fit(*best.chosen, Chosen.of(c)) for c in more]
         refused = tuple(trial.reason for trial in tried if trial.reason)
         settings = {one.name: one.settings for one in best.chosen}
         taken = [replace(c, settings=settings[c.name]) for c in ranked if c.name in settings]
         of_device = {c.name for c in ranked if c.effect.of_device and not c.effect.needs}
-        known = doubtful(base.scene, taken, ranked)
+        known = find_doubtful_effects(base.scene, taken, ranked)
         either = [
             c.name
             for c in taken
             if c.name not in of_device
             and (c.name in known or of_device & set(swaps.get(c.name, [])))
         ]
-        better = outdone(best, search, catalogue)
+        better = find_better_lookalikes(best, search, catalogue)
         verdict = judge(
             Findings(
                 base,
@@ -299,13 +307,13 @@ def _diagnosed(
             odd_samples=odd_samples(best.scene, left),
             swaps=swaps,
             robot_or_device=tuple(either),
-            suspected=tuple(c.name for c in more if search.suspects(best, c)),
+            suspected=tuple(c.name for c in more if search.is_suspected(best, c)),
             registration=registration,
             measure_next=next_measurement(best, rivals, ranked),
         )
 
 
-def outdone(best: Trial, search: Search, catalogue: _Catalogue) -> list[str]:
+def find_better_lookalikes(best: Trial, search: Search, catalogue: _Catalogue) -> list[str]:
     """Lookalikes that, beside the others chosen, fit clearly better than one of them, and why they
     were refused: a name that is wrong, or a range that is."""
     found: dict[str, str] = {}
@@ -313,15 +321,15 @@ def outdone(best: Trial, search: Search, catalogue: _Catalogue) -> list[str]:
         others = search.fit(*(c for c in best.chosen if c.name != name))
         if others.result is None:
             continue
-        ranked = catalogue.ranked(others)
+        ranked = catalogue.rank(others)
         one = next(c for c in ranked if c.name == name)
-        for other in (c for c in ranked if outdoes(c, one)):
+        for other in (c for c in ranked if is_clearly_better(c, one)):
             if reason := search.fit(*others.chosen, Chosen.of(other)).reason:
                 found[other.name] = f"{other.name} would explain it better, but {reason}"
     return list(found.values())
 
 
-def _searched(search: Search, catalogue: _Catalogue) -> tuple[Trial, dict[str, str]]:
+def _search_effects(search: Search, catalogue: _Catalogue) -> tuple[Trial, dict[str, str]]:
     """The effects that explain most, and what stands against others.
 
     Where neighbours in time stay alike, noise wanders, and what goes with time or temperature is
@@ -330,19 +338,19 @@ def _searched(search: Search, catalogue: _Catalogue) -> tuple[Trial, dict[str, s
     base = search.fit()
 
     def grown(start: Trial) -> tuple[Trial, dict[str, str]]:
-        more, against = search.forward(start, catalogue.significant)
-        return search.settled(search.backward(more), catalogue.ranked), against
+        more, against = search.forward(start, catalogue.select_significant)
+        return search.rescan_settings(search.backward(more), catalogue.rank), against
 
     def found() -> tuple[Trial, dict[str, str]]:
         best, against = grown(base)
-        better = search.exchanged(best, rivals_of(best, catalogue.ranked(base)))
+        better = search.exchange_rivals(best, rivals_of(best, catalogue.rank(base)))
         if better is best:
             return best, against
         best, more = grown(better)  # by what a wrong name hid
         return best, against | more
 
     best, against = found()
-    wandering = [c for c in catalogue.ranked(base) if c.wanders and c.testable]
+    wandering = [c for c in catalogue.rank(base) if c.varies_slowly and c.testable]
     if not {c.name for c in wandering} & set(best.names):
         return best, against
     shape = NoiseShape.of(best.scene, Field.of(best.scene))
@@ -362,7 +370,7 @@ class _Catalogue:
         self.wandering = True  # whether what goes with time or temperature may be named
         self._ranked: dict[tuple[Chosen, ...], list[Candidate]] = {}
 
-    def ranked(self, trial: Trial) -> list[Candidate]:
+    def rank(self, trial: Trial) -> list[Candidate]:
         """The catalogue without what the trial has, best first; the untestable last."""
         if trial.chosen not in self._ranked:
             taken, scored = {c.name for c in trial.chosen}, []
@@ -372,8 +380,12 @@ class _Catalogue:
             self._ranked[trial.chosen] = sorted(scored, key=lambda c: (not c.testable, c.log_p))
         return self._ranked[trial.chosen]
 
-    def significant(self, trial: Trial) -> list[Candidate]:
+    def select_significant(self, trial: Trial) -> list[Candidate]:
         """Those that are no chance, corrected for how many were looked at; the best few."""
-        tested = [c for c in self.ranked(trial) if c.testable and (self.wandering or not c.wanders)]
+        tested = [
+            c for c in self.rank(trial) if c.testable and (self.wandering or not c.varies_slowly)
+        ]
         adjusted = holm(np.array([c.p_value for c in tested]))
-        return [c for c, p in zip(tested, adjusted, strict=True) if p < SIGNIFICANT][:REFITTED]
+        return [c for c, p in zip(tested, adjusted, strict=True) if p < EFFECT_SIGNIFICANCE_LEVEL][
+            :MAX_REFITTED_CANDIDATES
+        ]

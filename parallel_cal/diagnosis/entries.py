@@ -13,17 +13,23 @@ import numpy as np
 from parallel_cal.diagnosis.catalogue import Candidate
 from parallel_cal.diagnosis.noise import NoiseLevel
 from parallel_cal.diagnosis.scene import Scene
-from parallel_cal.diagnosis.scoring import canonical_correlation, resampled, score
+from parallel_cal.diagnosis.scoring import canonical_correlation, resample_log_p, score
 from parallel_cal.diagnosis.search import Chosen, Search, Trial, ratio_of
 from parallel_cal.diagnosis.statistics import holm
-from parallel_cal.diagnosis.thresholds import ALIKE, APART, REFITTED, RESAMPLES, SIGNIFICANT
+from parallel_cal.diagnosis.thresholds import (
+    EFFECT_SIGNIFICANCE_LEVEL,
+    MAX_REFITTED_CANDIDATES,
+    MIN_CONFUSED_CORRELATION,
+    MIN_SEPARATION_SIGMAS,
+    RESAMPLES,
+)
 from parallel_cal.diagnosis.verdict import share_explained
-from parallel_cal.identification.fit import Estimated, FitResult
+from parallel_cal.identification.fit import FitResult, ParameterEstimate
 from parallel_cal.identification.prediction_errors import Summary
 
 
 @dataclass(frozen=True)
-class Alone:
+class SingleEffectFit:
     """What identifying a candidate alone says: errors at poses left out without it and with it,
     `ratio` after over before, chi2/dof, the share of what exceeds the noise, and its numbers."""
 
@@ -33,7 +39,7 @@ class Alone:
     chi2_per_dof: float
     share_explained: float | None
     shuffled_p_value: float | None
-    parameters: Mapping[str, Estimated]
+    parameters: Mapping[str, ParameterEstimate]
 
 
 @dataclass(frozen=True)
@@ -52,7 +58,7 @@ class Entry:
     p_adjusted: float | None
     first_picks: float | None
     reason: str
-    alone: Alone | None = None
+    alone: SingleEffectFit | None = None
 
     @property
     def name(self) -> str:
@@ -114,25 +120,31 @@ def entries(
     adjusted = dict(zip([c.name for c in tested], raised.tolist(), strict=True))
     picks, alike = first_picks(tested), defaultdict[str, tuple[str, ...]](tuple)
     for one, other in combinations(ranked, 2):
-        if confused(one, other):
+        if are_confused(one, other):
             alike[one.name] += (other.name,)
             alike[other.name] += (one.name,)
     rows = []
     for rank, one in enumerate(ranked, 1):
         reason, alone = one.reason or against.get(one.name, ""), None
-        if one.testable and rank <= REFITTED and one.p_value < SIGNIFICANT:
+        if (
+            one.testable
+            and rank <= MAX_REFITTED_CANDIDATES
+            and one.p_value < EFFECT_SIGNIFICANCE_LEVEL
+        ):
             trial = search.fit(Chosen.of(one))
             reason = trial.reason or reason
-            alone = _alone(one, base, trial, noise) if trial.result else None
+            alone = _summarise_single_fit(one, base, trial, noise) if trial.result else None
         p, first = adjusted.get(one.name), picks.get(one.name)
         rows.append(Entry(one, rank, alike[one.name], p, first, reason, alone))
     return tuple(rows)
 
 
-def _alone(one: Candidate, base: Trial, trial: Trial, noise: NoiseLevel) -> Alone:
+def _summarise_single_fit(
+    one: Candidate, base: Trial, trial: Trial, noise: NoiseLevel
+) -> SingleEffectFit:
     before, after = base.fitted, trial.fitted
     chi2 = after.estimate.chi2_per_dof
-    return Alone(
+    return SingleEffectFit(
         before=before.held_out.summary,
         after=after.held_out.summary,
         ratio=ratio_of(base, trial),
@@ -142,7 +154,7 @@ def _alone(one: Candidate, base: Trial, trial: Trial, noise: NoiseLevel) -> Alon
         parameters={
             name.removeprefix(f"{one.name}."): estimated
             for name, estimated in after.parameters().items()
-            if _new(name, before, after)
+            if _is_new_parameter(name, before, after)
         },
     )
 
@@ -154,7 +166,7 @@ def chi2_before(base: Trial, after: Trial, ranked: Sequence[Candidate]) -> float
     return next((s.chi2_per_dof for s in wider if s is not None), base.scene.chi2_per_dof)
 
 
-def _new(name: str, before: FitResult, after: FitResult) -> bool:
+def _is_new_parameter(name: str, before: FitResult, after: FitResult) -> bool:
     """Whether a parameter is one that the base has not, or does not identify."""
     old, table = before.model.table, after.model.table
     if name not in old.names:
@@ -162,25 +174,25 @@ def _new(name: str, before: FitResult, after: FitResult) -> bool:
     return bool(after.free[table.index_of(name)] and not before.free[old.index_of(name)])
 
 
-def confused(one: Candidate, other: Candidate) -> bool:
+def are_confused(one: Candidate, other: Candidate) -> bool:
     """Whether the data cannot tell two effects: off the geometry they act in one direction."""
     if one.score is None or other.score is None or not (one.testable and other.testable):
         return False
     if one.scene is not other.scene:  # a larger model's rows are others
         return False
-    return canonical_correlation(one.score.U, other.score.U) > ALIKE
+    return canonical_correlation(one.score.U, other.score.U) > MIN_CONFUSED_CORRELATION
 
 
-def outdoes(other: Candidate, one: Candidate) -> bool:
+def is_clearly_better(other: Candidate, one: Candidate) -> bool:
     """Whether another effect explains clearly better what one does."""
-    return other.log_p < one.log_p - APART**2 / 2 and confused(one, other)
+    return other.log_p < one.log_p - MIN_SEPARATION_SIGMAS**2 / 2 and are_confused(one, other)
 
 
 def rivals_of(best: Trial, ranked: Sequence[Candidate]) -> dict[str, list[Candidate]]:
     """For each chosen effect the candidates that the data confuse it with, all not chosen."""
     taken = {c.name for c in best.chosen}
     return {
-        one.name: [c for c in ranked if c.name not in taken and confused(one, c)]
+        one.name: [c for c in ranked if c.name not in taken and are_confused(one, c)]
         for one in ranked
         if one.name in taken
     }
@@ -195,7 +207,7 @@ def first_picks(tested: Sequence[Candidate]) -> dict[str, float]:
         mine = [k for k, c in enumerate(tested) if c.scene is scene]
         groups = [tested[k].score.U for k in mine]  # type: ignore[union-attr]
         assert scene is not None
-        logs[:, mine] = resampled(scene, groups) + np.log([tested[k].tried for k in mine])
+        logs[:, mine] = resample_log_p(scene, groups) + np.log([tested[k].tried for k in mine])
     wins = np.bincount(np.argmin(logs, axis=1), minlength=len(tested)) / RESAMPLES
     return {c.name: float(w) for c, w in zip(tested, wins, strict=True)}
 

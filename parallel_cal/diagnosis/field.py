@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from parallel_cal.diagnosis.scene import Scene
-from parallel_cal.identification.linearisation import Linearisation, by_joint
+from parallel_cal.identification.linearisation import Linearisation, compute_joint_jacobians
 from parallel_cal.model.configuration import Configuration
 
 
@@ -42,7 +42,7 @@ class Field:
         pose = np.where(measured, pose, 0.0)
         if measured.any():
             return cls(pose, _pose_in_noise_units(scene, pose, measured), measured, held)
-        if np.isfinite(scene.read_apart).any():
+        if np.isfinite(scene.reading_residuals).any():
             return cls(pose, _readings_in_noise_units(scene), measured, held)
         return cls(pose, scene.by_sample(scene.residual), measured, held)
 
@@ -62,7 +62,7 @@ class Field:
 def _pose_in_noise_units(scene: Scene, pose: np.ndarray, measured: np.ndarray) -> np.ndarray:
     """Measured minus predicted pose, (N, 6), by the covariance of device and joints together."""
     n, S = len(scene.model.joints), scene.observations.S
-    by_joint = _by_joint(scene)[0]
+    by_joint = _compute_joint_jacobians(scene)[0]
     total = S[:, n:, n:] + by_joint @ S[:, :n, :n] @ by_joint.transpose(0, 2, 1)
     return _in_noise_units(pose, total, measured)
 
@@ -70,17 +70,19 @@ def _pose_in_noise_units(scene: Scene, pose: np.ndarray, measured: np.ndarray) -
 def _readings_in_noise_units(scene: Scene) -> np.ndarray:
     """Read minus predicted, (N, n_channels), by the covariance of sensors and joints together."""
     n, S = len(scene.model.joints), scene.observations.S
-    by_joint, own = _by_joint(scene)[1], scene.model.structure.standard_uncertainty
+    by_joint, own = _compute_joint_jacobians(scene)[1], scene.model.structure.standard_uncertainty
     total = by_joint @ S[:, :n, :n] @ by_joint.transpose(0, 2, 1) + np.diag(own**2)
-    return _in_noise_units(scene.read_apart, total, np.isfinite(scene.read_apart))
+    return _in_noise_units(scene.reading_residuals, total, np.isfinite(scene.reading_residuals))
 
 
-def _by_joint(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+def _compute_joint_jacobians(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     """d pose / d q (N, 6, nq) along the closure, and d reading / d q (N, n_channels, nq)."""
     linearise = Linearisation(
         scene.model, scene.observations, np.zeros(len(scene.model.values), dtype=bool), True
     )
-    moved_by, reading = by_joint(scene.model, linearise.blocks(scene.model.values, scene.x)[1])
+    moved_by, reading = compute_joint_jacobians(
+        scene.model, linearise.blocks(scene.model.values, scene.x)[1]
+    )
     pose = np.zeros((len(moved_by), 6, len(scene.model.joints)))
     pose[:, scene.model.mechanism.moved] = moved_by
     return pose, reading

@@ -10,17 +10,17 @@ import numpy as np
 
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.scene import Scene
-from parallel_cal.diagnosis.statistics import morans_i, runs_test, smallest
+from parallel_cal.diagnosis.statistics import bonferroni_minimum, morans_i, runs_test
 from parallel_cal.diagnosis.thresholds import (
-    CLEAR,
+    EFFECT_SIGNIFICANCE_LEVEL,
     LENGTHS,
     LEVELS,
-    MAPPED,
+    MAX_MAP_POSES,
+    MIN_VARIATION_RATIO,
     ROUGHNESS,
-    SIGNIFICANT,
 )
 from parallel_cal.recordings.dataset import NUMBER
-from parallel_cal.recordings.replicates import averaged
+from parallel_cal.recordings.replicates import average_groups
 
 
 @dataclass(frozen=True)
@@ -35,16 +35,16 @@ class LackOfFit:
     @property
     def p_value(self) -> float:
         """Of the most striking one, corrected for how many there are."""
-        return smallest([p for _, p in self.moran.values()] + list(self.runs.values()))
+        return bonferroni_minimum([p for _, p in self.moran.values()] + list(self.runs.values()))
 
     @property
-    def found(self) -> bool:
-        return self.p_value < SIGNIFICANT
+    def has_structure(self) -> bool:
+        return self.p_value < EFFECT_SIGNIFICANCE_LEVEL
 
     def document(self) -> dict[str, Any]:
         return {
             "p_value": self.p_value,
-            "found": self.found,
+            "found": self.has_structure,
             "moran": {k: {"I": i, "p_value": p} for k, (i, p) in self.moran.items()},
             "runs": dict(self.runs),
             **self.map.document(),
@@ -83,14 +83,14 @@ def lack_of_fit(scene: Scene, field: Field) -> LackOfFit:
     joints, places = scene.x[:, :n], scene.x[:, n : n + 3]
     group = scene.observations.group
     moran = {"joint space": morans_i(z, joints, group)}
-    if (spread_out := told_apart(scene)[n:]).any():
+    if (spread_out := find_varying_coordinates(scene)[n:]).any():
         moran["workspace"] = morans_i(z, places[:, spread_out], group)
     varied = z[:, np.any(z != 0, axis=0)]
-    runs = {name: runs_test(varied[order]) for name, order in orders(scene)}
+    runs = {name: runs_test(varied[order]) for name, order in iterate_sample_orders(scene)}
     return LackOfFit(moran, runs, smooth_map(scene, field))
 
 
-def orders(scene: Scene) -> Iterator[tuple[str, np.ndarray]]:
+def iterate_sample_orders(scene: Scene) -> Iterator[tuple[str, np.ndarray]]:
     """Sample orders worth a look: by time, each joint, and each condition that varies."""
     for name, values in regressors(scene):
         if not name.startswith("direction.") and len(np.unique(values)) > LEVELS:
@@ -101,7 +101,7 @@ def regressors(scene: Scene) -> Iterator[tuple[str, np.ndarray]]:
     """What residuals may depend on (N,), poses as predicted: time, joints, place, conditions."""
     if "time" in scene.dataset.conditions:  # the order of samples is none
         yield "time", np.asarray(scene.dataset.time)
-    for k in np.flatnonzero(told_apart(scene)):
+    for k in np.flatnonzero(find_varying_coordinates(scene)):
         yield [*scene.model.joints, *"xyz"][k], scene.x[:, k]
     for name, values in scene.dataset.conditions.items():
         varies = len(values) and np.isfinite(values).all() and np.ptp(values) > 0
@@ -109,13 +109,13 @@ def regressors(scene: Scene) -> Iterator[tuple[str, np.ndarray]]:
             yield name, np.asarray(values)
 
 
-def told_apart(scene: Scene) -> np.ndarray:
+def find_varying_coordinates(scene: Scene) -> np.ndarray:
     """Which of joints and x, y, z (nq + 3,) vary by more than residuals do: touches on a plate are
     all at one height, and the height predicted there is the residual once more."""
     n, varied = len(scene.model.joints), np.ptp(scene.x[:, : len(scene.model.joints) + 3], axis=0)
-    if np.isfinite(scene.read_apart).any():
-        scatter = np.nanstd(scene.read_apart)
-        varied[n:][scene.x[:, n : n + 3].std(axis=0) < CLEAR * scatter] = 0.0
+    if np.isfinite(scene.reading_residuals).any():
+        scatter = np.nanstd(scene.reading_residuals)
+        varied[n:][scene.x[:, n : n + 3].std(axis=0) < MIN_VARIATION_RATIO * scatter] = 0.0
     return np.asarray(varied > 1e-9)
 
 
@@ -127,14 +127,18 @@ def smooth_map(scene: Scene, field: Field) -> SmoothMap:
     """
     n = len(scene.model.joints)
     position, group = field.kind == "position", scene.observations.group
-    e = averaged(field.vectors, group)
+    e = average_groups(field.vectors, group)
     coordinates = scene.x[:, n : n + 3] if position else scene.x[:, :n]
-    places = averaged(coordinates, group)
-    thinned = np.unique(np.linspace(0, len(e) - 1, MAPPED).astype(int)) if len(e) > MAPPED else ...
+    places = average_groups(coordinates, group)
+    thinned = (
+        np.unique(np.linspace(0, len(e) - 1, MAX_MAP_POSES).astype(int))
+        if len(e) > MAX_MAP_POSES
+        else ...
+    )
     e, places = e[thinned], places[thinned]
     spread = np.maximum(places.std(axis=0), 1e-12)
     apart = np.sum(((places[:, None] - places[None]) / spread) ** 2, axis=2)
-    best = max((_left_out(apart, e, l, s) for l in LENGTHS for s in ROUGHNESS),
+    best = max((_cross_validate(apart, e, l, s) for l in LENGTHS for s in ROUGHNESS),
                key=lambda fit: fit[0])  # fmt: skip
     share, length, smooth = best if e.any() else (0.0, *best[1:])
     metres = length * float(np.sqrt(np.mean(spread**2)))
@@ -143,7 +147,7 @@ def smooth_map(scene: Scene, field: Field) -> SmoothMap:
     return SmoothMap(kind, metres, size, max(share, 0.0), places, smooth)
 
 
-def _left_out(
+def _cross_validate(
     apart: np.ndarray, e: np.ndarray, length: float, noise: float
 ) -> tuple[float, float, np.ndarray]:
     """(share of variance predicted at poses left out, length, smoothed field)."""

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from parallel_cal.base.confidence import CHANCE
+from parallel_cal.base.confidence import SIGNIFICANCE_LEVEL
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.scene import Scene
-from parallel_cal.diagnosis.thresholds import CONTRADICTED, ENOUGH_REPLICATES
+from parallel_cal.diagnosis.thresholds import MIN_REPLICATE_DOF, REPLICATE_CONTRADICTION_LEVEL
 from parallel_cal.identification.doubts import chi2_band
-from parallel_cal.recordings.replicates import averaged
+from parallel_cal.recordings.replicates import average_groups
 
 STATED = ("option", "dataset", "model file")
 
@@ -29,14 +29,17 @@ class PureError:
     dof: int
 
     @property
-    def contradict(self) -> bool:
+    def contradicts_stated_noise(self) -> bool:
         """Whether replicates are no luck of the stated noise."""
         from scipy.special import chdtr, chdtrc
 
-        if self.variance is None or self.dof < ENOUGH_REPLICATES:
+        if self.variance is None or self.dof < MIN_REPLICATE_DOF:
             return False
         squares = self.variance * self.dof
-        return bool(min(chdtr(self.dof, squares), chdtrc(self.dof, squares)) < CONTRADICTED / 2)
+        return bool(
+            min(chdtr(self.dof, squares), chdtrc(self.dof, squares))
+            < REPLICATE_CONTRADICTION_LEVEL / 2
+        )
 
     @classmethod
     def of(cls, scene: Scene, field: Field) -> PureError:
@@ -45,9 +48,9 @@ class PureError:
             return cls(None, 0)
         z, group = field.noise_units, scene.observations.group
         visited = np.unique(group, return_inverse=True)[1]
-        circumstances = _circumstances(scene)
-        other = circumstances - averaged(circumstances, group)[visited]
-        apart = z - averaged(z, group)[visited]
+        circumstances = _collect_visit_conditions(scene)
+        other = circumstances - average_groups(circumstances, group)[visited]
+        apart = z - average_groups(z, group)[visited]
         share, _, rank, _ = np.linalg.lstsq(other, apart, rcond=1e-9)
         apart = apart - other @ share
         components = int(np.any(z != 0, axis=0).sum())
@@ -55,7 +58,7 @@ class PureError:
         return cls(float(np.sum(apart**2)) / dof if dof else None, dof)
 
 
-def _circumstances(scene: Scene) -> np.ndarray:
+def _collect_visit_conditions(scene: Scene) -> np.ndarray:
     """(N, k) in their own spreads: how the joints came, payload, temperature, time."""
     names = ("direction.", "payload", "temperature", "time")
     known = [
@@ -92,12 +95,12 @@ class NoiseLevel:
         seen = PureError.of(scene, field)
         sources = set(scene.observations.noise_from.values())
         if sources <= set(STATED):
-            variance = seen.variance if seen.contradict else None
+            variance = seen.variance if seen.contradicts_stated_noise else None
             if variance is None or (variance > 1 and structured):
                 return cls(1.0, None, f"stated ({', '.join(sorted(sources))})", seen)
             words = f"replicates ({seen.dof} degrees of freedom)"
             return cls(variance, seen.dof, words, seen, variance**0.5)
-        if seen.variance is not None and seen.dof >= ENOUGH_REPLICATES:
+        if seen.variance is not None and seen.dof >= MIN_REPLICATE_DOF:
             words = f"replicates ({seen.dof} degrees of freedom)"
             return cls(seen.variance, seen.dof, words, seen)
         return cls(None, None, f"unknown ({', '.join(sorted(sources))})", seen)
@@ -110,5 +113,8 @@ class NoiseLevel:
             return (0.0, float("inf"))
         if self.dof is None:
             return chi2_band(dof)
-        low, high = (float(fdtri(dof, self.dof, p)) for p in (CHANCE / 2, 1 - CHANCE / 2))
+        low, high = (
+            float(fdtri(dof, self.dof, p))
+            for p in (SIGNIFICANCE_LEVEL / 2, 1 - SIGNIFICANCE_LEVEL / 2)
+        )
         return low * self.variance, high * self.variance

@@ -8,7 +8,7 @@ import numpy as np
 
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.scene import Scene
-from parallel_cal.diagnosis.thresholds import PERMUTATIONS, SIGNIFICANT
+from parallel_cal.diagnosis.thresholds import EFFECT_SIGNIFICANCE_LEVEL, PERMUTATIONS
 
 
 @dataclass(frozen=True)
@@ -28,19 +28,19 @@ class NoiseShape:
 
     @property
     def correlated(self) -> bool:
-        return self.correlation_p < SIGNIFICANT
+        return self.correlation_p < EFFECT_SIGNIFICANCE_LEVEL
 
     @property
-    def grows(self) -> bool:
-        return self.growth_p < SIGNIFICANT
+    def grows_from_centre(self) -> bool:
+        return self.growth_p < EFFECT_SIGNIFICANCE_LEVEL
 
     @property
-    def words(self) -> list[str]:
+    def remarks(self) -> list[str]:
         """What a person should know of it; nothing where it is white."""
         words = []
         if self.correlated:
             words.append(f"noise is correlated over {self.memory:.2g} s")
-        if self.grows:
+        if self.grows_from_centre:
             words.append(f"noise is {self.growth:.1f} times larger far from the centre")
         return words
 

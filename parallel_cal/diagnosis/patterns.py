@@ -6,16 +6,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from parallel_cal.base.confidence import SIGMAS
+from parallel_cal.base.confidence import SIGMAS_AT_SIGNIFICANCE_LEVEL
 from parallel_cal.diagnosis.field import Field
-from parallel_cal.diagnosis.lack_of_fit import regressors, told_apart
+from parallel_cal.diagnosis.lack_of_fit import find_varying_coordinates, regressors
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.statistics import normal_below, runs_test
-from parallel_cal.diagnosis.thresholds import GROSS, INFLUENTIAL, LEVELS, WINDOW
+from parallel_cal.diagnosis.thresholds import (
+    LEVELS,
+    MIN_INFLUENTIAL_COOKS_DISTANCE,
+    OUTLIER_SIGNIFICANCE_LEVEL,
+    WINDOW,
+)
 
 
 @dataclass(frozen=True)
-class Along:
+class ResidualProfile:
     """The rolling mean (m, k) of each residual component at values (m,) of a regressor, and half
     of its 99 % band (m,), in noise units.
 
@@ -32,13 +37,15 @@ class Along:
     runs_p_value: float
 
 
-def along(scene: Scene, field: Field) -> tuple[Along, ...]:
+def compute_residual_profiles(scene: Scene, field: Field) -> tuple[ResidualProfile, ...]:
     """The residuals along every regressor, most striking first."""
-    entries = [mean_along(name, values, field.noise_units) for name, values in regressors(scene)]
+    entries = [
+        compute_mean_profile(name, values, field.noise_units) for name, values in regressors(scene)
+    ]
     return tuple(sorted(entries, key=lambda entry: -entry.strength))
 
 
-def mean_along(name: str, values: np.ndarray, z: np.ndarray) -> Along:
+def compute_mean_profile(name: str, values: np.ndarray, z: np.ndarray) -> ResidualProfile:
     """The rolling mean of z (N, k) along values (N,); a mean for each of a few levels."""
     order = np.argsort(values, kind="stable")
     levels = np.unique(values)
@@ -54,8 +61,8 @@ def mean_along(name: str, values: np.ndarray, z: np.ndarray) -> Along:
     each = np.abs(means) / scale * np.sqrt(count)[:, None]
     strength = float(each.max(initial=0.0))
     p_value = min(1.0, 2 * each.size * normal_below(-strength))
-    band = SIGMAS / np.sqrt(count)
-    return Along(name, at, means, band, strength, p_value, runs_test(z[order]))
+    band = SIGMAS_AT_SIGNIFICANCE_LEVEL / np.sqrt(count)
+    return ResidualProfile(name, at, means, band, strength, p_value, runs_test(z[order]))
 
 
 def _rolling(values: np.ndarray, window: int) -> np.ndarray:
@@ -80,10 +87,10 @@ class Region:
 def regions(scene: Scene, field: Field) -> tuple[Region, ...]:
     """The eight octants of the measured workspace, worst first."""
     n = len(scene.model.joints)
-    places, apart = scene.x[:, n : n + 3], told_apart(scene)[n:]
+    places, apart = scene.x[:, n : n + 3], find_varying_coordinates(scene)[n:]
     middle = np.median(places, axis=0)
     octant = ((places > middle) & apart) @ np.array([1, 2, 4])
-    kinds = (field.pose[:, :3], field.pose[:, 3:], np.nan_to_num(scene.read_apart))
+    kinds = (field.pose[:, :3], field.pose[:, 3:], np.nan_to_num(scene.reading_residuals))
     found = []
     for o in np.unique(octant):
         here = octant == o
@@ -114,7 +121,7 @@ class OddSample:
     place: np.ndarray
 
     @property
-    def word(self) -> str:
+    def label(self) -> str:
         return "outlier" if self.outlier else "influential"
 
 
@@ -139,12 +146,14 @@ def odd_samples(scene: Scene, field: Field) -> tuple[OddSample, ...]:
             time=float(scene.dataset.time[i]),
             sigmas=float(np.sqrt(squared[i] / max(k * scale, 1e-300))),
             p_value=float(min(p[i], 1.0)),
-            outlier=bool(p[i] < GROSS),
+            outlier=bool(p[i] < OUTLIER_SIGNIFICANCE_LEVEL),
             cooks_distance=float(cook[i]),
             leverage=float(leverage[i]),
             position_error=field.pose[i, :3],
             place=scene.x[i, n : n + 3],
         )
-        for i in np.flatnonzero((p < GROSS) | (cook > INFLUENTIAL))
+        for i in np.flatnonzero(
+            (p < OUTLIER_SIGNIFICANCE_LEVEL) | (cook > MIN_INFLUENTIAL_COOKS_DISTANCE)
+        )
     ]
     return tuple(sorted(odd, key=lambda one: -one.sigmas))

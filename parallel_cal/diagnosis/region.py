@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from parallel_cal.base.errors import FitError
-from parallel_cal.diagnosis.thresholds import BEYOND, FEWEST_BEYOND, POOL
+from parallel_cal.diagnosis.thresholds import MIN_POSES_BEYOND_REGION, POOL, REGION_MARGIN
 from parallel_cal.identification.fit import FitResult
 from parallel_cal.planning.expectation import prediction_blocks
 from parallel_cal.planning.posepool import make_pool
@@ -38,8 +38,8 @@ class Region:
         except FitError:
             return None
         away = np.abs(pool.poses.position - (low + high) / 2)[:, axes]
-        outside = (away > (0.5 + BEYOND) * (high - low)[axes]).any(axis=1)
-        if outside.sum() < FEWEST_BEYOND:
+        outside = (away > (0.5 + REGION_MARGIN) * (high - low)[axes]).any(axis=1)
+        if outside.sum() < MIN_POSES_BEYOND_REGION:
             return None
         G = prediction_blocks(model, result.free, np.ones(n + 6, bool), pool)[:, :3]
         variance = np.einsum("nij,jk,nik->n", G, covariance[np.ix_(result.free, result.free)], G)
@@ -50,7 +50,7 @@ class Region:
         return cls(low, high, inner, outer)
 
     @property
-    def words(self) -> str:
+    def description(self) -> str:
         """` inside x -20..20, ... mm; ...`"""
         box = ", ".join(
             f"{axis} {1e3 * low:.0f}..{1e3 * high:.0f}"

@@ -9,8 +9,8 @@ import numpy as np
 
 from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.observations import Observations, blocks, conditions
-from parallel_cal.identification.predictions import predicted, read_apart
-from parallel_cal.identification.thresholds import RELATIVE_RANK, WEAK
+from parallel_cal.identification.predictions import predict_configurations, reading_residuals
+from parallel_cal.identification.thresholds import MIN_SIGMAS_PER_TOLERANCE, RELATIVE_RANK
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
 
@@ -43,12 +43,14 @@ class Scene:
         cls, model: Model, dataset: Dataset, observations: Observations, free: np.ndarray
     ) -> Scene:
         """The scene of a fitted model; the residual is what its free parameters leave."""
-        x = predicted(model, observations)
+        x = predict_configurations(model, observations)
         linearise = Linearisation(model, observations, free, True)
         system, T = linearise(model.values, x), linearise.whiteners(model.values, x)
         r = system.residual.reshape(-1)
-        J = system.jacobian.reshape(len(r), -1) * model.table.likely[free]
-        basis = orthonormal(J, RELATIVE_RANK, WEAK)  # what a fit holds takes nothing away
+        J = system.jacobian.reshape(len(r), -1) * model.table.prior_sigma[free]
+        basis = compute_orthonormal_basis(
+            J, RELATIVE_RANK, MIN_SIGMAS_PER_TOLERANCE
+        )  # what a fit holds takes nothing away
         residual = r - basis @ (basis.T @ r)
         dof = int(system.informative.sum()) - basis.shape[1]
         rows = system.residual.shape[1]
@@ -61,9 +63,9 @@ class Scene:
         return float(self.residual @ self.residual) / self.dof if self.dof > 0 else float("nan")
 
     @cached_property
-    def read_apart(self) -> np.ndarray:
+    def reading_residuals(self) -> np.ndarray:
         """What sensors read minus what was predicted (N, n_channels) m, NaN where nothing was."""
-        return read_apart(self.model, self.observations, self.x)
+        return reading_residuals(self.model, self.observations, self.x)
 
     @cached_property
     def group(self) -> np.ndarray:
@@ -76,20 +78,20 @@ class Scene:
         return self.model.structure.seen_batch(self.x, self.observations.a, self.model.values)[0]
 
     @cached_property
-    def by_seen(self) -> np.ndarray:
+    def seen_jacobian(self) -> np.ndarray:
         """d rows/d what the closure sees, in noise units: (N, rows, k)."""
         closure = self.model.structure.phi.shape[0]
-        by_seen = self.model.structure.ideal.by_seen(self.seen)[0]
+        by_seen = self.model.structure.ideal.seen_jacobian(self.seen)[0]
         J = by_seen.reshape(len(self.x), -1, closure).transpose(0, 2, 1)
         return self.whitener[:, :, :closure] @ J
 
     @cached_property
-    def by_measured(self) -> np.ndarray:
+    def measured_jacobian(self) -> np.ndarray:
         """d rows/d(q, r, w) at the predicted configurations, in noise units: (N, rows, nq + 6)."""
         linearise = Linearisation(self.model, self.observations, np.zeros_like(self.free), True)
         return np.asarray(self.whitener @ linearise.blocks(self.model.values, self.x)[1])
 
-    def off_geometry(self, columns: np.ndarray) -> np.ndarray:
+    def project_off_geometry(self, columns: np.ndarray) -> np.ndarray:
         """What of some columns (n, k) no change of the free parameters imitates."""
         return np.asarray(columns - self.basis @ (self.basis.T @ columns))
 
@@ -116,17 +118,19 @@ def columns(
     own = [k for k, parameter in enumerate(s.table.names) if parameter.startswith(f"{name}.")]
     reads = any(effect.acts_on(c) for effect in extended.effects[-1:] for c in s.channels)
     if extended.mechanism is scene.model.mechanism and set(which) <= set(own) and not reads:
-        seen_by, moved = s.ideal.seen_by(name, tuple(np.searchsorted(own, which).tolist()))
+        seen_by, moved = s.ideal.effect_jacobian(name, tuple(np.searchsorted(own, which).tolist()))
         at = a[:, [s.conditions.index(c) for c in extended.effects[-1].conditions(s.mechanism)]]
         by_number = seen_by(scene.seen, at, extended.values[own])[0]
-        J = scene.by_seen[:, :, moved] @ by_number.reshape(n, len(which), -1).transpose(0, 2, 1)
+        J = scene.seen_jacobian[:, :, moved] @ by_number.reshape(n, len(which), -1).transpose(
+            0, 2, 1
+        )
     else:  # another closure, or a reading that changes beside it
         by_v = s.columns(tuple(which.tolist()))(scene.x, a, extended.values)[0]
         J = scene.whitener @ by_v.reshape(n, len(which), scene.rows).transpose(0, 2, 1)
     return np.asarray(J.reshape(len(scene.residual), -1) * extended.table.tolerance[new])
 
 
-def orthonormal(J: np.ndarray, least: float, weak: float = 0.0) -> np.ndarray:
+def compute_orthonormal_basis(J: np.ndarray, least: float, weak: float = 0.0) -> np.ndarray:
     """A basis of the columns' span, directions below `least` of the largest, or `weak`, left."""
     if not J.shape[1] or not J.any():
         return np.zeros((len(J), 0))

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.diagnosis.scene import Scene
-from parallel_cal.diagnosis.thresholds import RESAMPLES, VISIBLE_COLUMN
+from parallel_cal.diagnosis.thresholds import MIN_COLUMN_REMAINDER, RESAMPLES
 
 
 @dataclass(frozen=True)
@@ -38,11 +38,11 @@ def score(scene: Scene, B: np.ndarray) -> Score:
     lengths = lengths[lengths > 1e-9]
     if not len(lengths):
         return Score(0.0, 0.0, 0, 0.0, 0.0, np.zeros((len(scene.residual), 0)))
-    projected = scene.off_geometry(B / lengths)
+    projected = scene.project_off_geometry(B / lengths)
     # Twice: what a first projection of a nearly parallel column leaves is not quite orthogonal.
-    left = scene.off_geometry(projected)
+    left = scene.project_off_geometry(projected)
     squares, directions = np.linalg.eigh(left.T @ left)
-    visible = squares[::-1] > VISIBLE_COLUMN**2
+    visible = squares[::-1] > MIN_COLUMN_REMAINDER**2
     U = (left @ directions)[:, ::-1][:, visible] / np.sqrt(squares[::-1][visible])
     remaining = float(np.sqrt(np.mean(np.sum(projected**2, axis=0))))
     size = float(np.sqrt(np.mean(np.sum((projected * lengths) ** 2, axis=0))))
@@ -58,7 +58,7 @@ def quick_log_p(scene: Scene, B: np.ndarray) -> float:
     seen = lengths > 1e-9
     left = (gram - along.T @ along)[np.ix_(seen, seen)] / np.outer(lengths[seen], lengths[seen])
     squares, directions = np.linalg.eigh(left)
-    visible = squares > VISIBLE_COLUMN**2
+    visible = squares > MIN_COLUMN_REMAINDER**2
     g = (directions[:, visible].T @ (onto[seen] / lengths[seen])) / np.sqrt(squares[visible])
     return _f_of(float(g @ g), scene.residual, len(g), scene.dof)[1]
 
@@ -98,7 +98,7 @@ def canonical_correlation(one: np.ndarray, other: np.ndarray) -> float:
     return float(np.linalg.norm(one.T @ other, 2))
 
 
-def resampled(
+def resample_log_p(
     scene: Scene, groups: list[np.ndarray], resamples: int = RESAMPLES, seed: int = 0
 ) -> np.ndarray:
     """log p (resamples, k) of each group of directions when poses are drawn with replacement.

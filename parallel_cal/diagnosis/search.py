@@ -14,12 +14,12 @@ from parallel_cal.diagnosis.catalogue import Candidate
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.scoring import log_p_of
 from parallel_cal.diagnosis.thresholds import (
-    APART,
-    AS_GOOD,
-    LIKE,
-    MOST_EFFECTS,
+    EFFECT_SIGNIFICANCE_LEVEL,
+    MAX_EFFECTS,
+    MAX_EQUAL_SHUFFLES,
+    MAX_SWAP_ERROR_RATIO,
+    MIN_SEPARATION_SIGMAS,
     SHUFFLES,
-    SIGNIFICANT,
 )
 from parallel_cal.identification.acceptance import acceptance
 from parallel_cal.identification.fit import FitResult
@@ -108,43 +108,48 @@ class Search:
             return Trial(chosen, None, str(error))
         return Trial(chosen, result)
 
-    def accepts(self, before: Trial, one: Candidate) -> tuple[Trial, str]:
+    def try_adding(self, before: Trial, one: Candidate) -> tuple[Trial, str]:
         """The refit with one more effect, and what stands against it (empty: nothing)."""
         after = self.fit(*before.chosen, Chosen.of(one))
         if after.result is None:
             return after, after.reason
-        if reason := _unproven(before, after) or _chance(before, after, one):
+        if reason := _describe_held_out_objection(before, after) or _describe_chance_objection(
+            before, after, one
+        ):
             return after, reason
-        if (size := _too_large(before.fitted, after.result)) > 1:
+        if (size := _compute_oversize_ratio(before.fitted, after.result)) > 1:
             return after, f"its numbers would be {size:.0f} times their usual size for little gain"
         return after, ""
 
-    def suspects(self, before: Trial, one: Candidate) -> bool:
+    def is_suspected(self, before: Trial, one: Candidate) -> bool:
         """Whether one more effect is no chance, and only not proven yet: more poses tell."""
         after = self.fit(*before.chosen, Chosen.of(one))
-        if after.result is None or _chance(before, after, one):
+        if after.result is None or _describe_chance_objection(before, after, one):
             return False
-        return bool(_unproven(before, after) or _too_large(before.fitted, after.result) > 1)
+        return bool(
+            _describe_held_out_objection(before, after)
+            or _compute_oversize_ratio(before.fitted, after.result) > 1
+        )
 
     def forward(self, start: Trial, rank: Rank) -> tuple[Trial, dict[str, str]]:
         """Effects added one by one while one is significant and nothing stands against it."""
         trial: Trial = start
         against: dict[str, str] = {}
-        while len(trial.chosen) < MOST_EFFECTS:
+        while len(trial.chosen) < MAX_EFFECTS:
             for one in rank(trial):
-                after, reason = self.accepts(trial, one)
+                after, reason = self.try_adding(trial, one)
                 if not reason:
                     trial = after
                     break
                 against[one.name] = reason
             else:
-                both = self._two_at_once(trial, rank)
+                both = self._try_pairs(trial, rank)
                 if both is None:
                     break
                 trial = both
         return trial, against
 
-    def _two_at_once(self, before: Trial, rank: Rank) -> Trial | None:
+    def _try_pairs(self, before: Trial, rank: Rank) -> Trial | None:
         """The best two effects of which one alone would need numbers that no such robot has: these
         may be the other's, or half its lookalike's. None where no two stand."""
         found, ranked = [], rank(before)
@@ -157,9 +162,13 @@ class Search:
             halves = [c for c in ranked if c.name in one.effect.lookalikes]
             for other, less in [*((c, beyond) for c in more), *((c, before) for c in halves)]:
                 both = self.fit(*alone, Chosen.of(other))
-                if both.result is None or _unproven(before, both) or _chance(less, both, other):
+                if (
+                    both.result is None
+                    or _describe_held_out_objection(before, both)
+                    or _describe_chance_objection(less, both, other)
+                ):
                     continue
-                if _too_large(before.fitted, both.result) <= 1:
+                if _compute_oversize_ratio(before.fitted, both.result) <= 1:
                     found.append(both)
                     break
         return min(found, key=lambda both: both.fitted.estimate.chi2_per_dof, default=None)
@@ -170,11 +179,11 @@ class Search:
             if len(trial.chosen) < 2:
                 break
             without = self.fit(*(c for c in trial.chosen if c != one))
-            if _superfluous(without, trial):
+            if _is_superfluous_effect(without, trial):
                 trial = without
         return trial
 
-    def settled(self, trial: Trial, rank: Rank) -> Trial:
+    def rescan_settings(self, trial: Trial, rank: Rank) -> Trial:
         """The same effects, each with the settings that fit best beside the others: what was not
         known yet when they were scanned had a part in them."""
         for name in trial.names if len(trial.chosen) > 1 else ():
@@ -190,21 +199,25 @@ class Search:
                 trial = after
         return trial
 
-    def exchanged(self, trial: Trial, rivals: Rivals) -> Trial:
+    def exchange_rivals(self, trial: Trial, rivals: Rivals) -> Trial:
         """With one effect exchanged for a rival that explains clearly more in its place, the best
         of these; the same where none does."""
-        clear = [other for *_, other in self._swapped(trial, rivals) if _clearer(trial, other)]
+        clear = [
+            other
+            for *_, other in self._iterate_swaps(trial, rivals)
+            if _is_clearly_better(trial, other)
+        ]
         return min(clear, key=lambda other: other.fitted.estimate.chi2_per_dof, default=trial)
 
     def swaps(self, trial: Trial, rivals: Rivals) -> dict[str, list[str]]:
         """For each chosen effect those of its rivals that tell as good a story in its place."""
         found: dict[str, list[str]] = {}
-        for name, rival, other in self._swapped(trial, rivals):
-            if _as_good(trial, other):
+        for name, rival, other in self._iterate_swaps(trial, rivals):
+            if _is_as_good(trial, other):
                 found.setdefault(name, []).append(rival)
         return found
 
-    def _swapped(self, trial: Trial, rivals: Rivals) -> Iterator[tuple[str, str, Trial]]:
+    def _iterate_swaps(self, trial: Trial, rivals: Rivals) -> Iterator[tuple[str, str, Trial]]:
         """Each chosen effect, each of its rivals, and the trial with the one for the other."""
         for i, one in enumerate(trial.chosen):
             for other in rivals.get(one.name, []):
@@ -212,24 +225,24 @@ class Search:
                 yield one.name, other.name, self.fit(*swapped)
 
 
-def _unproven(before: Trial, after: Trial) -> str:
+def _describe_held_out_objection(before: Trial, after: Trial) -> str:
     """What errors at poses left out say against a refit; empty where none were left out: then the
     verdict says that nothing is proven."""
     judgement = acceptance(after.fitted, before.fitted)
     return judgement.against if judgement.judged else ""
 
 
-def _chance(before: Trial, after: Trial, one: Candidate) -> str:
+def _describe_chance_objection(before: Trial, after: Trial, one: Candidate) -> str:
     """What says that a refit is chance."""
-    if _superfluous(before, after):
+    if _is_superfluous_effect(before, after):
         return "explains nothing of what is left"
     p = one.shuffled_p
-    if p is not None and p > (1 + AS_GOOD) / (SHUFFLES + 1):
+    if p is not None and p > (1 + MAX_EQUAL_SHUFFLES) / (SHUFFLES + 1):
         return "explains no more than its own condition shuffled between poses"
     return ""
 
 
-def _too_large(before: FitResult, after: FitResult) -> float:
+def _compute_oversize_ratio(before: FitResult, after: FitResult) -> float:
     """Rms of the new numbers in tolerances, where all effects' squares rise by more than the fall
     of chi2 is worth; else 0."""
     known = set(before.model.table.names)
@@ -249,21 +262,23 @@ def _sizes(result: FitResult) -> np.ndarray:
     return np.where(counts, np.maximum(away / table.tolerance**2, 0.0), 0.0)
 
 
-def _as_good(trial: Trial, other: Trial) -> bool:
+def _is_as_good(trial: Trial, other: Trial) -> bool:
     ratio = ratio_of(trial, other)
-    if ratio is None or ratio >= LIKE:
+    if ratio is None or ratio >= MAX_SWAP_ERROR_RATIO:
         return False
     own, its = trial.fitted.estimate, other.fitted.estimate
-    return its.chi2 - own.chi2 < APART**2 * max(own.chi2_per_dof, 1e-300)
+    return its.chi2 - own.chi2 < MIN_SEPARATION_SIGMAS**2 * max(own.chi2_per_dof, 1e-300)
 
 
-def _clearer(trial: Trial, other: Trial) -> bool:
+def _is_clearly_better(trial: Trial, other: Trial) -> bool:
     """Whether other effects explain more, by more than their numbers and chance are worth."""
     if other.result is None:
         return False
     own, its = trial.fitted.estimate, other.result.estimate
-    worth = APART**2 + 2 * max(own.dof - its.dof, 0)
-    return own.chi2 - its.chi2 > worth * its.chi2_per_dof and not _unproven(trial, other)
+    worth = MIN_SEPARATION_SIGMAS**2 + 2 * max(own.dof - its.dof, 0)
+    return own.chi2 - its.chi2 > worth * its.chi2_per_dof and not _describe_held_out_objection(
+        trial, other
+    )
 
 
 def ratio_of(before: Trial, after: Trial) -> float | None:
@@ -273,17 +288,17 @@ def ratio_of(before: Trial, after: Trial) -> float | None:
     return held_out_ratio(before.result.held_out.summary, after.result.held_out.summary)
 
 
-def _superfluous(without: Trial, trial: Trial) -> bool:
+def _is_superfluous_effect(without: Trial, trial: Trial) -> bool:
     """Whether an effect explains nothing significant beside the others."""
     if without.result is None or trial.result is None:
         return False
-    return superfluous(without.result.estimate, trial.result.estimate)
+    return is_superfluous(without.result.estimate, trial.result.estimate)
 
 
-def superfluous(less: Estimate, more: Estimate) -> bool:
+def is_superfluous(less: Estimate, more: Estimate) -> bool:
     """Whether what some parameters more explain may be chance, by an F test."""
     q = less.dof - more.dof
     if q <= 0 or more.dof <= 0:
         return False
     F = max(less.chi2 - more.chi2, 0.0) / q / max(more.chi2_per_dof, 1e-300)
-    return bool(log_p_of(F, q, more.dof) > np.log(SIGNIFICANT))
+    return bool(log_p_of(F, q, more.dof) > np.log(EFFECT_SIGNIFICANCE_LEVEL))

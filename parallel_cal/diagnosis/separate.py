@@ -8,18 +8,24 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from parallel_cal.base.errors import FitError, ModelError
-from parallel_cal.diagnosis.catalogue import Candidate, recorded
+from parallel_cal.diagnosis.catalogue import Candidate, collect_recorded_values
 from parallel_cal.diagnosis.search import Chosen, Trial
-from parallel_cal.diagnosis.thresholds import FEW_SETTINGS, POOL, POSES, REACHES, SETTLED
+from parallel_cal.diagnosis.thresholds import (
+    MAX_RIVAL_SETTINGS,
+    PLAN_REACHES,
+    PLAN_SIZES,
+    POOL,
+    TARGET_SEPARATION_SIGMAS,
+)
 from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.observations import Observations, conditions
 from parallel_cal.model.model import Model, Noise
 from parallel_cal.model.shelf import load_effect
-from parallel_cal.planning.approach import Stop, fill
-from parallel_cal.planning.course import BLOCKS, Course
-from parallel_cal.planning.expectation import VAGUE, white_blocks
-from parallel_cal.planning.posepool import Pool, inside, make_pool
-from parallel_cal.planning.selection import Choice, exchange
+from parallel_cal.planning.approach import Waypoint, fill
+from parallel_cal.planning.course import BLOCKS, Schedule
+from parallel_cal.planning.expectation import VAGUE_INFORMATION, white_blocks
+from parallel_cal.planning.posepool import Pool, find_inside_poses, make_pool
+from parallel_cal.planning.selection import SelectionProblem, exchange
 from parallel_cal.recordings.dataset import Dataset
 
 Allowed = Callable[[np.ndarray], np.ndarray]  # joints (n, nq) -> mask (n,)
@@ -33,7 +39,7 @@ class PlannedPose:
     position: np.ndarray
     quaternion: np.ndarray
     joints: np.ndarray
-    by_way_of: tuple[Stop, ...]
+    by_way_of: tuple[Waypoint, ...]
     conditions: Mapping[str, float]
 
 
@@ -71,46 +77,50 @@ def next_measurement(
     """What to measure where `rivals` of each chosen effect fit as well; the poses tell the first
     of the chosen from the rival that is hardest to tell from it."""
     record = {c.name: c.missing for c in ranked if c.missing}
-    hardest = next(iter(doubts(best, rivals, ranked)), None)
-    plan = None if hardest is None else settling(hardest, best.fitted.dataset.conditions, seed)
+    hardest = next(iter(rank_rival_pairs(best, rivals, ranked)), None)
+    plan = (
+        None if hardest is None else plan_separation(hardest, best.fitted.dataset.conditions, seed)
+    )
     pairs = [(name, other) for name, others in rivals.items() for other in others]
-    advice = [told_apart(*pair) for pair in pairs] + list(plan.how if plan else ())
+    advice = [explain_separation(*pair) for pair in pairs] + list(plan.how if plan else ())
     return NextMeasurement(record, tuple(dict.fromkeys(a for a in advice if a)), plan)
 
 
-def doubts(
+def rank_rival_pairs(
     best: Trial, rivals: Mapping[str, Sequence[str]], ranked: Sequence[Candidate]
-) -> list[Doubt]:
+) -> list[RivalPair]:
     """Each chosen effect beside each of its rivals, those first that are hardest to tell apart."""
     by_name = {c.name: c for c in ranked}
     found = [
         doubt
         for name, others in rivals.items()
         for other in others
-        for rival in disguises(by_name[other], best.fitted.dataset)
-        if (doubt := Doubt.of(best, name, rival)) is not None
+        for rival in list_rival_variants(by_name[other], best.fitted.dataset)
+        if (doubt := RivalPair.of(best, name, rival)) is not None
     ]
-    return sorted(found, key=lambda doubt: doubt.now)
+    return sorted(found, key=lambda doubt: doubt.current_sigmas)
 
 
-def disguises(rival: Candidate, dataset: Dataset) -> list[Chosen]:
+def list_rival_variants(rival: Candidate, dataset: Dataset) -> list[Chosen]:
     """A rival in each of its settings, where a few are all there are: one that is beaten in the
     best of them may come back in another. Else in the best."""
-    if rival.tried > FEW_SETTINGS:
+    if rival.tried > MAX_RIVAL_SETTINGS:
         return [Chosen.of(rival)]
     scene = rival.scene
-    settings = rival.effect.scan(scene.model.mechanism, recorded(dataset)) if scene else ()
+    settings = (
+        rival.effect.scan(scene.model.mechanism, collect_recorded_values(dataset)) if scene else ()
+    )
     return [Chosen(rival.name, tuple(sorted(setting.items()))) for setting in settings]
 
 
-def told_apart(name: str, other: str) -> str:
+def explain_separation(name: str, other: str) -> str:
     """What tells two effects apart: what either says of this pair, else what the first says."""
     one, another = load_effect(name), load_effect(other)
     return one.told_from.get(other) or another.told_from.get(name) or one.separated_by
 
 
 @dataclass(frozen=True)
-class Doubt:
+class RivalPair:
     """An effect as identified beside a rival: a model of both, and the information (k, k) of the
     data so far about geometry, rival and the amplitude of the effect's whole signal, which is last.
 
@@ -125,7 +135,7 @@ class Doubt:
     information: np.ndarray
 
     @classmethod
-    def of(cls, best: Trial, effect: str, rival: Chosen) -> Doubt | None:
+    def of(cls, best: Trial, effect: str, rival: Chosen) -> RivalPair | None:
         """None where the rival is a larger model, or would have to be what cannot be."""
         fitted = best.fitted
         try:
@@ -139,13 +149,15 @@ class Doubt:
         free, measured = ~np.asarray(model.fixed), np.asarray(observations.measured.any(axis=0))
         so_far = Linearisation(model, observations, free, True)(model.values, best.scene.x)
         doubt = cls(effect, rival.name, model, measured, np.zeros((0, 0)))
-        rows = doubt.with_signal(so_far.jacobian)
+        rows = doubt.replace_by_signal(so_far.jacobian)
         rows = rows.reshape(-1, rows.shape[2])
-        found = replace(doubt, information=rows.T @ rows + VAGUE * np.eye(rows.shape[1]))
-        return None if found.imitation.absurd() else found
+        found = replace(
+            doubt, information=rows.T @ rows + VAGUE_INFORMATION * np.eye(rows.shape[1])
+        )
+        return None if found.imitating_model.find_contradiction() else found
 
     @property
-    def imitation(self) -> Model:
+    def imitating_model(self) -> Model:
         """The model with those of geometry and rival that look most like the effect, which is
         not there."""
         I, free = self.information, ~np.asarray(self.model.fixed)
@@ -156,11 +168,11 @@ class Doubt:
         return self.model.with_values(values)
 
     @property
-    def now(self) -> float:
+    def current_sigmas(self) -> float:
         """Sigmas by which the data so far tell the two apart."""
         return _sigmas(self.information)
 
-    def with_signal(self, J: np.ndarray) -> np.ndarray:
+    def replace_by_signal(self, J: np.ndarray) -> np.ndarray:
         """Columns in tolerances, those of the effect replaced by their sum at the identified
         values."""
         model, free = self.model, ~np.asarray(self.model.fixed)
@@ -170,12 +182,14 @@ class Doubt:
         scaled = J * model.table.tolerance[free]
         return np.concatenate([scaled[:, :, ~own], (J @ values)[:, :, None]], axis=2)
 
-    def ahead(self, pool: Pool, a: np.ndarray) -> Choice:
+    def make_selection_problem(self, pool: Pool, a: np.ndarray) -> SelectionProblem:
         """What poses under conditions a would add; the planner lowers the amplitude's sigma."""
         free, size = ~np.asarray(self.model.fixed), len(self.information)
         rows = white_blocks(self.model, free, self.measured, pool.poses, a)
         amplitude = np.diag(np.arange(size) == size - 1).astype(float)
-        return Choice(self.with_signal(rows), self.information, amplitude, "A", size)
+        return SelectionProblem(
+            self.replace_by_signal(rows), self.information, amplitude, "A", size
+        )
 
 
 def _sigmas(information: np.ndarray) -> float:
@@ -183,12 +197,12 @@ def _sigmas(information: np.ndarray) -> float:
     return float(1 / np.sqrt(np.linalg.inv(information)[-1, -1]))
 
 
-def settling(
-    doubt: Doubt,
+def plan_separation(
+    doubt: RivalPair,
     so_far: Mapping[str, np.ndarray],
     seed: int = 0,
-    sizes: Sequence[int] = POSES,
-    reaches: Sequence[float] = REACHES,
+    sizes: Sequence[int] = PLAN_SIZES,
+    reaches: Sequence[float] = PLAN_REACHES,
     allowed: Allowed = lambda joints: np.ones(len(joints), bool),
     payloads: Sequence[float] = (),
     least: np.ndarray | float = 0.0,
@@ -206,20 +220,20 @@ def settling(
         except FitError:
             continue
         pool = pool.rows(np.flatnonzero(allowed(pool.poses.joints)))
-        pool = pool.drawn_out(doubt.model, least)
-        course = Course.after(so_far, max(sizes) // BLOCKS)
-        block = rng.integers(BLOCKS if goes_on(doubt.model) else 1, size=len(pool.poses))
-        a = circumstances(doubt.model, pool, so_far, course, block, rng, payloads)
-        problem = doubt.ahead(pool, a)
+        pool = pool.lengthen_approach(doubt.model, least)
+        course = Schedule.after(so_far, max(sizes) // BLOCKS)
+        block = rng.integers(BLOCKS if depends_on_time(doubt.model) else 1, size=len(pool.poses))
+        a = plan_conditions(doubt.model, pool, so_far, course, block, rng, payloads)
+        problem = doubt.make_selection_problem(pool, a)
         for n in sizes:
             chosen = exchange(problem, min(n, len(a)), lambda fraction: None)
             plans.append(_separation(doubt, pool, a, course, block, chosen))
-            if plans[-1].sigmas.then > SETTLED:
+            if plans[-1].sigmas.then > TARGET_SEPARATION_SIGMAS:
                 return plans[-1]
     return max(plans, key=lambda plan: plan.sigmas.then, default=None)
 
 
-def strengthening(
+def plan_refinement(
     best: Trial,
     suspects: Sequence[Candidate],
     n: int,
@@ -241,20 +255,25 @@ def strengthening(
     scale = model.table.tolerance[free]
     J = Linearisation(model, observations, free, True)(model.values, best.scene.x).jacobian * scale
     J = J.reshape(-1, J.shape[2])
-    information = J.T @ J + VAGUE * np.eye(J.shape[1])
+    information = J.T @ J + VAGUE_INFORMATION * np.eye(J.shape[1])
     pool = make_pool(model, POOL, np.random.default_rng(seed), symmetric=False, reach=reach)
-    pool = pool.rows(np.flatnonzero(allowed(pool.poses.joints))).drawn_out(model, least)
+    pool = pool.rows(np.flatnonzero(allowed(pool.poses.joints))).lengthen_approach(model, least)
     latest = int(np.argmax(fitted.dataset.time))
     for k, name in enumerate(model.conditions):
         if name in ("time", "temperature", "payload", "session"):
             pool.a[:, k] = under.get(name, fitted.dataset.conditions[name][latest])
     blocks = white_blocks(model, free, measured, pool.poses, pool.a) * scale
-    problem = Choice(blocks, information, np.eye(len(scale)), "D", len(scale))
+    problem = SelectionProblem(blocks, information, np.eye(len(scale)), "D", len(scale))
     return pool.rows(exchange(problem, min(n, len(pool.poses)), lambda fraction: None))
 
 
 def _separation(
-    doubt: Doubt, pool: Pool, a: np.ndarray, course: Course, block: np.ndarray, chosen: np.ndarray
+    doubt: RivalPair,
+    pool: Pool,
+    a: np.ndarray,
+    course: Schedule,
+    block: np.ndarray,
+    chosen: np.ndarray,
 ) -> Separation:
     """The chosen poses of a pool in the order to measure them: block by block, loads together."""
     model = doubt.model
@@ -262,37 +281,37 @@ def _separation(
     order = chosen[np.lexsort([load[chosen], block[chosen]])]
     blocks, ordered = block[order], pool.rows(order)
     place = np.arange(len(order)) - np.searchsorted(blocks, blocks)
-    under = in_course(model, a[order], course, blocks, place)
-    then = _sigmas(doubt.ahead(ordered, under).information(np.arange(len(order))))
+    under = schedule_conditions(model, a[order], course, blocks, place)
+    then = _sigmas(doubt.make_selection_problem(ordered, under).information(np.arange(len(order))))
     planned = []
     for i, pose in enumerate(ordered.poses):
-        stops = () if ordered.approach is None else ordered.approach.stops(i)
+        stops = () if ordered.approach is None else ordered.approach.waypoints(i)
         at = dict(zip(model.conditions, under[i].tolist(), strict=True))
         planned.append(PlannedPose(pose.position, pose.quaternion, pose.joints, stops, at))
     how = []
-    if outside := int((~inside(model, ordered.poses)).sum()):
+    if outside := int((~find_inside_poses(model, ordered.poses)).sum()):
         how.append(
             f"{outside} of the planned poses outside the model file's workspace, as far as joint "
             "limits and singularities allow: see first that nothing is in the way"
         )
     if ordered.approach is not None:
         how.append("every planned pose come to by way of its two stops: past it, and back")
-    if goes_on(model):
-        how.append(course.words(blocks, "temperature" in model.conditions))
+    if depends_on_time(model):
+        how.append(course.describe(blocks, "temperature" in model.conditions))
     pair = (doubt.effect, doubt.rival)
-    return Separation(pair, Sigmas(doubt.now, then), tuple(planned), tuple(how))
+    return Separation(pair, Sigmas(doubt.current_sigmas, then), tuple(planned), tuple(how))
 
 
-def goes_on(model: Model) -> bool:
+def depends_on_time(model: Model) -> bool:
     """Whether it matters to a model when a pose is measured."""
     return bool({"time", "temperature"} & set(model.conditions))
 
 
-def circumstances(
+def plan_conditions(
     model: Model,
     pool: Pool,
     so_far: Mapping[str, np.ndarray],
-    course: Course,
+    course: Schedule,
     block: np.ndarray,
     rng: np.random.Generator,
     payloads: Sequence[float] = (),
@@ -309,11 +328,11 @@ def circumstances(
             a[:, k] = rng.choice(payloads or (0.0, max(1.0, 2 * np.max(so_far[name]))), len(a))
         elif name == "session":
             a[:, k] = np.max(so_far[name])  # homed no more
-    return in_course(model, a, course, block, np.zeros(len(a)))
+    return schedule_conditions(model, a, course, block, np.zeros(len(a)))
 
 
-def in_course(
-    model: Model, a: np.ndarray, course: Course, block: np.ndarray, place: np.ndarray
+def schedule_conditions(
+    model: Model, a: np.ndarray, course: Schedule, block: np.ndarray, place: np.ndarray
 ) -> np.ndarray:
     """Conditions a (n, n_conditions) of poses measured as number `place` (n,) of their blocks."""
     a = a.copy()

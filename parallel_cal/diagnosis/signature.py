@@ -13,8 +13,8 @@ from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.model.mechanism import POSE
 
 BINS = 8  # of an abscissa, to see whether a pattern follows it
-MOST = 3  # panels of an effect that touches no joint by itself
-RESOLVED = 1e-3  # how far from one a component's own share in its estimate may be
+MAX_PANELS = 3  # panels of an effect that touches no joint by itself
+RESOLUTION_TOLERANCE = 1e-3  # how far from one a component's own share in its estimate may be
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,9 @@ class Components:
         out."""
         inverse = np.linalg.pinv(A, rcond=1e-6)
         share = np.einsum("ikr,irk->ik", inverse, A)
-        sigma = np.where(abs(share - 1) < RESOLVED, np.linalg.norm(inverse, axis=2), np.nan)
+        sigma = np.where(
+            abs(share - 1) < RESOLUTION_TOLERANCE, np.linalg.norm(inverse, axis=2), np.nan
+        )
         told = np.asarray(np.isfinite(sigma).any(axis=0))
         kept = tuple(name for name, one in zip(names, told.tolist(), strict=True) if one)
         return cls(kept, inverse[:, told], sigma[:, told])
@@ -42,18 +44,20 @@ class Components:
         return np.where(np.isfinite(self.sigma), (self.inverse @ rows[:, :, None])[:, :, 0], np.nan)
 
 
-def joints(scene: Scene) -> Components:
+def compute_joint_components(scene: Scene) -> Components:
     """Measured joint minus the inverse of the measured pose, to first order (rad or m): a reading
     too large by d leaves T (d phi/dq) d in the rows. Only a part of the pose may be measured."""
     n = len(scene.model.joints)
-    return Components.of(scene.model.joints, scene.by_measured[:, :, :n])
+    return Components.of(scene.model.joints, scene.measured_jacobian[:, :, :n])
 
 
-def measured(scene: Scene) -> Components:
+def compute_measured_components(scene: Scene) -> Components:
     """Measured minus predicted pose (m, rad) where any was measured, else what sensors read."""
     n, observations = len(scene.model.joints), scene.observations
     shown = [k for k in scene.model.mechanism.moved if observations.measured[:, n + k].any()]
-    pose = Components.of([POSE[k] for k in shown], scene.by_measured[:, :, [n + k for k in shown]])
+    pose = Components.of(
+        [POSE[k] for k in shown], scene.measured_jacobian[:, :, [n + k for k in shown]]
+    )
     channels = scene.model.structure.channels
     return pose if pose.names or not channels else Components.of(
         channels, -scene.whitener[:, :, -len(channels) :]
@@ -90,25 +94,29 @@ def signature(one: Candidate) -> Signature:
     scene, score = one.scene, one.score
     if scene is None or score is None:
         raise ValueError(f"{one.name} could not be tested: {one.reason}")
-    found = explained(one)
-    of_joints = joints(scene)
+    found = compute_explained_residual(one)
+    of_joints = compute_joint_components(scene)
     panels = tuple(_panels(one, scene, of_joints, found))
     return Signature(one.name, of_joints.values(scene.by_sample(found)), panels)
 
 
-def explained(one: Candidate) -> np.ndarray:
+def compute_explained_residual(one: Candidate) -> np.ndarray:
     """U U^T r (n,): of the scene's residual what a candidate's columns take, off the geometry."""
     assert one.scene is not None
     assert one.score is not None
     return np.asarray(one.score.U @ (one.score.U.T @ one.scene.residual))
 
 
-def laid_over(panel: Panel, other: Candidate) -> np.ndarray:
+def compute_overlay_pattern(panel: Panel, other: Candidate) -> np.ndarray:
     """The pattern (N,) of another candidate of the same scene in a panel's component."""
     scene = other.scene
     assert scene is not None
-    shown = joints(scene) if panel.component in scene.model.joints else measured(scene)
-    values = shown.values(scene.by_sample(explained(other))) / shown.sigma
+    shown = (
+        compute_joint_components(scene)
+        if panel.component in scene.model.joints
+        else compute_measured_components(scene)
+    )
+    values = shown.values(scene.by_sample(compute_explained_residual(other))) / shown.sigma
     told = np.isin(scene.dataset.numbers, panel.sample)
     return np.asarray(values[told, shown.names.index(panel.component)])
 
@@ -128,19 +136,19 @@ def _panels(
             abscissa = next((n for n in (*needed, *shared) if n in known), joint)
             yield from _panel(one, of_joints, found, joint, abscissa)
         return
-    shown = measured(scene)
+    shown = compute_measured_components(scene)
     z = np.nan_to_num(shown.values(scene.by_sample(found)) / shown.sigma)
     needed = [name for name in conditions if name in known]
     along = needed or [name for name in known if name in (*mechanism.joints, *"xyz")]
     pairs = [
-        (follows(known[name], z[:, k]), component, name)
+        (compute_pattern_strength(known[name], z[:, k]), component, name)
         for k, component in enumerate(shown.names)
         for name in along
     ]
     best: dict[str, str] = {}
     for _, component, name in sorted(pairs, reverse=True):
         best.setdefault(component, name)
-    for component, name in list(best.items())[:MOST]:
+    for component, name in list(best.items())[:MAX_PANELS]:
         yield from _panel(one, shown, found, component, name)
 
 
@@ -174,7 +182,7 @@ def _panel(
     )
 
 
-def follows(values: np.ndarray, pattern: np.ndarray) -> float:
+def compute_pattern_strength(values: np.ndarray, pattern: np.ndarray) -> float:
     """Mean square of a pattern (N,) that its means over ranges of an abscissa (N,) show."""
     levels, index = np.unique(values, return_inverse=True)
     if len(levels) > BINS:

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from parallel_cal.diagnosis.thresholds import FEWEST_SIGNS, NEIGHBOURS, PERMUTATIONS
-from parallel_cal.recordings.replicates import averaged
+from parallel_cal.diagnosis.thresholds import MIN_SIGNS_PER_SIDE, NEIGHBOURS, PERMUTATIONS
+from parallel_cal.recordings.replicates import average_groups
 
 
 def holm(p_values: np.ndarray) -> np.ndarray:
@@ -28,7 +28,7 @@ def morans_i(
     field (N, k) and places (N, d) of every sample; p (one-sided: neighbours alike) by permuting
     the samples. Visits of one pose (`group`) are averaged: they are no neighbours but copies.
     """
-    field, places = averaged(field, group), averaged(places, group)
+    field, places = average_groups(field, group), average_groups(places, group)
     n = len(field)
     if n < NEIGHBOURS + 3 or not np.any(field):
         return 0.0, 1.0
@@ -61,7 +61,7 @@ def runs_test(series: np.ndarray) -> float:
         sign = column > np.median(column)
         n1, n2 = int(sign.sum()), int((~sign).sum())
         n = n1 + n2
-        if min(n1, n2) < FEWEST_SIGNS:
+        if min(n1, n2) < MIN_SIGNS_PER_SIDE:
             continue
         expected = 1 + 2 * n1 * n2 / n
         excess += 1 + np.count_nonzero(sign[1:] != sign[:-1]) - expected
@@ -76,6 +76,6 @@ def normal_below(z: float) -> float:
     return erfc(-z / sqrt(2)) / 2
 
 
-def smallest(p_values: Sequence[float]) -> float:
+def bonferroni_minimum(p_values: Sequence[float]) -> float:
     """The smallest of several p-values, corrected for their number (Bonferroni)."""
     return min(1.0, len(p_values) * min(p_values, default=1.0))

@@ -11,17 +11,17 @@ from parallel_cal.diagnosis.noise_shape import NoiseShape
 from parallel_cal.diagnosis.region import Region
 from parallel_cal.diagnosis.search import Trial, ratio_of
 from parallel_cal.diagnosis.thresholds import (
-    CERTAIN,
-    EXPLAINED,
-    FAMILY,
-    FEWEST_DOF,
-    HELD_STILL,
-    LIKE,
-    LUCK,
-    UNCERTAIN,
+    CERTAINTY_LEVEL,
+    MAX_ERROR_TO_NOISE_RATIO,
+    MAX_EXCESS_SIGMAS,
+    MAX_HELD_COORDINATE_SIGMAS,
+    MAX_SWAP_ERROR_RATIO,
+    MIN_DOF,
+    MIN_EXPLAINED_SHARE,
+    MIN_FAMILY_MEMBERS,
 )
-from parallel_cal.identification.acceptance import UNITS, acceptance, in_words
-from parallel_cal.identification.doubts import apart
+from parallel_cal.identification.acceptance import UNITS, acceptance, format_errors
+from parallel_cal.identification.doubts import format_distinctly
 from parallel_cal.identification.methods.implicit import Estimate
 from parallel_cal.model.shelf import load_effect
 
@@ -63,40 +63,44 @@ class Findings:
     outdone: Sequence[str] = ()
 
     @property
-    def after(self) -> Estimate:
+    def final_estimate(self) -> Estimate:
         return self.best.fitted.estimate
 
     @property
     def share(self) -> float | None:
         """Share of the variance beyond the noise that is explained."""
-        return share_explained(self.chi2_before, self.after.chi2_per_dof, self.noise.variance)
+        return share_explained(
+            self.chi2_before, self.final_estimate.chi2_per_dof, self.noise.variance
+        )
 
     @property
     def names(self) -> str:
         """`backlash`, `A or B` or a family of lookalikes, several joined by `and`."""
-        return " and ".join(called([c.name, *self.swaps.get(c.name, [])]) for c in self.best.chosen)
+        return " and ".join(
+            format_effect_names([c.name, *self.swaps.get(c.name, [])]) for c in self.best.chosen
+        )
 
     @property
-    def inside_before(self) -> bool:
+    def was_inside_band(self) -> bool:
         """Whether the base's residuals were inside their band, and what fits better could be told
         from it by little, or lowers errors by little: nothing had to be explained."""
         from scipy.special import chdtrc
 
-        before, after = self.base.fitted.estimate, self.after
+        before, after = self.base.fitted.estimate, self.final_estimate
         inside = self.chi2_before <= self.noise.band(before.dof)[1]
         fall = self.chi2_before * before.dof - after.chi2_per_dof * after.dof
         taken = max(before.dof - after.dof, 1)
-        certain = chdtrc(taken, max(fall, 0.0) / (self.noise.variance or 1.0)) < CERTAIN
+        certain = chdtrc(taken, max(fall, 0.0) / (self.noise.variance or 1.0)) < CERTAINTY_LEVEL
         ratio = ratio_of(self.base, self.best)
-        counts = ratio is None or ratio * LIKE < 1
+        counts = ratio is None or ratio * MAX_SWAP_ERROR_RATIO < 1
         return bool(inside and not (certain and counts))
 
 
-def called(names: Sequence[str]) -> str:
+def format_effect_names(names: Sequence[str]) -> str:
     """`A or B`; of three or more of a family `a smooth error of the joint's angle, e.g. A`."""
     family = load_effect(names[0]).family
     own = [name for name in names if family and load_effect(name).family == family]
-    if len(own) < FAMILY:
+    if len(own) < MIN_FAMILY_MEMBERS:
         return " or ".join(names)
     others = [name for name in names if name not in own]
     return " or ".join([f"{family}, e.g. {names[0]}", *others])
@@ -112,11 +116,11 @@ def share_explained(before: float, after: float, noise: float | None) -> float |
 
 def judge(found: Findings) -> Verdict:
     """The verdict; what stands against a whole explanation is said with it."""
-    after, share, names = found.after, found.share, found.names
+    after, share, names = found.final_estimate, found.share, found.names
     judgement = acceptance(found.best.fitted, found.base.fitted)
-    now = f"error {judgement.where} {in_words(judgement.after)}"
-    errors = judgement.errors if found.best.chosen else now
-    if after.dof < FEWEST_DOF:
+    now = f"error {judgement.basis} {format_errors(judgement.after)}"
+    errors = judgement.description if found.best.chosen else now
+    if after.dof < MIN_DOF:
         words = f"{after.dof} degrees of freedom are too few to judge by: measure more poses"
         return Verdict("cannot_know", words)
     if found.best.chosen and not judgement.judged:
@@ -124,14 +128,14 @@ def judge(found: Findings) -> Verdict:
         return Verdict("cannot_know", f"{words}: {judgement.against}", share)
     if found.noise.variance is None:
         helps = f"{names} helps" if names else "nothing in the catalogue helps"
-        rest = " and structure remains" if found.structure.found else ""
+        rest = " and structure remains" if found.structure.has_structure else ""
         return Verdict(
             "cannot_know",
             f"{helps} ({errors}){rest}; whether that is all cannot be known without a noise "
             "figure: state noise in the model file, or visit poses again",
             share,
         )
-    if found.held > HELD_STILL:
+    if found.held > MAX_HELD_COORDINATE_SIGMAS:
         return Verdict(
             "unexplained",
             "what was measured of the pose includes coordinates that the model holds at one value; "
@@ -141,10 +145,12 @@ def judge(found: Findings) -> Verdict:
     if not found.best.chosen:
         return _nothing_found(found, errors)
     several = len(found.best.chosen) > 1
-    against = tuple(_guards(found))
-    errors += _beside_noise(found)
-    if found.inside_before:
-        chi2, high = apart([found.chi2_before, found.noise.band(found.base.fitted.estimate.dof)[1]])
+    against = tuple(_list_objections(found))
+    errors += _describe_noise_floor(found)
+    if found.was_inside_band:
+        chi2, high = format_distinctly(
+            [found.chi2_before, found.noise.band(found.base.fitted.estimate.dof)[1]]
+        )
         but = "".join(f"; but {words}" for words in against)
         words = (
             f"the residuals are inside their noise without any effect (chi2/dof {chi2}, at most "
@@ -152,7 +158,7 @@ def judge(found: Findings) -> Verdict:
         )
         return Verdict("at_noise", f"{words}{_noise(found)}", share, against)
     if not against:
-        told = share is not None and share >= EXPLAINED  # else the excess was mostly luck
+        told = share is not None and share >= MIN_EXPLAINED_SHARE  # else the excess was mostly luck
         part = f", {share:.0%} of what exceeded the noise" if told else ""
         verb = "together explain" if several else "explains"
         words = f"{names} {verb} the rest{part}: {errors}{_noise(found)}"
@@ -161,21 +167,21 @@ def judge(found: Findings) -> Verdict:
     return Verdict("partly_explained", words, share, against)
 
 
-def _guards(found: Findings) -> list[str]:
+def _list_objections(found: Findings) -> list[str]:
     """What keeps found effects from being the whole explanation."""
-    against, chi2, share = [], found.after.chi2_per_dof, found.share
-    high, structure = found.noise.band(found.after.dof)[1], found.structure
+    against, chi2, share = [], found.final_estimate.chi2_per_dof, found.share
+    high, structure = found.noise.band(found.final_estimate.dof)[1], found.structure
     # A small excess is mostly the luck of the draw: its share says nothing within two sigmas.
     noise = found.noise.variance or 0.0
-    beyond_luck = chi2 > noise * (1 + LUCK * (2 / found.after.dof) ** 0.5)
-    if share is not None and share < EXPLAINED and beyond_luck:
+    beyond_luck = chi2 > noise * (1 + MAX_EXCESS_SIGMAS * (2 / found.final_estimate.dof) ** 0.5)
+    if share is not None and share < MIN_EXPLAINED_SHARE and beyond_luck:
         against.append(f"only {max(share, 0):.0%} of the variance beyond the noise is explained")
     if chi2 > high:
-        shown = apart([chi2, high])
+        shown = format_distinctly([chi2, high])
         against.append(f"chi2/dof {shown[0]} is still above {shown[1]}")
     against += [robot_or_device(name) for name in found.robot_or_device]
     against += found.outdone
-    if structure.found:
+    if structure.has_structure:
         against.append(f"structure remains (p = {structure.p_value:.1g}{_size(structure)})")
     return against
 
@@ -190,15 +196,15 @@ def robot_or_device(name: str) -> str:
 
 
 def _nothing_found(found: Findings, errors: str) -> Verdict:
-    chi2, high = found.after.chi2_per_dof, found.noise.band(found.after.dof)[1]
+    chi2, high = found.final_estimate.chi2_per_dof, found.noise.band(found.final_estimate.dof)[1]
     noise = _noise(found)
     if chi2 <= high:
         words = f"the model explains the measurements down to their noise ({errors})"
         region = Region.of(found.best.fitted)
-        advice = f"stop looking{region.words if region else ''}{_uncertainty(found)}"
+        advice = f"stop looking{region.description if region else ''}{_uncertainty(found)}"
         if found.refused:
             advice = f"yet {found.refused[0]}"
-        elif found.structure.found:
+        elif found.structure.has_structure:
             advice += ". Neighbouring residuals are alike, though: look at the map"
         return Verdict("at_noise", f"{words}: {advice}{noise or '.'}")
     nothing = "nothing in the catalogue explains it"
@@ -206,14 +212,14 @@ def _nothing_found(found: Findings, errors: str) -> Verdict:
         nothing = f"nothing plausible explains it: {found.refused[0]}"
     return Verdict(
         "unexplained",
-        f"chi2/dof {' is above '.join(apart([chi2, high]))}, but {nothing}"
+        f"chi2/dof {' is above '.join(format_distinctly([chi2, high]))}, but {nothing}"
         f"{_size(found.structure, '; a smooth part of it')} ({errors}){noise}",
     )
 
 
 def _noise(found: Findings) -> str:
     """What is to be known of the noise where it is not white, or not as stated."""
-    words = list(found.shape.words)
+    words = list(found.shape.remarks)
     if found.noise.misstated is not None:
         words.insert(0, f"noise is {found.noise.misstated:.1f} times what is stated")
     return f". What is left shows that {' and '.join(words)}" if words else ""
@@ -223,9 +229,9 @@ def _uncertainty(found: Findings) -> str:
     """What of the error at poses left out is neither model nor noise."""
     result = found.best.fitted
     for kind, factor, unit in UNITS:
-        error, stated = result.held_out.summary.rms(kind), result.noise.rms(kind)
+        error, stated = result.held_out.summary.rms(kind), result.noise_floor.rms(kind)
         floor = (stated or 0.0) * (found.noise.misstated or 1.0)
-        if error is not None and floor and error > UNCERTAIN * floor:
+        if error is not None and floor and error > MAX_ERROR_TO_NOISE_RATIO * floor:
             # What parameters add in squares falls as their number of observations rises.
             twice = (floor**2 + (error**2 - floor**2) / 2) ** 0.5
             return (
@@ -235,12 +241,12 @@ def _uncertainty(found: Findings) -> str:
     return ""
 
 
-def _beside_noise(found: Findings) -> str:
+def _describe_noise_floor(found: Findings) -> str:
     """What noise alone makes of the errors at poses left out, where it is as stated."""
-    floor = found.best.fitted.noise
-    if found.noise.misstated is not None or not floor.known:
+    floor = found.best.fitted.noise_floor
+    if found.noise.misstated is not None or not floor.is_known:
         return ""
-    return f"; noise alone {in_words(floor)}"
+    return f"; noise alone {format_errors(floor)}"
 
 
 def _size(structure: LackOfFit, before: str = ",") -> str:

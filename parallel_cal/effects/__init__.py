@@ -1,11 +1,11 @@
 """One physical effect a file: the file name is the effect's public name."""
 
+from parallel_cal.model.shelf import list_plugins
 from parallel_cal.model.shelf import load_effect as load
-from parallel_cal.model.shelf import shelf_names
 
 __all__ = ["load", "names"]
 
 
 def names() -> list[str]:
     """What is on this shelf; `load` takes one of these, or the Python path of your own."""
-    return shelf_names("effects")
+    return list_plugins("effects")

@@ -15,12 +15,12 @@ AXES = "xyz"
 Size = tuple[str, float, float]  # unit, tolerance, and what never happens
 
 
-def along(mechanism: Mechanism) -> list[str]:
+def find_translation_axes(mechanism: Mechanism) -> list[str]:
     """The axes of {B} along which the platform moves."""
     return [a for a in AXES if a in mechanism.moves]
 
 
-def felt_turns(mechanism: Mechanism) -> list[str]:
+def find_rotation_axes(mechanism: Mechanism) -> list[str]:
     """The axes about which turning the whole picture moves a coordinate that the platform has."""
     moves = mechanism.moves
     return [a for a in AXES if f"r{a}" in moves or {*AXES} - {a} <= {*moves}]
@@ -28,10 +28,13 @@ def felt_turns(mechanism: Mechanism) -> list[str]:
 
 def shift_and_turn(mechanism: Mechanism, v: Size, w: Size) -> list[Parameter]:
     """v and w along and about axes of {B}, only what the platform feels."""
-    return [*_components("v", along(mechanism), *v), *_components("w", felt_turns(mechanism), *w)]
+    return [
+        *_components("v", find_translation_axes(mechanism), *v),
+        *_components("w", find_rotation_axes(mechanism), *w),
+    ]
 
 
-def put_back(seen: Seen, e: Named, share: Any) -> Seen:
+def undo_shift_and_turn(seen: Seen, e: Named, share: Any) -> Seen:
     """The pose before it was turned by w * share, then shifted by v * share."""
     v, w = (vector(e, name) * share for name in "vw")
     turn = cayley(w)

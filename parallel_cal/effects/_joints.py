@@ -15,7 +15,7 @@ SMOOTH = "a smooth error of the joint's angle"  # family of all that waves or gr
 WAVE = {"sin": "sine part", "cos": "cosine part"}  # of an error that comes round: its labels
 
 
-def turning(mechanism: Mechanism) -> list[str]:
+def find_revolute_joints(mechanism: Mechanism) -> list[str]:
     """The joints that turn: whatever comes round once a turn can only be theirs."""
     joints = zip(mechanism.joints, mechanism.joint_units, strict=True)
     return [joint for joint, unit in joints if unit == "rad"]
@@ -23,7 +23,7 @@ def turning(mechanism: Mechanism) -> list[str]:
 
 def needs_turning(mechanism: Mechanism) -> str:
     """What `Effect.applies` answers for an effect of joints that turn."""
-    return "" if turning(mechanism) else "no joint turns"
+    return "" if find_revolute_joints(mechanism) else "no joint turns"
 
 
 def sizes(
@@ -38,7 +38,7 @@ def sizes(
     return [(joint, unit, tuple(s / metres for s in size["m"])) for (joint, unit), metres in lines]
 
 
-def shifted(
+def shift_joints(
     seen: Seen, mechanism: Mechanism, joints: Collection[str], error: Callable[[str, Any], Any]
 ) -> Seen:
     """q + error(joint, q) for the joints named, the others as they are read."""
@@ -61,7 +61,7 @@ class Harmonic(Effect):
         size, most = self.tolerance, 10 * self.tolerance
         return [
             Parameter(f"{joint}.{part}", "rad", 0.0, size, low=-most, high=most, label=label)
-            for joint in turning(mechanism)
+            for joint in find_revolute_joints(mechanism)
             for part, label in WAVE.items()
         ]
 
@@ -71,7 +71,7 @@ class Harmonic(Effect):
         def error(joint: str, q: Any) -> Any:
             return e[joint].sin * ca.sin(k * q) + e[joint].cos * ca.cos(k * q)
 
-        return shifted(seen, mechanism, turning(mechanism), error)
+        return shift_joints(seen, mechanism, find_revolute_joints(mechanism), error)
 
     def applies(self, mechanism: Mechanism) -> str:
         return needs_turning(mechanism)

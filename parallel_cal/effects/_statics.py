@@ -13,7 +13,7 @@ from parallel_cal.model.mechanism import POSE, Home, Mechanism
 from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 
 PAYLOAD = "payload"
-LIFTED = 1e-6  # Nm or N, under 1 kg: below it nothing is lifted
+MIN_WEIGHT_FORCE = 1e-6  # Nm or N, under 1 kg: below it nothing is lifted
 
 
 def masses(mechanism: Mechanism) -> list[Parameter]:
@@ -37,7 +37,7 @@ def rod_forces(seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Any:
     return np.linalg.pinv(by_length).T @ _forces(loose, lengths, given, e, at, mechanism)
 
 
-def lengthened(seen: Seen, mechanism: Mechanism, by: Any) -> Seen:
+def lengthen_rods(seen: Seen, mechanism: Mechanism, by: Any) -> Seen:
     """The same with every rod longer by (n_rods, 1) m, as far as its parameters can say so."""
     names, by_length = rods(mechanism)
     changes = ca.vertsplit(np.linalg.pinv(by_length) @ by)
@@ -55,17 +55,21 @@ def rods(mechanism: Mechanism) -> tuple[list[str], np.ndarray]:
     return [names[i] for i in used], by_length[:, used]
 
 
-def loaded(mechanism: Mechanism) -> list[str]:
+def find_loaded_joints(mechanism: Mechanism) -> list[str]:
     """The joints that feel the weight of what the platform carries."""
     m = mechanism
-    return [m.joints[i] for i in _loaded(m, m.gravity, m.home, m.parameters)]
+    return [m.joints[i] for i in _find_loaded_indices(m, m.gravity, m.home, m.parameters)]
 
 
 def needs_weight(mechanism: Mechanism) -> str:
     """What `Effect.applies` answers for an effect of the payload's weight."""
     if len(mechanism.joints) > len(mechanism.moves):
         return "more joints than freedoms: statics alone does not share the weight out"
-    return "" if loaded(mechanism) else "no joint feels the weight of what the platform carries"
+    return (
+        ""
+        if find_loaded_joints(mechanism)
+        else "no joint feels the weight of what the platform carries"
+    )
 
 
 def needs_rods(mechanism: Mechanism) -> str:
@@ -74,7 +78,7 @@ def needs_rods(mechanism: Mechanism) -> str:
 
 
 @lru_cache(maxsize=64)
-def _loaded(
+def _find_loaded_indices(
     mechanism: Mechanism, gravity: tuple[float, ...], home: Home, table: ParameterTable
 ) -> list[int]:
     """Found by weighing 1 kg on the nominal robot a little away from home.
@@ -87,7 +91,7 @@ def _loaded(
     e = Named([kind.name for kind in kinds], ca.SX.zeros(len(kinds)))
     at = Named([PAYLOAD], ca.SX(1))
     forces = ca.DM(joint_forces(Seen(q, ca.SX(r), ca.SX(R), p), e, at, mechanism))
-    return [i for i in range(n) if abs(float(forces[i])) > LIFTED]
+    return [i for i in range(n) if abs(float(forces[i])) > MIN_WEIGHT_FORCE]
 
 
 def _forces(loose: Seen, u: Any, given: Any, e: Named, at: Named, mechanism: Mechanism) -> Any:

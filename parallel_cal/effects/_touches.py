@@ -19,6 +19,6 @@ class Touch(Effect):
         return seen
 
 
-def tilts(mechanism: Mechanism) -> str:
+def explain_no_tilt(mechanism: Mechanism) -> str:
     """What `Effect.applies` answers for an effect that only a platform that tilts can show."""
     return "" if {"rx", "ry"} & {*mechanism.moves} else "the platform does not tilt"

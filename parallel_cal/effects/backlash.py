@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
-from parallel_cal.effects._joints import shifted, sizes
+from parallel_cal.effects._joints import shift_joints, sizes
 from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
@@ -36,4 +36,4 @@ class Backlash(Effect):
         def error(joint: str, q: Any) -> Any:
             return -e[joint].width / 2 * at["direction"][joint]
 
-        return shifted(seen, mechanism, mechanism.joints, error)
+        return shift_joints(seen, mechanism, mechanism.joints, error)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-from parallel_cal.effects._statics import lengthened, masses, needs_rods, rod_forces
+from parallel_cal.effects._statics import lengthen_rods, masses, needs_rods, rod_forces
 from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
@@ -38,4 +38,4 @@ class BallJointClearance(Effect):
 
     def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
         tension = rod_forces(seen, e, at, mechanism)
-        return lengthened(seen, mechanism, e.play * ca.tanh(tension / e.force))
+        return lengthen_rods(seen, mechanism, e.play * ca.tanh(tension / e.force))

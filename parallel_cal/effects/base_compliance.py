@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 
 from parallel_cal.base.rotation import cayley
-from parallel_cal.effects._frames import AXES, along, felt_turns, vector
+from parallel_cal.effects._frames import AXES, find_rotation_axes, find_translation_axes, vector
 from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
@@ -28,11 +28,11 @@ class BaseCompliance(Effect):
     separated_by = "a second target on the base, measured at every pose"
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
-        axes = _leaning(mechanism)
+        axes = _find_leaning_axes(mechanism)
         return [Parameter(f"lean_{a}", "rad/m", 0.0, 0.5e-3, low=0.0, high=5e-3) for a in axes]
 
     def applies(self, mechanism: Mechanism) -> str:
-        return "" if _leaning(mechanism) else "the platform does not move across gravity"
+        return "" if _find_leaning_axes(mechanism) else "the platform does not move across gravity"
 
     def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
         down = ca.DM(mechanism.gravity) / ca.norm_2(ca.DM(mechanism.gravity))
@@ -43,10 +43,12 @@ class BaseCompliance(Effect):
         return upright
 
 
-def _leaning(mechanism: Mechanism) -> list[str]:
+def _find_leaning_axes(mechanism: Mechanism) -> list[str]:
     """Axes about which moving the weight turns the base, where the platform feels that."""
-    ways = [np.eye(3)[AXES.index(a)] for a in along(mechanism)]
+    ways = [np.eye(3)[AXES.index(a)] for a in find_translation_axes(mechanism)]
     levers = np.abs(np.cross(np.reshape(ways, (-1, 3)), mechanism.gravity)).sum(axis=0)
     return [
-        a for a, lever in zip(AXES, levers, strict=True) if lever and a in felt_turns(mechanism)
+        a
+        for a, lever in zip(AXES, levers, strict=True)
+        if lever and a in find_rotation_axes(mechanism)
     ]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import ClassVar
 
-from parallel_cal.effects._frames import put_back, shift_and_turn
+from parallel_cal.effects._frames import shift_and_turn, undo_shift_and_turn
 from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
@@ -33,4 +33,4 @@ class BaseDrift(Effect):
         return shift_and_turn(mechanism, ("m/s", 1e-7, 1e-6), ("rad/s", 3e-7, 3e-6))
 
     def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
-        return put_back(seen, e, at.time)
+        return undo_shift_and_turn(seen, e, at.time)

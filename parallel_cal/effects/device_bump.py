@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from parallel_cal.effects._frames import put_back, shift_and_turn
+from parallel_cal.effects._frames import shift_and_turn, undo_shift_and_turn
 from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
@@ -36,7 +36,7 @@ class DeviceBump(Effect):
         return [time, *shift_and_turn(mechanism, ("m", 50e-6, 2e-3), ("rad", 0.2e-3, 10e-3))]
 
     def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
-        return put_back(seen, e, at.time >= e.time)
+        return undo_shift_and_turn(seen, e, at.time >= e.time)
 
     def scan(
         self, mechanism: Mechanism, recorded: Mapping[str, Any]

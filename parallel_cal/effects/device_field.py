@@ -6,7 +6,7 @@ from itertools import combinations_with_replacement
 
 import casadi as ca
 
-from parallel_cal.effects._frames import AXES, along
+from parallel_cal.effects._frames import AXES, find_translation_axes
 from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
@@ -26,7 +26,7 @@ class DeviceField(Effect):
     separated_by = "the same poses with the device moved aside or turned by a quarter turn"
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
-        axes = along(mechanism)
+        axes = find_translation_axes(mechanism)
         return [
             Parameter(f"{i}_{j}{k}", "1/m", 0.0, 0.5e-3, low=-5e-3, high=5e-3)
             for i in axes
@@ -34,7 +34,11 @@ class DeviceField(Effect):
         ]
 
     def applies(self, mechanism: Mechanism) -> str:
-        return "" if len(along(mechanism)) > 1 else "the platform moves along fewer than two axes"
+        return (
+            ""
+            if len(find_translation_axes(mechanism)) > 1
+            else "the platform moves along fewer than two axes"
+        )
 
     def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
         away = seen.r - ca.DM(mechanism.home.position)

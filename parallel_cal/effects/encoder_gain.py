@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from parallel_cal.effects._joints import SMOOTH, shifted
+from parallel_cal.effects._joints import SMOOTH, shift_joints
 from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
@@ -34,4 +34,4 @@ class EncoderGain(Effect):
         def error(joint: str, q: Any) -> Any:
             return e[joint].gain * q
 
-        return shifted(seen, mechanism, mechanism.joints, error)
+        return shift_joints(seen, mechanism, mechanism.joints, error)

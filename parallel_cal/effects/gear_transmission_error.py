@@ -8,7 +8,13 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from parallel_cal.effects._joints import SMOOTH, WAVE, needs_turning, shifted, turning
+from parallel_cal.effects._joints import (
+    SMOOTH,
+    WAVE,
+    find_revolute_joints,
+    needs_turning,
+    shift_joints,
+)
 from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
@@ -41,7 +47,7 @@ class GearTransmissionError(Effect):
                 high=3e-3,
                 label=f"{label}, {'once' if k == 1 else 'twice'} per input turn",
             )
-            for joint in turning(mechanism)
+            for joint in find_revolute_joints(mechanism)
             for k in (1, 2)
             for part, label in WAVE.items()
         ]
@@ -58,7 +64,7 @@ class GearTransmissionError(Effect):
         def error(joint: str, q: Any) -> Any:
             return ripple(joint, q, 1) + ripple(joint, q, 2)
 
-        return shifted(seen, mechanism, turning(mechanism), error)
+        return shift_joints(seen, mechanism, find_revolute_joints(mechanism), error)
 
     def applies(self, mechanism: Mechanism) -> str:
         return needs_turning(mechanism)
@@ -71,7 +77,7 @@ class GearTransmissionError(Effect):
         The travel is the longest that was recorded.
         """
         low, high = RATIOS
-        travel = max(np.ptp(recorded[joint]) for joint in turning(mechanism))
+        travel = max(np.ptp(recorded[joint]) for joint in find_revolute_joints(mechanism))
         for ratio in np.arange(low, high, np.pi / max(travel, np.pi / (high - low))):
             yield {"ratio": float(ratio)}
 

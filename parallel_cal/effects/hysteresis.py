@@ -7,7 +7,7 @@ from typing import Any
 
 import casadi as ca
 
-from parallel_cal.effects._joints import shifted
+from parallel_cal.effects._joints import shift_joints
 from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
@@ -33,13 +33,13 @@ class Hysteresis(Effect):
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
         joints = zip(mechanism.joints, mechanism.joint_units, strict=True)
-        return [p for joint, unit in joints for p in _of_joint(joint, unit)]
+        return [p for joint, unit in joints for p in _make_joint_parameters(joint, unit)]
 
     def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
         def error(joint: str, q: Any) -> Any:
             return -e[joint].lag * ca.tanh(at["travel"][joint] / e[joint].width)
 
-        return shifted(seen, mechanism, mechanism.joints, error)
+        return shift_joints(seen, mechanism, mechanism.joints, error)
 
     def absurd(self, e: Named, mechanism: Mechanism) -> str:
         for joint in mechanism.joints:
@@ -60,7 +60,7 @@ class Hysteresis(Effect):
             yield {f"{joint}.width": factor * WIDTH[unit] for joint, unit in joints}
 
 
-def _of_joint(joint: str, unit: str) -> list[Parameter]:
+def _make_joint_parameters(joint: str, unit: str) -> list[Parameter]:
     tolerance, most = LAG[unit]
     width = WIDTH[unit]
     return [

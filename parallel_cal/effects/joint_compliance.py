@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-from parallel_cal.effects._statics import joint_forces, loaded, masses, needs_weight
+from parallel_cal.effects._statics import find_loaded_joints, joint_forces, masses, needs_weight
 from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
@@ -33,7 +33,7 @@ class JointCompliance(Effect):
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
         units = dict(zip(mechanism.joints, mechanism.joint_units, strict=True))
-        sizes = [(joint, *SIZE[units[joint]]) for joint in loaded(mechanism)]
+        sizes = [(joint, *SIZE[units[joint]]) for joint in find_loaded_joints(mechanism)]
         return [
             *[
                 Parameter(f"{joint}.compliance", unit, 0.0, tolerance, low=0.0, high=most)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from parallel_cal.effects._joints import shifted
+from parallel_cal.effects._joints import shift_joints
 from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
@@ -32,4 +32,4 @@ class Latency(Effect):
         def error(joint: str, q: Any) -> Any:
             return -e.delay * at["velocity"][joint]
 
-        return shifted(seen, mechanism, mechanism.joints, error)
+        return shift_joints(seen, mechanism, mechanism.joints, error)

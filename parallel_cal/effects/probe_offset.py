@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from parallel_cal.effects._touches import Touch, tilts
+from parallel_cal.effects._touches import Touch, explain_no_tilt
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
 
@@ -27,7 +27,7 @@ class ProbeOffset(Touch):
         return [Parameter(f"o_{a}", "m", 0.0, 0.5e-3, low=-5e-3, high=5e-3) for a in "xyz"]
 
     def applies(self, mechanism: Mechanism) -> str:
-        return tilts(mechanism)
+        return explain_no_tilt(mechanism)
 
     def at_sensor(self, r: Any, R: Any, s: Named, e: Named) -> tuple[Any, Any]:
         return r + R @ e.vector("o_x", "o_y", "o_z"), R

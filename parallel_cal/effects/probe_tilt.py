@@ -7,7 +7,7 @@ from typing import Any
 import casadi as ca
 
 from parallel_cal.base.rotation import cayley
-from parallel_cal.effects._touches import Touch, tilts
+from parallel_cal.effects._touches import Touch, explain_no_tilt
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
 from parallel_cal.model.sensor import point_on_platform
@@ -33,7 +33,7 @@ class ProbeTilt(Touch):
         return [Parameter(f"tilt_{a}", "rad", 0.0, 10e-3, low=-0.1, high=0.1) for a in "xy"]
 
     def applies(self, mechanism: Mechanism) -> str:
-        return tilts(mechanism)
+        return explain_no_tilt(mechanism)
 
     def at_sensor(self, r: Any, R: Any, s: Named, e: Named) -> tuple[Any, Any]:
         slanted = R @ cayley(ca.vertcat(e.tilt_x, e.tilt_y, 0))

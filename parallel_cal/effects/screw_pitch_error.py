@@ -8,7 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from parallel_cal.effects._joints import WAVE, shifted
+from parallel_cal.effects._joints import WAVE, shift_joints
 from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
@@ -37,7 +37,7 @@ class ScrewPitchError(Effect):
             Parameter("lead", "m", 5e-3, 3e-3, low=0.1e-3, high=0.1),
             *[
                 Parameter(f"{joint}.{part}", unit, 0.0, size, low=-most, high=most, label=label)
-                for joint in _sliding(mechanism)
+                for joint in _find_prismatic_joints(mechanism)
                 for part, (unit, size, most, label) in sizes.items()
             ],
         ]
@@ -47,10 +47,10 @@ class ScrewPitchError(Effect):
             own, turned = e[joint], 2 * ca.pi * q / e.lead
             return own.sin * ca.sin(turned) + own.cos * ca.cos(turned) + own.bend * q**2
 
-        return shifted(seen, mechanism, _sliding(mechanism), error)
+        return shift_joints(seen, mechanism, _find_prismatic_joints(mechanism), error)
 
     def applies(self, mechanism: Mechanism) -> str:
-        return "" if _sliding(mechanism) else "no joint slides"
+        return "" if _find_prismatic_joints(mechanism) else "no joint slides"
 
     def scan(
         self, mechanism: Mechanism, recorded: Mapping[str, Any]
@@ -59,7 +59,7 @@ class ScrewPitchError(Effect):
 
         The travel is the longest that was recorded.
         """
-        travel = max(np.ptp(recorded[joint]) for joint in _sliding(mechanism))
+        travel = max(np.ptp(recorded[joint]) for joint in _find_prismatic_joints(mechanism))
         short, long = LEADS
         for turns in np.arange(1 / long, 1 / short, 1 / (2 * travel)):
             yield {"lead": float(1 / turns)}
@@ -69,6 +69,6 @@ class ScrewPitchError(Effect):
         return setting["lead"]
 
 
-def _sliding(mechanism: Mechanism) -> list[str]:
+def _find_prismatic_joints(mechanism: Mechanism) -> list[str]:
     joints = zip(mechanism.joints, mechanism.joint_units, strict=True)
     return [joint for joint, unit in joints if unit == "m"]

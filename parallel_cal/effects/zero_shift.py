@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from typing import Any
 
-from parallel_cal.effects._joints import shifted, sizes
+from parallel_cal.effects._joints import shift_joints, sizes
 from parallel_cal.model.effect import Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
 
-LATER = (1, 2, 3)  # sessions that may begin with a shift; the first one's zero is the geometry's
+LATER_SESSIONS = (
+    1,
+    2,
+    3,
+)  # sessions that may begin with a shift; the first one's zero is the geometry's
 SIZE = {"rad": (0.5e-3, 5e-3), "m": (50e-6, 0.5e-3)}  # tolerance and what homing never misses by
 
 
@@ -21,7 +25,7 @@ class ZeroShift(Effect):
     """
 
     needs = ("session",)
-    fixed = tuple(f"*.since{k}" for k in LATER[1:])
+    fixed = tuple(f"*.since{k}" for k in LATER_SESSIONS[1:])
     physics = "Homing finds a joint's zero only as well as its switch repeats."
     remedy = (
         "home against an index mark or a better switch; after homing re-fit the zeros "
@@ -35,11 +39,11 @@ class ZeroShift(Effect):
         return [
             Parameter(f"{joint}.since{k}", unit, 0.0, tolerance, low=-most, high=most)
             for joint, unit, (tolerance, most) in sizes(mechanism, SIZE)
-            for k in LATER
+            for k in LATER_SESSIONS
         ]
 
     def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
         def error(joint: str, q: Any) -> Any:
-            return sum(e[joint][f"since{k}"] * (at.session >= k) for k in LATER)
+            return sum(e[joint][f"since{k}"] * (at.session >= k) for k in LATER_SESSIONS)
 
-        return shifted(seen, mechanism, mechanism.joints, error)
+        return shift_joints(seen, mechanism, mechanism.joints, error)

@@ -8,13 +8,13 @@ import numpy as np
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.rotation import rotation_matrix
-from parallel_cal.exporting.projection import Array, Bed, Frame, Machine, fitted
+from parallel_cal.exporting.projection import Array, Bed, Frame, Machine, fit_numbers
 from parallel_cal.importing.deltas import Shoulders, Towers, are_counter_clockwise
 from parallel_cal.model.model import Model
 
 TOWERS = np.radians([210.0, 330.0, 90.0])  # where firmwares have them, about z
 LINEAR, ROTARY = ("linear_delta",), ("delta24", "delta54", "delta_nominal")
-NEAR = np.radians(15)  # of its place a tower is trimmed, further off the frame is turned
+MAX_TOWER_TRIM = np.radians(15)  # of its place a tower is trimmed, further off the frame is turned
 UPSIDE_DOWN = np.diag([1.0, -1.0, -1.0])
 
 
@@ -48,19 +48,19 @@ def chains_of(model: Model, places: Array | None) -> Chains:
     Height 0 is the plate of a sensor `probe`; else {B}'s, or where z of {B} points down the far end
     of the workspace.
     """
-    model = model.widened() if model.mechanism.name == "delta_nominal" else model
+    model = model.widen() if model.mechanism.name == "delta_nominal" else model
     m, linear = model.mechanism, model.mechanism.name in LINEAR
     if lean := float(m.options.get("inclination", 0.0)):
         said = (
             f"its rails lean by {np.degrees(lean):.3g} degrees, a firmware's towers stand upright"
         )
         raise ModelError(f"{m.name}: {said}; c and table can hold it")
-    out, across, along, rods = (_three(model, n) for n in ("D_x", "D_y", "D_z", "Lb"))
+    out, across, along, rods = (_read_three(model, n) for n in ("D_x", "D_y", "D_z", "Lb"))
     radius, up, offset, arms = out, across, along, np.zeros(3)
     if linear:
         radius, up = np.hypot(out, across), np.zeros(3)
     else:
-        arm = _three(model, "La_x"), _three(model, "La_y")
+        arm = _read_three(model, "La_x"), _read_three(model, "La_y")
         arms, offset = np.hypot(*arm), np.arctan2(arm[1], arm[0])
     angles, planned = _angles(model), _angles(model.with_values(model.table.nominal))
     down = not linear and m.home.position[2] > up.mean()
@@ -96,12 +96,12 @@ def towers(model: Model, places: Array | None, tilted: bool) -> tuple[Towers, Ch
 
     def made(v: Array) -> Towers:
         tilt = (v[10], v[11]) if tilted else (0.0, 0.0)
-        trim = _within(v[4:7] - TOWERS)
+        trim = _wrap_angles(v[4:7] - TOWERS)
         return Towers(np.full(3, v[0]), v[1:4], trim, v[7:10], tilt=tilt)
 
     slopes = c.tilt if tilted else ()
     start = np.array([c.radius.mean(), *c.rods, *c.angles, *c.homed, *slopes])
-    return made(fitted(model, start, lambda v: c.machine(made(v)), c.bed)), c
+    return made(fit_numbers(model, start, lambda v: c.machine(made(v)), c.bed)), c
 
 
 def shoulders(model: Model, places: Array | None, level: bool) -> tuple[Shoulders, Chains]:
@@ -116,10 +116,10 @@ def shoulders(model: Model, places: Array | None, level: bool) -> tuple[Shoulder
 
     heights = [c.heights.mean()] if level else c.heights
     start = np.array([c.radius.mean(), *c.arms, *c.rods, *c.angles, *c.homed, *heights])
-    return made(fitted(model, start, lambda v: c.machine(made(v)), c.bed)), c
+    return made(fit_numbers(model, start, lambda v: c.machine(made(v)), c.bed)), c
 
 
-def like_towers(model: Model, places: Array) -> tuple[Towers, Machine]:
+def fit_equal_towers(model: Model, places: Array) -> tuple[Towers, Machine]:
     """Equal towers at `places`, each with its end-stop, about an origin of their own."""
     c = chains_of(model, places)
 
@@ -129,11 +129,11 @@ def like_towers(model: Model, places: Array) -> tuple[Towers, Machine]:
         return c.machine(delta, np.array([v[5], v[6], 0.0]))
 
     start = np.array([c.radius.mean(), c.rods.mean(), *c.homed, 0.0, 0.0])
-    found = machine(fitted(model, start, machine, c.bed))
+    found = machine(fit_numbers(model, start, machine, c.bed))
     return found.firmware, found  # type: ignore[return-value]
 
 
-def like_shoulders(model: Model, places: Array, one_stop: bool) -> tuple[Shoulders, Machine]:
+def fit_equal_shoulders(model: Model, places: Array, one_stop: bool) -> tuple[Shoulders, Machine]:
     """Equal chains at `places` about an origin in the plane of their motors; `one_stop`: all
     end-stops at one angle."""
     c = chains_of(model, places)
@@ -148,21 +148,21 @@ def like_shoulders(model: Model, places: Array, one_stop: bool) -> tuple[Shoulde
     tops = [c.homed.mean()] if one_stop else c.homed
     lengths = [c.radius.mean(), c.arms.mean(), c.rods.mean()]
     found = machine(
-        fitted(model, np.array([*lengths, 0, 0, c.heights.mean(), *tops]), machine, c.bed)
+        fit_numbers(model, np.array([*lengths, 0, 0, c.heights.mean(), *tops]), machine, c.bed)
     )
     return found.firmware, found  # type: ignore[return-value]
 
 
-def _three(model: Model, name: str) -> Array:
+def _read_three(model: Model, name: str) -> Array:
     return np.array([model.value(f"chain{i}.{name}") for i in (1, 2, 3)])
 
 
 def _angles(model: Model) -> Array:
     """Where the chains stand, (3,) rad about z of {B}."""
     if model.mechanism.name not in LINEAR:
-        return _three(model, "theta")
+        return _read_three(model, "theta")
     around = model.mechanism.options.get("direction", 0.0) + np.arange(3) * 2 * np.pi / 3
-    return np.asarray(around + np.arctan2(_three(model, "D_y"), _three(model, "D_x")))
+    return np.asarray(around + np.arctan2(_read_three(model, "D_y"), _read_three(model, "D_x")))
 
 
 def _plate(model: Model) -> tuple[float | None, tuple[float, float]]:
@@ -174,18 +174,18 @@ def _plate(model: Model) -> tuple[float | None, tuple[float, float]]:
     return None, (0.0, 0.0)
 
 
-def _within(angles: Array) -> Array:
+def _wrap_angles(angles: Array) -> Array:
     """From -half to half a turn."""
     return np.asarray((angles + np.pi) % (2 * np.pi) - np.pi)
 
 
 def _order(angles: Array, places: Array) -> tuple[int, int, int]:
-    away = np.abs(_within(angles - places[:, None]))
+    away = np.abs(_wrap_angles(angles - places[:, None]))
     a, b, c = (int(i) for i in away.argmin(axis=1))
     return a, b, c
 
 
 def _turn(angles: Array, places: Array) -> float:
     """By how much (rad, about z) the firmware's frame is turned for its towers to be there."""
-    near = (np.abs(_within(angles - places[:, None])).min(axis=0) < NEAR).all()
+    near = (np.abs(_wrap_angles(angles - places[:, None])).min(axis=0) < MAX_TOWER_TRIM).all()
     return 0.0 if near else float(angles[0] - places[0])

@@ -9,11 +9,11 @@ from pathlib import Path
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.files import read_text
-from parallel_cal.importing.sections import SAVED
-from parallel_cal.importing.stated import Stated
+from parallel_cal.importing.sections import SAVE_CONFIG_PREFIX
+from parallel_cal.importing.stated import Settings
 
 
-def fresh(settings: Mapping[str, str]) -> str:
+def format_settings(settings: Mapping[str, str]) -> str:
     """A file with these settings alone: fields `M665 L`, `[section] key`, `$641` or `pin.name`."""
     found = []
     for head, group in groupby(settings, _head):
@@ -26,26 +26,31 @@ def fresh(settings: Mapping[str, str]) -> str:
     return "\n".join(found) + "\n"
 
 
-def edited(stated: Stated, settings: Mapping[str, str], files: Sequence[Path]) -> dict[Path, str]:
+def edit_files(
+    stated: Settings, settings: Mapping[str, str], files: Sequence[Path]
+) -> dict[Path, str]:
     """The texts of `files` with these settings: where one was stated last, else beside its
     neighbours, else at the last file's end."""
-    lines = {path: as_it_is(path).splitlines(keepends=True) for path in files}
+    lines = {path: read_verbatim(path).splitlines(keepends=True) for path in files}
     places = {field: (place.path, place.line - 1) for field, (_, place) in stated.texts.items()}
     for field, value in settings.items():
         path, k = places.get(field) or _neighbour(field, places) or (None, 0)
         if path is None:
             end = lines[files[-1]]
-            end.append(("" if not end or end[-1].endswith("\n") else "\n") + fresh({field: value}))
+            end.append(
+                ("" if not end or end[-1].endswith("\n") else "\n")
+                + format_settings({field: value})
+            )
             path, k = files[-1], len(end) - 1
         elif field in stated:
-            lines[path][k] = _replaced(lines[path][k], field, stated.texts[field][0], value)
+            lines[path][k] = _replace_value(lines[path][k], field, stated.texts[field][0], value)
         else:
-            lines[path][k] = _beside(lines[path][k], field, value)
+            lines[path][k] = _insert_setting(lines[path][k], field, value)
         places[field] = (path, k)
     return {path: "".join(text) for path, text in lines.items()}
 
 
-def as_it_is(path: Path) -> str:
+def read_verbatim(path: Path) -> str:
     """The text of a file, its line ends kept."""
     read_text(path)  # which refuses what is no plain file
     with path.open(encoding="utf-8", newline="") as stream:
@@ -76,7 +81,7 @@ def _neighbour(field: str, places: Mapping[str, tuple[Path, int]]) -> tuple[Path
     return near[-1] if near else None
 
 
-def _replaced(line: str, field: str, old: str, new: str) -> str:
+def _replace_value(line: str, field: str, old: str, new: str) -> str:
     """With another value at the last place of a line that is no comment."""
     begins = "" if field[0] == "$" else r"(?<![\w.])"
     signal = re.match(r"\s*sets\s+(\S+)", line)  # of LinuxCNC, led to the pin
@@ -90,11 +95,11 @@ def _replaced(line: str, field: str, old: str, new: str) -> str:
     return line[: places[-1].end() - len(old)] + new + line[places[-1].end() :]
 
 
-def _beside(line: str, field: str, value: str) -> str:
+def _insert_setting(line: str, field: str, value: str) -> str:
     """A word more in a command, or a line more after this one."""
     if field[0] in "GM":
         command, comment = re.fullmatch(r"([^;(\r\n]*?)(\s*(?:[;(].*)?\s*)", line, re.S).groups()  # type: ignore[union-attr]
         return f"{command} {_line(field, value)}{comment}"
-    saved = f"{SAVED} " if line.startswith(SAVED) else ""
+    saved = f"{SAVE_CONFIG_PREFIX} " if line.startswith(SAVE_CONFIG_PREFIX) else ""
     end = "\r\n" if line.endswith("\r\n") else "\n"
     return line.rstrip("\r\n") + end + saved + _line(field, value) + end

@@ -13,21 +13,21 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.base.errors import ModelError
-from parallel_cal.base.files import PREVIOUS, write_atomically
+from parallel_cal.base.files import BACKUP_SUFFIX, write_atomically
 from parallel_cal.base.threads import single_threaded
-from parallel_cal.exporting.editing import as_it_is, edited, fresh
+from parallel_cal.exporting.editing import edit_files, format_settings, read_verbatim
 from parallel_cal.exporting.heights import BedHeights, bed_heights
 from parallel_cal.exporting.projection import Firmware, Machine, Projection, loss
-from parallel_cal.importing.stated import Stated
+from parallel_cal.importing.stated import Settings
 from parallel_cal.importing.touched import Touches
 from parallel_cal.model.model import Model
-from parallel_cal.model.shelf import load_module, own, shelf_names
+from parallel_cal.model.shelf import list_plugins, load_module, wrap_plugin_function
 
 SHELF = "exporting.targets"
 
 
 @dataclass(frozen=True)
-class Exported:
+class ExportResult:
     """The files that were written; where a firmware has its own, fewer numbers: what it loses, what
     it lost with the numbers it had, heights at touches of its bed, and what else to know."""
 
@@ -41,7 +41,7 @@ class Exported:
 @single_threaded()
 def export(
     model: Model, target: str, folder: str | Path, touches: Touches | None = None
-) -> Exported:
+) -> ExportResult:
     """Write a calibrated model for a controller or another program.
 
     Errors of the measuring device are not exported. A firmware whose kinematics has fewer
@@ -81,18 +81,18 @@ def export(
     module, robot = load_module(SHELF, name), model.robot()
     made: dict[str, str] = {}
     if hasattr(module, "files"):
-        made = own(name, module.files)(robot, **_options(module.files, given))
+        made = wrap_plugin_function(name, module.files)(robot, **_options(module.files, given))
     elif given or not _holds(module, model):
         raise _refusal(name, module, model, given)
-    result = Exported([])
+    result = ExportResult([])
     if touches is not None and not _holds(module, model):
         raise ModelError(f"{name} is no firmware with numbers of its own: export without touches")
     if _holds(module, model):
-        projection, found = _projected(name, module, robot)
-        made |= {file: fresh(numbers) for file, numbers in projection.settings.items()}
+        projection, found = _project(name, module, robot)
+        made |= {file: format_settings(numbers) for file, numbers in projection.settings.items()}
         heights = None if touches is None else bed_heights(robot, None, found, touches)
-        result = Exported([], loss(robot, found), None, _remarks(robot, projection), heights)
-    result.paths.extend(_written(Path(folder), made))
+        result = ExportResult([], loss(robot, found), None, _remarks(robot, projection), heights)
+    result.paths.extend(_write_files(Path(folder), made))
     return result
 
 
@@ -103,7 +103,7 @@ def export_into(
     files: Sequence[Path],
     touches: Touches | None = None,
     force: bool = False,
-) -> Exported:
+) -> ExportResult:
     """Put a firmware's numbers into its own configuration files, comments and order kept; what they
     were stays beside them as `NAME.previous`.
 
@@ -113,10 +113,10 @@ def export_into(
     module, robot = load_module(SHELF, target), model.robot()
     if not _holds(module, model):
         raise _refusal(target, module, model)
-    stated: Stated = module.settings(files)
+    stated: Settings = module.settings(files)
     later = _read_later(module, files)
     now = module.firmware(module.settings([*files, *later]))
-    projection, found = _projected(target, module, robot)
+    projection, found = _project(target, module, robot)
     if type(now) is not type(found.firmware):
         raise ModelError(f"{files[0]}: it is configured for another kind of machine")
     texts: dict[Path, str] = {}
@@ -126,7 +126,7 @@ def export_into(
         its = [path for path in files if path.suffix == Path(file).suffix]
         if not its:
             raise ModelError(f"{target}: numbers belong into {file}, too: --into that file as well")
-        texts |= edited(stated, {**numbers, **dict.fromkeys(cleared, "0")}, its)
+        texts |= edit_files(stated, {**numbers, **dict.fromkeys(cleared, "0")}, its)
         cleared = []
     old, new = (
         replace(found, firmware=firmware) for firmware in (now, _read(module, files, texts))
@@ -136,7 +136,7 @@ def export_into(
         raise _worse_bed(files, heights)
     before, after = loss(robot, old), loss(robot, new)
     for path, text in texts.items():
-        write_atomically(path.with_name(path.name + PREVIOUS), as_it_is(path), like=path)
+        write_atomically(path.with_name(path.name + BACKUP_SUFFIX), read_verbatim(path), like=path)
         write_atomically(path, text)
     remarks = _remarks(robot, projection)
     for path in later:
@@ -145,7 +145,7 @@ def export_into(
                 f"{path} is read after {files[-1]} and still has {', '.join(winning)}, which win: "
                 "remove them there, or export --into that file as well"
             )
-    return Exported(list(texts), after, before, remarks, heights)
+    return ExportResult(list(texts), after, before, remarks, heights)
 
 
 def _read_later(module: ModuleType, files: Sequence[Path]) -> list[Path]:
@@ -178,22 +178,22 @@ def _refusal(name: str, module: ModuleType, model: Model, given: str = "") -> Mo
         return ModelError(f"{name} is no target: it has no files(model)")
     if given and _holds(module, model):
         return ModelError(f"option '{given}': {name} has none")
-    others = [other for other in shelf_names(SHELF) if other not in (name, "urdf")]
-    can = [other for other in others if _can(load_module(SHELF, other), model)]
+    others = [other for other in list_plugins(SHELF) if other not in (name, "urdf")]
+    can = [other for other in others if _can_export(load_module(SHELF, other), model)]
     return ModelError(
         f"{name} has no numbers for {model.mechanism.name}, only for {', '.join(module.HOLDS)}; "
         f"{', '.join(can)} can hold it"
     )
 
 
-def _can(module: ModuleType, model: Model) -> bool:
+def _can_export(module: ModuleType, model: Model) -> bool:
     return hasattr(module, "files") or _holds(module, model)
 
 
-def _projected(name: str, module: ModuleType, robot: Model) -> tuple[Projection, Machine]:
+def _project(name: str, module: ModuleType, robot: Model) -> tuple[Projection, Machine]:
     """A firmware's numbers, and the machine that it is with these as they are written."""
-    projection: Projection = own(name, module.project)(robot)
-    texts = {Path(file): fresh(numbers) for file, numbers in projection.settings.items()}
+    projection: Projection = wrap_plugin_function(name, module.project)(robot)
+    texts = {Path(file): format_settings(numbers) for file, numbers in projection.settings.items()}
     firmware = _read(module, [*texts], texts)
     return projection, Machine(firmware, projection.frame, projection.stops)
 
@@ -204,7 +204,7 @@ def _read(module: ModuleType, files: Sequence[Path], texts: Mapping[Path, str]) 
         copies = [Path(kept) / str(k) / path.name for k, path in enumerate(files)]
         for copy, path in zip(copies, files, strict=True):
             copy.parent.mkdir()
-            write_atomically(copy, texts[path] if path in texts else as_it_is(path))
+            write_atomically(copy, texts[path] if path in texts else read_verbatim(path))
         return module.firmware(module.settings(copies))  # type: ignore[no-any-return]
 
 
@@ -229,7 +229,7 @@ def _remarks(robot: Model, projection: Projection) -> list[str]:
     return remarks
 
 
-def _written(folder: Path, made: Mapping[str, str]) -> list[Path]:
+def _write_files(folder: Path, made: Mapping[str, str]) -> list[Path]:
     folder.mkdir(parents=True, exist_ok=True)
     for file, text in made.items():
         write_atomically(folder / file, text)

@@ -111,7 +111,7 @@ class Bed:
         return np.column_stack([xy, z]), np.broadcast_to(np.eye(3), (n, 3, 3))
 
 
-class Wanted:
+class TargetPoses:
     """Those of some poses that a model reaches, and how its joints stand there."""
 
     def __init__(self, model: Model, r: Array, R: Array):
@@ -121,7 +121,7 @@ class Wanted:
         self.controlled, self.more = m.controlled, len(m.joints) > len(m.controlled)
 
     @classmethod
-    def over_workspace(cls, model: Model, n: int, seed: int) -> Wanted:
+    def over_workspace(cls, model: Model, n: int, seed: int) -> TargetPoses:
         """Of n poses over the model's workspace; ModelError where none is reached."""
         rng = np.random.default_rng(seed)
         wanted = cls(model, *poses_in_workspace(model.mechanism, n, rng))
@@ -130,7 +130,7 @@ class Wanted:
         return wanted
 
     @classmethod
-    def on_bed(cls, model: Model, bed: Bed, machine: Machine) -> Wanted:
+    def on_bed(cls, model: Model, bed: Bed, machine: Machine) -> TargetPoses:
         """Of poses on a bed, whose rim lies outside the workspace's box: where both the model and
         a machine reach."""
         r, R = bed.poses(model, BED_POSES)
@@ -138,7 +138,7 @@ class Wanted:
         return cls(model, r[reached], R[reached])
 
     @cached_property
-    def slopes(self) -> Array:
+    def controlled_jacobian(self) -> Array:
         """What is controlled by joint, (N, m, n); where joints are more, these themselves (rad or
         m), as lines that pull against each other must not be let go either."""
         q, columns = self.at.joints, []
@@ -146,7 +146,7 @@ class Wanted:
             return np.broadcast_to(np.diag(self.winds), (len(q), q.shape[1], q.shape[1]))
         for step in STEP * np.eye(q.shape[1]):
             ahead, back = (self.kinematics.direct(q + s * step, start=self.at) for s in (1, -1))
-            change = apart(back, ahead) / (2 * STEP)
+            change = compute_pose_difference(back, ahead) / (2 * STEP)
             columns.append(change[:, self.controlled])
         return np.stack(columns, axis=2)
 
@@ -156,13 +156,13 @@ class Wanted:
         return np.array(m.winds or (1.0,) * len(m.joints))
 
 
-def apart(wanted: Solutions, found: Solutions) -> Array:
+def compute_pose_difference(wanted: Solutions, found: Solutions) -> Array:
     """By how much poses (N, 6) differ: m, and rad about base axes."""
     turned = rotation_vector(found.rotation @ wanted.rotation.transpose(0, 2, 1))
     return np.hstack([found.position - wanted.position, turned])
 
 
-def fitted(
+def fit_numbers(
     model: Model, start: Array, machine: Callable[[Array], Machine], bed: Bed | None = None
 ) -> Array:
     """The numbers (k,) with which a machine's motors take the robot where it shall go, by least
@@ -173,11 +173,11 @@ def fitted(
     """
     from scipy.optimize import least_squares
 
-    wanted = Wanted.over_workspace(model, FITTED, seed=2)
-    parts = [(wanted.at, wanted.slopes)]
+    wanted = TargetPoses.over_workspace(model, FITTED, seed=2)
+    parts = [(wanted.at, wanted.controlled_jacobian)]
     if bed is not None:
-        on_bed = Wanted.on_bed(model, bed, machine(start))
-        heights = np.einsum("i,nij->nj", bed.normal, on_bed.slopes)[:, None]
+        on_bed = TargetPoses.on_bed(model, bed, machine(start))
+        heights = np.einsum("i,nij->nj", bed.normal, on_bed.controlled_jacobian)[:, None]
         parts.append((on_bed.at, BED_WEIGHT * heights))
 
     def missed(numbers: Array) -> Array:
@@ -198,7 +198,7 @@ def fitted(
 def loss(model: Model, machine: Machine) -> dict[str, Any]:
     """Where the robot goes less where its controller sends it, at poses that the fit did not see;
     of robots with more joints than freedoms that of their lines, too (m)."""
-    wanted = Wanted.over_workspace(model, JUDGED, seed=1)
+    wanted = TargetPoses.over_workspace(model, JUDGED, seed=1)
     q = machine.readings(wanted.at.position, wanted.at.rotation)
     start = wanted.at[np.isfinite(q).all(axis=1)]
     found = wanted.kinematics.direct(q[np.isfinite(q).all(axis=1)], start=start)
@@ -213,7 +213,7 @@ def loss(model: Model, machine: Machine) -> dict[str, Any]:
 
 def summary(model: Model, wanted: Solutions, found: Solutions) -> dict[str, Any]:
     """Mean and largest difference of what the robot controls, and where it is largest."""
-    change = apart(wanted, found)
+    change = compute_pose_difference(wanted, found)
     document: dict[str, Any] = {}
     for kind, part in (("position", range(3)), ("orientation", range(3, 6))):
         columns = [i for i in part if i in model.mechanism.controlled]

@@ -17,9 +17,9 @@ from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.mechanism import poses_in_workspace
 from parallel_cal.model.model import Model
 
-SAME = 1e-7  # m: a point that moves less in a body's frame is fixed on it
-SWING = 0.5  # rad or 1 m: how far a joint is moved to find its axis
-OVERLAP = 0.6  # of the shortest length: how long each half of a telescope is
+FIXED_POINT_TOLERANCE_M = 1e-7  # m: a point that moves less in a body's frame is fixed on it
+JOINT_SWING = 0.5  # rad or 1 m: how far a joint is moved to find its axis
+TELESCOPE_HALF_FRACTION = 0.6  # of the shortest length: how long each half of a telescope is
 X, Y, Z = np.eye(3)
 
 
@@ -89,7 +89,9 @@ class _Builder:
         lines = model.mechanism.drawing(s.q, s.r, s.R, s.geometry)
         if not lines:
             raise ModelError(f"{model.mechanism.name} does not draw itself: there is no tree of it")
-        self._lines = [(line.kind, [self._of_numbers(p) for p in line.points]) for line in lines]
+        self._lines = [
+            (line.kind, [self._substitute_values(p) for p in line.points]) for line in lines
+        ]
         self._samples = _samples(model)
         base, platform = (model.frames[name] for name in ("base", "platform"))
         self._bodies = [_Body(base, ca.SX.eye(3), ca.SX.zeros(3))]
@@ -101,7 +103,7 @@ class _Builder:
             for j, ends in enumerate(pairwise(points)):
                 self._add_segment(f"{kind}{k}" + (f"_{j}" if len(points) > 2 else ""), kind, *ends)
 
-    def _of_numbers(self, expression: Any) -> Any:
+    def _substitute_values(self, expression: Any) -> Any:
         return ca.substitute(ca.SX(expression), self._s.v, ca.DM(self._model.values))
 
     def _numbers(self, expression: Any, x: np.ndarray | None = None) -> np.ndarray:
@@ -125,7 +127,7 @@ class _Builder:
         if not points:
             return
         x = np.array([m.home.configuration] * 3)
-        x[:, i] += (-SWING, 0.0, SWING)
+        x[:, i] += (-JOINT_SWING, 0.0, JOINT_SWING)
         ways = [self._numbers(p, x) for p in points]
         before, at, after = max(ways, key=lambda way: float(np.linalg.norm(way[2] - way[0])))
         turns, name = m.joint_units[i] == "rad", self._model.joints[i]
@@ -133,10 +135,10 @@ class _Builder:
             axis = np.cross(at - before, after - at)
             axis, middle = axis / np.linalg.norm(axis), (before + after) / 2
             inwards = (middle - at) / np.linalg.norm(middle - at)
-            origin = at + inwards * np.linalg.norm(after - before) / (2 * np.sin(SWING))
-            R, p = _turned(axis, own), ca.DM(origin)
+            origin = at + inwards * np.linalg.norm(after - before) / (2 * np.sin(JOINT_SWING))
+            R, p = _rotation_about(axis, own), ca.DM(origin)
         else:
-            axis, origin = (after - at) / SWING, np.zeros(3)
+            axis, origin = (after - at) / JOINT_SWING, np.zeros(3)
             R, p = ca.SX.eye(3), ca.DM(axis) * own
         body = _Body(f"{name}_link", R, p)
         self._bodies.append(body)
@@ -151,14 +153,17 @@ class _Builder:
             ca.atan2(R[2, 1], R[2, 2]),
         ]
         turned = zip(("yaw", "pitch", "roll"), (Z, Y, X), turns, strict=True)
-        steps = [*_ways(r), *((what, True, axis, value) for what, axis, value in turned)]
+        steps = [
+            *_make_sliding_steps(r),
+            *((what, True, axis, value) for what, axis, value in turned),
+        ]
         self._chain(self._bodies[0].name, np.zeros(3), name, steps)
         self._bodies.append(_Body(name, R, r))
 
     def _place(self, body: _Body, point: Any) -> np.ndarray | None:
         """A point in a body's frame, where it is fixed there."""
         places = self._numbers(body.R.T @ (point - body.p))
-        return places[0] if np.abs(places - places[0]).max() < SAME else None
+        return places[0] if np.abs(places - places[0]).max() < FIXED_POINT_TOLERANCE_M else None
 
     # ------------------------------------------------------------------ segments
 
@@ -173,7 +178,7 @@ class _Builder:
                 return self._add_rod(name, kind, body, at_a, a, b)
             if at_b is not None:
                 return self._add_rod(name, kind, body, at_b, b, a)
-        self._chain(self._bodies[0].name, np.zeros(3), f"{name}_end", _ways(a))
+        self._chain(self._bodies[0].name, np.zeros(3), f"{name}_end", _make_sliding_steps(a))
         free = _Body(f"{name}_end", ca.SX.eye(3), a)
         return self._add_rod(name, kind, free, np.zeros(3), a, b)
 
@@ -188,10 +193,10 @@ class _Builder:
         self._chain(body.name, origin, name, steps)
         length = ca.norm_2(d)
         lengths = self._numbers(length).ravel()
-        if np.ptp(lengths) < SAME:
+        if np.ptp(lengths) < FIXED_POINT_TOLERANCE_M:
             self.tree.links[name].append(Segment(kind, (np.zeros(3), lengths[0] * X)))
             return
-        half = OVERLAP * lengths.min() * X
+        half = TELESCOPE_HALF_FRACTION * lengths.min() * X
         self.tree.links[name].append(Segment(kind, (np.zeros(3), half)))
         joint, origin = self._drive(f"{name}_length", length)
         self._join(
@@ -203,7 +208,10 @@ class _Builder:
         """The joint that reads a length's change, and its length at zero; else a passive one."""
         for i, joint in enumerate(self._model.joints):
             rest = self._numbers(length - self._s.q[i]).ravel()
-            if self._model.mechanism.joint_units[i] == "m" and np.ptp(rest) < SAME:
+            if (
+                self._model.mechanism.joint_units[i] == "m"
+                and np.ptp(rest) < FIXED_POINT_TOLERANCE_M
+            ):
                 return joint, rest[0] * X
         return name, np.zeros(3)
 
@@ -221,7 +229,7 @@ class _Builder:
         self.tree.links[joint.child] = []
 
 
-def _ways(point: Any) -> list[tuple[Any, ...]]:
+def _make_sliding_steps(point: Any) -> list[tuple[Any, ...]]:
     """Three sliding joints to a point."""
     return [("x", False, X, point[0]), ("y", False, Y, point[1]), ("z", False, Z, point[2])]
 
@@ -235,7 +243,7 @@ def _samples(model: Model) -> np.ndarray:
     return found[found.solved].configuration.rows
 
 
-def _turned(axis: np.ndarray, angle: Any) -> Any:
+def _rotation_about(axis: np.ndarray, angle: Any) -> Any:
     """Rotation about a unit axis (Rodrigues)."""
     K = ca.skew(ca.DM(axis))
     return ca.SX.eye(3) + ca.sin(angle) * K + (1 - ca.cos(angle)) * (K @ K)

@@ -11,18 +11,18 @@ from importlib.util import find_spec
 from multiprocessing import resource_tracker
 from typing import TYPE_CHECKING, Any
 
-from parallel_cal.fleet.jobs import Asked, FleetError, Job
-from parallel_cal.fleet.judging import Page, Row, judged
+from parallel_cal.fleet.jobs import FleetError, FleetOptions, Job
+from parallel_cal.fleet.judging import Page, Row, judge_recording
 
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-PATIENCE = 15  # s for a scheduler to answer, and for its first worker
+SCHEDULER_TIMEOUT_S = 15  # s for a scheduler to answer, and for its first worker
 EXTRA = ("dask", "distributed", "pyarrow")
-KILLER = "it ended its worker again and again: has that enough memory?"
+KILLED_WORKER_REASON = "it ended its worker again and again: has that enough memory?"
 
 
-def need_extra() -> None:
+def check_extra_installed() -> None:
     """FleetError where the libraries for fleets are not installed."""
     if missing := [name for name in EXTRA if find_spec(name) is None]:
         raise FleetError(
@@ -52,8 +52,8 @@ def cluster(scheduler: str | None, workers: int | None) -> Iterator[Client]:
             yield client
         return
     try:
-        LoopRunner().run_sync(_reached, scheduler)
-        client = Client(scheduler, timeout=PATIENCE)
+        LoopRunner().run_sync(_check_reachable, scheduler)
+        client = Client(scheduler, timeout=SCHEDULER_TIMEOUT_S)
     except (ValueError, TypeError) as error:  # no address; TLS without certificates
         raise FleetError(f"--scheduler {scheduler}: expected tcp://HOST:PORT ({error})") from None
     except OSError as error:
@@ -63,7 +63,7 @@ def cluster(scheduler: str | None, workers: int | None) -> Iterator[Client]:
         ) from None
     try:
         try:
-            client.wait_for_workers(1, timeout=PATIENCE)
+            client.wait_for_workers(1, timeout=SCHEDULER_TIMEOUT_S)
         except TimeoutError:
             raise FleetError(
                 f"{scheduler}: it has no workers: 'dask worker {scheduler} --nthreads 1 "
@@ -74,14 +74,14 @@ def cluster(scheduler: str | None, workers: int | None) -> Iterator[Client]:
         client.close(timeout=1)
 
 
-async def _reached(scheduler: str) -> None:
+async def _check_reachable(scheduler: str) -> None:
     """Raises where nobody answers, as a client does; that would be left half begun, and to end it
     while another begins waits for ever."""
     from distributed.comm import connect
     from distributed.security import Security
 
     known = Security().get_connection_args("client")
-    await (await connect(scheduler, timeout=PATIENCE, **known)).close()
+    await (await connect(scheduler, timeout=SCHEDULER_TIMEOUT_S, **known)).close()
 
 
 @contextmanager
@@ -96,20 +96,20 @@ def _without_ctrl_c() -> Iterator[None]:
 
 
 def results(
-    client: Client, jobs: Sequence[tuple[Job, str]], asked: Asked, page: Page | None
+    client: Client, jobs: Sequence[tuple[Job, str]], asked: FleetOptions, page: Page | None
 ) -> Iterator[tuple[Row, str]]:
     """Rows and pages as they end, in no order; a recording that ended its worker is a row with
     that reason."""
     calls = [(job, asked, inputs, page if job.last else None) for job, inputs in jobs]
-    for k, answer in each(client, judged, calls):
+    for k, answer in run_each(client, judge_recording, calls):
         job, inputs = jobs[k]
         yield answer or ({
             "robot": job.robot, "recording": job.recording, "inputs": inputs,
-            "time": job.time, "reason": KILLER, "seconds": None,
+            "time": job.time, "reason": KILLED_WORKER_REASON, "seconds": None,
         }, "")  # fmt: skip
 
 
-def each(
+def run_each(
     client: Client, do: Callable[..., Any], calls: Sequence[tuple[Any, ...]]
 ) -> Iterator[tuple[int, Any]]:
     """Number and answer of every call as they end, in no order; None of one that ended its worker
@@ -132,7 +132,7 @@ def each(
                 "must be installed where workers are started"
             )
         else:
-            raise _lost()
+            raise _make_lost_error()
         future.release()
 
 
@@ -140,10 +140,10 @@ def _answer(future: Future) -> Any:
     try:
         return future.result()
     except Exception:  # it was done, and the way to it is gone
-        raise _lost() from None
+        raise _make_lost_error() from None
 
 
-def _lost() -> FleetError:
+def _make_lost_error() -> FleetError:
     return FleetError(
         "the scheduler is gone. Start it again, and give the same command: what is in its folder "
         "is not done again"

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from parallel_cal.fleet.population import stacked
+from parallel_cal.fleet.population import stack_evidence
 from parallel_cal.identification.evidence import Evidence
 from parallel_cal.identification.thresholds import RELATIVE_RANK
 
-LEAST = 3  # recordings: two differ, and nobody knows why
+MIN_RECORDINGS = 3  # recordings: two differ, and nobody knows why
 
 
 @dataclass(frozen=True)
@@ -47,12 +47,12 @@ def trend(recordings: Sequence[Evidence], times: Sequence[float]) -> Trend | Non
     What the recordings differ by beside it makes the sigma larger where it is more than noise. None
     where the recordings are fewer than three, or all of one time.
     """
-    if len(recordings) < LEAST or not np.ptp(times):
+    if len(recordings) < MIN_RECORDINGS or not np.ptp(times):
         return None
     from scipy.stats import f
 
     span = float(np.ptp(times))
-    among = _Among.of(recordings)
+    among = _RecordingDifferences.of(recordings)
     k, rate, sigma, gain, told = among.change((np.asarray(times) - np.mean(times)) / span)
     dof = (len(recordings) - 1) * among.rank - 1
     scatter = max(1.0, (among.chi2 - gain) / dof) if dof > 0 else 1.0
@@ -63,7 +63,7 @@ def trend(recordings: Sequence[Evidence], times: Sequence[float]) -> Trend | Non
 def jump(recordings: Sequence[Evidence]) -> Jump | None:
     """The one parameter whose change after one of a robot's recordings, from the first to the last,
     explains best how they differ; None of a single one, or where they tell nothing."""
-    n, among = len(recordings), _Among.of(recordings)
+    n, among = len(recordings), _RecordingDifferences.of(recordings)
     if n < 2 or not among.rank:
         return None
     changes = [(among.change((np.arange(n) > i) - 1 + (i + 1) / n), i) for i in range(n - 1)]
@@ -72,7 +72,7 @@ def jump(recordings: Sequence[Evidence]) -> Jump | None:
 
 
 @dataclass(frozen=True)
-class _Among:
+class _RecordingDifferences:
     """What a robot's recordings say, information A (N, n, n), and what of their pull is `left`
     (N, n) where all say the same; the `inverse` of all their information."""
 
@@ -81,8 +81,8 @@ class _Among:
     inverse: np.ndarray
 
     @classmethod
-    def of(cls, recordings: Sequence[Evidence]) -> _Among:
-        A, g = stacked(recordings)
+    def of(cls, recordings: Sequence[Evidence]) -> _RecordingDifferences:
+        A, g = stack_evidence(recordings)
         inverse = _inverse(A.sum(axis=0))
         return cls(A, g - A @ (inverse @ g.sum(axis=0)), inverse)
 

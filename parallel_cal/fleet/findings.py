@@ -9,18 +9,18 @@ from typing import TypeVar
 
 import numpy as np
 
-from parallel_cal.base.confidence import CHANCE
+from parallel_cal.base.confidence import SIGNIFICANCE_LEVEL
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.fleet.drift import Jump, Trend, jump, trend
-from parallel_cal.fleet.judging import Row, in_order
-from parallel_cal.fleet.population import Population, Sorted, sorted_out
+from parallel_cal.fleet.judging import Row, sort_recordings
+from parallel_cal.fleet.population import Population, SeparatedPopulation, separate_outliers
 from parallel_cal.identification.evidence import Evidence
 from parallel_cal.model.model import Model
 from parallel_cal.model.parameters import ParameterTable
 
-LEAST = 4  # robots of which anything common is said
-MOST = 0.5  # share of the robots: an effect that more of them have is the design's
+MIN_ROBOTS = 4  # robots of which anything common is said
+MIN_DESIGN_SHARE = 0.5  # share of the robots: an effect that more of them have is the design's
 
 T = TypeVar("T")
 Recordings = Mapping[str, Sequence[Row]]  # of each robot, from the first to the last
@@ -117,17 +117,17 @@ class Findings:
 def findings(rows: Sequence[Row], drawing: Model) -> Findings | None:
     """What the rows say together, beside the drawing's model; None of fewer than four robots."""
     judged = [row for row in rows if not row["reason"]]
-    own = in_order(row for row in judged if row["mechanism"] == drawing.mechanism.name)
+    own = sort_recordings(row for row in judged if row["mechanism"] == drawing.mechanism.name)
     robots = sorted(own)
-    if len(robots) < LEAST:
+    if len(robots) < MIN_ROBOTS:
         return None
     told = {
         robot: [Evidence.from_document(row["evidence"]) for row in own[robot]] for robot in robots
     }
     shown = {name for each in told.values() for evidence in each for name in evidence.names}
-    table = _of(drawing.mechanism.parameters, shown)
-    geometry = {robot: [_in_tolerances(e, table) for e in each] for robot, each in told.items()}
-    alike = {robot: _alike(own[robot]) for robot in robots}
+    table = _select_parameters(drawing.mechanism.parameters, shown)
+    geometry = {robot: [_to_tolerances(e, table) for e in each] for robot, each in told.items()}
+    alike = {robot: _find_comparable_recordings(own[robot]) for robot in robots}
     trends = _trends(geometry, own)
     jumps = _jumps({robot: [geometry[robot][k] for k in some] for robot, some in alike.items()})
     for robot in set(trends) & set(jumps):  # whichever explains more
@@ -138,7 +138,9 @@ def findings(rows: Sequence[Row], drawing: Model) -> Findings | None:
     )
     for robot in {*trends, *jumps}:  # as it is now
         own[robot], geometry[robot] = own[robot][-1:], geometry[robot][-1:]
-    each = sorted_out([_together(one, table) for one in geometry.values()], CHANCE)
+    each = separate_outliers(
+        [_combine_evidence(one, table) for one in geometry.values()], SIGNIFICANCE_LEVEL
+    )
     return Findings(
         robots=tuple(robots),
         mechanism=drawing.mechanism.name,
@@ -151,17 +153,17 @@ def findings(rows: Sequence[Row], drawing: Model) -> Findings | None:
     )
 
 
-def _of(table: ParameterTable, names: Collection[str]) -> ParameterTable:
+def _select_parameters(table: ParameterTable, names: Collection[str]) -> ParameterTable:
     return ParameterTable(p for p in table if p.name in names)
 
 
-def _in_tolerances(evidence: Evidence, table: ParameterTable) -> Evidence:
-    return evidence.about(table.names, table.nominal, table.tolerance)
+def _to_tolerances(evidence: Evidence, table: ParameterTable) -> Evidence:
+    return evidence.recentre(table.names, table.nominal, table.tolerance)
 
 
-def _together(told: Sequence[Evidence], table: ParameterTable) -> Evidence:
+def _combine_evidence(told: Sequence[Evidence], table: ParameterTable) -> Evidence:
     """What all the recordings of a robot say."""
-    return sum(told, Evidence.nothing(table.names))
+    return sum(told, Evidence.uninformative(table.names))
 
 
 def _spreads(found: Population, table: ParameterTable) -> tuple[Spread, ...]:
@@ -176,7 +178,9 @@ def _spreads(found: Population, table: ParameterTable) -> tuple[Spread, ...]:
     )  # fmt: skip
 
 
-def _deviations(each: Sorted, robots: list[str], table: ParameterTable) -> tuple[Deviation, ...]:
+def _deviations(
+    each: SeparatedPopulation, robots: list[str], table: ParameterTable
+) -> tuple[Deviation, ...]:
     return tuple(
         Deviation(
             robots[i], (p := table[one.parameter]).name, p.unit, p.tolerance * one.size,
@@ -194,7 +198,7 @@ def _trends(told: Mapping[str, Sequence[Evidence]], own: Recordings) -> dict[str
         timed = [(e, t) for e, row in zip(evidence, own[robot], strict=True) if (t := row["time"])]
         if one := trend([e for e, _ in timed], [time for _, time in timed]):
             found[robot] = one
-    return _no_chance(found, [one.p_value for one in found.values()])
+    return _select_significant(found, [one.p_value for one in found.values()])
 
 
 def _jumps(told: Mapping[str, Sequence[Evidence]]) -> dict[str, Jump]:
@@ -205,10 +209,12 @@ def _jumps(told: Mapping[str, Sequence[Evidence]]) -> dict[str, Jump]:
     found = {robot: one for robot, evidence in told.items() if (one := jump(evidence))}
     usual = np.median([one.between / one.dof for one in found.values()]) if found else 1.0
     scale = max(1.0, float(usual))
-    return _no_chance(found, [chi2.sf(one.between / scale, one.dof) for one in found.values()])
+    return _select_significant(
+        found, [chi2.sf(one.between / scale, one.dof) for one in found.values()]
+    )
 
 
-def _alike(rows: Sequence[Row]) -> list[int]:
+def _find_comparable_recordings(rows: Sequence[Row]) -> list[int]:
     """Numbers of the recordings in which the same effects were found: lengths of other models
     differ by these. The most there are, or the latest."""
     found = [frozenset(row["effects"]) for row in rows]
@@ -216,13 +222,13 @@ def _alike(rows: Sequence[Row]) -> list[int]:
     return [k for k, effects in enumerate(found) if effects == most]
 
 
-def _no_chance(found: dict[str, T], p_values: Sequence[float]) -> dict[str, T]:
+def _select_significant(found: dict[str, T], p_values: Sequence[float]) -> dict[str, T]:
     """Of these no more than the share CHANCE is there by chance."""
     from scipy.stats import false_discovery_control
 
     if not found:
         return {}
-    named = false_discovery_control(p_values) < CHANCE
+    named = false_discovery_control(p_values) < SIGNIFICANCE_LEVEL
     return {robot: one for (robot, one), real in zip(found.items(), named, strict=True) if real}
 
 
@@ -256,35 +262,48 @@ def _effect(
     name: str, those: list[str], own: Recordings, robots: list[str], drawing: Model
 ) -> EffectOfFleet:
     """Whether it is the design's or that of the robots which have it."""
-    told = {robot: [e for row in own[robot] if (e := _of_effect(row, name))] for robot in robots}
+    told = {
+        robot: [e for row in own[robot] if (e := _get_effect_evidence(row, name))]
+        for robot in robots
+    }
     shown = {number for each in told.values() for evidence in each for number in evidence.names}
-    most = len(those) > MOST * len(robots)
+    most = len(those) > MIN_DESIGN_SHARE * len(robots)
     try:
-        table = _of(drawing.with_effect(name).table, shown)
+        table = _select_parameters(drawing.with_effect(name).table, shown)
     except ModelError:  # a sensor's, that the drawing has not
         table = ParameterTable(())
     if not len(table):
         return EffectOfFleet(name, "each" if most else "doubtful", tuple(those), len(robots))
-    each = sorted_out(
-        [_together([_in_tolerances(e, table) for e in one], table) for one in told.values()], CHANCE
+    each = separate_outliers(
+        [
+            _combine_evidence([_to_tolerances(e, table) for e in one], table)
+            for one in told.values()
+        ],
+        SIGNIFICANCE_LEVEL,
     )
-    p = _is_zero(each.population, len(robots) - len(each.outlying))
+    p = _compute_zero_mean_p_value(each.population, len(robots) - len(each.outlying))
     apart = tuple(d for d in _deviations(each, robots, table) if most or d.robot in those)
-    kind = ("design" if p < CHANCE else "each") if most else "fault" if apart else "doubtful"
+    kind = (
+        ("design" if p < SIGNIFICANCE_LEVEL else "each")
+        if most
+        else "fault"
+        if apart
+        else "doubtful"
+    )
     spreads = _spreads(each.population, table)
     return EffectOfFleet(name, kind, tuple(those), len(robots), p, spreads, apart)
 
 
-def _of_effect(row: Row, name: str) -> Evidence | None:
+def _get_effect_evidence(row: Row, name: str) -> Evidence | None:
     """What a recording says of an effect's numbers, whether they are in its model or not."""
     if name in row["effects"]:
         whole = Evidence.from_document(row["evidence"])
-        return whole.only(n for n in whole.names if n.startswith(f"{name}."))
+        return whole.marginalise(n for n in whole.names if n.startswith(f"{name}."))
     document = row["effects_evidence"].get(name)
     return Evidence.from_document(document) if document else None
 
 
-def _is_zero(found: Population, robots: int) -> float:
+def _compute_zero_mean_p_value(found: Population, robots: int) -> float:
     """The p-value of a mean that is zero (Hotelling's test, the covariance being the mean's)."""
     from scipy.stats import f
 

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from parallel_cal.base.documents import plain
+from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.files import write_atomically
 from parallel_cal.base.progress import Progress, ignore_progress
-from parallel_cal.fleet.cluster import cluster, need_extra, results
+from parallel_cal.fleet.cluster import check_extra_installed, cluster, results
 from parallel_cal.fleet.findings import Findings, findings
-from parallel_cal.fleet.jobs import Asked, FleetError, Job, jobs_of
+from parallel_cal.fleet.jobs import FleetError, FleetOptions, Job, jobs_of
 from parallel_cal.fleet.judging import Page, Row
 from parallel_cal.fleet.rows import Rows
 from parallel_cal.fleet.tolerances import next_robot
@@ -45,7 +45,7 @@ class Fleet:
         return {
             "robots": len({row["robot"] for row in self.rows}),
             "recordings": len(self.rows),
-            "findings": plain(self.findings),
+            "findings": to_json_value(self.findings),
             "failed": [
                 {k: row[k] for k in ("robot", "recording", "reason")} for row in self.failed
             ],
@@ -55,7 +55,7 @@ class Fleet:
 def judge(
     robots: Path,
     folder: Path,
-    asked: Asked | None = None,
+    asked: FleetOptions | None = None,
     *,
     scheduler: str | None = None,
     workers: int | None = None,
@@ -69,17 +69,17 @@ def judge(
     ModelError for an unknown effect, FleetError where it cannot begin, or not go on; rows that were
     done are kept.
     """
-    need_extra()
-    asked, jobs = asked or Asked(), jobs_of(robots)
+    check_extra_installed()
+    asked, jobs = asked or FleetOptions(), jobs_of(robots)
     for name in (*asked.effects, *asked.also):
         load_effect(name)
     if robots.is_dir() and any(job.data.is_relative_to(folder.resolve()) for job in jobs):
         raise FleetError(f"{folder}: recordings are in it, expected a folder of its own")
     store = Rows(folder)
     report = progress or ignore_progress
-    with store.alone():
-        inputs = {job.inputs(asked): job for job in jobs}
-        done = {key: row for key in inputs if (row := store.known(key))}
+    with store.lock():
+        inputs = {job.hash_inputs(asked): job for job in jobs}
+        done = {key: row for key in inputs if (row := store.load(key))}
         left = [(job, key) for key, job in inputs.items() if key not in done]
         report("recordings", len(done) / len(jobs))
         try:
@@ -95,14 +95,14 @@ def judge(
             rows = tuple(done[key] for key in inputs if key in done)
             store.gather(rows)
         store.forget_others(inputs)
-        fleet = _told(rows, jobs)
+        fleet = _make_fleet(rows, jobs)
         write_atomically(folder / "fleet.json", json.dumps(fleet.document(), allow_nan=False))
         if fleet.next_robot is not None:
             write_model(fleet.next_robot, folder / "next_robot.yaml")
     return fleet
 
 
-def _told(rows: tuple[Row, ...], jobs: Sequence[Job]) -> Fleet:
+def _make_fleet(rows: tuple[Row, ...], jobs: Sequence[Job]) -> Fleet:
     """With what the rows say together, of the robots of the most frequent kind."""
     judged = {(row["robot"], row["recording"]): row for row in rows if not row["reason"]}
     if not judged:

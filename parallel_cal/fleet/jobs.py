@@ -11,7 +11,7 @@ from pathlib import Path
 from threading import Lock
 
 from parallel_cal import __version__
-from parallel_cal.base.errors import ParallelCalError, nearest
+from parallel_cal.base.errors import ParallelCalError, format_suggestion
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.recordings.bag import DATA_FILES, data_hash
 from parallel_cal.recordings.options import ReadOptions
@@ -20,7 +20,7 @@ from parallel_cal.recordings.table import read_table
 COLUMNS, TIME = ("robot", "model", "recording"), "time"
 TABLE = "rows.parquet"  # by which the folder of a fleet's results is known
 SAMPLES = ".json"
-ONE = Lock()  # CasADi's expressions are not for several threads of a worker
+CASADI_LOCK = Lock()  # CasADi's expressions are not for several threads of a worker
 
 
 class FleetError(ParallelCalError):
@@ -42,7 +42,7 @@ def check_version(asked: str) -> None:
 
 
 @dataclass(frozen=True)
-class Asked:
+class FleetOptions:
     """What is asked of every recording: how it is read, identified and diagnosed, and by which
     version."""
 
@@ -70,7 +70,7 @@ class Job:
         parts = re.split("([0-9]+)", self.recording)
         return [int(part) if k % 2 else part for k, part in enumerate(parts)]
 
-    def inputs(self, asked: Asked) -> str:
+    def hash_inputs(self, asked: FleetOptions) -> str:
         """sha256 of all that the result follows from."""
         parts = [repr(asked), self.robot, self.recording, repr(self.time)]
         for path in (self.model, self.data):
@@ -88,7 +88,7 @@ def jobs_of(robots: Path) -> list[Job]:
     FleetError where there are none, or two robots, or recordings of one, have one name;
     DatasetError where a list is no table.
     """
-    jobs = list(_listed(robots) if robots.is_file() else _found(robots))
+    jobs = list(_list_table_jobs(robots) if robots.is_file() else _list_folder_jobs(robots))
     if not jobs:
         raise FleetError(
             f"{robots}: no recordings; expected a folder for each robot with its model (.yaml) and "
@@ -111,7 +111,7 @@ def jobs_of(robots: Path) -> list[Job]:
     return [replace(job, last=last[job.robot] is job) for job in jobs]
 
 
-def _found(robots: Path) -> Iterator[Job]:
+def _list_folder_jobs(robots: Path) -> Iterator[Job]:
     """A folder's; a robot without a model of its own has that which lies beside the folders."""
     if not robots.is_dir():
         raise FleetError(f"{robots}: no such folder or list")
@@ -138,11 +138,11 @@ def _is_recording(path: Path) -> bool:
     return path.suffix in (*DATA_FILES, SAMPLES)
 
 
-def _listed(robots: Path) -> Iterator[Job]:
+def _list_table_jobs(robots: Path) -> Iterator[Job]:
     """A list's, its paths from where the list is; `time` is a column that it may have."""
-    table, known, lost = read_table(robots).complete(), [*COLUMNS, TIME], []
+    table, known, lost = read_table(robots).drop_empty_rows(), [*COLUMNS, TIME], []
     if unknown := [name for name in table.header if name and name not in known]:
-        expected = f"expected {', '.join(known)}{nearest(unknown[0], known)}"
+        expected = f"expected {', '.join(known)}{format_suggestion(unknown[0], known)}"
         raise FleetError(f"{robots}:1: unknown column '{unknown[0]}', {expected}")
     if missing := [name for name in COLUMNS if name not in table.header]:
         raise FleetError(f"{robots}:1: no column {', '.join(missing)}")

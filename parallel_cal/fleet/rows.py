@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from parallel_cal.base.files import held, read_text, write_atomically
+from parallel_cal.base.files import open_locked, read_text, write_atomically
 from parallel_cal.fleet.jobs import TABLE, FleetError
 from parallel_cal.fleet.judging import Row
 
@@ -30,9 +30,9 @@ class Rows:
             part.mkdir(parents=True, exist_ok=True)
 
     @contextmanager
-    def alone(self) -> Iterator[None]:
+    def lock(self) -> Iterator[None]:
         """Keep other processes out; FleetError where one is at it."""
-        file = held(self.folder / ".lock")
+        file = open_locked(self.folder / ".lock")
         if file is None:
             raise FleetError(f"{self.folder}: another fleet is being judged into it")
         try:
@@ -40,7 +40,7 @@ class Rows:
         finally:
             os.close(file)
 
-    def known(self, inputs: str) -> Row | None:
+    def load(self, inputs: str) -> Row | None:
         """A recording's row as it was left; None where it failed or was not done."""
         try:
             row: Row = json.loads(read_text(self._file(inputs)))

@@ -21,7 +21,9 @@ def next_robot(drawing: Model, found: Findings) -> Model:
     learned = {one.name: one for one in found.parameters}
     mechanism = copy(drawing.mechanism)
     mechanism.parameters = ParameterTable(
-        replace(p, nominal=one.mean, tolerance=expected(one)) if (one := learned.get(p.name)) else p
+        replace(p, nominal=one.mean, tolerance=compute_expected_sigma(one))
+        if (one := learned.get(p.name))
+        else p
         for p in mechanism.parameters
     )
     common = [effect for effect in found.effects if effect.kind == "design"]
@@ -30,7 +32,10 @@ def next_robot(drawing: Model, found: Findings) -> Model:
     for effect in common:
         own = own if effect.name in has else own.with_effect(effect.name)
     numbers = {one.name: one for effect in common for one in effect.numbers}
-    tolerances = {name: float(np.hypot(one.mean, expected(one))) for name, one in numbers.items()}
+    tolerances = {
+        name: float(np.hypot(one.mean, compute_expected_sigma(one)))
+        for name, one in numbers.items()
+    }
     values = own.table.mapping(own.values)
     values |= {name: one.mean for name, one in (learned | numbers).items() if name in values}
     return replace(
@@ -38,7 +43,7 @@ def next_robot(drawing: Model, found: Findings) -> Model:
     )
 
 
-def expected(one: Spread) -> float:
+def compute_expected_sigma(one: Spread) -> float:
     """How far another robot's parameter lies from the mean, 1 sigma; where the spread came out
     small, half of what it may be."""
     return float(np.hypot(max(one.spread, one.high / 2), one.sigma))

@@ -36,12 +36,12 @@ class Acceptance:
     against: str = ""
 
     @property
-    def errors(self) -> str:
+    def description(self) -> str:
         """`error at poses left out 37.6 to 32.2 um, 0.457 to 0.457 arcmin`."""
-        return f"error {self.where} {in_words(self.after, self.before)}"
+        return f"error {self.basis} {format_errors(self.after, self.before)}"
 
     @property
-    def where(self) -> str:
+    def basis(self) -> str:
         return "at poses left out" if self.judged else "at the samples used"
 
     def document(self) -> dict[str, Any]:
@@ -63,10 +63,10 @@ def acceptance(
     known = np.isfinite(squares).all(axis=0)
     if not known.any():
         used = (new.before if old is None else old.after).summary
-        return Acceptance(used, new.after.summary, False, _unproven(new))
+        return Acceptance(used, new.after.summary, False, _describe_missing_proof(new))
     then, now = before.select(known).summary, after.select(known).summary
     ratio = held_out_ratio(then, now)
-    clearly = rise > 0 or _clearly(squares[0] - squares[1], known, blocks(new.dataset))
+    clearly = rise > 0 or _falls_significantly(squares[0] - squares[1], known, blocks(new.dataset))
     if ratio is not None and ratio < 1 + rise and clearly:
         return Acceptance(then, now, True)
     falls = ratio is not None and ratio < 1
@@ -76,16 +76,16 @@ def acceptance(
     return Acceptance(
         then, now, True,
         f"the error at poses left out {'rises' if rise else verb}{change} "
-        f"({in_words(now, then)}{factor}){known_already}",
+        f"({format_errors(now, then)}{factor}){known_already}",
     )  # fmt: skip
 
 
-def _unproven(new: FitResult) -> str:
+def _describe_missing_proof(new: FitResult) -> str:
     why = "too few poses to leave some out" if new.options.hold_out else "no pose was left out"
     return f"{why}, so nothing proves that the new model is better"
 
 
-def _clearly(fall: np.ndarray, known: np.ndarray, group: np.ndarray) -> bool:
+def _falls_significantly(fall: np.ndarray, known: np.ndarray, group: np.ndarray) -> bool:
     """Whether squared errors fall by more than their mean's own uncertainty, poses taken as a
     whole: a fall that half of the poses contradict is luck."""
     by_pose = np.bincount(group[known], fall[known])
@@ -109,7 +109,7 @@ def _squared(result: FitResult, found: Errors) -> np.ndarray:
     return np.asarray(np.sum(found.joint**2, axis=1))
 
 
-def in_words(after: Summary, before: Summary | None = None) -> str:
+def format_errors(after: Summary, before: Summary | None = None) -> str:
     """Rms errors as a person reads them, with what they were before."""
     parts = []
     for kind, factor, unit in UNITS:

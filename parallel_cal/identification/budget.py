@@ -10,11 +10,11 @@ import numpy as np
 
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.identification.observations import Observations
-from parallel_cal.identification.prediction_errors import Errors, Summary, judgeable
-from parallel_cal.identification.predictions import predicted
+from parallel_cal.identification.prediction_errors import Errors, Summary, find_judgeable_samples
+from parallel_cal.identification.predictions import predict_configurations
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model
-from parallel_cal.recordings.replicates import averaged
+from parallel_cal.recordings.replicates import average_groups
 
 KINDS = {"position": slice(0, 3), "orientation": slice(3, 6)}
 
@@ -59,7 +59,9 @@ def budgets(model: Model, observations: Observations, noise: Summary) -> tuple[B
     steps = [after.change_from(before)[:, n:] for before, after in pairwise(poses)]
     found = []
     for kind, part in KINDS.items():
-        judged = judgeable(model.mechanism, observations.measured[:, n:], range(6)[part])
+        judged = find_judgeable_samples(
+            model.mechanism, observations.measured[:, n:], range(6)[part]
+        )
         if judged.any():
             taken = [step[judged, part] for step in steps]
             found.append(_budget(kind, list(groups), taken, noise.rms(kind)))
@@ -71,11 +73,11 @@ def _groups(model: Model) -> Iterator[tuple[str, np.ndarray]]:
     yield "geometry", np.isin(model.table.names, model.mechanism.parameters.names)
     for effect in model.effects:
         which = model.table.matching([f"{effect.name}.*"])
-        yield effect.name, which & ~model.table.matching(effect.known())
+        yield effect.name, which & ~model.table.matching(effect.fixed_patterns())
 
 
 def _pose(model: Model, observations: Observations) -> Configuration:
-    return Configuration.from_rows(predicted(model, observations))
+    return Configuration.from_rows(predict_configurations(model, observations))
 
 
 def _budget(kind: str, names: list[str], steps: list[np.ndarray], noise: float | None) -> Budget:
@@ -125,7 +127,7 @@ def iso_9283(errors: Errors, observations: Observations) -> tuple[Iso9283, ...]:
 def _figures(kind: str, e: np.ndarray, group: np.ndarray) -> Iso9283:
     e = np.nan_to_num(e)
     _, inverse, visits = np.unique(group, return_inverse=True, return_counts=True)
-    middle = averaged(e, group)
+    middle = average_groups(e, group)
     accuracy = np.linalg.norm(middle, axis=1)
     again = visits[inverse] > 1
     # n visits scatter about their own mean by (n - 1) / n of their variance

@@ -14,7 +14,7 @@ from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.prediction_errors import Errors
 from parallel_cal.identification.prior import Prior
 from parallel_cal.model.model import Model
-from parallel_cal.model.parameters import BEYOND, Parameter
+from parallel_cal.model.parameters import RANGE_MARGIN_SIGMAS, Parameter
 
 
 def chosen_parameters(model: Model, options: FitOptions) -> tuple[np.ndarray, bool]:
@@ -41,7 +41,7 @@ def free_mask(model: Model, free: Iterable[str], fix: Iterable[str]) -> np.ndarr
     return np.asarray(mask)
 
 
-def lacking(
+def explain_too_few_poses(
     model: Model, observations: Observations, free: np.ndarray, prior: bool | Prior | None
 ) -> str:
     """What is said where poses are too few, or all of them the same; empty where they are enough.
@@ -89,7 +89,7 @@ def check_plausible(
             raise FitError(said)
         tolerances[p.name] = 1.2 * p.tolerance * (value - p.nominal) / (bound - p.nominal)
         words.append(f"{said}: taken all the same")
-    if why := model.with_values(_nearest(model, estimate, free)).absurd():
+    if why := model.with_values(_nearest(model, estimate, free)).find_contradiction():
         if not insist:
             raise FitError(why)
         words.append(f"{why}: taken all the same")
@@ -116,7 +116,7 @@ def check_joint_errors(model: Model, found: Errors) -> None:
 def _nearest(model: Model, estimate: Estimate, free: np.ndarray) -> np.ndarray:
     """The values nearest to nominal that are within three sigmas of what was estimated."""
     away = model.values - model.table.nominal
-    slack = np.where(free, BEYOND * estimate.sigma, 0.0)
+    slack = np.where(free, RANGE_MARGIN_SIGMAS * estimate.sigma, 0.0)
     return np.asarray(model.table.nominal + np.sign(away) * np.maximum(np.abs(away) - slack, 0.0))
 
 

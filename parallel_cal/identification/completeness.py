@@ -8,7 +8,12 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from parallel_cal.base.errors import ModelError
-from parallel_cal.identification.thresholds import CLOSED, FRAME_UNIT, INDEPENDENT, PART_OF_TRAVEL
+from parallel_cal.identification.thresholds import (
+    FRAME_UNIT,
+    MAX_CLOSED_RESIDUAL_M,
+    MIN_INDEPENDENT_SINGULAR_VALUE,
+    PART_OF_TRAVEL,
+)
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.mechanism import Mechanism
@@ -48,7 +53,7 @@ class Completeness:
     needed: int
     coordinates: int
 
-    def complete(self, frames: int = 2) -> bool:
+    def is_complete(self, frames: int = 2) -> bool:
         """Whether nothing is missing, with `frames` of {B} and {P} arbitrarily located (F)."""
         return self.rank == self.needed - self.coordinates * (2 - frames)
 
@@ -60,7 +65,7 @@ class Completeness:
     @property
     def frames(self) -> int | None:
         """With how many of {B} and {P} arbitrarily located nothing is missing (None: something)."""
-        return next((F for F in (2, 1, 0) if self.complete(F)), None)
+        return next((F for F in (2, 1, 0) if self.is_complete(F)), None)
 
     @property
     def sentence(self) -> str:
@@ -79,7 +84,7 @@ class Completeness:
         return asdict(self) | {"frames": self.frames, "redundant": self.redundant}
 
 
-def check(
+def compute_completeness(
     mechanism: Mechanism, spread: float = 5.0, without: Sequence[str] = (), seed: int = 0
 ) -> Completeness:
     """Rank of the identification Jacobian d phi / dp over poses that close exactly.
@@ -103,7 +108,7 @@ def closed_poses(model: Model, n: int, rng: np.random.Generator) -> np.ndarray:
     kinematics, found = Kinematics(model), np.empty((0, len(model.joints) + 12))
     for _ in range(20):
         s = kinematics.direct(_joints(kinematics, n, rng))
-        closed = np.nan_to_num(s.residual, nan=np.inf) < CLOSED
+        closed = np.nan_to_num(s.residual, nan=np.inf) < MAX_CLOSED_RESIDUAL_M
         found = np.vstack([found, s.configuration.rows[closed]])[:n]
         if len(found) == n:
             return found
@@ -148,7 +153,7 @@ def rank(J: np.ndarray) -> int:
     felt = size > 1e-12 * size.max(initial=0.0)
     scaled = J[:, felt] / size[felt]
     values = np.linalg.svd(scaled, compute_uv=False)
-    return int(np.sum(values > INDEPENDENT * values[0])) if len(values) else 0
+    return int(np.sum(values > MIN_INDEPENDENT_SINGULAR_VALUE * values[0])) if len(values) else 0
 
 
 def _blocks(model: Model, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

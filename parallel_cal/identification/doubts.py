@@ -7,27 +7,33 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from parallel_cal.base.confidence import SIGMAS
+from parallel_cal.base.confidence import SIGMAS_AT_SIGNIFICANCE_LEVEL
 from parallel_cal.identification.methods._estimate import Estimate
 from parallel_cal.identification.observations import SCATTER, Observations
 from parallel_cal.identification.prediction_errors import Summary
-from parallel_cal.identification.thresholds import DOUBTED, FAR, HELD, MANY, MENTIONED
+from parallel_cal.identification.thresholds import (
+    MAX_HELD_ERROR_TO_NOISE_RATIO,
+    MAX_MOVED_TOLERANCES,
+    MAX_NAMED_DIRECTIONS,
+    MAX_NAMED_WEAK_DIRECTIONS,
+    MIN_TRUSTED_WEIGHT,
+)
 from parallel_cal.model.model import Model
 from parallel_cal.model.words import direction_in_words, parameters_in_words
 from parallel_cal.recordings.dataset import Dataset
 
 
-def on_parameters(model: Model, estimate: Estimate, free: np.ndarray) -> list[str]:
+def list_parameter_warnings(model: Model, estimate: Estimate, free: np.ndarray) -> list[str]:
     """Parameters that went far, combinations that the data cannot tell."""
     table = model.table
     moved = (model.values - table.nominal) / table.tolerance
     words = [
         f"{p.name} moved {moved[i]:+.1f} tolerances from nominal"
         for i, p in enumerate(table)
-        if free[i] and abs(moved[i]) > FAR
+        if free[i] and abs(moved[i]) > MAX_MOVED_TOLERANCES
     ]
     unseen = estimate.spectrum.unidentifiable
-    if len(unseen) > MANY:
+    if len(unseen) > MAX_NAMED_DIRECTIONS:
         part_of = {name for direction in unseen for name in direction}
         together = parameters_in_words((n for n in table.names if n in part_of), table)
         words.append(
@@ -44,7 +50,9 @@ def on_priors(model: Model, estimate: Estimate) -> list[str]:
     weak = estimate.spectrum.weak
     if not (estimate.spectrum.held and weak):
         return []
-    named = [direction_in_words(c, model.table) for c in weak[: -MENTIONED - 1 : -1]]
+    named = [
+        direction_in_words(c, model.table) for c in weak[: -MAX_NAMED_WEAK_DIRECTIONS - 1 : -1]
+    ]
     more = f"; and {len(weak) - len(named)} more" if len(weak) > len(named) else ""
     return [
         f"tolerances stand in as priors for what the data tell less of, {len(weak)} "
@@ -52,7 +60,7 @@ def on_priors(model: Model, estimate: Estimate) -> list[str]:
     ]
 
 
-def on_noise(estimate: Estimate, observations: Observations) -> list[str]:
+def list_noise_warnings(estimate: Estimate, observations: Observations) -> list[str]:
     """Residuals beside the noise that was stated."""
     if observations.noise_assumed:
         return [
@@ -67,7 +75,7 @@ def on_noise(estimate: Estimate, observations: Observations) -> list[str]:
         if guessed:  # a robot that comes back shows more than its jitter at rest
             which = " and ".join(guessed)
             noise = f"the jitter within dwells, taken for the {which} noise that nobody stated"
-        shown = apart([estimate.chi2_per_dof, low, high])
+        shown = format_distinctly([estimate.chi2_per_dof, low, high])
         return [
             f"chi2/dof {shown[0]} is outside {shown[1]}..{shown[2]}: the residuals are {size} than "
             f"{noise}"
@@ -75,7 +83,7 @@ def on_noise(estimate: Estimate, observations: Observations) -> list[str]:
     return []
 
 
-def apart(values: Sequence[float]) -> list[str]:
+def format_distinctly(values: Sequence[float]) -> list[str]:
     """Numbers with two decimals, or as many as the first needs to differ from the others."""
     for digits in range(2, 8):
         shown = [f"{value:.{digits}f}" for value in values]
@@ -84,7 +92,9 @@ def apart(values: Sequence[float]) -> list[str]:
     return shown
 
 
-def on_held(model: Model, after: Summary, noise: Callable[[], Summary]) -> list[str]:
+def list_held_coordinate_warnings(
+    model: Model, after: Summary, noise: Callable[[], Summary]
+) -> list[str]:
     """What was measured to move, but the model holds at one value: chi2 does not see it."""
     words = []
     for kind, part in (("position", range(3)), ("orientation", range(3, 6))):
@@ -92,7 +102,7 @@ def on_held(model: Model, after: Summary, noise: Callable[[], Summary]) -> list[
         if error is None or any(i in model.mechanism.moved for i in part):
             continue
         floor = noise().rms(kind)
-        if floor is not None and error > HELD * floor:
+        if floor is not None and error > MAX_HELD_ERROR_TO_NOISE_RATIO * floor:
             words.append(
                 f"the {kind} is off by {error / floor:.0f} times its noise, but "
                 f"{model.mechanism.name} holds it at one value: a larger model may explain it"
@@ -101,7 +111,7 @@ def on_held(model: Model, after: Summary, noise: Callable[[], Summary]) -> list[
 
 
 @dataclass(frozen=True)
-class Doubted:
+class DownWeightedSample:
     """A sample that a robust loss mistrusts: its number, when it was, and its weight."""
 
     sample: int
@@ -109,22 +119,27 @@ class Doubted:
     weight: float
 
 
-def doubted(estimate: Estimate, dataset: Dataset) -> tuple[Doubted, ...]:
+def find_down_weighted_samples(
+    estimate: Estimate, dataset: Dataset
+) -> tuple[DownWeightedSample, ...]:
     """Samples that a robust loss gave less than half their weight, least trusted first."""
     if estimate.weight is None:
         return ()
     order = np.argsort(estimate.weight, kind="stable")
     return tuple(
-        Doubted(int(dataset.numbers[i]), float(dataset.time[i]), float(estimate.weight[i]))
+        DownWeightedSample(
+            int(dataset.numbers[i]), float(dataset.time[i]), float(estimate.weight[i])
+        )
         for i in order
-        if estimate.weight[i] < DOUBTED
+        if estimate.weight[i] < MIN_TRUSTED_WEIGHT
     )
 
 
-def on_samples(estimate: Estimate, dataset: Dataset, loss: str) -> list[str]:
+def list_sample_warnings(estimate: Estimate, dataset: Dataset, loss: str) -> list[str]:
     """Samples that a robust loss mistrusts."""
     words = [
-        f"{d.sample} ({d.time:.1f} s, weight {d.weight:.2g})" for d in doubted(estimate, dataset)
+        f"{d.sample} ({d.time:.1f} s, weight {d.weight:.2g})"
+        for d in find_down_weighted_samples(estimate, dataset)
     ]
     return [f"samples down-weighted by loss {loss}: {', '.join(words)}"] if words else []
 
@@ -134,7 +149,10 @@ def chi2_band(dof: int) -> tuple[float, float]:
     if dof <= 0:
         return (0.0, float("inf"))
     a = 2 / (9 * dof)
-    return tuple((1 - a + z * a**0.5) ** 3 for z in (-SIGMAS, SIGMAS))  # type: ignore[return-value]
+    return tuple(
+        (1 - a + z * a**0.5) ** 3
+        for z in (-SIGMAS_AT_SIGNIFICANCE_LEVEL, SIGMAS_AT_SIGNIFICANCE_LEVEL)
+    )  # type: ignore[return-value]
 
 
 def finite_or_none(value: float) -> float | None:

@@ -7,39 +7,39 @@ from functools import partial
 
 from parallel_cal.base.errors import FitError
 from parallel_cal.identification.methods._estimate import Estimate
-from parallel_cal.identification.methods._robust import robust
+from parallel_cal.identification.methods._robust import estimate_robustly
 from parallel_cal.identification.prior import Prior
-from parallel_cal.model.shelf import load_module, own
+from parallel_cal.model.shelf import load_module, wrap_plugin_function
 
 Estimator = Callable[..., Estimate]  # of a model, observations, the mask of what is free
 # These minimise residuals in noise units until they settle; what rests on such a minimum
 # (robust losses, partial re-calibration) makes no sense for the others.
-SETTLING = ("implicit", "forward", "inverse")
+CONVERGENT_METHODS = ("implicit", "forward", "inverse")
 SHELF = "identification.methods"
 
 
 def estimator(method: str, prior: bool | Prior | None = False, loss: str = "linear") -> Estimator:
     """How to get an estimate from (model, observations, free); FitError where it makes no sense."""
-    chosen = partial(method_named(method), prior=prior)
+    chosen = partial(load_method(method), prior=prior)
     if loss == "linear":
         return chosen
-    need_settling(method, f"the loss '{loss}'")
-    return partial(robust, chosen, loss=loss)
+    check_convergent_method(method, f"the loss '{loss}'")
+    return partial(estimate_robustly, chosen, loss=loss)
 
 
-def method_named(name: str) -> Callable[..., Estimate]:
+def load_method(name: str) -> Callable[..., Estimate]:
     """The `estimate` function of parallel_cal/identification/methods/<name>.py, or of the file at
     a Python path."""
     function = getattr(load_module(SHELF, name, FitError), "estimate", None)
     if function is None:
         raise FitError(f"{name} is no method: it has no estimate(model, observations, free, prior)")
-    return own(name, function)
+    return wrap_plugin_function(name, function)
 
 
-def need_settling(method: str, wanted: str) -> None:
+def check_convergent_method(method: str, wanted: str) -> None:
     """FitError for a method that does not weigh samples by their noise, or does so only once."""
-    if method not in SETTLING:
+    if method not in CONVERGENT_METHODS:
         raise FitError(
             f"{wanted} needs a method that weighs samples until it settles, and '{method}' does "
-            f"not; use {' or '.join(SETTLING)}"
+            f"not; use {' or '.join(CONVERGENT_METHODS)}"
         )

@@ -31,7 +31,7 @@ class Evidence:
         (Birge's ratio)."""
         model, found, free = result.model, result.estimate.spectrum, result.free
         table, chi2 = model.table, result.estimate.chi2_per_dof
-        scale = (table.likely if found.held else table.tolerance)[free]
+        scale = (table.prior_sigma if found.held else table.tolerance)[free]
         seen = found.directions[: found.rank]
         A = (seen.T * found.singular_values[: found.rank] ** 2) @ seen
         # Where the tolerances stood in, the data pull against them.
@@ -55,7 +55,7 @@ class Evidence:
         return replace(self, information=information, pull=self.pull + other.pull)
 
     @classmethod
-    def nothing(cls, names: Sequence[str]) -> Evidence:
+    def uninformative(cls, names: Sequence[str]) -> Evidence:
         """What is known before anything was measured."""
         n = len(names)
         return cls(tuple(names), np.zeros(n), np.zeros((n, n)), np.zeros(n))
@@ -66,7 +66,7 @@ class Evidence:
         numbers = (np.array(document[key]) for key in ("centre", "information", "pull"))
         return cls(tuple(document["names"]), *numbers)
 
-    def only(self, names: Iterable[str]) -> Evidence:
+    def marginalise(self, names: Iterable[str]) -> Evidence:
         """That of some parameters, of those that it has, while the others may be anything."""
         wanted = set(names)
         asked = np.array([name in wanted for name in self.names], dtype=bool)
@@ -85,10 +85,10 @@ class Evidence:
             g[asked] - gain @ (g[others] / size),
         )
 
-    def about(self, names: Sequence[str], centre: np.ndarray, scale: np.ndarray) -> Evidence:
+    def recentre(self, names: Sequence[str], centre: np.ndarray, scale: np.ndarray) -> Evidence:
         """The same of the parameters `names` (n,) about `centre` (n,) in units of `scale` (n,);
         nothing is known of those that it has not."""
-        own, n = self.only(names), len(names)
+        own, n = self.marginalise(names), len(names)
         at = [names.index(name) for name in own.names]
         information, pull = np.zeros((n, n)), np.zeros(n)
         information[np.ix_(at, at)] = own.information * np.outer(scale[at], scale[at])

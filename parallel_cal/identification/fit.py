@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from parallel_cal.base.documents import plain
+from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.notebook import ShownInNotebook
 from parallel_cal.base.options import with_changes
@@ -20,20 +20,20 @@ from parallel_cal.identification.checks import (
     check_joint_errors,
     check_plausible,
     chosen_parameters,
-    lacking,
+    explain_too_few_poses,
 )
 from parallel_cal.identification.doubts import (
-    Doubted,
+    DownWeightedSample,
     chi2_band,
-    doubted,
+    find_down_weighted_samples,
     finite_or_none,
-    on_held,
-    on_noise,
-    on_parameters,
+    list_held_coordinate_warnings,
+    list_noise_warnings,
+    list_parameter_warnings,
+    list_sample_warnings,
     on_priors,
-    on_samples,
 )
-from parallel_cal.identification.estimators import estimator, need_settling
+from parallel_cal.identification.estimators import check_convergent_method, estimator
 from parallel_cal.identification.given_model import Folds, GivenModel
 from parallel_cal.identification.methods.implicit import Estimate
 from parallel_cal.identification.noise_floor import noise_floor
@@ -41,8 +41,12 @@ from parallel_cal.identification.observability import directions_in_words
 from parallel_cal.identification.observations import Observations, observe
 from parallel_cal.identification.options import FitKeywords, FitOptions
 from parallel_cal.identification.prediction_errors import Errors, Summary, errors, improvement
-from parallel_cal.identification.refit import considered
-from parallel_cal.identification.registration import Registration, prepared_for_fit, said
+from parallel_cal.identification.refit import add_consider_covariance
+from parallel_cal.identification.registration import (
+    Registration,
+    add_registration_warning,
+    prepared_for_fit,
+)
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset, check_inputs
 
@@ -82,7 +86,7 @@ class FitResult(ShownInNotebook):
         )
 
     @property
-    def refit(self) -> tuple[str, ...]:
+    def refitted_parameters(self) -> tuple[str, ...]:
         """Parameters that a partial re-calibration identified; none where it was no partial one."""
         names = np.array(self.model.table.names)[self.free] if self.options.refit else ()
         return tuple(str(name) for name in names)
@@ -97,7 +101,7 @@ class FitResult(ShownInNotebook):
         return len(self.observations)
 
     @cached_property
-    def noise(self) -> Summary:
+    def noise_floor(self) -> Summary:
         """What a perfect model of this robot would show."""
         return noise_floor(self.model, self.observations)
 
@@ -140,7 +144,7 @@ class FitResult(ShownInNotebook):
     @cached_property
     def budgets(self) -> tuple[Budget, ...]:
         """What geometry, each effect and noise contribute to the drawing's error."""
-        return budgets(self.model, self.observations, self.noise)
+        return budgets(self.model, self.observations, self.noise_floor)
 
     @cached_property
     def iso_9283(self) -> tuple[Iso9283, ...]:
@@ -148,9 +152,9 @@ class FitResult(ShownInNotebook):
         return iso_9283(self.after, self.observations)
 
     @property
-    def down_weighted(self) -> tuple[Doubted, ...]:
+    def down_weighted(self) -> tuple[DownWeightedSample, ...]:
         """Samples that a robust loss gave less than half their weight."""
-        return doubted(self.estimate, self.dataset)
+        return find_down_weighted_samples(self.estimate, self.dataset)
 
     def document(self) -> dict[str, Any]:
         """The JSON document of `parallel-cal fit`; all values SI, None where not known."""
@@ -158,7 +162,7 @@ class FitResult(ShownInNotebook):
         held_before, held_after = self.held_out_before.summary, self.held_out.summary
         return {
             "samples": self.samples,
-            "parameters": plain(self.parameters()),
+            "parameters": to_json_value(self.parameters()),
             "before": before.document(),
             "after": after.document(),
             "held_out": {"before": held_before.document(), "after": held_after.document()},
@@ -174,16 +178,16 @@ class FitResult(ShownInNotebook):
             ),
             "weak": directions_in_words(self.estimate.spectrum.weak, self.model.table),
             "priors": self._priors(),
-            "budget": plain(self.budgets),
-            "iso_9283": plain(self.iso_9283),
-            "noise_floor": self.noise.document(),
+            "budget": to_json_value(self.budgets),
+            "iso_9283": to_json_value(self.iso_9283),
+            "noise_floor": self.noise_floor.document(),
             "noise_from": self.observations.noise_from,
             "method": self.options.method,
             "loss": self.options.loss,
-            "refit": list(self.refit),
-            "down_weighted": plain(self.down_weighted),
+            "refit": list(self.refitted_parameters),
+            "down_weighted": to_json_value(self.down_weighted),
             "iterations": self.estimate.iterations,
-            "registration": plain(self.registration),
+            "registration": to_json_value(self.registration),
             "warnings": list(self.warnings),
             "dataset": {"source": self.dataset.source, "sha256": self.dataset.sha256},
         }
@@ -199,9 +203,9 @@ class FitResult(ShownInNotebook):
         assumed = self.observations.noise_assumed
         return [None, None] if assumed else list(chi2_band(self.estimate.dof))
 
-    def parameters(self) -> dict[str, Estimated]:
+    def parameters(self) -> dict[str, ParameterEstimate]:
         """Every parameter by name."""
-        return estimated(self.model, self.estimate.sigma, ~self.free)
+        return summarise_parameters(self.model, self.estimate.sigma, ~self.free)
 
     def correlations(self) -> np.ndarray:
         """Correlation matrix (n_free, n_free) of the free parameters."""
@@ -211,7 +215,7 @@ class FitResult(ShownInNotebook):
 
 
 @dataclass(frozen=True)
-class Estimated:
+class ParameterEstimate:
     """A parameter as identified, SI; `sigma` None where it is not known; moved from nominal, in
     tolerances."""
 
@@ -223,10 +227,12 @@ class Estimated:
     moved_tolerances: float
 
 
-def estimated(model: Model, sigma: np.ndarray, fixed: np.ndarray) -> dict[str, Estimated]:
+def summarise_parameters(
+    model: Model, sigma: np.ndarray, fixed: np.ndarray
+) -> dict[str, ParameterEstimate]:
     """Every parameter of a model by name."""
     return {
-        p.name: Estimated(
+        p.name: ParameterEstimate(
             value=float(model.values[i]),
             sigma=finite_or_none(sigma[i]),
             nominal=p.nominal,
@@ -309,7 +315,9 @@ def fit(
     options = with_changes(options or FitOptions(), changes, FitError)
     given = GivenModel.of(model, dataset, options.joint_sigma, options.insist)
     start, registration = prepared_for_fit(given.model, given.registration, dataset, options)
-    result = fit_registered(start, said(dataset, registration), options, progress, given)
+    result = fit_registered(
+        start, add_registration_warning(dataset, registration), options, progress, given
+    )
     return replace(result, registration=registration)
 
 
@@ -327,20 +335,20 @@ def fit_registered(
     mask, partial = chosen_parameters(model, options)
     estimate_with = estimator(options.method, options.prior, options.loss)
     if partial:
-        need_settling(options.method, "a partial re-calibration")
+        check_convergent_method(options.method, "a partial re-calibration")
     observations = observe(model, dataset, options.joint_sigma, options.insist)
-    if words := lacking(model, observations, mask, options.prior):
+    if words := explain_too_few_poses(model, observations, mask, options.prior):
         raise FitError(words)
 
     def judged(train: np.ndarray, test: np.ndarray) -> Errors | None:
         """Errors at poses that the fit did not see; None where the others are too few."""
         kept = observations.select(train)
-        if lacking(model, kept, mask, options.prior):
+        if explain_too_few_poses(model, kept, mask, options.prior):
             return None
         # From where all poses led it is not far, unless only those left out tell of a direction.
         # There the closure is linearised already; a method of one's own may know no such thing.
         system = estimate.system if options.method == "implicit" else None
-        begin = system and system.of(train)
+        begin = system and system.select(train)
         known = {"begin": begin} if begin else {}
         found = estimate_with(model.with_values(estimate.values), kept, mask, **known)
         if found.spectrum.rank < estimate.spectrum.rank:
@@ -351,14 +359,14 @@ def fit_registered(
     with single_threaded():
         estimate = estimate_with(model, observations, mask)
         if observations.noise_assumed:
-            estimate = scaled(estimate)
+            estimate = scale_covariance(estimate)
         if partial:
-            estimate = considered(model, observations, mask, estimate)
+            estimate = add_consider_covariance(model, observations, mask, estimate)
         fitted = model.with_values(estimate.values, estimate.covariance)
         fitted, insisted = check_plausible(fitted, estimate, mask, options.insist)
         after = errors(fitted, observations)
         check_joint_errors(fitted, after)
-        held_out = _held_out(_folds(dataset, options), judged, after, report)
+        held_out = _cross_validate(_folds(dataset, options), judged, after, report)
     return FitResult(
         model=replace(fitted, fixed=model.fixed if partial else ~mask),
         start=model,
@@ -373,11 +381,13 @@ def fit_registered(
             *dataset.warnings,
             *([f"{observations.doubts}: taken all the same"] if observations.doubts else ()),
             *insisted,
-            *on_parameters(fitted, estimate, mask),
+            *list_parameter_warnings(fitted, estimate, mask),
             *on_priors(fitted, estimate),
-            *on_noise(estimate, observations),
-            *on_held(fitted, after.summary, lambda: noise_floor(fitted, observations)),
-            *on_samples(estimate, dataset, options.loss),
+            *list_noise_warnings(estimate, observations),
+            *list_held_coordinate_warnings(
+                fitted, after.summary, lambda: noise_floor(fitted, observations)
+            ),
+            *list_sample_warnings(estimate, dataset, options.loss),
         ),
         given=given,
     )
@@ -391,7 +401,7 @@ def _names(model: Model, mask: np.ndarray) -> set[str]:
     return {name for name, chosen in zip(model.table.names, mask, strict=True) if chosen}
 
 
-def _held_out(folds: Folds, judged: Judged, like: Errors, report: Progress) -> Errors:
+def _cross_validate(folds: Folds, judged: Judged, like: Errors, report: Progress) -> Errors:
     """Errors at every pose of fits that left it out; NaN where leaving out is not possible."""
     parts = like.blank().parts()
     for k, (train, test) in enumerate(folds):
@@ -402,7 +412,7 @@ def _held_out(folds: Folds, judged: Judged, like: Errors, report: Progress) -> E
     return Errors(**parts)
 
 
-def scaled(estimate: Estimate) -> Estimate:
+def scale_covariance(estimate: Estimate) -> Estimate:
     """The same with sigmas from the residuals, covariance * chi2/dof: all that can be said where
     only the proportions of the noise were given."""
     if estimate.dof <= 0:

@@ -16,7 +16,7 @@ import numpy as np
 
 from parallel_cal.identification.observations import Observations, observe
 from parallel_cal.identification.prediction_errors import Errors, errors
-from parallel_cal.identification.registration import Registration, registered, registered_by
+from parallel_cal.identification.registration import Registration, register_device, registered_by
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
 
@@ -48,7 +48,7 @@ class GivenModel:
         insist: bool = False,
     ) -> GivenModel:
         """Register the model if the samples need it; `insist` accepts implausible readings."""
-        placed, registration = registered(model, dataset, joint_sigma, insist)
+        placed, registration = register_device(model, dataset, joint_sigma, insist)
         return cls(model, placed, dataset, joint_sigma, insist, registration)
 
     @cached_property

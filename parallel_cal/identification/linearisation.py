@@ -13,14 +13,18 @@ from functools import cached_property
 import numpy as np
 
 from parallel_cal.identification.observations import Observations
-from parallel_cal.identification.predictions import shown
+from parallel_cal.identification.predictions import apply_pose_device
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model
 
 BLOCK = 1024  # samples at a time: what is in work then stays in the processor's cache
-MANY = 50_000  # samples from which compiled code pays, even where the cache does not hold it yet
-HELD = 1 << 28  # bytes of a Jacobian; a larger one is computed anew where it is wanted
+MIN_SAMPLES_TO_COMPILE = (
+    50_000  # samples from which compiled code pays, even where the cache does not hold it yet
+)
+MAX_JACOBIAN_BYTES = (
+    1 << 28
+)  # bytes of a Jacobian; a larger one is computed anew where it is wanted
 
 Adjust = Callable[[np.ndarray], np.ndarray]
 
@@ -44,7 +48,7 @@ class System:
         """Another point's chi2, to be held against this one's."""
         return other.chi2
 
-    def of(self, index: np.ndarray) -> System | None:
+    def select(self, index: np.ndarray) -> System | None:
         """The same of some samples; None where linearising them anew is less work."""
         return System(
             self.residual[index],
@@ -87,7 +91,7 @@ class Streamed(System):
         self.residual, self.informative, self.adjusted = residual, informative, adjusted
         self._parts = parts
 
-    def of(self, index: np.ndarray) -> None:
+    def select(self, index: np.ndarray) -> None:
         return None
 
     @property
@@ -110,7 +114,9 @@ class Linearisation:
         self._observations, self._model, self._weighted = observations, model, weighted
         self._free = None if np.all(free) else np.flatnonzero(free)  # no copy of all
         s, self._n_free = model.structure, int(np.sum(free))
-        self._batch = s.rows_compiled if len(observations) >= MANY else s.rows_batch
+        self._batch = (
+            s.rows_compiled if len(observations) >= MIN_SAMPLES_TO_COMPILE else s.rows_batch
+        )
         self._rows = model.structure.rows.shape[0]
         closure = model.structure.phi.shape[0]
         # A channel that was not read is an unknown of its own row, projected out as one.
@@ -134,7 +140,7 @@ class Linearisation:
         blind = np.flatnonzero(unplaced.any(axis=1) | unturned)
         if len(blind):
             at = dict(zip(self._model.conditions, self._observations.a[blind].T, strict=True))
-            pose = shown(self._model, Kinematics(self._model).direct(x[blind, :n], at))
+            pose = apply_pose_device(self._model, Kinematics(self._model).direct(x[blind, :n], at))
             own, here = pose.configuration.rows, x[blind]
             solved = np.isfinite(own).all(axis=1)[:, None]
             turned = np.repeat(unturned[blind, None], 9, axis=1)
@@ -145,7 +151,7 @@ class Linearisation:
     def __call__(self, values: np.ndarray, x: np.ndarray) -> System:
         """Residuals and Jacobian at parameters and adjusted configurations x (N, nq+12)."""
         residual, informative = np.empty((len(x), self._rows)), np.full(len(x), self._rows)
-        if len(x) * self._rows * self._n_free * 8 > HELD:
+        if len(x) * self._rows * self._n_free * 8 > MAX_JACOBIAN_BYTES:
             return self._streamed(values, x, residual, informative)
         jacobian = np.empty((len(x), self._rows, self._n_free))
         adjusts = [
@@ -196,7 +202,7 @@ class Linearisation:
     ) -> Adjust:
         """Residuals, Jacobian and the rows' number of some samples; how a step adjusts these."""
         phi, C, J = self.blocks(values, x, part)
-        away, here = self.away(x, part), Configuration.from_rows(x)
+        away, here = self.compute_adjustments(x, part), Configuration.from_rows(x)
         SC = self._covariance(part) @ C.transpose(0, 2, 1)
         K = self._whitening(C @ SC + np.diag(self._variance))
         r[:] = (K @ (phi[:, :, None] + C @ away[:, :, None]))[:, :, 0]
@@ -208,11 +214,11 @@ class Linearisation:
             return away - force[:, :, 0] if self._weighted else away
 
         if free_of is None:
-            return lambda step: here.moved(corrections(r + A @ step)).rows
+            return lambda step: here.apply_change(corrections(r + A @ step)).rows
         r_all, A_all = r.copy(), A.copy()
         r[:], A[:] = (free_of @ r[:, :, None])[:, :, 0], free_of @ A
         informative[:] = np.rint(np.trace(free_of, axis1=1, axis2=2))
-        return lambda step: here.moved(explain(r_all + A_all @ step, corrections)).rows
+        return lambda step: here.apply_change(explain(r_all + A_all @ step, corrections)).rows
 
     def whiteners(self, values: np.ndarray, x: np.ndarray) -> np.ndarray:
         """T (N, rows, rows) that turns rows into noise units, free of what was not measured."""
@@ -276,7 +282,7 @@ class Linearisation:
 
         return free_of, explain
 
-    def away(self, x: np.ndarray, part: slice = slice(None)) -> np.ndarray:
+    def compute_adjustments(self, x: np.ndarray, part: slice = slice(None)) -> np.ndarray:
         """Measured minus adjusted (q, r, w), (N, nq+6); zero where not measured."""
         measured = Configuration.from_rows(self._observations.x[part])
         away = measured.change_from(Configuration.from_rows(x))
@@ -288,7 +294,7 @@ def _parts(x: np.ndarray) -> Iterator[slice]:
     return (slice(begin, begin + BLOCK) for begin in range(0, len(x), BLOCK))
 
 
-def by_joint(model: Model, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def compute_joint_jacobians(model: Model, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """d pose / d q (N, n_moved, nq) along the closure, and d reading / d q (N, n_channels, nq), of
     rows' derivatives by (q, r, w) as `blocks` gives them."""
     n, closure = len(model.joints), model.structure.phi.shape[0]

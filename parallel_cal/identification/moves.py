@@ -15,7 +15,7 @@ from parallel_cal.model.mechanism import poses_in_workspace
 
 
 @dataclass(frozen=True)
-class Moves:
+class PlatformShift:
     """Rms way (m) of the platform from one model to another at the same joints: where it was
     `measured`, and over the `workspace` with nothing acting; `shown`: what the errors at poses
     left out say that it was worth, the root of the fall of their squares. None where not known."""
@@ -26,7 +26,7 @@ class Moves:
 
 
 @single_threaded()
-def moves(before: FitResult, after: FitResult) -> Moves:
+def compute_platform_shift(before: FitResult, after: FitResult) -> PlatformShift:
     """How far the robot (not the device) moves with another identification of the same samples."""
     old, new = before.model.robot(), after.model.robot()
     joints = after.observations.x[:, : len(old.joints)]
@@ -41,11 +41,11 @@ def moves(before: FitResult, after: FitResult) -> Moves:
     shown = None
     if rms[0] is not None and rms[1] is not None:
         shown = math.sqrt(max(rms[0] ** 2 - rms[1] ** 2, 0.0))
-    measured, workspace = _apart(*reached), _apart(*anywhere)
-    return Moves(measured or 0.0, workspace, shown)
+    measured, workspace = _compute_rms_distance(*reached), _compute_rms_distance(*anywhere)
+    return PlatformShift(measured or 0.0, workspace, shown)
 
 
-def _apart(one: Solutions, other: Solutions) -> float | None:
+def _compute_rms_distance(one: Solutions, other: Solutions) -> float | None:
     """Rms distance (m) of the poses that both have."""
     both = one.solved & other.solved
     off = np.linalg.norm(one.position[both] - other.position[both], axis=1)

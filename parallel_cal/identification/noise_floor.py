@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from parallel_cal.base.threads import single_threaded
-from parallel_cal.identification.linearisation import Linearisation, by_joint
+from parallel_cal.identification.linearisation import Linearisation, compute_joint_jacobians
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prediction_errors import (
     Errors,
     Summary,
-    complete,
-    judgeable,
+    find_fully_measured_samples,
+    find_judgeable_samples,
     where_known,
 )
 from parallel_cal.model.model import Model
@@ -32,7 +32,7 @@ def noise_floor(model: Model, observations: Observations, seed: int = 0) -> Summ
     none = np.zeros(len(model.values), dtype=bool)
     linearise = Linearisation(model, observations, none, weighted=True)
     rows = linearise.blocks(model.values, linearise.start())[1]  # where the platform is
-    C, (to_pose, to_reading) = rows[:, :closure], by_joint(model, rows)
+    C, (to_pose, to_reading) = rows[:, :closure], compute_joint_jacobians(model, rows)
     solved_for = [*range(n), *[n + i for i in m.passive]]
     given = [n + i for i in m.controlled]
     rng = np.random.default_rng(seed)
@@ -51,13 +51,16 @@ def noise_floor(model: Model, observations: Observations, seed: int = 0) -> Summ
     read = np.where(np.isfinite(observations.reading), read, np.nan)
     pose = np.where(observations.measured[:, n:], pose, 0.0)
     placed, turned = (
-        judgeable(m, observations.measured[:, n:], part) for part in (range(3), range(3, 6))
+        find_judgeable_samples(m, observations.measured[:, n:], part)
+        for part in (range(3), range(3, 6))
     )
     each = (
         where_known(placed, pose[:, :, :3]),
         where_known(turned, pose[:, :, 3:]),
         where_known(np.all(observations.measured[:, given], axis=1), joint),
         read,
-        where_known(complete(model, observations), np.einsum("nij,dnj->dni", C, noise)),
+        where_known(
+            find_fully_measured_samples(model, observations), np.einsum("nij,dnj->dni", C, noise)
+        ),
     )
     return Errors(*[np.concatenate(draw) for draw in each]).summary

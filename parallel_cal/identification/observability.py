@@ -9,7 +9,12 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.identification.prior import Knowledge, Prior
-from parallel_cal.identification.thresholds import LOST, NAMED, RELATIVE_RANK, WEAK
+from parallel_cal.identification.thresholds import (
+    MIN_LOST_SHARE,
+    MIN_NAMED_SHARE,
+    MIN_SIGMAS_PER_TOLERANCE,
+    RELATIVE_RANK,
+)
 from parallel_cal.model.parameters import ParameterTable
 from parallel_cal.model.words import direction_in_words
 
@@ -50,14 +55,14 @@ def spectrum(
     known, 0 where nothing was held). `variance`, that of the residuals in noise units, is what a
     prior of all weighs.
     """
-    tolerance = (table.likely if held else table.tolerance)[free]
+    tolerance = (table.prior_sigma if held else table.tolerance)[free]
     names = [name for name, is_free in zip(table.names, free, strict=True) if is_free]
     _, sizes, directions = np.linalg.svd(_triangle(J, tolerance))
     rank = int(np.sum(sizes > RELATIVE_RANK * max(sizes[0], 1e-300))) if len(sizes) else 0
     seen, unseen = directions[:rank], directions[rank:]
-    little = sizes[:rank] < WEAK * np.sqrt(held or 1.0)
+    little = sizes[:rank] < MIN_SIGMAS_PER_TOLERANCE * np.sqrt(held or 1.0)
     covariance = (seen.T / (sizes[:rank] ** 2 + held * little)) @ seen
-    lost = np.sum(unseen**2, axis=0) > LOST
+    lost = np.sum(unseen**2, axis=0) > MIN_LOST_SHARE
     if prior:
         information = (seen.T * sizes[:rank] ** 2) @ seen
         covariance = np.linalg.inv(
@@ -89,10 +94,10 @@ def combination(direction: np.ndarray, names: list[str]) -> dict[str, float]:
     size = np.abs(direction) / max(np.abs(direction).max(), 1e-300)
     order = np.argsort(-size, kind="stable")
     sign = np.sign(direction[order[0]]) if len(order) else 1.0
-    return {names[i]: float(sign * direction[i]) for i in order if size[i] > NAMED}
+    return {names[i]: float(sign * direction[i]) for i in order if size[i] > MIN_NAMED_SHARE}
 
 
-def independent(columns: np.ndarray, floor: float) -> np.ndarray:
+def find_independent_columns(columns: np.ndarray, floor: float) -> np.ndarray:
     """Mask of columns of which those before leave more than `floor`: pivots of a QR decomposition
     in the given order."""
     kept, Q = np.zeros(columns.shape[1], dtype=bool), np.zeros((len(columns), 0))

@@ -82,7 +82,7 @@ def observe(
     S[:, n:, n:] = pose
     a = conditions(model, dataset)
     noise_from = {"joint": joint_from, "pose": pose_from}
-    if set(model.structure.channels_without_sigma) & set(_read(dataset)):
+    if set(model.structure.channels_without_sigma) & set(_list_read_channels(dataset)):
         noise_from["reading"] = ASSUMED
     group = np.asarray(dataset.pose_id)
     doubts = doubt_readings(model, x, measured, a, dataset.source)
@@ -123,8 +123,8 @@ def _joint_sigma(
     if dataset.joint_sigma is not None:
         return np.asarray(dataset.joint_sigma, dtype=float)[order], "dataset"
     if model.noise.joint is not None:
-        return np.full(len(order), model.noise.joint), _stated(model)
-    scatter = _pooled(dataset.scatter_q[:, order])
+        return np.full(len(order), model.noise.joint), _get_noise_source(model)
+    scatter = _pool_scatter(dataset.scatter_q[:, order])
     if not (scatter > 0).all():
         raise FitError(
             f"{dataset.source or 'samples'}: no figure for the joints' noise; give --joint-sigma "
@@ -133,11 +133,11 @@ def _joint_sigma(
     return scatter, SCATTER
 
 
-def _stated(model: Model) -> str:
+def _get_noise_source(model: Model) -> str:
     return ASSUMED if model.noise.assumed else "model file"
 
 
-def _pooled(scatter: np.ndarray) -> np.ndarray:
+def _pool_scatter(scatter: np.ndarray) -> np.ndarray:
     """Root mean square of each column where it is known, else NaN."""
     known = np.isfinite(scatter)
     total = np.sum(np.where(known, scatter, 0.0) ** 2, axis=0)
@@ -179,13 +179,13 @@ def _fallback_pose_sigma(
     """Sigma (6,) where the device states none, and whose it is; 1 where nothing is wanted."""
     noise = model.noise
     given = np.repeat([noise.position or np.nan, noise.orientation or np.nan], 3)
-    sigma = np.where(np.isfinite(given), given, _pooled(dataset.scatter_pose))
+    sigma = np.where(np.isfinite(given), given, _pool_scatter(dataset.scatter_pose))
     if not (sigma[wanted] > 0).all():
         raise FitError(
             f"{dataset.source}: no figure for the device's noise; record a covariance or give "
             f"noise.position (m) and noise.orientation (rad) in the model file {GUESS}"
         )
-    source = _stated(model) if np.isfinite(given[wanted]).any() else SCATTER
+    source = _get_noise_source(model) if np.isfinite(given[wanted]).any() else SCATTER
     return np.where(sigma > 0, sigma, 1.0), source
 
 
@@ -204,7 +204,7 @@ def conditions(model: Model, dataset: Dataset) -> np.ndarray:
 
 def _readings(model: Model, dataset: Dataset) -> np.ndarray:
     """(N, n_channels): the dataset's columns `reading.CHANNEL`, NaN where not read."""
-    channels, read = model.structure.channels, _read(dataset)
+    channels, read = model.structure.channels, _list_read_channels(dataset)
     if missing := [c for c in channels if c not in read]:
         raise FitError(
             f"{dataset.source}: nothing was measured with {', '.join(missing)}, which the model's "
@@ -220,7 +220,7 @@ def _readings(model: Model, dataset: Dataset) -> np.ndarray:
     return np.stack(columns, axis=1) if columns else np.zeros((len(dataset.q), 0))
 
 
-def _read(dataset: Dataset) -> list[str]:
+def _list_read_channels(dataset: Dataset) -> list[str]:
     """Channels with at least one reading."""
     names = [k for k in dataset.conditions if k.startswith(READING)]
     return [k.removeprefix(READING) for k in names if np.isfinite(dataset.conditions[k]).any()]

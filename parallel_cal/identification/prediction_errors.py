@@ -10,7 +10,11 @@ import numpy as np
 
 from parallel_cal.base.rotation import rotation_vector
 from parallel_cal.identification.observations import Observations
-from parallel_cal.identification.predictions import condition_columns, read_apart, shown
+from parallel_cal.identification.predictions import (
+    apply_pose_device,
+    condition_columns,
+    reading_residuals,
+)
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.mechanism import Mechanism
@@ -45,7 +49,7 @@ class Summary:
         return value
 
     @property
-    def known(self) -> bool:
+    def is_known(self) -> bool:
         """Whether anything was measured."""
         return any(value is not None for value in vars(self).values())
 
@@ -123,21 +127,23 @@ def errors(model: Model, observations: Observations) -> Errors:
     seen, measured = Configuration.from_rows(observations.x), observations.measured
     # The robot is solved in {B}; the device shows its poses in frames of its own.
     reached = kinematics.direct(seen.q, at)
-    pose = shown(model, reached)
+    pose = apply_pose_device(model, reached)
     shown_rotation = np.where(np.isfinite(pose.rotation), pose.rotation, np.eye(3))
     turn = rotation_vector(seen.R @ shown_rotation.transpose(0, 2, 1))
-    placed, orientation = (judgeable(m, measured[:, n:], part) for part in (range(3), range(3, 6)))
+    placed, orientation = (
+        find_judgeable_samples(m, measured[:, n:], part) for part in (range(3), range(3, 6))
+    )
     apart = np.where(measured[:, n : n + 3], seen.r - pose.position, 0.0)
     return Errors(
         where_known(placed & pose.solved, apart),
         where_known(orientation & pose.solved, np.where(measured[:, n + 3 :], turn, 0.0)),
-        _joints_apart(kinematics, observations, reached, pose),
-        _readings_apart(model, observations, pose),
+        _compute_joint_errors(kinematics, observations, reached, pose),
+        _compute_reading_errors(model, observations, pose),
         _closure(model, observations),
     )
 
 
-def _joints_apart(
+def _compute_joint_errors(
     kinematics: Kinematics, observations: Observations, reached: Solutions, pose: Solutions
 ) -> np.ndarray:
     """Read minus predicted joints (N, nq) where all that the robot controls was measured; `pose`
@@ -153,39 +159,43 @@ def _joints_apart(
     turned_known = np.asarray(read.measured[:, n + 3 :].all(axis=1))
     known = turned_known[:, None, None] | ~np.isfinite(pose.rotation[given])
     at_target = Configuration(seen.q, seen.r, np.where(known, seen.R, pose.rotation[given])).rows
-    position, turned = model.structure.located(at_target[:, n:], model.values)
+    position, turned = model.structure.to_base(at_target[:, n:], model.values)
     at = condition_columns(model, read)
     # In the assembly mode that was measured: an arm's wrist need not be flipped as at home.
     found = kinematics.inverse(position, turned.reshape(-1, 3, 3), at, reached[given])
-    apart[given] = where_known(found.solved, _unwound(m, seen.q - found.joints))
+    apart[given] = where_known(found.solved, _remove_full_turns(m, seen.q - found.joints))
     return apart
 
 
-def _unwound(mechanism: Mechanism, difference: np.ndarray) -> np.ndarray:
+def _remove_full_turns(mechanism: Mechanism, difference: np.ndarray) -> np.ndarray:
     """Joint errors without whole turns, which change nothing (a spool's do)."""
-    return difference - mechanism.turns * np.round(difference / (2 * np.pi))
+    return difference - mechanism.joint_periods * np.round(difference / (2 * np.pi))
 
 
 def _closure(model: Model, observations: Observations) -> np.ndarray:
     """Rows of the closure (N, n_rows) at measured joints and pose; NaN where a coordinate that
     the mechanism moves was not measured."""
     phi = model.structure.residuals(observations.x, observations.a, model.values)[0]
-    return where_known(complete(model, observations), phi[:, : model.structure.phi.shape[0]])
+    return where_known(
+        find_fully_measured_samples(model, observations), phi[:, : model.structure.phi.shape[0]]
+    )
 
 
-def complete(model: Model, observations: Observations) -> np.ndarray:
+def find_fully_measured_samples(model: Model, observations: Observations) -> np.ndarray:
     moved = [len(model.joints) + i for i in model.mechanism.moved]
     return np.asarray(observations.measured[:, moved].all(axis=1))
 
 
-def _readings_apart(model: Model, observations: Observations, pose: Solutions) -> np.ndarray:
+def _compute_reading_errors(
+    model: Model, observations: Observations, pose: Solutions
+) -> np.ndarray:
     """Read minus predicted (N, n_channels) where the pose device would show `pose`."""
     n = len(model.joints)
     x = Configuration(observations.x[:, :n], pose.position, pose.rotation).rows
-    return where_known(pose.solved, read_apart(model, observations, x))
+    return where_known(pose.solved, reading_residuals(model, observations, x))
 
 
-def judgeable(mechanism: Mechanism, measured: np.ndarray, part: range) -> np.ndarray:
+def find_judgeable_samples(mechanism: Mechanism, measured: np.ndarray, part: range) -> np.ndarray:
     """Samples (N,) whose position (or orientation) can be judged: every coordinate of it that
     the mechanism moves was measured; where it moves none, all three were."""
     moved = [i for i in part if i in mechanism.moved]

@@ -13,10 +13,10 @@ from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model
 
 
-def shown(model: Model, solutions: Solutions) -> Solutions:
+def apply_pose_device(model: Model, solutions: Solutions) -> Solutions:
     """Poses of {P} in {B} as the model's pose device shows them."""
     pose = solutions.configuration.rows[:, len(model.joints) :]
-    r, R9 = model.structure.shown(pose, model.values)
+    r, R9 = model.structure.to_device(pose, model.values)
     return replace(solutions, position=r, rotation=R9.reshape(-1, 3, 3))
 
 
@@ -24,17 +24,19 @@ def condition_columns(model: Model, observations: Observations) -> dict[str, Any
     return {name: observations.a[:, k] for k, name in enumerate(model.conditions)}
 
 
-def predicted(model: Model, observations: Observations) -> np.ndarray:
+def predict_configurations(model: Model, observations: Observations) -> np.ndarray:
     """Configurations (N, nq+12) with the pose as the model predicts it from the joints, shown as
     the device shows it; where that cannot be solved, as measured."""
     n = len(model.joints)
     joints = observations.x[:, :n]
-    pose = shown(model, Kinematics(model).direct(joints, condition_columns(model, observations)))
+    pose = apply_pose_device(
+        model, Kinematics(model).direct(joints, condition_columns(model, observations))
+    )
     x = Configuration(joints, pose.position, pose.rotation).rows
     return np.where(np.isfinite(x).all(axis=1)[:, None], x, observations.x)
 
 
-def read_apart(model: Model, observations: Observations, x: np.ndarray) -> np.ndarray:
+def reading_residuals(model: Model, observations: Observations, x: np.ndarray) -> np.ndarray:
     """What sensors read minus what they would at x (N, nq+12): (N, n_channels) m, NaN where
     nothing was read."""
     if not model.structure.channels:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from parallel_cal.base.errors import FitError
-from parallel_cal.identification.thresholds import TURNED, UNSEEN
+from parallel_cal.identification.thresholds import MAX_DIRECTION_CHANGE, UNSEEN
 from parallel_cal.model.model import Model
 from parallel_cal.model.parameters import ParameterTable
 
@@ -20,12 +20,12 @@ class Prior:
     covariance: np.ndarray
 
     @staticmethod
-    def tolerances(table: ParameterTable) -> Prior:
+    def from_tolerances(table: ParameterTable) -> Prior:
         """Every parameter at its nominal value, to within its tolerance."""
         return Prior(table.nominal, np.diag(table.tolerance**2))
 
     @staticmethod
-    def result_of(model: Model) -> Prior:
+    def from_model(model: Model) -> Prior:
         """What an earlier identification left in the model: its values and covariance.
 
         What that one did not identify, parameters and combinations alike, is known to within
@@ -55,30 +55,33 @@ class Knowledge:
     ) -> Knowledge:
         """All that a prior says, `weight` the residuals' variance in noise units; nothing without
         one."""
-        known = Prior.tolerances(table) if isinstance(prior, bool) else prior
+        known = Prior.from_tolerances(table) if isinstance(prior, bool) else prior
         tolerance = table.tolerance[free]
         scaled = known.covariance[np.ix_(free, free)] / np.outer(tolerance, tolerance)
         information = _inverse(scaled) if prior else np.zeros_like(scaled)
         return cls(tolerance, free, np.asarray(known.mean)[free], weight * information)
 
     @classmethod
-    def along(
+    def from_directions(
         cls, weak: np.ndarray, unseen: np.ndarray, start: np.ndarray, model: Model,
         free: np.ndarray, weight: float = 1.0,
     ) -> Knowledge:  # fmt: skip
         """The tolerances along some directions (k, n_free) alone: along `weak` ones around the
         nominal values, along `unseen` ones around `start` (n,), as no data moved them."""
         tolerance, nominal = model.table.tolerance[free], model.table.nominal[free]
-        likely = model.table.likely[free]
+        likely = model.table.prior_sigma[free]
         away = (start[free] - nominal) / likely
         mean = nominal + likely * (unseen.T @ (unseen @ away))
         held = np.concatenate([weak, unseen]) * (tolerance / likely)
         return cls(tolerance, free, mean, weight * held.T @ held)
 
-    def alike(self, other: Knowledge) -> bool:
+    def is_close_to(self, other: Knowledge) -> bool:
         """Whether another one knows as much along directions that are nearly the same."""
         size = max(float(np.abs(self.information).max(initial=0.0)), 1e-300)
-        return bool(np.abs(other.information - self.information).max(initial=0.0) < TURNED * size)
+        return bool(
+            np.abs(other.information - self.information).max(initial=0.0)
+            < MAX_DIRECTION_CHANGE * size
+        )
 
     def gradient(self, values: np.ndarray) -> np.ndarray:
         """Half the derivative of `cost` by the free parameters, in tolerances."""

@@ -52,7 +52,7 @@ def _excess(m: Mechanism, q: np.ndarray) -> np.ndarray:
     be true; 0 of all others."""
     excess = np.zeros(q.shape[1])
     tail = (1 - MOST_READINGS) / 2
-    for i, ((low, high), turn) in enumerate(zip(m.joint_limits, m.turns, strict=True)):
+    for i, ((low, high), turn) in enumerate(zip(m.joint_limits, m.joint_periods, strict=True)):
         width = high - low
         if not 0 < width < np.inf:
             continue
@@ -117,7 +117,7 @@ def _scale(
     given = np.flatnonzero(measured[:, controlled].all(axis=1))
     if len(given) < 3:
         return None
-    position, turned = model.structure.located(x[given, n:], model.values)
+    position, turned = model.structure.to_base(x[given, n:], model.values)
     at = {name: a[given, k] for k, name in enumerate(model.conditions)}
     found = Kinematics(model).inverse(position, turned.reshape(-1, 3, 3), at)
     read, true = x[given[found.solved], i], found.joints[found.solved, i]

@@ -13,12 +13,12 @@ import numpy as np
 from parallel_cal.base.errors import FitError
 from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.methods._estimate import Estimate
-from parallel_cal.identification.methods._robust import reweighted
+from parallel_cal.identification.methods._robust import reweight
 from parallel_cal.identification.observations import Observations
 from parallel_cal.model.model import Model
 
 
-def considered(
+def add_consider_covariance(
     model: Model, observations: Observations, free: np.ndarray, found: Estimate
 ) -> Estimate:
     """The estimate with the model's own covariance of the parameters that were kept.
@@ -35,7 +35,7 @@ def considered(
         )
     before = np.asarray(model.covariance)
     others = ~free & (np.diag(before) > 0)
-    J = _jacobian(model, reweighted(observations, found.weight), free | others, found.values)
+    J = _jacobian(model, reweight(observations, found.weight), free | others, found.values)
     P_pp, P_oo = found.covariance[np.ix_(free, free)], before[np.ix_(others, others)]
     in_p = free[free | others]
     G = -found.spectrum.covariance @ J[:, in_p].T @ J[:, ~in_p]

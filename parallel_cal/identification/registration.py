@@ -22,17 +22,17 @@ from parallel_cal.base.rotation import (
 from parallel_cal.identification.checks import free_mask
 from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.methods import implicit
-from parallel_cal.identification.observability import independent
+from parallel_cal.identification.observability import find_independent_columns
 from parallel_cal.identification.observations import Observations, observe
 from parallel_cal.identification.options import FitOptions
-from parallel_cal.identification.predictions import condition_columns, predicted
+from parallel_cal.identification.predictions import condition_columns, predict_configurations
 from parallel_cal.identification.thresholds import (
-    ADDS,
     EXPLAINS,
     FAR_OFF,
+    LSTSQ_RANK_TOLERANCE,
+    MIN_FRAME_COLUMN_REMAINDER,
     NEWTON_STEP,
-    OUTLYING,
-    PLAIN,
+    OUTLIER_DISTANCE_RATIO,
 )
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.configuration import Configuration
@@ -42,7 +42,7 @@ from parallel_cal.recordings.dataset import Dataset
 
 SENSOR = "device_frame"
 STEPS = 60
-ENOUGH = 24  # poses that tell what tolerances allow, in the middle
+TOLERANCE_SAMPLE_SIZE = 24  # poses that tell what tolerances allow, in the middle
 Array = np.ndarray
 
 
@@ -61,7 +61,7 @@ class Frames:
         return Frames(self.f + step[:3], F, self.t + step[6:9], T)
 
 
-NOWHERE_ELSE = Frames(np.zeros(3), np.eye(3), np.zeros(3), np.eye(3))
+IDENTITY_FRAMES = Frames(np.zeros(3), np.eye(3), np.zeros(3), np.eye(3))
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class Registration:
     told: bool
 
     @property
-    def words(self) -> str:
+    def description(self) -> str:
         """`frame 'tracker' was registered to 'base': 2.1 -1.3 0.4 m, rotation 3 -4 115 deg ...`"""
         turned = [_degrees(q) for q in (self.quaternion, self.target_quaternion)]
         target = " ".join(f"{1e3 * v:.2f}" for v in self.target_position)
@@ -106,7 +106,7 @@ def _degrees(quaternion: tuple[float, ...]) -> str:
     return " ".join(f"{v + 0.0:.3f}" for v in np.round(vector, 3))
 
 
-def registered(
+def register_device(
     model: Model, dataset: Dataset, joint_sigma: float | None = None, insist: bool = False
 ) -> tuple[Model, Registration | None]:
     """The model with the sensor `device_frame` where the poses come in a frame that is not its
@@ -119,10 +119,10 @@ def registered(
     observations = observe(model, dataset, joint_sigma, insist)
     there = _Poses.of(model, observations)
     elsewhere = dataset.frame not in ("", base) and not described
-    if there is None or not (elsewhere or there.off):
+    if there is None or not (elsewhere or there.is_off):
         return model, None
     found = there.frames()
-    if not (elsewhere or there.explained(found)):
+    if not (elsewhere or there.is_explained_by(found)):
         return model, None
     placed = _with_frames(model, found)
     why = "another frame" if elsewhere else "in its own, nothing fitted"
@@ -146,16 +146,18 @@ def prepared_for_fit(
     """
     if registration is None:
         return model, None
-    settled = _settled(model, observe(model, dataset, options.joint_sigma, options.insist), options)
+    settled = _fit_frames(
+        model, observe(model, dataset, options.joint_sigma, options.insist), options
+    )
     frame, why, told = registration.frame, registration.why, registration.told
     return settled, _registration(settled, frame, why, told)
 
 
-def said(dataset: Dataset, registration: Registration | None) -> Dataset:
+def add_registration_warning(dataset: Dataset, registration: Registration | None) -> Dataset:
     """The dataset with a word on where its poses were found to lie."""
     if registration is None:
         return dataset
-    return replace(dataset, warnings=(*dataset.warnings, registration.words))
+    return replace(dataset, warnings=(*dataset.warnings, registration.description))
 
 
 @dataclass(frozen=True)
@@ -190,7 +192,7 @@ class _Poses:
         if max(placed.sum(), turned.sum() * moves[1]) < 4:
             return None
         # What tolerances allow differs little from pose to pose, and a median needs few of them.
-        few = np.flatnonzero(solved)[:: max(int(solved.sum()) // ENOUGH, 1)]
+        few = np.flatnonzero(solved)[:: max(int(solved.sum()) // TOLERANCE_SAMPLE_SIZE, 1)]
         rows, a = reached.configuration.rows[few], observations.a[few]
         C, J = model.structure.jacobians(rows, a, model.values)
         moved = [n + i for i in m.moved]
@@ -220,20 +222,20 @@ class _Poses:
         """Those that bring measured and predicted poses nearest to each other, the odd tenth of
         them left out of the last word."""
         everything = np.ones(len(self.r), dtype=bool)
-        ends = [self._descended(start, everything) for start in self._starts()]
+        ends = [self._descend(start, everything) for start in self._starts()]
         best = min(ends, key=lambda end: float(np.median(self._sizes(end))))
         sizes = self._sizes(best)
-        return self._descended(best, sizes <= OUTLYING * np.median(sizes[self._used]))
+        return self._descend(best, sizes <= OUTLIER_DISTANCE_RATIO * np.median(sizes[self._used]))
 
     @property
-    def off(self) -> bool:
+    def is_off(self) -> bool:
         """Whether positions, or orientations, are further off than the robot's tolerances let
         them be."""
-        return bool((self._usual(self.now) > FAR_OFF * self.expected).any())
+        return bool((self._compute_median_errors(self.now) > FAR_OFF * self.expected).any())
 
-    def explained(self, found: Frames) -> bool:
+    def is_explained_by(self, found: Frames) -> bool:
         """Whether frames explain most of that."""
-        before, after = self._usual(self.now), self._usual(found)
+        before, after = self._compute_median_errors(self.now), self._compute_median_errors(found)
         off = before > FAR_OFF * self.expected
         return bool((off & (before > EXPLAINS * after)).any())
 
@@ -241,7 +243,7 @@ class _Poses:
     def _used(self) -> Array:
         return np.asarray(self.placed | self.turned)
 
-    def _usual(self, frames: Frames) -> Array:
+    def _compute_median_errors(self, frames: Frames) -> Array:
         """Median (2,) of position, and of length times orientation; 0 where not measured."""
         sizes = np.linalg.norm(self._residual(frames).reshape(-1, 2, 3), axis=2)
         masks = (self.placed, self.turned)
@@ -258,12 +260,12 @@ class _Poses:
         turn = np.where(self.turned[:, None], self.length * turn, 0.0)
         return np.nan_to_num(np.hstack([place, turn]))
 
-    def _descended(self, frames: Frames, used: Array) -> Frames:
+    def _descend(self, frames: Frames, used: Array) -> Frames:
         """Gauss-Newton over the frames; what no pose tells stays as it is."""
         for _ in range(STEPS):
             residual = self._residual(frames)[used].ravel()
             J = self._jacobian(frames)[used].reshape(len(residual), 12)
-            step = -np.linalg.lstsq(J, residual, rcond=PLAIN)[0]
+            step = -np.linalg.lstsq(J, residual, rcond=LSTSQ_RANK_TOLERANCE)[0]
             frames = frames.moved(np.clip(step, -1, 1))
             if np.abs(step).max() < NEWTON_STEP:
                 break
@@ -295,7 +297,7 @@ class _Poses:
             left = np.linalg.svd(K)[0]
             for sign in (1, -1):
                 F = nearest_rotation(sign * left[:, 0].reshape(3, 3))
-                starts.append(self._around(F))
+                starts.append(self._complete_frames(F))
         return starts
 
     def _from_positions(self, t: Array) -> Frames:
@@ -303,7 +305,7 @@ class _Poses:
         ours = (self.r + self.R @ t)[self.placed]
         theirs = self.seen_r[self.placed]
         F = nearest_rotation((ours - ours.mean(axis=0)).T @ (theirs - theirs.mean(axis=0)))
-        return self._around(F, t)
+        return self._complete_frames(F, t)
 
     def _linear_target(self) -> Array:
         """t of the 15 numbers that solve M r' + f = r + R t, M any matrix."""
@@ -313,9 +315,11 @@ class _Poses:
         for i in range(3):
             A[:, i, 3 * i : 3 * i + 3] = theirs
         A[:, :, 9:12], A[:, :, 12:] = np.eye(3), -R
-        return np.asarray(np.linalg.lstsq(A.reshape(-1, 15), ours.ravel(), rcond=PLAIN)[0][12:])
+        return np.asarray(
+            np.linalg.lstsq(A.reshape(-1, 15), ours.ravel(), rcond=LSTSQ_RANK_TOLERANCE)[0][12:]
+        )
 
-    def _around(self, F: Array, t: Array | None = None) -> Frames:
+    def _complete_frames(self, F: Array, t: Array | None = None) -> Frames:
         """The other frames that go with F."""
         T = np.eye(3)
         if self.turned.any() and self.turns:
@@ -329,7 +333,7 @@ class _Poses:
         if t is None:
             n = len(away)
             A = np.concatenate([np.tile(np.eye(3), (n, 1, 1)), -self.R[self.placed]], axis=2)
-            both = np.linalg.lstsq(A.reshape(-1, 6), away.ravel(), rcond=PLAIN)[0]
+            both = np.linalg.lstsq(A.reshape(-1, 6), away.ravel(), rcond=LSTSQ_RANK_TOLERANCE)[0]
             return Frames(both[:3], F, both[3:], T)
         return Frames((away + self.R[self.placed] @ t).mean(axis=0), F, t, T)
 
@@ -376,7 +380,7 @@ def _numbers(model: Model) -> Array:
     return np.array([name.startswith(f"{SENSOR}.") for name in model.table.names])
 
 
-def _settled(model: Model, observations: Observations, options: FitOptions) -> Model:
+def _fit_frames(model: Model, observations: Observations, options: FitOptions) -> Model:
     """The frames where the robot is nearest to nominal; free are those of their numbers that what
     is free of the robot does not say already."""
     own = _numbers(model)
@@ -391,13 +395,15 @@ def _settled(model: Model, observations: Observations, options: FitOptions) -> M
     robot = np.where(own, 0.0, found.values)
     linearise = Linearisation(model, observations, free, weighted=True)
     # Where the closure holds: elsewhere equal motions differ a little.
-    system = linearise(robot, predicted(model.with_values(robot), observations))
+    system = linearise(robot, predict_configurations(model.with_values(robot), observations))
     columns = system.columns * model.table.tolerance[free]
     order = np.argsort(own[free], kind="stable")  # the robot's first
     sizes = np.linalg.norm(columns, axis=0)
-    unit = columns / np.where(sizes > PLAIN * sizes.max(), sizes, np.inf)
+    unit = columns / np.where(sizes > LSTSQ_RANK_TOLERANCE * sizes.max(), sizes, np.inf)
     adds = np.zeros(int(free.sum()), dtype=bool)
-    adds[order] = independent(np.asarray(np.linalg.qr(unit[:, order], mode="r")), ADDS)
+    adds[order] = find_independent_columns(
+        np.asarray(np.linalg.qr(unit[:, order], mode="r")), MIN_FRAME_COLUMN_REMAINDER
+    )
     fixed = model.fixed.copy()
     fixed[np.flatnonzero(free)[own[free] & ~adds]] = True
     return replace(model, fixed=fixed)
@@ -407,7 +413,7 @@ def _frames_of(model: Model) -> Frames:
     """The frames that a model's sensor says, those of the base and the platform without one."""
     device = _device(model)
     if device is None:
-        return NOWHERE_ELSE
+        return IDENTITY_FRAMES
     numbers, parts = model.table.mapping(model.values), []
     for name, position, quaternion in (
         ("frame", device.position, device.quaternion),

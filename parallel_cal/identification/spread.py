@@ -10,11 +10,11 @@ from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.mechanism import POSE
 from parallel_cal.model.model import Model
 
-ACROSS = 7  # poses from one end of the workspace to the other
+POSES_PER_AXIS = 7  # poses from one end of the workspace to the other
 
 
 @dataclass(frozen=True)
-class Spread:
+class PositionUncertainty:
     """Where the platform may be, (M, 3) m in {B}, and the covariance (M, 3, 3) of its position as
     the identified parameters leave it; `across` names the coordinates that were varied."""
 
@@ -23,7 +23,7 @@ class Spread:
     across: str
 
     @classmethod
-    def of(cls, model: Model) -> Spread | None:
+    def of(cls, model: Model) -> PositionUncertainty | None:
         """Three grids through the middle of the workspace, at right angles; None where the model
         was not identified or controls fewer than two coordinates of a position."""
         mechanism, robot = model.mechanism, model.robot()
@@ -34,9 +34,9 @@ class Spread:
         grids = []
         for one, other in ((a, b) for a in axes for b in axes if a < b):
             i, j = mechanism.controls.index(POSE[one]), mechanism.controls.index(POSE[other])
-            grid = np.tile((low + high) / 2, (ACROSS**2, 1))
+            grid = np.tile((low + high) / 2, (POSES_PER_AXIS**2, 1))
             grid[:, [i, j]] = np.stack(
-                np.meshgrid(*np.linspace(low[[i, j]], high[[i, j]], ACROSS).T), axis=-1
+                np.meshgrid(*np.linspace(low[[i, j]], high[[i, j]], POSES_PER_AXIS).T), axis=-1
             ).reshape(-1, 2)
             grids.append(grid)
         kinematics = Kinematics(robot)

@@ -1,13 +1,15 @@
 """Every number that decides something in an identification, with its meaning."""
 
 # What is said of a result
-FAR = 5.0  # tolerances: a parameter that moved further deserves a word
-HELD = 3.0  # of the noise: what the model holds at one value does move
-DOUBTED = 0.5  # a sample that a robust loss gives less weight than this is named
-NAMED = 0.1  # of a direction's largest part: smaller ones are not named
-MANY = 6  # unseen directions that are named one by one; more are one sentence
-MENTIONED = 2  # weak directions, the weakest: a document has them all
-NEGLIGIBLE = 0.01  # of the error at poses left out: what the removal of an effect may cost
+MAX_MOVED_TOLERANCES = 5.0  # tolerances: a parameter that moved further deserves a word
+MAX_HELD_ERROR_TO_NOISE_RATIO = 3.0  # of the noise: what the model holds at one value does move
+MIN_TRUSTED_WEIGHT = 0.5  # a sample that a robust loss gives less weight than this is named
+MIN_NAMED_SHARE = 0.1  # of a direction's largest part: smaller ones are not named
+MAX_NAMED_DIRECTIONS = 6  # unseen directions that are named one by one; more are one sentence
+MAX_NAMED_WEAK_DIRECTIONS = 2  # weak directions, the weakest: a document has them all
+MAX_NEGLIGIBLE_ERROR_RISE = (
+    0.01  # of the error at poses left out: what the removal of an effect may cost
+)
 BLOCKS = 40  # stretches into which a continuous motion is cut, as if each were a pose
 
 # Joint readings that no such robot shows
@@ -20,19 +22,23 @@ SAME_UNIT = 0.05  # in the logarithm: by so much a ratio may differ from a unit'
 
 # What the data can see
 RELATIVE_RANK = 1e-6  # of the largest singular value, columns in units of tolerance
-LOST = 1e-6  # squared share of a parameter in directions that the data cannot see
-WEAK = 1.0  # sigmas that a tolerance moves the residuals by: less, and tolerances know better
+MIN_LOST_SHARE = 1e-6  # squared share of a parameter in directions that the data cannot see
+MIN_SIGMAS_PER_TOLERANCE = (
+    1.0  # sigmas that a tolerance moves the residuals by: less, and tolerances know better
+)
 UNSEEN = 1e-13  # of the largest variance: directions below it were not seen by that fit
 NEAR_DIRECT, NEAR_INVERSE = 0.2, 1e-4  # smallest singular value, as a share of the best sample's:
 # samples nearer to a singularity are left out; at direct ones two branches meet (5.3.4)
 
 # When a search has arrived
-STEP = 1e-8  # tolerances: smaller steps change nothing a person can measure
-GAIN = 1e-9  # of chi2: steps that promise less have arrived, however long (weak directions)
+CONVERGED_STEP = 1e-8  # tolerances: smaller steps change nothing a person can measure
+CONVERGED_GAIN = (
+    1e-9  # of chi2: steps that promise less have arrived, however long (weak directions)
+)
 UNSEEN_GAIN = 1e-6  # of chi2: what a step may leave at most that nobody looks at
 STALLED, PATIENCE = 1e-6, 10  # of chi2: what so many steps gain where nothing is left to gain
-TURNED = 1e-4  # rad: by so much directions may turn that tolerances were held along
-CHOICES = 8  # of these directions, each where the last ones led to
+MAX_DIRECTION_CHANGE = 1e-4  # rad: by so much directions may turn that tolerances were held along
+MAX_DIRECTION_CHOICES = 8  # of these directions, each where the last ones led to
 FACTOR_STEP = 1e-9  # tolerances: of parameters that follow from linear factors
 NEWTON_STEP = 1e-12  # m: of the coordinates that the closure is solved for
 VARIANCE_STEPS = 20  # in which an unknown noise and what tolerances hold settle together
@@ -40,14 +46,18 @@ WEIGHT_STEP = 1e-6  # of a sample's weight under a robust loss
 
 # What is counted with exact numbers: factors of a closure, parameters of a complete model
 DRAWS = 400  # random configurations and parameters in which factors are told apart
-DEPENDENT = 1e-9  # of a unit column: what the factors before it leave
-INDEPENDENT = 1e-11  # of the largest singular value, every column brought to length 1
-CLOSED = 1e-11  # m: residual of a pose that counts as consistent
+MIN_COLUMN_REMAINDER = 1e-9  # of a unit column: what the factors before it leave
+MIN_INDEPENDENT_SINGULAR_VALUE = (
+    1e-11  # of the largest singular value, every column brought to length 1
+)
+MAX_CLOSED_RESIDUAL_M = 1e-11  # m: residual of a pose that counts as consistent
 PART_OF_TRAVEL = 0.15  # of each joint's range, to both sides of home
 FRAME_UNIT = 1e-3  # m, and rad at the mechanism's length: what a frame's error is counted in
 
 # Where a device stands that nobody has described
 FAR_OFF, EXPLAINS = 3.0, 10.0  # times what tolerances let poses be off, and times what is then left
-OUTLYING = 6.0  # times the usual distance: such poses have no say in it
-PLAIN = 1e-9  # of the largest singular value: below, no pose tells
-ADDS = 1e-4  # of a unit column: what a frame's number says that the robot's do not
+OUTLIER_DISTANCE_RATIO = 6.0  # times the usual distance: such poses have no say in it
+LSTSQ_RANK_TOLERANCE = 1e-9  # of the largest singular value: below, no pose tells
+MIN_FRAME_COLUMN_REMAINDER = (
+    1e-4  # of a unit column: what a frame's number says that the robot's do not
+)

@@ -16,16 +16,16 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from parallel_cal.importing.door import Configured
-from parallel_cal.importing.stated import Stated
+from parallel_cal.importing.door import ConfiguredRobot
+from parallel_cal.importing.stated import Settings
 from parallel_cal.model.mechanism import Home, Mechanism, Workspace
 from parallel_cal.model.model import Model, new_model
 from parallel_cal.model.shelf import load_mechanism, load_sensor
 from parallel_cal.recordings.recording import Array
 
 MM, DEGREE = 1e-3, np.pi / 180
-NAMES = ("joint1", "joint2", "joint3")
-CLEAR = 0.05  # m above the bed, the middle of what is used
+JOINT_NAMES = ("joint1", "joint2", "joint3")
+HOME_HEIGHT_M = 0.05  # m above the bed, the middle of what is used
 FLAT = 1e-6  # of a triangle on the unit circle: with less area it has no sense of rotation
 NOT_STATED = (
     "towers' or motors' leans, errors between the two rods of a pair and the effector's size have "
@@ -108,7 +108,7 @@ class Towers:
             }
         mechanism.parameters = mechanism.parameters.with_nominal(nominal)
         mechanism.joint_limits = tuple((-0.1, float(top)) for top in self.end_stops)
-        return _placed(mechanism, self, self.reach or 0.6 * float(self.radius.mean()))
+        return _set_home(mechanism, self, self.reach or 0.6 * float(self.radius.mean()))
 
 
 @dataclass(frozen=True)
@@ -150,7 +150,7 @@ class Shoulders:
             }
         mechanism.parameters = mechanism.parameters.with_nominal(nominal)
         mechanism.joint_limits = self.limits
-        return _placed(mechanism, self, self.reach or 0.6 * float(self.arms.min()))
+        return _set_home(mechanism, self, self.reach or 0.6 * float(self.arms.min()))
 
 
 def are_counter_clockwise(angles: Array) -> bool:
@@ -159,26 +159,28 @@ def are_counter_clockwise(angles: Array) -> bool:
     return bool(np.sin(steps).sum() > FLAT)  # twice the area of the triangle on a unit circle
 
 
-def reaching(delta: Delta, stated: Stated, field: str) -> None:
+def check_reach(delta: Delta, stated: Settings, field: str) -> None:
     """DatasetError at a field, where the arms do not reach the middle of the bed."""
-    if np.isnan(delta.joints(np.array([[0.0, 0.0, CLEAR]]))).any():
-        raise stated.wrong(field, f"lengths that reach {CLEAR / MM:.0f} mm above the bed's middle")
+    if np.isnan(delta.joints(np.array([[0.0, 0.0, HOME_HEIGHT_M]]))).any():
+        raise stated.error(
+            field, f"lengths that reach {HOME_HEIGHT_M / MM:.0f} mm above the bed's middle"
+        )
 
 
-def _placed(mechanism: Mechanism, delta: Delta, reach: float) -> Mechanism:
+def _set_home(mechanism: Mechanism, delta: Delta, reach: float) -> Mechanism:
     """At home in the middle of its bed, which it uses `reach` m around."""
-    home = delta.joints(np.array([[0.0, 0.0, CLEAR]]))[0]
-    mechanism.home = Home(tuple(map(float, home)), (0.0, 0.0, CLEAR))
+    home = delta.joints(np.array([[0.0, 0.0, HOME_HEIGHT_M]]))[0]
+    mechanism.home = Home(tuple(map(float, home)), (0.0, 0.0, HOME_HEIGHT_M))
     mechanism.workspace = Workspace((-reach / 2**0.5,) * 2 + (0.0,), (reach / 2**0.5,) * 2 + (0.1,))
     return mechanism
 
 
-def configured(
+def make_configured_robot(
     delta: Delta,
     tip: Array,
     plate: tuple[float, float] = (0.0, 0.0),
     remarks: Sequence[str] = (),
-) -> Configured:
+) -> ConfiguredRobot:
     """The model of a printer whose probe has its tip at `tip` (m of {P}) and whose bed is
     z = plate . (x, y)."""
     at = {"tip": tuple(map(float, tip))} if np.any(tip) else {}
@@ -187,4 +189,4 @@ def configured(
     values = model.values.copy()
     for axis, slope in (("rx", plate[1]), ("ry", -plate[0])):
         values[model.table.index_of(f"probe.plate.{axis}")] = slope
-    return Configured(model.with_values(values), (NOT_STATED, NOT_MEASURED, *remarks))
+    return ConfiguredRobot(model.with_values(values), (NOT_STATED, NOT_MEASURED, *remarks))

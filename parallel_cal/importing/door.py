@@ -10,14 +10,14 @@ from typing import Any
 
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.model.model import Model
-from parallel_cal.model.shelf import load_module, own, shelf_names
+from parallel_cal.model.shelf import list_plugins, load_module, wrap_plugin_function
 from parallel_cal.recordings.dataset import Dataset
 
 SHELF = "importing.importers"
 
 
 @dataclass(frozen=True)
-class Configured:
+class ConfiguredRobot:
     """A machine as its controller is configured, and what of it no controller has a number for."""
 
     model: Model
@@ -32,12 +32,12 @@ def samples(kind: str, paths: Sequence[Path], **options: Any) -> Dataset:
         signature(read).bind(paths, **options)
     except TypeError as error:
         raise DatasetError(f"{kind}: {error}; its options: {', '.join(takes) or 'none'}") from None
-    return own(kind, read)(paths, **options)  # type: ignore[no-any-return]
+    return wrap_plugin_function(kind, read)(paths, **options)  # type: ignore[no-any-return]
 
 
-def configured(paths: Sequence[Path]) -> Configured:
+def configured(paths: Sequence[Path]) -> ConfiguredRobot:
     """The model of a machine by its configuration, whose file name's end says the controller's."""
-    modules = {name: load_module(SHELF, name) for name in shelf_names(SHELF)}
+    modules = {name: load_module(SHELF, name) for name in list_plugins(SHELF)}
     kinds = {n: m.CONFIGURATION for n, m in modules.items() if hasattr(m, "CONFIGURATION")}
     for name, ends in kinds.items():
         if paths[0].suffix in ends:

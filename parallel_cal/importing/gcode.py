@@ -6,22 +6,22 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from parallel_cal.importing.stated import Place, Stated, lines
+from parallel_cal.importing.stated import Settings, SourceLine, read_lines
 
 COMMAND = re.compile(r"\s*(?:N\d+\s*)?([GM]\d+)(?![\d.])(.*)", re.IGNORECASE)
 
 
-def settings(paths: Sequence[Path], codes: Sequence[str]) -> Stated:
+def settings(paths: Sequence[Path], codes: Sequence[str]) -> Settings:
     """The words of `codes` in files of G-code, blanks between the words, by `M665 L`."""
-    texts: dict[str, tuple[str, Place]] = {}
+    texts: dict[str, tuple[str, SourceLine]] = {}
     for path in paths:
-        for place, line in lines(path):
-            take(texts, place, line, codes)
-    return Stated(texts, paths)
+        for place, line in read_lines(path):
+            parse_settings_line(texts, place, line, codes)
+    return Settings(texts, paths)
 
 
-def take(
-    texts: dict[str, tuple[str, Place]], place: Place, line: str, codes: Sequence[str]
+def parse_settings_line(
+    texts: dict[str, tuple[str, SourceLine]], place: SourceLine, line: str, codes: Sequence[str]
 ) -> str | None:
     """Adds a line's words to those stated before; the command's name, where it is one of them."""
     found = COMMAND.match(re.sub(r"\([^)]*\)|;.*", "", line))

@@ -17,7 +17,7 @@ from parallel_cal.recordings.recording import Array
 
 
 @dataclass(frozen=True)
-class Lines:
+class Hangprinter:
     """Anchors (n, 3) m; radii (m), gears and advantages (n,) of the spools."""
 
     anchors: Array

@@ -6,20 +6,20 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from parallel_cal.importing.stated import Place, Stated, lines
+from parallel_cal.importing.stated import Settings, SourceLine, read_lines
 
-SAVED = "#*#"  # before every line of what Klipper's SAVE_CONFIG wrote
+SAVE_CONFIG_PREFIX = "#*#"  # before every line of what Klipper's SAVE_CONFIG wrote
 
 
-def settings(paths: Sequence[Path]) -> Stated:
+def settings(paths: Sequence[Path]) -> Settings:
     """The values in files of sections by `[section] key`; what SAVE_CONFIG wrote counts last."""
-    texts: dict[str, tuple[str, Place]] = {}
+    texts: dict[str, tuple[str, SourceLine]] = {}
     for path in paths:
         section, saved = "", False
-        for place, line in lines(path):
-            if line.startswith(SAVED) and not saved:
+        for place, line in read_lines(path):
+            if line.startswith(SAVE_CONFIG_PREFIX) and not saved:
                 section, saved = "", True
-            own = line.removeprefix(SAVED).removeprefix(" ") if saved else line
+            own = line.removeprefix(SAVE_CONFIG_PREFIX).removeprefix(" ") if saved else line
             plain = re.split(r"(?:^|\s)[#;]", own, maxsplit=1)[0]
             if not plain.strip() or plain[0].isspace():  # a macro's lines among them
                 continue
@@ -32,4 +32,4 @@ def settings(paths: Sequence[Path]) -> Stated:
             if not pair or not section:
                 raise place.error("the line", line.strip(), "[section] or key: value")
             texts[f"[{section}] {pair[1].strip()}"] = (pair[2].strip(), place)
-    return Stated(texts, paths)
+    return Settings(texts, paths)

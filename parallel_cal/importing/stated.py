@@ -15,7 +15,7 @@ from parallel_cal.base.files import read_text
 
 
 @dataclass(frozen=True)
-class Place:
+class SourceLine:
     """A line of a file."""
 
     path: Path
@@ -38,23 +38,23 @@ class Place:
 
 
 @dataclass(frozen=True)
-class Stated:
+class Settings:
     """The texts of a configuration by field (`M665 L`, `[printer] delta_radius`)."""
 
-    texts: dict[str, tuple[str, Place]]
+    texts: dict[str, tuple[str, SourceLine]]
     paths: Sequence[Path]
 
     def __contains__(self, field: str) -> bool:
         return field in self.texts
 
-    def text(self, field: str, expected: str) -> tuple[str, Place]:
+    def text(self, field: str, expected: str) -> tuple[str, SourceLine]:
         """A field's text; DatasetError where no file has it."""
         if field not in self.texts:
             files = ", ".join(map(str, self.paths))
             raise DatasetError(f"{files}: no {field}, expected {expected}")
         return self.texts[field]
 
-    def wrong(self, field: str, expected: str) -> DatasetError:
+    def error(self, field: str, expected: str) -> DatasetError:
         """For a field whose text is not as expected."""
         text, place = self.text(field, expected)
         return place.error(field, text, expected)
@@ -91,7 +91,7 @@ class Stated:
         return np.array(values * count if len(values) == 1 else values)
 
 
-def lines(path: Path) -> list[tuple[Place, str]]:
+def read_lines(path: Path) -> list[tuple[SourceLine, str]]:
     """The lines of a text file; DatasetError where it is none."""
     try:
         text = read_text(path, encoding="utf-8-sig")
@@ -99,7 +99,7 @@ def lines(path: Path) -> list[tuple[Place, str]]:
         raise DatasetError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:
         raise DatasetError(f"{path}:1: not text (UTF-8)") from None
-    return [(Place(path, k), line) for k, line in enumerate(text.splitlines(), start=1)]
+    return [(SourceLine(path, k), line) for k, line in enumerate(text.splitlines(), start=1)]
 
 
 def sha256(paths: Iterable[Path]) -> str:

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from parallel_cal.base.errors import DatasetError
-from parallel_cal.importing.deltas import MM, NAMES, Delta
-from parallel_cal.importing.stated import Place, sha256
+from parallel_cal.importing.deltas import JOINT_NAMES, MM, Delta
+from parallel_cal.importing.stated import SourceLine, sha256
 from parallel_cal.recordings.dataset import Dataset
-from parallel_cal.recordings.loading import in_order
+from parallel_cal.recordings.loading import order_joints
 from parallel_cal.recordings.recording import Array, Dropped
 from parallel_cal.recordings.samples import READING
 
@@ -44,19 +44,21 @@ def touches_in(dataset: Dataset, joints: Sequence[str]) -> Touches:
             f"{dataset.source}: no touch of a bed in it: expected readings of the sensor 'probe', "
             "as `import rrf`, `klipper`, `marlin` and `linuxcnc` make them"
         )
-    q = in_order(dataset, joints).q
+    q = order_joints(dataset, joints).q
     return Touches(q[touched], height[touched], dataset.source, dataset.sha256)
 
 
 @dataclass(frozen=True)
-class Ends:
+class PrintedEnds:
     """Joints (2k, 3) at the ends of printed lengths, and what the sensor `printed` reads there."""
 
     q: Array
     readings: dict[str, Array]
 
 
-def ends(delta: Delta, along_x: Sequence[float], along_y: Sequence[float]) -> Ends:
+def make_printed_ends(
+    delta: Delta, along_x: Sequence[float], along_y: Sequence[float]
+) -> PrintedEnds:
     """Of parts about the middle of the bed: `[sent, measured]` mm along x, along y, or both."""
     given = {axis: two for axis, two in (("x", along_x), ("y", along_y)) if two}
     at, readings = np.zeros((2 * len(given), 3)), dict[str, Array]()
@@ -71,19 +73,19 @@ def ends(delta: Delta, along_x: Sequence[float], along_y: Sequence[float]) -> En
         if not (sent > 0 and measured > 0 and np.isfinite(delta.joints(at)).all()):
             expected = "[sent, measured] in mm within reach, such as [100, 100.3]"
             raise DatasetError(f"printed_{axis}={two}: expected {expected}")
-    return Ends(delta.joints(at), readings)
+    return PrintedEnds(delta.joints(at), readings)
 
 
-def touches(
+def make_touch_samples(
     delta: Delta,
     nozzle: ArrayLike,
-    places: Sequence[Place],
+    places: Sequence[SourceLine],
     paths: Sequence[Path],
     step: ArrayLike,
     visits: Array | None = None,
     dropped: Sequence[Dropped] = (),
     *,
-    printed: Ends,
+    printed: PrintedEnds,
 ) -> Dataset:
     """Touches with the nozzle believed at (N, 3) m, each from a line of a file; `step` (m or rad)
     of a motor rounds its joint, equal `visits` are of one place."""
@@ -93,10 +95,10 @@ def touches(
         x, y, z = at[k] / MM
         point = f"x {x:.3f} y {y:.3f} z {z:.3f} mm"
         raise places[k].error("position", point, "a point within reach of the configured rods")
-    return of_joints(q, np.zeros(len(q)), paths, step, visits, dropped, printed=printed)
+    return make_joint_samples(q, np.zeros(len(q)), paths, step, visits, dropped, printed=printed)
 
 
-def of_joints(
+def make_joint_samples(
     q: Array,
     height: ArrayLike,
     paths: Sequence[Path],
@@ -105,7 +107,7 @@ def of_joints(
     dropped: Sequence[Dropped] = (),
     warnings: Sequence[str] = (),
     *,
-    printed: Ends,
+    printed: PrintedEnds,
 ) -> Dataset:
     """Touches at joints (N, 3), m or rad, where the tip is `height` (N,) m above the plate; behind
     them the ends of what was printed."""
@@ -124,7 +126,7 @@ def of_joints(
     else:
         warnings = (NO_SIZE, *warnings)
     return Dataset.from_arrays(
-        NAMES,
+        JOINT_NAMES,
         q,
         np.zeros((len(q), 3)),
         measured=np.zeros(6, bool),

@@ -16,15 +16,15 @@ import numpy as np
 
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.base.files import read_text
-from parallel_cal.importing.door import Configured
+from parallel_cal.importing.door import ConfiguredRobot
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_mechanism
 from parallel_cal.recordings.recording import Array
 
 KINDS = {"revolute": "R", "continuous": "R", "prismatic": "P", "fixed": None}
-PARALLEL = 0.1  # sine of the angle between axes below which they count as parallel
-COINCIDENT = 1e-3  # m between parallel axes below which they count as one
-SMALL = 1e-13  # m or 1: what only rounding has left
+MAX_PARALLEL_SINE = 0.1  # sine of the angle between axes below which they count as parallel
+MAX_COINCIDENT_DISTANCE_M = 1e-3  # m between parallel axes below which they count as one
+ROUNDING_TOLERANCE = 1e-13  # m or 1: what only rounding has left
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Joint:
     velocity: float
 
 
-def arm(path: Path, start: str = "", end: str = "", **options: Any) -> Configured:
+def arm(path: Path, start: str = "", end: str = "", **options: Any) -> ConfiguredRobot:
     """The model of the chain from link `start` (the root) to `end` (the only leaf); `options` are
     those of the mechanism `serial` but its links."""
     joints = _chain(path, _joints(path), start, end)
@@ -61,7 +61,7 @@ def arm(path: Path, start: str = "", end: str = "", **options: Any) -> Configure
     mechanism.joint_limits = tuple(joint.limits for joint in driven)
     mechanism.joint_rates = tuple((joint.velocity, np.inf) for joint in driven)
     frames = {"base": joints[0].parent, "platform": joints[-1].child}
-    return Configured(replace(new_model(mechanism), frames=frames), ())
+    return ConfiguredRobot(replace(new_model(mechanism), frames=frames), ())
 
 
 # ------------------------------------------------------------------ the file
@@ -88,21 +88,21 @@ def _joint(path: Path, part: ElementTree.Element) -> Joint:
     if not all(ends):
         raise DatasetError(f"{where}: no parent or child link")
     origin = np.eye(4)
-    origin[:3, 3] = _three(where, part.find("origin"), "xyz", "0 0 0")
-    origin[:3, :3] = _turned(_three(where, part.find("origin"), "rpy", "0 0 0"))
-    axis = _three(where, part.find("axis"), "xyz", "1 0 0")
+    origin[:3, 3] = _read_three(where, part.find("origin"), "xyz", "0 0 0")
+    origin[:3, :3] = _rotation_from_rpy(_read_three(where, part.find("origin"), "rpy", "0 0 0"))
+    axis = _read_three(where, part.find("axis"), "xyz", "1 0 0")
     if kind in KINDS and KINDS[kind] and not np.linalg.norm(axis) > 0:
         raise DatasetError(f"{where}: axis xyz is '0 0 0', expected a direction")
     limit, moves = part.find("limit"), kind in ("revolute", "prismatic")
-    low, high = (_one(where, limit, k, None if moves else 0.0) for k in ("lower", "upper"))
-    velocity = _one(where, limit, "velocity", 0.0) or np.inf
+    low, high = (_read_one(where, limit, k, None if moves else 0.0) for k in ("lower", "upper"))
+    velocity = _read_one(where, limit, "velocity", 0.0) or np.inf
     return Joint(
         name, KINDS.get(kind, kind), ends[0] or "", ends[1] or "", origin,
         axis / (np.linalg.norm(axis) or 1.0), (low, high) if moves else (-np.inf, np.inf), velocity,
     )  # fmt: skip
 
 
-def _three(where: str, part: ElementTree.Element | None, key: str, default: str) -> Array:
+def _read_three(where: str, part: ElementTree.Element | None, key: str, default: str) -> Array:
     text = default if part is None else part.get(key, default)
     try:
         found = np.array(text.split(), float)
@@ -113,7 +113,9 @@ def _three(where: str, part: ElementTree.Element | None, key: str, default: str)
     return found
 
 
-def _one(where: str, part: ElementTree.Element | None, key: str, default: float | None) -> float:
+def _read_one(
+    where: str, part: ElementTree.Element | None, key: str, default: float | None
+) -> float:
     text = None if part is None else part.get(key)
     if text is None and default is not None:
         return default
@@ -123,7 +125,7 @@ def _one(where: str, part: ElementTree.Element | None, key: str, default: float 
         raise DatasetError(f"{where}: limit {key} is '{text or ''}', expected a number") from None
 
 
-def _turned(rpy: Array) -> Array:
+def _rotation_from_rpy(rpy: Array) -> Array:
     """About the fixed x, then y, then z."""
     (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
     return np.array([
@@ -183,11 +185,11 @@ def _to_axis(F: Array, p: Array, u: Array, kind: str) -> tuple[dict[str, Any], A
     """Numbers of the link from frame F to the axis through p along u, and the frame there."""
     way, toward = F[:3, :3].T @ (p - F[:3, 3]), F[:3, :3].T @ u
     normal = np.array([-toward[1], toward[0], 0.0])  # z x u
-    if np.linalg.norm(normal) > PARALLEL:
+    if np.linalg.norm(normal) > MAX_PARALLEL_SINE:
         return _perpendicular(F, way, toward, normal / np.linalg.norm(normal), kind)
     foot = way - toward * way[2] / toward[2] if kind == "R" else np.zeros(3)
     a = float(np.hypot(*foot[:2]))
-    polar = a > COINCIDENT
+    polar = a > MAX_COINCIDENT_DISTANCE_M
     theta = float(np.arctan2(foot[1], foot[0])) if polar else 0.0
     x, y = np.cos(theta) * toward[:2] + np.sin(theta) * np.array([toward[1], -toward[0]])
     beta, alpha = float(np.arcsin(np.clip(x, -1, 1))), float(np.arctan2(-y, toward[2]))
@@ -200,7 +202,7 @@ def _to_axis(F: Array, p: Array, u: Array, kind: str) -> tuple[dict[str, Any], A
     }
     if kind == "R" and not polar:
         step |= {"axes": "coincident", "a": float(foot[0]), "b": float(foot[1])}
-    return _cleaned(step), F @ _matrix(_cleaned(step))
+    return _remove_rounding(step), F @ _matrix(_remove_rounding(step))
 
 
 def _perpendicular(
@@ -221,7 +223,7 @@ def _perpendicular(
     }
     if kind == "R":
         step |= {"d": d, "a": a}  # of a slide only the direction counts
-    return _cleaned(step), F @ _matrix(_cleaned(step))
+    return _remove_rounding(step), F @ _matrix(_remove_rounding(step))
 
 
 def _to_frame(F: Array, P: Array, kind: str | None) -> list[dict[str, Any]]:
@@ -237,7 +239,7 @@ def _to_frame(F: Array, P: Array, kind: str | None) -> list[dict[str, Any]]:
     turn = np.array([[np.cos(theta), np.sin(theta)], [-np.sin(theta), np.cos(theta)]])
     a, b = (turn @ left[:2, 3]).tolist()
     step = {"theta": theta, "d": float(left[2, 3]), "a": a, "b": b, "alpha": alpha, "beta": beta}
-    return [*first, {"joint": kind, **_cleaned(step)}]
+    return [*first, {"joint": kind, **_remove_rounding(step)}]
 
 
 def _matrix(step: dict[str, Any]) -> Array:
@@ -247,11 +249,18 @@ def _matrix(step: dict[str, Any]) -> Array:
     )
     T = np.eye(4)
     T[:3, 3] = [a * np.cos(theta) - b * np.sin(theta), a * np.sin(theta) + b * np.cos(theta), d]
-    about_y = _turned(np.array([0.0, beta, 0.0]))
-    T[:3, :3] = _turned(np.array([0, 0, theta])) @ _turned(np.array([alpha, 0, 0])) @ about_y
+    about_y = _rotation_from_rpy(np.array([0.0, beta, 0.0]))
+    T[:3, :3] = (
+        _rotation_from_rpy(np.array([0, 0, theta]))
+        @ _rotation_from_rpy(np.array([alpha, 0, 0]))
+        @ about_y
+    )
     return T
 
 
-def _cleaned(step: dict[str, Any]) -> dict[str, Any]:
+def _remove_rounding(step: dict[str, Any]) -> dict[str, Any]:
     """Without what rounding has left."""
-    return {k: 0.0 if isinstance(v, float) and abs(v) < SMALL else v for k, v in step.items()}
+    return {
+        k: 0.0 if isinstance(v, float) and abs(v) < ROUNDING_TOLERANCE else v
+        for k, v in step.items()
+    }

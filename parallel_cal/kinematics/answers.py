@@ -42,7 +42,7 @@ def _columns(model: Model, name: str) -> list[str]:
     return [f"{kind}.{j}" for j in model.joints] if CONDITIONS[kind][2] and not joint else [name]
 
 
-def rotation_of(quaternion: Sequence[float]) -> np.ndarray:
+def parse_rotation(quaternion: Sequence[float]) -> np.ndarray:
     """The matrix of a quaternion x y z w of any length; SolveError where it is none."""
     q = np.array(quaternion, dtype=float)
     if not np.isfinite(q).all() or np.linalg.norm(q) < 1e-9:
@@ -68,7 +68,7 @@ def _with_covariance(model: Model) -> Kinematics:
     return Kinematics(model)
 
 
-def rows_of(solutions: Solutions) -> list[dict[str, Any]]:
+def to_rows(solutions: Solutions) -> list[dict[str, Any]]:
     """One dictionary a solution, as the command line's contract has it."""
     return [
         {

@@ -12,19 +12,19 @@ from parallel_cal.base.compiled import Single
 from parallel_cal.kinematics.problem import Problem
 from parallel_cal.kinematics.rows import joint_rows, pose_rows
 from parallel_cal.kinematics.solutions import (
-    CLOSED,
-    SETTLED,
-    SINGULAR,
+    MAX_CLOSED_RESIDUAL_M,
+    MAX_SETTLED_STEP_M,
+    MIN_REGULAR_SINGULAR_VALUE,
     SUSPECT_PIVOT,
     Solutions,
     Status,
 )
 from parallel_cal.model.model import Model
 
-__all__ = ["CLOSED", "Kinematics", "Solutions", "Status"]
+__all__ = ["MAX_CLOSED_RESIDUAL_M", "Kinematics", "Solutions", "Status"]
 
 
-class Reached(NamedTuple):
+class NewtonResult(NamedTuple):
     """What Newton's iterations end in: configurations x (N, nq + 12), and of each the last step
     (m), the closure's norm (m) and the smallest pivot."""
 
@@ -56,7 +56,7 @@ class Kinematics:
     ) -> Solutions:
         """Poses for joints q (nq,) or (N, nq), on the home branch or from `start`."""
         if start is None and _shape(q) == self._one:
-            found = self._usual(self.direct_problem, self._joints, q, None, at)
+            found = self._solve_fast(self.direct_problem, self._joints, q, None, at)
             if found is not None:
                 return found
         return self._solve(self.direct_problem, joint_rows(self.model, q), q, at, start)
@@ -70,7 +70,7 @@ class Kinematics:
     ) -> Solutions:
         """Joints for positions (3,) or (N, 3) and rotations; passive coordinates follow."""
         if start is None and _shape(position) == (3,):
-            found = self._usual(self.inverse_problem, self._position, position, rotation, at)
+            found = self._solve_fast(self.inverse_problem, self._position, position, rotation, at)
             if found is not None:
                 return found
         given = pose_rows(self.model, position, rotation)
@@ -124,12 +124,12 @@ class Kinematics:
         """Solutions of rows (N, nq + 12) that hold what is given."""
         rows = self.model.condition_rows(at, len(given))
         if start is None:
-            reached = problem.many(given, rows)
+            reached = problem.solve_many(given, rows)
         else:
             reached = problem.refine(problem.begin(given, start), rows)
-        return self._classified(problem, given, rows, Reached(*reached))
+        return self._classify(problem, given, rows, NewtonResult(*reached))
 
-    def _usual(
+    def _solve_fast(
         self,
         problem: Problem,
         place: slice,
@@ -138,7 +138,7 @@ class Kinematics:
         at: Mapping[str, Any] | None,
     ) -> Solutions | None:
         """One sample in place, in microseconds; None where its solution is anything but usual."""
-        one = problem.one
+        one = problem.single_solver
         with one.lock:
             row, a, k = one.arguments
             row[place] = given
@@ -150,9 +150,9 @@ class Kinematics:
                 a[:] = problem.neutral if at is None else self.model.condition_rows(at, 1)[0]
             one.evaluate()
             x, step, residual, pivot = one.results
-            if not step.item() < SETTLED:
+            if not step.item() < MAX_SETTLED_STEP_M:
                 x, step, residual, pivot = problem.calls.refine_one(x, a, k)
-            usual = step.item() < SETTLED and pivot.item() > SUSPECT_PIVOT
+            usual = step.item() < MAX_SETTLED_STEP_M and pivot.item() > SUSPECT_PIVOT
             if not (usual and residual.item() < problem.largest):
                 return None
             x, left = x.copy(), residual[0]
@@ -160,63 +160,67 @@ class Kinematics:
         for (low, high), angle in zip(self._limits, q.tolist(), strict=True):
             if not low <= angle <= high:
                 return None
-        return Solutions.usual(q, x[self._position], x[self._turn].reshape(3, 3), left)
+        return Solutions.from_converged(q, x[self._position], x[self._turn].reshape(3, 3), left)
 
     def _inside_limits(self, q: np.ndarray) -> Any:
         low, high = np.array(self._limits, dtype=float).T
         return ((q >= low) & (q <= high)).all(axis=-1)
 
-    def _classified(
-        self, problem: Problem, given: np.ndarray, rows: np.ndarray, reached: Reached
+    def _classify(
+        self, problem: Problem, given: np.ndarray, rows: np.ndarray, reached: NewtonResult
     ) -> Solutions:
         """Solutions with status; samples that the fast way left open are solved carefully."""
         n = self._n
-        x, step, residual, pivot = self._refined(problem, self._turned(problem, reached), rows)
+        x, step, residual, pivot = self._refine_unsettled(
+            problem, self._wrap_joints(problem, reached), rows
+        )
         status = np.full(len(x), Status.CONVERGED, dtype=np.int8)
         finite = np.isfinite(given).all(axis=1) & np.isfinite(rows).all(axis=1)
         status[~finite] = Status.INVALID_INPUT
         x[~finite], residual[~finite] = np.nan, np.nan
-        settled = (step < SETTLED) & (residual < problem.largest)
+        settled = (step < MAX_SETTLED_STEP_M) & (residual < problem.largest)
         open_ = finite & ~settled
         status[open_] = Status.NOT_CONVERGED
         for i in np.flatnonzero(open_) if not self._quick else ():
-            x[i], residual[i], status[i] = self._carefully(problem, x[i], rows[i], given[i])
+            x[i], residual[i], status[i] = self._solve_carefully(problem, x[i], rows[i], given[i])
         suspect = finite & ~(settled & (pivot > SUSPECT_PIVOT))
         for i in np.flatnonzero(suspect & (status == Status.CONVERGED)):
-            if problem.smallest_singular_value(x[i], rows[i]) < SINGULAR:
+            if problem.smallest_singular_value(x[i], rows[i]) < MIN_REGULAR_SINGULAR_VALUE:
                 status[i] = Status.SINGULAR
         status[~self._inside_limits(x[:, :n]) & (status == Status.CONVERGED)] = (
             Status.OUTSIDE_LIMITS
         )
         return Solutions.of(x, residual, status)
 
-    def _carefully(
+    def _solve_carefully(
         self, problem: Problem, x: np.ndarray, row: np.ndarray, given: np.ndarray
     ) -> tuple[np.ndarray, float, Status]:
         """The careful solver's answer; it may have wound joints up on its way."""
-        x, residual, status = problem.careful(x, row, given)
-        q = _turned_towards(x[: self._n], problem.unknown_joints, self.model)
+        x, residual, status = problem.solve_carefully(x, row, given)
+        q = _wrap_towards_home(x[: self._n], problem.unknown_joints, self.model)
         if (q == x[: self._n]).all():
             return x, residual, status
         turned = np.concatenate([q, x[self._n :]])
         if not self.model.effects:
             return turned, residual, status
-        return problem.careful(turned, row, given)
+        return problem.solve_carefully(turned, row, given)
 
-    def _turned(self, problem: Problem, reached: Reached) -> Reached:
+    def _wrap_joints(self, problem: Problem, reached: NewtonResult) -> NewtonResult:
         """With solved angles near home, and the measures as flat arrays."""
         x, *measures = reached
         step, residual, pivot = (part.reshape(-1) for part in measures)
-        q = _turned_towards(x[:, : self._n], problem.unknown_joints, self.model)
+        q = _wrap_towards_home(x[:, : self._n], problem.unknown_joints, self.model)
         if self.model.effects:  # which need not repeat after a turn: solve anew from there
             step[(q != x[:, : self._n]).any(axis=1)] = 1.0
         x[:, : self._n] = q
-        return Reached(x, step, residual, pivot)
+        return NewtonResult(x, step, residual, pivot)
 
     @staticmethod
-    def _refined(problem: Problem, reached: Reached, rows: np.ndarray) -> Reached:
+    def _refine_unsettled(
+        problem: Problem, reached: NewtonResult, rows: np.ndarray
+    ) -> NewtonResult:
         """After further iterations where the last step is still large."""
-        open_ = np.flatnonzero(np.isfinite(reached.step) & (reached.step >= SETTLED))
+        open_ = np.flatnonzero(np.isfinite(reached.step) & (reached.step >= MAX_SETTLED_STEP_M))
         if len(open_):
             further = problem.refine(reached.x[open_], rows[open_])
             for array, new in zip(reached, further, strict=True):
@@ -262,12 +266,12 @@ class Kinematics:
         return Single(self.model.structure.closure)
 
 
-def _turned_towards(q: np.ndarray, unknown: bool, model: Model) -> np.ndarray:
+def _wrap_towards_home(q: np.ndarray, unknown: bool, model: Model) -> np.ndarray:
     """Solved angles moved by whole turns to within half a turn of home, or one turn further where
     only that is inside the limits."""
     if not unknown or not model.mechanism.periodic:
         return q
-    turn = model.mechanism.turns
+    turn = model.mechanism.joint_periods
     home = np.array(model.mechanism.home.joints)
     low, high = np.array(model.mechanism.joint_limits).T
     q = q - turn * np.round((q - home) / (2 * np.pi))

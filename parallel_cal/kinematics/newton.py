@@ -42,9 +42,9 @@ def newton_functions(structure: Structure, problem: str) -> NewtonFunctions:
     columns, given, start = split(s, problem)
     J = s.jacobian_configuration[:, columns] / ca.repmat(ca.DM(s.scale[columns]).T, s.phi.shape[0])
     order = row_order(s, J)
-    (phi, J), constants, symbols = _extracted([s.phi, J], ca.vertcat(given, s.v, s.a))
+    (phi, J), constants, symbols = _extract_constant_parts([s.phi, J], ca.vertcat(given, s.v, s.a))
     before = ca.vertcat(constants, start)
-    (before,), tables, table_symbols = _extracted([before], s.v)
+    (before,), tables, table_symbols = _extract_constant_parts([before], s.v)
     residual = dense("residual", [s.configuration, symbols], [phi])
     step = _step_function(s, residual, J, symbols, columns, order)
     prepare = dense("prepare", [s.configuration, s.a, table_symbols], [before])
@@ -70,7 +70,7 @@ def split(s: Structure, problem: str) -> tuple[list[int], Any, Any]:
     return list(range(n)) + [n + i for i in m.passive], ca.vertcat(*given), start
 
 
-def _extracted(expressions: list[Any], of: Any) -> tuple[list[Any], Any, Any]:
+def _extract_constant_parts(expressions: list[Any], of: Any) -> tuple[list[Any], Any, Any]:
     """The expressions with every part that depends on `of` alone replaced by a symbol.
 
     Returns the rewritten expressions, the parts (column) and their symbols (column).
@@ -103,7 +103,7 @@ def _step_function(
             scaled = J.T @ solver(-phi)
         else:
             scaled = solver(-(J.T @ phi if J.shape[0] > J.shape[1] else phi))
-        return moved(s, x, columns, scaled), scaled
+        return apply_change(s, x, columns, scaled), scaled
 
     once, _ = stepped(s.configuration)
     twice, scaled = stepped(once)
@@ -116,7 +116,7 @@ def _square(J: Any) -> Any:
     return J if rows == unknowns else J.T @ J if rows > unknowns else J @ J.T
 
 
-def moved(s: Structure, x: Any, columns: list[int], scaled: Any) -> Any:
+def apply_change(s: Structure, x: Any, columns: list[int], scaled: Any) -> Any:
     """The configuration after a change of its unknown coordinates, given in metres."""
     change = ca.SX.zeros(len(s.scale))
     change[columns] = scaled / ca.DM(s.scale[columns])

@@ -8,7 +8,7 @@ import numpy as np
 
 from parallel_cal.base.compiled import Batch, Single
 from parallel_cal.kinematics.newton import newton_functions
-from parallel_cal.kinematics.solutions import CLOSED, Solutions, Status
+from parallel_cal.kinematics.solutions import MAX_CLOSED_RESIDUAL_M, Solutions, Status
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model
 from parallel_cal.model.structure import Structure
@@ -48,9 +48,11 @@ class Problem:
         # More rows than unknowns (lines of a cable robot): the answer is the least-squares one,
         # and what it leaves is in the residual, not in the status.
         self.redundant = model.structure.phi.shape[0] > len(self.columns)
-        self.largest = np.inf if self.redundant else CLOSED  # residual (m) of a settled answer
+        self.largest = (
+            np.inf if self.redundant else MAX_CLOSED_RESIDUAL_M
+        )  # residual (m) of a settled answer
 
-    def many(self, given: np.ndarray, rows: np.ndarray) -> list[np.ndarray]:
+    def solve_many(self, given: np.ndarray, rows: np.ndarray) -> list[np.ndarray]:
         """Newton iterations from the mechanism's own start."""
         return self.calls.many(given, rows, self.k)
 
@@ -72,7 +74,7 @@ class Problem:
         return begin
 
     @cached_property
-    def one(self) -> Single:
+    def single_solver(self) -> Single:
         """The same for one sample, with home, what is neutral, and the model's numbers put in."""
         single, home = Single(self.calls.many.function), self._model.mechanism.home.configuration
         for array, known in zip(single.arguments, (home, self.neutral, self.k), strict=True):
@@ -98,7 +100,7 @@ class Problem:
         """Of the closure's Jacobian in the unknowns, scaled to metres: 0 = singular."""
         return float(np.linalg.svd(self._phi_and_jacobian(x, a)[1], compute_uv=False)[-1])
 
-    def careful(
+    def solve_carefully(
         self, x: np.ndarray, a: np.ndarray, given: np.ndarray
     ) -> tuple[np.ndarray, float, Status]:
         """Levenberg-Marquardt from where the fast way ended, then from home (C.4)."""
@@ -122,7 +124,7 @@ class Problem:
                 return x, size, Status.NOT_CONVERGED
             if np.linalg.norm(step) < 1e-15:
                 break
-            candidate = self._moved(x, step)
+            candidate = self._apply_step(x, step)
             new_phi, new_J = self._phi_and_jacobian(candidate, a)
             new_size = float(np.linalg.norm(new_phi))
             if new_size < size:
@@ -135,11 +137,11 @@ class Problem:
                 if damping > 1e12:
                     break
         flat = float(np.linalg.norm(J.T @ phi)) < 1e-6 * size
-        if size < CLOSED or (flat and self.redundant):
+        if size < MAX_CLOSED_RESIDUAL_M or (flat and self.redundant):
             return x, size, Status.CONVERGED
         return x, size, Status.UNREACHABLE if flat or size > 1e-6 else Status.NOT_CONVERGED
 
-    def _moved(self, x: np.ndarray, step: np.ndarray) -> np.ndarray:
+    def _apply_step(self, x: np.ndarray, step: np.ndarray) -> np.ndarray:
         change = np.zeros(self._n + 6)
         change[self.columns] = step / self._model.structure.scale[self.columns]
-        return Configuration.from_rows(x).moved(change).rows
+        return Configuration.from_rows(x).apply_change(change).rows

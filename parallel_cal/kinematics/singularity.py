@@ -31,7 +31,12 @@ class Distances:
 def distances(model: Model, solutions: Solutions, at: Mapping[str, Any] | None = None) -> Distances:
     """Both distances of N solved configurations."""
     direct, inverse = jacobians(model, solutions, at)
-    return Distances(smallest(direct), smallest(inverse), _sign(direct), _sign(inverse))
+    return Distances(
+        smallest_singular_values(direct),
+        smallest_singular_values(inverse),
+        _sign(direct),
+        _sign(inverse),
+    )
 
 
 def jacobians(
@@ -44,7 +49,7 @@ def jacobians(
     return C[:, :, [n + i for i in m.moved]], C[:, :, [*range(n), *(n + i for i in m.passive)]]
 
 
-def smallest(J: np.ndarray) -> np.ndarray:
+def smallest_singular_values(J: np.ndarray) -> np.ndarray:
     """The smallest singular value of each Jacobian, NaN where it is not finite."""
     finite = np.isfinite(J).all(axis=(1, 2))
     sizes = np.full(len(J), np.nan)

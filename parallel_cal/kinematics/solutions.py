@@ -12,9 +12,11 @@ import numpy as np
 from parallel_cal.base.rotation import matrix_to_quaternion
 from parallel_cal.model.configuration import Configuration
 
-CLOSED = 1e-10  # m: a closure residual below this is a solution
-SETTLED = 1e-10  # m: a last step below this leaves an error below rounding (third order)
-SINGULAR = 1e-4  # smallest scaled singular value: errors are amplified more than 10^4 times
+MAX_CLOSED_RESIDUAL_M = 1e-10  # m: a closure residual below this is a solution
+MAX_SETTLED_STEP_M = 1e-10  # m: a last step below this leaves an error below rounding (third order)
+MIN_REGULAR_SINGULAR_VALUE = (
+    1e-4  # smallest scaled singular value: errors are amplified more than 10^4 times
+)
 SUSPECT_PIVOT = 1e-2  # the cheap sign that a sample may be near a singularity
 
 
@@ -58,7 +60,9 @@ class Solutions:
     complete: bool | None = None
 
     @classmethod
-    def usual(cls, q: np.ndarray, r: np.ndarray, R: np.ndarray, left: np.ndarray) -> Solutions:
+    def from_converged(
+        cls, q: np.ndarray, r: np.ndarray, R: np.ndarray, left: np.ndarray
+    ) -> Solutions:
         """One that converged, all numbers its own; the class's beginning takes a microsecond."""
         one = object.__new__(cls)
         one.__dict__.update(joints=q, position=r, rotation=R, residual=left, status=CONVERGED)
@@ -106,17 +110,17 @@ class Solutions:
         return self.status == Status.CONVERGED
 
 
-def stacked(found: Sequence[Solutions]) -> Solutions:
+def stack_solutions(found: Sequence[Solutions]) -> Solutions:
     """Single solutions as one set."""
-    return _combined(np.stack, found)
+    return _combine(np.stack, found)
 
 
-def concatenated(found: Sequence[Solutions]) -> Solutions:
+def concatenate_solutions(found: Sequence[Solutions]) -> Solutions:
     """Several sets as one."""
-    return _combined(np.concatenate, found)
+    return _combine(np.concatenate, found)
 
 
-def _combined(combine: Callable[..., np.ndarray], found: Sequence[Solutions]) -> Solutions:
+def _combine(combine: Callable[..., np.ndarray], found: Sequence[Solutions]) -> Solutions:
     names = ("joints", "position", "rotation", "residual", "status")
     q, r, R, residual, status = (combine([getattr(s, name) for s in found]) for name in names)
     return Solutions(q, r, R, residual, status)

@@ -13,10 +13,10 @@ import numpy as np
 from parallel_cal.base.errors import SolveError
 from parallel_cal.kinematics.every import direct_all, inverse_all
 from parallel_cal.kinematics.kinematics import Solutions
-from parallel_cal.kinematics.solutions import stacked
-from parallel_cal.kinematics.solvers._common import unsolved
+from parallel_cal.kinematics.solutions import stack_solutions
+from parallel_cal.kinematics.solvers._common import make_unsolved
 from parallel_cal.model.model import Model
-from parallel_cal.model.shelf import load_module, own, shelf_names
+from parallel_cal.model.shelf import list_plugins, load_module, wrap_plugin_function
 
 Conditions = Mapping[str, Any]
 SHELF = "kinematics.solvers"
@@ -31,8 +31,11 @@ def direct(
     the solver is unknown or not made for this model.
     """
     if not every:
-        return _chosen(solver, "direct", every)(model, np.atleast_2d(q), at)
-    solve, none = _chosen(solver, "direct", every), stacked([unsolved(model, q=q)])
+        return _load_solver(solver, "direct", every)(model, np.atleast_2d(q), at)
+    solve, none = (
+        _load_solver(solver, "direct", every),
+        stack_solutions([make_unsolved(model, q=q)]),
+    )
     if not np.isfinite(q).all():
         return none
     found = solve(model, q, at)
@@ -54,11 +57,11 @@ def inverse(
     r, R = controlled_pose(model, r, R)
     if not every:
         turned = None if R is None else np.reshape(R, (-1, 3, 3))
-        return _chosen(solver, "inverse", every)(model, np.atleast_2d(r), turned, at)
-    found = _chosen(solver, "inverse", every)(model, r, R, at)
+        return _load_solver(solver, "inverse", every)(model, np.atleast_2d(r), turned, at)
+    found = _load_solver(solver, "inverse", every)(model, r, R, at)
     if len(found):
         return found
-    return replace(stacked([unsolved(model, r=r)]), complete=found.complete)
+    return replace(stack_solutions([make_unsolved(model, r=r)]), complete=found.complete)
 
 
 def controlled_pose(
@@ -75,26 +78,26 @@ def controlled_pose(
 
 def solvers() -> dict[str, str]:
     """Name and purpose of every solver on the shelf: the last paragraph of its file's docstring."""
-    docs = {name: load_module(SHELF, name).__doc__ or "" for name in shelf_names(SHELF)}
+    docs = {name: load_module(SHELF, name).__doc__ or "" for name in list_plugins(SHELF)}
     return {name: " ".join(doc.split("\n\n")[-1].split()) for name, doc in docs.items()}
 
 
-def builds(solver: str) -> str:
+def get_build_note(solver: str) -> str:
     """What a solver on the shelf builds before its first answer, where that takes long."""
     name = solver.partition(":")[0]
-    on_shelf = name in shelf_names(SHELF)
+    on_shelf = name in list_plugins(SHELF)
     return getattr(load_module(SHELF, name), "BUILDS", "") if on_shelf else ""
 
 
-def _chosen(text: str, problem: str, every: bool) -> Callable[..., Solutions]:
+def _load_solver(text: str, problem: str, every: bool) -> Callable[..., Solutions]:
     """A solver's function by `NAME[:option=value,...]`: a file on the shelf solvers/, or the one at
     a Python path; SolveError where it has none for this."""
     if every and not text:
         return direct_all if problem == "direct" else inverse_all
     name, _, given = (text or "newton").partition(":")
-    if "." not in name and name not in shelf_names(SHELF):
+    if "." not in name and name not in list_plugins(SHELF):
         raise SolveError(
-            f"no solver '{name}'; there are {', '.join(shelf_names(SHELF))} (--solver help says "
+            f"no solver '{name}'; there are {', '.join(list_plugins(SHELF))} (--solver help says "
             "what for), or the Python path of your own"
         )
     module = load_module(SHELF, name, SolveError)
@@ -105,7 +108,7 @@ def _chosen(text: str, problem: str, every: bool) -> Callable[..., Solutions]:
         raise SolveError(f"{name} finds one solution; --all needs another solver, newton")
     if solve is None:
         raise SolveError(f"{name} does not solve the {problem} problem; use newton")
-    return partial(own(name, solve), **_options(solve, given))
+    return partial(wrap_plugin_function(name, solve), **_options(solve, given))
 
 
 def _options(solve: Callable[..., Solutions], given: str) -> dict[str, Any]:
@@ -116,7 +119,7 @@ def _options(solve: Callable[..., Solutions], given: str) -> dict[str, Any]:
     for item in filter(None, given.split(",")):
         key, _, value = (part.strip() for part in item.partition("="))
         try:
-            options[key] = _like(known[key], value)
+            options[key] = _parse_like(known[key], value)
         except (KeyError, ValueError):
             words = ", ".join(f"{k}={v}" for k, v in known.items())
             expected = f"expected one of {words}" if words else "this solver has none"
@@ -124,7 +127,7 @@ def _options(solve: Callable[..., Solutions], given: str) -> dict[str, Any]:
     return options
 
 
-def _like(default: Any, text: str) -> Any:
+def _parse_like(default: Any, text: str) -> Any:
     """Text as a value of the default's type; ValueError where it is none."""
     if isinstance(default, bool):
         return bool(("false", "true").index(text.lower()))

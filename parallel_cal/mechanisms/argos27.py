@@ -122,7 +122,7 @@ class Argos27(Argos):
         return C, u, c.R, v * self.length
 
 
-def widened(values: Mapping[str, float], radius: float) -> dict[str, float]:
+def widen_spherical(values: Mapping[str, float], radius: float) -> dict[str, float]:
     """Model 27 of a spherical Argos (eqs 3.24, 3.25): nominal shifts, the angles as given."""
     shifts = [p for i in range(3) for p in shift_parameters(i, radius)]
     return {**values, **{p.name: p.nominal for p in shifts}}

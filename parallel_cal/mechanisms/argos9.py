@@ -9,7 +9,7 @@ import casadi as ca
 
 from parallel_cal.base.rotation import rot_x, rot_z
 from parallel_cal.mechanisms._argos import Argos, pantographs
-from parallel_cal.mechanisms.argos27 import angle_parameters, widened
+from parallel_cal.mechanisms.argos27 import angle_parameters, widen_spherical
 from parallel_cal.model.drawing import Line
 from parallel_cal.model.parameters import Named, ParameterTable
 
@@ -48,4 +48,4 @@ class Argos9(Argos):
 
     def widen(self, values: Mapping[str, float]) -> tuple[str, dict[str, float]]:
         """Model 27 with all three circles on one sphere (eqs 3.24-3.25)."""
-        return "argos27", widened(values, self.length)
+        return "argos27", widen_spherical(values, self.length)

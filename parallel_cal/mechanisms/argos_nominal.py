@@ -19,14 +19,14 @@ class ArgosNominal(Argos):
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
         """Model 9's closure (eq. 3.26) with the angles of eq. 3.27."""
-        return Argos9(self.length).closure(q, r, R, self._wide(p))
+        return Argos9(self.length).closure(q, r, R, self._to_model9_parameters(p))
 
     def drawing(self, q: Any, r: Any, R: Any, p: Named) -> list[Line]:
         """As model 9."""
-        return Argos9(self.length).drawing(q, r, R, self._wide(p))
+        return Argos9(self.length).drawing(q, r, R, self._to_model9_parameters(p))
 
     @staticmethod
-    def _wide(p: Named) -> Named:
+    def _to_model9_parameters(p: Named) -> Named:
         """Model 9's parameters."""
         offsets = {f"chain{i + 1}.alpha0": p[f"chain{i + 1}"].alpha0 for i in range(3)}
         table = Argos9.parameters

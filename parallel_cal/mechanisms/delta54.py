@@ -41,7 +41,7 @@ GROUPS = {"position": POSITION, "P1": PARALLELOGRAM, "P2": PLATFORM}
 BODIES = {"arms": ("*.La_?",), "rods": ("*.Lb", "*.dLb"), "base": ("*.D_?", "*.b_?")}
 
 
-def swapped(v: Any) -> Any:
+def rotation_as_matrix(v: Any) -> Any:
     """Rot(z, q) v as a matrix times (cos q, sin q, 1): eqs 6.28 and 6.29."""
     x, y, z = v[0], v[1], v[2]
     return ca.vertcat(ca.horzcat(x, -y, 0), ca.horzcat(y, x, 0), ca.horzcat(0, 0, z))
@@ -76,7 +76,7 @@ class Delta54(Delta):
 
         def rod(side: int) -> tuple[Any, Any, Any]:
             # What stands before `turn` is of the parameters alone: computed once a model.
-            C = T @ (b + D) + side * motor @ d + motor @ swapped(La + side * dC) @ turn
+            C = T @ (b + D) + side * motor @ d + motor @ rotation_as_matrix(La + side * dC) @ turn
             return C, T @ (b + side * d), c.Lb + side * c.dLb
 
         return [rod(1), rod(-1)]

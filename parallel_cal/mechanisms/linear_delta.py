@@ -37,7 +37,7 @@ CHAIN = {
     "b_z": ("m", 0.0, 0.2 * MM, "P2"),
 }
 RAIL = ("D_?", "alpha", "beta")
-HANGING = float(np.sqrt(ROD**2 - OFFSET**2))  # carriage above platform
+HOME_CARRIAGE_HEIGHT = float(np.sqrt(ROD**2 - OFFSET**2))  # carriage above platform
 BODIES = {"rods": ("*.Lb", "*.dLb"), "base": ("*.D_?", "*.b_?")}  # with the platform
 
 

@@ -75,13 +75,13 @@ class Parallelogram(Mechanism):
 
     def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
         """Both assemblies in closed form: parallelogram and antiparallelogram (eqs 42-52)."""
-        return [self._assembled(q, p, sign) for sign in (1, -1)]
+        return [self._assemble(q, p, sign) for sign in (1, -1)]
 
     def start(self, q: Any, p: Named) -> tuple[Any, Any]:
         """The parallelogram: B2 on the right of the line from B1 to A2, where sin > 0."""
-        return self._assembled(q, p, 1)
+        return self._assemble(q, p, 1)
 
-    def _assembled(self, q: Any, p: Named, sign: int) -> tuple[Any, Any]:
+    def _assemble(self, q: Any, p: Named, sign: int) -> tuple[Any, Any]:
         """Tool point and tilt where B2 closes the loop on one side.
 
         w + R c is A2 B2, so 2 w . R c = l2^2 - w.w - c.c, a cosine of the tilt (eq. 50).

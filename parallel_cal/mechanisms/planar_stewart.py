@@ -56,7 +56,7 @@ class PlanarStewart(Mechanism):
         """Distance of the joint centres minus the leg's length by its reading, in metres."""
         legs = [p[f"leg{i + 1}"] for i in range(3)]
         return ca.vertcat(
-            *[self.span(r, R, c) - self.extended(q[i], c) for i, c in enumerate(legs)]
+            *[self.span(r, R, c) - self.leg_length(q[i], c) for i, c in enumerate(legs)]
         )
 
     @staticmethod
@@ -66,7 +66,7 @@ class PlanarStewart(Mechanism):
         return ca.norm_2((r + R @ B - C)[:2])
 
     @staticmethod
-    def extended(q: Any, c: Named) -> Any:
+    def leg_length(q: Any, c: Named) -> Any:
         """|L0 + q exp(i delta)|: the slide does not quite run along the leg."""
         return ca.sqrt(c.L0**2 + q**2 + 2 * c.L0 * q * ca.cos(c.delta))
 
@@ -90,7 +90,7 @@ class PlanarStewart(Mechanism):
         """Where the platform, turned in steps of 10 degrees, would have to be: with
         m_i = R B_i - C_i, |r + m_i|^2 = l_i^2, and the difference of two legs is linear in r."""
         legs = [p[f"leg{i + 1}"] for i in range(3)]
-        lengths = ca.vertcat(*[self.extended(q[i], c) for i, c in enumerate(legs)])
+        lengths = ca.vertcat(*[self.leg_length(q[i], c) for i, c in enumerate(legs)])
         return [(self._position(rot_z(turn), lengths, legs), rot_z(turn)) for turn in TURNS]
 
     @staticmethod

@@ -23,7 +23,7 @@ MM, DEGREE = 1e-3, np.pi / 180
 # Chains 1 and 2 of table 5.12: axes tangent to a circle of 76 + 24 mm, 120 degrees apart; they
 # meet 173.2 mm from the arms, whose inner balls are 20 mm nearer. Encoder zero: arm horizontal.
 CENTRE, BAR, ARM, ROD = 100 * MM, 20 * MM, 120 * MM, 240 * MM
-ALONG = CENTRE * np.tan(60 * DEGREE) - BAR
+BALL_SHIFT = CENTRE * np.tan(60 * DEGREE) - BAR
 _reach = (ROD / 2 + BAR * np.cos(60 * DEGREE)) / np.sin(60 * DEGREE)  # of both balls, at home
 ANGLE = float(np.arccos((_reach - CENTRE) / ARM))
 BODIES = {"arms": ("*.r",), "rod": ("L",), "base": ("a", "*.s")}
@@ -47,10 +47,14 @@ class Rssr(Mechanism):
                 "alpha", "rad", -120 * DEGREE, 0.5 * DEGREE, "axes", label="angle between the axes"
             ),
             Parameter("input.r", "m", ARM, 0.5 * MM, "arms", label="arm length"),
-            Parameter("input.s", "m", ALONG, 1 * MM, "arms", label="arm's shift along its axis"),
+            Parameter(
+                "input.s", "m", BALL_SHIFT, 1 * MM, "arms", label="arm's shift along its axis"
+            ),
             Parameter("input.q0", "rad", -90 * DEGREE, 1 * DEGREE, "arms", label="encoder offset"),
             Parameter("output.r", "m", ARM, 0.5 * MM, "arms", label="arm length"),
-            Parameter("output.s", "m", -ALONG, 1 * MM, "arms", label="arm's shift along its axis"),
+            Parameter(
+                "output.s", "m", -BALL_SHIFT, 1 * MM, "arms", label="arm's shift along its axis"
+            ),
             Parameter("output.q0", "rad", -90 * DEGREE, 1 * DEGREE, "arms", label="encoder offset"),
             Parameter("L", "m", ROD, 0.5 * MM, "rod", label="rod length"),
         ]
@@ -100,7 +104,7 @@ class Rssr(Mechanism):
         return joint_angles(self, r, R, p)
 
 
-def numbers_of(input: Circle, output: Circle, rod: Any) -> Any:
+def compute_parameters(input: Circle, output: Circle, rod: Any) -> Any:
     """The nine parameters, in the table's order, of a rod between balls on two circles (9, 1).
 
     The common normal runs so that alpha lies between -pi and 0; axes must not be parallel.

@@ -39,7 +39,7 @@ class Scara16(Serial):
     def start_inverse(self, r: Any, R: Any, p: Named) -> Any:
         """The elbow on home's side: the two angles belong together."""
         shoulder, elbow = self._elbow(r, p, np.sign(self.home.joints[1]))
-        angles = self.turned_home([(shoulder,), (elbow,), (r[2] - p["link3.d"],)])
+        angles = self.wrap_to_home([(shoulder,), (elbow,), (r[2] - p["link3.d"],)])
         return ca.vertcat(*[values[0] for values in angles])
 
     @staticmethod

@@ -32,7 +32,7 @@ class Configuration:
         shape = np.broadcast_shapes(*(part.shape[:-1] for part in parts))
         return np.concatenate([np.broadcast_to(p, (*shape, p.shape[-1])) for p in parts], axis=-1)
 
-    def moved(self, change: np.ndarray) -> Configuration:
+    def apply_change(self, change: np.ndarray) -> Configuration:
         """After changes (N, nq + 6) of (q, r, w): R <- exp(w) R."""
         n = self.q.shape[-1]
         q, r, w = np.split(change, (n, n + 3), axis=-1)

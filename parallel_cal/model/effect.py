@@ -10,7 +10,7 @@ from fnmatch import fnmatchcase
 from math import isfinite
 from typing import Any, ClassVar
 
-from parallel_cal.base.errors import ModelError, told
+from parallel_cal.base.errors import ModelError, wrap_plugin_error
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 
@@ -112,7 +112,7 @@ class Effect(ABC):
     def name(self) -> str:
         return type(self).__module__.removeprefix("parallel_cal.effects.")
 
-    def known(self) -> list[str]:
+    def fixed_patterns(self) -> list[str]:
         """Patterns of its fixed numbers under their full names."""
         return [f"{self.name}.{pattern}" for pattern in self.fixed]
 
@@ -121,11 +121,13 @@ class Effect(ABC):
         try:
             own = self.parameters(mechanism)
         except Exception as error:
-            raise told(self.name, error) from error
+            raise wrap_plugin_error(self.name, error) from error
         each = zip(mechanism.joints, mechanism.joint_gearing, strict=False)
         gears = {joint: gear for joint, gear in each if gear != 1.0}
         return ParameterTable(
-            replace(_geared(p, gears, mechanism), name=f"{self.name}.{p.name}", group="effect")
+            replace(
+                _scale_by_gear(p, gears, mechanism), name=f"{self.name}.{p.name}", group="effect"
+            )
             for p in own
         )
 
@@ -143,7 +145,7 @@ class Effect(ABC):
         return columns
 
 
-def _geared(p: Parameter, gears: Mapping[str, float], mechanism: Mechanism) -> Parameter:
+def _scale_by_gear(p: Parameter, gears: Mapping[str, float], mechanism: Mechanism) -> Parameter:
     """What a joint may err by, as its reading shows it that is taken before the gear."""
     joint = p.name.partition(".")[0]
     gear = gears.get(joint, 1.0)

@@ -123,18 +123,18 @@ class Mechanism(ABC):
 
     def nearest_home(self, candidates: list[tuple[Any, ...]]) -> Any:
         """Of each joint's values the one nearest to home, angles compared on the circle."""
-        choices = zip(self.turned_home(candidates), self.home.joints, strict=True)
+        choices = zip(self.wrap_to_home(candidates), self.home.joints, strict=True)
         return ca.vertcat(
             *[nearest(c, partial(lambda h, q: ca.fabs(q - h), home)) for c, home in choices]
         )
 
-    def turned_home(self, candidates: list[tuple[Any, ...]]) -> list[tuple[Any, ...]]:
+    def wrap_to_home(self, candidates: list[tuple[Any, ...]]) -> list[tuple[Any, ...]]:
         """Each joint's values, angles within half a turn of home."""
         if not self.periodic:
             return candidates
         choices = zip(candidates, self.joint_units, self.home.joints, strict=True)
         return [
-            tuple(_within_half_a_turn(q, home) for q in joint) if unit == "rad" else joint
+            tuple(_wrap_angle_to_home(q, home) for q in joint) if unit == "rad" else joint
             for joint, unit, home in choices
         ]
 
@@ -190,7 +190,7 @@ class Mechanism(ABC):
         return [i for i in self.moved if i not in self.controlled]
 
     @property
-    def turns(self) -> np.ndarray:
+    def joint_periods(self) -> np.ndarray:
         """By how much each joint (nq,) may be off without a difference: 2 pi, or 0."""
         return 2 * np.pi * np.array([self.periodic and unit == "rad" for unit in self.joint_units])
 
@@ -214,7 +214,7 @@ def _places(coordinates: Sequence[str]) -> list[int]:
     return [POSE.index(c) for c in coordinates]
 
 
-def _within_half_a_turn(q: Any, home: float) -> Any:
+def _wrap_angle_to_home(q: Any, home: float) -> Any:
     return q - 2 * ca.pi * ca.floor((q - home) / (2 * ca.pi) + 0.5)
 
 

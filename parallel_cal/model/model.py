@@ -54,7 +54,7 @@ class Model:
         object.__setattr__(self, "values", values)
         if self.fixed is None:
             parts = (*self.effects, *self.sensors)
-            pattern = [*self.mechanism.fixed, *(p for part in parts for p in part.known())]
+            pattern = [*self.mechanism.fixed, *(p for part in parts for p in part.fixed_patterns())]
             mask = (
                 self.table.matching(pattern) if pattern else np.zeros(len(self.table), dtype=bool)
             )
@@ -95,12 +95,12 @@ class Model:
         if any(effect.name == name for effect in self.effects):
             raise ModelError(f"the model already has the effect '{name}'")
         effect = load_effect(name)
-        if reason := effect.applies(self.mechanism) or self._unread(effect):
+        if reason := effect.applies(self.mechanism) or self._explain_unread(effect):
             raise ModelError(f"'{name}' makes no sense for {self.mechanism.name}: {reason}")
-        more = self.widened() if effect.widens else self.with_effects((*self.effects, effect))
+        more = self.widen() if effect.widens else self.with_effects((*self.effects, effect))
         return more.with_settings(name, settings or {})
 
-    def _unread(self, effect: Effect) -> str:
+    def _explain_unread(self, effect: Effect) -> str:
         """Why an effect on a sensor's readings has none to act on; empty where it has."""
         lacking = effect.reads and not any(map(effect.acts_on, self.structure.channels))
         return f"no sensor reads {' or '.join(effect.reads)}" if lacking else ""
@@ -121,7 +121,7 @@ class Model:
         device = self.table.matching(own)
         return self.with_values(np.where(device, self.table.nominal, self.values), self.covariance)
 
-    def absurd(self) -> str:
+    def find_contradiction(self) -> str:
         """Why some effect's numbers cannot be together; empty where all can."""
         numbers = Named(self.table.names, self.values)
         words = (effect.absurd(numbers[effect.name], self.mechanism) for effect in self.effects)
@@ -164,7 +164,7 @@ class Model:
         table = structure_of(self.mechanism, effects, sensors).table
         known = dict(zip(self.table.names, zip(self.values, self.fixed, strict=True), strict=True))
         parts: tuple[Effect | Sensor, ...] = (*effects, *sensors)
-        given = table.matching(p for part in parts for p in part.known())
+        given = table.matching(p for part in parts for p in part.fixed_patterns())
         fresh = zip(table.nominal, given, strict=True)
         kept = [known.get(p.name, new) for p, new in zip(table, fresh, strict=True)]
         values, fixed = (np.array(column) for column in zip(*kept, strict=True))
@@ -173,7 +173,7 @@ class Model:
             covariance=None,
         )  # fmt: skip
 
-    def widened(self) -> Model:
+    def widen(self) -> Model:
         """The same robot in the next larger model (delta24 -> delta54): equal poses.
 
         Effects, sensors and whatever else both models name keep their values and masks.
@@ -190,9 +190,9 @@ class Model:
         effects = [effect.name for effect in self.effects]
         wide = new_model(larger, effects=effects, sensors=self.sensors)
         values = self.table.mapping(self.values) | values
-        return replace(self._taken_over(wide, values), covariance=None)
+        return replace(self._transfer_to(wide, values), covariance=None)
 
-    def _taken_over(self, wide: Model, values: Mapping[str, float]) -> Model:
+    def _transfer_to(self, wide: Model, values: Mapping[str, float]) -> Model:
         """Another model with these values, and with this one's masks where names are the same."""
         masks = dict(zip(self.table.names, self.fixed, strict=True))
         names = wide.table.names

@@ -12,8 +12,10 @@ import numpy as np
 
 from parallel_cal.base.errors import ModelError
 
-USUAL = 10.0  # tolerances from nominal: further away a number is not of such a robot
-BEYOND = 3.0  # of its own sigmas: so far an estimate may lie outside its range by chance
+MAX_TOLERANCES = 10.0  # tolerances from nominal: further away a number is not of such a robot
+RANGE_MARGIN_SIGMAS = (
+    3.0  # of its own sigmas: so far an estimate may lie outside its range by chance
+)
 
 
 @dataclass(frozen=True)
@@ -42,7 +44,10 @@ class Parameter:
     def plausible_range(self, sigma: float = 0.0) -> tuple[float, float]:
         """Ten tolerances around the nominal value, inside the physical bounds, and three of the
         value's own `sigma` beyond: noise may push a play of zero below zero, but not far."""
-        reach, slack = USUAL * self.tolerance, BEYOND * sigma if sigma > 0 else 0.0
+        reach, slack = (
+            MAX_TOLERANCES * self.tolerance,
+            RANGE_MARGIN_SIGMAS * sigma if sigma > 0 else 0.0,
+        )
         low, high = max(self.low, self.nominal - reach), min(self.high, self.nominal + reach)
         return low - slack, high + slack
 
@@ -78,11 +83,14 @@ class ParameterTable(Sequence[Parameter]):
         return np.array([p.tolerance for p in self._parameters], dtype=float)
 
     @cached_property
-    def likely(self) -> np.ndarray:
+    def prior_sigma(self) -> np.ndarray:
         """How far each is likely to be from nominal (1 sigma): its tolerance; of an effect's number
         the range, within which no size is likelier than another, as a standard deviation."""
         return np.array(
-            [USUAL / 3**0.5 * p.tolerance if p.group == "effect" else p.tolerance for p in self]
+            [
+                MAX_TOLERANCES / 3**0.5 * p.tolerance if p.group == "effect" else p.tolerance
+                for p in self
+            ]
         )
 
     def index_of(self, name: str) -> int:

@@ -76,12 +76,12 @@ class Sensor(ABC):
             for p in self.parameters(mechanism)
         )
 
-    def known(self) -> list[str]:
+    def fixed_patterns(self) -> list[str]:
         """Patterns of its fixed parameters under their full names."""
         return [f"{self.name}.{pattern}" for pattern in self.fixed]
 
 
-def known_to(
+def apply_sensor_tolerances(
     sensors: Iterable[Sensor], table: ParameterTable, mechanism: Mechanism
 ) -> ParameterTable:
     """An effect's table with the tolerances that sensors know better."""

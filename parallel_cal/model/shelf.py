@@ -9,7 +9,12 @@ from inspect import signature
 from types import ModuleType
 from typing import Any
 
-from parallel_cal.base.errors import ModelError, ParallelCalError, nearest, told
+from parallel_cal.base.errors import (
+    ModelError,
+    ParallelCalError,
+    format_suggestion,
+    wrap_plugin_error,
+)
 from parallel_cal.model.declaration import check
 from parallel_cal.model.effect import Effect
 from parallel_cal.model.mechanism import Mechanism
@@ -45,7 +50,7 @@ def load_mechanism(name: str, /, **options: Any) -> Mechanism:
         mechanism = cls(**options)
         check(mechanism)
     except Exception as error:
-        raise told(name, error) from error
+        raise wrap_plugin_error(name, error) from error
     mechanism.options = options
     return mechanism
 
@@ -56,7 +61,7 @@ def load_effect(name: str) -> Effect:
     try:
         return cls()
     except Exception as error:
-        raise told(name, error) from error
+        raise wrap_plugin_error(name, error) from error
 
 
 def load_sensor(name: str, **options: Any) -> Sensor:
@@ -70,7 +75,7 @@ def load_sensor(name: str, **options: Any) -> Sensor:
 def load_class(shelf: str, name: str, base: type) -> type:
     """The one subclass of `base` in parallel_cal/<shelf>/<name>.py or at a Python path."""
     module = load_module(shelf, name)
-    found = [c for c in vars(module).values() if _defined_here(c, base, module.__name__)]
+    found = [c for c in vars(module).values() if _is_defined_in(c, base, module.__name__)]
     if len(found) != 1:
         raise ModelError(
             f"{module.__name__} defines {len(found)} subclasses of {base.__name__}, expected 1"
@@ -88,17 +93,17 @@ def load_module(shelf: str, name: str, error: type[ParallelCalError] = ModelErro
         return import_module(path)
     except ModuleNotFoundError as missing:
         if missing.name is None or not path.startswith(missing.name):
-            raise told(path, missing) from missing
-        names = shelf_names(shelf)
+            raise wrap_plugin_error(path, missing) from missing
+        names = list_plugins(shelf)
         raise error(
             f"no {shelf.split('.')[-1].rstrip('s')} '{name}': expected one of {', '.join(names)}, "
-            f"or the Python path of your own (my_pkg.my_file){nearest(name, names)}"
+            f"or the Python path of your own (my_pkg.my_file){format_suggestion(name, names)}"
         ) from None
     except Exception as raised:
-        raise told(path, raised) from raised
+        raise wrap_plugin_error(path, raised) from raised
 
 
-def _defined_here(candidate: Any, base: type, module: str) -> bool:
+def _is_defined_in(candidate: Any, base: type, module: str) -> bool:
     return (
         isinstance(candidate, type)
         and issubclass(candidate, base)
@@ -107,7 +112,7 @@ def _defined_here(candidate: Any, base: type, module: str) -> bool:
     )
 
 
-def own(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+def wrap_plugin_function(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
     """A function of a user's own file: whatever it raises is told in one line that says where."""
     if "." not in name:
         return function
@@ -119,12 +124,12 @@ def own(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
         except ParallelCalError:
             raise
         except Exception as error:
-            raise told(name, error) from error
+            raise wrap_plugin_error(name, error) from error
 
     return call
 
 
-def shelf_names(shelf: str) -> list[str]:
+def list_plugins(shelf: str) -> list[str]:
     """The public names on a shelf: its file names."""
     from pkgutil import iter_modules
 

@@ -10,13 +10,13 @@ import casadi as ca
 import numpy as np
 
 from parallel_cal.base.compiled import Batch, dense
-from parallel_cal.base.errors import ModelError, told
+from parallel_cal.base.errors import ModelError, wrap_plugin_error
 from parallel_cal.base.rotation import left_generators
 from parallel_cal.model.declaration import check_parameters
 from parallel_cal.model.effect import CONDITIONS, Effect, Seen
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, ParameterTable
-from parallel_cal.model.sensor import Sensor, known_to
+from parallel_cal.model.sensor import Sensor, apply_sensor_tolerances
 from parallel_cal.model.shelf import load_effect
 
 
@@ -32,7 +32,9 @@ class Structure:
         self.mechanism, self.effects = mechanism, tuple(effects)
         self.sensors = tuple(sensors)
         self.table = ParameterTable(mechanism.parameters)
-        tables = [known_to(sensors, part.table(mechanism), mechanism) for part in effects]
+        tables = [
+            apply_sensor_tolerances(sensors, part.table(mechanism), mechanism) for part in effects
+        ]
         for table in (*tables, *(sensor.table(mechanism) for sensor in sensors)):
             self.table = self.table + table
         check_parameters(self.table)
@@ -63,17 +65,17 @@ class Structure:
         seen = Seen(self.q, self.r, self.R, self.geometry)
         numbers, at = Named(self.table.names, self.v), Named(self.conditions, self.a)
         for effect in self.effects:
-            seen = self._through(effect, seen, numbers, at)
+            seen = self._apply_effect(effect, seen, numbers, at)
         return seen
 
-    def _through(self, effect: Effect, seen: Seen, numbers: Named, at: Named) -> Seen:
+    def _apply_effect(self, effect: Effect, seen: Seen, numbers: Named, at: Named) -> Seen:
         """What an effect with these numbers, under these conditions, lets see of what is seen."""
         try:
-            return self._whole(effect.ideal(seen, numbers[effect.name], at, self.mechanism))
+            return self._check_seen(effect.ideal(seen, numbers[effect.name], at, self.mechanism))
         except Exception as error:
-            raise told(effect.name, error) from error
+            raise wrap_plugin_error(effect.name, error) from error
 
-    def _whole(self, seen: Any) -> Seen:
+    def _check_seen(self, seen: Any) -> Seen:
         """What an effect lets through, which must still be joints and a pose."""
         if not isinstance(seen, Seen):
             raise ModelError(f"ideal gives a {type(seen).__name__}, expected what it saw, edited")
@@ -90,10 +92,10 @@ class Structure:
         try:
             phi = self.mechanism.closure(seen.q, seen.r, seen.R, seen.p)
         except Exception as error:
-            raise told(self.mechanism.name, error) from error
-        return self._checked(phi)
+            raise wrap_plugin_error(self.mechanism.name, error) from error
+        return self._check_closure(phi)
 
-    def _checked(self, phi: Any) -> Any:
+    def _check_closure(self, phi: Any) -> Any:
         its, moved = f"{self.mechanism.name}: its closure", len(self.mechanism.moves)
         try:
             phi = ca.cse(ca.SX(phi))  # before it is differentiated: once, not once a slope
@@ -154,7 +156,7 @@ class Structure:
         return J_x.transpose(0, 2, 1), J_v.transpose(0, 2, 1)
 
     @cached_property
-    def placed(self) -> tuple[Any, Any]:
+    def platform_pose(self) -> tuple[Any, Any]:
         """The pose of {P} in {B} where the pose device shows (r, R)."""
         r, R, numbers = self.r, self.R, Named(self.table.names, self.v)
         for sensor in self._with_numbers:
@@ -162,7 +164,7 @@ class Structure:
         return r, R
 
     @cached_property
-    def shown(self) -> Batch:
+    def to_device(self) -> Batch:
         """(r and R9 of {P} in {B}, v) -> r, R9 as the pose device shows them."""
         r, R, numbers = self.r, self.R, Named(self.table.names, self.v)
         for sensor in reversed(self._with_numbers):
@@ -170,9 +172,9 @@ class Structure:
         return Batch(self._pose_function("shown", r, R))
 
     @cached_property
-    def located(self) -> Batch:
+    def to_base(self) -> Batch:
         """The inverse of `shown`: what the device shows, as a pose of {P} in {B}."""
-        return Batch(self._pose_function("located", *self.placed))
+        return Batch(self._pose_function("located", *self.platform_pose))
 
     def _pose_function(self, name: str, r: Any, R: Any) -> ca.Function:
         return dense(name, (ca.vertcat(self.r, self.R9), self.v), (r, ca.vec(ca.SX(R).T)))
@@ -200,10 +202,10 @@ class Structure:
     def rows(self) -> Any:
         """What measurements are held against: the closure where the device puts the platform,
         then what every channel shows there."""
-        r, R = self.placed
+        r, R = self.platform_pose
         numbers = Named(self.table.names, self.v)
         readings = [self._readings(s, r, R, numbers) for s in self._with_numbers]
-        return ca.vertcat(self._where_placed(self.phi), *readings)
+        return ca.vertcat(self._substitute_platform_pose(self.phi), *readings)
 
     def _readings(self, sensor: Sensor, r: Any, R: Any, numbers: Named) -> Any:
         """What a sensor's channels show at a pose, after the effects on them."""
@@ -251,7 +253,7 @@ class Structure:
         """(configuration, a, v) -> what the effects let the closure see, as one column: q, r, R9
         and geometry, on arrays of samples."""
         inputs = (self.configuration, self.a, self.v)
-        return Batch(dense("seen", inputs, (self._where_placed(_column(self.seen)),)))
+        return Batch(dense("seen", inputs, (self._substitute_platform_pose(_column(self.seen)),)))
 
     @cached_property
     def ideal(self) -> Structure:
@@ -259,28 +261,28 @@ class Structure:
         return structure_of(self.mechanism, ())
 
     @cached_property
-    def by_seen(self) -> Batch:
+    def seen_jacobian(self) -> Batch:
         """Of an ideal mechanism: q, r, R9 and geometry -> d phi/d these, column by column."""
         z = ca.vertcat(self.configuration, self.v)
         return Batch(dense("by_seen", (z,), (ca.jacobian(self.phi, z),)))
 
     @lru_cache(maxsize=256)  # noqa: B019
-    def seen_by(self, name: str, which: tuple[int, ...]) -> tuple[Batch, np.ndarray]:
+    def effect_jacobian(self, name: str, which: tuple[int, ...]) -> tuple[Batch, np.ndarray]:
         """Of an ideal mechanism: (q, r, R9 and geometry as effects before let see them, conditions
         and numbers of one more) -> d seen/d(some of these), without the entries of `seen` that
         these leave alone; the second answer numbers those it has."""
         effect = load_effect(name)
         names, at = effect.table(self.mechanism).names, effect.conditions(self.mechanism)
         e, a = ca.SX.sym("e", len(names)), ca.SX.sym("a", len(at))
-        seen = self._through(effect, self.seen, Named(names, e), Named(at, a))
+        seen = self._apply_effect(effect, self.seen, Named(names, e), Named(at, a))
         J = ca.jacobian(_column(seen), ca.vertcat(*[e[i] for i in which]))
         moved = np.unique(np.array(J.sparsity().get_triplet()[0], dtype=int))
         inputs = (ca.vertcat(self.configuration, self.v), a, e)
         return Batch(dense("seen_by", inputs, (J[moved.tolist(), :],))), moved
 
-    def _where_placed(self, expression: Any) -> Any:
+    def _substitute_platform_pose(self, expression: Any) -> Any:
         """An expression of {P} in {B} where the device shows what is measured."""
-        r, R = self.placed
+        r, R = self.platform_pose
         return ca.substitute([expression], [self.r, self.R9], [r, ca.vec(ca.SX(R).T)])[0]
 
     @cached_property
@@ -305,7 +307,7 @@ class Structure:
     def joint_candidates(self) -> ca.Function:
         """(r, R9, v) -> for each joint one column of the values it may start from."""
         m = self.mechanism
-        choices = m.turned_home(m.joint_candidates(self.r, self.R, self.geometry))
+        choices = m.wrap_to_home(m.joint_candidates(self.r, self.R, self.geometry))
         return dense("joints", (self.r, self.R9, self.v), [ca.vertcat(*c) for c in choices])
 
     @cached_property

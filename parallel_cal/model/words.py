@@ -21,21 +21,21 @@ def direction_in_words(parts: Mapping[str, float], table: ParameterTable) -> str
     first; parts in tolerances, as `observability.combination` gives them)."""
     grows = [name for name, weight in parts.items() if weight > 0]
     shrinks = [name for name, weight in parts.items() if weight < 0]
-    sides = [_joined(side, table) for side in (grows, shrinks) if side]
+    sides = [_join_groups(side, table) for side in (grows, shrinks) if side]
     return " against ".join(sides)
 
 
-def _joined(names: list[str], table: ParameterTable, most: int = 3) -> str:
+def _join_groups(names: list[str], table: ParameterTable, most: int = 3) -> str:
     """The first few of them; owners that share a word are named together."""
     grouped: dict[str, list[str]] = {}
     for name in names:
         grouped.setdefault(name.rpartition(".")[2], []).append(name)
-    told = [_together(group, table) for group in list(grouped.values())[:most]]
+    told = [_format_group(group, table) for group in list(grouped.values())[:most]]
     rest = len(grouped) - len(told)
     return " with ".join(told) + (f" and {rest} more" if rest else "")
 
 
-def _together(names: list[str], table: ParameterTable) -> str:
+def _format_group(names: list[str], table: ParameterTable) -> str:
     """`rod length of chain 1, 2, 3` for one parameter of several chains."""
     first, *others = (describe(name, table) for name in sorted(names))
     return ", ".join([first, *(other.rpartition(" ")[2] for other in others)])

@@ -23,12 +23,12 @@ from parallel_cal.nodes.client import (
     Client,
     NodeError,
     Process,
-    own_domain,
+    use_private_domain,
 )
 
 CELL = "virtual_cell_node"
 STOPPING, LATE = 30.0, 600.0  # s
-ASKED_FOR = re.compile(r"bring (\w+) to (\S+)")
+CONDITION_REQUEST = re.compile(r"bring (\w+) to (\S+)")
 
 Hear = Callable[[Any], None]  # Calibrate.Feedback
 
@@ -55,7 +55,7 @@ class Calibration:
     def __enter__(self) -> Calibration:
         with ExitStack() as self._open:
             if self._simulated is not None:
-                self._namespace = own_domain()
+                self._namespace = use_private_domain()
                 self._start(CELL, model_file=str(self._model_file), **self._simulated)
             self.client = Client("calibrate", self._namespace, self._processes)
             self._open.callback(self.client.close)
@@ -84,7 +84,7 @@ class Calibration:
         the node does not answer, or does not take the goal."""
         news = deque[Any]()
         topic = f"{CALIBRATION}/session_status"
-        heard = self.client.latest(CalibrationStatus, topic)
+        heard = self.client.subscribe_latest(CalibrationStatus, topic)
         try:
             self.client.wait(lambda: bool(heard), topic)
         except NodeError:
@@ -101,7 +101,7 @@ class Calibration:
         future, end = handle.get_result_async(), time.monotonic() + 60 * minutes + LATE
 
         def gone() -> bool:
-            return not self.client.speakers(topic)
+            return not self.client.count_publishers(topic)
 
         while not future.done():
             self.client.wait(
@@ -132,15 +132,15 @@ class Calibration:
         names, _ = hide(cell["robot"], words, cell.get("seed", 0)) if words else ([], [])
         return [KINDS[name].effect for name in names]
 
-    def go_on(self) -> None:
+    def confirm_done(self) -> None:
         """Say that what was asked for is done."""
         self.client.call(Trigger, f"{CALIBRATION}/continue")
 
-    def bring_about(self, words: str) -> None:
+    def set_requested_conditions(self, words: str) -> None:
         """Do in the simulated cell what a person is asked for, and say so."""
         changes = [
             Parameter(name, value=float(value)).to_parameter_msg()
-            for name, value in ASKED_FOR.findall(words)
+            for name, value in CONDITION_REQUEST.findall(words)
         ]
         self.client.call(SetParameters, f"{CELL}/set_parameters", parameters=changes)
-        self.go_on()
+        self.confirm_done()

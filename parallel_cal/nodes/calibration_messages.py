@@ -13,7 +13,7 @@ from parallel_cal_msgs.action import Diagnose, Identify
 from parallel_cal_msgs.msg import Condition, Sample
 from std_msgs.msg import String
 
-from parallel_cal.base.documents import plain
+from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.rotation import matrix_to_quaternion
 from parallel_cal.nodes.collector import Collection
 from parallel_cal.nodes.conversions import pose_message
@@ -71,7 +71,7 @@ def json_message(document: Any) -> String:
 
 
 def json_text(document: Any) -> str:
-    return json.dumps(plain(document), allow_nan=False)
+    return json.dumps(to_json_value(document), allow_nan=False)
 
 
 def dropped_message(dropped: Iterable[Dropped]) -> String:

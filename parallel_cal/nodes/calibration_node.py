@@ -32,16 +32,16 @@ from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import forbid_foreign
 from parallel_cal.nodes import calibration_messages as messages
 from parallel_cal.nodes.calibrator import Calibrator
-from parallel_cal.nodes.campaigning import Campaigning, Here
+from parallel_cal.nodes.campaigning import CampaignServer, NodeAccess
 from parallel_cal.nodes.collector import Collection, Collector
 from parallel_cal.nodes.conversions import message_class
 from parallel_cal.nodes.folders import Folders
-from parallel_cal.nodes.frames import MOVES_POSES, by_tf
+from parallel_cal.nodes.frames import DEVICE_FRAME_SENSOR, by_tf
 from parallel_cal.nodes.health import Stream
 from parallel_cal.nodes.inflow import Inflow
-from parallel_cal.nodes.jobs import in_words
+from parallel_cal.nodes.jobs import describe_error
 from parallel_cal.nodes.journal import Journal
-from parallel_cal.nodes.managed import AUTOSTART, Managed
+from parallel_cal.nodes.managed import AUTOSTART, ManagedNode
 from parallel_cal.nodes.parameters import (
     ACCEPTED,
     LATCHED,
@@ -53,10 +53,16 @@ from parallel_cal.nodes.parameters import (
     overridable,
 )
 from parallel_cal.nodes.pump import Messages, Pump
-from parallel_cal.nodes.run import every, foreign_publishers, rival_publishers, run, type_name
+from parallel_cal.nodes.run import (
+    create_steady_timer,
+    foreign_publishers,
+    rival_publishers,
+    run,
+    type_name,
+)
 from parallel_cal.nodes.sample_services import SERVICES
 from parallel_cal.nodes.tally import diagnostics
-from parallel_cal.recordings.channels import CHANNELS, named, take
+from parallel_cal.recordings.channels import CHANNELS, list_channels, register_channels
 from parallel_cal.recordings.options import MODES, SampleOptions
 from parallel_cal.recordings.recording import Dropped
 
@@ -65,8 +71,8 @@ POSE_TYPES = ("PoseWithCovarianceStamped", "PoseStamped")
 STREAM = QoSProfile(depth=100_000)
 MEASURED = ("poses", "readings")  # kinds of channels that a measuring device fills by itself
 STREAMED = ("joints", *MEASURED)  # those that are read in threads of their own, however busy it is
-LONGER = 0.3  # s that a campaign rests beyond the least dwell, so that poses enough come
-BUSY = 0.25  # largest part of the time spent on looking at what was collected so far
+EXTRA_DWELL_S = 0.3  # s that a campaign rests beyond the least dwell, so that poses enough come
+MAX_BUSY_SHARE = 0.25  # largest part of the time spent on looking at what was collected so far
 
 PARAMETERS = {
     "model_file": Setting("", "model file to identify (YAML)"),
@@ -91,7 +97,7 @@ PARAMETERS = {
 }
 
 
-class CalibrationNode(Managed):
+class CalibrationNode(ManagedNode):
     """The calibration node; topics and services are listed in docs/ros.md."""
 
     def __init__(self) -> None:
@@ -106,7 +112,7 @@ class CalibrationNode(Managed):
         self._event, self._trouble, self._next_look = "", "", 0.0
         self._warnings: list[str] = []
         for path in filter(None, self._parameter("channels").split(",")):
-            take(path)
+            register_channels(path)
         self._waiting: deque[tuple[int, str, Any, int]] = deque()
         self._health = {name: Stream() for name in CHANNELS}
         self._inflow, self._pumps = Inflow(), list[Pump]()
@@ -119,23 +125,23 @@ class CalibrationNode(Managed):
         usual = [self._folder, *(Path(path).parent for path in named if path)]
         self._folders = Folders(self._parameter("allowed_folders"), usual)
         self._recorder: Any = None
-        self._journal = self._opened_journal()
+        self._journal = self._open_journal()
         self._status = self.create_publisher(CollectionStatus, "~/collection_status", LATCHED)
         self._dropped = self.create_publisher(String, "~/dropped", LATCHED)
         self._calibrator = Calibrator(self, self._collect, self._say, self._group, self._folders)
-        here = Here(
+        here = NodeAccess(
             self._calibrator.files, self._take, self._folder / "campaigns", self._fit_options,
             self._dwell, self._inflow,
         )  # fmt: skip
         calibrator = self._calibrator
-        self._campaigning = Campaigning(
+        self._campaigning = CampaignServer(
             self, here, calibrator.one, calibrator.worker, self._say, self._group
         )
         self._subscribe()
         self._offer_services()
-        every(self._parameter("look_period"), self, self._look, self._group)
+        create_steady_timer(self._parameter("look_period"), self, self._update_samples, self._group)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        every(1.0, self, self._diagnose, self._group)
+        create_steady_timer(1.0, self, self._diagnose, self._group)
         self._dropped.publish(messages.dropped_message([]))
         journal = f"journal in {self._folder}" if self._journal else "no journal"
         model = self._parameter("model_file") or "none: set the parameter model_file"
@@ -143,7 +149,7 @@ class CalibrationNode(Managed):
         self._publish_status()
         self.start()
 
-    def _opened_journal(self) -> Journal | None:
+    def _open_journal(self) -> Journal | None:
         """The journal that the last run of a node of this name left, or a new one."""
         if not self._parameter("journal"):
             return None
@@ -197,7 +203,7 @@ class CalibrationNode(Managed):
             version = (path, _modified(path))
             if version != self._model_joints[0]:
                 model = read_model(path)
-                moves = any(sensor.name == MOVES_POSES for sensor in model.sensors)
+                moves = any(sensor.name == DEVICE_FRAME_SENSOR for sensor in model.sensors)
                 self._base = "" if moves else model.frames["base"]
                 self._model_joints = (version, model.joints)
         except ParallelCalError as error:
@@ -216,7 +222,7 @@ class CalibrationNode(Managed):
                 if file and name == "model_file":
                     read_model(absolute(file))
         except Exception as error:  # a user's own mechanism may raise anything
-            return SetParametersResult(successful=False, reason=in_words(error))
+            return SetParametersResult(successful=False, reason=describe_error(error))
         return ACCEPTED
 
     # ------------------------------------------------------------------ collecting
@@ -260,8 +266,8 @@ class CalibrationNode(Managed):
             return
         received = info["received_timestamp"] or time.time_ns()
         health = self._health[channel]
-        health.heard(info.get("publication_sequence_number"))
-        health.done(received)
+        health.count_received(info.get("publication_sequence_number"))
+        health.count_answered(received)
         sequence = info.get("publication_sequence_number") or 0
         self._waiting.append((received, channel, message, sequence))
         if CHANNELS[channel].kind in MEASURED:
@@ -273,10 +279,10 @@ class CalibrationNode(Managed):
         """Messages of a stream, in the thread of its pump."""
         for message, info in waiting:
             if channel == "joint_states":
-                self._campaigning.hear(message)
+                self._campaigning.on_joint_state(message)
             self._on_message(channel, message, info)
 
-    def _take_in(self) -> None:
+    def _process_messages(self) -> None:
         """What came since the last look, in the order in which it came."""
         came = [self._waiting.popleft() for _ in range(len(self._waiting))]
         for received, channel, message, sequence in sorted(came, key=itemgetter(0)):
@@ -316,7 +322,7 @@ class CalibrationNode(Managed):
             self.set_parameters([Parameter("record", value=False)])
             self._say(f"cannot record to {self._folder}: {error.strerror}")
 
-    def _look(self) -> None:
+    def _update_samples(self) -> None:
         """Make samples of what came in, now and then: it takes longer the more there is."""
         begin = time.monotonic()
         if begin < self._next_look:
@@ -327,7 +333,7 @@ class CalibrationNode(Managed):
         self._follow_record()
         self._warn()
         end = time.monotonic()
-        self._next_look = end + (end - begin) / BUSY
+        self._next_look = end + (end - begin) / MAX_BUSY_SHARE
 
     def _warn(self) -> None:
         """Tell what was not told at the last look, in log and status."""
@@ -363,7 +369,10 @@ class CalibrationNode(Managed):
 
     def _suspicions(self) -> list[str]:
         """Whatever of the topics or of the samples may be wrong."""
-        said = [*foreign_publishers(self), *rival_publishers(self, named("joints", "poses"))]
+        said = [
+            *foreign_publishers(self),
+            *rival_publishers(self, list_channels("joints", "poses")),
+        ]
         said += self._collector.warnings()
         frame, base = self._collector.frame, self._base
         if frame and base and frame != base:
@@ -374,7 +383,7 @@ class CalibrationNode(Managed):
         return [*said, self._calibrator.registered] if self._calibrator.registered else said
 
     def _refresh(self) -> None:
-        self._take_in()
+        self._process_messages()
         self._collector.configure(self._joints(), self._options(), self._auto())
         samples, trouble = len(self._collector), self._collector.trouble
         if not self._collector.refresh(time.time_ns()):
@@ -405,7 +414,7 @@ class CalibrationNode(Managed):
     def _dwell(self) -> float:
         """s that the robot rests where it is measured."""
         times = (self._parameter(name) for name in ("min_dwell", "trim_start", "trim_end"))
-        return float(sum(times)) + LONGER
+        return float(sum(times)) + EXTRA_DWELL_S
 
     def _fit_options(self) -> dict[str, Any]:
         sigma = self._parameter("joint_sigma") or None
@@ -468,7 +477,7 @@ class CalibrationNode(Managed):
             if isinstance(request, SaveSamples.Request) and self._journal is not None:
                 self._journal.close(f"saved to {request.path}")
         except Exception as error:  # whatever it is, the node goes on and the caller hears of it
-            self._fail(response, in_words(error))
+            self._fail(response, describe_error(error))
         if hasattr(response, "message"):
             self._say(response.message)
         if hasattr(response, "status"):
@@ -489,7 +498,7 @@ class CalibrationNode(Managed):
         """Keep what came in last, however the node ends, and stop what is at work."""
         for pump in self._pumps:
             pump.end()
-        self._take_in()
+        self._process_messages()
         self._collector.refresh()
         self._keep()
         self._stop_recording()

@@ -14,7 +14,7 @@ from rclpy.callback_groups import CallbackGroup
 from std_msgs.msg import String
 
 from parallel_cal.base.errors import ModelFileError, ParallelCalError
-from parallel_cal.base.files import PREVIOUS
+from parallel_cal.base.files import BACKUP_SUFFIX
 from parallel_cal.base.worker import Worker
 from parallel_cal.diagnosis.comparison import Comparison, compare
 from parallel_cal.identification.options import FitOptions
@@ -25,22 +25,24 @@ from parallel_cal.nodes.collector import Collection
 from parallel_cal.nodes.computing import prepare
 from parallel_cal.nodes.conversions import message_class
 from parallel_cal.nodes.folders import Folders
-from parallel_cal.nodes.frames import in_base, lookup
-from parallel_cal.nodes.jobs import Job, JobServer, OneAtATime, Say, Work, in_words
-from parallel_cal.nodes.managed import Managed
+from parallel_cal.nodes.frames import lookup, to_base_frame
+from parallel_cal.nodes.jobs import Job, JobServer, Say, Work, WorkSlot, describe_error
+from parallel_cal.nodes.managed import ManagedNode
 from parallel_cal.nodes.parameters import LATCHED, absolute
-from parallel_cal.nodes.run import in_front
+from parallel_cal.nodes.run import run_in_spin_thread
 from parallel_cal.recordings.residuals import TOPICS, residual_messages
 from parallel_cal.session.goals import (
     Outcome,
     Request,
     examine,
-    proposed,
-    undone,
-    written,
+    propose_model,
+    undo_write,
+    write_proposal,
 )
 
-MANY = 1000  # residuals that a listener may fall behind: all of a session come at once
+RESIDUAL_QUEUE_DEPTH = (
+    1000  # residuals that a listener may fall behind: all of a session come at once
+)
 
 
 class Calibrator:
@@ -48,7 +50,7 @@ class Calibrator:
 
     def __init__(
         self,
-        node: Managed,
+        node: ManagedNode,
         collect: Callable[[], Collection],
         say: Say,
         group: CallbackGroup,
@@ -59,22 +61,24 @@ class Calibrator:
         self._diagnosis = node.create_publisher(String, "~/diagnosis", LATCHED)
         self._residuals = {
             topic: node.create_publisher(
-                message_class(kind), f"~/residuals{topic}", MANY if topic else LATCHED
+                message_class(kind),
+                f"~/residuals{topic}",
+                RESIDUAL_QUEUE_DEPTH if topic else LATCHED,
             )
             for topic, kind in TOPICS.items()
         }
         self.worker = Worker(first=partial(prepare, self._parameter("allow_foreign_modules")))
         self.registered = ""  # where the frame of the samples used last was found to stand
         self._written = ""  # the model file that was written last
-        self.one, self.look = OneAtATime(self.worker), lookup(node)
+        self.one, self.look = WorkSlot(self.worker), lookup(node)
         jobs = (
             Job(
                 "identify", Identify, "an identification is running; cancel it or wait",
-                self._identify, partial(self._recalibrated, "identify"), messages.identify_result,
+                self._identify, partial(self._on_recalibrated, "identify"), messages.identify_result,
             ),
             Job(
                 "diagnose", Diagnose, "a diagnosis is running; cancel it or wait",
-                self._diagnose, self._diagnosed, messages.diagnose_result,
+                self._diagnose, self._on_diagnosed, messages.diagnose_result,
             ),
         )  # fmt: skip
         self._actions = [JobServer(node, self.one, job, say, group) for job in jobs]
@@ -113,8 +117,8 @@ class Calibrator:
         twice."""
         usual = (self._parameter("output_file"), self._model_file(""))
         paths = [absolute(path) for path in (self._written, *usual) if path]
-        path = next((path for path in paths if Path(path + PREVIOUS).exists()), paths[0])
-        response.success, response.message = True, undone(self._folders.to_write(path, "model"))
+        path = next((path for path in paths if Path(path + BACKUP_SUFFIX).exists()), paths[0])
+        response.success, response.message = True, undo_write(self._folders.to_write(path, "model"))
 
     def files(self, model_file: str, output_file: str) -> tuple[str, str]:
         """Where the model is read, and where the new one goes."""
@@ -144,7 +148,7 @@ class Calibrator:
     def _samples(self, model: Model) -> Collection:
         """The samples in the model's base frame, or registered to it where they are used."""
         collection = self._collect()
-        dataset, said = in_base(collection.dataset, model, self.look, self._sigma())
+        dataset, said = to_base_frame(collection.dataset, model, self.look, self._sigma())
         self.registered = said if dataset is collection.dataset else ""
         if said:
             self._say(said)
@@ -179,7 +183,9 @@ class Calibrator:
             hold_out=self._hold_out(goal), joint_sigma=goal.joint_sigma or self._sigma(),
         )  # fmt: skip
         request = Request(*files, options, goal.force)
-        return Work(proposed, (request, collection.dataset), partial(written, request)), collection
+        return Work(
+            propose_model, (request, collection.dataset), partial(write_proposal, request)
+        ), collection
 
     def _diagnose(self, goal: Any) -> tuple[Work, Collection]:
         model_file = self._model_file(goal.model_file)
@@ -192,13 +198,13 @@ class Calibrator:
 
         return Work(examine, (model_file, collection.dataset, options), numbered), collection
 
-    def _recalibrated(self, kind: str, outcome: Outcome, collection: Collection | None) -> None:
+    def _on_recalibrated(self, kind: str, outcome: Outcome, collection: Collection | None) -> None:
         if outcome.hash:
             self._written = outcome.path
         self._publish_result(kind, outcome)
         self._conclude(outcome, collection)
 
-    def _diagnosed(self, outcome: Outcome, collection: Collection | None) -> None:
+    def _on_diagnosed(self, outcome: Outcome, collection: Collection | None) -> None:
         if outcome.document:
             self._diagnosis.publish(messages.json_message(outcome.document))
         self._conclude(outcome, collection)
@@ -213,13 +219,13 @@ class Calibrator:
     def _add_effect(self, request: Any, response: Any) -> Any:
         """In the executor's second thread; samples and publishers belong to the first."""
         try:
-            work, collection = in_front(self._node, self._prepare_effect, request)
+            work, collection = run_in_spin_thread(self._node, self._prepare_effect, request)
         except Exception as error:
-            outcome = Outcome(False, in_words(error))
-            in_front(self._node, self._say, outcome.message)
+            outcome = Outcome(False, describe_error(error))
+            run_in_spin_thread(self._node, self._say, outcome.message)
         else:
-            outcome = self.one.outcome_of(work)
-            in_front(self._node, self._effect_added, outcome, collection)
+            outcome = self.one.run_work(work)
+            run_in_spin_thread(self._node, self._on_effect_added, outcome, collection)
         response.success, response.message = outcome.success, outcome.message
         response.json = messages.json_text(outcome.document) if outcome.document else ""
         response.hash = outcome.hash
@@ -236,8 +242,10 @@ class Calibrator:
         collection = self._samples(read_model(files[0]))
         self.one.begin("an effect is being added; wait")
         self._say(f"adding {request.effect}")
-        return Work(proposed, (wanted, collection.dataset), partial(written, wanted)), collection
+        return Work(
+            propose_model, (wanted, collection.dataset), partial(write_proposal, wanted)
+        ), collection
 
-    def _effect_added(self, outcome: Outcome, collection: Collection) -> None:
+    def _on_effect_added(self, outcome: Outcome, collection: Collection) -> None:
         self.one.end()
-        self._recalibrated("add_effect", outcome, collection)
+        self._on_recalibrated("add_effect", outcome, collection)

@@ -17,14 +17,14 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from parallel_cal.base.errors import ParallelCalError
-from parallel_cal.base.worker import Unwanted, Worker
+from parallel_cal.base.worker import WorkCancelled, Worker
 from parallel_cal.campaign.campaign import (
     Campaign,
     Goal,
     Outcome,
     Status,
-    unfinished,
-    write_better,
+    find_unfinished,
+    write_improved_model,
 )
 from parallel_cal.campaign.cell import Control, Sample
 from parallel_cal.model.file.modelfile import model_text, parse_model
@@ -32,11 +32,11 @@ from parallel_cal.model.mechanism import Box
 from parallel_cal.model.model import Model
 from parallel_cal.nodes.calibration_messages import json_text
 from parallel_cal.nodes.inflow import Inflow
-from parallel_cal.nodes.jobs import InThread, Job, JobServer, OneAtATime, Say
-from parallel_cal.nodes.managed import Managed
+from parallel_cal.nodes.jobs import Job, JobServer, Say, ThreadWork, WorkSlot
+from parallel_cal.nodes.managed import ManagedNode
 from parallel_cal.nodes.parameters import LATCHED
 from parallel_cal.nodes.robot_cell import RobotCell
-from parallel_cal.nodes.run import in_front
+from parallel_cal.nodes.run import run_in_spin_thread
 from parallel_cal.nodes.tally import diagnostics
 from parallel_cal.session import goals
 
@@ -45,7 +45,7 @@ LEVELS = {"stopped": b"\x02", "asking": b"\x01", "paused": b"\x01"}
 
 
 @dataclass(frozen=True)
-class Here:
+class NodeAccess:
     """What a campaign needs of the node: `files` where a goal's model is and the better one goes,
     `take` the sample of the dwell going on, `folder` for campaigns, `options` of a fit, `inflow` of
     what the device measures."""
@@ -58,14 +58,14 @@ class Here:
     inflow: Inflow
 
 
-class Campaigning:
+class CampaignServer:
     """Serves `~/calibrate`, `~/pause`, `~/resume` and `~/continue`, tells `~/session_status`."""
 
     def __init__(
         self,
-        node: Managed,
-        here: Here,
-        one: OneAtATime,
+        node: ManagedNode,
+        here: NodeAccess,
+        one: WorkSlot,
         worker: Worker,
         say: Say,
         group: CallbackGroup,
@@ -81,17 +81,17 @@ class Campaigning:
         self._command = node.create_publisher(JointTrajectory, "joint_trajectory", 10)
         job = Job(
             "calibrate", Calibrate, "the robot is calibrating itself; cancel it or wait",
-            self._prepare, self._finished, _answer,
+            self._prepare, self._on_finished, _answer,
         )  # fmt: skip
         self.action = JobServer(node, one, job, say, group)
         for name, work in (("pause", self._pause), ("resume", self._resume),
                            ("continue", self._continue)):  # fmt: skip
             node.create_service(Trigger, f"~/{name}", work, callback_group=group)
 
-    def hear(self, message: Any) -> None:
+    def on_joint_state(self, message: Any) -> None:
         """A joint state, in whichever thread it comes."""
         if (cell := self._cell) is not None:
-            cell.hear(message)
+            cell.on_joint_state(message)
 
     def diagnosis(self, name: str) -> Any:
         """One DiagnosticStatus: what it is at, and why."""
@@ -107,7 +107,7 @@ class Campaigning:
 
     # ------------------------------------------------------------------ one goal
 
-    def _prepare(self, goal: Any) -> tuple[InThread, None]:
+    def _prepare(self, goal: Any) -> tuple[ThreadWork, None]:
         model_file, output_file = self._here.files(goal.model_file, goal.output_file)
         text = model_text(model_file)
         numbers = list(goal.keep_out)
@@ -124,12 +124,12 @@ class Campaigning:
         model = parse_model(text, model_file)
 
         def take(meanwhile: Callable[[], None]) -> Sample:
-            return in_front(self._node, self._here.take, model, meanwhile=meanwhile)
+            return run_in_spin_thread(self._node, self._here.take, model, meanwhile=meanwhile)
 
         cell = RobotCell(
             self._command, model, take, self._here.dwell(), self._here.inflow, self._tell_reason
         )
-        left = None if goal.afresh else unfinished(self._here.folder, text)
+        left = None if goal.afresh else find_unfinished(self._here.folder, text)
         folder = left or self._here.folder / time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
         self._control, self._cell = control, cell
 
@@ -138,9 +138,9 @@ class Campaigning:
 
         def finish(outcome: goals.Outcome) -> goals.Outcome:
             assert isinstance(outcome, Outcome)
-            return write_better(outcome, output_file)
+            return write_improved_model(outcome, output_file)
 
-        return InThread(run, finish), None
+        return ThreadWork(run, finish), None
 
     def _run(
         self,
@@ -155,14 +155,14 @@ class Campaigning:
 
         def work(function: Callable[..., Any], *given: Any) -> Any:
             try:
-                return self._worker.work(function, *given, wanted=lambda: control.wanted)
-            except Unwanted:
-                control.go_on()
+                return self._worker.work(function, *given, wanted=lambda: control.should_continue)
+            except WorkCancelled:
+                control.check_interrupted()
                 raise
 
         def told(status: Status) -> None:
             with suppress(Exception):  # a context that ends is no reason to leave a robot moving
-                self._tell(status, folder)
+                self._publish_status(status, folder)
                 tell(*vars(status).values())
 
         campaign = Campaign(folder, text, wanted, cell, told, work, control)
@@ -172,7 +172,7 @@ class Campaigning:
             campaign.close()
             self._control, self._cell = None, None
 
-    def _tell(self, status: Status, folder: Path) -> None:
+    def _publish_status(self, status: Status, folder: Path) -> None:
         self._status = CalibrationStatus(
             stamp=self._node.get_clock().now().to_msg(), state=status.state,
             reason=status.reason, poses=status.samples, error_unseen=status.unseen,
@@ -185,24 +185,28 @@ class Campaigning:
         self._status.reason = reason
         self._told.publish(self._status)
 
-    def _finished(self, outcome: goals.Outcome, collection: Any) -> None:
+    def _on_finished(self, outcome: goals.Outcome, collection: Any) -> None:
         self._say(outcome.message)
 
     # ------------------------------------------------------------------ what a person says
 
     def _pause(self, request: Any, response: Any) -> Any:
-        return self._by_hand(response, lambda control, cell: control.pause(), "it will pause")
+        return self._control_campaign(
+            response, lambda control, cell: control.pause(), "it will pause"
+        )
 
     def _resume(self, request: Any, response: Any) -> Any:
-        return self._by_hand(response, lambda control, cell: control.resume(), "it goes on")
+        return self._control_campaign(
+            response, lambda control, cell: control.resume(), "it goes on"
+        )
 
     def _continue(self, request: Any, response: Any) -> Any:
         if self._status.state != "asking":
             response.message = "nothing is asked for"
             return response
-        return self._by_hand(response, lambda control, cell: cell.done.set(), "it goes on")
+        return self._control_campaign(response, lambda control, cell: cell.done.set(), "it goes on")
 
-    def _by_hand(self, response: Any, do: Callable[[Any, Any], None], words: str) -> Any:
+    def _control_campaign(self, response: Any, do: Callable[[Any, Any], None], words: str) -> Any:
         control, cell = self._control, self._cell
         response.success = control is not None and cell is not None
         if response.success:

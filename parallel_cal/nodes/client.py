@@ -23,8 +23,8 @@ from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.nodes.parameters import LATCHED
 
 KINEMATICS, CALIBRATION = "kinematics_node", "calibration_node"
-PATIENCE = 30.0  # s for anything that takes less than one on a quiet machine
-ASK_AGAIN = 5.0  # s without word of a goal
+TIMEOUT_S = 30.0  # s for anything that takes less than one on a quiet machine
+RESEND_INTERVAL_S = 5.0  # s without word of a goal
 
 
 class NodeError(ParallelCalError):
@@ -80,7 +80,7 @@ class Process:
         if self._process.poll() is None:
             self._process.send_signal(signal.SIGINT)
         try:
-            return self._process.wait(timeout=PATIENCE)
+            return self._process.wait(timeout=TIMEOUT_S)
         except subprocess.TimeoutExpired:
             self._process.kill()
             return self._process.wait()
@@ -110,7 +110,7 @@ class Client:
         self._node.destroy_node()
         rclpy.try_shutdown(context=self._context)
 
-    def wait(self, ready: Callable[[], bool], what: str, patience: float = PATIENCE) -> None:
+    def wait(self, ready: Callable[[], bool], what: str, patience: float = TIMEOUT_S) -> None:
         """Serve callbacks until `ready`; NodeError names `what` was waited for."""
         end = time.monotonic() + patience
         while not ready():
@@ -122,7 +122,7 @@ class Client:
                 raise NodeError(f"waited {patience:.0f} s in vain for {what}")
             self._executor.spin_once(timeout_sec=0.02)
 
-    def answer(self, future: Future, what: str, patience: float = PATIENCE) -> Any:
+    def await_result(self, future: Future, what: str, patience: float = TIMEOUT_S) -> Any:
         """What a future comes to."""
         self.wait(future.done, what, patience)
         return future.result()
@@ -137,18 +137,18 @@ class Client:
 
     def call(self, type: Any, name: str, **fields: Any) -> Any:
         """A service's response."""
-        return self.answer(self.ask(type, name, **fields), f"the answer of {name}")
+        return self.await_result(self.ask(type, name, **fields), f"the answer of {name}")
 
-    def listeners(self, topics: Iterable[str]) -> int:
+    def count_subscribers(self, topics: Iterable[str]) -> int:
         """How many subscriptions there are, so that a replay can wait for all of them."""
         names = (self._node.resolve_topic_name(topic.lstrip("/")) for topic in topics)
         return sum(self._node.count_subscribers(name) for name in names)
 
-    def speakers(self, topic: str) -> int:
+    def count_publishers(self, topic: str) -> int:
         """How many publishers there are; one that was killed counts for some twenty seconds."""
         return self._node.count_publishers(self._node.resolve_topic_name(topic))
 
-    def latest(self, type: Any, topic: str) -> list[Any]:
+    def subscribe_latest(self, type: Any, topic: str) -> list[Any]:
         """A list that holds the newest message of a latched topic as soon as there is one."""
         newest: list[Any] = []
 
@@ -177,7 +177,7 @@ class Client:
             nonlocal again
             if time.monotonic() > again:
                 sent.append(client.send_goal_async(goal, lambda m: hear(m.feedback)))
-                again = time.monotonic() + ASK_AGAIN
+                again = time.monotonic() + RESEND_INTERVAL_S
             known = handles()
             return len(known) == len(sent) or (bool(known) and known[0].accepted)
 
@@ -185,18 +185,18 @@ class Client:
         return handles()[0]
 
 
-def own_domain() -> str:
+def use_private_domain() -> str:
     """A domain and a namespace for this process alone, seen by this machine only; the namespace.
 
     Set before the first context: children inherit both.
     """
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-    os.environ["ROS_DOMAIN_ID"] = str(_held_domain()[0])
+    os.environ["ROS_DOMAIN_ID"] = str(_reserve_domain()[0])
     return f"/of_{os.getpid()}"
 
 
 @cache
-def _held_domain() -> tuple[int, socket.socket]:
+def _reserve_domain() -> tuple[int, socket.socket]:
     """A free domain, and what holds it until this process ends: the TCP port that has the number
     of the domain's UDP port, so that no two that run at once meet, and nothing is left behind."""
     for domain in range(1, 101):  # below the ports that the system gives away by itself

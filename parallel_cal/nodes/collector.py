@@ -19,22 +19,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from parallel_cal.base.errors import DatasetError
-from parallel_cal.nodes.gate import Gate, Said
+from parallel_cal.nodes.gate import Gate, StampedMessage
 from parallel_cal.nodes.inbox import Inbox
 from parallel_cal.nodes.journal import Entry, Part
-from parallel_cal.nodes.related import JointClock, Related
-from parallel_cal.recordings.channels import CHANNELS, named, stamp_of
+from parallel_cal.nodes.related import ClockAlignment, JointClock
+from parallel_cal.recordings.channels import CHANNELS, list_channels, stamp_of
 from parallel_cal.recordings.dataset import Dataset
-from parallel_cal.recordings.joining import fingerprint, joined
-from parallel_cal.recordings.loading import in_order, load_dataset
+from parallel_cal.recordings.joining import fingerprint, join_datasets
+from parallel_cal.recordings.loading import load_dataset, order_joints
 from parallel_cal.recordings.options import SampleOptions
 from parallel_cal.recordings.recording import Dropped
 
 # Joint states in an inbox, a quarter of an hour at 100 Hz; then samples stay and messages go:
 # memory has a bound.
-LONGEST = 100_000
-SETTLED = 1_000_000_000  # ns after which a stream is where the joints are, jump or not
-MANY = 20  # messages or dwells dropped for one reason that are worth a warning
+MAX_JOINT_STATES = 100_000
+SETTLING_TIME_NS = 1_000_000_000  # ns after which a stream is where the joints are, jump or not
+MIN_DROPS_TO_WARN = 20  # messages or dwells dropped for one reason that are worth a warning
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class Collector:
         self._at = dict.fromkeys(CHANNELS, self._inboxes[0])
         self._words: list[tuple[str, int, Any]] = []
         self._gates: dict[tuple[str, tuple[str, ...]], Gate] = {}
-        self._related: dict[tuple[str, tuple[str, ...]], Related] = {}
+        self._related: dict[tuple[str, tuple[str, ...]], ClockAlignment] = {}
         self._clock, self._moved = JointClock(), 0
 
     # ------------------------------------------------------------------ messages in
@@ -97,14 +97,14 @@ class Collector:
             gate = self._gates.setdefault(stream, Gate(channel))
             self._pass_on(stream, gate.take(stamp, log_ns, sequence, message))
 
-    def _pass_on(self, stream: tuple[str, tuple[str, ...]], said: Sequence[Said]) -> None:
+    def _pass_on(self, stream: tuple[str, tuple[str, ...]], said: Sequence[StampedMessage]) -> None:
         """Buffer what a gate lets through, by the clock of the joints."""
         channel = stream[0]
         if channel == "joint_states":
             for one in said:
-                self._clock.heard(one.stamp, one.log)
+                self._clock.add(one.stamp, one.log)
         else:
-            related = self._related.setdefault(stream, Related(channel, self._clock))
+            related = self._related.setdefault(stream, ClockAlignment(channel, self._clock))
             said = related.take(said)
         for one in said:
             self._buffer(channel, one.message, one.log, one.stamp)
@@ -131,7 +131,7 @@ class Collector:
         return self._past_strays + sum(watch.strays for watch in self._watches)
 
     @property
-    def _watches(self) -> list[Gate | Related]:
+    def _watches(self) -> list[Gate | ClockAlignment]:
         return [*self._gates.values(), *self._related.values()]
 
     def warnings(self) -> list[str]:
@@ -142,7 +142,7 @@ class Collector:
         for dataset in made:
             for item in dataset.dropped:
                 left_out[item.reason] += item.count
-        said += [f"{n} dropped: {why}" for why, n in left_out.items() if n >= MANY]
+        said += [f"{n} dropped: {why}" for why, n in left_out.items() if n >= MIN_DROPS_TO_WARN]
         said += [inbox.misfit for inbox in self._inboxes if inbox.misfit]
         said += [watch.trouble for watch in self._watches if watch.trouble]
         return list(dict.fromkeys(said))
@@ -155,7 +155,7 @@ class Collector:
 
     def _buffer(self, channel: str, message: Any, log_ns: int, stamp: int) -> None:
         joints = self._at["joint_states"]
-        if self._at[channel] is not joints and log_ns - self._moved > SETTLED:
+        if self._at[channel] is not joints and log_ns - self._moved > SETTLING_TIME_NS:
             self._at[channel] = joints
         if self._at[channel].jumps_back(channel, stamp):
             self._at[channel] = self._inbox_after(self._at[channel])
@@ -179,25 +179,25 @@ class Collector:
             self._pass_on(stream, gate.flush(now_ns))
         changed = [s.refresh(self.joints, self.options) for s in self._inboxes]
         live = self._at["joint_states"]
-        if len(live.raws["joint_states"].stamp) > LONGEST:
-            self._begin_another(live)
-        poses = [c for c in named("poses") if self.received[c]]
-        heard = poses[:1] + [c for c in named("readings") if self.received[c]]
+        if len(live.raws["joint_states"].stamp) > MAX_JOINT_STATES:
+            self._begin_inbox(live)
+        poses = [c for c in list_channels("poses") if self.received[c]]
+        heard = poses[:1] + [c for c in list_channels("readings") if self.received[c]]
         in_use = [self._at[channel] for channel in ("joint_states", *heard)]
         first = min(self._inboxes.index(s) for s in in_use)
         for inbox in self._inboxes[:first]:
             inbox.close()
         return any(changed)
 
-    def _begin_another(self, live: Inbox) -> None:
+    def _begin_inbox(self, live: Inbox) -> None:
         """A new inbox in the middle of a motion, so that no dwell is cut; with the last
         conditions and constraint."""
-        if len(live.raws["joint_states"].stamp) < 2 * LONGEST:
+        if len(live.raws["joint_states"].stamp) < 2 * MAX_JOINT_STATES:
             with suppress(DatasetError):  # it moves
                 live.current(self.options)
                 return
         new = Inbox(self._topics, self._numbers)
-        new.inherit(live, named("condition", "words"))
+        new.inherit(live, list_channels("condition", "words"))
         self._inboxes.append(new)
         self._at = dict.fromkeys(CHANNELS, new)
 
@@ -207,7 +207,7 @@ class Collector:
         """The samples in use; DatasetError says why there is none."""
         parts, starts, ids, stamps = [], [], [], []
         for inbox in self._inboxes:
-            mask = inbox.kept(self.auto)
+            mask = inbox.collected_mask(self.auto)
             if inbox.dataset is not None and mask.any():
                 part = inbox.dataset if mask.all() else inbox.dataset.select(mask)
                 parts.append(part)
@@ -218,7 +218,7 @@ class Collector:
             raise DatasetError(self._why_empty())
         together = parts[0]
         if len(parts) > 1:
-            together = joined(parts, starts, self.options.replicate_tolerance)
+            together = join_datasets(parts, starts, self.options.replicate_tolerance)
         dataset = dataclasses.replace(
             together,
             sha256=together.sha256 or fingerprint(together),
@@ -234,7 +234,7 @@ class Collector:
         return f"no samples yet; messages received: {heard}{choice}"
 
     def __len__(self) -> int:
-        return sum(int(inbox.kept(self.auto).sum()) for inbox in self._inboxes)
+        return sum(int(inbox.collected_mask(self.auto).sum()) for inbox in self._inboxes)
 
     @property
     def trouble(self) -> str:
@@ -268,7 +268,7 @@ class Collector:
     def remove(self, number: int) -> None:
         """Leave a sample out; DatasetError for a number that is not in the collection."""
         for inbox in self._inboxes:
-            if number in inbox.ids[inbox.kept(self.auto)]:
+            if number in inbox.ids[inbox.collected_mask(self.auto)]:
                 inbox.removed.append(number)
                 return
         raise DatasetError(f"no sample {number} in the collection; list_samples shows them")
@@ -296,23 +296,23 @@ class Collector:
             int(inbox.ids[i]): Entry(inbox.dataset, int(i), inbox.start_ns)
             for inbox in self._inboxes
             if inbox.dataset is not None
-            for i in np.flatnonzero(inbox.kept(self.auto))
+            for i in np.flatnonzero(inbox.collected_mask(self.auto))
         }
 
     def resume(self, parts: Sequence[Part]) -> int:
         """Begin with the samples of a journal, under their numbers; how many. DatasetError, and
         no sample, where they are of other joints."""
-        ordered = [in_order(part.dataset, self.joints) for part in parts]
+        ordered = [order_joints(part.dataset, self.joints) for part in parts]
         ids = [number for part in parts for number in part.ids]
         self._numbers = count(max(ids, default=0) + 1)
         self._restart()
         for k, (part, dataset) in enumerate(zip(parts, ordered, strict=True)):
-            self._inboxes.insert(k, Inbox.loaded(dataset, iter(part.ids), part.start_ns))
+            self._inboxes.insert(k, Inbox.from_dataset(dataset, iter(part.ids), part.start_ns))
         return len(ids)
 
     def load(self, path: str | Path) -> int:
         """Replace the collection by the samples of a file or a bag; on failure keep it."""
         dataset = load_dataset(path, joints=self.joints)
         self.clear()
-        self._inboxes.insert(0, Inbox.loaded(dataset, self._numbers))
+        self._inboxes.insert(0, Inbox.from_dataset(dataset, self._numbers))
         return len(dataset)

@@ -16,7 +16,7 @@ from parallel_cal.kinematics.kinematics import Kinematics, Solutions, Status
 from parallel_cal.model.file.modelfile import parse_model
 from parallel_cal.model.shelf import forbid_foreign
 
-PIECE = 0.1  # s that a piece of a request takes, about: what is done is told that often
+PIECE_DURATION_S = 0.1  # s that a piece of a request takes, about: what is done is told that often
 # A singular pose has no finite covariance.
 SOLVED = (Status.CONVERGED, Status.OUTSIDE_LIMITS)
 
@@ -54,11 +54,13 @@ def answer(text: str, asked: Problems, tell: Callable[[list[Answer]], None]) -> 
     while begin < n:
         start = time.monotonic()
         rows = tuple(part[begin : begin + size] for part in asked.rows)
-        tell([_with_covariances(kinematics, asked, f) for f in _solved(kinematics, asked, rows)])
+        tell(
+            [_with_covariances(kinematics, asked, f) for f in _solve_rows(kinematics, asked, rows)]
+        )
         begin += size
         if not asked.every:
             lapse = max(time.monotonic() - start, 1e-6)
-            size = int(np.clip(size * PIECE / lapse, size / 4, size * 4).clip(1, 512))
+            size = int(np.clip(size * PIECE_DURATION_S / lapse, size / 4, size * 4).clip(1, 512))
 
 
 @lru_cache(maxsize=8)
@@ -78,7 +80,7 @@ def _kinematics(text: str) -> Kinematics:
     return Kinematics(parse_model(text).robot())
 
 
-def _solved(
+def _solve_rows(
     kinematics: Kinematics, asked: Problems, rows: tuple[np.ndarray, ...]
 ) -> list[Solutions]:
     """Solutions of each row; solved together where each has one answer."""
@@ -92,7 +94,7 @@ def _solver(kinematics: Kinematics, asked: Problems) -> Callable[..., Solutions]
     """How this request wants its rows solved."""
     inverse, model, at = asked.problem == "inverse", kinematics.model, asked.at
     if asked.every or asked.solver:
-        if why := solving.builds(asked.solver):
+        if why := solving.get_build_note(asked.solver):
             raise SolveError(
                 f"{asked.solver.partition(':')[0]} builds {why} before it answers, which no "
                 "request waits for; use it with `parallel-cal direct --solver` or export it"

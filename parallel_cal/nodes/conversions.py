@@ -20,7 +20,7 @@ from parallel_cal.kinematics.answers import named_conditions
 from parallel_cal.kinematics.kinematics import Solutions, Status
 from parallel_cal.model.model import Model
 
-STOPPING = 0.05  # s from a stop to rest
+STOPPING_TIME_S = 0.05  # s from a stop to rest
 UNIT_LENGTH = 1e-3  # a quaternion this far from unit length is somebody's mistake
 
 ADVICE: dict[int, str] = {
@@ -60,7 +60,7 @@ def _order(names: tuple[str, ...], joints: tuple[str, ...]) -> list[int]:
     return joint_order(names, joints)
 
 
-def matched_joints(message: Any, joints: Sequence[str]) -> tuple[np.ndarray, np.ndarray | None]:
+def match_joints(message: Any, joints: Sequence[str]) -> tuple[np.ndarray, np.ndarray | None]:
     """Positions (nq,) and velocities of a JointState in the model's order.
 
     Velocities are None where they are left empty or not finite, as drivers without them have it.
@@ -77,7 +77,7 @@ def matched_joints(message: Any, joints: Sequence[str]) -> tuple[np.ndarray, np.
     return q, velocity if np.isfinite(velocity).all() else None
 
 
-def finite(value: float) -> float:
+def check_finite(value: float) -> float:
     """A measured number; SolveError where it is none."""
     if not np.isfinite(value):
         raise SolveError(f"the value is {value}")
@@ -146,9 +146,9 @@ def stop_message(
     """
     speed = np.zeros(len(q)) if velocity is None else velocity
     point = JointTrajectoryPoint(
-        positions=(q + speed * STOPPING / 2).tolist(),
+        positions=(q + speed * STOPPING_TIME_S / 2).tolist(),
         velocities=[0.0] * len(q),
-        time_from_start=Duration(nanosec=round(1e9 * STOPPING)),
+        time_from_start=Duration(nanosec=round(1e9 * STOPPING_TIME_S)),
     )
     return JointTrajectory(joint_names=list(joints), points=[point])
 

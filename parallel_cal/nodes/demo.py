@@ -34,7 +34,7 @@ def main(json: bool = False, effect: str = "", seed: int | None = None) -> int:
     came out stays, to be opened on the workbench; where it fails nothing is left behind.
     """
     with ExitStack() as stack:
-        interrupted = _told_to_end(stack)
+        interrupted = _watch_signals(stack)
         folder = Path(tempfile.mkdtemp(prefix="parallel_cal_demo_"))
         failed = stack.enter_context(ExitStack())
         failed.callback(shutil.rmtree, folder, ignore_errors=True)
@@ -49,7 +49,7 @@ def main(json: bool = False, effect: str = "", seed: int | None = None) -> int:
                 "rate": RATE,
             }
             with _calibration(folder / "robot.yaml", cell, interrupted) as calibration, story:
-                document = _calibrated(calibration, story)
+                document = _run_campaign(calibration, story)
             if interrupted():
                 raise KeyboardInterrupt
             document |= {"hidden": hidden, "seed": cell["seed"], "rate": RATE}
@@ -64,7 +64,7 @@ def main(json: bool = False, effect: str = "", seed: int | None = None) -> int:
     return 0
 
 
-def _told_to_end(stack: ExitStack) -> Callable[[], bool]:
+def _watch_signals(stack: ExitStack) -> Callable[[], bool]:
     """Whether SIGINT or SIGTERM came, while the stack is open.
 
     What a signal's handler raises may be swallowed, in a destructor for example: it only notes.
@@ -88,13 +88,13 @@ def _calibration(
     return Calibration(model_file, simulated=cell, interrupted=interrupted)
 
 
-def _calibrated(calibration: Calibration, story: Story) -> dict[str, Any]:
+def _run_campaign(calibration: Calibration, story: Story) -> dict[str, Any]:
     """What the campaign came to; a person's part is played here."""
 
     def hear(status: Any) -> None:
-        story.heard(status)
+        story.on_status(status)
         if status.state == "asking":
-            calibration.bring_about(status.reason)
+            calibration.set_requested_conditions(status.reason)
 
     result = calibration.run(hear, MINUTES, poses=POSES, payload=PAYLOAD)
     if not result.json and not result.message.startswith("aborted"):

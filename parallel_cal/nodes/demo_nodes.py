@@ -17,14 +17,14 @@ from parallel_cal_msgs.srv import AddEffect, ComputeFK, ListSamples, LoadSamples
 
 from parallel_cal.base.rotation import rotation_vector
 from parallel_cal.model.effect import CONDITIONS
-from parallel_cal.nodes.client import Client, NodeError, Process, own_domain
+from parallel_cal.nodes.client import Client, NodeError, Process, use_private_domain
 from parallel_cal.nodes.computing import SOLVED
 from parallel_cal.nodes.conversions import pose_numbers
 from parallel_cal.recordings.bag import list_topics
 
 Feedback = Callable[[str, float], None]
-APART = 8  # one pose in so many is kept apart: the fit never sees it
-LONG = 120.0  # s, for what takes some even on a quiet machine
+HOLD_OUT_INTERVAL = 8  # one pose in so many is kept apart: the fit never sees it
+RESULT_TIMEOUT_S = 120.0  # s, for what takes some even on a quiet machine
 
 
 @dataclass(frozen=True)
@@ -38,14 +38,14 @@ class Answers:
 
     def norms(self) -> dict[str, np.ndarray]:
         """How far each answer (n,) is from the measurement: m and rad."""
-        r, R = _stacked([pose_numbers(sample.pose.pose) for sample in self.samples])
+        r, R = _stack_poses([pose_numbers(sample.pose.pose) for sample in self.samples])
         turn = rotation_vector(R @ self.R.transpose(0, 2, 1))
         return {
             "position": np.linalg.norm(r - self.r, axis=1),
             "orientation": np.linalg.norm(turn, axis=1),
         }
 
-    def miss(self) -> dict[str, Any]:
+    def summarise_errors(self) -> dict[str, Any]:
         """Their means, and the model that answered."""
         means = {f"{kind}_mean": float(n.mean()) for kind, n in self.norms().items()}
         return {**means, "model_hash": self.model_hash}
@@ -67,7 +67,7 @@ class DemoNodes:
         self._processes: list[Process] = []
 
     def __enter__(self) -> DemoNodes:
-        self._namespace = own_domain()
+        self._namespace = use_private_domain()
         with ExitStack() as self._open:  # whatever fails or is interrupted here, all is ended
             self._start("kinematics_node", model_file=str(self.model_file))
             given = {"model_file": str(self.model_file), "allowed_folders": self._allowed}
@@ -75,8 +75,8 @@ class DemoNodes:
             self._client = Client("demo", self._namespace, self._processes, self._interrupted)
             self._open.callback(self._client.close)
             status = "calibration_node/collection_status"
-            self._status = self._client.latest(CollectionStatus, status)
-            self._model = self._client.latest(ModelStatus, "kinematics_node/model_status")
+            self._status = self._client.subscribe_latest(CollectionStatus, status)
+            self._model = self._client.subscribe_latest(ModelStatus, "kinematics_node/model_status")
             self._open = self._open.pop_all()
         return self
 
@@ -98,7 +98,7 @@ class DemoNodes:
         """Replay a recording; the status once all its readings and poses have been looked at."""
         self._client.wait(lambda: bool(self._status), "calibration_node/collection_status")
         topics = [topic.name for topic in list_topics(bag)[0]]
-        listeners = self._client.listeners(topics)
+        listeners = self._client.count_subscribers(topics)
         self._start("replay_node", bag=str(bag), rate=rate, wait_for_subscribers=listeners)
 
         def all_in() -> bool:
@@ -131,7 +131,7 @@ class DemoNodes:
         """The poses that kinematics_node predicts for the samples, each under its conditions."""
         told = [self._answer(sample, joints) for sample in samples]
         poses = [pose_numbers(answer.results[0].solutions[0].pose) for answer in told]
-        return Answers(samples, *_stacked(poses), told[-1].model_hash)
+        return Answers(samples, *_stack_poses(poses), told[-1].model_hash)
 
     def _answer(self, sample: Sample, joints: list[str]) -> ComputeFK.Response:
         answer = self._client.call(
@@ -151,20 +151,20 @@ class DemoNodes:
 
     def identify(self, hold_out: float, hear: Feedback) -> Identify.Result:
         """The action's result; NodeError when it was refused."""
-        return self._done(Identify, "identify", hear, hold_out=hold_out)
+        return self._run_goal(Identify, "identify", hear, hold_out=hold_out)
 
     def diagnose(self, hold_out: float, hear: Feedback) -> Diagnose.Result:
         """The action's result; NodeError when there is none."""
-        return self._done(Diagnose, "diagnose", hear, hold_out=hold_out)
+        return self._run_goal(Diagnose, "diagnose", hear, hold_out=hold_out)
 
-    def _done(self, type: Any, name: str, hear: Feedback, **goal: Any) -> Any:
+    def _run_goal(self, type: Any, name: str, hear: Feedback, **goal: Any) -> Any:
         handle = self._client.send_goal(
             type, f"calibration_node/{name}", lambda f: hear(f.stage, f.fraction), **goal
         )
         if not handle.accepted:
             raise NodeError("calibration_node rejected the goal")
         future = handle.get_result_async()
-        result = self._client.answer(future, f"the result of {name}", LONG).result
+        result = self._client.await_result(future, f"the result of {name}", RESULT_TIMEOUT_S).result
         if not result.success:
             raise NodeError(result.message)
         return result
@@ -186,13 +186,13 @@ class DemoNodes:
         return time.monotonic() - begin
 
 
-def kept_apart(samples: Sequence[Any]) -> list[Any]:
+def select_held_out(samples: Sequence[Any]) -> list[Any]:
     """The samples of every eighth pose, all visits of it."""
     pose = {s.id: s.id if s.replicate_of < 0 else s.replicate_of for s in samples}
-    chosen = set(list(dict.fromkeys(pose.values()))[APART // 2 :: APART])
+    chosen = set(list(dict.fromkeys(pose.values()))[HOLD_OUT_INTERVAL // 2 :: HOLD_OUT_INTERVAL])
     return [s for s in samples if pose[s.id] in chosen]
 
 
-def _stacked(poses: list[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
+def _stack_poses(poses: list[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
     """(n, 3) and (n, 3, 3)."""
     return np.array([r for r, _ in poses]), np.array([R for _, R in poses])

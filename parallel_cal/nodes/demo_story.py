@@ -35,7 +35,7 @@ class Story:
         self._status.stop()
         self._out.print(text)
 
-    def heard(self, status: Any) -> None:
+    def on_status(self, status: Any) -> None:
         """A word of the node that calibrates."""
         if status.state == "moving":
             what = status.reason.partition(", ")[2]

@@ -41,10 +41,10 @@ class FileWatch:
 
     def _run(self) -> None:
         while not self._ended.wait(DEBOUNCE):
-            if self._settled():
+            if self._has_settled_change():
                 self._changed()
 
-    def _settled(self) -> bool:
+    def _has_settled_change(self) -> bool:
         """Whether the file is another one than known, or gone, and the same as at the last look."""
         with self._lock:
             before, self._seen = self._seen, _state(self._path)

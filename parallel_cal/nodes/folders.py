@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from parallel_cal.base.errors import ParallelCalError
-from parallel_cal.base.files import PREVIOUS
+from parallel_cal.base.files import BACKUP_SUFFIX
 from parallel_cal.nodes.parameters import absolute
 
 MARKS = {"model": b"parallel_cal:", "samples": b'"parallel_cal_samples"'}
@@ -43,7 +43,7 @@ class Folders:
         A new file has the ending of its kind and is not hidden: a request chooses part of what is
         in it, such as a frame's name, and a shell executes some files for their name alone.
         """
-        for one in (path, path + PREVIOUS) if kind == "model" else (path,):
+        for one in (path, path + BACKUP_SUFFIX) if kind == "model" else (path,):
             there = Path(self.to_read(one))
             if os.path.lexists(there) and not _holds(there, MARKS[kind]):
                 raise ParallelCalError(f"{one}: exists and is no {kind} file; nothing was written")

@@ -10,7 +10,7 @@ from parallel_cal.base.errors import SolveError
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions, Status
 from parallel_cal.kinematics.solvers import newton
 from parallel_cal.model.model import Model
-from parallel_cal.nodes.model_server import Served, in_words
+from parallel_cal.nodes.model_server import ServedModel, describe_status
 
 SAME_BRANCH = 1e-3  # rad or m: joints that solve the same pose on the same branch agree better
 
@@ -43,7 +43,9 @@ class Memory:
         self._joints: dict[str, float] = {}
         self._time: float | None = None
 
-    def moved(self, model: Model, q: np.ndarray, stamp: float, velocity: np.ndarray | None) -> None:
+    def on_joint_state(
+        self, model: Model, q: np.ndarray, stamp: float, velocity: np.ndarray | None
+    ) -> None:
         """Take in a joint state: q and velocity (nq,) in the model's order, stamp in s."""
         now = dict(zip(model.joints, q.tolist(), strict=True))
         if velocity is None:
@@ -81,19 +83,21 @@ class Memory:
         return [name for name in model.conditions if name not in known]
 
 
-def joints_for(served: Served, memory: Memory, r: np.ndarray, R: np.ndarray | None) -> Solutions:
+def joints_for(
+    served: ServedModel, memory: Memory, r: np.ndarray, R: np.ndarray | None
+) -> Solutions:
     """Joints for a target, on the branch the robot is on and as approached from where it is.
 
     SolveError for every status but converged: nothing unsafe is ever commanded.
     """
     kinematics, model = served.kinematics, served.model
     last, at = memory.joints(model), memory.conditions(model)
-    found = _on_branch(kinematics, last, r, R, at)
+    found = _solve_on_branch(kinematics, last, r, R, at)
     coming = _approach(model, memory.tracker, last, found.joints)
     if at is not None and not coming.items() <= at.items():
-        found = _on_branch(kinematics, last, r, R, at | coming)
+        found = _solve_on_branch(kinematics, last, r, R, at | coming)
     if found.status != Status.CONVERGED:
-        raise SolveError(in_words(found.status))
+        raise SolveError(describe_status(found.status))
     return found
 
 
@@ -108,7 +112,7 @@ def _approach(
     return {name: sign for name, sign in signs.items() if name in model.conditions}
 
 
-def _on_branch(
+def _solve_on_branch(
     kinematics: Kinematics,
     last: np.ndarray | None,
     r: np.ndarray,
@@ -117,7 +121,7 @@ def _on_branch(
 ) -> Solutions:
     """The home branch's solution; for a robot on another branch the one nearest to its joints."""
     found = kinematics.inverse(r, R, at)
-    if last is None or _on_home_branch(kinematics, last, at):
+    if last is None or _is_on_home_branch(kinematics, last, at):
         return found
     others = newton.inverse_all(kinematics.model, r, R, at, starts=0)  # in time for the stream
     usable = np.flatnonzero(others.status == Status.CONVERGED)
@@ -126,7 +130,9 @@ def _on_branch(
     return others[usable[np.argmin(np.abs(others.joints[usable] - last).max(axis=1))]]
 
 
-def _on_home_branch(kinematics: Kinematics, q: np.ndarray, at: Mapping[str, float] | None) -> bool:
+def _is_on_home_branch(
+    kinematics: Kinematics, q: np.ndarray, at: Mapping[str, float] | None
+) -> bool:
     """Whether the home branch's inverse of where the robot is gives its joints back."""
     here = kinematics.direct(q, at)
     if here.status not in (Status.CONVERGED, Status.OUTSIDE_LIMITS):

@@ -14,11 +14,11 @@ from rclpy.time import Time
 
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.base.rotation import quaternion_to_matrix
-from parallel_cal.identification.registration import registered
+from parallel_cal.identification.registration import register_device
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
 
-MOVES_POSES = "device_frame"  # the sensor that finds out where the device stands
+DEVICE_FRAME_SENSOR = "device_frame"  # the sensor that finds out where the device stands
 
 
 class Transform(NamedTuple):
@@ -35,11 +35,11 @@ Look = Callable[[str, str], Transform | None]
 def foreign_frame(dataset: Dataset, model: Model) -> str:
     """The frame of the samples where it is not the model's base and nothing accounts for it."""
     own = model.frames["base"]
-    accounted = any(sensor.name == MOVES_POSES for sensor in model.sensors)
+    accounted = any(sensor.name == DEVICE_FRAME_SENSOR for sensor in model.sensors)
     return "" if accounted or dataset.frame in ("", own) else dataset.frame
 
 
-def in_base(
+def to_base_frame(
     dataset: Dataset, model: Model, look: Look, joint_sigma: float | None = None
 ) -> tuple[Dataset, str]:
     """The samples in the model's base frame by TF, or as they are, where whoever uses them finds
@@ -52,17 +52,19 @@ def in_base(
     found = look(base, frame) if frame else None
     if found is not None:
         age = "static" if found.age == 0.0 else f"{found.age:.1f} s old"
-        return moved(dataset, found, base), f"poses moved from '{frame}' to '{base}' by TF ({age})"
-    _, registration = registered(model, dataset, joint_sigma)
+        return transform_dataset(
+            dataset, found, base
+        ), f"poses moved from '{frame}' to '{base}' by TF ({age})"
+    _, registration = register_device(model, dataset, joint_sigma)
     if registration is not None:
-        return dataset, registration.words
+        return dataset, registration.description
     if not frame:
         return dataset, ""
     raise DatasetError(
         f"the poses are in frame '{frame}', the model's base is '{base}', no transform between "
         "them is known, and these samples do not tell it: take more of them, publish it (TF, where "
         f"tf2 is installed) or the poses in '{base}', name the frame in the model file "
-        f"(frames.base), or give the model the sensor {MOVES_POSES}"
+        f"(frames.base), or give the model the sensor {DEVICE_FRAME_SENSOR}"
     )
 
 
@@ -70,10 +72,10 @@ def by_tf(dataset: Dataset, model: Model, look: Look) -> Dataset:
     """The samples in the model's base frame where TF leads there, else as they are."""
     frame, base = foreign_frame(dataset, model), model.frames["base"]
     found = look(base, frame) if frame else None
-    return dataset if found is None else moved(dataset, found, base)
+    return dataset if found is None else transform_dataset(dataset, found, base)
 
 
-def moved(dataset: Dataset, by: Transform, frame: str) -> Dataset:
+def transform_dataset(dataset: Dataset, by: Transform, frame: str) -> Dataset:
     """r -> R_t r + r_t, R -> R_t R, covariances turned likewise; measured directions must be all
     or none of the position and of the rotation (DatasetError)."""
     for part in (dataset.measured[:, :3], dataset.measured[:, 3:]):

@@ -11,14 +11,22 @@ from typing import Any
 
 from parallel_cal.nodes.sources import Source, Sources
 
-JUMP = 1_000_000_000  # ns; a stamp further off than this is astray, or of another clock
-AGREE = 3  # messages that must follow each other on another clock before it is believed
-SILENT = 300_000_000  # ns for which the publisher before says nothing, until another is believed
-MIXED = 2_000_000_000  # ns after the last sign of two publishers in which nothing is taken
+MAX_STAMP_JUMP_NS = (
+    1_000_000_000  # ns; a stamp further off than this is astray, or of another clock
+)
+MIN_AGREEING_MESSAGES = (
+    3  # messages that must follow each other on another clock before it is believed
+)
+PUBLISHER_TIMEOUT_NS = (
+    300_000_000  # ns for which the publisher before says nothing, until another is believed
+)
+MIXED_PUBLISHERS_HOLD_NS = (
+    2_000_000_000  # ns after the last sign of two publishers in which nothing is taken
+)
 
 
 @dataclass(frozen=True)
-class Said:
+class StampedMessage:
     """A message; times in ns, stamp 0 and sequence 0 where it has none."""
 
     stamp: int
@@ -33,8 +41,8 @@ class Gate:
 
     def __init__(self, name: str):
         self._name = name
-        self._last: Said | None = None
-        self._held: list[Said] = []
+        self._last: StampedMessage | None = None
+        self._held: list[StampedMessage] = []
         self._sources = Sources()
         self._mixed: int | None = None
         self.strays = 0
@@ -44,19 +52,23 @@ class Gate:
     def lost(self) -> int:
         return self._sources.lost
 
-    def take(self, stamp: int, log: int, sequence: int, message: Any) -> Sequence[Said]:
+    def take(self, stamp: int, log: int, sequence: int, message: Any) -> Sequence[StampedMessage]:
         """The messages that may go on now, this one among them or not."""
-        said = Said(stamp, log, sequence, message, self._sources.of(sequence))
+        said = StampedMessage(stamp, log, sequence, message, self._sources.identify(sequence))
         last, held = self._last, self._held
         if last is None:
             return self._first(said)
         if said.source is last.source and _near(said, last):
             if held:
                 self._drop_held(last, log)
-            return self._passed([said])
-        if held and said.source is held[-1].source and said.stamp >= held[-1].stamp - JUMP:
+            return self._release([said])
+        if (
+            held
+            and said.source is held[-1].source
+            and said.stamp >= held[-1].stamp - MAX_STAMP_JUMP_NS
+        ):
             held.append(said)
-            return self._passed(held) if self._believed(last) else ()
+            return self._release(held) if self._has_agreement(last) else ()
         if held and said.source is not held[-1].source:
             self._mixed = log
             self._stray(held, "two publishers speak at once")
@@ -65,16 +77,16 @@ class Gate:
         self._held = [said]
         return ()
 
-    def flush(self, now: int | None = None) -> Sequence[Said]:
+    def flush(self, now: int | None = None) -> Sequence[StampedMessage]:
         """What is held where nothing else came for a while, or (None) will ever come."""
         last, held = self._last, self._held
-        if not held or (now is not None and now - held[-1].log < SILENT):
+        if not held or (now is not None and now - held[-1].log < PUBLISHER_TIMEOUT_NS):
             return ()
         first = last is None
         ahead = last and held[-1].source is last.source and held[0].stamp > last.stamp
-        return self._passed(held) if first or ahead or len(held) >= AGREE else ()
+        return self._release(held) if first or ahead or len(held) >= MIN_AGREEING_MESSAGES else ()
 
-    def _first(self, said: Said) -> Sequence[Said]:
+    def _first(self, said: StampedMessage) -> Sequence[StampedMessage]:
         """Messages before any that can be trusted: two that are near each other, or several of a
         device that is slow; what strayed from those is none of them."""
         held = self._held
@@ -84,27 +96,30 @@ class Gate:
             held = []
         elif held and _near(said, held[-1]):
             self._stray(held[:-1], "fits neither what came before nor what came after")
-            return self._passed([held[-1], said])
+            return self._release([held[-1], said])
         elif held and said.stamp < held[-1].stamp:
             self._stray(held, "fits neither what came before nor what came after")
             held = []
         self._held = [*held, said]
-        return self._passed(self._held) if len(self._held) >= AGREE else ()
+        return self._release(self._held) if len(self._held) >= MIN_AGREEING_MESSAGES else ()
 
-    def _believed(self, last: Said) -> bool:
+    def _has_agreement(self, last: StampedMessage) -> bool:
         held = self._held
         if held[0].source is not last.source:
-            return len(held) >= AGREE and held[-1].log - last.log > SILENT
-        return held[0].stamp > last.stamp or len(held) >= AGREE
+            return (
+                len(held) >= MIN_AGREEING_MESSAGES
+                and held[-1].log - last.log > PUBLISHER_TIMEOUT_NS
+            )
+        return held[0].stamp > last.stamp or len(held) >= MIN_AGREEING_MESSAGES
 
-    def _passed(self, said: list[Said]) -> Sequence[Said]:
+    def _release(self, said: list[StampedMessage]) -> Sequence[StampedMessage]:
         self._last, self._held = said[-1], []
-        if self._mixed is not None and said[-1].log - self._mixed < MIXED:
+        if self._mixed is not None and said[-1].log - self._mixed < MIXED_PUBLISHERS_HOLD_NS:
             self._stray(said, "two publishers speak at once")
             return ()
         return said
 
-    def _drop_held(self, last: Said, now: int) -> None:
+    def _drop_held(self, last: StampedMessage, now: int) -> None:
         if self._held[0].source is not last.source:
             self._mixed = now
             self._stray(self._held, "two publishers speak at once")
@@ -113,11 +128,11 @@ class Gate:
             self._stray(self._held, f"stamped {off:+.1f} s from those around it")
         self._held = []
 
-    def _stray(self, said: Sequence[Said], why: str) -> None:
+    def _stray(self, said: Sequence[StampedMessage], why: str) -> None:
         if said:
             self.strays += len(said)
             self.trouble = f"{self._name}: {self.strays} messages dropped, the last {why}"
 
 
-def _near(one: Said, other: Said) -> bool:
-    return not one.stamp or not other.stamp or abs(one.stamp - other.stamp) <= JUMP
+def _near(one: StampedMessage, other: StampedMessage) -> bool:
+    return not one.stamp or not other.stamp or abs(one.stamp - other.stamp) <= MAX_STAMP_JUMP_NS

@@ -12,7 +12,7 @@ from parallel_cal.nodes.sources import Sources
 from parallel_cal.nodes.tally import diagnostics
 
 WINDOW = 10  # s that rates and shares are told of
-LATE = 0.1  # s from reception to answer that is worth a warning (99 of 100 are below)
+MAX_LATENCY_S = 0.1  # s from reception to answer that is worth a warning (99 of 100 are below)
 SOME, MOST = 1e-3, 0.1  # share of messages lost or refused that is a warning, an error
 
 
@@ -27,21 +27,21 @@ class Stream:
         self._sources = Sources()
         self.reason = ""
 
-    def heard(self, sequence: int | None) -> None:
+    def count_received(self, sequence: int | None) -> None:
         """Count a message, and by its publisher's count those that never came before it."""
         self.total["received"] += 1
-        self._sources.of(sequence)
+        self._sources.identify(sequence)
 
-    def skipped(self, sequence: int | None) -> None:
+    def count_skipped(self, sequence: int | None) -> None:
         """Count a message that came too late to be answered."""
-        self.heard(sequence)
+        self.count_received(sequence)
         self.total["skipped"] += 1
 
-    def done(self, received_ns: int) -> None:
+    def count_answered(self, received_ns: int) -> None:
         """A message was answered: how long after it came in."""
         self._latencies.append(time.time_ns() - received_ns)
 
-    def refused(self, reason: str) -> None:
+    def count_refused(self, reason: str) -> None:
         self.total["refused"] += 1
         self.reason = reason
 
@@ -60,7 +60,7 @@ class Stream:
         p99 = ordered[int(0.99 * (len(ordered) - 1))] * 1e-9 if ordered else 0.0
         shares = {kind: window[kind] / came for kind in ("lost", "skipped", "refused")}
         wrong = [f"{share:.2%} {kind}" for kind, share in shares.items() if share > SOME]
-        wrong += [f"{1e3 * p99:.0f} ms late"] * (p99 > LATE)
+        wrong += [f"{1e3 * p99:.0f} ms late"] * (p99 > MAX_LATENCY_S)
         level = DiagnosticStatus.WARN if wrong else DiagnosticStatus.OK
         if max(shares.values()) > MOST:
             level = DiagnosticStatus.ERROR

@@ -9,18 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from parallel_cal.base.errors import BagError, DatasetError, ParallelCalError, UnfitError
-from parallel_cal.recordings.channels import CHANNELS, named
+from parallel_cal.recordings.channels import CHANNELS, list_channels
 from parallel_cal.recordings.cleaning import assemble
-from parallel_cal.recordings.clocks import on_one_clock
+from parallel_cal.recordings.clocks import align_clocks
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.loading import dataset_from_recording
 from parallel_cal.recordings.options import ReadOptions, SampleOptions
-from parallel_cal.recordings.pairing import bracketed
+from parallel_cal.recordings.pairing import find_bracketed
 from parallel_cal.recordings.recording import Bools, Dropped, Raw, Recording
 from parallel_cal.recordings.samples import max_gap
 from parallel_cal.recordings.sieve import CLOCK_JUMP
 
-NEAR = 1e-6  # s; middles of one and the same sample never move more when its span is zero
+SAME_SAMPLE_TOLERANCE_S = (
+    1e-6  # s; middles of one and the same sample never move more when its span is zero
+)
 
 
 class Inbox:
@@ -43,7 +45,7 @@ class Inbox:
         self._numbers, self._seen = numbers, 0
 
     @classmethod
-    def loaded(cls, dataset: Dataset, numbers: Iterator[int], start_ns: int = 0) -> Inbox:
+    def from_dataset(cls, dataset: Dataset, numbers: Iterator[int], start_ns: int = 0) -> Inbox:
         """A finished inbox with the samples of a file."""
         inbox = cls({}, numbers)
         inbox._adopt(dataset, start_ns)
@@ -66,7 +68,7 @@ class Inbox:
     @property
     def poses(self) -> Raw:
         """The device's messages: full poses where there are any, else positions."""
-        raws = [self.raws[name] for name in named("poses")]
+        raws = [self.raws[name] for name in list_channels("poses")]
         return next((raw for raw in raws if raw.stamp), raws[0])
 
     def inherit(self, other: Inbox, channels: Iterable[str]) -> None:
@@ -77,7 +79,7 @@ class Inbox:
 
     def _silent(self) -> list[str]:
         """Topics without which there are no samples, and that nothing came in on."""
-        measured = (self.poses, *(self.raws[name] for name in named("words", "readings")))
+        measured = (self.poses, *(self.raws[name] for name in list_channels("words", "readings")))
         silent = [] if self.raws["joint_states"].stamp else [self.raws["joint_states"].topic]
         if not any(raw.stamp for raw in measured):
             silent.append(" or ".join(raw.topic for raw in measured))
@@ -104,7 +106,7 @@ class Inbox:
         try:
             heard = {name: raw for name, raw in self.raws.items() if raw.stamp}
             # Once here, so that what is counted as paired is what samples are made of.
-            recording = on_one_clock(assemble(heard, ReadOptions(joints=joints), "live"))
+            recording = align_clocks(assemble(heard, ReadOptions(joints=joints), "live"))
             self._count(recording, options)
             self._adopt(dataset_from_recording(recording, options), recording.start_ns)
         except ParallelCalError as error:
@@ -116,7 +118,7 @@ class Inbox:
     def _count(self, recording: Recording, options: SampleOptions) -> None:
         """Measurements that found their joint state, and those that never will."""
         joints, time = recording.joints, recording.pose.time
-        found = bracketed(joints, time, max_gap(joints, options))
+        found = find_bracketed(joints, time, max_gap(joints, options))
         waiting = time > joints.time[-1]
         self.paired = int(found.sum())
         self.dropped = len(self.poses.stamp) - self.paired - int((waiting & ~found).sum())
@@ -125,7 +127,7 @@ class Inbox:
         old, self.start_ns = self._middles(), start_ns
         self.dataset, known = dataset, self.ids
         new = self._middles()
-        reach = np.maximum(dataset.duration / 2, NEAR)
+        reach = np.maximum(dataset.duration / 2, SAME_SAMPLE_TOLERANCE_S)
         nearest = _nearest(old, new)
         ids: list[int] = []
         for i, k in enumerate(nearest):
@@ -139,7 +141,7 @@ class Inbox:
             return np.zeros(0)
         return np.asarray(self.dataset.time + self.start_ns * 1e-9)
 
-    def kept(self, auto: bool) -> Bools:
+    def collected_mask(self, auto: bool) -> Bools:
         """Mask of the samples in the collection."""
         return (auto | np.isin(self.ids, self.taken)) & ~np.isin(self.ids, self.removed)
 

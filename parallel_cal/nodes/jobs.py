@@ -12,9 +12,9 @@ from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.callback_groups import CallbackGroup
 
 from parallel_cal.base.errors import ParallelCalError
-from parallel_cal.base.worker import Unwanted, Worker
+from parallel_cal.base.worker import WorkCancelled, Worker
 from parallel_cal.nodes.collector import Collection
-from parallel_cal.nodes.managed import Managed
+from parallel_cal.nodes.managed import ManagedNode
 from parallel_cal.session.goals import Outcome
 
 Tell = Callable[..., None]
@@ -53,7 +53,7 @@ class Work(NamedTuple):
     finish: Callable[[Outcome], Outcome]
 
 
-class InThread(NamedTuple):
+class ThreadWork(NamedTuple):
     """`run`, which is given how to tell its feedback, in the thread beside, where only parts of it
     are for the worker; and then `finish` with its outcome."""
 
@@ -61,12 +61,12 @@ class InThread(NamedTuple):
     finish: Callable[[Outcome], Outcome]
 
 
-Prepare = Callable[[Any], tuple[Work | InThread, Collection | None]]
+Prepare = Callable[[Any], tuple[Work | ThreadWork, Collection | None]]
 Finished = Callable[[Outcome, Collection | None], None]
 Say = Callable[[str], None]
 
 
-class OneAtATime:
+class WorkSlot:
     """All long work of a node shares one, so that only one piece of it runs."""
 
     def __init__(self, worker: Worker) -> None:
@@ -83,7 +83,7 @@ class OneAtATime:
             raise ParallelCalError(self._running)
         self.cancel, self._running, self._promised = Cancel(), running, promised
 
-    def kept(self) -> None:
+    def confirm(self) -> None:
         """What was promised has begun."""
         self._promised = False
 
@@ -91,11 +91,11 @@ class OneAtATime:
         """Free for the next piece of work."""
         self._running = ""
 
-    def outcome_of(self, work: Work | InThread, tell: Tell | None = None) -> Outcome:
+    def run_work(self, work: Work | ThreadWork, tell: Tell | None = None) -> Outcome:
         """What work comes to, whatever it raises."""
         cancel = self.cancel
         try:
-            if isinstance(work, InThread):
+            if isinstance(work, ThreadWork):
                 outcome = work.run(tell or (lambda *values: None))
                 if cancel.asked:  # it has ended by itself, and says how
                     return outcome
@@ -105,10 +105,10 @@ class OneAtATime:
                 )
             cancel.commit()
             return work.finish(outcome)
-        except (Cancelled, Unwanted):
+        except (Cancelled, WorkCancelled):
             return Outcome(False, "cancelled; nothing was written")
         except Exception as error:
-            return Outcome(False, in_words(error))
+            return Outcome(False, describe_error(error))
 
 
 @dataclass(frozen=True)
@@ -134,7 +134,7 @@ class JobServer:
     keep the executor spinning, blocking would keep it from serving anything else.
     """
 
-    def __init__(self, node: Managed, one: OneAtATime, job: Job, say: Say, group: CallbackGroup):
+    def __init__(self, node: ManagedNode, one: WorkSlot, job: Job, say: Say, group: CallbackGroup):
         self._node, self._one, self._job, self._say = node, one, job, say
         self._thread: Thread | None = None
         fields = job.type.Feedback.get_fields_and_field_types()
@@ -174,21 +174,21 @@ class JobServer:
         return CancelResponse.REJECT
 
     def _on_accepted(self, goal: Any) -> None:
-        self._one.kept()
+        self._one.confirm()
         try:
             work, collection = self._job.prepare(goal.request)
         except Exception as error:
-            goal.execute(partial(self._end, Outcome(False, in_words(error)), None))
+            goal.execute(partial(self._end, Outcome(False, describe_error(error)), None))
             return
         self._thread = Thread(target=self._work, args=(goal, work, collection))
         self._thread.start()
 
-    def _work(self, goal: Any, work: Work | InThread, collection: Collection | None) -> None:
+    def _work(self, goal: Any, work: Work | ThreadWork, collection: Collection | None) -> None:
         def tell(*values: Any) -> None:
             if self._node.context.ok():
                 goal.publish_feedback(self._feedback(*values))
 
-        outcome = self._one.outcome_of(work, tell)
+        outcome = self._one.run_work(work, tell)
         if self._node.context.ok():
             goal.execute(partial(self._end, outcome, collection))
 
@@ -205,6 +205,6 @@ class JobServer:
         return self._job.answer(outcome)
 
 
-def in_words(error: Exception) -> str:
+def describe_error(error: Exception) -> str:
     """What a client is told: our own errors as they are; a fault of ours must reach it, too."""
     return str(error) if isinstance(error, ParallelCalError) else f"internal error: {error!r}"

@@ -18,14 +18,14 @@ from errno import EEXIST
 from pathlib import Path
 from typing import Any
 
-from parallel_cal.base.documents import plain
+from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.errors import DatasetError
-from parallel_cal.base.files import MEGABYTE, append_lines, held, json_lines
+from parallel_cal.base.files import MEGABYTE, append_lines, json_lines, open_locked
 from parallel_cal.recordings.dataset import Dataset
-from parallel_cal.recordings.joining import joined
+from parallel_cal.recordings.joining import join_datasets
 
 SUFFIX = ".journal"
-MOST = 512 * MEGABYTE  # of a journal that is read again
+MAX_JOURNAL_BYTES = 512 * MEGABYTE  # of a journal that is read again
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Entry:
         return dataclasses.replace(one, dropped=(), warnings=(), sha256="")
 
     def line(self, number: int) -> str:
-        document = {"id": number, "start_ns": self.start_ns, "sample": plain(self.alone)}
+        document = {"id": number, "start_ns": self.start_ns, "sample": to_json_value(self.alone)}
         return json.dumps(document, allow_nan=False)
 
 
@@ -80,8 +80,8 @@ class Journal:
         DatasetError where it cannot be read."""
         for path in sorted(self._folder.glob(f"{self._name}-*{SUFFIX}"), reverse=True):
             try:
-                file = held(path)
-                lines = list(json_lines(path, MOST))
+                file = open_locked(path)
+                lines = list(json_lines(path, MAX_JOURNAL_BYTES))
             except (OSError, ValueError) as error:
                 raise DatasetError(f"{path}: not a journal: {error}") from None
             if file is None or any("closed" in line for line in lines):
@@ -101,7 +101,10 @@ class Journal:
             ids = [k for k, line in kept.items() if line["start_ns"] == start]
             ones = [Dataset.from_document(kept[k]["sample"], str(path)) for k in ids]
             order = sorted(range(len(ids)), key=lambda i: ones[i].time[0])
-            dataset, ids = joined([ones[i] for i in order], [1] * len(ids)), [ids[i] for i in order]
+            dataset, ids = (
+                join_datasets([ones[i] for i in order], [1] * len(ids)),
+                [ids[i] for i in order],
+            )
             parts.append(Part(dataset, ids, start))
             self._known |= {k: Entry(dataset, i, start).key() for i, k in enumerate(ids)}
         return parts
@@ -112,7 +115,7 @@ class Journal:
         if now == self._known:
             return
         if self._file is None:
-            self._file, self._known = self._opened(), {}
+            self._file, self._known = self._open_file(), {}
         changed = [entries[k].line(k) for k, key in now.items() if self._known.get(k) != key]
         gone = [json.dumps({"id": k}) for k in self._known if k not in now]
         append_lines(self._file, changed + gone)
@@ -126,7 +129,7 @@ class Journal:
         os.close(self._file)
         self._file, self.path = None, ""
 
-    def _opened(self) -> int:
+    def _open_file(self) -> int:
         """A file of its own, and its path."""
         self._folder.mkdir(parents=True, exist_ok=True)
         moment = time.strftime("%Y%m%dT%H%M%S", time.gmtime())

@@ -22,7 +22,7 @@ from parallel_cal.nodes.computing import prepare
 from parallel_cal.nodes.file_watch import FileWatch
 from parallel_cal.nodes.folders import Folders
 from parallel_cal.nodes.following import Memory
-from parallel_cal.nodes.managed import AUTOSTART, Managed
+from parallel_cal.nodes.managed import AUTOSTART, ManagedNode
 from parallel_cal.nodes.model_server import Attempt, ModelServer
 from parallel_cal.nodes.parameters import (
     ACCEPTED,
@@ -34,7 +34,7 @@ from parallel_cal.nodes.parameters import (
     declare,
 )
 from parallel_cal.nodes.requests import Budget, answer, warm_up
-from parallel_cal.nodes.run import Beside, every, foreign_publishers, run
+from parallel_cal.nodes.run import WorkerThreadGroup, create_steady_timer, foreign_publishers, run
 from parallel_cal.nodes.streams import Streams
 from parallel_cal.nodes.tally import Tally, model_diagnostics, traffic_diagnostics
 
@@ -57,7 +57,7 @@ PARAMETERS = {
 }
 
 
-class KinematicsNode(Managed):
+class KinematicsNode(ManagedNode):
     """The kinematics node; topics and services are listed in docs/ros.md."""
 
     def __init__(self) -> None:
@@ -83,7 +83,7 @@ class KinematicsNode(Managed):
         self._offer_services()
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._streams = Streams(self, self._server, self._memory, self._tally, self._front)
-        every(1.0, self, self._tick)
+        create_steady_timer(1.0, self, self._tick)
         self.start()
 
     def _parameter(self, name: str) -> Any:
@@ -181,7 +181,7 @@ class KinematicsNode(Managed):
     # ------------------------------------------------------------------ services
 
     def _offer_services(self) -> None:
-        requests = Beside()
+        requests = WorkerThreadGroup()
         for type, name in ((ComputeFK, "compute_fk"), (ComputeIK, "compute_ik")):
             self._serve(type, name, partial(self._answer, name), requests)
         self._serve(LoadModel, "load_model", self._load_model)

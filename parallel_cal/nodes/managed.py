@@ -11,7 +11,7 @@ AUTOSTART = {
 }
 
 
-class Managed(LifecycleNode):
+class ManagedNode(LifecycleNode):
     """Answers and collects only while it is `active`; inactive it keeps what it has."""
 
     active = False

@@ -25,7 +25,7 @@ AGREEMENT = 1e-9  # m, rad: what a round trip of the self-test may lose
 
 
 @dataclass(frozen=True)
-class Served:
+class ServedModel:
     """A model in use; never changed, so that a request keeps the one it began with."""
 
     model: Model
@@ -57,7 +57,7 @@ class ModelServer:
     """Holds the model in use and exchanges it; whatever fails, the one before stays."""
 
     def __init__(self, report: Callable[[Attempt], None] = lambda attempt: None):
-        self.current: Served | None = None
+        self.current: ServedModel | None = None
         self.last = Attempt(False, "startup", "", "no model was loaded yet")
         self._report = report
         self._loading, self._exchange = Lock(), Lock()
@@ -78,7 +78,7 @@ class ModelServer:
         if not str(path):
             raise ModelFileError("no model file: set the parameter model_file or call load_model")
         text = model_text(path)
-        served = Served(*_tested(text, path), model_hash(text), str(path), text)
+        served = ServedModel(*_make_tested_model(text, path), model_hash(text), str(path), text)
         before = self.current
         if before is not None and before.hash == served.hash:
             self._exchange_for(replace(before, path=served.path))
@@ -88,16 +88,16 @@ class ModelServer:
         was = f", was {before.hash[:12]}" if before is not None else ""
         return f"{path}: {served.hash[:12]} in use{was}"
 
-    def _exchange_for(self, served: Served) -> None:
+    def _exchange_for(self, served: ServedModel) -> None:
         with self._exchange:
             self.current = served
 
-    def _compile_in_background(self, served: Served) -> None:
+    def _compile_in_background(self, served: ServedModel) -> None:
         """The C compiler takes a second: CasADi's virtual machine answers until it is done."""
         self._compilation = Thread(target=self._compile, args=(served,), daemon=True)
         self._compilation.start()
 
-    def _compile(self, served: Served) -> None:
+    def _compile(self, served: ServedModel) -> None:
         try:
             kinematics = Kinematics(served.model.robot(), compile=True)
             self_test(kinematics)
@@ -130,7 +130,7 @@ def self_test(kinematics: Kinematics) -> None:
     # A request for one configuration takes a shorter way: make it ready, and see that it agrees.
     alone = kinematics.direct(there.joints[0])
     if alone.status != Status.CONVERGED or not np.isfinite(alone.position).all():
-        raise ModelFileError(f"self-test: direct problem {in_words(alone.status)} alone")
+        raise ModelFileError(f"self-test: direct problem {describe_status(alone.status)} alone")
     kinematics.inverse(r[0], R[0])
 
 
@@ -144,7 +144,7 @@ def workspace_poses(mechanism: Mechanism, n: int) -> tuple[np.ndarray, np.ndarra
     return mechanism.poses((drawn + (low + high) / 2) / 2)
 
 
-def _tested(text: str, path: str | Path) -> tuple[Model, Kinematics]:
+def _make_tested_model(text: str, path: str | Path) -> tuple[Model, Kinematics]:
     model = parse_model(text, str(path))
     kinematics = Kinematics(model.robot())
     try:
@@ -159,12 +159,12 @@ def _require_solved(found: Solutions, problem: str, r: np.ndarray) -> None:
     if not solved.all():
         i = int(np.argmin(solved))
         raise ModelFileError(
-            f"self-test: {problem} problem {in_words(found.status[i])} at "
+            f"self-test: {problem} problem {describe_status(found.status[i])} at "
             f"{np.round(r[i], 4).tolist()} m, inside the workspace of the file"
         )
 
 
-def in_words(status: int | np.ndarray) -> str:
+def describe_status(status: int | np.ndarray) -> str:
     """`outside limits`, ..."""
     return Status(int(status)).text.replace("_", " ")
 

@@ -15,7 +15,7 @@ from rclpy.action import get_action_server_names_and_types_by_node
 from rclpy.node import Node
 
 from parallel_cal.nodes.calibration_node import CalibrationNode
-from parallel_cal.nodes.client import own_domain
+from parallel_cal.nodes.client import use_private_domain
 from parallel_cal.nodes.kinematics_node import KinematicsNode
 
 NODES = (KinematicsNode, CalibrationNode)
@@ -24,7 +24,7 @@ ABSOLUTE = ("/rosout", "/clock", "/diagnostics", "/parameter_events")
 
 def policy() -> str:
     """The policy's XML: each node may publish, hear and serve what it does, and nothing else."""
-    own_domain()
+    use_private_domain()
     rclpy.init(args=["--ros-args", "-p", "journal:=false", "--log-level", "fatal"])
     root = ElementTree.Element("policy", version="0.2.0")
     enclaves = ElementTree.SubElement(root, "enclaves")

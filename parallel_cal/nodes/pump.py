@@ -18,12 +18,12 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
-PATIENCE = 100_000_000  # ns between two looks at whether the node ends
+POLL_INTERVAL_NS = 100_000_000  # ns between two looks at whether the node ends
 
 Messages = list[tuple[Any, dict[str, int]]]
 
 
-class Nobody(CallbackGroup):
+class UnexecutedGroup(CallbackGroup):
     """No executor calls what is in this group."""
 
     def can_execute(self, entity: Any) -> bool:
@@ -51,7 +51,7 @@ class Pump:
         self._node, self._take, self._ended = node, take, False
         self.read_until = -math.inf  # time.monotonic(); what came in before it has been taken
         self._subscription = node.create_subscription(
-            type, topic, lambda message: None, qos, callback_group=Nobody(), **options
+            type, topic, lambda message: None, qos, callback_group=UnexecutedGroup(), **options
         )
         self._most = qos.depth
         self._thread = Thread(target=self._run, name=topic, daemon=True)
@@ -74,7 +74,7 @@ class Pump:
                 waiting.add_subscription(handle)
                 for event in events:
                     event.add_to_wait_set(waiting)
-                waiting.wait(PATIENCE)
+                waiting.wait(POLL_INTERVAL_NS)
                 empty = self.read_until
                 while len(messages) <= self._most:
                     asked = time.monotonic()

@@ -11,10 +11,15 @@ from collections.abc import Sequence
 from dataclasses import replace
 from statistics import median
 
-from parallel_cal.nodes.gate import AGREE, JUMP, SILENT, Said
+from parallel_cal.nodes.gate import (
+    MAX_STAMP_JUMP_NS,
+    MIN_AGREEING_MESSAGES,
+    PUBLISHER_TIMEOUT_NS,
+    StampedMessage,
+)
 
-KEPT = 50_000  # joint states whose times are remembered
-RECENT = 50  # messages that tell how two clocks are related
+MAX_JOINT_STATES = 50_000  # joint states whose times are remembered
+N_RECENT_OFFSETS = 50  # messages that tell how two clocks are related
 
 
 class JointClock:
@@ -30,14 +35,14 @@ class JointClock:
         """When the last joint state was received."""
         return self._logs[-1]
 
-    def heard(self, stamp: int, log: int) -> None:
+    def add(self, stamp: int, log: int) -> None:
         if not stamp:
             return
-        if len(self._logs) > 2 * KEPT:
-            del self._logs[:KEPT], self._stamps[:KEPT]
+        if len(self._logs) > 2 * MAX_JOINT_STATES:
+            del self._logs[:MAX_JOINT_STATES], self._stamps[:MAX_JOINT_STATES]
         if self._logs and log < self.until:  # the time of receiving was set back
             self._logs, self._stamps = [], []
-        self.leaps += bool(self._stamps and abs(stamp - self._stamps[-1]) > JUMP)
+        self.leaps += bool(self._stamps and abs(stamp - self._stamps[-1]) > MAX_STAMP_JUMP_NS)
         self._logs.append(log)
         self._stamps.append(stamp)
 
@@ -53,7 +58,7 @@ class JointClock:
         return stamp + round(share * (self._stamps[i] - stamp))
 
 
-class Related:
+class ClockAlignment:
     """One stream beside the joints: where either's stamps leap, a message is held back while it is
     more than a second nearer to the joints, or further off, than those before it.
 
@@ -63,55 +68,64 @@ class Related:
 
     def __init__(self, name: str, joints: JointClock):
         self._name, self._joints = name, joints
-        self._apart: deque[int] = deque(maxlen=RECENT)
-        self._held: list[Said] = []
-        self._last: Said | None = None
+        self._apart: deque[int] = deque(maxlen=N_RECENT_OFFSETS)
+        self._held: list[StampedMessage] = []
+        self._last: StampedMessage | None = None
         self._moved = self._leaps = 0
         self.strays = 0
         self.trouble = ""
 
-    def take(self, said: Sequence[Said]) -> list[Said]:
+    def take(self, said: Sequence[StampedMessage]) -> list[StampedMessage]:
         """The messages that may go on now, with the stamps that count."""
-        waiting, self._held, passed = [*self._held, *said], list[Said](), list[Said]()
+        waiting, self._held, passed = (
+            [*self._held, *said],
+            list[StampedMessage](),
+            list[StampedMessage](),
+        )
         for one in waiting:
             if self._fits(one):
                 self._stray(len(self._held))
                 self._held = []
-                passed.append(self._passed(one))
+                passed.append(self._release(one))
             else:
                 self._held.append(one)
-        if self._believed():
-            passed += self._moved_along()
+        if self._has_agreement():
+            passed += self._release_shifted()
         return passed
 
-    def _passed(self, one: Said) -> Said:
+    def _release(self, one: StampedMessage) -> StampedMessage:
         apart = self._distance(one)
         if apart is not None:
             self._apart.append(apart)
         self._last, self._leaps = one, self._joints.leaps
         return replace(one, stamp=one.stamp and one.stamp - self._moved)
 
-    def _distance(self, one: Said) -> int | None:
+    def _distance(self, one: StampedMessage) -> int | None:
         """By how much it is stamped later than the joint state of its moment."""
         joints = self._joints.at(one.log)
         return one.stamp - self._moved - joints if one.stamp and joints is not None else None
 
-    def _fits(self, one: Said) -> bool:
+    def _fits(self, one: StampedMessage) -> bool:
         last, apart = self._last, self._distance(one)
         if last is None or apart is None or not self._apart:
             return True
-        goes_on = self._leaps == self._joints.leaps and abs(one.stamp - last.stamp) <= JUMP
-        return goes_on or abs(apart - self._apart[-1]) <= JUMP
+        goes_on = (
+            self._leaps == self._joints.leaps and abs(one.stamp - last.stamp) <= MAX_STAMP_JUMP_NS
+        )
+        return goes_on or abs(apart - self._apart[-1]) <= MAX_STAMP_JUMP_NS
 
-    def _believed(self) -> bool:
+    def _has_agreement(self) -> bool:
         """Whether enough agree, for long enough, and joint states that came meanwhile say so."""
         held = self._held
-        if len(held) < AGREE or held[-1].log - held[0].log < SILENT:
+        if len(held) < MIN_AGREEING_MESSAGES or held[-1].log - held[0].log < PUBLISHER_TIMEOUT_NS:
             return False
         apart = [a for a in map(self._distance, held) if a is not None]
-        return self._joints.until >= held[AGREE - 1].log and max(apart) - min(apart) <= JUMP
+        return (
+            self._joints.until >= held[MIN_AGREEING_MESSAGES - 1].log
+            and max(apart) - min(apart) <= MAX_STAMP_JUMP_NS
+        )
 
-    def _moved_along(self) -> list[Said]:
+    def _release_shifted(self) -> list[StampedMessage]:
         held, self._held = self._held, []
         by = round(median(a for a in map(self._distance, held) if a is not None))
         by -= round(median(self._apart))
@@ -120,7 +134,7 @@ class Related:
             f"{self._name}: its clock or that of the joints was set by {by * 1e-9:+.3f} s; its "
             f"stamps are moved by {-self._moved * 1e-9:+.3f} s"
         )
-        return [self._passed(one) for one in held]
+        return [self._release(one) for one in held]
 
     def _stray(self, n: int) -> None:
         if n:

@@ -22,7 +22,7 @@ from std_srvs.srv import SetBool
 from parallel_cal.base.errors import BagError, ParallelCalError
 from parallel_cal.nodes.conversions import message_class
 from parallel_cal.nodes.parameters import Setting, declare
-from parallel_cal.nodes.run import ros
+from parallel_cal.nodes.run import ros_context
 from parallel_cal.recordings.bag import RawMessage, list_topics, raw_messages
 from parallel_cal.recordings.recording import TopicInfo
 
@@ -36,10 +36,12 @@ PARAMETERS = {
     "patience": Setting(15.0, "s to wait for them"),
     "ack_patience": Setting(60.0, "s to wait at the end until all of it was received"),
 }
-SAID_ONCE = 10  # messages: a topic with fewer is kept for late subscribers, as if latched
+MAX_LATCHED_MESSAGES = (
+    10  # messages: a topic with fewer is kept for late subscribers, as if latched
+)
 DEPTH = 20_000  # messages a topic that may be on their way; then the slowest reader is waited for
 STEADY = 1.0  # s without a new subscription: all that will listen have been found
-NAP = 0.05  # s between two looks whether to go on
+POLL_INTERVAL_S = 0.05  # s between two looks whether to go on
 
 
 class ReplayNode(Node):
@@ -55,7 +57,7 @@ class ReplayNode(Node):
         if not self.rate > 0:
             raise ParallelCalError(f"rate {self.rate}: expected a positive number")
         topics, self.duration = list_topics(self.bag)
-        chosen = _chosen(self.bag, topics, self._value("topics"))
+        chosen = _select_topics(self.bag, topics, self._value("topics"))
         self.count, self.sent = sum(topic.count for topic in chosen), 0
         self._senders = {topic.name: self._sender(topic) for topic in chosen}
         self._on_their_way = dict.fromkeys(self._senders, 0)
@@ -75,9 +77,9 @@ class ReplayNode(Node):
                 f"{self.bag}: {topic.name} has the type {topic.type}, which is not installed here; "
                 "name the topics to publish"
             ) from None
-        latched = topic.count <= SAID_ONCE
+        latched = topic.count <= MAX_LATCHED_MESSAGES
         durability = DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
-        qos = QoSProfile(depth=SAID_ONCE if latched else DEPTH, durability=durability)
+        qos = QoSProfile(depth=MAX_LATCHED_MESSAGES if latched else DEPTH, durability=durability)
         return self.create_publisher(message, topic.name.lstrip("/"), qos)
 
     def _pause(self, request: Any, response: Any) -> Any:
@@ -105,7 +107,7 @@ class ReplayNode(Node):
             if message.topic not in self._senders:
                 continue
             first = message.time if first is None else first
-            begin += self._held()
+            begin += self._wait_while_paused()
             since = (message.time - first) * 1e-9
             if not self._sleep_until(begin + since / self.rate):
                 return
@@ -116,17 +118,17 @@ class ReplayNode(Node):
                 behind = f", {late:.1f} s behind" if late > 0.5 else ""
                 _say(f"{since:.1f} of {self.duration:.1f} s, {self.sent} messages{behind}")
 
-    def _held(self) -> float:
+    def _wait_while_paused(self) -> float:
         """Stay while paused; for how many seconds."""
         begin = time.monotonic()
         while not self._running.is_set() and self._go_on():
-            self._running.wait(NAP)
+            self._running.wait(POLL_INTERVAL_S)
         return time.monotonic() - begin
 
     def _sleep_until(self, due: float) -> bool:
         """Whether to go on at that time; at once when it has passed."""
         while (left := due - time.monotonic()) > 0:
-            time.sleep(min(left, NAP))
+            time.sleep(min(left, POLL_INTERVAL_S))
             if not self._go_on():
                 return False
         return self._go_on()
@@ -167,7 +169,7 @@ class ReplayNode(Node):
                 before, steady = matched, time.monotonic()
             if before >= max(wanted, 1) and time.monotonic() - steady > STEADY:
                 return
-            time.sleep(NAP)
+            time.sleep(POLL_INTERVAL_S)
         if before < wanted and self._go_on():
             names = ", ".join(self._senders)
             raise ParallelCalError(f"{before} subscriptions to {names}; waited for {wanted}")
@@ -175,7 +177,7 @@ class ReplayNode(Node):
             _say("nobody listens; publishing all the same")
 
 
-def _chosen(bag: str, topics: Sequence[TopicInfo], names: str) -> list[TopicInfo]:
+def _select_topics(bag: str, topics: Sequence[TopicInfo], names: str) -> list[TopicInfo]:
     """The topics named, with or without slash; all of them for an empty text."""
     wanted = {name.strip().strip("/") for name in names.split(",") if name.strip()}
     unknown = wanted - {topic.name.strip("/") for topic in topics}
@@ -191,7 +193,7 @@ def _say(text: str) -> None:
 
 
 @contextmanager
-def _spinning(node: Node) -> Iterator[None]:
+def _spin_in_thread(node: Node) -> Iterator[None]:
     """Services are answered in a second thread while this one publishes."""
     executor = SingleThreadedExecutor()
     executor.add_node(node)
@@ -212,10 +214,10 @@ def _spinning(node: Node) -> Iterator[None]:
 def replay(bag: str | Path = "", args: list[str] | None = None, **options: Any) -> int:
     """Publish a recording with options as in PARAMETERS; 0 when all of it was received."""
     overrides = options | ({"bag": str(bag)} if str(bag) else {})
-    with ros(args) as go_on:
+    with ros_context(args) as go_on:
         try:
             node = ReplayNode(go_on, **overrides)
-            with _spinning(node):
+            with _spin_in_thread(node):
                 return node.play()
         except ParallelCalError as error:
             sys.stderr.write(f"error: {error}\n")

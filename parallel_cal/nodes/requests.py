@@ -13,7 +13,7 @@ import numpy as np
 from parallel_cal_msgs.msg import Solution, SolutionSet
 
 from parallel_cal.base.errors import SolveError
-from parallel_cal.base.worker import OverBudget, Worker, WorkError
+from parallel_cal.base.worker import TimeBudgetExceeded, Worker, WorkError
 from parallel_cal.nodes import computing
 from parallel_cal.nodes.computing import Answer, Problems
 from parallel_cal.nodes.conversions import (
@@ -23,10 +23,10 @@ from parallel_cal.nodes.conversions import (
     pose_numbers,
     solution_messages,
 )
-from parallel_cal.nodes.model_server import Served
+from parallel_cal.nodes.model_server import ServedModel
 
 Rows = tuple[np.ndarray, ...]
-PATIENCE = 60.0  # s for building a model's functions on a busy machine
+BUILD_TIMEOUT_S = 60.0  # s for building a model's functions on a busy machine
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Budget:
 def answer(
     worker: Worker,
     budget: Budget,
-    served: Served | None,
+    served: ServedModel | None,
     why_none: str,
     request: Any,
     response: Any,
@@ -58,7 +58,7 @@ def answer(
         else:
             given, problem = _configurations(served, request), "direct"
         at = conditions_of(served.model, request.conditions)
-        response.results, response.message = _solved(
+        response.results, response.message = _solve_rows(
             worker, budget, served, request, given, problem, at
         )
     except Exception as error:  # whatever it is, the node stays up and the caller hears of it
@@ -66,18 +66,18 @@ def answer(
     return response
 
 
-def warm_up(worker: Worker, served: Served) -> None:
+def warm_up(worker: Worker, served: ServedModel) -> None:
     """Let the worker make itself ready for a model, while nobody waits for it."""
     Thread(target=_warm, args=(worker, served, False, True), daemon=True).start()
 
 
-def _warm(worker: Worker, served: Served, *every: bool) -> None:
-    with suppress(WorkError, OverBudget):  # the request itself will say why
+def _warm(worker: Worker, served: ServedModel, *every: bool) -> None:
+    with suppress(WorkError, TimeBudgetExceeded):  # the request itself will say why
         for each in every:
-            worker.work(computing.warm, served.text, each, seconds=PATIENCE)
+            worker.work(computing.warm, served.text, each, seconds=BUILD_TIMEOUT_S)
 
 
-def _configurations(served: Served, request: Any) -> list[Rows | str]:
+def _configurations(served: ServedModel, request: Any) -> list[Rows | str]:
     model, names = served.model, request.joint_names
     order = joint_order(names, model.joints) if names else None
     if names and len(names) != len(model.joints):
@@ -100,10 +100,10 @@ def _target(pose: Any) -> Rows | str:
         return str(error)
 
 
-def _solved(
+def _solve_rows(
     worker: Worker,
     budget: Budget,
-    served: Served,
+    served: ServedModel,
     request: Any,
     given: Sequence[Rows | str],
     problem: str,
@@ -123,7 +123,7 @@ def _solved(
             worker.work(
                 computing.answer, served.text, asked, seconds=budget.seconds, tell=done.extend
             )
-        except OverBudget:
+        except TimeBudgetExceeded:
             over = True
     found = iter(done)
     sets = [_set(row, found) for row in given[: budget.poses]]

@@ -15,23 +15,25 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from parallel_cal.base.errors import DatasetError, SolveError
 from parallel_cal.campaign.cell import CellError, Sample
-from parallel_cal.campaign.checking import ARRIVED
+from parallel_cal.campaign.checking import ARRIVAL_TOLERANCE
 from parallel_cal.campaign.trajectory import Trajectory
 from parallel_cal.model.model import Model
-from parallel_cal.nodes.conversions import matched_joints, stop_message
+from parallel_cal.nodes.conversions import match_joints, stop_message
 from parallel_cal.nodes.inflow import Inflow
 
-PROMPT = 0.01  # s between two looks, so that a motion ends at once when it is no longer wanted
-FOUND = 5.0  # s in which a node that has just begun must hear of the robot
-SILENT = 1.0  # s without joint states after which nobody knows where the robot is
-LATE = 10.0  # s more than it should take, until a motion counts as failed
-GRACE = 2.0  # s more, in which a robot that rests elsewhere may yet set out
-STILL = 0.15  # s that readings stay alike before the robot rests
-ALIKE = 10.0  # sigmas of a reading, within which they are alike
-ASTRAY = 0.03  # of its range, that a joint may be beside its way
-SPEED_OVER = 0.05  # s of readings that the speed is told by
-KEPT = 2000  # joint states to look back at
-LONGEST = 20.0  # s that a sample may take to come
+POLL_INTERVAL_S = (
+    0.01  # s between two looks, so that a motion ends at once when it is no longer wanted
+)
+DISCOVERY_TIMEOUT_S = 5.0  # s in which a node that has just begun must hear of the robot
+JOINT_STATE_TIMEOUT_S = 1.0  # s without joint states after which nobody knows where the robot is
+ARRIVAL_TIMEOUT_S = 10.0  # s more than it should take, until a motion counts as failed
+START_TIMEOUT_S = 2.0  # s more, in which a robot that rests elsewhere may yet set out
+REST_DURATION_S = 0.15  # s that readings stay alike before the robot rests
+REST_TOLERANCE_SIGMAS = 10.0  # sigmas of a reading, within which they are alike
+PATH_TOLERANCE = 0.03  # of its range, that a joint may be beside its way
+SPEED_WINDOW_S = 0.05  # s of readings that the speed is told by
+MAX_JOINT_STATES = 2000  # joint states to look back at
+SAMPLE_TIMEOUT_S = 20.0  # s that a sample may take to come
 MAX_TAKING = 0.25  # of the time: it keeps the thread busy in which messages are processed
 MAX_PAUSE = 2.0  # s until it is tried again, however long it took
 SAID_EVERY = 1.0  # s between two words on what is waited for
@@ -55,18 +57,18 @@ class RobotCell:
     ):
         self._command, self._model, self._take, self._dwell = command, model, take, dwell
         self._inflow, self._say = inflow, say
-        self._states: deque[tuple[float, float, np.ndarray]] = deque(maxlen=KEPT)
+        self._states: deque[tuple[float, float, np.ndarray]] = deque(maxlen=MAX_JOINT_STATES)
         self.done = Event()  # what a person was asked for
         self._range = model.mechanism.joint_ranges
-        self._still = ALIKE * (model.noise.joint or 1e-4 * float(self._range.min()))
+        self._still = REST_TOLERANCE_SIGMAS * (model.noise.joint or 1e-4 * float(self._range.min()))
         self._set_out = self._rested = 0.0  # stamps of the last motion
         self._rested_at = 0.0  # time.monotonic() when the robot was heard to have come to rest
         self._others: list[str] = []  # joints that were heard of, and are not this model's
 
-    def hear(self, message: Any) -> None:
+    def on_joint_state(self, message: Any) -> None:
         """A joint state, in any thread."""
         try:
-            q, _ = matched_joints(message, self._model.joints)
+            q, _ = match_joints(message, self._model.joints)
         except SolveError:  # other joints, in a message of their own
             self._others = list(message.name)
             return
@@ -85,28 +87,31 @@ class RobotCell:
             raise CellError(f"nobody hears {self._command.topic_name}: is a controller up?")
         self._command.publish(self._message(trajectory))
         now = time.monotonic()
-        late, due = now + trajectory.seconds + GRACE, now + trajectory.seconds + LATE
+        late, due = (
+            now + trajectory.seconds + START_TIMEOUT_S,
+            now + trajectory.seconds + ARRIVAL_TIMEOUT_S,
+        )
         while True:
             go_on()
             stamp, q = self._latest(begin)
-            self._check_on_course(q, course)
-            there = (np.abs(q - course[-1]) < ARRIVED * self._range).all()
+            self._check_on_path(q, course)
+            there = (np.abs(q - course[-1]) < ARRIVAL_TOLERANCE * self._range).all()
             if (there or time.monotonic() > late) and self._rests(begin + trajectory.seconds):
                 moved = np.abs(course - course[0]).max(axis=0) > self._still
-                self._set_out, self._rested = begin if moved.any() else 0.0, stamp - STILL
+                self._set_out, self._rested = begin if moved.any() else 0.0, stamp - REST_DURATION_S
                 self._rested_at = self._heard_at(self._rested)
                 return
             if time.monotonic() > due:
                 raise CellError(
-                    f"the robot does not come to rest {LATE:.0f} s after it should have"
+                    f"the robot does not come to rest {ARRIVAL_TIMEOUT_S:.0f} s after it should have"
                 )
-            time.sleep(PROMPT)
+            time.sleep(POLL_INTERVAL_S)
 
     def stop(self) -> None:
         if not self._states:
             return
         states = list(self._states)  # at once: others append meanwhile
-        recent = [state for state in states if state[0] > states[-1][0] - SPEED_OVER]
+        recent = [state for state in states if state[0] > states[-1][0] - SPEED_WINDOW_S]
         (early, _, q0), (late, _, q) = recent[0], recent[-1]
         speed = (q - q0) / (late - early) if late > early else np.zeros(len(q))
         self._command.publish(stop_message(self._model.joints, q, speed))
@@ -118,7 +123,7 @@ class RobotCell:
         takes longer the more there are. The target counts as lost only after all that came in has
         been processed.
         """
-        due, why = time.monotonic() + LONGEST, "no pose came while the robot rested"
+        due, why = time.monotonic() + SAMPLE_TIMEOUT_S, "no pose came while the robot rested"
         taken, again, used = -math.inf, -math.inf, -math.inf
         waiting = self._waiting(go_on)
         while True:
@@ -139,14 +144,14 @@ class RobotCell:
                         return found
                     why = "the dwell has not come yet"
                 end = time.monotonic()
-                again = end + min(max(10 * PROMPT, (end - now) / MAX_TAKING), MAX_PAUSE)
+                again = end + min(max(10 * POLL_INTERVAL_S, (end - now) / MAX_TAKING), MAX_PAUSE)
             elif now > due and self._inflow.has_read_until(due) and (taken > due or not measured):
                 raise CellError(f"no sample here: {why}: is the target lost?")
             else:
-                time.sleep(PROMPT)
+                time.sleep(POLL_INTERVAL_S)
 
     def ask(self, words: str, conditions: Mapping[str, float], go_on: Callable[[], None]) -> None:
-        while not self.done.wait(PROMPT):
+        while not self.done.wait(POLL_INTERVAL_S):
             go_on()
         self.done.clear()  # not before: the answer may be there by now
 
@@ -154,17 +159,17 @@ class RobotCell:
 
     def _latest(self, since: float = 0.0) -> tuple[float, np.ndarray]:
         """Stamp and joints (nq,) now, not before a stamp; the first ones are waited for."""
-        due = time.monotonic() + FOUND
+        due = time.monotonic() + DISCOVERY_TIMEOUT_S
         while not self._states and time.monotonic() < due:
-            time.sleep(PROMPT)
-        if not self._states or time.monotonic() - self._states[-1][1] > SILENT:
-            words = f"no joint states for {SILENT:.0f} s: nobody knows where the robot is"
+            time.sleep(POLL_INTERVAL_S)
+        if not self._states or time.monotonic() - self._states[-1][1] > JOINT_STATE_TIMEOUT_S:
+            words = f"no joint states for {JOINT_STATE_TIMEOUT_S:.0f} s: nobody knows where the robot is"
             if self._others:
                 words += f"; joint_states name {', '.join(self._others)}, the model has "
                 words += ", ".join(self._model.joints)
             raise CellError(words)
         stamp, _, q = self._states[-1]
-        if stamp < since - SILENT:
+        if stamp < since - JOINT_STATE_TIMEOUT_S:
             raise CellError(
                 f"the stamps of joint states went back by {since - stamp:.3g} s: was the robot's "
                 "driver started anew?"
@@ -202,10 +207,10 @@ class RobotCell:
         """Whether the readings of the last STILL seconds, all `since` a stamp, are alike."""
         recent = list(self._states)
         last = recent[-1][0]
-        held = np.array([q for stamp, _, q in recent if stamp >= last - STILL])
-        return bool(last - STILL >= since and (np.ptp(held, axis=0) < self._still).all())
+        held = np.array([q for stamp, _, q in recent if stamp >= last - REST_DURATION_S])
+        return bool(last - REST_DURATION_S >= since and (np.ptp(held, axis=0) < self._still).all())
 
-    def _check_on_course(self, q: np.ndarray, course: np.ndarray) -> None:
+    def _check_on_path(self, q: np.ndarray, course: np.ndarray) -> None:
         """CellError where the joints are beside the way that they were sent, whenever that is."""
         scaled = course / self._range
         a, b, here = scaled[:-1], scaled[1:], q / self._range
@@ -213,7 +218,7 @@ class RobotCell:
         length = np.maximum(np.sum(way**2, axis=1), 1e-18)
         share = np.clip(np.sum((here - a) * way, axis=1) / length, 0.0, 1.0)
         off = np.abs(here - a - share[:, None] * way).max(axis=1)
-        if off.min() > max(ASTRAY, ARRIVED):
+        if off.min() > max(PATH_TOLERANCE, ARRIVAL_TOLERANCE):
             nearest = int(np.argmin(off))
             i = int(np.argmax(np.abs(here - a - share[:, None] * way)[nearest]))
             raise CellError(

@@ -31,11 +31,11 @@ from parallel_cal.base.threads import single_threaded
 T = TypeVar("T")
 
 PROMPT = 0.05  # s between two looks at whether a thread that waits is still wanted
-HURRY = 0.8  # s from a signal to the end, whatever is still at work
-SWITCH = 5e-4  # s that a thread beside may keep the interpreter from the one that spins
+SHUTDOWN_TIMEOUT_S = 0.8  # s from a signal to the end, whatever is still at work
+SWITCH_INTERVAL_S = 5e-4  # s that a thread beside may keep the interpreter from the one that spins
 
 
-class Beside(MutuallyExclusiveCallbackGroup):
+class WorkerThreadGroup(MutuallyExclusiveCallbackGroup):
     """Callbacks that run one after the other in a thread beside the one that spins."""
 
 
@@ -64,7 +64,9 @@ class FrontExecutor(SingleThreadedExecutor):
             return
         handler, entity, node = ready
         group = entity and entity.callback_group
-        if isinstance(group, Beside) or (entity and group is node.default_callback_group):
+        if isinstance(group, WorkerThreadGroup) or (
+            entity and group is node.default_callback_group
+        ):
             self._hand_over(handler)
         else:
             handler()
@@ -85,7 +87,7 @@ class FrontExecutor(SingleThreadedExecutor):
         self.shutdown()
 
 
-def in_front(
+def run_in_spin_thread(
     node: Node,
     function: Callable[..., T],
     *args: Any,
@@ -112,7 +114,9 @@ def in_front(
     return answer.result()
 
 
-def every(seconds: float, node: Node, call: Callable[[], None], group: Any = None) -> None:
+def create_steady_timer(
+    seconds: float, node: Node, call: Callable[[], None], group: Any = None
+) -> None:
     """Call again and again, also while a simulated clock stands still."""
     clock = Clock(clock_type=ClockType.STEADY_TIME)
     node.create_timer(seconds, call, callback_group=group, clock=clock)
@@ -147,7 +151,7 @@ def type_name(message: type) -> str:
 
 
 @contextmanager
-def ros(args: list[str] | None = None) -> Iterator[Callable[[], bool]]:
+def ros_context(args: list[str] | None = None) -> Iterator[Callable[[], bool]]:
     """ROS from start to end; yields a function that says whether to go on.
 
     SIGINT and SIGTERM end spinning through rclpy's own handler; Python's would raise
@@ -165,8 +169,8 @@ def ros(args: list[str] | None = None) -> Iterator[Callable[[], bool]]:
 @single_threaded()
 def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
     """Spin a node until SIGINT or SIGTERM ends it; its exit status."""
-    sys.setswitchinterval(SWITCH)
-    with ros(args) as go_on:
+    sys.setswitchinterval(SWITCH_INTERVAL_S)
+    with ros_context(args) as go_on:
         executor, node, ended = FrontExecutor(), None, Event()
         Thread(target=_insist, args=(ended,), daemon=True).start()
         try:
@@ -198,6 +202,6 @@ def _insist(ended: Event) -> None:
     while rclpy.ok():
         if ended.wait(0.1):
             return
-    if not ended.wait(HURRY):
+    if not ended.wait(SHUTDOWN_TIMEOUT_S):
         sys.stderr.flush()
         os._exit(0)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-REACH = 10_000  # messages that one publisher may lose in a row and still be known
-MOST = 8  # publishers of one topic that are remembered
+MAX_CONSECUTIVE_LOSSES = 10_000  # messages that one publisher may lose in a row and still be known
+MAX_PUBLISHERS = 8  # publishers of one topic that are remembered
 
 
 @dataclass(eq=False)
@@ -22,7 +22,7 @@ class Sources:
         self._known: list[Source] = []
         self.lost = 0
 
-    def of(self, sequence: int | None) -> Source | None:
+    def identify(self, sequence: int | None) -> Source | None:
         """Whose count this one goes on; None where messages are not counted."""
         if not sequence:
             return None
@@ -30,9 +30,9 @@ class Sources:
         if last is not None and sequence == last.sequence + 1:  # as nearly always
             last.sequence = sequence
             return last
-        behind = [s for s in self._known if 0 < sequence - s.sequence <= REACH]
+        behind = [s for s in self._known if 0 < sequence - s.sequence <= MAX_CONSECUTIVE_LOSSES]
         if not behind:
-            self._known = [*self._known[1 - MOST :], Source(sequence)]
+            self._known = [*self._known[1 - MAX_PUBLISHERS :], Source(sequence)]
             return self._known[-1]
         source = max(behind, key=lambda s: s.sequence)
         self.lost += sequence - source.sequence - 1

@@ -19,14 +19,14 @@ from parallel_cal.nodes.parameters import LATCHED
 WORDS = ("pause", "resume", "continue")
 
 
-class Steering:
+class CampaignClient:
     """Begins, holds and stops a campaign of calibration_node, whoever began it; `told` is what is
     known of it, plain data."""
 
     def __init__(self, node: Node):
         self.told: dict[str, Any] = {"state": "", "curve": [], "answer": ""}
         node.create_subscription(
-            CalibrationStatus, f"{CALIBRATION}/session_status", self._hear, LATCHED
+            CalibrationStatus, f"{CALIBRATION}/session_status", self._on_status, LATCHED
         )
         self._goal = ActionClient(node, Calibrate, f"{CALIBRATION}/calibrate")
         # Of all goals: it may have been begun by another program, or before this one was started.
@@ -38,9 +38,9 @@ class Steering:
         nobody is there to ask."""
         self._need(self._goal.server_is_ready())
         self.told = {**self.told, "curve": [], "answer": ""}
-        self._goal.send_goal_async(Calibrate.Goal(**goal)).add_done_callback(self._accepted)
+        self._goal.send_goal_async(Calibrate.Goal(**goal)).add_done_callback(self._on_accepted)
 
-    def say(self, word: str) -> None:
+    def send_command(self, word: str) -> None:
         """pause, resume, continue or stop. NodeError where nobody is there to hear it."""
         client, request = (
             (self._stop, CancelGoal.Request())
@@ -58,19 +58,19 @@ class Steering:
         if not there:
             raise NodeError(f"{CALIBRATION} does not answer: is it running?")
 
-    def _accepted(self, future: Future) -> None:
+    def _on_accepted(self, future: Future) -> None:
         handle = future.result()
         if handle.accepted:
             handle.get_result_async().add_done_callback(
-                lambda done: self._answered(done.result().result.message)
+                lambda done: self._set_answer(done.result().result.message)
             )
         else:
-            self._answered(f"{CALIBRATION} did not take the goal: its log says why")
+            self._set_answer(f"{CALIBRATION} did not take the goal: its log says why")
 
-    def _answered(self, words: str) -> None:
+    def _set_answer(self, words: str) -> None:
         self.told = {**self.told, "answer": words}
 
-    def _hear(self, status: CalibrationStatus) -> None:
+    def _on_status(self, status: CalibrationStatus) -> None:
         curve, point = self.told["curve"], (status.poses, status.error_unseen)
         if not math.isnan(status.error_unseen) and point[1:] != (curve or [()])[-1][1:]:
             curve = [*curve, point]

@@ -23,34 +23,41 @@ from parallel_cal.base.errors import SolveError
 from parallel_cal.kinematics.kinematics import Solutions, Status
 from parallel_cal.kinematics.solving import controlled_pose
 from parallel_cal.nodes.conversions import (
-    finite,
-    matched_joints,
+    check_finite,
+    match_joints,
     message_class,
     pose_numbers,
     set_pose,
 )
 from parallel_cal.nodes.following import Memory, joints_for
 from parallel_cal.nodes.health import Stream
-from parallel_cal.nodes.managed import Managed
-from parallel_cal.nodes.model_server import ModelServer, Served, in_words
+from parallel_cal.nodes.managed import ManagedNode
+from parallel_cal.nodes.model_server import ModelServer, ServedModel, describe_status
 from parallel_cal.nodes.parameters import LATCHED, RELIABLE, SENSOR, overridable
 from parallel_cal.nodes.pump import Messages, Pump
-from parallel_cal.nodes.run import Beside
+from parallel_cal.nodes.run import WorkerThreadGroup
 from parallel_cal.nodes.tally import Tally
-from parallel_cal.nodes.way import Bounds, way_to
-from parallel_cal.recordings.channels import CHANNELS, named
+from parallel_cal.nodes.way import Bounds, check_path
+from parallel_cal.recordings.channels import CHANNELS, list_channels
 
 # Room for what comes while the interpreter is busy; a tenth of a second at 1 kHz.
 STATES = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
-BEHIND = 50  # joint states that may wait and still be answered each, in about 5 ms
-QUIET = 5.0  # s between two lines of the log about refused messages
+MAX_WAITING_JOINT_STATES = (
+    50  # joint states that may wait and still be answered each, in about 5 ms
+)
+LOG_THROTTLE_S = 5.0  # s between two lines of the log about refused messages
 
 
 class Streams:
     """The topics of a node that answer each message with one of another topic."""
 
     def __init__(
-        self, node: Managed, server: ModelServer, memory: Memory, tally: Tally, group: CallbackGroup
+        self,
+        node: ManagedNode,
+        server: ModelServer,
+        memory: Memory,
+        tally: Tally,
+        group: CallbackGroup,
     ):
         self._node, self._server, self._group = node, server, group
         self._memory, self._tally = memory, tally
@@ -67,8 +74,8 @@ class Streams:
         )  # fmt: skip
         # A target out of reach is searched for longer than a joint state may wait.
         self._told = self._publisher(CommandStatus, "~/command_status")
-        self._subscribe(PoseStamped, "target_pose", RELIABLE, self._on_target, Beside())
-        for name in named("condition"):
+        self._subscribe(PoseStamped, "target_pose", RELIABLE, self._on_target, WorkerThreadGroup())
+        for name in list_channels("condition"):
             channel, take = CHANNELS[name], partial(self._on_condition, name)
             self._subscribe(message_class(channel.types[0]), name, SENSOR, take)
             if channel.latched:
@@ -113,17 +120,17 @@ class Streams:
         self._tally.add(channel, "received")
         health = self.health.get(channel)
         if health is not None:
-            health.heard(info["publication_sequence_number"])
+            health.count_received(info["publication_sequence_number"])
         try:
             take(message)
             if health is not None:
-                health.done(info["received_timestamp"])
+                health.count_answered(info["received_timestamp"])
         except Exception as error:  # a user's own mechanism may raise anything; the node stays up
             self._tally.add(channel, "refused", str(error))
             if health is not None:
-                health.refused(str(error))
+                health.count_refused(str(error))
             log = self._node.get_logger()
-            log.warning(f"{channel} refused: {error}", throttle_duration_sec=QUIET)
+            log.warning(f"{channel} refused: {error}", throttle_duration_sec=LOG_THROTTLE_S)
 
     def end(self) -> None:
         """Answer no more joint states."""
@@ -133,7 +140,7 @@ class Streams:
         """One DiagnosticStatus a topic; called once a second."""
         return [health.diagnosis(name, topic) for topic, health in self.health.items()]
 
-    def _served(self) -> Served:
+    def _get_served_model(self) -> ServedModel:
         served = self._server.current  # one reference for the whole message
         if served is None:
             raise SolveError("no model in use")
@@ -142,28 +149,28 @@ class Streams:
     # ------------------------------------------------------------------ conditions
 
     def _on_condition(self, name: str, message: Any) -> None:
-        self._memory.heard[name] = finite(*CHANNELS[name].decode(message))
+        self._memory.heard[name] = check_finite(*CHANNELS[name].decode(message))
 
     # ------------------------------------------------------------------ poses
 
     def _on_states(self, waiting: Messages) -> None:
         """Where too many wait, the newest: the others would be answered too late, and count as
         skipped."""
-        for _, info in waiting[:-BEHIND]:
+        for _, info in waiting[:-MAX_WAITING_JOINT_STATES]:
             self._tally.add("joint_states", "skipped")
-            self.health["joint_states"].skipped(info["publication_sequence_number"])
-        for message, info in waiting[-BEHIND:]:
+            self.health["joint_states"].count_skipped(info["publication_sequence_number"])
+        for message, info in waiting[-MAX_WAITING_JOINT_STATES:]:
             self._receive("joint_states", self._on_joints, message, info)
 
     def _on_joints(self, message: JointState) -> None:
         """Joint readings -> ~/pose, at the time of the readings."""
-        served = self._served()
+        served = self._get_served_model()
         model, stamp = served.model, message.header.stamp
-        q, velocity = matched_joints(message, model.joints)
-        self._memory.moved(model, q, stamp.sec + stamp.nanosec * 1e-9, velocity)
+        q, velocity = match_joints(message, model.joints)
+        self._memory.on_joint_state(model, q, stamp.sec + stamp.nanosec * 1e-9, velocity)
         found = served.kinematics.direct(q, self._memory.conditions(model))
         if found.status not in (Status.CONVERGED, Status.OUTSIDE_LIMITS):
-            raise SolveError(in_words(found.status))
+            raise SolveError(describe_status(found.status))
         answer = self._answer  # one message for all: building another takes a third of the time
         answer.header.stamp, answer.header.frame_id = stamp, model.frames["base"]
         set_pose(answer.pose, found.position, found.quaternion)
@@ -180,7 +187,7 @@ class Streams:
         if found.status == Status.OUTSIDE_LIMITS:
             self._tally.add("joint_states", "outside limits")
 
-    def _covariance(self, served: Served, found: Solutions) -> Any:
+    def _covariance(self, served: ServedModel, found: Solutions) -> Any:
         model, at = served.model, self._memory.conditions(served.model)
         return served.kinematics.direct_covariance(found, at, model.noise.joint or 0.0).ravel()
 
@@ -191,16 +198,16 @@ class Streams:
         status = CommandStatus(stamp=message.header.stamp, status=CommandStatus.REFUSED)
         status.time_from_start = status.singularity = math.nan
         try:
-            self._command_way(message, status)
+            self._command_path(message, status)
         except Exception as error:
             status.message = str(error) or type(error).__name__
             raise
         finally:
             self._told.publish(status)
 
-    def _command_way(self, message: PoseStamped, status: CommandStatus) -> None:
+    def _command_path(self, message: PoseStamped, status: CommandStatus) -> None:
         """Send a command, with as much time as its way needs, and say so in the status."""
-        served = self._served()
+        served = self._get_served_model()
         model, frame = served.model, message.header.frame_id
         if frame and frame != model.frames["base"]:
             raise SolveError(f"frame_id '{frame}', expected '{model.frames['base']}' or none")
@@ -214,7 +221,7 @@ class Streams:
             for name in ("time_from_start", "full_travel", "singularity_margin")
         )
         at, bounds = self._memory.conditions(model), Bounds(crossing, least)
-        way = way_to(served.kinematics, start, found, at, bounds)
+        way = check_path(served.kinematics, start, found, at, bounds)
         seconds = max(asked, way.seconds)
         status.time_from_start, status.singularity = seconds, way.singularity
         status.status = CommandStatus.ACCEPTED

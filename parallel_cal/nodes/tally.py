@@ -7,7 +7,7 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
-from parallel_cal.nodes.model_server import Attempt, Served
+from parallel_cal.nodes.model_server import Attempt, ServedModel
 
 
 class Tally:
@@ -29,7 +29,7 @@ class Tally:
         return dict(sorted(texts.items()))
 
 
-def model_diagnostics(name: str, served: Served | None, last: Attempt, failure: str) -> Any:
+def model_diagnostics(name: str, served: ServedModel | None, last: Attempt, failure: str) -> Any:
     """ERROR without a model, WARN when the last load failed."""
     about, Level = f"{name}: model", DiagnosticStatus
     items = {"last attempt": f"{last.source}: {last.reason}", "last failure": failure}

@@ -27,7 +27,7 @@ from parallel_cal.model.file.modelfile import write_model
 from parallel_cal.model.model import Noise, new_model
 from parallel_cal.nodes.conversions import joint_order, pose_message
 from parallel_cal.nodes.parameters import ACCEPTED, LATCHED, Changes, Setting, absolute, declare
-from parallel_cal.nodes.run import every, run
+from parallel_cal.nodes.run import create_steady_timer, run
 from parallel_cal.virtual.cell import Box, Cell, Messages
 from parallel_cal.virtual.kinds import words_of
 from parallel_cal.virtual.machines import MACHINES
@@ -82,9 +82,9 @@ CIRCUMSTANCES = {
 PARAMETERS = SET_UP | CIRCUMSTANCES
 TICK = 0.01  # s from one look at the clock to the next, and twice that where time runs fast
 FAST = 5.0
-LONGEST = 0.1  # s that a tick may make up for: a machine that is too slow slows the cell down
-SLOWLY = 1.0  # s from one temperature and payload to the next
-UNSEEN = 1e6  # variance of what a device does not measure
+MAX_TICK_S = 0.1  # s that a tick may make up for: a machine that is too slow slows the cell down
+CONDITION_PERIOD_S = 1.0  # s from one temperature and payload to the next
+UNMEASURED_VARIANCE = 1e6  # variance of what a device does not measure
 
 
 class VirtualCellNode(Node):
@@ -92,25 +92,29 @@ class VirtualCellNode(Node):
 
     def __init__(self) -> None:
         super().__init__("virtual_cell_node")
-        declare(self, PARAMETERS, self._changed)
+        declare(self, PARAMETERS, self._on_parameters)
         self._cell = self._build()
         self._write_nominal()
         self._asked: deque[dict[str, Any]] = deque()
         own, factor = self._cell.machine.noise, self._value("noise")
-        position = (factor * own.position) ** 2 if self._cell.machine.sees_position else UNSEEN
+        position = (
+            (factor * own.position) ** 2
+            if self._cell.machine.sees_position
+            else UNMEASURED_VARIANCE
+        )
         self._covariance = np.diag([position] * 3 + [(factor * own.orientation) ** 2] * 3).ravel()
         self._frame = "tracker" if self._value("frame_offset") else "base"
-        self._begin, self._seen, self._told = time.time_ns(), time.monotonic(), -SLOWLY
+        self._begin, self._seen, self._told = time.time_ns(), time.monotonic(), -CONDITION_PERIOD_S
         many, group = QoSProfile(depth=1000), MutuallyExclusiveCallbackGroup()
         self._joints = self.create_publisher(JointState, "joint_states", many)
         self._poses = self.create_publisher(PoseWithCovarianceStamped, "measured_pose", many)
         self._air = self.create_publisher(Temperature, "temperature", many)
         self._load = self.create_publisher(InertiaStamped, "payload", LATCHED)
         self.create_subscription(
-            JointTrajectory, "joint_trajectory", self._take, 10, callback_group=group
+            JointTrajectory, "joint_trajectory", self._on_trajectory, 10, callback_group=group
         )
         tick = TICK if self._value("rate") <= FAST else 2 * TICK
-        every(tick, self, self._tick, group)
+        create_steady_timer(tick, self, self._tick, group)
 
     def _value(self, name: str) -> Any:
         return self.get_parameter(name).value
@@ -164,7 +168,7 @@ class VirtualCellNode(Node):
             )
             write_model(replace(model, noise=noise), path)
 
-    def _changed(self, changes: Changes) -> SetParametersResult:
+    def _on_parameters(self, changes: Changes) -> SetParametersResult:
         """Parameters may be set in another thread: the next tick hears of it."""
         try:
             self._asked.append(self._circumstances({c.name: c.value for c in changes}))
@@ -174,7 +178,7 @@ class VirtualCellNode(Node):
 
     # ------------------------------------------------------------------ commands
 
-    def _take(self, trajectory: JointTrajectory) -> None:
+    def _on_trajectory(self, trajectory: JointTrajectory) -> None:
         """Follow a trajectory at once, as joint_trajectory_controller does."""
         try:
             self._cell.follow(*_points(trajectory, self._cell.machine.joints))
@@ -187,17 +191,17 @@ class VirtualCellNode(Node):
         """Bring the cell up to the time that has passed, and tell what it shows."""
         while self._asked:
             self._cell.change(**self._asked.popleft())
-            self._told = -SLOWLY
+            self._told = -CONDITION_PERIOD_S
         now = time.monotonic()
-        passed = self._value("rate") * min(now - self._seen, LONGEST)
+        passed = self._value("rate") * min(now - self._seen, MAX_TICK_S)
         self._seen = now
         tripped = self._cell.drive.tripped
         shown = self._cell.advance(self._cell.time + passed)
         if self._cell.drive.tripped > tripped:
             self.get_logger().warning("a joint does not follow: the drives gave up and hold")
-        self._tell(shown)
+        self._publish(shown)
 
-    def _tell(self, shown: Messages) -> None:
+    def _publish(self, shown: Messages) -> None:
         names = list(self._cell.machine.joints)
         for moment, q, speed in zip(shown.time, shown.q, shown.speed, strict=True):
             message = JointState(name=names, position=q.tolist(), velocity=speed.tolist())
@@ -213,7 +217,7 @@ class VirtualCellNode(Node):
                 self._covariance,
             )
             self._poses.publish(message)
-        if self._cell.time - self._told >= SLOWLY:
+        if self._cell.time - self._told >= CONDITION_PERIOD_S:
             self._told, at = self._cell.time, self._stamp(self._cell.time)
             air = Temperature(temperature=float(self._cell.temperature(self._cell.time)))
             load = InertiaStamped()

@@ -24,14 +24,16 @@ from rclpy.node import NodeNameNonExistentError
 from std_msgs.msg import String
 
 from parallel_cal.base.errors import ParallelCalError
-from parallel_cal.nodes.client import CALIBRATION, KINEMATICS, PATIENCE, NodeError, Process
+from parallel_cal.nodes.client import CALIBRATION, KINEMATICS, TIMEOUT_S, NodeError, Process
 from parallel_cal.nodes.parameters import LATCHED, SENSOR
 from parallel_cal.nodes.run import type_name
-from parallel_cal.nodes.steering import Steering
+from parallel_cal.nodes.steering import CampaignClient
 
-SILENT = 5.0  # s without a word, after which a node that tells something each second is missed
-KEPT = 6000  # errors of the last poses: a minute at 100 Hz
-HELD = 600  # poses, predicted or measured, that wait for the other
+NODE_TIMEOUT_S = (
+    5.0  # s without a word, after which a node that tells something each second is missed
+)
+MAX_ERRORS = 6000  # errors of the last poses: a minute at 100 Hz
+MAX_WAITING_POSES = 600  # poses, predicted or measured, that wait for the other
 LEVELS = {b"\x00": "ok", b"\x01": "warn", b"\x02": "error", b"\x03": "stale"}
 MEASURED = {type_name(t): t for t in (PoseWithCovarianceStamped, PoseStamped)}
 
@@ -53,9 +55,9 @@ class Watch:
         self._model: dict[str, Any] = {}
         self._samples: dict[str, Any] = {}
         self._dropped: list[dict[str, Any]] = []
-        self._predicted: deque[tuple[float, np.ndarray]] = deque(maxlen=HELD)
-        self._waiting: deque[tuple[float, np.ndarray]] = deque(maxlen=HELD)
-        self._errors: deque[tuple[float, float]] = deque(maxlen=KEPT)
+        self._predicted: deque[tuple[float, np.ndarray]] = deque(maxlen=MAX_WAITING_POSES)
+        self._waiting: deque[tuple[float, np.ndarray]] = deque(maxlen=MAX_WAITING_POSES)
+        self._errors: deque[tuple[float, float]] = deque(maxlen=MAX_ERRORS)
         self._measured = ""  # the topic of the measured pose, once it is found
         listen = self._node.create_subscription
         listen(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
@@ -68,7 +70,7 @@ class Watch:
         status = f"{KINEMATICS}/command_status"
         listen(CommandStatus, status, lambda message: setattr(self, "_told", message), 10)
         self._target = self._node.create_publisher(PoseStamped, "target_pose", 10)
-        self._robot = Steering(self._node)
+        self._robot = CampaignClient(self._node)
         self._save = self._node.create_client(SaveSamples, f"{CALIBRATION}/save_samples")
         self._thread = Thread(target=self._spin, daemon=True)
         self._thread.start()
@@ -100,7 +102,7 @@ class Watch:
         with self._lock:
             now = time.monotonic()
             return {
-                "streams": [self._as_it_is(stream, now) for stream in self._streams.values()],
+                "streams": [self._mark_stale(stream, now) for stream in self._streams.values()],
                 "model": dict(self._model),
                 "samples": dict(self._samples),
                 "dropped": list(self._dropped),
@@ -111,11 +113,11 @@ class Watch:
 
     def save_samples(self, path: Path) -> None:
         """Have calibration_node write what was collected; NodeError where it does not."""
-        if not self._save.wait_for_service(PATIENCE):
+        if not self._save.wait_for_service(TIMEOUT_S):
             raise NodeError(f"{CALIBRATION} in {self.namespace} does not answer: is it running?")
         future = self._save.call_async(SaveSamples.Request(path=str(path)))
-        if not _comes(future.done):
-            raise NodeError(f"{CALIBRATION} has not saved its samples in {PATIENCE:.0f} s")
+        if not _wait_for(future.done):
+            raise NodeError(f"{CALIBRATION} has not saved its samples in {TIMEOUT_S:.0f} s")
         if not future.result().success:
             raise NodeError(f"{CALIBRATION}: {future.result().message}")
 
@@ -125,7 +127,7 @@ class Watch:
 
     def steer(self, word: str) -> None:
         """pause, resume, continue or stop, to a robot that calibrates itself."""
-        self._robot.say(word)
+        self._robot.send_command(word)
 
     def send(self, position: Sequence[float], quaternion: Sequence[float]) -> str:
         """Ask the robot to go to a pose (m, x y z w) as `target_pose`; what became of that, in
@@ -138,7 +140,7 @@ class Watch:
             setattr(message.pose.orientation, key, float(value))
         stamp, self._told = message.header.stamp, None
         self._target.publish(message)
-        if not _comes(lambda: self._told is not None and self._told.stamp == stamp):
+        if not _wait_for(lambda: self._told is not None and self._told.stamp == stamp):
             raise NodeError(f"{KINEMATICS} does not say what became of the target")
         told = self._told
         assert told is not None
@@ -150,16 +152,16 @@ class Watch:
 
     def model_file(self, patience: float = 3.0) -> str:
         """The file of the model that is served; "" where nobody serves one."""
-        _comes(lambda: bool(self._model), patience)
+        _wait_for(lambda: bool(self._model), patience)
         return str(self._model.get("file", ""))
 
     def _spin(self) -> None:
         with suppress(ExternalShutdownException):
             self._executor.spin()
 
-    def _as_it_is(self, stream: dict[str, Any], now: float) -> dict[str, Any]:
+    def _mark_stale(self, stream: dict[str, Any], now: float) -> dict[str, Any]:
         """What a node that is silent has last said of a stream says nothing any more."""
-        if now - self._heard[stream["node"]] <= SILENT:
+        if now - self._heard[stream["node"]] <= NODE_TIMEOUT_S:
             return stream
         return stream | {"level": "stale", "said": "its node is silent"}
 
@@ -173,7 +175,7 @@ class Watch:
             heard = self._heard.get(node)
             if heard is None:
                 yield f"nothing heard of {self.namespace.rstrip('/')}/{node}: is it running?"
-            elif now - heard > SILENT:
+            elif now - heard > NODE_TIMEOUT_S:
                 again = "" if self._processes else f": if it ended, ros2 run parallel_cal {node}"
                 yield f"{node} is silent since {now - heard:.0f} s{again}"
 
@@ -262,7 +264,7 @@ class Watch:
                 self._errors.append((time.monotonic(), error))
 
 
-def _comes(condition: Callable[[], bool], patience: float = PATIENCE) -> bool:
+def _wait_for(condition: Callable[[], bool], patience: float = TIMEOUT_S) -> bool:
     """Whether something that another thread hears of comes in time."""
     end = time.monotonic() + patience
     while not (come := condition()) and time.monotonic() < end:

@@ -18,7 +18,7 @@ from parallel_cal.kinematics.kinematics import Kinematics, Solutions, Status
 from parallel_cal.kinematics.singularity import distances
 from parallel_cal.model.mechanism import Mechanism
 
-POINTS = 12  # of the way that are looked at, its ends among them
+N_CHECKED_POINTS = 12  # of the way that are looked at, its ends among them
 SLACK = 1e-6  # m or rad that a target at the workspace's very edge may be beyond it
 
 
@@ -32,7 +32,7 @@ class Bounds:
 
 
 @dataclass(frozen=True)
-class Way:
+class CheckedPath:
     """s that the motion needs at least, which joint says so, and the smallest singular value."""
 
     seconds: float
@@ -40,20 +40,20 @@ class Way:
     singularity: float
 
 
-def way_to(
+def check_path(
     kinematics: Kinematics,
     start: np.ndarray,
     target: Solutions,
     at: Mapping[str, float] | None,
     bounds: Bounds,
-) -> Way:
+) -> CheckedPath:
     """The way from joints (nq,) to a target; SolveError where it must not be driven.
 
     A motion from rest to rest over d takes 1.5 d / velocity and sqrt(6 d / acceleration), as a
     cubic in time does.
     """
     mechanism = kinematics.model.mechanism
-    share = np.linspace(0.0, 1.0, POINTS)[:, None]
+    share = np.linspace(0.0, 1.0, N_CHECKED_POINTS)[:, None]
     found = kinematics.direct(start + share * (target.joints - start), at)
     usable = np.isin(found.status, (Status.CONVERGED, Status.OUTSIDE_LIMITS))
     if not usable[0]:
@@ -74,11 +74,11 @@ def way_to(
         raise SolveError(
             f"too near a singularity {_part(i)}: {least[i]:.3g}, allowed {bounds.singularity:g}"
         )
-    return Way(*_time(mechanism, np.abs(target.joints - start), bounds), float(least.min()))
+    return CheckedPath(*_time(mechanism, np.abs(target.joints - start), bounds), float(least.min()))
 
 
 def _part(i: int) -> str:
-    return f"{100 * i / (POINTS - 1):.0f} % along the way"
+    return f"{100 * i / (N_CHECKED_POINTS - 1):.0f} % along the way"
 
 
 def _check_workspace(mechanism: Mechanism, found: Solutions) -> None:

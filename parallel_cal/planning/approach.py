@@ -18,12 +18,12 @@ from parallel_cal.model.model import Model
 
 KINDS = ("direction", "travel", "velocity")  # conditions that an approach brings about
 STEPS = (1 / 4, 1 / 32, 1 / 256, 1 / 1024)  # of the workspace: from long ways to a mrad
-SAME = 1e-6  # m and rad
-CLEAR = 5.0  # sigmas of a joint's reading: a shorter way has no sign
+POSE_TOLERANCE = 1e-6  # m and rad
+MIN_APPROACH_SIGMAS = 5.0  # sigmas of a joint's reading: a shorter way has no sign
 
 
 @dataclass(frozen=True)
-class Stop:
+class Waypoint:
     """A place on the way to a pose: position (3,) m, joints (nq,)."""
 
     position: np.ndarray
@@ -43,9 +43,9 @@ class Approaches:
     def __getitem__(self, rows: np.ndarray) -> Approaches:
         return Approaches(self.past[rows], self.turn[rows], self.ways[rows], self.ok[rows])
 
-    def stops(self, i: int) -> tuple[Stop, Stop]:
+    def waypoints(self, i: int) -> tuple[Waypoint, Waypoint]:
         """Where the robot goes before pose i, in that order."""
-        past, turn = (Stop(s.position[i], s.joints[i]) for s in (self.past, self.turn))
+        past, turn = (Waypoint(s.position[i], s.joints[i]) for s in (self.past, self.turn))
         return past, turn
 
 
@@ -64,20 +64,20 @@ def approaches(
     side = rng.uniform(-1, 1, (n, len(m.controlled)))
     side /= np.abs(side).max(axis=1, keepdims=True)
     away = np.concatenate([step * side * (high - low) for step in STEPS])
-    here = np.tile(controlled(model, poses), (len(STEPS), 1))
+    here = np.tile(controlled_coordinates(model, poses), (len(STEPS), 1))
     furthest = np.abs(here - (low + high) / 2) + np.abs(away)
-    inside = (furthest <= reach * (high - low) / 2 + SAME).all(axis=1)
+    inside = (furthest <= reach * (high - low) / 2 + POSE_TOLERANCE).all(axis=1)
     past, turn = (robot.inverse(*m.poses(here + sign * away)) for sign in (1, -1))
     ways = np.tile(poses.joints, (len(STEPS), 1)) - turn.joints
     reverses = ways * (turn.joints - past.joints) < 0
-    told = np.abs(ways) > CLEAR * (model.noise.joint or 0.0)
+    told = np.abs(ways) > MIN_APPROACH_SIGMAS * (model.noise.joint or 0.0)
     ok = past.ok & turn.ok & inside & (reverses & told).all(axis=1)
     # One at random of those that can be driven; where none can, it is marked as such.
     rows = np.argmax(ok.reshape(-1, n) * rng.uniform(0.5, 1, (len(STEPS), n)), axis=0) * n
     return Approaches(past, turn, ways, ok)[rows + np.arange(n)]
 
 
-def controlled(model: Model, poses: Solutions) -> np.ndarray:
+def controlled_coordinates(model: Model, poses: Solutions) -> np.ndarray:
     """The coordinates (N, n_controlled) of poses that the robot controls, as `Workspace` has it."""
     coordinates = np.concatenate([poses.position, rotation_vector(poses.rotation)], axis=1)
     return np.asarray(coordinates[:, model.mechanism.controlled])

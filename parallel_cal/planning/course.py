@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 BLOCKS = 3
-WARMER = 4.0  # K at least between cold and warm: less is hardly felt
-HALF_AN_HOUR = 1800.0  # s, in which an idle robot cools or a busy one warms up, if nobody saw it
-STEP = 60.0  # s a pose, if nobody saw it
+MIN_WARMING_K = 4.0  # K at least between cold and warm: less is hardly felt
+DEFAULT_WAIT_S = 1800.0  # s, in which an idle robot cools or a busy one warms up, if nobody saw it
+DEFAULT_POSE_TIME_S = 60.0  # s a pose, if nobody saw it
 
 
 @dataclass(frozen=True)
-class Course:
+class Schedule:
     """Blocks of poses after a recording: when each begins (B,) s, how warm it is (B,) degC,
     and how long a pose takes (s).
 
@@ -26,20 +26,20 @@ class Course:
     step: float
 
     @classmethod
-    def after(cls, recorded: Mapping[str, np.ndarray], poses: int) -> Course:
+    def after(cls, recorded: Mapping[str, np.ndarray], poses: int) -> Schedule:
         """Between the temperatures recorded, as fast as they changed; `poses` are to be fitted
         in."""
         time = np.sort(np.asarray(recorded.get("time", [0.0])))
         air = np.asarray(recorded.get("temperature", [20.0]))
         lasted = float(time[-1] - time[0])
-        step = float(np.median(np.diff(time))) if len(time) > 1 else STEP
-        low, high = float(air.min()), max(float(air.max()), float(air.min()) + WARMER)
-        rate = np.ptp(air) / lasted if lasted > 0 and np.ptp(air) >= WARMER / 2 else 0.0
-        wait = (high - low) / rate if rate > 0 else max(lasted / 2, HALF_AN_HOUR)
+        step = float(np.median(np.diff(time))) if len(time) > 1 else DEFAULT_POSE_TIME_S
+        low, high = float(air.min()), max(float(air.max()), float(air.min()) + MIN_WARMING_K)
+        rate = np.ptp(air) / lasted if lasted > 0 and np.ptp(air) >= MIN_WARMING_K / 2 else 0.0
+        wait = (high - low) / rate if rate > 0 else max(lasted / 2, DEFAULT_WAIT_S)
         begin = float(time[-1]) + wait * np.arange(1, 4) + poses * step * np.arange(3)
         return cls(begin, np.array([low, high, low]), step)
 
-    def words(self, blocks: np.ndarray, warm: bool) -> str:
+    def describe(self, blocks: np.ndarray, warm: bool) -> str:
         """How to bring it about, poses (n,) in these blocks; `warm`: temperature matters."""
         first, then, last = np.bincount(blocks, minlength=BLOCKS)
         low, high = self.temperature[:2]

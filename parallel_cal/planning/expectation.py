@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from parallel_cal.identification.linearisation import Linearisation
-from parallel_cal.identification.methods._estimate import Sought
+from parallel_cal.identification.methods._estimate import EstimationProblem
 from parallel_cal.identification.observability import Spectrum, spectrum
 from parallel_cal.identification.observations import Observations
 from parallel_cal.kinematics.kinematics import Solutions
@@ -15,11 +15,11 @@ from parallel_cal.model.model import Model
 from parallel_cal.model.words import direction_in_words
 from parallel_cal.planning.indices import Indices, indices, prediction_rms
 from parallel_cal.planning.posepool import Pool
-from parallel_cal.planning.selection import Choice
+from parallel_cal.planning.selection import SelectionProblem
 
 # What is known beforehand where tolerances are no prior: next to nothing, every parameter to
 # 100 tolerances. It keeps the information invertible before there are poses enough.
-VAGUE = 1e-4
+VAGUE_INFORMATION = 1e-4
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Expectation:
 class View:
     """A pool and unseen poses, linearised: what every set of poses would tell."""
 
-    def __init__(self, sought: Sought, measured: np.ndarray, pool: Pool, unseen: Pool):
+    def __init__(self, sought: EstimationProblem, measured: np.ndarray, pool: Pool, unseen: Pool):
         self._sought, self._pool = sought, pool
         model, free = sought.model, sought.free
         self._A = white_blocks(model, free, measured, pool.poses, pool.a)
@@ -52,13 +52,13 @@ class View:
     def rows(self, groups: np.ndarray) -> np.ndarray:
         return np.asarray(self._pool.groups[groups].ravel())
 
-    def problem(self, criterion: str) -> Choice:
+    def problem(self, criterion: str) -> SelectionProblem:
         p = self._scaled.shape[2]
         blocks = self._scaled[self._pool.groups.ravel()]
         weight = np.eye(p) if criterion == "A" else self._weight(range(6))
-        before = np.eye(p) * (1.0 if self._sought.prior else VAGUE)
+        before = np.eye(p) * (1.0 if self._sought.prior else VAGUE_INFORMATION)
         blocks = blocks.reshape(len(self._pool.groups), -1, p)
-        return Choice(blocks, before, weight, criterion, self.rank)
+        return SelectionProblem(blocks, before, weight, criterion, self.rank)
 
     def expectation(self, rows: np.ndarray) -> Expectation:
         """Of the fit's own covariance: no vague knowledge in it."""

@@ -10,20 +10,20 @@ from typing import TYPE_CHECKING, Any, TypedDict
 
 import numpy as np
 
-from parallel_cal.base.documents import plain
+from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.options import with_changes
 from parallel_cal.base.progress import Progress
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.identification.checks import free_mask
-from parallel_cal.identification.methods._estimate import Sought
+from parallel_cal.identification.methods._estimate import EstimationProblem
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions
-from parallel_cal.kinematics.solutions import concatenated
+from parallel_cal.kinematics.solutions import concatenate_solutions
 from parallel_cal.model.model import Model
 from parallel_cal.planning.approach import Approaches
 from parallel_cal.planning.expectation import Expectation, View
 from parallel_cal.planning.posepool import Pool, given_pool, make_pool
-from parallel_cal.planning.selection import CRITERIA, LINEAR, Choice, anneal, exchange
+from parallel_cal.planning.selection import CRITERIA, LINEAR, SelectionProblem, anneal, exchange
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -149,7 +149,7 @@ class Plan:
             "joints": pose.joints.tolist(),
         }
         if self.approach is not None:
-            row["by_way_of"] = plain(self.approach.stops(i))
+            row["by_way_of"] = to_json_value(self.approach.waypoints(i))
         at = dict(zip(self.model.conditions, self.a[i].tolist(), strict=True))
         return {**row, "conditions": at} if at else row
 
@@ -225,7 +225,7 @@ def plan(
     """
     options = with_changes(options or PlanOptions(), changes, FitError)
     measured = _measured(model)
-    sought = Sought(model, free_mask(model, options.free, options.fix), options.prior)
+    sought = EstimationProblem(model, free_mask(model, options.free, options.fix), options.prior)
     _check_enough(model, n, sought.free)
     rng = np.random.default_rng(options.seed)
 
@@ -260,7 +260,7 @@ def plan(
         expected=expected,
         random=random,
         pool=len(pool.poses),
-        warnings=(*view.warnings(), *_not_counted(model)),
+        warnings=(*view.warnings(), *_list_sensor_warnings(model)),
     )
 
 
@@ -275,12 +275,12 @@ def expected_at(model: Model, q: np.ndarray) -> Expectation:
     poses = Kinematics(model).direct(q)
     unseen = make_pool(model, UNSEEN, rng, symmetric=False)
     whole = Pool(
-        concatenated([poses, unseen.poses]),
+        concatenate_solutions([poses, unseen.poses]),
         np.arange(len(q) + len(unseen.poses))[:, None],
         np.vstack([model.condition_rows(None, len(q)), unseen.a]),
         None,
     )
-    view = View(Sought(model, free, False), measured, whole, unseen)
+    view = View(EstimationProblem(model, free, False), measured, whole, unseen)
     expected = view.expectation(np.arange(len(q)))
     _check_seeing(expected, view.rank, prior=False)
     return expected
@@ -305,12 +305,12 @@ def _measured(model: Model) -> np.ndarray:
     return np.array([True] * len(model.joints) + [given[0]] * 3 + [given[1]] * 3)
 
 
-def _not_counted(model: Model) -> list[str]:
+def _list_sensor_warnings(model: Model) -> list[str]:
     channels = ", ".join(model.structure.channels)
     return [f"planned for the pose device alone, as if {channels} read nothing"] * bool(channels)
 
 
-def equations_a_pose(model: Model) -> int:
+def equations_per_pose(model: Model) -> int:
     """How many equations a measured pose gives; FitError for none, or without a noise figure."""
     moved = [len(model.joints) + i for i in model.mechanism.moved]
     each = model.structure.phi.shape[0] - int((~_measured(model)[moved]).sum())
@@ -320,7 +320,7 @@ def equations_a_pose(model: Model) -> int:
 
 
 def _check_enough(model: Model, n: int, free: np.ndarray) -> None:
-    each, wanted = equations_a_pose(model), int(free.sum())
+    each, wanted = equations_per_pose(model), int(free.sum())
     if n * each < wanted:
         least = -(-wanted // each)
         raise FitError(
@@ -352,7 +352,9 @@ def _number_of_groups(n: int, pool: Pool) -> int:
     return n // size
 
 
-def _typical(view: View, problem: Choice, groups: int, rng: np.random.Generator) -> Expectation:
+def _typical(
+    view: View, problem: SelectionProblem, groups: int, rng: np.random.Generator
+) -> Expectation:
     """The median of random sets by the criterion."""
     sets = [rng.permutation(len(problem.blocks))[:groups] for _ in range(RANDOM_SETS)]
     costs = [problem.cost(problem.information(s)) for s in sets]

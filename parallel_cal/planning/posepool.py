@@ -14,10 +14,10 @@ from parallel_cal.kinematics.singularity import distances
 from parallel_cal.model.mechanism import poses_in_workspace
 from parallel_cal.model.model import Model
 from parallel_cal.planning.approach import (
-    SAME,
+    POSE_TOLERANCE,
     Approaches,
     approaches,
-    controlled,
+    controlled_coordinates,
     fill,
     needs_approach,
 )
@@ -44,7 +44,7 @@ class Pool:
         approach = None if self.approach is None else self.approach[index]
         return Pool(self.poses[index], np.arange(len(index))[:, None], self.a[index], approach)
 
-    def drawn_out(self, model: Model, least: np.ndarray | float) -> Pool:
+    def lengthen_approach(self, model: Model, least: np.ndarray | float) -> Pool:
         """The same come to over ways of at least so much (nq,), on the same side."""
         if self.approach is None:
             return self
@@ -64,9 +64,9 @@ def make_pool(
     r, R = m.poses(middle + reach * (m.sample(n, rng) - middle))
     if symmetric:
         check_symmetric(model)
-        r, R = turned_about_z(r[: -(-n // FOLD)], R[: -(-n // FOLD)])
+        r, R = rotate_about_z(r[: -(-n // FOLD)], R[: -(-n // FOLD)])
     poses = Kinematics(model, quick=True).inverse(r, R)  # of many, those that are found at once
-    good = usable(model, poses, reach)
+    good = find_usable_poses(model, poses, reach)
     approach = approaches(model, poses, rng, reach) if needs_approach(model) else None
     if approach is not None:
         good &= approach.ok
@@ -84,7 +84,7 @@ def make_pool(
 
 def given_pool(model: Model, poses: Solutions, rng: np.random.Generator) -> Pool:
     """The usable ones of given poses."""
-    kept = poses[np.flatnonzero(usable(model, poses))]
+    kept = poses[np.flatnonzero(find_usable_poses(model, poses))]
     approach = approaches(model, kept, rng) if needs_approach(model) else None
     if approach is not None:
         reached = np.flatnonzero(approach.ok)
@@ -100,15 +100,21 @@ def _pool(model: Model, poses: Solutions, groups: np.ndarray, approach: Approach
     return Pool(poses, groups, a, approach)
 
 
-def usable(model: Model, poses: Solutions, reach: float = 1.0) -> np.ndarray:
+def find_usable_poses(model: Model, poses: Solutions, reach: float = 1.0) -> np.ndarray:
     """Mask (N,): solved both ways on home's branch, inside workspace (`reach` times as large) and
     joint limits, no singularity near nor between the pose and home."""
     back = Kinematics(model).direct(np.where(poses.ok[:, None], poses.joints, np.nan))
-    agree = np.abs(back.position - poses.position).max(axis=1) < SAME
-    return poses.ok & back.ok & agree & inside(model, poses, reach) & clear(model, poses)
+    agree = np.abs(back.position - poses.position).max(axis=1) < POSE_TOLERANCE
+    return (
+        poses.ok
+        & back.ok
+        & agree
+        & find_inside_poses(model, poses, reach)
+        & find_clear_poses(model, poses)
+    )
 
 
-def clear(model: Model, poses: Solutions) -> np.ndarray:
+def find_clear_poses(model: Model, poses: Solutions) -> np.ndarray:
     """Mask (N,): as far from both singularities as CLEARANCE of home's distance, on its side."""
     home = distances(model, Kinematics(model).direct(np.array([model.mechanism.home.joints])))
     here = distances(model, poses)
@@ -117,14 +123,14 @@ def clear(model: Model, poses: Solutions) -> np.ndarray:
     return np.asarray(far & same)
 
 
-def inside(model: Model, poses: Solutions, reach: float = 1.0) -> np.ndarray:
+def find_inside_poses(model: Model, poses: Solutions, reach: float = 1.0) -> np.ndarray:
     """Mask (N,): controlled coordinates inside the workspace's box, `reach` times as large."""
     low, high = np.array(model.mechanism.workspace.low), np.array(model.mechanism.workspace.high)
-    away = np.abs(controlled(model, poses) - (low + high) / 2)
-    return np.asarray((away <= reach * (high - low) / 2 + SAME).all(axis=1))
+    away = np.abs(controlled_coordinates(model, poses) - (low + high) / 2)
+    return np.asarray((away <= reach * (high - low) / 2 + POSE_TOLERANCE).all(axis=1))
 
 
-def turned_about_z(r: np.ndarray, R: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def rotate_about_z(r: np.ndarray, R: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Every pose and its copies turned about z, one after another: (3 N, 3), (3 N, 3, 3)."""
     w = np.zeros((FOLD, 3))
     w[:, 2] = 2 * np.pi / FOLD * np.arange(FOLD)
@@ -137,13 +143,13 @@ def check_symmetric(model: Model) -> None:
     """FitError unless a third of a turn about z merely exchanges the joints of the nominal
     robot."""
     m = model.mechanism
-    r, R = turned_about_z(*poses_in_workspace(m, 5, np.random.default_rng(0)))
+    r, R = rotate_about_z(*poses_in_workspace(m, 5, np.random.default_rng(0)))
     nominal = model.with_values(model.table.nominal)
     joints = Kinematics(nominal).inverse(r, R).joints
     sets = joints.reshape(-1, FOLD, len(m.joints))
     if len(m.joints) % FOLD == 0:
         shift = len(m.joints) // FOLD
         for way in (shift, -shift):
-            if np.allclose(np.roll(sets[:, 0], way, axis=1), sets[:, 1], atol=SAME):
+            if np.allclose(np.roll(sets[:, 0], way, axis=1), sets[:, 1], atol=POSE_TOLERANCE):
                 return
     raise FitError(f"{m.name} is not symmetric: a third of a turn about z changes its joints")

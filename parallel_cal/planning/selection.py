@@ -16,14 +16,14 @@ import numpy as np
 LINEAR = ("D", "A", "prediction")  # those that a small update of the inverse tells
 SPECTRAL = ("condition", "noise_amplification")
 CRITERIA = (*LINEAR, *SPECTRAL)
-SWEEPS = 20
-GAIN = 1e-6  # of an exchange, relative: smaller ones only swap equals
+MAX_SWEEPS = 20
+MIN_RELATIVE_GAIN = 1e-6  # of an exchange, relative: smaller ones only swap equals
 
 Report = Callable[[float], None]
 
 
 @dataclass(frozen=True)
-class Choice:
+class SelectionProblem:
     """Blocks (K, rows, p), information known beforehand (p, p), weight W (p, p), criterion;
     `rank`: the directions that count in a spectral criterion."""
 
@@ -48,7 +48,7 @@ class Choice:
         return float(np.log(s[0]) - power * np.log(s[-1])) / 2
 
 
-def exchange(problem: Choice, n: int, report: Report) -> np.ndarray:
+def exchange(problem: SelectionProblem, n: int, report: Report) -> np.ndarray:
     """Groups (n,) by adding the best one n times, then replacing one by a better one until
     none is (Fedorov): every step costs one pass over the candidates."""
     chosen: list[int] = []
@@ -57,14 +57,14 @@ def exchange(problem: Choice, n: int, report: Report) -> np.ndarray:
         chosen.append(int(np.argmax(_gains(problem, np.linalg.inv(M), chosen))))
         M += _square(problem, chosen[-1])
         report(0.3 * (k + 1) / n)
-    for sweep in range(SWEEPS):
+    for sweep in range(MAX_SWEEPS):
         if not _sweep(problem, chosen):
             break
-        report(0.3 + 0.7 * (sweep + 1) / SWEEPS)
+        report(0.3 + 0.7 * (sweep + 1) / MAX_SWEEPS)
     return np.sort(np.array(chosen))
 
 
-def _sweep(problem: Choice, chosen: list[int]) -> bool:
+def _sweep(problem: SelectionProblem, chosen: list[int]) -> bool:
     """Each chosen group in turn gives way to the best other one; whether anything changed."""
     changed = False
     for i, old in enumerate(list(chosen)):
@@ -73,16 +73,16 @@ def _sweep(problem: Choice, chosen: list[int]) -> bool:
         V = np.linalg.inv(problem.information(np.array(others, dtype=int)))
         gains = _gains(problem, V, others)
         best = int(np.argmax(gains))
-        if gains[best] > gains[old] + GAIN * abs(gains[old]):
+        if gains[best] > gains[old] + MIN_RELATIVE_GAIN * abs(gains[old]):
             chosen[i], changed = best, True
     return changed
 
 
-def _square(problem: Choice, k: int) -> np.ndarray:
+def _square(problem: SelectionProblem, k: int) -> np.ndarray:
     return np.asarray(problem.blocks[k].T @ problem.blocks[k])
 
 
-def _gains(problem: Choice, V: np.ndarray, taken: list[int]) -> np.ndarray:
+def _gains(problem: SelectionProblem, V: np.ndarray, taken: list[int]) -> np.ndarray:
     """How much each candidate (K,) improves the criterion, V the inverse of M without it.
 
     det(M + A^T A) = det M det(I + A V A^T); V falls by V A^T (I + A V A^T)^-1 A V.
@@ -101,7 +101,7 @@ def _gains(problem: Choice, V: np.ndarray, taken: list[int]) -> np.ndarray:
 
 
 def anneal(
-    problem: Choice, n: int, rng: np.random.Generator, report: Report, steps: int = 20000
+    problem: SelectionProblem, n: int, rng: np.random.Generator, report: Report, steps: int = 20000
 ) -> np.ndarray:
     """Groups (n,) by simulated annealing (Zhuang 94): random exchanges from a random set,
     worse ones accepted with probability exp(-rise / T), T falling to nothing."""
@@ -127,7 +127,7 @@ def anneal(
 
 
 def _first_temperature(
-    problem: Choice, order: np.ndarray, n: int, rng: np.random.Generator
+    problem: SelectionProblem, order: np.ndarray, n: int, rng: np.random.Generator
 ) -> float:
     """The typical rise of a random exchange: at first nearly everything is accepted."""
     costs: list[Any] = []

@@ -34,7 +34,7 @@ def pose_limits(pose: PoseStream, dwells: list[Dwell], length: float) -> Array:
     strays = [np.abs(_deviation(pose, d)) for d in dwells]
     largest = np.median([s.max(axis=0) for s in strays], axis=0)
     half = np.median([np.median(s, axis=0) for s in strays], axis=0)
-    seen = _seen(pose)
+    seen = _clip_pose_coordinates(pose)
     calm = np.minimum(20.0 * half, CEILING * np.ptp(seen, axis=0))
     calm = np.maximum(calm, still_tolerance(pose.time, seen, length))
     calm = np.maximum(calm, 6.0 * jitter(pose.time, seen, length))  # where nothing ever moves
@@ -44,7 +44,7 @@ def pose_limits(pose: PoseStream, dwells: list[Dwell], length: float) -> Array:
     return np.maximum([limits[:3].max(), limits[3:].max()], [1e-4 * extent + 1e-9, 1e-4])
 
 
-def _seen(pose: PoseStream) -> Array:
+def _clip_pose_coordinates(pose: PoseStream) -> Array:
     """Position and rotation off the middle (m, 6) of all messages, a few wild ones clipped."""
     turned = rotation_vector(pose.rotation @ mean_rotation(pose.rotation).T)
     seen = np.hstack([pose.position, turned])

@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from parallel_cal.base.errors import BagError, told
+from parallel_cal.base.errors import BagError, wrap_plugin_error
 from parallel_cal.model.shelf import require_allowed
 
 Kind = Literal["joints", "poses", "condition", "words", "readings"]
@@ -108,18 +108,18 @@ CHANNELS = {
 }
 
 
-def named(*kinds: Kind) -> list[str]:
+def list_channels(*kinds: Kind) -> list[str]:
     """The channels of some kinds."""
     return [name for name, channel in CHANNELS.items() if channel.kind in kinds]
 
 
-def take(path: str) -> None:
+def register_channels(path: str) -> None:
     """Add the channels of a user's own module, by Python path, under the names they have there."""
     require_allowed(path, BagError)
     try:
         own = {k: v for k, v in vars(import_module(path)).items() if isinstance(v, Channel)}
     except Exception as error:
-        raise told(path, error) from error
+        raise wrap_plugin_error(path, error) from error
     if not own:
         raise BagError(f"{path} holds no Channel: give one a name there")
     CHANNELS.update(own)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from parallel_cal.base.errors import BagError
-from parallel_cal.recordings.channels import Kind, named
+from parallel_cal.recordings.channels import Kind, list_channels
 from parallel_cal.recordings.joint_stream import clean_joints
 from parallel_cal.recordings.options import ReadOptions
 from parallel_cal.recordings.pose_stream import clean_poses
@@ -48,7 +48,7 @@ def assemble(
     ]
 
     def of(kind: Kind) -> dict[str, Raw]:
-        return {name: raws[name] for name in named(kind) if name in raws}
+        return {name: raws[name] for name in list_channels(kind) if name in raws}
 
     streams = [*of("joints").values(), *of("poses").values()][:2]
     times = [resolve_stamps(raw, options.stamps, said) for raw in streams]
@@ -68,7 +68,7 @@ def assemble(
         return {name: stream for name, stream in found.items() if stream}
 
     conditions, distances = numbers(of("condition")), numbers(_by_gauge(of("readings").values()))
-    words = (_held(raw, streams[0], times[0], start) for raw in of("words").values())
+    words = (_latch_texts(raw, streams[0], times[0], start) for raw in of("words").values())
     return Recording(
         source, start, joints, pose, conditions, next(words, None), distances,
         tuple(dropped), tuple(said),
@@ -115,7 +115,9 @@ def _by_gauge(raws: Iterable[Raw]) -> dict[str, Raw]:
     return gauges
 
 
-def _held(raw: Raw, joints: Raw, joint_ns: NDArray[np.int64], start: int) -> TextStream | None:
+def _latch_texts(
+    raw: Raw, joints: Raw, joint_ns: NDArray[np.int64], start: int
+) -> TextStream | None:
     """Words without a header: said when the joint state was that was logged just before them."""
     if not raw.log:
         return None

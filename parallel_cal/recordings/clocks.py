@@ -21,15 +21,17 @@ from parallel_cal.base.rotation import rotation_vector
 from parallel_cal.recordings.dwells import jitter, noise_span
 from parallel_cal.recordings.recording import Array, Bools, JointStream, PoseStream, Recording
 
-DRIVER = 50e-3  # s: what one clock's stamps may differ by, and the effect `latency` reaches
-PAIRS = 800  # neighbouring poses that are looked at
-FEWEST = 60  # of them: with fewer nothing is said
-EXPLAINED = (
+MAX_DRIVER_DELAY_S = (
+    50e-3  # s: what one clock's stamps may differ by, and the effect `latency` reaches
+)
+MAX_STEPS = 800  # neighbouring poses that are looked at
+MIN_STEPS = 60  # of them: with fewer nothing is said
+MAX_UNEXPLAINED_SHARE = (
     0.5  # of the steps' squares: what the delay must take of what was left, and leave at most
 )
-GRAIN = 1e-9  # of a unit column: joints that move alike are no fault here
-LONGEST = 1 << 18  # moments of the coarse search
-FINE = 14  # halvings of the fine search
+RIDGE_REGULARISATION = 1e-9  # of a unit column: joints that move alike are no fault here
+MAX_COARSE_SAMPLES = 1 << 18  # moments of the coarse search
+N_HALVINGS = 14  # halvings of the fine search
 MIN_TRAVEL = 1.5  # noise spans that a joint or a coordinate moves through, or it stands still
 NOISE_WINDOW, NOISE_READINGS = 0.5, 60  # s and readings that the noise is estimated from, at least
 # Two steps of white noise that share a reading are correlated by -1/2, those of the joints as those
@@ -46,7 +48,7 @@ class Offset:
     sigma: float
 
 
-def on_one_clock(recording: Recording) -> Recording:
+def align_clocks(recording: Recording) -> Recording:
     """The recording with poses on the joints' clock, and a note where they were on another."""
     found = clock_offset(recording.joints, recording.pose)
     if found is None:
@@ -65,18 +67,23 @@ def clock_offset(joints: JointStream, pose: PoseStream) -> Offset | None:
     steps = _Steps.of(joints, pose)
     if steps is None:
         return None
-    at_once, early, late = (steps.unexplained(d) for d in (0.0, -1.2 * DRIVER, 1.2 * DRIVER))
-    if at_once <= min(early, late, EXPLAINED):
+    at_once, early, late = (
+        steps.unexplained_share(d)
+        for d in (0.0, -1.2 * MAX_DRIVER_DELAY_S, 1.2 * MAX_DRIVER_DELAY_S)
+    )
+    if at_once <= min(early, late, MAX_UNEXPLAINED_SHARE):
         return None
-    alike, compared = _alike(steps.joints, pose, steps)
+    alike, compared = _find_candidate_delays(steps.joints, pose, steps)
     coarse = [0.0, *alike]
-    delay = steps.best_near(min(coarse, key=steps.unexplained))
-    least = steps.unexplained(delay)
-    if abs(delay) <= DRIVER or least > EXPLAINED * min(at_once, 1.0):
+    delay = steps.best_near(min(coarse, key=steps.unexplained_share))
+    least = steps.unexplained_share(delay)
+    if abs(delay) <= MAX_DRIVER_DELAY_S or least > MAX_UNEXPLAINED_SHARE * min(at_once, 1.0):
         return None
     # Motion that repeats is explained a period later, too: then it is the driver that is late.
     own = steps.best_near(0.0)
-    if abs(own) <= DRIVER and least > EXPLAINED * steps.unexplained(own):
+    if abs(own) <= MAX_DRIVER_DELAY_S and least > MAX_UNEXPLAINED_SHARE * steps.unexplained_share(
+        own
+    ):
         return None
     if compared * steps.chance(delay) > MAX_CHANCE:
         return None
@@ -98,7 +105,7 @@ class _Steps:
     def of(cls, joints: JointStream, pose: PoseStream) -> _Steps | None:
         placed = pose.measured[:, :3].all(axis=1)
         turned = pose.measured[:, 3:].all(axis=1)
-        if len(joints.time) < FEWEST or len(pose.time) < FEWEST:
+        if len(joints.time) < MIN_STEPS or len(pose.time) < MIN_STEPS:
             return None
         moving = _moving(joints.time, joints.position)
         if not moving.any():
@@ -111,9 +118,9 @@ class _Steps:
             return None
         near = known[1:] & known[:-1] & (gaps > 0) & (gaps < 1.5 * max(period, 1e-9))
         at = np.flatnonzero(near)
-        if len(at) < FEWEST:
+        if len(at) < MIN_STEPS:
             return None
-        at = at[np.unique(np.linspace(0, len(at) - 1, PAIRS).astype(int))]
+        at = at[np.unique(np.linspace(0, len(at) - 1, MAX_STEPS).astype(int))]
         if placed.any():
             y = pose.position[at + 1] - pose.position[at]
         else:
@@ -125,7 +132,7 @@ class _Steps:
         """How much of the steps the joints' steps `delay` earlier explain."""
         t = self.joints.time
         used = (self.begin - delay >= t[0]) & (self.end - delay <= t[-1])
-        if used.sum() < max(FEWEST, 0.5 * len(used)):
+        if used.sum() < max(MIN_STEPS, 0.5 * len(used)):
             return TOO_FEW
         before, after = (
             np.stack([np.interp(w[used] - delay, t, q) for q in self.joints.position.T], axis=1)
@@ -136,22 +143,22 @@ class _Steps:
         X = np.hstack([dq, (dq[:, :, None] * q[:, None, :]).reshape(len(dq), -1)])
         X = X / np.maximum(np.linalg.norm(X, axis=0), 1e-300)
         y = self.y[used]
-        B = np.linalg.solve(X.T @ X + GRAIN * np.eye(X.shape[1]), X.T @ y)
+        B = np.linalg.solve(X.T @ X + RIDGE_REGULARISATION * np.eye(X.shape[1]), X.T @ y)
         squares = y.T @ y
         # One coordinate that is much noisier than the others counts alone.
         independent = np.trace(squares) ** 2 / max(np.sum(squares**2), 1e-300)
         left, total = float(np.sum((y - X @ B) ** 2)), float(np.sum(y**2))
         return _Explained(left, total, int(used.sum()), X.shape[1], float(independent))
 
-    def unexplained(self, delay: float) -> float:
+    def unexplained_share(self, delay: float) -> float:
         """Share of the steps' squares that the joints' steps `delay` earlier do not explain."""
         return self._explain(delay).unexplained
 
     def best_near(self, delay: float) -> float:
         """The delay near this one that explains most of the steps."""
-        width = max(self.period, DRIVER)
-        for _ in range(FINE):
-            delay = min((delay - width, delay, delay + width), key=self.unexplained)
+        width = max(self.period, MAX_DRIVER_DELAY_S)
+        for _ in range(N_HALVINGS):
+            delay = min((delay - width, delay, delay + width), key=self.unexplained_share)
             width /= 2
         return delay
 
@@ -162,7 +169,7 @@ class _Steps:
     def sigma(self, delay: float) -> float:
         """Of the delay: where the squares' parabola is one variance above its least."""
         here, h, bend = self._explain(delay), self.period / 4, 0.0
-        for _ in range(FINE):
+        for _ in range(N_HALVINGS):
             low, high = self._explain(delay - h), self._explain(delay + h)
             bend = (low.left + high.left - 2 * here.left) / h**2
             if bend > 0:
@@ -212,17 +219,23 @@ TOO_FEW = _Explained(np.inf, 1.0, 0, 0, 1.0)
 
 def _moving(time: Array, values: Array) -> Bools:
     """Which columns (n,) go further than their noise and the device's steps reach at rest."""
-    if len(time) < FEWEST:
+    if len(time) < MIN_STEPS:
         return np.zeros(values.shape[1], dtype=bool)
     window = max(NOISE_WINDOW, NOISE_READINGS * float(np.median(np.diff(time))))
     noise = noise_span(jitter(time, values, window), values)
     return np.asarray(np.ptp(values, axis=0) > MIN_TRAVEL * noise)
 
 
-def _alike(joints: JointStream, pose: PoseStream, steps: _Steps) -> tuple[list[float], int]:
+def _find_candidate_delays(
+    joints: JointStream, pose: PoseStream, steps: _Steps
+) -> tuple[list[float], int]:
     """Delays at which the two streams' speeds look most alike, wherever either one begins, and of
     how many delays."""
-    dt = max(steps.period, joints.period, max(np.ptp(joints.time), np.ptp(pose.time)) / LONGEST)
+    dt = max(
+        steps.period,
+        joints.period,
+        max(np.ptp(joints.time), np.ptp(pose.time)) / MAX_COARSE_SAMPLES,
+    )
     ours = _speed(joints.time, joints.position / np.maximum(joints.position.std(axis=0), 1e-12), dt)
     seen = pose.position if pose.measured[:, :3].all() else pose.quaternion
     theirs = _speed(pose.time, seen, dt)

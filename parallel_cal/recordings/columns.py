@@ -11,7 +11,7 @@ from pydantic import Field, ValidationError, field_validator
 from parallel_cal.model.effect import CONDITIONS
 from parallel_cal.model.file.schema import NoisePart, Part, sentence, suggestion
 from parallel_cal.model.file.yamltext import Document, parse_yaml
-from parallel_cal.recordings.channels import named
+from parallel_cal.recordings.channels import list_channels
 from parallel_cal.recordings.table import UNITS
 
 Length = Literal["m", "cm", "mm", "um", "nm", "in", "ft", "mil"]
@@ -128,7 +128,7 @@ def read_column_map(path: Path) -> ColumnMap:
             (), "neither position nor orientation nor readings: say what was measured"
         )
     for name in found.conditions:
-        if name.split(".")[0] not in (*CONDITIONS, *named("condition")):
+        if name.split(".")[0] not in (*CONDITIONS, *list_channels("condition")):
             raise document.error(("conditions", name), f"unknown condition; {_conditions()}")
     return found
 
@@ -143,5 +143,5 @@ def _invalid(document: Document, error: Any) -> Exception:
 
 def _conditions() -> str:
     names = [f"{name}.JOINT" if given[2] else name for name, given in CONDITIONS.items()]
-    known = dict.fromkeys([*names, *named("condition")])
+    known = dict.fromkeys([*names, *list_channels("condition")])
     return f"expected one of {', '.join(known)}"

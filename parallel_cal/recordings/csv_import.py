@@ -21,7 +21,7 @@ from parallel_cal.recordings.columns import (
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.recording import Dropped
 from parallel_cal.recordings.samples import READING
-from parallel_cal.recordings.table import LENGTHS, UNITS, Table, read_table, said_unit
+from parallel_cal.recordings.table import LENGTHS, UNITS, Table, read_table, split_unit
 
 
 def import_csv(paths: str | Path | Sequence[str | Path], columns: str | Path) -> Dataset:
@@ -30,14 +30,14 @@ def import_csv(paths: str | Path | Sequence[str | Path], columns: str | Path) ->
     DatasetError or ModelFileError naming file, line and column of what is wrong.
     """
     files = [Path(p) for p in ([paths] if isinstance(paths, str | Path) else paths)]
-    tables = [read_table(file).complete() for file in files]
-    return of_tables(tables, read_column_map(Path(columns)), str(columns))
+    tables = [read_table(file).drop_empty_rows() for file in files]
+    return make_dataset(tables, read_column_map(Path(columns)), str(columns))
 
 
-def of_tables(given: Sequence[Table], wanted: ColumnMap, asks: str) -> Dataset:
+def make_dataset(given: Sequence[Table], wanted: ColumnMap, asks: str) -> Dataset:
     """The dataset of tables that hold what is `wanted`; `asks` is who wants it."""
-    tables, dropped = _joined([*given], wanted.join)
-    found = Columns(tables, asks).checked(wanted)
+    tables, dropped = _join_tables([*given], wanted.join)
+    found = Columns(tables, asks).check(wanted)
     joints = [found.joint(joint) for joint in wanted.joints.values()]
     r = found.si(wanted.position.columns, wanted.position.unit) if wanted.position else None
     R, n = _rotation(wanted, found), len(tables[0].rows)
@@ -69,7 +69,7 @@ class Columns:
     tables: Sequence[Table]
     map: str
 
-    def checked(self, wanted: ColumnMap) -> Columns:
+    def check(self, wanted: ColumnMap) -> Columns:
         """The same; DatasetError for a column that none, or more than one, of the tables has."""
         for name in wanted.columns:
             having = [str(table.path) for table in self.tables if table.find(name)]
@@ -91,8 +91,8 @@ class Columns:
 
     def joint(self, wanted: JointColumn) -> np.ndarray:
         """(N, 1) readings of a joint in m or rad; DatasetError where per_rev is of a length."""
-        table, word = self._of(wanted.column)
-        unit = wanted.unit or said_unit(word)[1]
+        table, word = self._find_column(wanted.column)
+        unit = wanted.unit or split_unit(word)[1]
         if wanted.per_rev is not None and unit in LENGTHS:
             raise DatasetError(
                 f"{table.path}:1: column {word} is in {unit}, but {self.map} says per_rev "
@@ -103,18 +103,20 @@ class Columns:
 
     def numbers(self, names: Sequence[str]) -> np.ndarray:
         """(N, len(names)) as they stand; DatasetError at a cell that is no finite number."""
-        return np.column_stack([t.numbers([word])[:, 0] for t, word in map(self._of, names)])
+        return np.column_stack(
+            [t.numbers([word])[:, 0] for t, word in map(self._find_column, names)]
+        )
 
     def texts(self, name: str) -> list[str]:
-        table, word = self._of(name)
+        table, word = self._find_column(name)
         return table.texts(word)
 
-    def _of(self, name: str) -> tuple[Table, str]:
+    def _find_column(self, name: str) -> tuple[Table, str]:
         return next((t, word) for t in self.tables if (word := t.find(name)) is not None)
 
     def _column(self, name: str, unit: str | None, gaps: bool) -> np.ndarray:
-        table, word = self._of(name)
-        said = said_unit(word)[1]
+        table, word = self._find_column(name)
+        said = split_unit(word)[1]
         if unit is None and said is None:
             raise DatasetError(
                 f"{table.path}:1: column {word} names no unit; say so in {self.map} (unit: mm) "
@@ -130,7 +132,7 @@ class Columns:
         return values
 
 
-def _joined(tables: list[Table], join: Join | None) -> tuple[list[Table], list[Dropped]]:
+def _join_tables(tables: list[Table], join: Join | None) -> tuple[list[Table], list[Dropped]]:
     """Tables of rows that correspond, and the rows that have no partner in all of them."""
     if len(tables) == 1:
         return tables, []
@@ -146,7 +148,7 @@ def _joined(tables: list[Table], join: Join | None) -> tuple[list[Table], list[D
         if table.find(join.by) is None:
             raise DatasetError(f"{table.path}:1: no column {join.by} to join by")
     one = min(tables, key=lambda table: len(table.rows))
-    partners = np.column_stack([_partners(one, table, join) for table in tables])
+    partners = np.column_stack([_find_partners(one, table, join) for table in tables])
     kept = (partners >= 0).all(axis=1)
     if not kept.any():
         raise DatasetError(f"no row of {one.path} has a partner by {join.by} in the other tables")
@@ -163,10 +165,10 @@ def _joined(tables: list[Table], join: Join | None) -> tuple[list[Table], list[D
         for k in rest
     ]
     chosen = [t.select(rows.tolist()) for t, rows in zip(tables, partners[kept].T, strict=True)]
-    return [chosen[0], *(_without(t, join.by) for t in chosen[1:])], dropped
+    return [chosen[0], *(_hide_column(t, join.by) for t in chosen[1:])], dropped
 
 
-def _partners(one: Table, other: Table, join: Join) -> np.ndarray:
+def _find_partners(one: Table, other: Table, join: Join) -> np.ndarray:
     """The row (N,) of `other` that belongs to each row of `one`, -1 where there is none."""
     mine, its = one.find(join.by) or "", other.find(join.by) or ""
     if join.within is not None:
@@ -187,7 +189,7 @@ def _partners(one: Table, other: Table, join: Join) -> np.ndarray:
     return np.array([rows.get(text, -1) for text in one.texts(mine)])
 
 
-def _without(table: Table, name: str) -> Table:
+def _hide_column(table: Table, name: str) -> Table:
     """The same with the column it was joined by under no name that a map asks for."""
     header = ["" if word == table.find(name) else word for word in table.header]
     return dataclasses.replace(table, header=header)
@@ -205,7 +207,7 @@ def _rotation(wanted: ColumnMap, found: Columns) -> np.ndarray | None:
     quaternions = found.numbers(given)
     length = np.linalg.norm(quaternions, axis=1)
     if (bad := np.flatnonzero(np.abs(length - 1) > 0.05)).size:
-        table, _ = found._of(given[0])
+        table, _ = found._find_column(given[0])
         raise DatasetError(
             f"{table.path}:{table.lines[bad[0]]}: {', '.join(given)} are no quaternion x y z w of "
             "length 1"

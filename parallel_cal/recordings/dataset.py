@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from parallel_cal.base.documents import plain
+from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.errors import DatasetError, ModelError
 from parallel_cal.base.files import write_atomically
 from parallel_cal.model.configuration import Configuration
@@ -27,7 +27,7 @@ from parallel_cal.recordings.samplefile import (
     FILE_VERSION,
     PER_SAMPLE,
     read_document,
-    restored,
+    restore_field,
 )
 
 if TYPE_CHECKING:
@@ -171,7 +171,7 @@ class Dataset:
 
     def to_json(self, path: str | Path) -> None:
         """Write the samples to a file, all or nothing; `from_json` gives back the same numbers."""
-        document = {"parallel_cal_samples": FILE_VERSION, **plain(self)}
+        document = {"parallel_cal_samples": FILE_VERSION, **to_json_value(self)}
         write_atomically(path, json.dumps(document, allow_nan=False))
 
     @classmethod
@@ -183,7 +183,7 @@ class Dataset:
     def from_document(cls, document: Mapping[str, Any], name: str) -> Dataset:
         """The samples of a file's document; DatasetError naming the file and the wrong key."""
         try:
-            return cls(**{f.name: restored(f.name, document) for f in dataclasses.fields(cls)})
+            return cls(**{f.name: restore_field(f.name, document) for f in dataclasses.fields(cls)})
         except DatasetError as error:
             raise DatasetError(f"{name}: not a complete sample file: {error}") from None
 

@@ -16,7 +16,7 @@ Indices = NDArray[np.intp]
 # below FLOOR, settling would cut dwells short; a calm spread above SLOW may be slow motion, and
 # nothing above CEILING is noise of a robot worth calibrating.
 FLOOR, SLOW, CEILING = 2e-5, 1e-3, 5e-2
-READINGS = 8  # in a window: with fewer, noise cannot be told from motion
+MIN_READINGS_PER_WINDOW = 8  # in a window: with fewer, noise cannot be told from motion
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ def still_tolerance(time: Array, q: Array, min_dwell: float) -> Array:
     sigma = jitter(time, q, min_dwell)
     noise = noise_span(sigma, q)
     tolerance = np.maximum(noise, np.minimum(4.0 * calm, SLOW * travel))
-    dense = min_dwell > READINGS * np.median(np.diff(time))
+    dense = min_dwell > MIN_READINGS_PER_WINDOW * np.median(np.diff(time))
     ceiling = np.maximum(CEILING * travel, 6.0 * sigma if dense else 0.0)
     tolerance = np.clip(tolerance, FLOOR * travel, ceiling)
     rests = travel <= 1.5 * np.maximum(noise, 4.0 * calm)
@@ -76,7 +76,7 @@ def jitter(time: Array, q: Array, length: float) -> Array:
     """Reading-to-reading noise sigma (nq,): rms second difference of the calmest windows."""
     if len(q) < 11:
         return np.zeros(q.shape[1])
-    width = int(np.clip(length / np.median(np.diff(time)), READINGS, len(q) - 3))
+    width = int(np.clip(length / np.median(np.diff(time)), MIN_READINGS_PER_WINDOW, len(q) - 3))
     second = q[2:] - 2.0 * q[1:-1] + q[:-2]
     sums = np.cumsum(np.vstack([np.zeros(q.shape[1]), second**2]), axis=0)
     mean = np.maximum(sums[width:] - sums[:-width], 0.0) / width

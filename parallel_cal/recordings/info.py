@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from parallel_cal.base.documents import plain
+from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.base.progress import Progress
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.recordings.bag import list_topics, read_bag
-from parallel_cal.recordings.channels import named
+from parallel_cal.recordings.channels import list_channels
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.loading import dataset_from_recording
 from parallel_cal.recordings.options import ReadOptions
@@ -62,7 +62,7 @@ def info(
     duration = list_topics(path)[1]
     document = _recording_part(recording, duration)
     try:
-        dataset = dataset_from_recording(recording, options.changed(assume_units=True))
+        dataset = dataset_from_recording(recording, options.with_values(assume_units=True))
     except DatasetError as error:
         return document | _nothing_usable(recording, str(error))
     return document | _dataset_part(dataset.excluding(options.exclude))
@@ -88,7 +88,7 @@ def _recording_part(recording: Recording, duration: float) -> dict[str, Any]:
     channels: dict[str, Any] = {
         "joints": recording.joints,
         "pose": recording.pose,
-        **{name: recording.conditions.get(name) for name in named("condition")},
+        **{name: recording.conditions.get(name) for name in list_channels("condition")},
         "constraint": recording.constraint,
         **{f"distance {name}": gauge for name, gauge in recording.distances.items()},
     }
@@ -172,8 +172,8 @@ def _noise(dataset: Dataset) -> dict[str, Any]:
             "pose": _medians(dataset.scatter_pose),
         },
         "between_replicates": {
-            "joint": plain(noise.joint),
-            "pose": plain(noise.pose),
+            "joint": to_json_value(noise.joint),
+            "pose": to_json_value(noise.pose),
             "dof": noise.dof,
         },
         "stated": {"pose": _medians(stated)},
@@ -203,4 +203,4 @@ def _dropped(dropped: Sequence[Dropped]) -> dict[str, Any]:
     counts = Counter[str]()
     for item in dropped:
         counts[item.reason] += item.count
-    return {"dropped": dict(counts.most_common()), "dropped_list": plain(dropped)}
+    return {"dropped": dict(counts.most_common()), "dropped_list": to_json_value(dropped)}

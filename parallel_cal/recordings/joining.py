@@ -17,10 +17,10 @@ from parallel_cal.recordings.replicates import replicate_ids
 from parallel_cal.recordings.samplefile import PER_SAMPLE
 from parallel_cal.recordings.samples import READING
 
-ONE_SETUP = ("joint_names", "joint_sigma", "mode", "frame")
+SETUP_FIELDS = ("joint_names", "joint_sigma", "mode", "frame")
 
 
-def joined(
+def join_datasets(
     datasets: Sequence[Dataset],
     starts: Sequence[int] | None = None,
     tolerance: float | None = None,
@@ -35,9 +35,9 @@ def joined(
     a recording comes twice.
     """
     _check_different(datasets)
-    _check_alike(datasets, ONE_SETUP if starts is None else ["joint_names"])
-    times = _times(datasets) if starts is None else _since(starts, datasets[0])
-    parts = [_later(d, time) for d, time in zip(datasets, times, strict=True)]
+    _check_alike(datasets, SETUP_FIELDS if starts is None else ["joint_names"])
+    times = _times(datasets) if starts is None else _compute_part_starts(starts, datasets[0])
+    parts = [_shift_times(d, time) for d, time in zip(datasets, times, strict=True)]
     if starts is None:
         firsts = np.cumsum([0, *[int(d.pose_id.max(initial=-1)) + 1 for d in parts[:-1]]])
         parts = [_session(d, k, firsts[k]) for k, d in enumerate(parts)]
@@ -47,8 +47,8 @@ def joined(
     if starts is not None:
         at = Configuration(columns["q"], columns["r"], columns["R"])
         columns["pose_id"] = replicate_ids(at, columns["measured"], columns["scatter_q"], tolerance)
-    shared = _joined_conditions(parts)
-    warnings = [*(w for d in parts for w in d.warnings), *_left_out(parts, shared)]
+    shared = _join_conditions(parts)
+    warnings = [*(w for d in parts for w in d.warnings), *_list_missing_conditions(parts, shared)]
     together = dataclasses.replace(
         parts[0],
         **columns,
@@ -100,7 +100,7 @@ def _times(datasets: Sequence[Dataset]) -> Array:
     return np.cumsum([0.0, *lengths[:-1]])
 
 
-def _since(starts: Sequence[int], first: Dataset) -> Array:
+def _compute_part_starts(starts: Sequence[int], first: Dataset) -> Array:
     """When each part begins, in s since the first; samples of a file do not know their start."""
     if starts[0]:
         return np.array([(start - starts[0]) * 1e-9 for start in starts])
@@ -108,7 +108,7 @@ def _since(starts: Sequence[int], first: Dataset) -> Array:
     return np.array([0.0, *[end + (start - starts[1]) * 1e-9 for start in starts[1:]]])
 
 
-def _later(dataset: Dataset, start: float) -> Dataset:
+def _shift_times(dataset: Dataset, start: float) -> Dataset:
     time = dataset.time + start
     late = tuple(dataclasses.replace(d, time=d.time + start) for d in dataset.dropped)
     conditions = dict(dataset.conditions)
@@ -123,7 +123,7 @@ def _session(dataset: Dataset, number: int, first: int) -> Dataset:
     return dataclasses.replace(dataset, pose_id=dataset.pose_id + first, conditions=known)
 
 
-def _joined_conditions(parts: Sequence[Dataset]) -> dict[str, Array]:
+def _join_conditions(parts: Sequence[Dataset]) -> dict[str, Array]:
     """Conditions (N,) of several datasets as one: those that all have, and every reading, NaN
     in the parts where its sensor read nothing."""
     names = dict.fromkeys(name for part in parts for name in part.conditions)
@@ -136,7 +136,7 @@ def _joined_conditions(parts: Sequence[Dataset]) -> dict[str, Array]:
     }
 
 
-def _left_out(parts: Sequence[Dataset], shared: dict[str, Array]) -> list[str]:
+def _list_missing_conditions(parts: Sequence[Dataset], shared: dict[str, Array]) -> list[str]:
     """A sentence for each part's conditions that the others do not have."""
     lost = [(d.source, [c for c in d.conditions if c not in shared]) for d in parts]
     return [f"{', '.join(names)} of {source} is not used: not recorded in every session"

@@ -9,7 +9,7 @@ import numpy as np
 
 from parallel_cal.base.errors import BagError
 from parallel_cal.recordings.recording import JointStream, Raw
-from parallel_cal.recordings.sieve import ABSURD, Sieve
+from parallel_cal.recordings.sieve import MAX_PLAUSIBLE_READING, Sieve
 
 
 def clean_joints(
@@ -35,7 +35,9 @@ def clean_joints(
     sieve.drop(missing, f"lacks some of the joints {', '.join(names)}")
     sieve.drop(ragged, "position and name differ in length", hint)
     sieve.drop(~np.isfinite(q).all(axis=1), "joint reading is not finite", hint, q)
-    sieve.drop((np.abs(q) > ABSURD).any(axis=1), "joint reading is beyond 1e9", hint, q)
+    sieve.drop(
+        (np.abs(q) > MAX_PLAUSIBLE_READING).any(axis=1), "joint reading is beyond 1e9", hint, q
+    )
     keep = sieve.keep
     return JointStream(raw.topic, names, sieve.time[keep], q[keep], effort[keep])
 

@@ -15,21 +15,25 @@ from parallel_cal.base.threads import single_threaded
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.recordings.bag import read_bag
 from parallel_cal.recordings.channels import CHANNELS
-from parallel_cal.recordings.clocks import on_one_clock
+from parallel_cal.recordings.clocks import align_clocks
 from parallel_cal.recordings.dataset import Dataset
-from parallel_cal.recordings.joining import joined
+from parallel_cal.recordings.joining import join_datasets
 from parallel_cal.recordings.options import ReadKeywords, ReadOptions, SampleOptions
 from parallel_cal.recordings.recording import Array, Dropped, Recording
 from parallel_cal.recordings.replicates import replicate_ids
 from parallel_cal.recordings.samplefile import PER_SAMPLE, holds_samples
-from parallel_cal.recordings.samples import Samples, per_joint
+from parallel_cal.recordings.samples import Samples, broadcast_to_joints
 from parallel_cal.recordings.sampling import conditions_of, samples_of
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-METRES = 10.0  # positions typically further than this from the origin are taken for millimetres
-TURNS = 4.0 * np.pi  # joints that travel further are taken for degrees, or turn endlessly
+MAX_POSITION_M = (
+    10.0  # positions typically further than this from the origin are taken for millimetres
+)
+MAX_JOINT_TRAVEL_RAD = (
+    4.0 * np.pi
+)  # joints that travel further are taken for degrees, or turn endlessly
 
 
 def load_dataset(
@@ -84,9 +88,9 @@ def load_stamped(
     **given: Unpack[ReadKeywords],
 ) -> tuple[Dataset, int]:
     """Read samples and the stamp (ns) from which their times count: 0 for a file of samples."""
-    options = (options or ReadOptions()).changed(**given)
+    options = (options or ReadOptions()).with_values(**given)
     if holds_samples(Path(path)):
-        dataset, start = in_order(Dataset.from_json(path), options.joints), 0
+        dataset, start = order_joints(Dataset.from_json(path), options.joints), 0
     else:
         recording = read_bag(path, options, progress)
         dataset, start = dataset_from_recording(recording, options), recording.start_ns
@@ -126,14 +130,16 @@ def load_sessions(
     >>> sorted(set(data.conditions["session"].tolist()))
     [0.0, 1.0]
     """
-    options = (options or ReadOptions()).changed(**given)
-    datasets = [load_dataset(path, options.changed(exclude=()), progress) for path in paths]
-    return (joined(datasets) if len(datasets) > 1 else datasets[0]).excluding(options.exclude)
+    options = (options or ReadOptions()).with_values(**given)
+    datasets = [load_dataset(path, options.with_values(exclude=()), progress) for path in paths]
+    return (join_datasets(datasets) if len(datasets) > 1 else datasets[0]).excluding(
+        options.exclude
+    )
 
 
 def dataset_from_recording(recording: Recording, options: SampleOptions | None = None) -> Dataset:
     """Make a Dataset; DatasetError when nothing is usable or positions look like millimetres."""
-    options, recording = options or SampleOptions(), on_one_clock(recording)
+    options, recording = options or SampleOptions(), align_clocks(recording)
     samples = samples_of(recording, options)
     warnings = [*recording.notes, *samples.warnings]
     _drop_millimetres(samples)
@@ -162,7 +168,7 @@ def _drop_millimetres(samples: Samples) -> None:
 def _position_suspicions(dataset: Dataset) -> list[str]:
     """A sentence if the positions do not look like metres."""
     distance = np.linalg.norm(dataset.r, axis=1)[dataset.measured[:, :3].any(axis=1)]
-    if not len(distance) or np.median(distance) <= METRES:
+    if not len(distance) or np.median(distance) <= MAX_POSITION_M:
         return []
     return [
         f"the measured position looks like millimetres: median |r| = {np.median(distance):.4g}; "
@@ -177,7 +183,7 @@ def _joint_suspicions(dataset: Dataset) -> list[str]:
         f"{name} looks like degrees or millimetres: it travels {width:.4g}; expected rad or m "
         "(fine if it turns endlessly)"
         for name, width in zip(dataset.joint_names, travel, strict=True)
-        if width > TURNS
+        if width > MAX_JOINT_TRAVEL_RAD
     ]
 
 
@@ -213,13 +219,13 @@ def _stack(
     dropped = sorted((*recording.dropped, *samples.dropped), key=lambda d: d.time)
     return Dataset(
         joint_names=names, **columns, conditions=conditions, pose_id=ids, mode=samples.mode,
-        joint_sigma=None if sigma is None else per_joint(sigma, names, "joint_sigma"),
+        joint_sigma=None if sigma is None else broadcast_to_joints(sigma, names, "joint_sigma"),
         dropped=tuple(dropped), source=recording.source, sha256=recording.sha256,
         frame=recording.pose.frame,
     )  # fmt: skip
 
 
-def in_order(dataset: Dataset, joints: Sequence[str] | None) -> Dataset:
+def order_joints(dataset: Dataset, joints: Sequence[str] | None) -> Dataset:
     """The dataset with its joints in the wanted order; DatasetError when one is missing."""
     if joints is None or tuple(joints) == dataset.joint_names:
         return dataset

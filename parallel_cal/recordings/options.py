@@ -14,7 +14,7 @@ from parallel_cal.recordings.channels import CHANNELS
 from parallel_cal.recordings.recording import COORDINATES
 
 MODES = ("auto", "dwell", "continuous")
-LEAST = {
+MIN_VALUES = {
     "min_dwell": 0.0,
     "trim_start": 0.0,
     "trim_end": 0.0,
@@ -51,7 +51,7 @@ class SampleOptions:
     def __post_init__(self) -> None:
         if self.mode not in MODES:
             raise DatasetError(f"mode='{self.mode}'; expected one of {', '.join(MODES)}")
-        for name, least in LEAST.items():
+        for name, least in MIN_VALUES.items():
             value = getattr(self, name)
             if value is not None and not (_is_number(value) and least <= value < np.inf):
                 raise DatasetError(f"{name}={value}: expected a number of at least {least:g}")
@@ -91,7 +91,7 @@ class ReadOptions(SampleOptions):
             if unknown := [name for name in given if name not in known]:
                 raise BagError(f"{what}: {unknown} unknown; expected some of {', '.join(known)}")
 
-    def changed(self, **given: Any) -> ReadOptions:
+    def with_values(self, **given: Any) -> ReadOptions:
         """Return the options with some values changed; DatasetError for an unknown name."""
         return with_changes(self, given, DatasetError)
 

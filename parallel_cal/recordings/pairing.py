@@ -20,7 +20,7 @@ def paired_samples(recording: Recording, options: SampleOptions, tolerance: Arra
         )
     found = Samples("continuous", [], tolerance, [])
     gap = max_gap(joints, options)
-    usable = bracketed(joints, pose.time, gap)
+    usable = find_bracketed(joints, pose.time, gap)
     if (~usable).any():
         first, count = float(pose.time[np.argmin(usable)]), int((~usable).sum())
         detail = f"{count} of {len(usable)} messages on {pose.topic}"
@@ -31,7 +31,7 @@ def paired_samples(recording: Recording, options: SampleOptions, tolerance: Arra
             f"{recording.source}: no message on {pose.topic} has two on {joints.topic} around it "
             f"within {gap:.2g} s. Record both together, or set max_gap"
         )
-    columns = _interpolated(joints, pose.time[at])
+    columns = _interpolate_joints(joints, pose.time[at])
     nowhere = np.full(len(joints.names), np.nan)
     reading = np.searchsorted(joints.time, pose.time[at])
     for k, i in enumerate(at):
@@ -57,7 +57,7 @@ def paired_samples(recording: Recording, options: SampleOptions, tolerance: Arra
     return found
 
 
-def bracketed(joints: JointStream, time: Array, gap: float) -> Bools:
+def find_bracketed(joints: JointStream, time: Array, gap: float) -> Bools:
     """True (m,) where two joint readings close in time enclose the pose, or one coincides."""
     after = np.searchsorted(joints.time, time).clip(0, len(joints.time) - 1)
     before = (after - 1).clip(0)
@@ -66,7 +66,7 @@ def bracketed(joints: JointStream, time: Array, gap: float) -> Bools:
     return coincides | (inside & (joints.time[after] - joints.time[before] <= gap))
 
 
-def _interpolated(joints: JointStream, time: Array) -> tuple[Array, Array, Array]:
+def _interpolate_joints(joints: JointStream, time: Array) -> tuple[Array, Array, Array]:
     """Joint position, effort and velocity (m, nq) each at the given times."""
 
     def at(values: Array, when: Array) -> Array:

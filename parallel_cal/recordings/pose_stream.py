@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from parallel_cal.recordings.recording import COORDINATES, Array, Bools, PoseStream, Raw
-from parallel_cal.recordings.sieve import ABSURD, Sieve
+from parallel_cal.recordings.sieve import MAX_PLAUSIBLE_READING, Sieve
 
 NOT_MEASURED = 1e3  # a variance above this says "this coordinate is not measured"
 NOT_GIVEN = 1e-24  # no device knows a pose to 1e-12 m or rad: a variance up to this is no statement
@@ -82,13 +82,16 @@ def _sieve_poses(sieve: Sieve, position: Array, quaternion: Array, measured: Boo
     position[~measured[:, :3]] = 0.0
     quaternion[~rotates] = (0.0, 0.0, 0.0, 1.0)
     finite = np.isfinite(position).all(axis=1) & np.isfinite(quaternion).all(axis=1)
-    norm = np.linalg.norm(np.clip(np.nan_to_num(quaternion, nan=1.0), -ABSURD, ABSURD), axis=1)
+    norm = np.linalg.norm(
+        np.clip(np.nan_to_num(quaternion, nan=1.0), -MAX_PLAUSIBLE_READING, MAX_PLAUSIBLE_READING),
+        axis=1,
+    )
     hint = (
         "If the device measures positions only, say so: measures=x,y,z, a PointStamped topic, "
         "or orientation variances above 1e3."
     )
     shown = np.hstack([position, quaternion])
-    absurd = (np.abs(position) > ABSURD).any(axis=1)
+    absurd = (np.abs(position) > MAX_PLAUSIBLE_READING).any(axis=1)
     sieve.drop(~measured.any(axis=1), "nothing measured (all variances above 1e3)")
     sieve.drop(~finite, "pose is not finite", hint, shown)
     sieve.drop(absurd, "position is beyond 1e9", "Expected metres.", shown)

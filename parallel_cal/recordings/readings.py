@@ -10,7 +10,7 @@ from parallel_cal.recordings.recording import Array, Recording, TextStream
 from parallel_cal.recordings.samples import READING, Sample
 
 
-def held_words(stream: TextStream | None, start: float, end: float) -> list[str]:
+def words_between(stream: TextStream | None, start: float, end: float) -> list[str]:
     """The words that held between two times, in their order; before the first, no word."""
     if stream is None:
         return [""]
@@ -22,7 +22,7 @@ def held_words(stream: TextStream | None, start: float, end: float) -> list[str]
 
 def readings_between(recording: Recording, start: float, end: float) -> dict[str, float]:
     """Mean reading (m) of each channel between two times; what holds the tip reads zero."""
-    word = held_words(recording.constraint, start, end)[0]
+    word = words_between(recording.constraint, start, end)[0]
     readings = {word: 0.0} if word else {}
     for channel, stream in recording.distances.items():
         a, b = np.searchsorted(stream.time, [start, end])

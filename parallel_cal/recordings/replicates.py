@@ -14,7 +14,7 @@ from parallel_cal.recordings.recording import Array, Bools
 from parallel_cal.recordings.samples import mean_rotation
 
 Ids = NDArray[np.int64]
-NOISY = 1e-3  # m that a device's noise may lie between two visits
+MIN_POSITION_TOLERANCE_M = 1e-3  # m that a device's noise may lie between two visits
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ def replicate_ids(
     """
     q, r, R = at.q, at.r, at.R
     scale = _joint_scale(q, scatter_q, tolerance)
-    reach = max(0.05 * np.ptp(r, axis=0).max(initial=0.0), NOISY)
+    reach = max(0.05 * np.ptp(r, axis=0).max(initial=0.0), MIN_POSITION_TOLERANCE_M)
     ids, leaders = np.zeros(len(q), np.int64), np.zeros(0, np.int64)
     for i in range(len(q)):
         near = (np.abs(q[leaders] - q[i]) <= scale).all(axis=1)
@@ -87,18 +87,18 @@ def replicate_noise(ids: Ids, at: Configuration, measured: Bools) -> ReplicateNo
     for g in range(len(members)):
         complete[group == g] = complete[group == g].all(axis=0)
         turned[group == g] = turned[group == g] @ mean_rotation(turned[group == g]).T
-    pose = np.hstack([_about_mean(at.r[index], group), rotation_vector(turned)])
+    pose = np.hstack([_subtract_group_means(at.r[index], group), rotation_vector(turned)])
     pose[~complete] = np.nan
-    joint = _pooled(_about_mean(at.q[index], group), group)
-    return ReplicateNoise(joint, _pooled(pose, group), len(index) - len(members))
+    joint = _pool_scatter(_subtract_group_means(at.q[index], group), group)
+    return ReplicateNoise(joint, _pool_scatter(pose, group), len(index) - len(members))
 
 
-def _about_mean(values: Array, group: NDArray[np.intp]) -> Array:
+def _subtract_group_means(values: Array, group: NDArray[np.intp]) -> Array:
     """Rows (M, k) minus the mean of their group, groups numbered from 0."""
-    return values - averaged(values, group)[group]
+    return values - average_groups(values, group)[group]
 
 
-def averaged(values: np.ndarray, group: np.ndarray) -> np.ndarray:
+def average_groups(values: np.ndarray, group: np.ndarray) -> np.ndarray:
     """Rows (N, k) averaged within groups, one row a group."""
     names, inverse, count = np.unique(group, return_inverse=True, return_counts=True)
     sums = np.zeros((len(names), values.shape[1]))
@@ -106,7 +106,7 @@ def averaged(values: np.ndarray, group: np.ndarray) -> np.ndarray:
     return np.asarray(sums / count[:, None])
 
 
-def _pooled(deviation: Array, group: NDArray[np.intp]) -> Array:
+def _pool_scatter(deviation: Array, group: NDArray[np.intp]) -> Array:
     """Standard deviation per column with one degree of freedom less per group; NaN without any."""
     known = np.isfinite(deviation)
     groups = np.array([len(np.unique(group[column])) for column in known.T])

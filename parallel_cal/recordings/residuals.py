@@ -26,7 +26,7 @@ TOPICS = {
     "/joints": "sensor_msgs/msg/JointState",
     "/sigmas": "std_msgs/msg/Float64",
 }
-THICKNESS = 0.004  # of an arrow, in parts of the workspace's extent
+ARROW_WIDTH_RATIO = 0.004  # of an arrow, in parts of the workspace's extent
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,9 @@ class _Residuals(Messages):
         """From each measured position along measured minus predicted; the first deletes older."""
         start, error = of.poses["/measured"][0], of.vectors["/position"]
         known = np.flatnonzero(np.isfinite(start + error).all(axis=1))
-        thickness = THICKNESS * float(np.ptp(start[known], axis=0).max()) if len(known) else 0.0
+        thickness = (
+            ARROW_WIDTH_RATIO * float(np.ptp(start[known], axis=0).max()) if len(known) else 0.0
+        )
         none = np.zeros((0, 3))
         markers = [self._arrow(of.frame, 0, 3, none, np.ones(3), 0.0)]
         for i in known:

@@ -21,9 +21,9 @@ PER_SAMPLE = (
     "q", "r", "R", "measured", "pose_cov", "time", "duration", "scatter_q", "scatter_pose",
     "count_q", "count_pose", "pose_id",
 )  # fmt: skip
-MOST = 512 * MEGABYTE  # of a sample file: a million samples
-MAY_LACK = ("pose_cov", "scatter_q", "scatter_pose")  # null where the device does not say
-OFF_ROTATION = 1e-6  # what R R^T may differ from the identity
+MAX_SAMPLE_FILE_BYTES = 512 * MEGABYTE  # of a sample file: a million samples
+NULLABLE_FIELDS = ("pose_cov", "scatter_q", "scatter_pose")  # null where the device does not say
+MAX_ORTHOGONALITY_ERROR = 1e-6  # what R R^T may differ from the identity
 
 
 def holds_samples(path: Path) -> bool:
@@ -37,7 +37,7 @@ def holds_samples(path: Path) -> bool:
 def read_document(path: Path) -> dict[str, Any]:
     """The JSON document of a sample file; DatasetError when it is none."""
     try:
-        document = json.loads(read_text(path, MOST))
+        document = json.loads(read_text(path, MAX_SAMPLE_FILE_BYTES))
     except OSError as error:
         raise DatasetError(f"{path}: cannot read samples: {error.strerror}") from None
     except (ValueError, RecursionError) as error:
@@ -54,10 +54,10 @@ def read_document(path: Path) -> dict[str, Any]:
     return document
 
 
-def restored(name: str, document: Mapping[str, Any]) -> Any:
+def restore_field(name: str, document: Mapping[str, Any]) -> Any:
     """A field from JSON, with the type and shape it had; DatasetError that names the key."""
     try:
-        value = _restored(name, document)
+        value = _convert_field(name, document)
     except KeyError:
         raise DatasetError(f"the key '{name}' is missing") from None
     except (TypeError, ValueError, AttributeError, OverflowError):
@@ -77,13 +77,13 @@ def restored(name: str, document: Mapping[str, Any]) -> Any:
 def _check_column(name: str, column: np.ndarray, n: int) -> None:
     _check_length(name, column, n)
     flat = column.reshape(n, -1)
-    if name not in MAY_LACK and not np.isfinite(flat).all():
+    if name not in NULLABLE_FIELDS and not np.isfinite(flat).all():
         i = int(np.argmin(np.isfinite(flat).all(axis=1)))
         raise DatasetError(f"{name} of sample {i} holds null: expected numbers")
     if name == "R" and n:
         off = np.abs(column @ np.swapaxes(column, 1, 2) - np.eye(3)).max(axis=(1, 2))
         mirrored = np.linalg.det(column) < 0
-        bad = (off > OFF_ROTATION) | mirrored
+        bad = (off > MAX_ORTHOGONALITY_ERROR) | mirrored
         if bad.any():
             i = int(np.argmax(bad))
             how = "mirrors: its determinant is -1" if mirrored[i] else "is not orthogonal"
@@ -106,7 +106,7 @@ def _check_sigma(sigma: np.ndarray, joints: int) -> None:
         raise DatasetError(f"joint_sigma is {sigma}: expected {joints} numbers above 0")
 
 
-def _restored(name: str, document: Mapping[str, Any]) -> Any:
+def _convert_field(name: str, document: Mapping[str, Any]) -> Any:
     value = document[name]
     if name in ("count_q", "count_pose", "pose_id"):
         return np.array(value, np.int64)

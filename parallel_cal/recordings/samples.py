@@ -50,7 +50,7 @@ class Samples:
     warnings: list[str] = field(default_factory=list)
 
 
-def per_joint(value: float | Sequence[float], names: Sequence[str], what: str) -> Array:
+def broadcast_to_joints(value: float | Sequence[float], names: Sequence[str], what: str) -> Array:
     """A positive number per joint (nq,) from one number or one per joint; DatasetError if not."""
     try:
         values = np.atleast_1d(np.asarray(value, float))

@@ -12,7 +12,7 @@ from parallel_cal.recordings.options import SampleOptions
 from parallel_cal.recordings.pairing import paired_samples
 from parallel_cal.recordings.readings import reading_columns
 from parallel_cal.recordings.recording import Array, JointStream, Recording, ScalarStream
-from parallel_cal.recordings.samples import Samples, per_joint
+from parallel_cal.recordings.samples import Samples, broadcast_to_joints
 from parallel_cal.recordings.standstill import standstill_samples
 from parallel_cal.recordings.travel import travel
 
@@ -33,7 +33,7 @@ def _tolerance(joints: JointStream, options: SampleOptions) -> Array:
     """The standstill tolerance (nq,): the user's or the data's."""
     if options.still_tolerance is None:
         return still_tolerance(joints.time, joints.position, options.min_dwell)
-    return per_joint(options.still_tolerance, joints.names, "still_tolerance")
+    return broadcast_to_joints(options.still_tolerance, joints.names, "still_tolerance")
 
 
 def _why_none(recording: Recording, options: SampleOptions, samples: Samples) -> str:
@@ -60,7 +60,9 @@ def conditions_of(
     for name, stream in recording.conditions.items():
         held = CHANNELS[name].held
         conditions[name] = (
-            _latest(stream, time, warnings) if held else np.interp(time, stream.time, stream.value)
+            _select_latest_values(stream, time, warnings)
+            if held
+            else np.interp(time, stream.time, stream.value)
         )
     level = np.array([s.q for s in kept])
     # a motion counts as real when it is more than what passes for standing still
@@ -77,7 +79,7 @@ def conditions_of(
     return conditions | reading_columns(kept)
 
 
-def _latest(stream: ScalarStream, time: Array, warnings: list[str]) -> Array:
+def _select_latest_values(stream: ScalarStream, time: Array, warnings: list[str]) -> Array:
     """The last value before each time; the first value, with a warning, before any."""
     index = np.searchsorted(stream.time, time, side="right") - 1
     if (index < 0).any():

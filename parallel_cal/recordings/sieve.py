@@ -9,7 +9,9 @@ from parallel_cal.base.errors import BagError
 from parallel_cal.recordings.recording import Array, Bools, Dropped, Raw
 
 CLOCK_JUMP = 1_000_000_000  # ns; a stamp further back than this is a clock that was reset
-ABSURD = 1e9  # m or rad: no robot reads this, and the sums of its squares would overflow
+MAX_PLAUSIBLE_READING = (
+    1e9  # m or rad: no robot reads this, and the sums of its squares would overflow
+)
 
 
 class Sieve:

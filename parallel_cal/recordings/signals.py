@@ -10,14 +10,14 @@ import numpy as np
 
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.recordings.bag import read_bag
-from parallel_cal.recordings.clocks import on_one_clock
+from parallel_cal.recordings.clocks import align_clocks
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.loading import load_dataset
 from parallel_cal.recordings.options import ReadOptions
 from parallel_cal.recordings.recording import Array, Bools
 from parallel_cal.recordings.samplefile import holds_samples
 
-AROUND = 1.0  # s before and after the dwell
+MARGIN_S = 1.0  # s before and after the dwell
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ def signals(
     path = paths[session[at]]
     if holds_samples(Path(path)):
         raise DatasetError(f"{path}: holds samples, not the readings that they were made of")
-    recording = on_one_clock(read_bag(path, options))
+    recording = align_clocks(read_bag(path, options))
     of_it = np.flatnonzero(session == session[at])
     # In a later session time goes on from the one before.
     start = 0.0
@@ -52,7 +52,7 @@ def signals(
     order = [recording.joints.names.index(name) for name in dataset.joint_names]
 
     def near(time: Array) -> Bools:
-        return np.asarray(np.abs(time - middle) <= duration / 2 + AROUND)
+        return np.asarray(np.abs(time - middle) <= duration / 2 + MARGIN_S)
 
     joints, poses = near(recording.joints.time), near(recording.pose.time)
     return Signals(

@@ -28,8 +28,8 @@ AIR, WARMING, PERIOD = 21.0, 3.0, 180.0  # degC, degC, s: the workshop's tempera
 ARCSEC = np.pi / 180 / 3600
 # Of instruments a model file says nothing about: those of the thesis (sections 2.3.2 and 4.2).
 TYPICAL = {"rad": 25 * ARCSEC, "m": 10e-6, "position": 10e-6, "orientation": 15 * ARCSEC}
-NEAR = 0.02  # of a joint's travel
-TRIES = 20  # draws a pose before the workspace counts as unreachable
+MIN_TARGET_DISTANCE = 0.02  # of a joint's travel
+MAX_DRAWS = 20  # draws a pose before the workspace counts as unreachable
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ def with_effects(model: Model, effects: Iterable[tuple[str, Mapping[str, float]]
         table, effect = model.table, next(e for e in model.effects if e.name == name)
         own = table.matching([f"{name}.*"])
         values[own] = table.tolerance[own]
-        known = table.matching(effect.known())
+        known = table.matching(effect.fixed_patterns())
         values[known] = table.nominal[known]
         for key, value in given.items():
             values[_matching(model, name, key)] = value
@@ -126,22 +126,24 @@ def simulate(
     rng = np.random.default_rng(seed)
     if targets is None:
         targets = _targets(model, poses, rng)
-        targets = _apart(np.vstack([targets, targets[rng.permutation(poses)[:replicates]]]))
+        targets = _separate_neighbours(
+            np.vstack([targets, targets[rng.permutation(poses)[:replicates]]])
+        )
     motion = _motion(model, targets)
     if model.structure.phi.shape[0] > len(model.mechanism.moves):
         # More lines than coordinates: joints must fit each other under the very conditions.
-        motion = _motion(model, _fitting(model, targets, motion))
+        motion = _motion(model, _adjust_joints_to_conditions(model, targets, motion))
     stated = stated_noise(model)
     errors = _Errors(model, Noise() if quiet else stated, len(targets), rng)
     joints = JointStream(
-        "joint_states", model.joints, motion.time, errors.of_joints(motion.joints, motion.dwell),
+        "joint_states", model.joints, motion.time, errors.add_to_joints(motion.joints, motion.dwell),
         np.full_like(motion.joints, np.nan),
     )  # fmt: skip
-    measured = _measured(model, motion, errors, np.diag(_pose_sigma(stated) ** 2))
+    measured = _measure_poses(model, motion, errors, np.diag(_pose_sigma(stated) ** 2))
     return Simulation(model, Recording("simulated", 0, joints, measured, _slow_streams(motion)))
 
 
-def _fitting(model: Model, targets: np.ndarray, motion: _Motion) -> np.ndarray:
+def _adjust_joints_to_conditions(model: Model, targets: np.ndarray, motion: _Motion) -> np.ndarray:
     """The joints (n, nq) of the same poses under the conditions at the end of each dwell."""
     last = np.searchsorted(motion.dwell, np.arange(len(targets)), side="right") - 1
     pose = Kinematics(model).direct(targets)
@@ -149,14 +151,16 @@ def _fitting(model: Model, targets: np.ndarray, motion: _Motion) -> np.ndarray:
     return Kinematics(model).inverse(pose.position, pose.rotation, at).joints
 
 
-def _measured(model: Model, motion: _Motion, errors: _Errors, covariance: np.ndarray) -> PoseStream:
+def _measure_poses(
+    model: Model, motion: _Motion, errors: _Errors, covariance: np.ndarray
+) -> PoseStream:
     """What the device reports, with the covariance (6, 6) that it states."""
     seen = slice(None, None, POSES_EVERY)
     at = {key: column[seen] for key, column in motion.at.items()}
     answer = Kinematics(model).direct(motion.joints[seen], at)
     # On its straight way between two poses a robot may pass where it has no solution.
     solved = answer.solved
-    position, rotation = errors.of_pose(answer.position, answer.rotation, motion.dwell[seen])
+    position, rotation = errors.add_to_pose(answer.position, answer.rotation, motion.dwell[seen])
     m = int(solved.sum())
     return PoseStream(
         "measured_pose", model.frames["base"], motion.time[seen][solved], position[solved],
@@ -176,13 +180,13 @@ def _slow_streams(motion: _Motion) -> dict[str, ScalarStream]:
     }
 
 
-def _apart(targets: np.ndarray) -> np.ndarray:
+def _separate_neighbours(targets: np.ndarray) -> np.ndarray:
     """The targets in an order in which two near ones do not follow each other: they would be
     taken for one long rest."""
     order = targets / np.maximum(np.ptp(targets, axis=0), 1e-12)
     targets = targets.copy()
     for k in range(1, len(order)):
-        far = np.abs(order[k:] - order[k - 1]).max(axis=1) > NEAR
+        far = np.abs(order[k:] - order[k - 1]).max(axis=1) > MIN_TARGET_DISTANCE
         other = k + int(np.argmax(far))  # k itself where it is far, or none is
         for rows in (order, targets):
             rows[[k, other]] = rows[[other, k]]
@@ -192,7 +196,7 @@ def _apart(targets: np.ndarray) -> np.ndarray:
 def _targets(model: Model, n: int, rng: np.random.Generator) -> np.ndarray:
     """Joints (n, nq) of poses in the workspace that the robot reaches within its limits."""
     kinematics, found = Kinematics(model), np.empty((0, len(model.joints)))
-    for _ in range(TRIES):
+    for _ in range(MAX_DRAWS):
         r, R = poses_in_workspace(model.mechanism, n, rng)
         joints = kinematics.inverse(r, R)
         reached = joints.joints[joints.ok]
@@ -203,7 +207,7 @@ def _targets(model: Model, n: int, rng: np.random.Generator) -> np.ndarray:
             return np.asarray(found[:n])
     low, high = model.mechanism.workspace.low, model.mechanism.workspace.high
     raise SolveError(
-        f"only {len(found)} of {TRIES * n} poses between {low} and {high} (m, rad) are within "
+        f"only {len(found)} of {MAX_DRAWS * n} poses between {low} and {high} (m, rad) are within "
         "reach and joint limits; make the workspace in the model file smaller"
     )
 
@@ -231,7 +235,7 @@ def _motion(model: Model, targets: np.ndarray) -> _Motion:
     at = {"time": time, "temperature": _temperature(time)}
     at["payload"] = np.array(PAYLOADS)[dwell // SAME_PAYLOAD % len(PAYLOADS)]
     direction = _directions(steps)
-    travel = _before(steps, direction)[dwell] + part * steps[dwell]
+    travel = _compute_travel(steps, direction)[dwell] + part * steps[dwell]
     for j, name in enumerate(model.joints):
         at[f"direction.{name}"] = direction[dwell, j]
         at[f"travel.{name}"] = travel[:, j]
@@ -247,7 +251,7 @@ def _directions(steps: np.ndarray) -> np.ndarray:
     return signs
 
 
-def _before(steps: np.ndarray, direction: np.ndarray) -> np.ndarray:
+def _compute_travel(steps: np.ndarray, direction: np.ndarray) -> np.ndarray:
     """How far each joint has come since its last reversal when a step (N, nq) begins."""
     ways = np.zeros(steps.shape)
     for k in range(1, len(steps)):
@@ -270,10 +274,10 @@ class _Errors:
         self._joint = rng.standard_normal((dwells, len(self.joint_sigma)))
         self._pose = rng.standard_normal((dwells, 6))
 
-    def of_joints(self, joints: np.ndarray, dwell: np.ndarray) -> np.ndarray:
+    def add_to_joints(self, joints: np.ndarray, dwell: np.ndarray) -> np.ndarray:
         return joints + self.joint_sigma * self._draws(self._joint, dwell)
 
-    def of_pose(
+    def add_to_pose(
         self, position: np.ndarray, rotation: np.ndarray, dwell: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         error = self.pose_sigma * self._draws(self._pose, dwell)

@@ -17,7 +17,7 @@ from parallel_cal.recordings.samples import (
     sample_sd,
     slope,
 )
-from parallel_cal.recordings.windows import Dwell, window
+from parallel_cal.recordings.windows import Dwell, make_dwell
 
 
 def standstill_samples(recording: Recording, options: SampleOptions, tolerance: Array) -> Samples:
@@ -27,7 +27,7 @@ def standstill_samples(recording: Recording, options: SampleOptions, tolerance: 
     intervals = still_intervals(
         joints.time, joints.position, tolerance, options.min_dwell / 3, max_gap(joints, options)
     )
-    windows = [window(recording, interval, options) for interval in intervals]
+    windows = [make_dwell(recording, interval, options) for interval in intervals]
     minimum = _min_pose_messages(windows, options, found.warnings)
     dwells = []
     for dwell in windows:

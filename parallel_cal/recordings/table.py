@@ -26,7 +26,7 @@ ANGLES = {
     "arcsec": math.pi / 648_000, "gon": math.pi / 200, "rev": 2 * math.pi,
 }  # fmt: skip
 UNITS = ANGLES | LENGTHS
-ALSO = {
+UNIT_ALIASES = {
     "°": "deg", "degree": "deg", "degrees": "deg", "radian": "rad", "radians": "rad",
     "revolutions": "rev", "turns": "rev", "grad": "gon", "µm": "um", "μm": "um",
     "micrometers": "um", "micrometres": "um", "microns": "um", "micron": "um", "inch": "in",
@@ -51,13 +51,13 @@ class Table:
         """The header's word for a column: the same, or the same and a unit (`x [mm]`, `x_mm`)."""
         if name in self.header:
             return name
-        return next((word for word in self.header if said_unit(word)[0] == name), None)
+        return next((word for word in self.header if split_unit(word)[0] == name), None)
 
     def select(self, rows: Sequence[int]) -> Table:
         """Some of its rows, in that order."""
         return replace(self, rows=[self.rows[k] for k in rows], lines=[self.lines[k] for k in rows])
 
-    def complete(self) -> Table:
+    def drop_empty_rows(self) -> Table:
         """Without rows that hold nothing; DatasetError where a cell is missing or a name twice."""
         kept = [k for k, row in enumerate(self.rows) if any(map(str.strip, row))]
         if not kept:
@@ -119,13 +119,13 @@ def read_table(path: Path) -> Table:
     return Table(path, names, [row for _, row in rows], [line for line, _ in rows], decimal)
 
 
-def said_unit(word: str) -> tuple[str, str | None]:
+def split_unit(word: str) -> tuple[str, str | None]:
     """`x [mm]`, `x (mm)`, `x_mm`, `x/mm` or `x mm` as name and unit; (word, None) without one."""
     match = re.fullmatch(r"(.+?)\s*(?:\[(.+)\]|\((.+)\)|[_/ ]\s*([^_/ ]+))", word)
     if match is None:
         return word, None
     unit = next(group for group in match.groups()[1:] if group).strip()
-    unit = ALSO.get(unit.lower(), unit.lower())
+    unit = UNIT_ALIASES.get(unit.lower(), unit.lower())
     return (match[1], unit) if unit in UNITS else (word, None)
 
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from parallel_cal.base.errors import BagError
-from parallel_cal.recordings.channels import CHANNELS, Kind, named
+from parallel_cal.recordings.channels import CHANNELS, Kind, list_channels
 from parallel_cal.recordings.recording import TopicInfo
 
 Types = tuple[str, ...]
@@ -29,7 +29,7 @@ def choose_topics(
     chosen = {"joint_states": offer.require("joint_states", names["joint_states"], joints)}
 
     def choose(kind: Kind) -> None:
-        for channel in named(kind):
+        for channel in list_channels(kind):
             # Where a type serves for many things, only the name tells that these are meant.
             guess, types = not CHANNELS[channel].by_name, CHANNELS[channel].types
             if found := offer.optional(channel, names[channel], types, guess):
@@ -45,8 +45,8 @@ def choose_topics(
 
 def _pose(offer: _Offer, names: Mapping[str, str], needed: bool) -> TopicInfo | None:
     """The pose device's topic; where another sensor was recorded, only by its name."""
-    pose = offer.named(names["measured_pose"], POSES)
-    point = offer.named(names["measured_position"], POINTS + POSES)
+    pose = offer.find_named(names["measured_pose"], POSES)
+    point = offer.find_named(names["measured_position"], POINTS + POSES)
     if pose and point:
         offer.notes.append(f"{point.name} is ignored, poses are taken from {pose.name}")
     wanted = names["measured_position"]
@@ -69,7 +69,7 @@ class _Offer:
     available: Sequence[TopicInfo]
     notes: list[str]
 
-    def named(self, name: str, types: Types) -> TopicInfo | None:
+    def find_named(self, name: str, types: Types) -> TopicInfo | None:
         """The topic of that name, None if absent or empty; BagError if its type is another."""
         found = [t for t in self.available if name and t.name.strip("/") == name.strip("/")]
         fitting = [t for t in found if t.type in types]
@@ -82,7 +82,7 @@ class _Offer:
 
     def optional(self, channel: str, name: str, types: Types, guess: bool) -> TopicInfo | None:
         """The named topic; by a default name, where one may `guess`, the only one of that type."""
-        found = self.named(name, types)
+        found = self.find_named(name, types)
         if found and found.count:
             return found
         if name and name != channel:

@@ -8,7 +8,7 @@ import numpy as np
 
 from parallel_cal.recordings.dwells import Indices, Interval
 from parallel_cal.recordings.options import SampleOptions
-from parallel_cal.recordings.readings import held_words, readings_between
+from parallel_cal.recordings.readings import readings_between, words_between
 from parallel_cal.recordings.recording import Bools, Recording
 
 
@@ -29,7 +29,7 @@ class Dwell:
     shown: dict[str, float]
 
 
-def window(recording: Recording, interval: Interval, options: SampleOptions) -> Dwell:
+def make_dwell(recording: Recording, interval: Interval, options: SampleOptions) -> Dwell:
     """The trimmed part of an interval: the robot settles at its start and may leave at its end."""
     joints, pose = recording.joints, recording.pose
     start = joints.time[interval.first] + options.trim_start
@@ -41,7 +41,7 @@ def window(recording: Recording, interval: Interval, options: SampleOptions) -> 
     measured = pose.measured[poses].mean(axis=0) > 0.5 if len(poses) else np.zeros(6, bool)
     enough = (pose.measured[poses] | ~measured).all(axis=1)
     readings = slice(int(a), int(max(a, b)))
-    held = held_words(recording.constraint, start, end)
+    held = words_between(recording.constraint, start, end)
     shown = readings_between(recording, start, end)
     return Dwell(
         interval, start, end, readings, poses[enough], poses[~enough], measured, held, shown

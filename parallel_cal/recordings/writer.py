@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 START = 1_767_225_600_000_000_000  # 2026-01-01 00:00:00 UTC, in ns: equal seeds, equal files
 STORAGES = ("mcap", "sqlite3")
-WRITTEN = ("payload", "temperature", "joint_states", "measured_pose")
+WRITTEN_CHANNELS = ("payload", "temperature", "joint_states", "measured_pose")
 
 
 def write_bag(session: Simulation, path: str | Path, storage: str = "mcap") -> None:
@@ -51,10 +51,10 @@ def write_bag(session: Simulation, path: str | Path, storage: str = "mcap") -> N
     if storage not in STORAGES:
         raise BagError(f"storage '{storage}' unknown; expected {' or '.join(STORAGES)}")
     messages = _Session()
-    kinds = {name: CHANNELS[name].types[0] for name in WRITTEN}
+    kinds = {name: CHANNELS[name].types[0] for name in WRITTEN_CHANNELS}
     stream = sorted(messages.of(session), key=lambda m: m[0])
     data = ((n, t, messages.store.serialize_cdr(m, kinds[n])) for t, n, m in stream)
-    latched = {name for name in WRITTEN if CHANNELS[name].latched}
+    latched = {name for name in WRITTEN_CHANNELS if CHANNELS[name].latched}
     _write(Path(path), kinds, data, latched, storage, lambda folder: folder)
 
 

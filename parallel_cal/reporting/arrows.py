@@ -9,7 +9,7 @@ import numpy as np
 
 from parallel_cal.reporting.figures import Spec
 
-LONGEST = 0.16  # of the workspace: a typical large arrow
+TYPICAL_ARROW_RATIO = 0.16  # of the workspace: a typical large arrow
 HEAD, WIDTH = 0.3, 0.35  # of an arrow's length, of a head's length
 
 
@@ -19,7 +19,7 @@ def scale_of(places: np.ndarray, fields: Sequence[np.ndarray]) -> float:
     size = max(float(np.quantile(np.linalg.norm(f, axis=1), 0.9)) for f in fields)
     if not size or not span:
         return 1.0
-    return round_below(LONGEST * span / size)
+    return round_below(TYPICAL_ARROW_RATIO * span / size)
 
 
 def typical(field: np.ndarray) -> float:

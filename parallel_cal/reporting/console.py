@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-from parallel_cal.base.documents import plain
+from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.progress import Progress
 from parallel_cal.reporting.readable import columns
 
@@ -18,7 +18,7 @@ STOPPED = "stopped; what is done is kept, and the same command goes on from ther
 
 def emit(document: Any) -> None:
     """One JSON document on stdout."""
-    sys.stdout.write(json.dumps(plain(document), allow_nan=False) + "\n")
+    sys.stdout.write(json.dumps(to_json_value(document), allow_nan=False) + "\n")
 
 
 def say(text: str) -> None:

@@ -11,11 +11,11 @@ import numpy as np
 from parallel_cal.diagnosis.diagnose import Diagnosis
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.lack_of_fit import SmoothMap, regressors
-from parallel_cal.diagnosis.patterns import Along
+from parallel_cal.diagnosis.patterns import ResidualProfile
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.search import Trial
-from parallel_cal.diagnosis.signature import joints
-from parallel_cal.identification.fit import Estimated, FitResult
+from parallel_cal.diagnosis.signature import compute_joint_components
+from parallel_cal.identification.fit import FitResult, ParameterEstimate
 from parallel_cal.identification.observability import directions_in_words
 from parallel_cal.identification.prediction_errors import ERRORS, Summary
 from parallel_cal.model.configuration import Configuration
@@ -23,12 +23,12 @@ from parallel_cal.model.effect import CONDITIONS
 from parallel_cal.model.mechanism import POSE, Mechanism
 from parallel_cal.model.words import describe
 
-AT_REST = 1e-3  # rad/s or m/s: below it a robot that is measured stands still
-STRONG = 0.98  # correlation of two parameters that the data hardly tell apart
+MAX_REST_SPEED = 1e-3  # rad/s or m/s: below it a robot that is measured stands still
+MIN_STRONG_CORRELATION = 0.98  # correlation of two parameters that the data hardly tell apart
 
 
 @dataclass(frozen=True)
-class LeftOut:
+class HeldOutErrors:
     """E at poses left out: before any calibration, now, with the effects found; noise alone."""
 
     before: Summary
@@ -37,15 +37,15 @@ class LeftOut:
     noise: Summary
 
     @classmethod
-    def of(cls, diagnosis: Diagnosis) -> LeftOut:
+    def of(cls, diagnosis: Diagnosis) -> HeldOutErrors:
         base, best = diagnosis.base.fitted, diagnosis.best.fitted
-        steps = _judged(diagnosis)
+        steps = _list_judged_steps(diagnosis)
         before = Summary(**steps[0]["held_out"]["before"]) if steps else None
         return cls(
             before=before or base.held_out_before.summary,
             now=base.held_out.summary,
             found=best.held_out.summary if diagnosis.effects else None,
-            noise=best.noise,
+            noise=best.noise_floor,
         )
 
     @property
@@ -57,19 +57,19 @@ class LeftOut:
         return []
 
 
-def _judged(diagnosis: Diagnosis) -> list[dict[str, Any]]:
+def _list_judged_steps(diagnosis: Diagnosis) -> list[dict[str, Any]]:
     """Steps of the model's history with errors at poses left out: no published tables."""
     past = (entry for entry in diagnosis.model.history if isinstance(entry.get("held_out"), dict))
     return [entry for entry in past if {"before", "after"} <= entry["held_out"].keys()]
 
 
-def history(diagnosis: Diagnosis, errors: LeftOut) -> list[dict[str, Any]]:
+def history(diagnosis: Diagnosis, errors: HeldOutErrors) -> list[dict[str, Any]]:
     """One row a step: its `name`, `error` (E at poses left out), and the data it was judged on."""
     data = diagnosis.dataset
     here = {"samples": len(data), "sha256": data.sha256}
-    steps = [_step(entry) for entry in _judged(diagnosis)]
+    steps = [_step(entry) for entry in _list_judged_steps(diagnosis)]
     rows = [(steps[0] if steps else here) | {"name": "before", "error": errors.before}, *steps]
-    if not (steps and _same(steps[-1]["error"], errors.now)):  # else the last step is now
+    if not (steps and _are_equal(steps[-1]["error"], errors.now)):  # else the last step is now
         rows.append({"name": "now", "error": errors.now, **here})
     if errors.found:
         name = f"with {' and '.join(diagnosis.effects)}"
@@ -77,7 +77,7 @@ def history(diagnosis: Diagnosis, errors: LeftOut) -> list[dict[str, Any]]:
     return rows
 
 
-def _same(one: Summary, other: Summary) -> bool:
+def _are_equal(one: Summary, other: Summary) -> bool:
     """Whether errors are those of one fit, written and identified again."""
     a, b = ([value or 0.0 for value in vars(e).values()] for e in (one, other))
     return bool(np.allclose(a, b, rtol=1e-4, atol=0.0))
@@ -113,7 +113,7 @@ class Residuals:
     @classmethod
     def of(cls, scene: Scene, field: Field, found: Field | None = None) -> Residuals:
         used = np.flatnonzero(np.any(field.noise_units != 0, axis=0))
-        read = "reading" if np.isfinite(scene.read_apart).any() else "equation"
+        read = "reading" if np.isfinite(scene.reading_residuals).any() else "equation"
         return cls(
             kind=field.kind,
             components=[POSE[k] if field.kind else f"{read} {k + 1}" for k in used],
@@ -127,11 +127,11 @@ class Residuals:
             units=dict(_units(scene)),
         )
 
-    def telling(self, along: Sequence[Along]) -> Iterator[Along]:
+    def select_informative(self, along: Sequence[ResidualProfile]) -> Iterator[ResidualProfile]:
         """What varied and says something: velocities of a robot at rest do not."""
         for entry in along:
             values = self.regressors[entry.name]
-            rests = entry.name.startswith("velocity.") and np.abs(values).max() < AT_REST
+            rests = entry.name.startswith("velocity.") and np.abs(values).max() < MAX_REST_SPEED
             if np.ptp(values) > 0 and not rests:
                 yield entry
 
@@ -150,7 +150,7 @@ class JointResiduals:
 
     @classmethod
     def of(cls, scene: Scene) -> JointResiduals:
-        found, mechanism = joints(scene), scene.model.mechanism
+        found, mechanism = compute_joint_components(scene), scene.model.mechanism
         at = [mechanism.joints.index(name) for name in found.names]
         return cls(
             joints=found.names,
@@ -200,8 +200,8 @@ class JudgedSample:
 def samples(diagnosis: Diagnosis) -> list[JudgedSample]:
     """Every sample, worst first."""
     best, data = diagnosis.best.fitted, diagnosis.dataset
-    odd = {one.sample: one.word for one in diagnosis.odd_samples}
-    now, found = _each(diagnosis.base), _each(diagnosis.best)
+    odd = {one.sample: one.label for one in diagnosis.odd_samples}
+    now, found = _list_sample_errors(diagnosis.base), _list_sample_errors(diagnosis.best)
     position = np.where(data.measured[:, :3], data.r, np.nan)
     return [
         JudgedSample(
@@ -217,7 +217,7 @@ def samples(diagnosis: Diagnosis) -> list[JudgedSample]:
     ]
 
 
-def _each(trial: Trial) -> list[dict[str, float]]:
+def _list_sample_errors(trial: Trial) -> list[dict[str, float]]:
     norms = {kind: trial.fitted.held_out.norms(kind) for kind in ERRORS}
     columns = norms | {"sigmas": trial.scene.sigmas}
     return [
@@ -226,18 +226,18 @@ def _each(trial: Trial) -> list[dict[str, float]]:
 
 
 @dataclass(frozen=True)
-class Described(Estimated):
+class DescribedParameter(ParameterEstimate):
     """A parameter with what it is, in words, and its sigma in tolerances."""
 
     words: str
     sigma_tolerances: float | None
 
 
-def parameters(result: FitResult) -> dict[str, Described]:
+def parameters(result: FitResult) -> dict[str, DescribedParameter]:
     """Every parameter by name."""
     table = result.model.table
     return {
-        name: Described(
+        name: DescribedParameter(
             **vars(p),
             words=describe(name, table),
             sigma_tolerances=None if p.sigma is None else p.sigma / tolerance,
@@ -263,12 +263,14 @@ class Correlation:
     value: float
 
 
-def correlated(result: FitResult, most: int = 10) -> list[Correlation]:
+def find_correlations(result: FitResult, most: int = 10) -> list[Correlation]:
     """The strongest correlations of two free parameters, where they are worth a word."""
     names = [n for n, free in zip(result.model.table.names, result.free, strict=True) if free]
     with np.errstate(invalid="ignore", divide="ignore"):  # unidentified ones have no sigma
         C = np.triu(np.nan_to_num(result.correlations()), 1)
-    pairs = sorted(np.argwhere(np.abs(C) > STRONG).tolist(), key=lambda ij: -abs(C[tuple(ij)]))
+    pairs = sorted(
+        np.argwhere(np.abs(C) > MIN_STRONG_CORRELATION).tolist(), key=lambda ij: -abs(C[tuple(ij)])
+    )
     return [Correlation((names[i], names[j]), C[i, j]) for i, j in pairs[:most]]
 
 

@@ -12,8 +12,14 @@ import numpy as np
 
 from parallel_cal.model.model import Model
 from parallel_cal.reporting.colours import MEASURED, QUIET, WARNING
-from parallel_cal.reporting.contents import Described
-from parallel_cal.reporting.figures import FAR, Spec, gaps, in_words, rounded
+from parallel_cal.reporting.contents import DescribedParameter
+from parallel_cal.reporting.figures import (
+    MAX_MOVED_TOLERANCES,
+    Spec,
+    describe_parameter,
+    round_values,
+    round_with_gaps,
+)
 from parallel_cal.reporting.spaces import space
 
 # Okabe and Ito's palette; what moves with a motor, what follows, what carries the tool.
@@ -24,7 +30,7 @@ WIDTHS = {"base": 4, "axis": 2, "driven": 8, "rod": 5, "platform": 7}
 
 
 @dataclass(frozen=True)
-class Drawn:
+class DrawnLine:
     """A line of a mechanism: `points` (m, 3) m in {B}, and the parameters that it shows."""
 
     kind: str
@@ -47,7 +53,7 @@ class Drawn:
         return f"{owners[0]}: {short}" if len(owners) == 1 and owners[0] else short
 
 
-def lines(model: Model, x: np.ndarray | None = None) -> list[Drawn]:
+def lines(model: Model, x: np.ndarray | None = None) -> list[DrawnLine]:
     """Of a model's geometry at a configuration (nq + 12,), at home by default."""
     s, names = model.structure, model.mechanism.parameters.names
     x = model.mechanism.home.configuration if x is None else x
@@ -58,7 +64,7 @@ def lines(model: Model, x: np.ndarray | None = None) -> list[Drawn]:
     evaluate = ca.Function("drawing", [s.configuration, s.v], columns)
     points = evaluate.call([ca.DM(x), ca.DM(model.values)])
     return [
-        Drawn(
+        DrawnLine(
             part.kind,
             np.array(at).T,
             tuple(name for name in names if any(fnmatchcase(name, one) for one in part.shows)),
@@ -68,7 +74,7 @@ def lines(model: Model, x: np.ndarray | None = None) -> list[Drawn]:
 
 
 def drawing(
-    model: Model, x: np.ndarray | None = None, found: Mapping[str, Described] | None = None
+    model: Model, x: np.ndarray | None = None, found: Mapping[str, DescribedParameter] | None = None
 ) -> Spec | None:
     """The mechanism in space, one label for each kind of parameter, all of them where the pointer
     is; lines whose parameters moved far are marked where `found` tells. None where nothing is
@@ -76,15 +82,15 @@ def drawing(
     parts = lines(model, x)
     if not parts:
         return None
-    groups: dict[tuple[str, bool], list[Drawn]] = {}
+    groups: dict[tuple[str, bool], list[DrawnLine]] = {}
     for part in parts:
         groups.setdefault((part.kind, _far(part, found or {})), []).append(part)
     traces = [_trace(kind, far, own, found or {}) for (kind, far), own in groups.items()]
-    named = labelled(parts)
+    named = select_labelled(parts)
     at = 1e3 * np.array([part.middle for part in named]).reshape(-1, 3)
     words = {
         "type": "scatter3d", "mode": "text", "name": "parameters", "hoverinfo": "skip",
-        "x": rounded(at[:, 0]), "y": rounded(at[:, 1]), "z": rounded(at[:, 2]),
+        "x": round_values(at[:, 0]), "y": round_values(at[:, 1]), "z": round_values(at[:, 2]),
         "text": [escape(part.label) for part in named], "textfont": {"size": 11},
     }  # fmt: skip
     layout = {"height": 460, "showlegend": True, "legend": {"orientation": "h", "y": 0, "x": 0},
@@ -92,12 +98,12 @@ def drawing(
     return {"data": [*traces, words | {"showlegend": False}], "layout": layout}
 
 
-def flat(parts: list[Drawn]) -> bool:
+def flat(parts: list[DrawnLine]) -> bool:
     """Whether all of it lies at one height."""
     return bool(np.ptp(np.vstack([part.points for part in parts])[:, 2]) < 1e-6)
 
 
-def _cube(parts: list[Drawn]) -> Spec:
+def _cube(parts: list[DrawnLine]) -> Spec:
     """Axes of one length, also where all is flat: that is looked at from above."""
     points = 1e3 * np.vstack([part.points for part in parts])
     middle, half = (points.min(0) + points.max(0)) / 2, 0.55 * np.ptp(points, axis=0).max()
@@ -112,41 +118,43 @@ def _cube(parts: list[Drawn]) -> Spec:
     return axes | {"aspectmode": "cube", "camera": camera}
 
 
-def labelled(parts: list[Drawn]) -> list[Drawn]:
+def select_labelled(parts: list[DrawnLine]) -> list[DrawnLine]:
     """Of the lines whose parameters are named alike, chain by chain, one: that furthest from those
     chosen before it."""
-    alike: dict[tuple[str, ...], list[Drawn]] = {}
+    alike: dict[tuple[str, ...], list[DrawnLine]] = {}
     for part in parts:
         if part.parameters:
             key = tuple(name.rpartition(".")[2] for name in part.parameters)
             alike.setdefault(key, []).append(part)
-    chosen: list[Drawn] = []
+    chosen: list[DrawnLine] = []
     for own in alike.values():
-        chosen.append(max(own, key=lambda part: _apart(part, chosen)))
+        chosen.append(max(own, key=lambda part: _compute_distance(part, chosen)))
     return chosen
 
 
-def _apart(part: Drawn, others: list[Drawn]) -> float:
+def _compute_distance(part: DrawnLine, others: list[DrawnLine]) -> float:
     away = (float(np.linalg.norm(part.middle - other.middle)) for other in others)
     return min(away, default=0.0)
 
 
-def _far(part: Drawn, found: Mapping[str, Described]) -> bool:
+def _far(part: DrawnLine, found: Mapping[str, DescribedParameter]) -> bool:
     own = (found[name] for name in part.parameters if name in found)
-    return any(abs(p.moved_tolerances) > FAR for p in own if not p.fixed)
+    return any(abs(p.moved_tolerances) > MAX_MOVED_TOLERANCES for p in own if not p.fixed)
 
 
-def _trace(kind: str, far: bool, parts: list[Drawn], found: Mapping[str, Described]) -> Spec:
+def _trace(
+    kind: str, far: bool, parts: list[DrawnLine], found: Mapping[str, DescribedParameter]
+) -> Spec:
     points, words = [], []
     for part in parts:
-        told = [in_words(found[n]) if n in found else escape(n) for n in part.parameters]
+        told = [describe_parameter(found[n]) if n in found else escape(n) for n in part.parameters]
         points.append(np.vstack([part.points, np.full(3, np.nan)]))
         words += ["<br>".join(told) or kind] * (len(part.points) + 1)
     at = 1e3 * np.vstack(points)
     return {
         "type": "scatter3d", "mode": "lines",
-        "name": f"{kind}, moved over {FAR:g} tolerances" if far else kind,
-        "x": gaps(at[:, 0]), "y": gaps(at[:, 1]), "z": gaps(at[:, 2]),
+        "name": f"{kind}, moved over {MAX_MOVED_TOLERANCES:g} tolerances" if far else kind,
+        "x": round_with_gaps(at[:, 0]), "y": round_with_gaps(at[:, 1]), "z": round_with_gaps(at[:, 2]),
         "line": {"width": WIDTHS[kind], "color": WARNING if far else COLOURS[kind]},
         "text": words, "hoverinfo": "text",
     }  # fmt: skip

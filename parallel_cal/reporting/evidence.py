@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from parallel_cal.diagnosis.entries import Alone, Entry
+from parallel_cal.diagnosis.entries import Entry, SingleEffectFit
 from parallel_cal.diagnosis.separate import PlannedPose
 from parallel_cal.diagnosis.signature import signature
-from parallel_cal.diagnosis.thresholds import REFITTED
-from parallel_cal.identification.fit import Estimated
+from parallel_cal.diagnosis.thresholds import MAX_REFITTED_CANDIDATES
+from parallel_cal.identification.fit import ParameterEstimate
 from parallel_cal.reporting import signatures
 from parallel_cal.reporting.markup import (
     Cell,
@@ -23,12 +23,12 @@ from parallel_cal.reporting.markup import (
 )
 from parallel_cal.reporting.readable import (
     MISSING,
-    large,
+    error_unit,
     number,
     percent,
     probability,
-    small,
     unit_of,
+    value_unit,
     vector,
 )
 from parallel_cal.reporting.report import Report
@@ -50,7 +50,7 @@ def candidates(report: Report, plot: Plot) -> str:
     )
     told = [f"{name} fits no better than {', '.join(o)}" for name, o in found.swaps.items()]
     told += [f"Against it: {text}" for text in found.verdict.against]
-    first = [e for e in tested if e.name in found.effects or e.rank <= REFITTED]
+    first = [e for e in tested if e.name in found.effects or e.rank <= MAX_REFITTED_CANDIDATES]
     later = [e for e in tested if e not in first]
     shown = _tested(report, first) if first else paragraph("None could be tested.", "none")
     shown += _patterns(first, report, plot)
@@ -108,14 +108,14 @@ def _row(entry: Entry, kind: str, unit: str, found: bool) -> list[Cell]:
     ]
 
 
-def _fall(alone: Alone, kind: str, unit: str) -> str:
+def _fall(alone: SingleEffectFit, kind: str, unit: str) -> str:
     """`37.6 → 32.2 µm`."""
-    name, factor = small(unit)
+    name, factor = error_unit(unit)
     sides = (number(e.rms(kind), factor) for e in (alone.before, alone.after))
     return " → ".join(sides) + f" {name}"
 
 
-def _estimates(parameters: Mapping[str, Estimated]) -> str:
+def _estimates(parameters: Mapping[str, ParameterEstimate]) -> str:
     """The effect's own numbers with their sigma, the surest first."""
     free = [(name, p) for name, p in parameters.items() if not p.fixed]
     free.sort(key=lambda item: -abs(item[1].value) / (item[1].sigma or math.inf))
@@ -124,10 +124,10 @@ def _estimates(parameters: Mapping[str, Estimated]) -> str:
     return ", ".join(words) + (f" and {rest} more" if rest else "")
 
 
-def _estimate(name: str, p: Estimated) -> str:
+def _estimate(name: str, p: ParameterEstimate) -> str:
     if p.sigma is None:
         return f"{name} not identified"
-    unit, factor = ("mrad", 1e3) if p.unit == "rad" else large(p.unit)
+    unit, factor = ("mrad", 1e3) if p.unit == "rad" else value_unit(p.unit)
     return f"{name} {number(p.value, factor)} ± {number(p.sigma, factor, 2)} {unit}".rstrip()
 
 
@@ -152,7 +152,7 @@ def measure_next(report: Report) -> str:
 
 def _poses(poses: Sequence[PlannedPose], units: Mapping[str, str]) -> str:
     """The poses to measure, each under its circumstances."""
-    joints = [f"{name} [{large(unit)[0]}]" for name, unit in units.items()]
+    joints = [f"{name} [{value_unit(unit)[0]}]" for name, unit in units.items()]
     stops = ["past it [mm]", "and back to [mm]"] if poses[0].by_way_of else []
     conditions = list(poses[0].conditions)
     rows = [

@@ -13,19 +13,19 @@ from parallel_cal.reporting.contents import JudgedSample
 from parallel_cal.reporting.markup import Cell, Plot, folded, paragraph, table, tabs
 from parallel_cal.reporting.multiples import colour, multiples
 from parallel_cal.reporting.readable import (
+    error_unit,
     number,
     percent,
     probability,
-    small,
     unit_of,
     vector,
     with_unit,
 )
 from parallel_cal.reporting.report import Report
 
-SHOWN = 400  # samples of a table, worst first
-STRIKING = 8  # panels that are open
-ALONG = (
+MAX_SAMPLE_ROWS = 400  # samples of a table, worst first
+MAX_OPEN_PANELS = 8  # panels that are open
+PROFILE_NOTE = (
     "Residuals in sigmas of the noise: grey every one, coloured their rolling mean, the band where "
     "99 % of such means lie if nothing depends on it. Of many windows a few leave the band by "
     "chance. Most striking first, of the model as it is; what says nothing is left out (velocities "
@@ -70,8 +70,8 @@ def _legend(kind: str, scale: float, count: int) -> str:
         else "Rotation from predicted to measured orientation (a vector about the base's axes), at "
         f"the platform's z axis on the unit sphere; 1 rad is drawn {scale:g} long."
     )
-    if count > spaces.ARROWS:
-        what += f" {spaces.ARROWS} of {count} samples are drawn."
+    if count > spaces.MAX_ARROWS:
+        what += f" {spaces.MAX_ARROWS} of {count} samples are drawn."
     wheel = '<span class="wheel" aria-hidden="true"></span>'
     return f'<p class="note legend">{wheel}<span>{escape(f"{what} {COLOURS}")}</span></p>'
 
@@ -104,14 +104,14 @@ def along_everything(report: Report, plot: Plot) -> str:
         f'<span class="key"><i style="background:{colour(name)}"></i>{escape(name)}</span>'
         for name in report.residuals.components
     )
-    first, rest = "".join(drawn[:STRIKING]), "".join(drawn[STRIKING:])
+    first, rest = "".join(drawn[:MAX_OPEN_PANELS]), "".join(drawn[MAX_OPEN_PANELS:])
     parts = [
         SWITCH if report.residuals.found is not None else "",
-        paragraph(ALONG, "note"),
+        paragraph(PROFILE_NOTE, "note"),
         f'<p class="note">{key}</p><div class="grid">{first}</div>',
     ]
     if rest:
-        title = f"{len(drawn) - STRIKING} more, less striking"
+        title = f"{len(drawn) - MAX_OPEN_PANELS} more, less striking"
         parts.append(folded(title, f'<div class="grid">{rest}</div>'))
     return "".join(parts) + _joints(report, plot)
 
@@ -126,8 +126,8 @@ def _joints(report: Report, plot: Plot) -> str:
     own = [s for s in patterns if any(p.component in found.joints for p in s.panels)]
     candidate = own[0] if own else None
     laid = f", the pattern of {candidate.effect} laid over" if candidate else ""
-    pages = {"over the reading": plot(rounds.straight(found, candidate))}
-    if (bent := rounds.around(found, candidate)) is not None:
+    pages = {"over the reading": plot(rounds.flat_panels(found, candidate))}
+    if (bent := rounds.polar_panels(found, candidate)) is not None:
         pages["round the reading"] = plot(bent)
     words = f"Measured joint minus inverse of the measured pose, model as it is{laid}."
     title = "<h3>Each joint's own residual</h3>"
@@ -140,7 +140,7 @@ def structure(report: Report, plot: Plot) -> str:
     p = probability(found.p_value)
     known = paragraph(
         f"Neighbours err alike, or signs change too seldom (p = {p})."
-        if found.found
+        if found.has_structure
         else f"No structure is left that neighbours or runs would show (p = {p})."
     )
     drawn = spaces.smooth_map(found.map)
@@ -165,8 +165,8 @@ def samples(report: Report) -> str:
     """Samples, worst first; sorted anew by a click on a column's head."""
     rows = report.samples
     note = f"{len(rows)} samples, worst first; errors at a fit that left the pose out."
-    if len(rows) > SHOWN:
-        note += f" The worst {SHOWN} are shown, all are in the JSON document."
+    if len(rows) > MAX_SAMPLE_ROWS:
+        note += f" The worst {MAX_SAMPLE_ROWS} are shown, all are in the JSON document."
     odd = [f"{row.sample} ({row.odd})" for row in rows if row.odd]
     note += f" Odd: {', '.join(odd)}." if odd else " No sample is odd."
     return paragraph(note, "note") + _samples(report)
@@ -178,10 +178,10 @@ def _samples(report: Report) -> str:
     names = ("", ", with effect") if report.errors.found else ("",)
     header = [
         "sample", *(f"sigmas{name}" for name in names), "odd",
-        *(f"{k} [{small(u)[0]}]{name}" for name in names for k, u in of.items()),
+        *(f"{k} [{error_unit(u)[0]}]{name}" for name in names for k, u in of.items()),
         "time [s]", "joints", "position [mm]",
     ]  # fmt: skip
-    rows = [_sample(row, of, units) for row in report.samples[:SHOWN]]
+    rows = [_sample(row, of, units) for row in report.samples[:MAX_SAMPLE_ROWS]]
     return table(header, rows, kind="sortable", sorted_by="sigmas")
 
 
@@ -193,7 +193,7 @@ def _sample(row: JudgedSample, of: Mapping[str, str], units: Mapping[str, str]) 
         *(Cell(number(side["sigmas"], 1.0, 2), key=side["sigmas"]) for side in sides),
         Cell(row.odd),
         *(
-            Cell(number(side[kind], small(unit)[1]), key=side[kind])
+            Cell(number(side[kind], error_unit(unit)[1]), key=side[kind])
             for side in sides
             for kind, unit in of.items()
         ),

@@ -11,15 +11,15 @@ import numpy as np
 
 from parallel_cal.identification.prediction_errors import Summary
 from parallel_cal.reporting.colours import ACCENT, BAND, QUIET, WARNING
-from parallel_cal.reporting.contents import Described
-from parallel_cal.reporting.readable import large, number, small
+from parallel_cal.reporting.contents import DescribedParameter
+from parallel_cal.reporting.readable import error_unit, number, value_unit
 
 Spec = dict[str, Any]
 LEGEND = {"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0}
-FAR = 5.0  # tolerances
+MAX_MOVED_TOLERANCES = 5.0  # tolerances
 
 
-def thinned(n: int, most: int) -> np.ndarray:
+def select_evenly(n: int, most: int) -> np.ndarray:
     """Indices of at most so many of n, evenly spread: more make a page heavy and show nothing."""
     return np.unique(np.linspace(0, n - 1, min(n, most)).astype(int))
 
@@ -99,19 +99,19 @@ def circles(
     }
 
 
-def rounded(values: np.ndarray) -> list[float]:
+def round_values(values: np.ndarray) -> list[float]:
     """Five digits: a picture needs no more, and a page is smaller."""
     return [float(f"{v:.5g}") for v in values.tolist()]
 
 
-def gaps(values: np.ndarray) -> list[float | None]:
+def round_with_gaps(values: np.ndarray) -> list[float | None]:
     """The same for a line that is broken where a number is not known."""
     return [float(f"{v:.5g}") if math.isfinite(v) else None for v in values.ravel().tolist()]
 
 
 def history(rows: Sequence[Mapping[str, Any]], floor: Summary, kind: str, si: str) -> Spec:
     """Errors of a kind at poses left out, step by step, with the floor of the noise."""
-    unit, factor = small(si)
+    unit, factor = error_unit(si)
     values = [row["error"].rms(kind) for row in rows]
     shown = [None if v is None else v * factor for v in values]
     noise, ends = (floor.rms(kind) or 0.0) * factor, [-0.3, len(rows) - 0.4]
@@ -166,7 +166,7 @@ def _floor_label(noise: float) -> Spec:
     }  # fmt: skip
 
 
-def parameter_bars(parameters: Mapping[str, Described]) -> Spec:
+def parameter_bars(parameters: Mapping[str, DescribedParameter]) -> Spec:
     """How far every free parameter moved from nominal, in tolerances, with 1 sigma."""
     rows = [(name, p) for name, p in parameters.items() if not p.fixed][::-1]
     sigma = [p.sigma_tolerances or 0.0 for _, p in rows]
@@ -175,7 +175,7 @@ def parameter_bars(parameters: Mapping[str, Described]) -> Spec:
         "x": [p.moved_tolerances for _, p in rows], "y": [escape(name) for name, _ in rows],
         "error_x": {"array": sigma, "thickness": 1.2, "width": 2, "color": QUIET},
         "marker": {"color": [_bar_colour(p) for _, p in rows]},
-        "hovertext": [in_words(p) for _, p in rows], "hoverinfo": "text",
+        "hovertext": [describe_parameter(p) for _, p in rows], "hoverinfo": "text",
     }  # fmt: skip
     return {
         "data": [bars],
@@ -189,14 +189,14 @@ def parameter_bars(parameters: Mapping[str, Described]) -> Spec:
     }
 
 
-def _bar_colour(p: Described) -> str:
+def _bar_colour(p: DescribedParameter) -> str:
     if p.sigma is None:
         return QUIET
-    return WARNING if abs(p.moved_tolerances) > FAR else ACCENT
+    return WARNING if abs(p.moved_tolerances) > MAX_MOVED_TOLERANCES else ACCENT
 
 
-def in_words(p: Described) -> str:
-    unit, factor = large(p.unit)
+def describe_parameter(p: DescribedParameter) -> str:
+    unit, factor = value_unit(p.unit)
     sigma = f" ± {number(p.sigma, factor, 2)}" if p.sigma is not None else ", not identified"
     value, nominal = (number(v, factor, 6) for v in (p.value, p.nominal))
     return f"{escape(p.words)}: {value}{sigma} {unit}, nominal {nominal}"

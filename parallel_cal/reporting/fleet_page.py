@@ -13,7 +13,7 @@ from parallel_cal.base.files import write_atomically
 from parallel_cal.diagnosis.diagnose import Diagnosis
 from parallel_cal.fleet.findings import Change, Deviation, Drift, Findings
 from parallel_cal.fleet.fleet import Fleet
-from parallel_cal.fleet.judging import Row, in_order
+from parallel_cal.fleet.judging import Row, sort_recordings
 from parallel_cal.fleet.rows import KINDS
 from parallel_cal.reporting.colours import ACCENT, MEASURED, QUIET, WARNING
 from parallel_cal.reporting.figures import LEGEND, Spec
@@ -25,8 +25,14 @@ from parallel_cal.reporting.fleets import (
 )
 from parallel_cal.reporting.markup import Cell, Plot, items, paragraph, section, sentence, table
 from parallel_cal.reporting.overview import LABELS
-from parallel_cal.reporting.page import Drawn, page, plotly
-from parallel_cal.reporting.readable import large, number, rounded_to, small, with_unit
+from parallel_cal.reporting.page import PageBuilder, page, plotly
+from parallel_cal.reporting.readable import (
+    error_unit,
+    number,
+    round_to_sigma,
+    value_unit,
+    with_unit,
+)
 from parallel_cal.reporting.report import report_of
 
 LIBRARY = "plotly.min.js"  # beside the robots' reports, which share it
@@ -47,22 +53,22 @@ def write_fleet_page(fleet: Fleet, folder: Path) -> None:
 
 def fleet_page(fleet: Fleet, reports: Collection[str]) -> str:
     """The fleet's page; `reports` are the robots that have a page of their own in `reports/`."""
-    drawn, found = Drawn(), fleet.findings
+    drawn, found = PageBuilder(), fleet.findings
     robots, failed = len({row["robot"] for row in fleet.rows}), fleet.failed
     title = f"{robots} robots, {len(fleet.rows)} recordings"
     parts = [
         section("Verdicts", paragraph(sentence(verdicts_in_words(fleet)), "verdict")),
-        section("Together", _together(found)),
+        section("Together", _render_findings(found)),
         section("Robots by error", _by_error(fleet, drawn.plot) + _robots(fleet, reports)),
         section("Robots over time", _over_time(fleet, drawn.plot)),
-        section("What robots lack", _lacking(fleet, drawn.plot)),
+        section("What robots lack", _render_effects(fleet, drawn.plot)),
         section("The workshop beside the drawing", _spreads(found, drawn.plot)),
         section("Failed", _failed(failed), f"{len(failed)}", closed=not failed),
     ]
     return drawn.page_of(title, parts)
 
 
-def _together(found: Findings | None) -> str:
+def _render_findings(found: Findings | None) -> str:
     """Whose each effect is, who stands apart, who changes."""
     if found is None:
         return paragraph("Fewer than four robots: nothing is said of them together.", "none")
@@ -72,13 +78,13 @@ def _together(found: Findings | None) -> str:
 
 
 def _plus_minus(value: float, sigma: float, unit: str) -> str:
-    name, factor = large(unit)
-    return f"{' ± '.join(rounded_to(value, sigma, factor))} {name}"
+    name, factor = value_unit(unit)
+    return f"{' ± '.join(round_to_sigma(value, sigma, factor))} {name}"
 
 
 def _last(fleet: Fleet) -> list[Row]:
     """Each robot's last recording, the worst first."""
-    last = [own[-1] for own in in_order(fleet.judged).values()]
+    last = [own[-1] for own in sort_recordings(fleet.judged).values()]
     key = f"{kind_of(fleet)}_rms"
     return sorted(last, key=lambda row: -(row["after"][key] or 0.0))
 
@@ -88,13 +94,13 @@ def _by_error(fleet: Fleet, plot: Plot) -> str:
     kind, rows = kind_of(fleet), _last(fleet)
     if kind is None:
         return paragraph("No pose was measured.", "none")
-    unit, factor = small(KINDS[kind])
+    unit, factor = error_unit(KINDS[kind])
     colours = {"before": QUIET, "identified": ACCENT, "after": WARNING}
     traces: list[Spec] = [
         {
             "type": "scatter", "mode": "markers", "name": name, "marker": {"color": colours[when]},
             "x": [escape(row["robot"]) for row in rows],
-            "y": [_scaled(row[when][f"{kind}_rms"], factor) for row in rows],
+            "y": [_scale(row[when][f"{kind}_rms"], factor) for row in rows],
             "hovertemplate": f"%{{x}}: %{{y:.3g}} {unit}",
         }
         for when, name in WHEN.items()
@@ -108,7 +114,7 @@ def _by_error(fleet: Fleet, plot: Plot) -> str:
     return paragraph(note, "note") + plot({"data": traces, "layout": layout})
 
 
-def _scaled(value: float | None, factor: float) -> float | None:
+def _scale(value: float | None, factor: float) -> float | None:
     return None if value is None else value * factor
 
 
@@ -160,7 +166,7 @@ def _over_time(fleet: Fleet, plot: Plot) -> str:
     rows = [row for row in fleet.judged if row["time"] is not None]
     if kind is None or len({row["time"] for row in rows}) < 2:
         return paragraph("No recording says when it was made, or all are of one day.", "none")
-    unit, factor = small(KINDS[kind])
+    unit, factor = error_unit(KINDS[kind])
     found = fleet.findings
     changing = set(_names((*found.drifts, *found.changed))) if found else set()
     traces: list[Spec] = []
@@ -170,7 +176,7 @@ def _over_time(fleet: Fleet, plot: Plot) -> str:
         traces.append({
             "type": "scatter", "mode": "lines+markers", "name": escape(robot),
             "x": [datetime.fromtimestamp(row["time"], timezone.utc).isoformat() for row in own],
-            "y": [_scaled(row["before"][f"{kind}_rms"], factor) for row in own],
+            "y": [_scale(row["before"][f"{kind}_rms"], factor) for row in own],
             "line": {"color": colour, "width": 2 if robot in changing else 1},
             "opacity": 1.0 if robot in changing else 0.4,
             "hovertemplate": f"{escape(robot)}: %{{y:.3g}} {unit}<extra></extra>",
@@ -183,7 +189,7 @@ def _over_time(fleet: Fleet, plot: Plot) -> str:
     return paragraph(said, "note") + plot({"data": traces, "layout": layout})
 
 
-def _lacking(fleet: Fleet, plot: Plot) -> str:
+def _render_effects(fleet: Fleet, plot: Plot) -> str:
     """How many robots have each effect, and the fleet's figures of its numbers."""
     found = fleet.findings
     if found is None or not found.effects:
@@ -205,8 +211,8 @@ def _lacking(fleet: Fleet, plot: Plot) -> str:
     rows = []
     for effect in found.effects:
         for one in effect.numbers:
-            name, factor = small(one.unit)
-            mean, sigma = rounded_to(one.mean, one.sigma, factor)
+            name, factor = error_unit(one.unit)
+            mean, sigma = round_to_sigma(one.mean, one.sigma, factor)
             rows.append((
                 one.name, f"{mean} ± {sigma} {name}", with_unit(one.spread, one.unit),
                 f"{number(one.low, factor)} … {number(one.high, factor)} {name}",

@@ -8,17 +8,17 @@ from collections.abc import Callable, Iterator
 from parallel_cal.fleet.findings import Change, EffectOfFleet, Findings
 from parallel_cal.fleet.fleet import Fleet
 from parallel_cal.fleet.rows import ERRORS
-from parallel_cal.reporting.readable import ARCMIN, columns, fixed, in_unit
+from parallel_cal.reporting.readable import ARCMIN, columns, format_fixed, in_unit
 
 UNITS = {"position": ("um", 1e6), "reading": ("um", 1e6), "orientation": ("arcmin", ARCMIN)}
 DAY = 86400.0
 WORST, NAMED = 10, 5  # recordings that a person reads
-BATCH = 0.25  # of the robots: more are nobody's own fault
+MAX_FAULT_SHARE = 0.25  # of the robots: more are nobody's own fault
 
 
-def said(fleet: Fleet) -> str:
+def format_fleet(fleet: Fleet) -> str:
     """Verdicts, the worst recordings, and those that failed."""
-    return "\n".join([*_verdicts(fleet), *_worst(fleet), *_together(fleet), *_failed(fleet)])
+    return "\n".join([*_verdicts(fleet), *_worst(fleet), *_format_findings(fleet), *_failed(fleet)])
 
 
 def _verdicts(fleet: Fleet) -> Iterator[str]:
@@ -54,14 +54,14 @@ def _worst(fleet: Fleet) -> Iterator[str]:
         [
             (
                 row["robot"], row["recording"],
-                *(fixed(row[when][key], factor, 1) for when in ERRORS), ", ".join(row["effects"]),
+                *(format_fixed(row[when][key], factor, 1) for when in ERRORS), ", ".join(row["effects"]),
             )
             for row in worst
         ],
     )  # fmt: skip
 
 
-def _together(fleet: Fleet) -> Iterator[str]:
+def _format_findings(fleet: Fleet) -> Iterator[str]:
     """What only many robots tell."""
     found = fleet.findings
     if found is None:
@@ -111,7 +111,7 @@ def effect_in_words(effect: EffectOfFleet) -> str:
     few = ", ".join(robots[:NAMED]) + (", ..." if len(robots) > NAMED else "")
     share = f"{len(effect.robots)} of {effect.of} robots"
     alike = "whose numbers do not stand apart from the others'"
-    if len(robots) > effect.of * BATCH:
+    if len(robots) > effect.of * MAX_FAULT_SHARE:
         alike = f"{share}: too many for one robot's fault, too few for the design's; a batch's?"
     said = {
         "design": f"in {share}, and in all alike: the design's or the workshop's",

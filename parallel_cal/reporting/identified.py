@@ -7,15 +7,15 @@ from html import escape
 
 from parallel_cal.identification.prediction_errors import ERRORS, Summary
 from parallel_cal.reporting import drawings, figures, spaces
-from parallel_cal.reporting.contents import Described, Residuals
+from parallel_cal.reporting.contents import DescribedParameter, Residuals
 from parallel_cal.reporting.markup import Cell, Plot, facts, items, paragraph, table, tabs
 from parallel_cal.reporting.readable import (
     day,
-    known,
-    large,
+    is_known,
     number,
-    rounded_to,
+    round_to_sigma,
     unit_of,
+    value_unit,
     with_unit,
 )
 from parallel_cal.reporting.report import Report
@@ -25,11 +25,11 @@ from parallel_cal.reporting.versus import Difference, Side, Versus
 def parameters(report: Report, plot: Plot) -> str:
     """Every free parameter's value with its sigma, how far it moved, and where it is."""
     moving = {name: p for name, p in report.parameters.items() if not p.fixed}
-    far = sum(abs(p.moved_tolerances) > figures.FAR for p in moving.values())
+    far = sum(abs(p.moved_tolerances) > figures.MAX_MOVED_TOLERANCES for p in moving.values())
     added = report.diagnosis.effects
     of = f"Of the model with {' and '.join(added)} added: " if added else ""
     note = (
-        f"{of}{len(moving)} free parameters; {far or 'none'} moved further than {figures.FAR:g} "
+        f"{of}{len(moving)} free parameters; {far or 'none'} moved further than {figures.MAX_MOVED_TOLERANCES:g} "
         "tolerances from nominal. Sorted anew by a click on a column's head."
     )
     most = max((abs(p.moved_tolerances) for p in moving.values()), default=0.0)
@@ -43,10 +43,10 @@ def parameters(report: Report, plot: Plot) -> str:
     return paragraph(note, "note") + tabs(pages)
 
 
-def _parameter(name: str, p: Described, most: float) -> list[Cell | str]:
-    unit, factor = large(p.unit)
-    value, sigma = rounded_to(p.value, p.sigma, factor)
-    moved, far = p.moved_tolerances, abs(p.moved_tolerances) > figures.FAR
+def _parameter(name: str, p: DescribedParameter, most: float) -> list[Cell | str]:
+    unit, factor = value_unit(p.unit)
+    value, sigma = round_to_sigma(p.value, p.sigma, factor)
+    moved, far = p.moved_tolerances, abs(p.moved_tolerances) > figures.MAX_MOVED_TOLERANCES
     return [
         Cell(name, mark="odd" if far else ""),
         Cell(number(moved, 1.0, 2), key=moved, bar=moved / most if most else None),
@@ -73,11 +73,11 @@ def combinations(report: Report) -> str:
     return "".join(told) or all_seen
 
 
-def against(versus: Versus, report: Report, plot: Plot) -> str:
+def render_comparison(versus: Versus, report: Report, plot: Plot) -> str:
     """Two models side by side: errors, arrows, the parameters in which they differ."""
     sides = dict(zip(("this model", "the other"), versus.sides, strict=True))
     columns = {name: side.errors for name, side in sides.items()}
-    if (noise := versus.sides[0].noise).known:
+    if (noise := versus.sides[0].noise).is_known:
         columns["noise alone"] = noise
     pictures = "".join(_side(name, side, report.residuals, plot) for name, side in sides.items())
     rows = [_difference(row) for row in versus.parameters]
@@ -113,7 +113,7 @@ def _side(name: str, side: Side, residuals: Residuals, plot: Plot) -> str:
 
 
 def _difference(row: Difference) -> Sequence[Cell | str]:
-    unit, factor = large(row.unit)
+    unit, factor = value_unit(row.unit)
     apart = row.difference_tolerances
     values = [number(v, factor, 6) for v in row.values]
     return [row.name, *values, unit, Cell(number(apart), key=apart)]
@@ -125,7 +125,9 @@ def provenance(report: Report) -> str:
     data, (low, high) = found.dataset, found.band
     base, best = (trial.fitted.estimate.chi2_per_dof for trial in (found.base, found.best))
     noise = [f"{kind} from {source}" for kind, source in p.noise_from.items()]
-    band = f"; {number(low)} to {number(high)} where the model is complete" if known(high) else ""
+    band = (
+        f"; {number(low)} to {number(high)} where the model is complete" if is_known(high) else ""
+    )
     rows = {
         "Model": f"{p.mechanism}, effects: {', '.join(p.effects) or 'none'}",
         "Model, sha256": p.model_sha256,

@@ -6,18 +6,18 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from parallel_cal.identification.spread import Spread
+from parallel_cal.identification.spread import PositionUncertainty
 from parallel_cal.reporting.arrows import scale_of, typical
 from parallel_cal.reporting.colours import MEASURED, PATTERN, QUIET
 from parallel_cal.reporting.figures import (
     Spec,
-    gaps,
-    rounded,
+    round_values,
+    round_with_gaps,
+    select_evenly,
     side_by_side,
-    thinned,
 )
 from parallel_cal.reporting.readable import with_unit
-from parallel_cal.reporting.spaces import ARROWS, SI
+from parallel_cal.reporting.spaces import MAX_ARROWS, SI
 
 VIEWS = {"plan": (0, 1), "front": (0, 2), "side": (1, 2)}
 CORNERS = 37  # points of an ellipse
@@ -29,7 +29,7 @@ def residuals(
     """(figure, magnification) of residual fields (N, 3) at places (N, 3) from three sides, axes
     equal: the first is shown (traces with `meta` 0), the others are hidden (1, ...)."""
     scale, factor = scale_of(places, fields), 1e3 if kind == "position" else 1.0
-    kept = thinned(len(places), ARROWS)
+    kept = select_evenly(len(places), MAX_ARROWS)
     panels = []
     for axes in VIEWS.values():
         drawn = [
@@ -41,7 +41,7 @@ def residuals(
     return _three(panels, list(VIEWS.values()), " [mm]" if kind == "position" else ""), scale
 
 
-def workspace(found: Spread) -> tuple[Spec, float]:
+def workspace(found: PositionUncertainty) -> tuple[Spec, float]:
     """(figure, magnification) of the 1-sigma ellipses over the workspace; colour is the sigma, the
     root of the covariance's trace."""
     sigma = np.sqrt(np.trace(found.covariance, axis1=1, axis2=2))
@@ -57,9 +57,9 @@ def workspace(found: Spread) -> tuple[Spec, float]:
         places, spread = found.places[own], found.covariance[own]
         marks = {
             "type": "scatter", "mode": "markers", "name": "pose", "showlegend": False,
-            "x": rounded(1e3 * places[:, axes[0]]), "y": rounded(1e3 * places[:, axes[1]]),
+            "x": round_values(1e3 * places[:, axes[0]]), "y": round_values(1e3 * places[:, axes[1]]),
             "marker": {
-                "size": 7, "color": rounded(1e6 * sigma[own]), "coloraxis": "coloraxis",
+                "size": 7, "color": round_values(1e6 * sigma[own]), "coloraxis": "coloraxis",
             },
             "text": [f"1 σ {with_unit(s, 'm')}" for s in sigma[own]], "hoverinfo": "text",
         }  # fmt: skip
@@ -102,7 +102,7 @@ def _arrows(
     sizes = np.linalg.norm(field, axis=1)
     words = [f"{n}: {with_unit(size, SI[kind])}" for n, size in zip(numbers, sizes, strict=True)]
     return {
-        "type": "scatter", "mode": "lines+markers", "name": "residual", "x": gaps(x), "y": gaps(y),
+        "type": "scatter", "mode": "lines+markers", "name": "residual", "x": round_with_gaps(x), "y": round_with_gaps(y),
         "line": {"color": MEASURED, "width": 1.5},
         "marker": {
             "symbol": ["circle", "arrow", "circle"] * len(places), "size": [3, 7, 0] * len(places),
@@ -130,7 +130,7 @@ def _ellipses(
     broken = np.concatenate([edges, np.full((len(places), 2, 1), np.nan)], axis=2)
     return {
         "type": "scatter", "mode": "lines", "name": "1 σ of the model", "hoverinfo": "skip",
-        "x": gaps(broken[:, 0].ravel()), "y": gaps(broken[:, 1].ravel()),
+        "x": round_with_gaps(broken[:, 0].ravel()), "y": round_with_gaps(broken[:, 1].ravel()),
         "line": {"color": QUIET, "width": 1},
     }  # fmt: skip
 
@@ -149,7 +149,7 @@ def _bar(
     x, y = low[axes[0]], low[axes[1]]
     return {
         "type": "scatter", "mode": "lines+markers+text", "name": "scale", "showlegend": False,
-        "x": gaps(np.array([x, x + factor * scale * size])), "y": gaps(np.array([y, y])),
+        "x": round_with_gaps(np.array([x, x + factor * scale * size])), "y": round_with_gaps(np.array([y, y])),
         "line": {"color": PATTERN, "width": 3}, "marker": {"color": PATTERN, "size": 4},
         "text": ["", with_unit(size, SI[kind])], "textposition": "middle right",
         "hoverinfo": "skip",

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from html import escape
 from typing import Any
 
-from parallel_cal.reporting.readable import known
+from parallel_cal.reporting.readable import is_known
 
 SORTED = ' aria-sort="descending"'
 Plot = Callable[[Mapping[str, Any]], str]  # keeps a figure for the page, returns its place in it
@@ -28,10 +28,10 @@ class Cell:
     def html(self, label: str = "") -> str:
         """As HTML; `label` is the column's name for pages too narrow for columns."""
         label = f' data-label="{escape(label)}"' if label else ""
-        key = f' data-key="{self.key:.9g}"' if known(self.key) else ""
+        key = f' data-key="{self.key:.9g}"' if is_known(self.key) else ""
         mark = f' class="{escape(self.mark)}"' if self.mark else ""
         bar = ""
-        if known(self.bar):
+        if is_known(self.bar):
             wide = 50 * min(abs(self.bar), 1.0)
             left = 50.0 if self.bar > 0 else 50.0 - wide
             bar = f'<i class="bar"><i style="left:{left:.0f}%;width:{wide:.0f}%"></i></i>'

@@ -6,12 +6,12 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from parallel_cal.diagnosis.patterns import Along
+from parallel_cal.diagnosis.patterns import ResidualProfile
 from parallel_cal.diagnosis.thresholds import LEVELS
 from parallel_cal.reporting.colours import BAND, QUIET
 from parallel_cal.reporting.contents import Residuals
-from parallel_cal.reporting.figures import Spec, rounded, thinned
-from parallel_cal.reporting.readable import large
+from parallel_cal.reporting.figures import Spec, round_values, select_evenly
+from parallel_cal.reporting.readable import value_unit
 
 # Okabe and Ito's palette: told apart by the colour-blind, on light and dark grounds
 COMPONENTS = {
@@ -22,23 +22,25 @@ POINTS, STEPS = 400, 150  # of a panel's residuals, of a rolling mean
 
 
 def multiples(
-    along: Sequence[Along], found: Residuals, better: Sequence[Along] = ()
+    along: Sequence[ResidualProfile], found: Residuals, better: Sequence[ResidualProfile] = ()
 ) -> Iterator[tuple[str, str, Spec]]:
     """(name, its largest mean in words, figure) of all that varied and says something, most
     striking first; `better` is the same with the effects found (traces with `meta` 1)."""
     others = {entry.name: entry for entry in better}
-    for entry in found.telling(along):
-        yield entry.name, peak(entry), _both(entry, found, others.get(entry.name))
+    for entry in found.select_informative(along):
+        yield entry.name, peak(entry), _make_switched_panel(entry, found, others.get(entry.name))
 
 
-def peak(entry: Along) -> str:
+def peak(entry: ResidualProfile) -> str:
     """The largest mean in the sigmas of the axis, beside what chance leaves."""
     size = np.abs(entry.mean) / entry.band[:, None]
     at = np.unravel_index(int(np.argmax(size)), size.shape)
     return f"mean up to {abs(entry.mean[at]):.1f} σ, {size[at]:.1f} × the band"
 
 
-def _both(entry: Along, found: Residuals, better: Along | None) -> Spec:
+def _make_switched_panel(
+    entry: ResidualProfile, found: Residuals, better: ResidualProfile | None
+) -> Spec:
     """A panel as it is, hidden behind it what it is with the effects found, on one scale."""
     drawn = _panel(entry, found, found.noise_units)
     shown = [trace | {"meta": 0} for trace in drawn["data"]]
@@ -48,9 +50,9 @@ def _both(entry: Along, found: Residuals, better: Along | None) -> Spec:
     return drawn | {"data": shown}
 
 
-def _panel(entry: Along, found: Residuals, z: np.ndarray) -> Spec:
+def _panel(entry: ResidualProfile, found: Residuals, z: np.ndarray) -> Spec:
     """Points, the mean of each component, and the 99 % band about zero."""
-    unit, factor = large(found.units[entry.name])
+    unit, factor = value_unit(found.units[entry.name])
     values, at = found.regressors[entry.name] * factor, entry.at * factor
     band = entry.band
     means = entry.mean[:, np.any(entry.mean != 0, axis=0)]  # as `noise_units`, of what was measured
@@ -74,24 +76,24 @@ def _panel(entry: Along, found: Residuals, z: np.ndarray) -> Spec:
 
 def _points(values: np.ndarray, z: np.ndarray, width: float) -> Spec:
     """Every residual, thinned out evenly where there are many; spread where they would coincide."""
-    kept = thinned(len(values), POINTS // max(z.shape[1], 1))
+    kept = select_evenly(len(values), POINTS // max(z.shape[1], 1))
     x = np.repeat(values[kept], z.shape[1])
     spread = width * np.random.default_rng(0).uniform(-1, 1, len(x))
     return {
-        "type": "scatter", "mode": "markers", "hoverinfo": "skip", "x": rounded(x + spread),
-        "y": rounded(z[kept].ravel()), "marker": {"size": 3, "color": QUIET, "opacity": 0.3},
+        "type": "scatter", "mode": "markers", "hoverinfo": "skip", "x": round_values(x + spread),
+        "y": round_values(z[kept].ravel()), "marker": {"size": 3, "color": QUIET, "opacity": 0.3},
     }  # fmt: skip
 
 
 def _rolling_traces(
     at: np.ndarray, band: np.ndarray, means: np.ndarray, names: Sequence[str]
 ) -> list[Spec]:
-    kept = thinned(len(at), STEPS)
+    kept = select_evenly(len(at), STEPS)
     at, band, means = at[kept], band[kept], means[kept]
     grey = {
         "type": "scatter", "mode": "lines", "hoverinfo": "skip",
-        "x": rounded(np.concatenate([at, at[::-1]])),
-        "y": rounded(np.concatenate([band, -band[::-1]])),
+        "x": round_values(np.concatenate([at, at[::-1]])),
+        "y": round_values(np.concatenate([band, -band[::-1]])),
         "fill": "toself", "fillcolor": BAND, "line": {"width": 0},
     }  # fmt: skip
     lines = [
@@ -107,7 +109,7 @@ def _level_traces(
     """A mean for each level and component beside each other, each with its own band."""
     step = float(np.min(np.diff(at), initial=np.inf)) if len(at) > 1 else 1.0
     apart = 0.5 * step * (np.arange(len(names)) / max(len(names) - 1, 1) - 0.5)
-    bars = {"array": rounded(band), "color": QUIET, "thickness": 6, "width": 0}
+    bars = {"array": round_values(band), "color": QUIET, "thickness": 6, "width": 0}
     traces = []
     for name, mean, shift in zip(names, means.T, apart, strict=True):
         zero = _mean(name, at + shift, np.zeros(len(at))) | {"error_y": bars, "opacity": 0.45}
@@ -121,7 +123,7 @@ def _level_traces(
 
 def _mean(name: str, at: np.ndarray, mean: np.ndarray) -> Spec:
     return {
-        "type": "scatter", "name": name, "x": rounded(at), "y": rounded(mean),
+        "type": "scatter", "name": name, "x": round_values(at), "y": round_values(mean),
         "hovertemplate": "%{y:.2f} σ",
     }  # fmt: skip
 

@@ -9,7 +9,7 @@ from parallel_cal.identification.budget import Budget, Iso9283
 from parallel_cal.identification.prediction_errors import Summary
 from parallel_cal.reporting import figures
 from parallel_cal.reporting.markup import Plot, micro, paragraph, table
-from parallel_cal.reporting.readable import number, small, unit_of, with_unit
+from parallel_cal.reporting.readable import error_unit, number, unit_of, with_unit
 from parallel_cal.reporting.report import Report
 
 LABELS = {
@@ -39,7 +39,7 @@ def numbers(report: Report) -> str:
     if errors.found:
         effects = " and ".join(report.diagnosis.effects)
         tiles.append(_tile(f"with {effects}", errors.found, errors.kinds, units, "found"))
-    if errors.noise.known:
+    if errors.noise.is_known:
         tiles.append(_tile("noise alone", errors.noise, errors.kinds, units))
     note = paragraph("RMS of the error's norm at poses left out of the fit.", "note")
     return f'<section id="numbers"><div class="tiles">{"".join(tiles)}</div>{note}</section>'
@@ -53,7 +53,7 @@ def _tile(
 
 
 def _value(e: Summary, kind: str, si: str) -> str:
-    unit, factor = small(si)
+    unit, factor = error_unit(si)
     value = number(e.rms(kind), factor)
     return f"<dd>{value}<span>{escape(unit)}</span><em>{escape(kind)}</em></dd>"
 

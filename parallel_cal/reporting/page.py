@@ -41,7 +41,7 @@ def page(report: Report, library: str = "") -> str:
     >>> "backlash" in html
     True
     """
-    drawn = Drawn()
+    drawn = PageBuilder()
     p, samples = report.provenance, len(report.diagnosis.dataset)
     return drawn.page(
         f"{p.mechanism} on {report.diagnosis.dataset.source}",
@@ -51,7 +51,7 @@ def page(report: Report, library: str = "") -> str:
     )
 
 
-class Drawn:
+class PageBuilder:
     """The figures of a page, in their order."""
 
     def __init__(self) -> None:

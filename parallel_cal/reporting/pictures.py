@@ -49,7 +49,7 @@ def figure(result: Any) -> Figure:
     raise TypeError(f"figure takes what fit, compare or diagnose gives, not {kind}")
 
 
-def _drawn(spec: figures.Spec) -> Figure:
+def _make_figure(spec: figures.Spec) -> Figure:
     from plotly.graph_objects import Figure
 
     return Figure(spec)
@@ -61,19 +61,19 @@ def _(comparison: Comparison) -> Any:
     if kind is None:
         raise ParallelCalError("no pose was measured: there are no residuals in space")
     places, numbers = contents.places(comparison.scene, kind), comparison.dataset.numbers
-    return _drawn(spaces.residual_arrows(places, [field.vectors], kind, numbers)[0])
+    return _make_figure(spaces.residual_arrows(places, [field.vectors], kind, numbers)[0])
 
 
 @figure.register
 def _(diagnosis: Diagnosis) -> Any:
-    errors, mechanism = contents.LeftOut.of(diagnosis), diagnosis.model.mechanism
+    errors, mechanism = contents.HeldOutErrors.of(diagnosis), diagnosis.model.mechanism
     if not errors.kinds:
         raise ParallelCalError("no error can be given: nothing was measured that tells")
     unit = unit_of(errors.kinds[0], dict(zip(mechanism.joints, mechanism.joint_units, strict=True)))
     rows = contents.history(diagnosis, errors)
-    return _drawn(figures.history(rows, errors.noise, errors.kinds[0], unit))
+    return _make_figure(figures.history(rows, errors.noise, errors.kinds[0], unit))
 
 
 @figure.register
 def _(result: FitResult) -> Any:
-    return _drawn(figures.parameter_bars(contents.parameters(result)))
+    return _make_figure(figures.parameter_bars(contents.parameters(result)))

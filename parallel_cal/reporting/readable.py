@@ -16,28 +16,28 @@ SMALL = {
     "rad|m": ("µrad|µm", 1e6),  # turns and slides in one norm have no people's unit
 }
 LARGE = {"m": ("mm", 1e3), "rad": ("deg", 180 / math.pi), "degC": ("°C", 1.0), "1": ("", 1.0)}
-OF = {"position": "m", "orientation": "rad", "reading": "m"}
+SI_UNITS = {"position": "m", "orientation": "rad", "reading": "m"}
 MISSING = "–"
 
 
-def small(unit: str) -> tuple[str, float]:
+def error_unit(unit: str) -> tuple[str, float]:
     """(name, factor) in which an error of this SI unit is read."""
     return SMALL.get(unit, (unit, 1.0))
 
 
-def large(unit: str) -> tuple[str, float]:
+def value_unit(unit: str) -> tuple[str, float]:
     """(name, factor) in which a value of this SI unit is read."""
     return LARGE.get(unit, (unit, 1.0))
 
 
-def known(value: float | None) -> TypeGuard[float]:
+def is_known(value: float | None) -> TypeGuard[float]:
     """Whether there is a value: None and NaN are not known, infinity is no number to read."""
     return value is not None and math.isfinite(value)
 
 
 def number(value: float | None, factor: float = 1.0, digits: int = 3) -> str:
     """A few significant digits; a dash where the value is not known."""
-    if not known(value):
+    if not is_known(value):
         return MISSING
     scaled = value * factor
     if scaled == 0:
@@ -48,9 +48,9 @@ def number(value: float | None, factor: float = 1.0, digits: int = 3) -> str:
     return f"{scaled:.{max(digits - 1 - size, 0)}f}"
 
 
-def rounded_to(value: float, sigma: float | None, factor: float = 1.0) -> tuple[str, str]:
+def round_to_sigma(value: float, sigma: float | None, factor: float = 1.0) -> tuple[str, str]:
     """(value, sigma) with as many decimals as the sigma's second digit has."""
-    if not known(sigma) or sigma <= 0:
+    if not is_known(sigma) or sigma <= 0:
         return number(value, factor, 6), MISSING
     decimals = max(1 - math.floor(math.log10(sigma * factor)), 0)
     return f"{value * factor:.{decimals}f}", f"{sigma * factor:.{decimals}f}"
@@ -61,7 +61,7 @@ def day(stamp: str) -> str:
     return f"{stamp[:10]} {stamp[11:16]} UTC"
 
 
-def with_unit(value: float | None, unit: str, scale: Any = small) -> str:
+def with_unit(value: float | None, unit: str, scale: Any = error_unit) -> str:
     """`32.2 µm`; a dash where the value is not known."""
     name, factor = scale(unit)
     text = number(value, factor)
@@ -70,41 +70,41 @@ def with_unit(value: float | None, unit: str, scale: Any = small) -> str:
 
 def vector(values: Iterable[float | None], unit: str, digits: int = 2) -> str:
     """Several values of one unit, fixed digits so that columns line up."""
-    factor = large(unit)[1]
-    shown = [f"{v * factor:.{digits}f}" if known(v) else MISSING for v in values]
+    factor = value_unit(unit)[1]
+    shown = [f"{v * factor:.{digits}f}" if is_known(v) else MISSING for v in values]
     return " ".join(shown) if set(shown) != {MISSING} else MISSING
 
 
 def probability(p: float | None) -> str:
     """A p-value in two digits; below 1e-99 it is as good as zero."""
-    if not known(p):
+    if not is_known(p):
         return MISSING
     return f"{p:.2g}" if p > 1e-99 else "< 1e-99"
 
 
 def percent(share: float | None, digits: int = 0, missing: str = MISSING) -> str:
-    return f"{round(100 * share, digits) + 0.0:.{digits}f} %" if known(share) else missing
+    return f"{round(100 * share, digits) + 0.0:.{digits}f} %" if is_known(share) else missing
 
 
 def unit_of(kind: str, joint_units: Mapping[str, str]) -> str:
     """SI unit of an error kind; a robot of turns and slides has no common one for joints."""
     units = set(joint_units.values())
-    return OF.get(kind) or (units.pop() if len(units) == 1 else "rad|m")
+    return SI_UNITS.get(kind) or (units.pop() if len(units) == 1 else "rad|m")
 
 
-def fixed(value: float | None, factor: float = 1.0, digits: int = 2) -> str:
+def format_fixed(value: float | None, factor: float = 1.0, digits: int = 2) -> str:
     """A number for a terminal."""
-    return f"{value * factor:.{digits}f}" if known(value) else "-"
+    return f"{value * factor:.{digits}f}" if is_known(value) else "-"
 
 
-def fixed_vector(values: Iterable[float | None], factor: float, digits: int) -> str:
-    return " ".join(fixed(value, factor, digits) for value in values)
+def format_fixed_vector(values: Iterable[float | None], factor: float, digits: int) -> str:
+    return " ".join(format_fixed(value, factor, digits) for value in values)
 
 
 def in_unit(value: float | None, unit: str, digits: int = 4) -> tuple[str, str]:
     """(number, unit) of a value for a terminal: m as mm, rad as degrees."""
-    name, factor = large(unit)
-    return fixed(value, factor, digits), name
+    name, factor = value_unit(unit)
+    return format_fixed(value, factor, digits), name
 
 
 def columns(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

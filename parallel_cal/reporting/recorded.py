@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from parallel_cal.recordings.channels import CHANNELS, named
-from parallel_cal.reporting.readable import ARCMIN, fixed_vector
+from parallel_cal.recordings.channels import CHANNELS, list_channels
+from parallel_cal.reporting.readable import ARCMIN, format_fixed_vector
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -80,7 +80,7 @@ def _sample_sentence(document: dict[str, Any]) -> str:
 
 
 def _print_conditions(conditions: dict[str, dict[str, float]], console: Console) -> None:
-    units = {**{name: CHANNELS[name].unit for name in named("condition")}, "time": "s"}
+    units = {**{name: CHANNELS[name].unit for name in list_channels("condition")}, "time": "s"}
     for name, unit in units.items():
         if name in conditions:
             span = conditions[name]
@@ -93,10 +93,10 @@ def _print_noise(document: dict[str, Any], console: Console) -> None:
         pose = noise["pose"]
         parts = []
         if any(v is not None for v in pose):
-            parts.append(f"position {fixed_vector(pose[:3], 1e6, 1)} um")
-            parts.append(f"orientation {fixed_vector(pose[3:], ARCMIN, 2)} arcmin")
+            parts.append(f"position {format_fixed_vector(pose[:3], 1e6, 1)} um")
+            parts.append(f"orientation {format_fixed_vector(pose[3:], ARCMIN, 2)} arcmin")
         if "joint" in noise:
-            parts.append(f"joints {fixed_vector(noise['joint'], 1e3, 4)} mrad|mm")
+            parts.append(f"joints {format_fixed_vector(noise['joint'], 1e3, 4)} mrad|mm")
         about = f" ({noise['dof']} degrees of freedom)" if "dof" in noise else ""
         label = kind.replace("_", " ")
         if parts:

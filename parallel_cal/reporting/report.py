@@ -8,7 +8,7 @@ from datetime import datetime, timezone
 from typing import TYPE_CHECKING, Any
 
 from parallel_cal import __version__
-from parallel_cal.base.documents import plain
+from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.options import with_changes
 from parallel_cal.base.progress import Progress
@@ -16,10 +16,15 @@ from parallel_cal.base.threads import single_threaded
 from parallel_cal.diagnosis.comparison import compare
 from parallel_cal.diagnosis.diagnose import Diagnosis, diagnose
 from parallel_cal.diagnosis.field import Field
-from parallel_cal.diagnosis.patterns import Along, Region, along, regions
+from parallel_cal.diagnosis.patterns import (
+    Region,
+    ResidualProfile,
+    compute_residual_profiles,
+    regions,
+)
 from parallel_cal.identification.budget import Budget, Iso9283
 from parallel_cal.identification.options import FitKeywords, FitOptions
-from parallel_cal.identification.spread import Spread
+from parallel_cal.identification.spread import PositionUncertainty
 from parallel_cal.model.file.modelfile import model_hash
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
@@ -58,7 +63,7 @@ class Provenance:
             dataset={"source": data.source, "sha256": data.sha256, "samples": len(data)},
             dropped=len(data.dropped),
             noise_from=diagnosis.base.fitted.observations.noise_from,
-            options=plain(options),
+            options=to_json_value(options),
         )
 
 
@@ -68,18 +73,18 @@ class Report:
     those of the model as it is, parameters those with the effects found."""
 
     diagnosis: Diagnosis
-    errors: contents.LeftOut
+    errors: contents.HeldOutErrors
     history: list[dict[str, Any]]
     residuals: contents.Residuals
-    along: tuple[Along, ...]
-    along_found: tuple[Along, ...]
+    along: tuple[ResidualProfile, ...]
+    along_found: tuple[ResidualProfile, ...]
     joints: contents.JointResiduals
-    spread: Spread | None
+    spread: PositionUncertainty | None
     regions: tuple[Region, ...]
     samples: list[contents.JudgedSample]
     budget: tuple[Budget, ...]
     iso_9283: tuple[Iso9283, ...]
-    parameters: Mapping[str, contents.Described]
+    parameters: Mapping[str, contents.DescribedParameter]
     combinations: Mapping[str, Any]
     correlated: list[contents.Correlation]
     map: Mapping[str, Any]
@@ -91,7 +96,7 @@ class Report:
 
     def document(self) -> Any:
         """The JSON document of `parallel-cal report`; all values SI, None where not known."""
-        return plain(vars(self))
+        return to_json_value(vars(self))
 
 
 @single_threaded()
@@ -151,23 +156,25 @@ def report(
 def report_of(found: Diagnosis, options: Mapping[str, Any], versus: Versus | None = None) -> Report:
     """A diagnosis that was made with some options, and all that shows it."""
     scene, best = found.base.scene, found.best.fitted
-    field, errors = Field.of(scene), contents.LeftOut.of(found)
+    field, errors = Field.of(scene), contents.HeldOutErrors.of(found)
     return Report(
         diagnosis=found,
         errors=errors,
         history=contents.history(found, errors),
         residuals=contents.Residuals.of(scene, field, found.field if found.effects else None),
-        along=along(scene, field),
-        along_found=along(found.best.scene, found.field) if found.effects else (),
+        along=compute_residual_profiles(scene, field),
+        along_found=compute_residual_profiles(found.best.scene, found.field)
+        if found.effects
+        else (),
         joints=contents.JointResiduals.of(scene),
-        spread=Spread.of(best.model),
+        spread=PositionUncertainty.of(best.model),
         regions=regions(scene, field) if field.kind == "position" else (),
         samples=contents.samples(found),
         budget=best.budgets,
         iso_9283=best.iso_9283,
         parameters=contents.parameters(best),
         combinations=contents.combinations(best),
-        correlated=contents.correlated(best),
+        correlated=contents.find_correlations(best),
         map=contents.smooth_map(found.structure.map),
         against=versus,
         provenance=Provenance.of(found, options),

@@ -4,32 +4,32 @@ from __future__ import annotations
 
 import numpy as np
 
-from parallel_cal.diagnosis.patterns import mean_along
+from parallel_cal.diagnosis.patterns import compute_mean_profile
 from parallel_cal.diagnosis.signature import Signature
 from parallel_cal.reporting.colours import MEASURED, PATTERN, QUIET
 from parallel_cal.reporting.contents import JointResiduals
 from parallel_cal.reporting.figures import (
     Spec,
     circles,
-    gaps,
-    rounded,
+    round_values,
+    round_with_gaps,
+    select_evenly,
     side_by_side,
-    thinned,
 )
-from parallel_cal.reporting.readable import large, number
+from parallel_cal.reporting.readable import number, value_unit
 
-SMOOTH = 0.5  # of a pattern's variance: neighbours that differ by more are no line
+MAX_LINE_ROUGHNESS = 0.5  # of a pattern's variance: neighbours that differ by more are no line
 FINE, NEAR = 40, 5  # points of a curve a period, samples that one is the mean of
-POINTS = 2000  # a joint: more hide each other
-SPARE = 5.0  # deg of a sector beside what was measured
+MAX_POINTS_PER_JOINT = 2000  # a joint: more hide each other
+SECTOR_MARGIN_DEG = 5.0  # deg of a sector beside what was measured
 
 
-def straight(found: JointResiduals, candidate: Signature | None = None) -> Spec:
+def flat_panels(found: JointResiduals, candidate: Signature | None = None) -> Spec:
     """A panel a joint, measured joint minus inverse of the measured pose over the joint's reading;
     a candidate's pattern laid over."""
     panels, axes, size = [], [], _size(found)
     for k, joint in enumerate(found.joints):
-        unit, factor = large(found.units[k])
+        unit, factor = value_unit(found.units[k])
         fine, small = _fine(found.units[k])
         traces = _traces(found, candidate, k, factor, small)
         panels.append([trace | {"type": "scatter"} for trace in traces])
@@ -37,21 +37,21 @@ def straight(found: JointResiduals, candidate: Signature | None = None) -> Spec:
     return side_by_side(panels, axes, [-size, size])
 
 
-def around(found: JointResiduals, candidate: Signature | None = None) -> Spec | None:
+def polar_panels(found: JointResiduals, candidate: Signature | None = None) -> Spec | None:
     """The same round the reading, outwards where the joint reads too much; None where no joint
     turns."""
     turning = [k for k, unit in enumerate(found.units) if unit == "rad"]
     if not turning:
         return None
-    factor, (fine, small) = large("rad")[1], _fine("rad")
+    factor, (fine, small) = value_unit("rad")[1], _fine("rad")
     sector, panels = _sector(found.readings[:, turning] * factor), []
     zero = {
-        "mode": "lines", "x": rounded(np.linspace(*sector, 181)), "y": [0.0] * 181,
+        "mode": "lines", "x": round_values(np.linspace(*sector, 181)), "y": [0.0] * 181,
         "line": {"color": QUIET, "width": 1}, "hoverinfo": "skip",
     }  # fmt: skip
     for k in turning:
         traces = [zero, *_traces(found, candidate, k, factor, small)]
-        panels.append([_bent(trace) for trace in traces])
+        panels.append([_to_polar(trace) for trace in traces])
     return circles(panels, [found.joints[k] for k in turning], sector, _size(found), fine)
 
 
@@ -67,7 +67,7 @@ def _fine(unit: str) -> tuple[str, float]:
 
 def _sector(theta: np.ndarray) -> tuple[float, float]:
     """What was measured, some spare; all round where that is more than a half."""
-    low, high = float(theta.min()) - SPARE, float(theta.max()) + SPARE
+    low, high = float(theta.min()) - SECTOR_MARGIN_DEG, float(theta.max()) + SECTOR_MARGIN_DEG
     return (low, high) if high - low < 180 else (0.0, 360.0)
 
 
@@ -88,10 +88,10 @@ def _traces(
 
 
 def _points(found: JointResiduals, k: int, factor: float, small: float) -> Spec:
-    kept = thinned(len(found.sample), POINTS)
+    kept = select_evenly(len(found.sample), MAX_POINTS_PER_JOINT)
     x, y, numbers = found.readings[kept, k], found.errors[kept, k] * small, found.sample[kept]
     return {
-        "mode": "markers", "name": "measured", "x": rounded(x * factor), "y": gaps(y),
+        "mode": "markers", "name": "measured", "x": round_values(x * factor), "y": round_with_gaps(y),
         "marker": {"size": 4, "color": QUIET, "opacity": 0.8},
         "text": [f"sample {n}: {number(v)}" for n, v in zip(numbers, y, strict=True)],
         "customdata": numbers.tolist(), "hoverinfo": "text",
@@ -100,10 +100,10 @@ def _points(found: JointResiduals, k: int, factor: float, small: float) -> Spec:
 
 def _mean(found: JointResiduals, k: int, factor: float, small: float) -> Spec:
     told = np.isfinite(found.errors[:, k])
-    means = mean_along("", found.readings[told, k], found.errors[told, k, None])
+    means = compute_mean_profile("", found.readings[told, k], found.errors[told, k, None])
     return {
-        "mode": "lines", "name": "measured, mean", "x": rounded(means.at * factor),
-        "y": rounded(means.mean[:, 0] * small), "line": {"color": MEASURED, "width": 2},
+        "mode": "lines", "name": "measured, mean", "x": round_values(means.at * factor),
+        "y": round_values(means.mean[:, 0] * small), "line": {"color": MEASURED, "width": 2},
         "hoverinfo": "skip",
     }  # fmt: skip
 
@@ -123,16 +123,18 @@ def _pattern(
     x, y = x[order], y[order]
     if period is not None:
         fine = np.linspace(x[0], x[-1], round(FINE * (x[-1] - x[0]) / period))
-        x, y = fine, _repeated(x, y, period, fine)
-    is_line = period is not None or np.mean(np.diff(y) ** 2) < SMOOTH * np.var(y)
+        x, y = fine, _interpolate_periodic(x, y, period, fine)
+    is_line = period is not None or np.mean(np.diff(y) ** 2) < MAX_LINE_ROUGHNESS * np.var(y)
     return {
         "mode": "lines" if is_line else "markers", "name": "this effect's pattern",
-        "x": rounded(x * factor), "y": rounded(y * small), "hoverinfo": "skip",
+        "x": round_values(x * factor), "y": round_values(y * small), "hoverinfo": "skip",
         "line": {"color": PATTERN, "width": 2}, "marker": {"color": PATTERN, "size": 4},
     }  # fmt: skip
 
 
-def _repeated(x: np.ndarray, y: np.ndarray, period: float, at: np.ndarray) -> np.ndarray:
+def _interpolate_periodic(
+    x: np.ndarray, y: np.ndarray, period: float, at: np.ndarray
+) -> np.ndarray:
     """A pattern y (N,) at readings x (N,) that comes round, at others: the mean of samples near
     within the period."""
     order = np.argsort(x % period, kind="stable")
@@ -141,7 +143,7 @@ def _repeated(x: np.ndarray, y: np.ndarray, period: float, at: np.ndarray) -> np
     return np.interp(at, (x % period)[order], smooth, period=period)
 
 
-def _bent(flat: Spec) -> Spec:
+def _to_polar(flat: Spec) -> Spec:
     """A flat trace bent round: x is the angle (deg), y the radius."""
     spec = {key: value for key, value in flat.items() if key not in ("x", "y")}
     return spec | {"theta": flat["x"], "r": flat["y"]}

@@ -28,6 +28,10 @@ def body(report: Report, plot: Plot) -> str:
     ]
     if report.against:
         parts.insert(
-            -2, section("Two models side by side", identified.against(report.against, report, plot))
+            -2,
+            section(
+                "Two models side by side",
+                identified.render_comparison(report.against, report, plot),
+            ),
         )
     return "\n".join(parts)

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from parallel_cal.diagnosis.patterns import mean_along
+from parallel_cal.diagnosis.patterns import compute_mean_profile
 from parallel_cal.diagnosis.signature import Panel, Signature
 from parallel_cal.diagnosis.thresholds import LEVELS
 from parallel_cal.model.mechanism import Mechanism
@@ -14,13 +14,13 @@ from parallel_cal.reporting.colours import BAND, MEASURED, PATTERN, QUIET
 from parallel_cal.reporting.contents import unit_along
 from parallel_cal.reporting.figures import (
     Spec,
-    gaps,
-    rounded,
+    round_values,
+    round_with_gaps,
+    select_evenly,
     side_by_side,
-    thinned,
 )
-from parallel_cal.reporting.readable import large, number
-from parallel_cal.reporting.rounds import POINTS
+from parallel_cal.reporting.readable import number, value_unit
+from parallel_cal.reporting.rounds import MAX_POINTS_PER_JOINT
 
 
 def figure(found: Signature, mechanism: Mechanism) -> Spec:
@@ -36,14 +36,14 @@ def figure(found: Signature, mechanism: Mechanism) -> Spec:
     return side_by_side(panels, axes, [-size, size])
 
 
-def in_words(found: Signature, mechanism: Mechanism) -> str:
+def describe_signature(found: Signature, mechanism: Mechanism) -> str:
     """What the picture shows, for those who do not see it."""
     told = (f"{p.component} against {_across(p, mechanism)}" for p in found.panels)
     return f"{found.effect}: residual of {', '.join(told)}, in sigmas, its pattern laid over"
 
 
 def _across(panel: Panel, mechanism: Mechanism) -> str:
-    unit, factor = large(unit_along(mechanism, panel.abscissa))
+    unit, factor = value_unit(unit_along(mechanism, panel.abscissa))
     if panel.abscissa.startswith("direction."):
         return f"{panel.abscissa.partition('.')[2]} came falling (−1), growing (+1)"
     within = f", within {number(panel.period, factor)} {unit}" if panel.period else ""
@@ -52,25 +52,25 @@ def _across(panel: Panel, mechanism: Mechanism) -> str:
 
 def _traces(panel: Panel, mechanism: Mechanism) -> Iterator[Spec]:
     """Points, band, and the two means."""
-    factor = large(unit_along(mechanism, panel.abscissa))[1]
+    factor = value_unit(unit_along(mechanism, panel.abscissa))[1]
     at, both = panel.at, np.column_stack([panel.residual, panel.pattern])
-    means = mean_along(panel.abscissa, at, both)
+    means = compute_mean_profile(panel.abscissa, at, both)
     few = len(np.unique(at)) <= LEVELS
     step = float(np.min(np.diff(means.at), initial=np.inf)) if few and len(means.at) > 1 else 0.0
-    kept = thinned(len(at), POINTS)
+    kept = select_evenly(len(at), MAX_POINTS_PER_JOINT)
     spread = 0.2 * step * np.random.default_rng(0).uniform(-1, 1, len(kept))
     yield {
         "type": "scatter", "mode": "markers", "name": "measured", "hoverinfo": "text",
-        "x": rounded((at[kept] + spread) * factor), "y": rounded(panel.residual[kept]),
+        "x": round_values((at[kept] + spread) * factor), "y": round_values(panel.residual[kept]),
         "marker": {"size": 4, "color": QUIET, "opacity": 0.45},
         "text": [f"sample {n}" for n in panel.sample[kept]],
         "customdata": panel.sample[kept].tolist(),
     }  # fmt: skip
     x, wide = means.at * factor, 0.3 * step * factor
-    across, up = _boxes(x, means.band, wide) if few else _around(x, means.band)
+    across, up = _boxes(x, means.band, wide) if few else _outline_band(x, means.band)
     yield {
         "type": "scatter", "mode": "lines", "name": "99 % of means if nothing depends on it",
-        "x": gaps(across), "y": gaps(up), "fill": "toself", "fillcolor": BAND,
+        "x": round_with_gaps(across), "y": round_with_gaps(up), "fill": "toself", "fillcolor": BAND,
         "line": {"width": 0}, "hoverinfo": "skip",
     }  # fmt: skip
     blue, orange = {"color": MEASURED, "width": 2}, {"color": PATTERN, "width": 3, "dash": "dash"}
@@ -80,12 +80,12 @@ def _traces(panel: Panel, mechanism: Mechanism) -> Iterator[Spec]:
     ):
         across, up = _strokes(x, mean, wide) if few else (x, mean)  # where nothing rolls
         yield {
-            "type": "scatter", "mode": "lines", "name": name, "x": gaps(across), "y": gaps(up),
+            "type": "scatter", "mode": "lines", "name": name, "x": round_with_gaps(across), "y": round_with_gaps(up),
             "line": look, "hovertemplate": "%{y:.2f} σ",
         }  # fmt: skip
 
 
-def _around(x: np.ndarray, half: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _outline_band(x: np.ndarray, half: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate([x, x[::-1]]), np.concatenate([half, -half[::-1]])
 
 

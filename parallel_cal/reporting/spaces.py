@@ -9,10 +9,10 @@ import numpy as np
 from parallel_cal.diagnosis.lack_of_fit import SmoothMap
 from parallel_cal.reporting.arrows import arrows, scale_of, typical
 from parallel_cal.reporting.colours import PATTERN
-from parallel_cal.reporting.figures import Spec, rounded, thinned
+from parallel_cal.reporting.figures import Spec, round_values, select_evenly
 from parallel_cal.reporting.readable import with_unit
 
-ARROWS = 300  # more hide each other
+MAX_ARROWS = 300  # more hide each other
 SI = {"position": "m", "orientation": "rad"}
 
 
@@ -25,9 +25,9 @@ def residual_arrows(
     traces = [
         trace | {"visible": k == 0, "meta": k}
         for k, field in enumerate(fields)
-        for trace in _drawn(places, field, scale, kind, numbers)
+        for trace in _draw_arrows(places, field, scale, kind, numbers)
     ]
-    return _compared(traces, places, fields[0], scale, kind), scale
+    return _add_scale_arrow(traces, places, fields[0], scale, kind), scale
 
 
 def side(
@@ -35,7 +35,9 @@ def side(
 ) -> tuple[Spec, float]:
     """The same of one of several models as it stands, in a scale of its own where none is given."""
     scale = scale or scale_of(places, [field])
-    drawn = _compared(_drawn(places, field, scale, kind, numbers), places, field, scale, kind)
+    drawn = _add_scale_arrow(
+        _draw_arrows(places, field, scale, kind, numbers), places, field, scale, kind
+    )
     return drawn | {"layout": drawn["layout"] | {"height": 380}}, scale
 
 
@@ -45,7 +47,7 @@ def smooth_map(found: SmoothMap) -> tuple[Spec, float] | None:
     if found.share <= 0 or not found.size or found.places.shape[1:] != (3,):
         return None
     scale = scale_of(found.places, [found.field])
-    drawn = _drawn(found.places, found.field, scale, found.kind, np.arange(len(found.field)))
+    drawn = _draw_arrows(found.places, found.field, scale, found.kind, np.arange(len(found.field)))
     layout = space(found.kind)
     if found.kind == "orientation":
         layout["scene"] |= {f"{a}axis": {"title": {"text": f"joint {k}"}} for k, a in
@@ -53,18 +55,18 @@ def smooth_map(found: SmoothMap) -> tuple[Spec, float] | None:
     return {"data": drawn, "layout": layout}, scale
 
 
-def _drawn(
+def _draw_arrows(
     places: np.ndarray, field: np.ndarray, scale: float, kind: str, numbers: np.ndarray
 ) -> list[Spec]:
     """Arrows with their sizes as hover words, of long recordings some; positions in mm."""
-    kept = thinned(len(places), ARROWS)
+    kept = select_evenly(len(places), MAX_ARROWS)
     places, field, numbers = places[kept], field[kept], numbers[kept]
     sizes = np.linalg.norm(field, axis=1)
     words = [f"{n}: {with_unit(size, SI[kind])}" for n, size in zip(numbers, sizes, strict=True)]
     return arrows(places, field, scale, words, 1e3 if kind == "position" else 1.0)
 
 
-def _compared(
+def _add_scale_arrow(
     traces: list[Spec], places: np.ndarray, field: np.ndarray, scale: float, kind: str
 ) -> Spec:
     """Arrows with a length to compare them with, at the lowest corner."""
@@ -73,8 +75,8 @@ def _compared(
     long = (1e3 if kind == "position" else 1.0) * scale * size
     bar = {
         "type": "scatter3d", "mode": "lines", "showlegend": False, "hoverinfo": "skip",
-        "x": rounded(np.array([x, x + long])), "y": rounded(np.array([y, y])),
-        "z": rounded(np.array([z, z])), "line": {"width": 8, "color": PATTERN},
+        "x": round_values(np.array([x, x + long])), "y": round_values(np.array([y, y])),
+        "z": round_values(np.array([z, z])), "line": {"width": 8, "color": PATTERN},
     }  # fmt: skip
     words = {"x": x + long, "y": y, "z": z, "text": with_unit(size, SI[kind]), "showarrow": False,
              "xanchor": "left", "xshift": 8}  # fmt: skip

@@ -11,15 +11,15 @@ import numpy as np
 from parallel_cal.reporting.colours import ACCENT, MEASURED, QUIET, WARNING
 from parallel_cal.reporting.figures import LEGEND, Spec
 from parallel_cal.reporting.markup import Plot, paragraph, section, sentence, table
-from parallel_cal.reporting.page import Drawn
+from parallel_cal.reporting.page import PageBuilder
 from parallel_cal.reporting.readable import (
     ARCMIN,
-    OF,
+    SI_UNITS,
     columns,
-    fixed,
-    large,
+    error_unit,
+    format_fixed,
     number,
-    small,
+    value_unit,
     with_unit,
 )
 from parallel_cal.study.power import HALF, MOSTLY, Detectable, Power
@@ -27,37 +27,39 @@ from parallel_cal.study.tolerance import Share, Tolerances
 
 UNITS = {"position": ("um", 1e6, 1), "orientation": ("arcmin", ARCMIN, 2)}
 ERRORS = ("rms", "95 %", "largest", "rms that 95 % of robots keep", "rms by the budget")
-ALIKE = ("parameters", "tolerance", "unit", "numbers")
+PARAMETER_COLUMNS = ("parameters", "tolerance", "unit", "numbers")
 SIZES = ("predicted 50 %", "90 %", "found 50 %", "90 %")
-OFTEN = 0.2  # of an effect's sessions: a wrong name that deserves a word
-LITTLE = 1e-3  # share of a budget that nobody reads
+MIN_MISNAMED_SHARE = 0.2  # of an effect's sessions: a wrong name that deserves a word
+MIN_BUDGET_SHARE = 1e-3  # share of a budget that nobody reads
 
 
-def tolerances_said(found: Tolerances) -> str:
+def format_tolerances(found: Tolerances) -> str:
     """Errors, budget, what costs most."""
     robots, poses = found.errors[found.kind].shape
     errors = [
-        (f"{k} error [{UNITS[k][0]}]", *(_fixed(v, k) for v in _figures(found, k)))
+        (f"{k} error [{UNITS[k][0]}]", *(_format_error(v, k) for v in _figures(found, k)))
         for k in found.errors
     ]
     header = [f(k) for k in found.errors for f in (_headed, "{} share [%]".format)]
-    shown = [one for one in found.budget if any(_share(found, one, k) > LITTLE for k in UNITS)]
+    shown = [
+        one for one in found.budget if any(_share(found, one, k) > MIN_BUDGET_SHARE for k in UNITS)
+    ]
     rows = [
         (
             one.name, *_tolerance(one), str(one.count),
             *(
                 text
                 for k in found.errors
-                for text in (_fixed(one.rms[k], k), fixed(_share(found, one, k), 100, 1))
+                for text in (_format_error(one.rms[k], k), format_fixed(_share(found, one, k), 100, 1))
             ),
-            _fixed(one.halved[found.kind], found.kind),
+            _format_error(one.halved[found.kind], found.kind),
         )
         for one in shown
     ]  # fmt: skip
     return "\n".join([
         f"{robots} robots, {poses} poses each",
         columns(("", *ERRORS), errors),
-        columns((*ALIKE, *header, "all, were it halved"), rows),
+        columns((*PARAMETER_COLUMNS, *header, "all, were it halved"), rows),
         *remarks(found),
     ])  # fmt: skip
 
@@ -71,18 +73,18 @@ def _headed(kind: str) -> str:
     return f"{kind} [{UNITS[kind][0]}]"
 
 
-def _fixed(value: float, kind: str) -> str:
+def _format_error(value: float, kind: str) -> str:
     _, factor, digits = UNITS[kind]
-    return fixed(value, factor, digits)
+    return format_fixed(value, factor, digits)
 
 
 def _share(found: Tolerances, one: Share, kind: str) -> float:
-    return one.of(found.linear, kind) if kind in found.linear else 0.0
+    return one.compute_fraction(found.linear, kind) if kind in found.linear else 0.0
 
 
 def _tolerance(one: Share) -> tuple[str, str]:
     """One number, or the range where they differ, and its unit."""
-    unit, factor = large(one.unit)
+    unit, factor = value_unit(one.unit)
     low, high = (number(v, factor) for v in one.tolerance)
     return (low if low == high else f"{low}..{high}"), unit
 
@@ -91,10 +93,10 @@ def remarks(found: Tolerances) -> Iterator[str]:
     """What costs most, where the budget does not hold, what calibration leaves."""
     one, kind = found.budget[0], found.kind
     what = f"{one.label} ({one.name})" if one.label else one.name
-    whole, halved = (_fixed(v, kind) for v in (found.linear[kind], one.halved[kind]))
+    whole, halved = (_format_error(v, kind) for v in (found.linear[kind], one.halved[kind]))
     yield (
         f"{what}, {' '.join(_tolerance(one))}, costs most: "
-        f"{fixed(_share(found, one, kind), 100, 0)} % of the squared {kind} error; held to half of "
+        f"{format_fixed(_share(found, one, kind), 100, 0)} % of the squared {kind} error; held to half of "
         f"it, {whole} {UNITS[kind][0]} would be {halved}"
     )
     for kind in found.errors:
@@ -108,16 +110,17 @@ def remarks(found: Tolerances) -> Iterator[str]:
         yield f"{found.unreached} poses were out of a drawn robot's reach, and are not counted"
     if found.calibrated:
         left = vars(found.calibrated)
-        told = [f"{_fixed(left[f'{k}_rms'], k)} {UNITS[k][0]}" for k in found.errors]
+        told = [f"{_format_error(left[f'{k}_rms'], k)} {UNITS[k][0]}" for k in found.errors]
         yield f"calibrated at the {found.planned} poses of the plan, it keeps {', '.join(told)}"
 
 
 def tolerances_page(found: Tolerances) -> str:
     """The page of a tolerance study: what costs most, the budget as bars, robots as they spread."""
-    drawn, (robots, poses) = Drawn(), found.errors[found.kind].shape
+    drawn, (robots, poses) = PageBuilder(), found.errors[found.kind].shape
     said = "".join(paragraph(sentence(text), "verdict") for text in remarks(found))
     rows = [
-        (kind, *(with_unit(v, OF[kind]) for v in _figures(found, kind))) for kind in found.errors
+        (kind, *(with_unit(v, SI_UNITS[kind]) for v in _figures(found, kind)))
+        for kind in found.errors
     ]
     figures = "".join(_distribution(found, kind, drawn.plot) for kind in found.errors)
     parts = [
@@ -132,9 +135,9 @@ def tolerances_page(found: Tolerances) -> str:
 
 def _bars(found: Tolerances, kind: str, plot: Plot) -> str:
     """What alike parameters do by themselves, by first order; the largest on top."""
-    unit, factor = small(OF[kind])
+    unit, factor = error_unit(SI_UNITS[kind])
     upwards = sorted(found.budget, key=lambda one: one.rms[kind])
-    upwards = [one for one in upwards if _share(found, one, kind) > LITTLE]
+    upwards = [one for one in upwards if _share(found, one, kind) > MIN_BUDGET_SHARE]
     bars: Spec = {
         "type": "bar", "orientation": "h", "y": [escape(one.name) for one in upwards],
         "x": [one.rms[kind] * factor for one in upwards], "marker": {"color": ACCENT},
@@ -142,8 +145,8 @@ def _bars(found: Tolerances, kind: str, plot: Plot) -> str:
         "textposition": "auto",
         "hovertext": [
             escape(f"{one.label or one.name}, {' '.join(_tolerance(one))}: "
-                   f"{with_unit(one.rms[kind], OF[kind])}; all, were it halved: "
-                   f"{with_unit(one.halved[kind], OF[kind])}")
+                   f"{with_unit(one.rms[kind], SI_UNITS[kind])}; all, were it halved: "
+                   f"{with_unit(one.halved[kind], SI_UNITS[kind])}")
             for one in upwards
         ],
         "hoverinfo": "text",
@@ -158,7 +161,7 @@ def _bars(found: Tolerances, kind: str, plot: Plot) -> str:
 
 def _distribution(found: Tolerances, kind: str, plot: Plot) -> str:
     """How many robots have which rms, beside what the budget says."""
-    unit, factor = small(OF[kind])
+    unit, factor = error_unit(SI_UNITS[kind])
     count, edges = np.histogram(found.robots(kind) * factor, bins="auto")
     *_, keep, budget = _figures(found, kind)
     traces: list[Spec] = [
@@ -182,12 +185,12 @@ def _distribution(found: Tolerances, kind: str, plot: Plot) -> str:
     return plot({"data": traces, "layout": layout})
 
 
-def power_said(found: Power) -> str:
+def format_power(found: Power) -> str:
     """What is found at which size, what cannot be, false alarms."""
     unit = UNITS[found.kind][0]
     header = ("effect", "number", "unit", *SIZES, f"{found.kind} error [{unit}] 50 %", "90 %")
     rows = [
-        (one.effect, one.number, small(one.unit)[0].replace("µ", "u"), *_sizes(found, one))
+        (one.effect, one.number, error_unit(one.unit)[0].replace("µ", "u"), *_sizes(found, one))
         for one in found.effects
         if not one.reason
     ]
@@ -200,14 +203,14 @@ def power_said(found: Power) -> str:
 
 def _sizes(found: Power, one: Detectable) -> list[str]:
     """Predicted and found sizes of a number, and what they make of the pose; `>` what was tried."""
-    factor = small(one.unit)[1] * one.tolerance
+    factor = error_unit(one.unit)[1] * one.tolerance
     tried = [one.smallest(share) for share in (HALF, MOSTLY)]
     beyond = [">" if size is None else "" for size in tried]
     sizes = [size or one.tried[-1] for size in tried]
     return [
         *(number(size, factor) for size in one.predicted),
         *(sign + number(size.size, factor) for sign, size in zip(beyond, sizes, strict=True)),
-        *(s + _fixed(size.error, found.kind) for s, size in zip(beyond, sizes, strict=True)),
+        *(s + _format_error(size.error, found.kind) for s, size in zip(beyond, sizes, strict=True)),
     ]
 
 
@@ -226,7 +229,7 @@ def power_remarks(found: Power) -> Iterator[str]:
             yield f"{one.effect}: {one.reason}"
         called = sum((Counter(size.called) for size in one.tried), Counter[str]())
         for name, n in called.items():
-            if n >= OFTEN * (of := sum(size.sessions for size in one.tried)):
+            if n >= MIN_MISNAMED_SHARE * (of := sum(size.sessions for size in one.tried)):
                 yield f"{one.effect} is called {name} in {n} of {of} sessions"
     alarms = ", ".join(f"{name} in {n}" for name, n in found.false_alarms.items()) or "none"
     yield f"false alarms in {found.clean} sessions without any effect: {alarms}"
@@ -236,12 +239,12 @@ def power_remarks(found: Power) -> Iterator[str]:
 
 def power_page(found: Power) -> str:
     """The page of a power study: sizes as ranges, each beside what was predicted; all numbers."""
-    drawn = Drawn()
+    drawn = PageBuilder()
     shown = [one for one in found.effects if not one.reason]
     header = ("effect", "number", "unit", *SIZES, f"{found.kind} error 50 %", "error 90 %", "found")
     rows = [
         (
-            one.effect, one.number, small(one.unit)[0], *_sizes(found, one),
+            one.effect, one.number, error_unit(one.unit)[0], *_sizes(found, one),
             ", ".join(f"{size.found}/{size.sessions}" for size in one.tried),
         )
         for one in shown
@@ -258,7 +261,7 @@ def power_page(found: Power) -> str:
 
 def _ranges(found: Power, shown: list[Detectable], plot: Plot) -> str:
     """From found in half of the sessions to found in 90 %, as what the effect does to the pose."""
-    unit, factor = small(OF[found.kind])
+    unit, factor = error_unit(SI_UNITS[found.kind])
     upwards = shown[::-1]
     names = [escape(one.effect) for one in upwards]
     half, mostly = (

@@ -18,19 +18,19 @@ from parallel_cal.model.model import Model
 from parallel_cal.reporting.readable import (
     ARCMIN,
     columns,
-    fixed,
-    fixed_vector,
+    error_unit,
+    format_fixed,
+    format_fixed_vector,
     in_unit,
-    large,
     percent,
-    small,
     unit_of,
+    value_unit,
 )
 from parallel_cal.session.steps import Step
 
 CANDIDATES, SAMPLES, PATTERNS = 8, 10, 5  # that a person reads
-SMALLEST = 1e-99  # p-value: what is below says no more
-BEYOND_CHANCE = 0.05  # of what errors go with
+MIN_SHOWN_P_VALUE = 1e-99  # p-value: what is below says no more
+PATTERN_SIGNIFICANCE_LEVEL = 0.05  # of what errors go with
 
 
 @singledispatch
@@ -63,13 +63,18 @@ def show(result: Any) -> str:
 
 
 @show.register
-def stepped(step: Step) -> str:
+def format_step(step: Step) -> str:
     """A step's identification; an effect added is held against the same fit without it."""
-    shown = fitted(step.result, step.rival if step.name == "add" else None)
-    if step.moves is None:
+    shown = format_fit(step.result, step.rival if step.name == "add" else None)
+    if step.platform_shift is None:
         return shown
     measured, anywhere, worth = (
-        fixed(way, 1e6, 0) for way in (step.moves.measured, step.moves.workspace, step.moves.shown)
+        format_fixed(way, 1e6, 0)
+        for way in (
+            step.platform_shift.measured,
+            step.platform_shift.workspace,
+            step.platform_shift.shown,
+        )
     )
     return (
         f"{shown}\nmoves your robot by {measured} um where it was measured, {anywhere} um over its "
@@ -78,7 +83,7 @@ def stepped(step: Step) -> str:
 
 
 @show.register
-def fitted(result: FitResult, without: FitResult | None = None) -> str:
+def format_fit(result: FitResult, without: FitResult | None = None) -> str:
     """An identification; `without` is that of the same data without an effect added."""
     rival = result.held_out_before if without is None else without.held_out
     judged = {
@@ -87,7 +92,7 @@ def fitted(result: FitResult, without: FitResult | None = None) -> str:
         "left out, before" if without is None else "left out, without it": rival.summary,
         "left out, after": result.held_out.summary,
     }
-    rows, told = [], given_numbers(result.model)
+    rows, told = [], find_given_parameters(result.model)
     for name, p in result.parameters().items():
         if not p.fixed or name in told:
             value, unit = in_unit(p.value, p.unit)
@@ -97,8 +102,8 @@ def fitted(result: FitResult, without: FitResult | None = None) -> str:
     return "\n".join(
         [
             f"{result.samples} samples, {estimate.spectrum.rank} of {result.free.sum()} free "
-            f"parameters identified, chi2/dof {fixed(estimate.chi2_per_dof)}",
-            errors_table(judged, result.noise, result.model),
+            f"parameters identified, chi2/dof {format_fixed(estimate.chi2_per_dof)}",
+            errors_table(judged, result.noise_floor, result.model),
             *budget_lines(result),
             columns(("parameter", "value", "from nominal", "sigma", "unit"), rows),
         ]
@@ -111,10 +116,15 @@ def budget_lines(result: FitResult) -> Iterator[str]:
     for budget in result.budgets[:1]:
         unit, factor = ascii_unit(budget.kind)
         rows = [
-            (part.name, fixed(part.contribution, factor), fixed(part.alone, factor), unit)
+            (
+                part.name,
+                format_fixed(part.contribution, factor),
+                format_fixed(part.alone, factor),
+                unit,
+            )
             for part in budget.parts
         ]
-        total = f"{budget.kind} error of {fixed(budget.total, factor)} {unit}, of it"
+        total = f"{budget.kind} error of {format_fixed(budget.total, factor)} {unit}, of it"
         yield columns((total, "share", "by itself", "unit"), rows)
     yield from map(iso_line, result.iso_9283[:1])
 
@@ -124,22 +134,26 @@ def iso_line(figures: Iso9283) -> str:
     again = "no pose was visited again, hence no repeatability"
     if figures.repeatability is not None:
         again = (
-            f"repeatability RP {fixed(figures.repeatability, factor)} {unit} "
+            f"repeatability RP {format_fixed(figures.repeatability, factor)} {unit} "
             f"({figures.poses} poses, {figures.visits} visits)"
         )
-    mean, worst = (fixed(a, factor) for a in (figures.accuracy_mean, figures.accuracy_max))
+    mean, worst = (format_fixed(a, factor) for a in (figures.accuracy_mean, figures.accuracy_max))
     return f"ISO 9283 {figures.kind}: accuracy AP {mean} {unit}, worst {worst}; {again}"
 
 
 def ascii_unit(kind: str) -> tuple[str, float]:
-    name, factor = small(unit_of(kind, {}))
+    name, factor = error_unit(unit_of(kind, {}))
     return name.replace("µ", "u"), factor
 
 
-def given_numbers(model: Model) -> set[str]:
+def find_given_parameters(model: Model) -> set[str]:
     """What effects were given, or a search has found: gear ratios, masses."""
     table = model.table
-    known = [table.matching(effect.known()) for effect in model.effects if effect.known()]
+    known = [
+        table.matching(effect.fixed_patterns())
+        for effect in model.effects
+        if effect.fixed_patterns()
+    ]
     shown = np.any(known, axis=0) & (model.values != table.nominal) if known else []
     return {name for name, one in zip(table.names, shown, strict=False) if one}
 
@@ -148,26 +162,26 @@ def errors_table(judged: Mapping[str, Summary], noise: Summary, model: Model) ->
     """Mean and rms errors of what was measured, one column for each of before, after, ... (as
     table 5.15), beside those of noise alone where somebody knows the noise; that of the closure's
     rows, too, where they are redundant."""
-    judged = {**judged, "noise alone": noise} if noise.known else dict(judged)
+    judged = {**judged, "noise alone": noise} if noise.is_known else dict(judged)
     joint_units = dict(zip(model.joints, model.mechanism.joint_units, strict=True))
     rows = []
     for kind in ("position", "orientation", "reading", "joint"):
         wound = kind == "joint" and not model.mechanism.periodic  # winches turn many times
-        name, factor = (large if wound and "rad" in joint_units.values() else small)(
+        name, factor = (value_unit if wound and "rad" in joint_units.values() else error_unit)(
             unit_of(kind, joint_units)
         )
         if any(e.mean(kind) is not None for e in judged.values()):
             for measure, get in (("mean", Summary.mean), ("rms", Summary.rms)):
-                cells = [fixed(get(e, kind), factor) for e in judged.values()]
+                cells = [format_fixed(get(e, kind), factor) for e in judged.values()]
                 rows.append([f"{kind} error, {measure}", *cells, name.replace("µ", "u")])
     if model.structure.phi.shape[0] > len(model.mechanism.moved):
-        cells = [fixed(e.closure_rms, 1e6) for e in judged.values()]
+        cells = [format_fixed(e.closure_rms, 1e6) for e in judged.values()]
         rows.append(["closure, rms of its rows", *cells, "um"])
     return columns(["", *judged, "unit"], rows)
 
 
 @show.register
-def compared(comparison: Comparison) -> str:
+def format_comparison(comparison: Comparison) -> str:
     """Errors, the worst samples, what the errors go with, and odd samples."""
     return "\n".join(
         [
@@ -176,7 +190,7 @@ def compared(comparison: Comparison) -> str:
             *map(iso_line, iso_9283(comparison.errors, comparison.observations)[:1]),
             "worst samples:",
             _worst(comparison),
-            *_where(comparison),
+            *_format_patterns(comparison),
         ]
     )
 
@@ -187,25 +201,25 @@ def _worst(comparison: Comparison) -> str:
     worst = comparison.worst_first[:SAMPLES]
     shown = {
         "sample": [str(number) for number in data.numbers[worst]],
-        "time [s]": [fixed(t, 1, 1) for t in data.time[worst]],
-        "at [mm]": [fixed_vector(place, 1e3, 1) for place in comparison.place[worst]],
+        "time [s]": [format_fixed(t, 1, 1) for t in data.time[worst]],
+        "at [mm]": [format_fixed_vector(place, 1e3, 1) for place in comparison.place[worst]],
     }
     if np.isfinite(norms["position"]).any():
-        shown["error [um]"] = [fixed_vector(e, 1e6, 0) for e in errors.position[worst]]
-        shown["|error| [um]"] = [fixed(e, 1e6, 0) for e in norms["position"][worst]]
+        shown["error [um]"] = [format_fixed_vector(e, 1e6, 0) for e in errors.position[worst]]
+        shown["|error| [um]"] = [format_fixed(e, 1e6, 0) for e in norms["position"][worst]]
     if np.isfinite(norms["orientation"]).any():
-        shown["turned [arcmin]"] = [fixed(e, ARCMIN) for e in norms["orientation"][worst]]
+        shown["turned [arcmin]"] = [format_fixed(e, ARCMIN) for e in norms["orientation"][worst]]
     for channel, read in zip(comparison.model.structure.channels, errors.reading.T, strict=True):
-        shown[f"{channel} [um]"] = [fixed(e, 1e6, 0) for e in read[worst]]
+        shown[f"{channel} [um]"] = [format_fixed(e, 1e6, 0) for e in read[worst]]
     return columns(tuple(shown), list(zip(*shown.values(), strict=True)))
 
 
-def _where(comparison: Comparison) -> Iterator[str]:
+def _format_patterns(comparison: Comparison) -> Iterator[str]:
     """What the errors go with, beyond chance, and whether neighbours err alike."""
     rows = [
-        (a.name, fixed(a.strength, 1, 1), f"{a.p_value:.2g}")
-        for a in comparison.along[:PATTERNS]
-        if a.p_value < BEYOND_CHANCE
+        (a.name, format_fixed(a.strength, 1, 1), f"{a.p_value:.2g}")
+        for a in comparison.residual_profiles[:PATTERNS]
+        if a.p_value < PATTERN_SIGNIFICANCE_LEVEL
     ]
     if rows:
         yield "errors go with:"
@@ -215,16 +229,16 @@ def _where(comparison: Comparison) -> Iterator[str]:
     worst = comparison.regions[0]
     yield (
         f"worst region: {worst.region}, "
-        f"{fixed(worst.position_rms or worst.reading_rms, 1e6, 0)} um rms; "
+        f"{format_fixed(worst.position_rms or worst.reading_rms, 1e6, 0)} um rms; "
         f"structure: p = {comparison.structure.p_value:.2g}"
     )
     for one in comparison.odd_samples[:PATTERNS]:
-        at = fixed_vector(one.place, 1e3, 1)
+        at = format_fixed_vector(one.place, 1e3, 1)
         yield f"odd: sample {one.sample} at {at} mm, {one.sigmas:.1f} sigmas"
 
 
 @show.register
-def diagnosed(diagnosis: Diagnosis) -> str:
+def format_diagnosis(diagnosis: Diagnosis) -> str:
     """The verdict, errors at poses left out, the candidates, and what to measure next."""
     judged = {
         "left out, as it is": diagnosis.base.fitted.held_out.summary,
@@ -233,7 +247,7 @@ def diagnosed(diagnosis: Diagnosis) -> str:
     return "\n".join(
         [
             f"{diagnosis.verdict.word}: {diagnosis.verdict.summary}",
-            errors_table(judged, diagnosis.best.fitted.noise, diagnosis.model),
+            errors_table(judged, diagnosis.best.fitted.noise_floor, diagnosis.model),
             *_candidates(diagnosis.entries),
             *_odd(diagnosis),
             *_next(diagnosis),
@@ -260,7 +274,7 @@ def _candidate(entry: Entry) -> tuple[str, ...]:
     ratio, share = (alone.ratio, alone.share_explained) if alone else (None, None)
     return (
         entry.name,
-        f"{p:.2g}" if p > SMALLEST else f"<{SMALLEST:.0g}",
+        f"{p:.2g}" if p > MIN_SHOWN_P_VALUE else f"<{MIN_SHOWN_P_VALUE:.0g}",
         percent(ratio, 1, "-"),
         *(percent(one, missing="-") for one in (share, entry.first_picks, entry.remaining)),
         ", ".join(entry.confused_with),
@@ -270,7 +284,7 @@ def _candidate(entry: Entry) -> tuple[str, ...]:
 def _odd(diagnosis: Diagnosis) -> Iterator[str]:
     for one in diagnosis.odd_samples[:CANDIDATES]:
         yield (
-            f"{one.word}: sample {one.sample} at {fixed_vector(one.place, 1e3, 1)} mm, "
+            f"{one.label}: sample {one.sample} at {format_fixed_vector(one.place, 1e3, 1)} mm, "
             f"{one.time:.1f} s, {one.sigmas:.1f} sigmas, Cook's "
             f"distance {one.cooks_distance:.2f} (--data exclude={one.sample} leaves it out)"
         )

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from parallel_cal.base.errors import ModelError, nearest
+from parallel_cal.base.errors import ModelError, format_suggestion
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Parameter, ParameterTable
 from parallel_cal.model.sensor import Sensor
@@ -20,7 +20,7 @@ KINDS = {
     "cameras": (100e-6, 100e-6),  # VDI 2634: 50-100 um with coded targets
     "motion_capture": (300e-6, 500e-6),  # 0.2-0.5 mm after a wand calibration
 }
-USUAL = 20e-6  # m: the device that the catalogue's tolerances of drift stand for
+REFERENCE_ACCURACY_M = 20e-6  # m: the device that the catalogue's tolerances of drift stand for
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,9 @@ class Certificate(Sensor):
 
     def __post_init__(self) -> None:
         if self.kind and self.kind not in KINDS:
-            known = nearest(self.kind, list(KINDS)) or f"; expected one of {', '.join(KINDS)}"
+            known = (
+                format_suggestion(self.kind, list(KINDS)) or f"; expected one of {', '.join(KINDS)}"
+            )
             raise ModelError(f"certificate: no kind '{self.kind}'{known}")
         if self._accuracy is None or min(self._accuracy, self._scale or 1.0) <= 0:
             raise ModelError(
@@ -58,7 +60,7 @@ class Certificate(Sensor):
         return []
 
     def tolerances(self, table: ParameterTable, mechanism: Mechanism) -> Mapping[str, float]:
-        accuracy, reach = self._accuracy or USUAL, _reach(mechanism)
+        accuracy, reach = self._accuracy or REFERENCE_ACCURACY_M, _reach(mechanism)
         found = {}
         for p in table:
             effect, _, number = p.name.partition(".")
@@ -68,7 +70,7 @@ class Certificate(Sensor):
                 own = self._scale if number.startswith("scale") else None
                 found[p.name] = own or accuracy / (3**0.5 * reach)
             elif effect == "base_drift":
-                found[p.name] = p.tolerance * accuracy / USUAL
+                found[p.name] = p.tolerance * accuracy / REFERENCE_ACCURACY_M
         return found
 
 

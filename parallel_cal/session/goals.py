@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from parallel_cal.base.errors import ModelFileError, ParallelCalError
-from parallel_cal.base.files import PREVIOUS
+from parallel_cal.base.files import BACKUP_SUFFIX
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.identification.observations import observe
 from parallel_cal.identification.options import FitOptions
@@ -68,7 +68,7 @@ class Outcome:
         return parse_model(self.text) if self.text else None
 
 
-def proposed(request: Request, dataset: Dataset, tell: Tell | None = None) -> Outcome:
+def propose_model(request: Request, dataset: Dataset, tell: Tell | None = None) -> Outcome:
     """Identify a model file on samples: a success may be `written`, a failure is a message."""
     position_error = math.nan
 
@@ -89,7 +89,7 @@ def proposed(request: Request, dataset: Dataset, tell: Tell | None = None) -> Ou
             step = fitted(model, dataset, **how)
         position_error = _or_nan(step.result.after.summary.position_mean)
         report("judging", 1.0)
-        return _judged(request, step)
+        return _make_outcome(request, step)
     except ParallelCalError as error:
         return Outcome(False, str(error))
 
@@ -98,7 +98,7 @@ def _or_nan(value: float | None) -> float:
     return math.nan if value is None else value
 
 
-def _judged(request: Request, step: Step) -> Outcome:
+def _make_outcome(request: Request, step: Step) -> Outcome:
     """What is said of the step once it is written, or why it is not."""
     reason, found = step.acceptance.against, step.result
     kinds = (found.before, found.after, found.held_out_before, found.held_out)
@@ -108,11 +108,11 @@ def _judged(request: Request, step: Step) -> Outcome:
         message = f"{reason}; nothing was written (force writes it all the same)"
         return Outcome(False, message, step.document(), text, means)
     although = f" by force although {reason}" if reason else ""
-    message = f"{step.acceptance.errors}; written to {request.output_file}{although}"
+    message = f"{step.acceptance.description}; written to {request.output_file}{although}"
     return Outcome(True, message, step.document(), text, means)
 
 
-def written(request: Request, outcome: Outcome) -> Outcome:
+def write_proposal(request: Request, outcome: Outcome) -> Outcome:
     """Write the model that was proposed, and keep the file before; what was refused stays so."""
     if not outcome.success:
         return outcome
@@ -120,10 +120,10 @@ def written(request: Request, outcome: Outcome) -> Outcome:
     return replace(outcome, hash=model_hash(outcome.text), path=request.output_file)
 
 
-def undone(path: str) -> str:
+def undo_write(path: str) -> str:
     """Exchange a model file with the one that it replaced; a sentence. ModelFileError where there
     is none, or it can no longer be read."""
-    before = path + PREVIOUS
+    before = path + BACKUP_SUFFIX
     if not Path(before).exists():
         raise ModelFileError(f"{path}: nothing to undo, there is no {before}")
     text, now = model_text(before), model_text(path)

@@ -14,7 +14,7 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from parallel_cal.base.documents import plain
+from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.base.files import read_text, write_atomically
 from parallel_cal.identification.options import FitOptions
@@ -120,7 +120,7 @@ class History:
             "branch": self.record.branch,
             "branches": dict(self.record.branches),
             "recordings": list(self.record.recordings),
-            "history": [plain(state.model_dump()) for state in self.history()],
+            "history": [to_json_value(state.model_dump()) for state in self.history()],
             "can_undo": self.state.parent is not None,
             "can_redo": bool(self.record.forward.get(self.record.branch)),
         }
@@ -129,7 +129,7 @@ class History:
 
     def undo(self) -> State:
         """One step back; SessionError at the beginning."""
-        with self._changing() as record:
+        with self._lock_record() as record:
             if record.state.parent is None:
                 raise SessionError("nothing to undo: this is where the session began")
             ahead = [*record.forward.get(record.branch, ()), record.state.number]
@@ -138,7 +138,7 @@ class History:
 
     def redo(self) -> State:
         """Once more what was undone last; SessionError where nothing was."""
-        with self._changing() as record:
+        with self._lock_record() as record:
             undone = record.forward.get(record.branch)
             if not undone:
                 raise SessionError("nothing to redo")
@@ -149,7 +149,7 @@ class History:
         """A new branch that begins at this state, to try something beside."""
         if not name.strip():
             raise SessionError("a branch needs a name")
-        with self._changing() as record:
+        with self._lock_record() as record:
             if name in record.branches:
                 raise SessionError(f"there is a branch '{name}' already; switch to it")
             branches = {**record.branches, name: record.state.number}
@@ -158,7 +158,7 @@ class History:
 
     def switch(self, branch: str) -> State:
         """Go on with another branch."""
-        with self._changing() as record:
+        with self._lock_record() as record:
             self._head(branch)
             self._write(record.model_copy(update={"branch": branch}))
         return self.state
@@ -171,9 +171,9 @@ class History:
 
     # ------------------------------------------------------------------ on disk
 
-    def judged(self, at: State, verdict: str) -> None:
+    def record_verdict(self, at: State, verdict: str) -> None:
         """Keep a verdict with the state it was found for."""
-        with self._changing() as record:
+        with self._lock_record() as record:
             states = list(record.states)
             states[at.number] = states[at.number].model_copy(update={"verdict": verdict})
             self._write(record.model_copy(update={"states": states}))
@@ -185,7 +185,7 @@ class History:
         self._write(record.model_copy(update=changes))
 
     @contextmanager
-    def _changing(self) -> Iterator[Record]:
+    def _lock_record(self) -> Iterator[Record]:
         """The record as it is on disk now; nobody else changes it meanwhile."""
         with (self.folder / LOCK).open("w") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
@@ -222,7 +222,7 @@ class History:
         self.record = record
 
 
-def shown(errors: Mapping[str, float | None]) -> str:
+def format_first_error(errors: Mapping[str, float | None]) -> str:
     """Errors in words, of the first kind that is known: `30 um`, `0.43 arcmin`."""
     for kind, factor, unit in UNITS:
         if (value := errors.get(f"{kind}_rms")) is not None:

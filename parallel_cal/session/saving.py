@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.base.errors import ModelFileError, ParallelCalError
-from parallel_cal.base.files import PREVIOUS
+from parallel_cal.base.files import BACKUP_SUFFIX
 from parallel_cal.diagnosis.verdict import AMBER_VERDICTS
-from parallel_cal.identification.acceptance import in_words
-from parallel_cal.identification.doubts import on_parameters
+from parallel_cal.identification.acceptance import format_errors
+from parallel_cal.identification.doubts import list_parameter_warnings
 from parallel_cal.identification.fit import FitResult, fit
 from parallel_cal.identification.observations import observe
 from parallel_cal.identification.options import FitOptions
@@ -29,8 +29,8 @@ from parallel_cal.identification.prediction_errors import (
     errors,
     held_out_ratio,
 )
-from parallel_cal.identification.registration import registered
-from parallel_cal.identification.thresholds import NEGLIGIBLE
+from parallel_cal.identification.registration import register_device
+from parallel_cal.identification.thresholds import MAX_NEGLIGIBLE_ERROR_RISE
 from parallel_cal.model.file.modelfile import (
     model_hash,
     model_text,
@@ -159,7 +159,7 @@ def compare_with_model_in_use(
     new, old = _at_common_samples(judged.errors, other.errors)
     ratio = held_out_ratio(old, new)
     words = _comparison(old, other.where, new, judged.where, ratio)
-    if ratio is None or ratio > 1 + NEGLIGIBLE:
+    if ratio is None or ratio > 1 + MAX_NEGLIGIBLE_ERROR_RISE:
         objections.insert(0, words)
     return Replacement(file, words, tuple(objections), own, in_use_hash, new, old)
 
@@ -186,7 +186,7 @@ def write_for_robot(model: Model, replacement: Replacement, insisted: bool) -> M
         )
     if file.is_file() and not _is_text(file):
         try:
-            shutil.copyfile(file, f"{file}{PREVIOUS}")
+            shutil.copyfile(file, f"{file}{BACKUP_SUFFIX}")
         except OSError as error:
             raise ModelFileError(f"{file}: cannot be laid aside: {error.strerror}") from None
         write_model(model, file)
@@ -227,12 +227,12 @@ class _Judged:
         """Errors at held-out poses where the model was fitted to just these samples, else those of
         the model as it is: a fit of its own to few samples would make a good model look bad."""
         if not fitted_to_these:
-            placed, _ = registered(model, dataset, options.joint_sigma)
+            placed, _ = register_device(model, dataset, options.joint_sigma)
             found = errors(placed, observe(placed, dataset, options.joint_sigma))
             return cls(found, PERHAPS_USED if _fitted_datasets(model) else UNSEEN)
         result: FitResult = fit(model, dataset, options)
-        doubts = tuple(on_parameters(result.model, result.estimate, result.free))
-        if result.held_out.summary.known:
+        doubts = tuple(list_parameter_warnings(result.model, result.estimate, result.free))
+        if result.held_out.summary.is_known:
             return cls(result.held_out, HELD_OUT, doubts)
         return cls(result.before, USED, doubts)
 
@@ -264,7 +264,7 @@ def _comparison(
     """`the model in use errs by 37 um at ..., this model by 114 um at ...: it is worse ...`"""
     if ratio is None:
         verdict = "which of them is better is not known"
-    elif abs(ratio - 1) <= NEGLIGIBLE:
+    elif abs(ratio - 1) <= MAX_NEGLIGIBLE_ERROR_RISE:
         verdict = "they are equally good"
     else:
         worse = ratio > 1
@@ -273,6 +273,6 @@ def _comparison(
         if new.position_rms and new.orientation_rms:
             verdict += " (position and orientation together)"
     return (
-        f"on the same samples the model in use errs by {in_words(old)} {old_where}, this model by "
-        f"{in_words(new)} {new_where}: {verdict}"
+        f"on the same samples the model in use errs by {format_errors(old)} {old_where}, this model by "
+        f"{format_errors(new)} {new_where}: {verdict}"
     )

@@ -10,7 +10,7 @@ from uuid import uuid4
 
 import numpy as np
 
-from parallel_cal.base.documents import plain
+from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.files import write_atomically
 from parallel_cal.base.progress import Progress
 from parallel_cal.diagnosis.diagnose import Diagnosis, diagnose
@@ -70,8 +70,8 @@ class Session(History):
         write_model(model, target / first.model)
         record = Record(
             recordings=paths,
-            reading=_changed(reading or ReadOptions(), ReadOptions()),
-            fitting=_changed(fitting or FitOptions(), FitOptions()),
+            reading=_collect_changes(reading or ReadOptions(), ReadOptions()),
+            fitting=_collect_changes(fitting or FitOptions(), FitOptions()),
             states=[first],
             branches={"main": 0},
         )
@@ -103,29 +103,29 @@ class Session(History):
     @property
     def dataset(self) -> Dataset:
         """The samples that count here."""
-        return self._counted(self.state.excluded)
+        return self._select_counted(self.state.excluded)
 
-    def _counted(self, excluded: Collection[int]) -> Dataset:
+    def _select_counted(self, excluded: Collection[int]) -> Dataset:
         return self.samples.excluding(sorted(excluded), "in this session")
 
     # ------------------------------------------------------------------ steps
 
     def fit(self, progress: Progress | None = None) -> State:
         """Identify the model's free parameters; what speaks against the result is in the state."""
-        return self._refitted("fit", progress)
+        return self._refit("fit", progress)
 
     def add(self, effect: str, progress: Progress | None = None, force: bool = False) -> State:
         """Add an effect and identify anew; FitError where the errors at poses left out do not fall,
         and nobody insists."""
         step = add(self.model, effect, self.dataset, force, options=self.options, progress=progress)
-        return self._committed(f"add {effect}", step)
+        return self._commit(f"add {effect}", step)
 
     def remove(self, effect: str, progress: Progress | None = None, force: bool = False) -> State:
         """Remove an effect and identify anew; FitError where that costs accuracy."""
         step = remove(
             self.model, effect, self.dataset, force, options=self.options, progress=progress
         )
-        return self._committed(f"remove {effect}", step)
+        return self._commit(f"remove {effect}", step)
 
     def exclude(self, samples: Mapping[int, str], progress: Progress | None = None) -> State:
         """Leave samples out, each with a reason, and identify anew."""
@@ -133,23 +133,23 @@ class Session(History):
         if unknown := sorted(set(samples) - known):
             raise SessionError(f"no sample {unknown[0]}; there are {len(known)}")
         excluded = {**self.state.excluded, **samples}
-        return self._refitted(f"exclude {_listed(samples)}", progress, excluded=excluded)
+        return self._refit(f"exclude {_format_numbers(samples)}", progress, excluded=excluded)
 
     def include(self, samples: Sequence[int], progress: Progress | None = None) -> State:
         """Take samples back that were excluded, and identify anew."""
         if missing := [n for n in samples if n not in self.state.excluded]:
             raise SessionError(f"sample {missing[0]} is not excluded")
         kept = {n: why for n, why in self.state.excluded.items() if n not in samples}
-        return self._refitted(f"include {_listed(samples)}", progress, excluded=kept)
+        return self._refit(f"include {_format_numbers(samples)}", progress, excluded=kept)
 
     def choose(self, progress: Progress | None = None, **options: Any) -> State:
         """Identify anew, from here on with other options of a fit: free, fix, prior, loss, ..."""
-        fitting = {**self.state.fitting, **{key: plain(v) for key, v in options.items()}}
-        words = ", ".join(f"{key} {_said(value)}" for key, value in options.items())
-        return self._refitted(words, progress, fitting=fitting)
+        fitting = {**self.state.fitting, **{key: to_json_value(v) for key, v in options.items()}}
+        words = ", ".join(f"{key} {_format_value(value)}" for key, value in options.items())
+        return self._refit(words, progress, fitting=fitting)
 
-    def _refitted(self, words: str, progress: Progress | None, **changes: Any) -> State:
-        data = self._counted(changes.get("excluded", self.state.excluded))
+    def _refit(self, words: str, progress: Progress | None, **changes: Any) -> State:
+        data = self._select_counted(changes.get("excluded", self.state.excluded))
         options = FitOptions(
             **{**self.record.fitting, **changes.get("fitting", self.state.fitting)}
         )
@@ -158,7 +158,7 @@ class Session(History):
             # The model that it starts from knew these samples: its error at them proves nothing,
             # and other samples or parameters are no reason to doubt it.
             changes |= {"before": start.errors, "against": start.against}
-        return self._committed(words, step, **changes)
+        return self._commit(words, step, **changes)
 
     def take(self, write: Callable[[Path], None]) -> State:
         """Samples measured since the session began, in a file of its own that `write` makes: those
@@ -170,16 +170,18 @@ class Session(History):
         paths = [*self.record.recordings, str(file)]
         data = load_sessions(paths, reading, joints=self.model.joints)
         before = self.samples if self.recordings else data
-        kept = {n: why for n, why in self.state.excluded.items() if _same(before, data, n)}
+        kept = {
+            n: why for n, why in self.state.excluded.items() if _is_same_sample(before, data, n)
+        }
         changes = {"taken": str(file.relative_to(self.folder)), "excluded": kept}
-        return self._advanced(f"take {len(data)} samples", None, **changes)
+        return self._append_state(f"take {len(data)} samples", None, **changes)
 
     def diagnose(self, progress: Progress | None = None, **options: Any) -> Diagnosis:
         """What is missing in the model of this state; its verdict is kept with the state."""
         at = self.state
         how: dict[str, Any] = {"options": self.options, "progress": progress} | options
         found = diagnose(self.model, self.dataset, **how)
-        self.judged(at, f"{found.verdict.word}: {found.verdict.summary}")
+        self.record_verdict(at, f"{found.verdict.word}: {found.verdict.summary}")
         return found
 
     def signals(self, sample: int) -> Signals:
@@ -220,26 +222,26 @@ class Session(History):
         written = write_for_robot(self.model, found, insist(found))
         if written is not self.model:
             kept = {name: getattr(at, name) for name in JUDGED}
-            self._advanced(f"save to {file.name}, insisted", written, **kept)
+            self._append_state(f"save to {file.name}, insisted", written, **kept)
         return found
 
     # ------------------------------------------------------------------ on disk
 
-    def _committed(self, words: str, step: Step, **changes: Any) -> State:
+    def _commit(self, words: str, step: Step, **changes: Any) -> State:
         """A step as the branch's last state, with its errors."""
         judged = {
-            "before": plain(step.before.document()),
-            "errors": plain(step.result.held_out.summary.document()),
-            "noise": plain(step.result.noise.document()),
+            "before": to_json_value(step.errors_to_beat.document()),
+            "errors": to_json_value(step.result.held_out.summary.document()),
+            "noise": to_json_value(step.result.noise_floor.document()),
             "against": step.acceptance.against,
         }
-        return self._advanced(words, step.model, **{**judged, **changes})
+        return self._append_state(words, step.model, **{**judged, **changes})
 
-    def _advanced(self, words: str, model: Model | None, **changes: Any) -> State:
+    def _append_state(self, words: str, model: Model | None, **changes: Any) -> State:
         """A new last state of the branch, written with its model (None: the one there is); what
         holds until changed stays as it was, unless `changes` names it."""
         start = self.state
-        with self._changing() as record:
+        with self._lock_record() as record:
             if record.state != start:
                 raise SessionError(CHANGED)
             number = len(record.states)
@@ -255,21 +257,21 @@ class Session(History):
         return self.state
 
 
-def _changed(options: Any, usual: Any) -> dict[str, Any]:
+def _collect_changes(options: Any, usual: Any) -> dict[str, Any]:
     """What differs from the usual, as JSON has it."""
     given = {field.name: getattr(options, field.name) for field in dataclasses.fields(options)}
-    return {key: plain(v) for key, v in given.items() if v != getattr(usual, key)}
+    return {key: to_json_value(v) for key, v in given.items() if v != getattr(usual, key)}
 
 
-def _said(value: Any) -> str:
+def _format_value(value: Any) -> str:
     return ", ".join(value) or "none" if isinstance(value, (list, tuple)) else str(value)
 
 
-def _same(one: Dataset, other: Dataset, number: int) -> bool:
+def _is_same_sample(one: Dataset, other: Dataset, number: int) -> bool:
     """Whether two datasets mean the same sample by a number."""
     q = [d.q[d.numbers == number] for d in (one, other)]
     return bool(len(q[0]) and np.array_equal(*q))
 
 
-def _listed(samples: Any) -> str:
+def _format_numbers(samples: Any) -> str:
     return ", ".join(map(str, sorted(samples)))

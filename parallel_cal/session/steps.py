@@ -6,23 +6,23 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from parallel_cal.base.documents import plain
+from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.notebook import ShownInNotebook
 from parallel_cal.base.progress import Progress
 from parallel_cal.base.threads import single_threaded
-from parallel_cal.diagnosis.catalogue import Candidate, candidate, names_of
-from parallel_cal.diagnosis.device import doubtful
-from parallel_cal.diagnosis.entries import outdoes
+from parallel_cal.diagnosis.catalogue import Candidate, candidate, list_effects_to_test
+from parallel_cal.diagnosis.device import find_doubtful_effects
+from parallel_cal.diagnosis.entries import is_clearly_better
 from parallel_cal.diagnosis.scene import Scene
-from parallel_cal.diagnosis.search import superfluous
+from parallel_cal.diagnosis.search import is_superfluous
 from parallel_cal.diagnosis.verdict import robot_or_device
 from parallel_cal.identification.acceptance import IN_SAMPLE, Acceptance, acceptance
 from parallel_cal.identification.fit import FitResult, fit
-from parallel_cal.identification.moves import Moves, moves
+from parallel_cal.identification.moves import PlatformShift, compute_platform_shift
 from parallel_cal.identification.options import FitKeywords, FitOptions
 from parallel_cal.identification.prediction_errors import Summary
-from parallel_cal.identification.thresholds import NEGLIGIBLE
+from parallel_cal.identification.thresholds import MAX_NEGLIGIBLE_ERROR_RISE
 from parallel_cal.model.effect import parse_effects
 from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import load_effect
@@ -55,16 +55,16 @@ class Step(ShownInNotebook):
         return f"Step({self.name}, {self.result!r})"
 
     @property
-    def before(self) -> Summary:
+    def errors_to_beat(self) -> Summary:
         """Errors at poses left out that the step had to beat: its rival's, else those of the model
         as it came."""
         rival = self.rival.held_out if self.rival else self.result.held_out_before
         return rival.summary
 
     @cached_property
-    def moves(self) -> Moves | None:
+    def platform_shift(self) -> PlatformShift | None:
         """How far the step moves the robot beside its rival; None for a step without one."""
-        return moves(self.rival, self.result) if self.rival is not None else None
+        return compute_platform_shift(self.rival, self.result) if self.rival is not None else None
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -80,7 +80,7 @@ class Step(ShownInNotebook):
         if self.rival is not None:
             key = {"add": "held_out_without_effect", "remove": "held_out_with_effect"}[self.name]
             document[key] = self.rival.held_out.document()
-            document["moves_robot"] = plain(self.moves)
+            document["moves_robot"] = to_json_value(self.platform_shift)
         return document
 
 
@@ -93,7 +93,7 @@ def fitted(
     result = fit(model, dataset, **options)
     if result.given.fits_of_these_samples:
         result = replace(result, warnings=(*result.warnings, IN_SAMPLE))
-    return _step("fit", result, _judged(acceptance(result), force))
+    return _step("fit", result, _check_proven(acceptance(result), force))
 
 
 @single_threaded()
@@ -159,11 +159,11 @@ def add(
     name = "+".join(one.name for one in more)
     found = acceptance(result, base, f" with '{name}'")
     if not found.against:
-        chance = superfluous(base.estimate, result.estimate)
+        chance = is_superfluous(base.estimate, result.estimate)
         words = f"what '{name}' explains of what is left may be chance"
-        doubts = (_doubted(scene, one) for one in more)
+        doubts = (_explain_doubt(scene, one) for one in more)
         found = replace(found, against=words if chance else next(filter(None, doubts), ""))
-    return _step("add", result, _judged(found, force), base, name)
+    return _step("add", result, _check_proven(found, force), base, name)
 
 
 def _beside(result: FitResult, rival: FitResult) -> FitResult:
@@ -172,20 +172,20 @@ def _beside(result: FitResult, rival: FitResult) -> FitResult:
     return replace(result, given=given, registration=rival.registration)
 
 
-def _doubted(scene: Scene, one: Candidate) -> str:
+def _explain_doubt(scene: Scene, one: Candidate) -> str:
     """Why an effect that lowers the error may yet be the wrong one: the device may have made it,
     or the device does another thing; empty where neither is likely."""
     device = _device(scene)
-    if doubtful(scene, [one], device):
+    if find_doubtful_effects(scene, [one], device):
         return robot_or_device(one.name)
-    better = [c.name for c in device if outdoes(c, one)]
+    better = [c.name for c in device if is_clearly_better(c, one)]
     words = f"{' and '.join(better)} explains clearly better what '{one.name}' does"
     return f"{words} (diagnose says more)" if better else ""
 
 
 def _device(scene: Scene) -> list[Candidate]:
     """What the measuring device may do."""
-    names = [n for n in names_of(scene.model) if load_effect(n).of_device]
+    names = [n for n in list_effects_to_test(scene.model) if load_effect(n).of_device]
     return [candidate(scene, name) for name in names]
 
 
@@ -238,11 +238,11 @@ def remove(
     model.without_effect(effect)  # a wrong name is better said before a fit
     with_it = fit(model, dataset, **options)
     result = _beside(fit(with_it.start.without_effect(effect), with_it.dataset, **options), with_it)
-    found = acceptance(result, with_it, f" without '{effect}'", NEGLIGIBLE)
-    return _step("remove", result, _judged(found, force), with_it, effect)
+    found = acceptance(result, with_it, f" without '{effect}'", MAX_NEGLIGIBLE_ERROR_RISE)
+    return _step("remove", result, _check_proven(found, force), with_it, effect)
 
 
-class Unproven(FitError):
+class UnprovenStepError(FitError):
     """What speaks `against` a step on which nobody insisted."""
 
     def __init__(self, against: str) -> None:
@@ -250,10 +250,10 @@ class Unproven(FitError):
         self.against = against
 
 
-def _judged(found: Acceptance, force: bool) -> Acceptance:
+def _check_proven(found: Acceptance, force: bool) -> Acceptance:
     """The same; FitError where something speaks against the new model, and nobody insists."""
     if found.against and not force:
-        raise Unproven(found.against)
+        raise UnprovenStepError(found.against)
     return found
 
 
@@ -282,6 +282,10 @@ def _unusual(result: FitResult) -> dict[str, Any]:
     """What was not plain least squares of all free parameters on all samples."""
     loss = result.options.loss if result.options.loss != "linear" else None
     samples = [doubted.sample for doubted in result.down_weighted]
-    how: dict[str, Any] = {"loss": loss, "refit": list(result.refit), "down_weighted": samples}
-    how["registered"] = result.registration.words if result.registration else None
+    how: dict[str, Any] = {
+        "loss": loss,
+        "refit": list(result.refitted_parameters),
+        "down_weighted": samples,
+    }
+    how["registered"] = result.registration.description if result.registration else None
     return {key: value for key, value in how.items() if value}

@@ -21,7 +21,7 @@ Rows = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True)
-class Together:
+class CombinedFit:
     """Parameters (n,) of least chi2, whitened residuals (N,) and their Jacobian (N, n_free)."""
 
     values: np.ndarray
@@ -29,15 +29,15 @@ class Together:
     jacobian: np.ndarray
 
 
-def put_together(
+def fit_combined(
     robot: Model, loops: Sequence[tuple[Loop, FitResult]], relinearise: bool
-) -> Together:
+) -> CombinedFit:
     """The Delta's parameters from all loops' numbers, its tolerances as priors.
 
     `relinearise` follows the closures' curvature from step to step; without it only the loops'
     estimates and covariances are used.
     """
-    rows = closures if relinearise else linearised
+    rows = closures if relinearise else linearise_closures
     each = [(loop, found.model.value("L"), rows(found)) for loop, found in loops]
 
     def stacked(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -50,7 +50,7 @@ def put_together(
         return np.concatenate(residuals), np.concatenate(jacobians)
 
     values = _least_squares(robot, stacked)
-    return Together(values, *stacked(values))
+    return CombinedFit(values, *stacked(values))
 
 
 def closures(result: FitResult) -> Rows:
@@ -68,7 +68,7 @@ def closures(result: FitResult) -> Rows:
     return rows
 
 
-def linearised(result: FitResult) -> Rows:
+def linearise_closures(result: FitResult) -> Rows:
     """The same to first order about the loop's estimate: estimate and covariance, as rows."""
     g0 = np.array(result.model.values)
     r, A = closures(result)(g0)

@@ -12,16 +12,16 @@ from typing import Any
 
 import numpy as np
 
-from parallel_cal.base.documents import plain
+from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.identification.doubts import chi2_band
-from parallel_cal.identification.fit import FitResult, estimated, fit
+from parallel_cal.identification.fit import FitResult, fit, summarise_parameters
 from parallel_cal.identification.observability import Spectrum, directions_in_words, spectrum
 from parallel_cal.identification.prediction_errors import errors
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
-from parallel_cal.short_cut.combining import closures, put_together
+from parallel_cal.short_cut.combining import closures, fit_combined
 from parallel_cal.short_cut.loop import Loop, loop_dataset, loop_model, recorded_home
 from parallel_cal.short_cut.unidentifiable import blind_spots
 
@@ -60,7 +60,7 @@ class Combination:
         sigma = np.sqrt(np.diag(np.asarray(self.model.covariance)))
         return {
             "loops": [self._loop(found) for found in self.loops],
-            "parameters": plain(estimated(self.model, sigma, self.model.fixed)),
+            "parameters": to_json_value(summarise_parameters(self.model, sigma, self.model.fixed)),
             "chi2_per_dof": self.chi2_per_dof if self.dof > 0 else None,
             "chi2_band": list(chi2_band(self.dof)),
             "dof": self.dof,
@@ -125,7 +125,7 @@ def _model54(robot: Model) -> Model:
             f"the model is {name} with {extra} effects and sensors; expected delta24 or delta54 "
             "with neither: loops tell the geometry alone"
         )
-    return robot.widened() if name == "delta24" else robot
+    return robot.widen() if name == "delta24" else robot
 
 
 def _check_arms(loops: Sequence[Loop]) -> None:
@@ -159,7 +159,7 @@ def combine(robot: Model, loops: Sequence[LoopResult], relinearise: bool = True)
     """All loops as one Delta: covariance = (sum G^T A^T A G + T^-2)^-1, with A^T A the inverse of
     a loop's covariance, G = d g/dp and T the tolerances. FitError where they do not go together.
     """
-    found = put_together(robot, [(k.loop, k.fit) for k in loops], relinearise)
+    found = fit_combined(robot, [(k.loop, k.fit) for k in loops], relinearise)
     r, J, free = found.residual, found.jacobian, ~robot.fixed
     seen = spectrum(J, robot.table, free, prior=True)
     covariance = np.zeros((len(robot.table), len(robot.table)))

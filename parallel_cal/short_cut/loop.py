@@ -16,7 +16,7 @@ from parallel_cal.base.compiled import Single, dense
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.rotation import matrix_to_quaternion, rotation_matrix
 from parallel_cal.identification.observations import observe
-from parallel_cal.mechanisms.rssr import Circle, Rssr, numbers_of
+from parallel_cal.mechanisms.rssr import Circle, Rssr, compute_parameters
 from parallel_cal.model.mechanism import Home, Mechanism, Workspace
 from parallel_cal.model.model import Model, new_model
 from parallel_cal.model.parameters import Named, ParameterTable
@@ -71,11 +71,11 @@ def _numbers(loop: Loop) -> Single:
     scaled = length / parts[POINTS + RODS.index(loop.rod)] * parts[:POINTS]
     points = ca.vertsplit(scaled, 3)
     one, other = (Circle(*points[RODS.index(ball) :: len(RODS)]) for ball in (loop.one, loop.other))
-    g = numbers_of(one, other, length)
+    g = compute_parameters(one, other, length)
     return Single(dense("numbers", (parts, length), (g, ca.jacobian(g, parts))))
 
 
-def parts_of(robot: Model, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def compute_parts(robot: Model, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """All that a loop can be made of (60,) and its derivative by the parameters (60, n), in m:
     each ball's place at three angles of its arm, then the rods' lengths."""
     parts, flat = _parts(robot.mechanism)(values)
@@ -90,12 +90,12 @@ def loop_numbers(
     The size is not among them, for two encoders do not see it: they are those of the loop
     scaled to a rod of `length` (m).
     """
-    parts, by_p = parts_of(robot, values)
+    parts, by_p = compute_parts(robot, values)
     g, flat = _numbers(loop)(parts, [length])
     return g, flat.reshape(-1, len(g)).T @ by_p
 
 
-def loops_in(dataset: Dataset) -> list[tuple[Loop, Dataset]]:
+def split_by_loop(dataset: Dataset) -> list[tuple[Loop, Dataset]]:
     """Each loop's samples: a channel `reading.12:21:11` is read where that loop was tied."""
     channels = [name for name in dataset.conditions if name.startswith(READING)]
     if not channels:
@@ -117,7 +117,7 @@ def loop_model(robot: Model, loop: Loop, home: Home) -> Model:
     `home` is a configuration in the assembly mode that was recorded. The rod is held, and what
     the Delta's file fixes has the tolerance of the mechanism `rssr`.
     """
-    length = parts_of(robot, robot.values)[0][POINTS + RODS.index(loop.rod)]
+    length = compute_parts(robot, robot.values)[0][POINTS + RODS.index(loop.rod)]
     values, G = loop_numbers(robot, loop, robot.values, length)
     spread = np.linalg.norm(G * (robot.table.tolerance * ~robot.fixed), axis=1)
     mechanism, (i, o) = Rssr(), loop.arms

@@ -10,7 +10,7 @@ from parallel_cal.identification.observability import combination
 from parallel_cal.identification.thresholds import RELATIVE_RANK
 from parallel_cal.model.model import Model
 from parallel_cal.model.words import direction_in_words
-from parallel_cal.short_cut.loop import POINTS, RODS, Loop, parts_of
+from parallel_cal.short_cut.loop import POINTS, RODS, Loop, compute_parts
 
 
 def blind_spots(loops: Sequence[Loop], robot: Model, J: np.ndarray) -> tuple[str, ...]:
@@ -22,20 +22,20 @@ def blind_spots(loops: Sequence[Loop], robot: Model, J: np.ndarray) -> tuple[str
     for what, move in _moves(loops, robot).items():
         lost = move @ _null(scaled @ move, floor)
         if lost.shape[1]:
-            words.append(f"{what} ({_counted(lost.shape[1])})")
-            blind = _without(blind, lost)
+            words.append(f"{what} ({_format_count(lost.shape[1])})")
+            blind = _remove_directions(blind, lost)
     names = [n for n, f in zip(robot.table.names, free, strict=True) if f]
     return (*words, *(direction_in_words(combination(d, names), robot.table) for d in blind.T))
 
 
-def _counted(n: int) -> str:
+def _format_count(n: int) -> str:
     return f"{n} direction{'s' if n > 1 else ''}"
 
 
 def _moves(loops: Sequence[Loop], robot: Model) -> dict[str, np.ndarray]:
     """Directions (n_free, k), in tolerances, that these loops might not see."""
     free = ~robot.fixed
-    parts, by_p = parts_of(robot, robot.values)
+    parts, by_p = compute_parts(robot, robot.values)
     by_p = by_p[:, free] * robot.table.tolerance[free]
     points, lengths = parts[:POINTS].reshape(-1, 3), np.zeros(len(RODS))
     rigid = [np.cross(axis, points) for axis in np.eye(3)]
@@ -44,15 +44,18 @@ def _moves(loops: Sequence[Loop], robot: Model) -> dict[str, np.ndarray]:
     balls = [f"ball {k}" for k in RODS if k not in {b for k in loops for b in (k.one, k.other)}]
     moves = {
         "the platform's bars, which are in no loop": _null(by_p, 1e-9 * _largest(by_p)),
-        "where the robot stands in {B}": _reached(
+        "where the robot stands in {B}": _find_moving_parameters(
             by_p, np.column_stack([np.append(move, lengths) for move in rigid])
         ),
-        "the robot's size, as no length is known": _reached(by_p, parts[:, None]),
+        "the robot's size, as no length is known": _find_moving_parameters(by_p, parts[:, None]),
     }
-    return moves | {f"{k}, which is in no loop": _reached(by_p, _of_part(k)) for k in rods + balls}
+    return moves | {
+        f"{k}, which is in no loop": _find_moving_parameters(by_p, _part_moves(k))
+        for k in rods + balls
+    }
 
 
-def _of_part(name: str) -> np.ndarray:
+def _part_moves(name: str) -> np.ndarray:
     """Unit changes (m, k) of one rod's length or of one ball's points."""
     kind, _, number = name.partition(" ")
     owner = np.append(np.arange(POINTS) // 3 % len(RODS), np.arange(len(RODS)))
@@ -71,14 +74,14 @@ def _null(M: np.ndarray, floor: float) -> np.ndarray:
     return directions[int(np.sum(sizes > floor)) :].T
 
 
-def _reached(by_p: np.ndarray, moved: np.ndarray) -> np.ndarray:
+def _find_moving_parameters(by_p: np.ndarray, moved: np.ndarray) -> np.ndarray:
     """Orthonormal directions of the parameters that move the parts within `moved` (m, k)."""
     steps = np.linalg.lstsq(by_p, moved, rcond=1e-9)[0]
     missed = moved - by_p @ steps
     return np.linalg.qr(steps @ _null(missed, 1e-6 * _largest(moved)))[0]
 
 
-def _without(basis: np.ndarray, removed: np.ndarray) -> np.ndarray:
+def _remove_directions(basis: np.ndarray, removed: np.ndarray) -> np.ndarray:
     """An orthonormal basis of what of `basis` is square to `removed`."""
     left, sizes, _ = np.linalg.svd(basis - removed @ (np.linalg.pinv(removed) @ basis))
     return left[:, : int(np.sum(sizes > 0.5))]

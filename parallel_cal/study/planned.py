@@ -17,8 +17,8 @@ from parallel_cal.recordings.options import ReadOptions
 from parallel_cal.recordings.simulate import DWELL, MOVE, simulate
 from parallel_cal.recordings.table import Table, read_table
 
-STOPS = ("past", "turn")  # on the way to a pose, as a plan names them
-GIVEN = ("payload", "temperature")  # conditions that a plan may choose for each pose
+WAYPOINTS = ("past", "turn")  # on the way to a pose, as a plan names them
+PLANNABLE_CONDITIONS = ("payload", "temperature")  # conditions that a plan may choose for each pose
 
 
 def planned_joints(path: Path, model: Model) -> np.ndarray:
@@ -42,7 +42,9 @@ def planned_session(
     if path.suffix.lower() != ".csv":
         return load_dataset(path, options, joints=model.joints)
     table = _table(path, model)
-    on_way = [stop for stop in STOPS if any(f"{stop}.{j}" in table.header for j in model.joints)]
+    on_way = [
+        stop for stop in WAYPOINTS if any(f"{stop}.{j}" in table.header for j in model.joints)
+    ]
     visited = [*(_joints(table, model, f"{stop}.") for stop in on_way), _joints(table, model, "")]
     _check_reached(table, model, visited[-1])
     places = np.stack(visited, axis=1).reshape(-1, len(model.joints))
@@ -51,7 +53,9 @@ def planned_session(
     at_pose = place % len(visited) == len(visited) - 1
     pose = place[at_pose] // len(visited)
     kept = session.select(at_pose)
-    own = {name: table.numbers([name])[:, 0] for name in GIVEN if name in table.header}
+    own = {
+        name: table.numbers([name])[:, 0] for name in PLANNABLE_CONDITIONS if name in table.header
+    }
     changed = {name: column[pose] for name, column in own.items() if np.ptp(column)}
     time = kept.time * pace / ((MOVE + DWELL) * len(visited))
     conditions = {**kept.conditions, **changed, "time": time}
@@ -59,7 +63,7 @@ def planned_session(
 
 
 def _table(path: Path, model: Model) -> Table:
-    table = read_table(path).complete()
+    table = read_table(path).drop_empty_rows()
     if missing := [name for name in model.joints if name not in table.header]:
         raise DatasetError(
             f"{path}:1: no column {', '.join(missing)}: the plan is not for this "

@@ -13,22 +13,27 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.base.errors import ModelError
-from parallel_cal.base.files import append_lines, held, json_lines
+from parallel_cal.base.files import append_lines, json_lines, open_locked
 from parallel_cal.base.progress import Progress, ignore_progress
 from parallel_cal.base.threads import single_threaded
-from parallel_cal.diagnosis.catalogue import Candidate, candidate, names_of
+from parallel_cal.diagnosis.catalogue import Candidate, candidate, list_effects_to_test
 from parallel_cal.diagnosis.scene import Scene, columns
-from parallel_cal.diagnosis.thresholds import SIGNIFICANT
-from parallel_cal.fleet.cluster import KILLER, cluster, each, need_extra
+from parallel_cal.diagnosis.thresholds import EFFECT_SIGNIFICANCE_LEVEL
+from parallel_cal.fleet.cluster import (
+    KILLED_WORKER_REASON,
+    check_extra_installed,
+    cluster,
+    run_each,
+)
 from parallel_cal.fleet.jobs import FleetError
 from parallel_cal.identification.fit import fit
 from parallel_cal.model.model import Model
 from parallel_cal.study.session import (
-    Planted,
+    PlantedEffect,
     Question,
-    diagnosed,
-    measured,
-    with_planted,
+    diagnose_session,
+    plant_effect,
+    simulate_session,
 )
 from parallel_cal.study.tolerance import model_of
 
@@ -38,11 +43,11 @@ STEP = 2**0.5  # from a size to the next
 MOST, LEAST = 5.0, 1 / 8  # tolerances rms, and share of the predicted size: none beyond is tried
 DRAWS = 40  # of an effect's numbers, for the prediction
 CLEAN = 2  # times as many sessions without any effect as with one of a size
-LARGEST = 64 << 20  # bytes of sessions that are done
+MAX_SESSIONS_BYTES = 64 << 20  # bytes of sessions that are done
 
 
 @dataclass(frozen=True)
-class Tried:
+class SizeResult:
     """Sessions with an effect of one size: how many name it or say that it may be it, what the
     others call it, and what it does to the poses measured (rms, m or rad)."""
 
@@ -69,9 +74,9 @@ class Detectable:
     unit: str = "1"
     tolerance: float = 0.0
     predicted: tuple[float, float] = (np.nan, np.nan)
-    tried: tuple[Tried, ...] = ()
+    tried: tuple[SizeResult, ...] = ()
 
-    def smallest(self, share: float) -> Tried | None:
+    def smallest(self, share: float) -> SizeResult | None:
         """The smallest size tried that this share of sessions finds, and of all larger ones."""
         good = None
         for one in reversed(self.tried):
@@ -151,37 +156,43 @@ def power(
     half of the sessions find it. Sessions that `folder` has are not done again. FleetError where it
     cannot begin, or not go on.
     """
-    need_extra()
+    check_extra_installed()
     report = progress or ignore_progress
-    own = Planted("", 0.0, 0)
+    own = PlantedEffect("", 0.0, 0)
     with single_threaded():
-        base = fit(model_of(question.model), measured(question, own)[0], question.options)
+        base = fit(model_of(question.model), simulate_session(question, own)[0], question.options)
         scene = Scene.of(base.model, base.dataset, base.observations, base.free)
-        names = names_of(model_of(question.model), question.also)
+        names = list_effects_to_test(model_of(question.model), question.also)
         if unknown := [name for name in effects if name not in names]:
             raise ModelError(
                 f"there is no effect '{unknown[0]}' to plant, or the model has it already; there "
                 f"are {', '.join(names)}"
             )
         catalogue = [candidate(scene, name) for name in names]
-        level = SIGNIFICANT / max(sum(one.testable for one in catalogue), 1)
+        level = EFFECT_SIGNIFICANCE_LEVEL / max(sum(one.testable for one in catalogue), 1)
         wanted = effects or names
-        all_of = [predicted(question, one, level) for one in catalogue if one.name in wanted]
-    clean = [Planted("", 0.0, k) for k in range(CLEAN * sessions)]
+        all_of = [
+            predict_detectability(question, one, level) for one in catalogue if one.name in wanted
+        ]
+    clean = [PlantedEffect("", 0.0, k) for k in range(CLEAN * sessions)]
     needed = dict.fromkeys(clean)
     with _Sessions(folder, question) as store, cluster(scheduler, workers) as client:
         while True:
             left = [one for one in needed if one not in store.rows]
             report("sessions", 1 - len(left) / len(needed))
-            for done, (k, row) in enumerate(each(client, diagnosed, [(question, o) for o in left])):
+            for done, (k, row) in enumerate(
+                run_each(client, diagnose_session, [(question, o) for o in left])
+            ):
                 if row is None:
-                    raise FleetError(f"a session with {left[k].effect or 'nothing'}: {KILLER}")
+                    raise FleetError(
+                        f"a session with {left[k].effect or 'nothing'}: {KILLED_WORKER_REASON}"
+                    )
                 store.keep(row)
                 report("sessions", 1 - (len(left) - done - 1) / len(needed))
             rows = [store.rows[one] for one in needed]
-            tried = {one.effect: _tried(one.effect, rows) for one in all_of}
+            tried = {one.effect: _summarise_sizes(one.effect, rows) for one in all_of}
             more = [
-                Planted(one.effect, size, k)
+                PlantedEffect(one.effect, size, k)
                 for one in all_of
                 if not one.reason
                 for size in next_sizes(one.predicted[1], tried[one.effect])
@@ -197,7 +208,7 @@ def power(
     return Power(question, tuple(found), len(clean), false, failed)
 
 
-def next_sizes(first: float, tried: Sequence[Tried]) -> list[float]:
+def next_sizes(first: float, tried: Sequence[SizeResult]) -> list[float]:
     """The predicted size, then one larger, and one smaller, where the ones tried do not suffice."""
     first = min(first, MOST)
     if not tried:
@@ -212,16 +223,16 @@ def _rounded(size: float) -> float:
     return float(f"{size:.3g}")
 
 
-def _tried(effect: str, rows: Sequence[Row]) -> tuple[Tried, ...]:
+def _summarise_sizes(effect: str, rows: Sequence[Row]) -> tuple[SizeResult, ...]:
     """What sessions with an effect say, by size."""
     by_size: dict[float, list[Row]] = {}
     for row in rows:
         if row["effect"] == effect:
             by_size.setdefault(row["size"], []).append(row)
     return tuple(
-        Tried(
-            size, len(some), sum(_found(row) for row in some),
-            Counter(name for row in some if not _found(row) for name in row["effects"]),
+        SizeResult(
+            size, len(some), sum(_is_found(row) for row in some),
+            Counter(name for row in some if not _is_found(row) for name in row["effects"]),
             _rms([row["error"] for row in some if row["error"] is not None]),
         )
         for size, some in sorted(by_size.items())
@@ -232,13 +243,13 @@ def _rms(values: Sequence[float]) -> float:
     return float(np.sqrt(np.mean(np.square(values)))) if values else np.nan
 
 
-def _found(row: Row) -> bool:
+def _is_found(row: Row) -> bool:
     """Whether an effect is named, or is what one that is named may be as well."""
     named = row["effects"]
     return any(row["effect"] in (name, *row["swaps"].get(name, ())) for name in named)
 
 
-def predicted(question: Question, one: Candidate, level: float) -> Detectable:
+def predict_detectability(question: Question, one: Candidate, level: float) -> Detectable:
     """Sizes at which the F test of an effect's columns off the geometry is passed at a level in 50
     and 90 % of sessions: it is noncentral F of lambda = |(1 - B B^T) J e|^2 for numbers e."""
     if not one.testable or one.scene is None or one.score is None:
@@ -248,9 +259,9 @@ def predicted(question: Question, one: Candidate, level: float) -> Detectable:
     model, scene, q = model_of(question.model), one.scene, one.score.q
     dof, noncentral = scene.dof - q, np.empty(DRAWS)
     for k in range(DRAWS):
-        planted = Planted(one.name, 1.0, k)
-        has, new = with_planted(model, planted, question.planned, planted.rng(question))
-        J = scene.off_geometry(columns(has.with_values(_without(has, new)), scene, new))
+        planted = PlantedEffect(one.name, 1.0, k)
+        has, new = plant_effect(model, planted, question.planned, planted.rng(question))
+        J = scene.project_off_geometry(columns(has.with_values(_without(has, new)), scene, new))
         e = (has.values - has.table.nominal)[new] / has.table.tolerance[new]
         noncentral[k] = float(np.sum((J @ e) ** 2))
     limit = f.isf(level / one.tried, q, dof)
@@ -282,12 +293,12 @@ class _Sessions:
 
     def __init__(self, folder: Path, question: Question):
         folder.mkdir(parents=True, exist_ok=True)
-        path, self._inputs = folder / "sessions.jsonl", question.inputs()
-        file = held(path)
+        path, self._inputs = folder / "sessions.jsonl", question.hash_inputs()
+        file = open_locked(path)
         if file is None:
             raise FleetError(f"{folder}: another study is being made into it")
-        self._file, self.rows = file, dict[Planted, Row]()
-        for row in json_lines(path, LARGEST):
+        self._file, self.rows = file, dict[PlantedEffect, Row]()
+        for row in json_lines(path, MAX_SESSIONS_BYTES):
             if row.get("inputs") == self._inputs:
                 self._take(row)
 
@@ -302,4 +313,4 @@ class _Sessions:
         self._take(row)
 
     def _take(self, row: Row) -> None:
-        self.rows[Planted(row["effect"], row["size"], row["number"])] = row
+        self.rows[PlantedEffect(row["effect"], row["size"], row["number"])] = row

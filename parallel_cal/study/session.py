@@ -10,19 +10,19 @@ from zlib import crc32
 import numpy as np
 
 from parallel_cal import __version__
-from parallel_cal.base.documents import plain
+from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.rotation import rotation_matrix, rotation_vector
 from parallel_cal.base.threads import single_threaded
-from parallel_cal.diagnosis.catalogue import new_numbers, recorded
+from parallel_cal.diagnosis.catalogue import collect_recorded_values, find_new_parameters
 from parallel_cal.diagnosis.diagnose import diagnose
-from parallel_cal.fleet.jobs import ONE, check_version, reason
+from parallel_cal.fleet.jobs import CASADI_LOCK, check_version, reason
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions
 from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import load_effect
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.joining import fingerprint
-from parallel_cal.study.tolerance import model_of, strayed, straying
+from parallel_cal.study.tolerance import draw_values, find_varying_parameters, model_of
 
 FAILED: dict[str, Any] = {"error": None, "effects": [], "swaps": {}, "verdict": ""}
 
@@ -39,7 +39,7 @@ class Question:
     seed: int = 0
     version: str = __version__
 
-    def inputs(self) -> str:
+    def hash_inputs(self) -> str:
         """sha256 of all that a session follows from, but for what is planted."""
         digest = hashlib.sha256(fingerprint(self.planned).encode())
         for name, column in sorted(self.planned.conditions.items()):
@@ -49,7 +49,7 @@ class Question:
 
 
 @dataclass(frozen=True)
-class Planted:
+class PlantedEffect:
     """An effect (empty: none), the rms of its numbers in tolerances, and which draw of robot, noise
     and their signs it is: of any size the same."""
 
@@ -61,14 +61,14 @@ class Planted:
         return np.random.default_rng([question.seed, crc32(self.effect.encode()), self.number])
 
 
-def with_planted(
-    model: Model, one: Planted, planned: Dataset, rng: np.random.Generator
+def plant_effect(
+    model: Model, one: PlantedEffect, planned: Dataset, rng: np.random.Generator
 ) -> tuple[Model, np.ndarray]:
     """A model with an effect, and a mask of its new numbers; settings that nobody knows are drawn
     from those that a search tries."""
-    settings = list(load_effect(one.effect).scan(model.mechanism, recorded(planned)))
+    settings = list(load_effect(one.effect).scan(model.mechanism, collect_recorded_values(planned)))
     extended = model.with_effect(one.effect, settings[rng.integers(len(settings))])
-    new, table = new_numbers(model, extended), extended.table
+    new, table = find_new_parameters(model, extended), extended.table
     low, high = (np.array([getattr(p, side) for p in table])[new] for side in ("low", "high"))
     nominal, tolerance = table.nominal[new], table.tolerance[new]
     draw = rng.standard_normal(int(new.sum()))
@@ -79,17 +79,17 @@ def with_planted(
     return extended.with_values(values), new
 
 
-def measured(question: Question, one: Planted) -> tuple[Dataset, float]:
+def simulate_session(question: Question, one: PlantedEffect) -> tuple[Dataset, float]:
     """What a session yields, and the rms of what the effect does to the poses measured (m; rad
     where no position is)."""
     model, planned, rng = model_of(question.model), question.planned, one.rng(question)
-    geometry = straying(model) & ~model.fixed
+    geometry = find_varying_parameters(model) & ~model.fixed
     geometry &= np.array([p.group != "effect" for p in model.table])
-    robot = model.with_values(strayed(model.table, model.values, geometry, rng))
-    has = with_planted(robot, one, planned, rng)[0] if one.effect else robot
-    q, shown = _stands(has, robot, planned)
+    robot = model.with_values(draw_values(model.table, model.values, geometry, rng))
+    has = plant_effect(robot, one, planned, rng)[0] if one.effect else robot
+    q, shown = _solve_true_poses(has, robot, planned)
     without = Kinematics(robot).direct(q, planned.conditions)  # by the same joints
-    rms = _apart(shown, without, planned)
+    rms = _compute_rms_difference(shown, without, planned)
     noise, n = model.noise, len(planned)
     sigma = np.repeat([noise.position or 0.0, noise.orientation or 0.0], 3)
     error = sigma * rng.standard_normal((n, 6))
@@ -109,7 +109,7 @@ def measured(question: Question, one: Planted) -> tuple[Dataset, float]:
     return replace(dataset, sha256=fingerprint(dataset)), rms
 
 
-def _stands(has: Model, robot: Model, planned: Dataset) -> tuple[np.ndarray, Solutions]:
+def _solve_true_poses(has: Model, robot: Model, planned: Dataset) -> tuple[np.ndarray, Solutions]:
     """The joints that a robot has, and the poses that a device without noise shows; joints that
     hold the platform by more lines than it moves in fit each other."""
     q, kinematics = planned.q, Kinematics(has)
@@ -119,29 +119,29 @@ def _stands(has: Model, robot: Model, planned: Dataset) -> tuple[np.ndarray, Sol
     return q, kinematics.direct(q, planned.conditions)
 
 
-def _apart(shown: Solutions, without: Solutions, planned: Dataset) -> float:
+def _compute_rms_difference(shown: Solutions, without: Solutions, planned: Dataset) -> float:
     away = shown.position - without.position
     if not planned.measured[:, :3].any():
         away = rotation_vector(shown.rotation @ without.rotation.transpose(0, 2, 1))
     return float(np.sqrt(np.nanmean(np.sum(away**2, axis=1))))
 
 
-def diagnosed(question: Question, one: Planted) -> dict[str, Any]:
+def diagnose_session(question: Question, one: PlantedEffect) -> dict[str, Any]:
     """What a diagnosis says of a session, as JSON has it; whatever fails is its `reason`.
 
     FleetError where another version is asked for than is here.
     """
     check_version(question.version)
-    row = {"inputs": question.inputs(), **vars(one)}
-    with ONE, single_threaded():
+    row = {"inputs": question.hash_inputs(), **vars(one)}
+    with CASADI_LOCK, single_threaded():
         try:
-            dataset, rms = measured(question, one)
+            dataset, rms = simulate_session(question, one)
             found = diagnose(
                 model_of(question.model), dataset, also=question.also, options=question.options
             )
         except Exception as error:
             return row | FAILED | {"reason": reason(error)}
-    return plain(row | {
+    return to_json_value(row | {
         "error": rms, "effects": found.effects, "swaps": found.swaps,
         "verdict": found.verdict.word, "reason": "",
     })  # fmt: skip

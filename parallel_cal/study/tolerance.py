@@ -15,7 +15,12 @@ from parallel_cal.base.errors import FitError
 from parallel_cal.base.progress import Progress, ignore_progress
 from parallel_cal.base.rotation import rotation_vector
 from parallel_cal.base.threads import single_threaded
-from parallel_cal.fleet.cluster import KILLER, cluster, each, need_extra
+from parallel_cal.fleet.cluster import (
+    KILLED_WORKER_REASON,
+    check_extra_installed,
+    cluster,
+    run_each,
+)
 from parallel_cal.fleet.jobs import FleetError, check_version
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.kinematics.solutions import Solutions
@@ -27,9 +32,11 @@ from parallel_cal.planning.plan import expected_at
 from parallel_cal.planning.posepool import Pool, make_pool
 
 KINDS = {"position": slice(0, 3), "orientation": slice(3, 6)}
-TOGETHER = 50  # robots in one call
-FAR = 0.1  # of the Monte Carlo's rms: a linear budget that is further off deserves a word
-SURE = 3.0  # of its own sigmas, that it is
+ROBOTS_PER_CALL = 50  # robots in one call
+MAX_LINEAR_DEVIATION = (
+    0.1  # of the Monte Carlo's rms: a linear budget that is further off deserves a word
+)
+MIN_DEVIATION_SIGMAS = 3.0  # of its own sigmas, that it is
 
 
 @dataclass(frozen=True)
@@ -45,7 +52,7 @@ class Share:
     rms: Mapping[str, float]
     halved: Mapping[str, float]
 
-    def of(self, whole: Mapping[str, float], kind: str) -> float:
+    def compute_fraction(self, whole: Mapping[str, float], kind: str) -> float:
         """Its share of the mean square of all."""
         return (self.rms[kind] / whole[kind]) ** 2 if whole[kind] else 0.0
 
@@ -97,8 +104,8 @@ class Tolerances:
         """Whether errors are not proportional to tolerances: the budget misses what was drawn."""
         squares = self.robots(kind) ** 2
         mean, linear = squares.mean(), self.linear[kind] ** 2
-        luck = SURE * squares.std() / np.sqrt(len(squares))
-        far = abs(np.sqrt(mean) - self.linear[kind]) > FAR * np.sqrt(mean)
+        luck = MIN_DEVIATION_SIGMAS * squares.std() / np.sqrt(len(squares))
+        far = abs(np.sqrt(mean) - self.linear[kind]) > MAX_LINEAR_DEVIATION * np.sqrt(mean)
         return bool(far and abs(mean - linear) > luck)
 
     def document(self) -> dict[str, Any]:
@@ -117,7 +124,7 @@ class Tolerances:
                     "parameters": one.name, "label": one.label, "count": one.count,
                     "unit": one.unit, "tolerance": one.tolerance,
                     "rms": dict(one.rms),
-                    "share": {kind: one.of(self.linear, kind) for kind in self.errors},
+                    "share": {kind: one.compute_fraction(self.linear, kind) for kind in self.errors},
                     "rms_of_all_if_halved": dict(one.halved),
                 }
                 for one in self.budget
@@ -149,7 +156,7 @@ def tolerances(
     nothing strays or the workspace cannot be reached.
     """
     table = model.table
-    drawn = straying(model)
+    drawn = find_varying_parameters(model)
     nominal = model.with_values(np.where(drawn, table.nominal, model.values)).robot()
     if not drawn.any():
         raise FitError(f"{model.mechanism.name}: nothing in the model has a tolerance to stray by")
@@ -164,11 +171,11 @@ def tolerances(
         linear, budget = _budget(nominal, drawn, pool, kinds)
     text = dump_model(nominal)
     calls = [
-        (__version__, text, seed, range(k, min(k + TOGETHER, robots)), pool.poses, pool.a)
-        for k in range(0, robots, TOGETHER)
+        (__version__, text, seed, range(k, min(k + ROBOTS_PER_CALL, robots)), pool.poses, pool.a)
+        for k in range(0, robots, ROBOTS_PER_CALL)
     ]
     found: dict[int, np.ndarray] = {}
-    for k, norms in _done(calls, scheduler):
+    for k, norms in _run_calls(calls, scheduler):
         found[k] = norms
         report("simulating robots", len(found) / len(calls))
     norms = np.concatenate([found[k] for k in range(len(calls))])
@@ -181,17 +188,17 @@ def tolerances(
     )  # fmt: skip
 
 
-def straying(model: Model) -> np.ndarray:
+def find_varying_parameters(model: Model) -> np.ndarray:
     """Mask of the numbers that differ from robot to robot: geometry, whether it can be identified
     or not, and effects of the robot; none that people know."""
     device = [f"{effect.name}.*" for effect in model.effects if effect.of_device]
-    known = [pattern for effect in model.effects for pattern in effect.known()]
+    known = [pattern for effect in model.effects for pattern in effect.fixed_patterns()]
     out = model.table.matching([*device, *known])
     sensor = np.array([p.group == "sensor" for p in model.table])
     return np.asarray((model.table.tolerance > 0) & ~out & ~sensor)
 
 
-def strayed(
+def draw_values(
     table: ParameterTable, values: np.ndarray, which: np.ndarray, rng: np.random.Generator
 ) -> np.ndarray:
     """Values of a robot: some of them off by a tolerance (1 sigma), mirrored where a number cannot
@@ -230,16 +237,18 @@ def _budget(
     return whole, tuple(sorted(shares(), key=lambda share: -share.rms[first]))
 
 
-def _done(calls: Sequence[tuple[Any, ...]], scheduler: str | None) -> Iterator[tuple[int, Any]]:
+def _run_calls(
+    calls: Sequence[tuple[Any, ...]], scheduler: str | None
+) -> Iterator[tuple[int, Any]]:
     """A few thousand poses are done before other processes have begun: these only where asked."""
     if scheduler is None:
         yield from ((k, errors_of(*call)) for k, call in enumerate(calls))
         return
-    need_extra()
+    check_extra_installed()
     with cluster(scheduler, None) as client:
-        for k, norms in each(client, errors_of, calls):
+        for k, norms in run_each(client, errors_of, calls):
             if norms is None:
-                raise FleetError(f"of {TOGETHER} robots: {KILLER}")
+                raise FleetError(f"of {ROBOTS_PER_CALL} robots: {KILLED_WORKER_REASON}")
             yield k, norms
 
 
@@ -256,12 +265,12 @@ def errors_of(
     that the model in a text takes its joints to under conditions a (N, n_conditions)."""
     check_version(version)
     nominal = model_of(text)
-    drawn, at = straying(nominal), dict(zip(nominal.conditions, a.T, strict=True))
+    drawn, at = find_varying_parameters(nominal), dict(zip(nominal.conditions, a.T, strict=True))
     norms = np.full((len(robots), len(poses), 2), np.nan)
     with single_threaded():
         for k, robot in enumerate(robots):
             rng = np.random.default_rng([seed, 1, robot])
-            values = strayed(nominal.table, nominal.values, drawn, rng)
+            values = draw_values(nominal.table, nominal.values, drawn, rng)
             there = Kinematics(nominal.with_values(values)).direct(poses.joints, at)
             norms[k, :, 0] = np.linalg.norm(there.position - poses.position, axis=1)
             turned = rotation_vector(there.rotation @ poses.rotation.transpose(0, 2, 1))

@@ -147,7 +147,7 @@ class Argos(Assembly):
         apart = self.sockets(r, R) - self.pantographs(q, hidden).ball
         return apart.reshape(*apart.shape[:-2], 9)
 
-    def turned(self, q: ArrayLike, start: ArrayLike) -> Array:
+    def orientation_at_origin(self, q: ArrayLike, start: ArrayLike) -> Array:
         """The orientation with the centre held at the origin, for models 9 and nominal (3.23).
 
         The balls cannot leave the sphere, so two gaps a chain remain; three swings and three

@@ -12,14 +12,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from parallel_cal.virtual.drive import SETTLED, Drive, State
+from parallel_cal.virtual.drive import REST_TOLERANCE, Drive, State
 from parallel_cal.virtual.joint_effects import Visit
 from parallel_cal.virtual.kinds import hide
 from parallel_cal.virtual.machines import MACHINES
-from parallel_cal.virtual.robot import Array, assumed, shown, turn
+from parallel_cal.virtual.robot import Array, apply_device_effects, solve_true_pose, turn
 from parallel_cal.virtual.tracker import Tracker
 
-WANDER = 0.01  # rad, or of a sliding joint so many levers: the way on which errors are forgotten
+ERROR_CORRELATION_TRAVEL = (
+    0.01  # rad, or of a sliding joint so many levers: the way on which errors are forgotten
+)
 CENTIKELVIN = 2  # digits of a temperature
 
 Box = tuple[Array, Array]  # opposite corners (3,) in {B}, m
@@ -58,7 +60,7 @@ class Messages:
     R: Array
 
     @staticmethod
-    def joined(parts: Sequence[Messages]) -> Messages:
+    def concatenate(parts: Sequence[Messages]) -> Messages:
         return Messages(*(np.concatenate([getattr(p, f) for p in parts]) for f in FIELDS))
 
 
@@ -93,7 +95,7 @@ class Cell:
 
     def __post_init__(self) -> None:
         self.machine = MACHINES[self.robot]
-        self.built, drawn = self.machine.as_built(self.seed), self.machine.as_drawn()
+        self.built, drawn = self.machine.make_built(self.seed), self.machine.make_nominal()
         self.hidden, self._effects = hide(self.robot, self.effects, self.seed)
         home, n = np.asarray(drawn.home_joints, dtype=float), len(self.machine.joints)
         self.drive = Drive(home, self.machine.limits, self.period)
@@ -161,14 +163,16 @@ class Cell:
         wander = 0.7 * np.sin(t / 97 + 0.4) + 0.3 * np.sin(t / 41 + 2)
         return np.asarray(np.round(self.now.temperature + self.air * wander, CENTIKELVIN))
 
-    def stands(self, q: Any = None, direction: Any = None) -> tuple[Array, Array]:
+    def true_pose(self, q: Any = None, direction: Any = None) -> tuple[Array, Array]:
         """Where the platform truly is, (3,) and (3, 3) in {B}, or would be at readings `q` (nq,)
         that were come to in a `direction` (nq,)."""
         moment = self._moment
         q = moment.state.q if q is None else np.asarray(q, dtype=float)
         direction = moment.direction if direction is None else np.asarray(direction, dtype=float)
-        at = self._at(np.array([self.time]), direction[None], moment.travel[None], 0 * q[None])
-        _, r, R = assumed(self.built, self._effects, self._arms(q[None]), at, self._pose)
+        at = self._make_visit(
+            np.array([self.time]), direction[None], moment.travel[None], 0 * q[None]
+        )
+        _, r, R = solve_true_pose(self.built, self._effects, self._arms(q[None]), at, self._pose)
         return r[0], R[0]
 
     def advance(self, until: float) -> Messages:
@@ -176,16 +180,16 @@ class Cell:
         parts = []
         while self._due and self._due[0][0] <= until:
             time, circumstances = self._due.pop(0)
-            parts.append(self._advanced(time))
+            parts.append(self._advance_to(time))
             self.change(**circumstances)
-        return Messages.joined([*parts, self._advanced(until)])
+        return Messages.concatenate([*parts, self._advance_to(until)])
 
-    def _advanced(self, until: float) -> Messages:
+    def _advance_to(self, until: float) -> Messages:
         n = max(int(np.floor((until - self.time) / self.period + 1e-6)), 0)
         before, path = self._moment, self._path(n)
         self._moment = path[-1] if path else before
         readings = self._readings(path)
-        taken = self.tracker.taken(before.state.time, self._moment.state.time)
+        taken = self.tracker.sampling_times(before.state.time, self._moment.state.time)
         return Messages(
             np.array([moment.state.time for moment in path]),
             readings,
@@ -200,24 +204,24 @@ class Cell:
         errors = self._walk.standard_normal((n, len(self._sigma)))
         if not (self.now.obstacles and n):
             self._blocked = False
-            return self._driven(errors)
+            return self._step_drives(errors)
         if self._blocked:
-            self._blocked = bool(self._inside(self.drive.state.target[None]).any())
+            self._blocked = bool(self._is_in_obstacle(self.drive.state.target[None]).any())
         begin, first = self.drive.mark(), self._moment
-        path = self._driven(errors)
-        inside = self._inside(np.array([moment.state.q for moment in path]))
+        path = self._step_drives(errors)
+        inside = self._is_in_obstacle(np.array([moment.state.q for moment in path]))
         if self._blocked or not inside.any():
             return path
         self.drive.back_to(begin)
         self._moment = first
-        path = self._driven(errors[: int(np.argmax(inside))])
+        path = self._step_drives(errors[: int(np.argmax(inside))])
         self._moment, self._blocked = (path or [first])[-1], True
-        return path + self._driven(errors[len(path) :])
+        return path + self._step_drives(errors[len(path) :])
 
-    def _driven(self, errors: Array) -> list[Moment]:
+    def _step_drives(self, errors: Array) -> list[Moment]:
         """A moment for each row of fresh errors."""
         path, now = list[Moment](), self._moment
-        forgotten = WANDER * self.machine.lever
+        forgotten = ERROR_CORRELATION_TRAVEL * self.machine.lever
         for k, fresh in enumerate(errors):
             if self.drive.idle and (now.state.q == self.drive.state.q).all():
                 for _ in range(len(errors) - k):
@@ -226,7 +230,7 @@ class Cell:
                 return path
             state = self.drive.step(self._blocked)
             moved = state.q - now.state.q
-            moved[np.abs(moved) < SETTLED] = 0.0  # no rounding error turns a joint back
+            moved[np.abs(moved) < REST_TOLERANCE] = 0.0  # no rounding error turns a joint back
             if moved.any():
                 sign = np.where(moved == 0, now.direction, np.sign(moved))
                 travel = np.where(sign == now.direction, now.travel + moved, moved)
@@ -238,12 +242,12 @@ class Cell:
             path.append(now)
         return path
 
-    def _inside(self, q: Array) -> Array:
+    def _is_in_obstacle(self, q: Array) -> Array:
         """Whether the platform's origin would be inside an obstacle at joints (n, nq)."""
         n = len(q)
         still = np.broadcast_to(self._moment.direction, q.shape)
-        at = self._at(np.full(n, self.time), still, 0 * q, 0 * q)
-        _, r, _ = assumed(self.built, self._effects, self._arms(q), at, self._pose)
+        at = self._make_visit(np.full(n, self.time), still, 0 * q, 0 * q)
+        _, r, _ = solve_true_pose(self.built, self._effects, self._arms(q), at, self._pose)
         boxes = [((low <= r) & (r <= high)).all(axis=1) for low, high in self.now.obstacles]
         return np.any(boxes, axis=0)
 
@@ -281,13 +285,13 @@ class Cell:
         )
         direction = np.array([path[i].direction for i in k])
         travel = np.array([path[i].travel for i in k])
-        at = self._at(taken, direction, travel, speed)
-        r, R = shown(self._effects, *self._stood(q, at), at)
+        at = self._make_visit(taken, direction, travel, speed)
+        r, R = apply_device_effects(self._effects, *self._solve_true_poses(q, at), at)
         errors = self._sigma[n:] * (errors + shaken)
-        r, R = self.tracker.sees(r, R, self.now.swapped_target)
+        r, R = self.tracker.observe(r, R, self.now.swapped_target)
         return self.tracker.stamps(taken), r + errors[:, :3], turn(errors[:, 3:]) @ R
 
-    def _stood(self, q: Array, at: Visit) -> tuple[Array, Array]:
+    def _solve_true_poses(self, q: Array, at: Visit) -> tuple[Array, Array]:
         """Poses (m, 3), (m, 3, 3); solved once while the robot rests."""
         same = not at.velocity.any() and bool((at.temperature == at.temperature[0]).all())
         key = q[0].tobytes(), at.direction[0].tobytes(), float(at.temperature[0]), self.now
@@ -296,7 +300,9 @@ class Cell:
         else:
             rows = slice(0, 1) if same else slice(None)
             few = Visit(*(getattr(at, name)[rows] for name in at.__dataclass_fields__))
-            _, r, R = assumed(self.built, self._effects, self._arms(q[rows]), few, self._pose)
+            _, r, R = solve_true_pose(
+                self.built, self._effects, self._arms(q[rows]), few, self._pose
+            )
             self._pose = r[-1], R[-1]
             if same:
                 self._known = key, (r, R)
@@ -312,7 +318,7 @@ class Cell:
         """Readings (n, nq) less what has slipped."""
         return q - self.now.slipped * np.eye(1, q.shape[1])
 
-    def _at(self, time: Array, direction: Array, travel: Array, speed: Array) -> Visit:
+    def _make_visit(self, time: Array, direction: Array, travel: Array, speed: Array) -> Visit:
         payload = np.full(len(time), self.now.payload)
         session = np.full(len(time), self.now.homed)
         return Visit(time, self.temperature(time), payload, direction, travel, speed, session)

@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 
 from parallel_cal.virtual.robot import Array
 
-SETTLED = 1e-9  # rad or m, and a hundred times that a second: nearer than that it stands still
+REST_TOLERANCE = (
+    1e-9  # rad or m, and a hundred times that a second: nearer than that it stands still
+)
 
 
 @dataclass(frozen=True)
@@ -29,7 +31,7 @@ class Limits:
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
+class SetPointTrajectory:
     """Set points (n, nq) at times (n,), the first where the robot was told to be when it came.
 
     Cubic from point to point where there are velocities (n, nq), else straight: as
@@ -68,7 +70,7 @@ class State:
     speed: Array
 
     @property
-    def rests(self) -> bool:
+    def is_at_rest(self) -> bool:
         """Whether the joints stand still where they are told to be."""
         return not self.target_speed.any() and not self.speed.any()
 
@@ -86,7 +88,7 @@ class Drive:
         self.state = State(0.0, q, np.zeros(len(q)), q, np.zeros(len(q)))
         self.stuck = np.zeros(len(q), dtype=bool)
         self.tripped = 0
-        self._course: Course | None = None
+        self._course: SetPointTrajectory | None = None
         self._goal, self._braking = q, False
 
     def follow(self, time: Array, positions: Array, velocities: Array | None = None) -> None:
@@ -94,7 +96,7 @@ class Drive:
         now = self.state
         if velocities is not None:
             velocities = np.vstack([now.target_speed, velocities])
-        self._course = Course(
+        self._course = SetPointTrajectory(
             [now.time, *(now.time + time)], np.vstack([now.target, positions]), velocities
         )
         self._goal, self._braking = positions[-1], False
@@ -107,7 +109,7 @@ class Drive:
 
     def step(self, held: bool = False) -> State:
         """One period further; `held` where something is in the way of all joints."""
-        self.state = self._moved(self._aimed(), self.stuck | held)
+        self.state = self._move_joints(self._compute_set_point(), self.stuck | held)
         now = self.state
         if np.abs(now.target - now.q).max() > self.limits.trip:
             self.give_up()
@@ -129,7 +131,7 @@ class Drive:
     def idle(self) -> bool:
         """Whether nothing moves, and nothing will until somebody says so."""
         there = bool((self._goal == self.state.q).all())
-        return self._course is None and self.state.rests and there
+        return self._course is None and self.state.is_at_rest and there
 
     def give_up(self) -> None:
         """Hold where the joints are."""
@@ -138,7 +140,7 @@ class Drive:
         self._course, self._goal = None, now.q
         self.tripped += 1
 
-    def _aimed(self) -> State:
+    def _compute_set_point(self) -> State:
         """The next set point: what the course says, or nearer to it as fast as the limits allow."""
         now, dt, limits = self.state, self.period, self.limits
         time = now.time + dt
@@ -158,7 +160,7 @@ class Drive:
         speed = np.clip(speed, -limits.velocity, limits.velocity)
         return replace(now, time=time, target=now.target + dt * speed, target_speed=speed)
 
-    def _moved(self, now: State, held: NDArray[np.bool_]) -> State:
+    def _move_joints(self, now: State, held: NDArray[np.bool_]) -> State:
         """The joints a period later: y'' + 2 w y' + w^2 y = 0 of the lag y, solved exactly."""
         w, dt, limits = self.limits.bandwidth, self.period, self.limits
         lag = now.q - now.target
@@ -169,6 +171,6 @@ class Drive:
         stopped = held | (q < limits.low) | (q > limits.high)
         q = np.where(held, now.q, np.clip(q, limits.low, limits.high))
         speed = np.where(stopped, 0.0, speed)
-        there = (np.abs(q - now.target) < SETTLED) & (np.abs(speed) < 100 * SETTLED)
+        there = (np.abs(q - now.target) < REST_TOLERANCE) & (np.abs(speed) < 100 * REST_TOLERANCE)
         there &= now.target_speed == 0
         return replace(now, q=np.where(there, now.target, q), speed=np.where(there, 0.0, speed))

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from parallel_cal.virtual.robot import Array, At, Effect, apply, turn
+from parallel_cal.virtual.robot import Array, Effect, SampleConditions, apply, turn
 
 
 @dataclass(frozen=True)
-class Visit(At):
+class Visit(SampleConditions):
     """Circumstances of each sample; also each joint's way since it last turned back, its speed,
     and the number of the recording."""
 
@@ -31,7 +31,7 @@ class OvalDisc(Effect):
     size: tuple[float, ...]
     phase: tuple[float, ...]
 
-    def arm(self, reading: Array, robot: Any, at: At) -> Array:
+    def arm(self, reading: Array, robot: Any, at: SampleConditions) -> Array:
         return reading + np.array(self.size) * np.cos(2 * (reading - np.array(self.phase)))
 
 
@@ -41,7 +41,7 @@ class WrongPitch(Effect):
 
     excess: tuple[float, ...]
 
-    def arm(self, reading: Array, robot: Any, at: At) -> Array:
+    def arm(self, reading: Array, robot: Any, at: SampleConditions) -> Array:
         return reading * (1 + np.array(self.excess))
 
 
@@ -53,7 +53,7 @@ class LobedRing(Effect):
     size: tuple[float, ...]
     phase: tuple[float, ...]
 
-    def arm(self, reading: Array, robot: Any, at: At) -> Array:
+    def arm(self, reading: Array, robot: Any, at: SampleConditions) -> Array:
         return reading + np.array(self.size) * np.cos(self.lobes * (reading - np.array(self.phase)))
 
 
@@ -63,7 +63,7 @@ class DraggedNeighbours(Effect):
 
     drag: tuple[tuple[float, ...], ...]
 
-    def arm(self, reading: Array, robot: Any, at: At) -> Array:
+    def arm(self, reading: Array, robot: Any, at: SampleConditions) -> Array:
         return reading + reading @ np.array(self.drag).T
 
 
@@ -76,7 +76,7 @@ class UnevenScrew(Effect):
     phase: tuple[float, ...]
     bend: tuple[float, ...]
 
-    def arm(self, reading: Array, robot: Any, at: At) -> Array:
+    def arm(self, reading: Array, robot: Any, at: SampleConditions) -> Array:
         turned = 2 * np.pi * reading / self.lead + np.array(self.phase)
         return reading + np.array(self.size) * np.sin(turned) + np.array(self.bend) * reading**2
 
@@ -89,7 +89,7 @@ class GearRipple(Effect):
     size: tuple[float, ...]
     phase: tuple[float, ...]
 
-    def arm(self, reading: Array, robot: Any, at: At) -> Array:
+    def arm(self, reading: Array, robot: Any, at: SampleConditions) -> Array:
         turned = self.ratio * reading + np.array(self.phase)
         return reading + np.array(self.size) * (np.sin(turned) + np.sin(2 * turned) / 3)
 
@@ -133,7 +133,7 @@ class CreepingStand(Effect):
     slide: tuple[float, float, float]
     spin: tuple[float, float, float]
 
-    def device(self, r: Array, R: Array, at: At) -> tuple[Array, Array]:
+    def device(self, r: Array, R: Array, at: SampleConditions) -> tuple[Array, Array]:
         turned = turn(at.time[:, None] * np.array(self.spin))
         return apply(turned, r) + at.time[:, None] * np.array(self.slide), turned @ R
 
@@ -149,7 +149,7 @@ class CrookedAxes(Effect):
     y: tuple[float, float, float]
     z: tuple[float, float, float]
 
-    def device(self, r: Array, R: Array, at: At) -> tuple[Array, Array]:
+    def device(self, r: Array, R: Array, at: SampleConditions) -> tuple[Array, Array]:
         axes = np.column_stack([self.x, self.y, self.z])
         return apply(np.linalg.inv(axes), r), R
 
@@ -162,7 +162,7 @@ class Knock(Effect):
     shift: tuple[float, float, float]
     spin: tuple[float, float, float]
 
-    def device(self, r: Array, R: Array, at: At) -> tuple[Array, Array]:
+    def device(self, r: Array, R: Array, at: SampleConditions) -> tuple[Array, Array]:
         after = (at.time > self.time)[:, None]
         turned = turn(after * np.array(self.spin))
         return apply(turned, r) + after * np.array(self.shift), turned @ R
@@ -178,7 +178,7 @@ class BentSpace(Effect):
     bend: tuple[tuple[tuple[float, ...], ...], ...]
     centre: tuple[float, float, float]
 
-    def device(self, r: Array, R: Array, at: At) -> tuple[Array, Array]:
+    def device(self, r: Array, R: Array, at: SampleConditions) -> tuple[Array, Array]:
         true = r - np.array(self.centre)
         shown = true
         for _ in range(6):  # the bend is of what is shown, and that is what is asked for
@@ -195,7 +195,7 @@ class LeaningBase(Effect):
 
     lean: tuple[float, float]
 
-    def device(self, r: Array, R: Array, at: At) -> tuple[Array, Array]:
+    def device(self, r: Array, R: Array, at: SampleConditions) -> tuple[Array, Array]:
         about_x, about_y = self.lean
         tipped = np.stack([-about_x * r[..., 1], about_y * r[..., 0], 0 * r[..., 0]], -1)
         return apply(turn(tipped), r), turn(tipped) @ R
@@ -207,5 +207,5 @@ class MisplacedTarget(Effect):
 
     at_platform: tuple[float, float, float]
 
-    def device(self, r: Array, R: Array, at: At) -> tuple[Array, Array]:
+    def device(self, r: Array, R: Array, at: SampleConditions) -> tuple[Array, Array]:
         return r + apply(R, np.array(self.at_platform)), R

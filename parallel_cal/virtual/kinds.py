@@ -32,38 +32,38 @@ class Kind:
     asks: str = ""
 
 
-def sized(size: float, machine: Machine, rng: np.random.Generator) -> tuple[float, ...]:
+def draw_sizes(size: float, machine: Machine, rng: np.random.Generator) -> tuple[float, ...]:
     """One number a joint, none of them far from the size (rad; a slide's are so many levers)."""
     return tuple(size * machine.lever * rng.uniform(0.6, 1.4, len(machine.joints)))
 
 
-def signed(size: float, machine: Machine, rng: np.random.Generator) -> tuple[float, ...]:
+def draw_signed_sizes(size: float, machine: Machine, rng: np.random.Generator) -> tuple[float, ...]:
     signs = rng.choice([-1.0, 1.0], len(machine.joints))
-    return tuple(signs * sized(size, machine, rng))
+    return tuple(signs * draw_sizes(size, machine, rng))
 
 
-def around(machine: Machine, rng: np.random.Generator) -> tuple[float, ...]:
+def draw_angles(machine: Machine, rng: np.random.Generator) -> tuple[float, ...]:
     """One angle a joint."""
     return tuple(rng.uniform(-np.pi, np.pi, len(machine.joints)))
 
 
-def wound_up(machine: Machine, rng: np.random.Generator) -> Effect:
+def make_wind_up(machine: Machine, rng: np.random.Generator) -> Effect:
     width = 20e-3 if machine.lever == 1 else 0.3e-3
-    return joints.WindUp(sized(0.55e-3, machine, rng), width)
+    return joints.WindUp(draw_sizes(0.55e-3, machine, rng), width)
 
 
-def twisting(machine: Machine, rng: np.random.Generator) -> Effect:
+def make_shaft_twist(machine: Machine, rng: np.random.Generator) -> Effect:
     """Of a slide in m/N: less than what its lever makes of rad/Nm."""
     size = 1.5e-3 if machine.lever == 1 else 0.4e-3 * machine.lever
-    return loads.ShaftTwist(sized(size, machine, rng))
+    return loads.ShaftTwist(draw_sizes(size, machine, rng))
 
 
-def creeping(machine: Machine, rng: np.random.Generator) -> Effect:
+def make_creeping_stand(machine: Machine, rng: np.random.Generator) -> Effect:
     slide, spin = (rng.uniform(0.6, 1.4, 3) * rng.choice([-1, 1], 3) for _ in "vw")
     return joints.CreepingStand(tuple(2e-7 * slide), tuple(1e-6 * spin))
 
 
-def warm(machine: Machine, rng: np.random.Generator) -> Effect:
+def make_warmth(machine: Machine, rng: np.random.Generator) -> Effect:
     """Arms (or the platform), rods (or legs) and base, each of another material."""
     arms, rods, base = rng.permutation([PRINTED, CAST, ALUMINIUM])
     parts = {"La": arms, "Lb": rods, "dLb": rods, "D": base, "b": base}
@@ -73,43 +73,48 @@ def warm(machine: Machine, rng: np.random.Generator) -> Effect:
 KINDS = {
     "eccentricity": Kind(
         "encoder_eccentricity",
-        lambda m, rng: EncoderEccentricity(signed(4e-3, m, rng), signed(4e-3, m, rng)),
+        lambda m, rng: EncoderEccentricity(
+            draw_signed_sizes(4e-3, m, rng), draw_signed_sizes(4e-3, m, rng)
+        ),
         TURNING,
     ),
     "oval_disc": Kind(
         "encoder_second_harmonic",
-        lambda m, rng: joints.OvalDisc(signed(2.5e-3, m, rng), around(m, rng)),
+        lambda m, rng: joints.OvalDisc(draw_signed_sizes(2.5e-3, m, rng), draw_angles(m, rng)),
         TURNING,
     ),
     "gain": Kind(
         "encoder_gain",
         lambda m, rng: joints.WrongPitch(
-            signed(2.5e-3 if m.lever == 1 else 0.6e-3 / m.lever, m, rng)
+            draw_signed_sizes(2.5e-3 if m.lever == 1 else 0.6e-3 / m.lever, m, rng)
         ),
         ("argos", *SLIDING),
     ),
     "gear_ripple": Kind(
         "gear_transmission_error",
         lambda m, rng: joints.GearRipple(
-            rng.uniform(15, 40), signed(0.6e-3, m, rng), around(m, rng)
+            rng.uniform(15, 40), draw_signed_sizes(0.6e-3, m, rng), draw_angles(m, rng)
         ),
         TURNING,
     ),
     "screw_wobble": Kind(
         "screw_pitch_error",
         lambda m, rng: joints.UnevenScrew(
-            5e-3, signed(0.4e-3, m, rng), around(m, rng), signed(2e-2, m, rng)
+            5e-3,
+            draw_signed_sizes(0.4e-3, m, rng),
+            draw_angles(m, rng),
+            draw_signed_sizes(2e-2, m, rng),
         ),
         SLIDING,
     ),
-    "backlash": Kind("backlash", lambda m, rng: Backlash(sized(1e-3, m, rng))),
-    "wind_up": Kind("hysteresis", wound_up),
+    "backlash": Kind("backlash", lambda m, rng: Backlash(draw_sizes(1e-3, m, rng))),
+    "wind_up": Kind("hysteresis", make_wind_up),
     "cross_talk": Kind(
         "encoder_crosstalk",
-        lambda m, rng: joints.DraggedNeighbours(_dragged(len(m.joints), rng)),
+        lambda m, rng: joints.DraggedNeighbours(_draw_drag(len(m.joints), rng)),
         SLIDING,
     ),
-    "shaft_twist": Kind("joint_compliance", twisting, RODS, "payload"),
+    "shaft_twist": Kind("joint_compliance", make_shaft_twist, RODS, "payload"),
     "soft_rods": Kind(
         "rod_compliance", lambda m, rng: loads.SoftRods(rng.uniform(3e-6, 6e-6)), RODS, "payload"
     ),
@@ -119,12 +124,12 @@ KINDS = {
         LOADED,
         "payload",
     ),
-    "warmth": Kind("thermal_expansion", warm, LOADED, "temperature"),
-    "creep": Kind("base_drift", creeping, asks="time"),
+    "warmth": Kind("thermal_expansion", make_warmth, LOADED, "temperature"),
+    "creep": Kind("base_drift", make_creeping_stand, asks="time"),
 }
 
 
-def _dragged(n: int, rng: np.random.Generator) -> tuple[tuple[float, ...], ...]:
+def _draw_drag(n: int, rng: np.random.Generator) -> tuple[tuple[float, ...], ...]:
     """What each of n joints in a ring takes over from the two beside it."""
     drag: Array = rng.uniform(0.8e-3, 1.5e-3, (n, n)) * rng.choice([-1, 1], (n, n))
     beside = np.roll(np.eye(n), 1, axis=1) + np.roll(np.eye(n), -1, axis=1)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from parallel_cal.virtual.robot import Array, Parameters, about, apply
+from parallel_cal.virtual.robot import Array, Parameters, apply, axis_rotation
 from parallel_cal.virtual.stewart import Assembly, column, numbered, vectors
 
 
@@ -28,10 +28,10 @@ class LinearDelta(Assembly):
         def vector(name: str) -> Array:
             return vectors(parameters, [f"{name}_x", f"{name}_y", f"{name}_z"], chains)
 
-        frame = about("z", np.arange(3) * 2 * np.pi / 3)
-        lean = about("y", np.full(3, inclination))
+        frame = axis_rotation("z", np.arange(3) * 2 * np.pi / 3)
+        lean = axis_rotation("y", np.full(3, inclination))
         small = [
-            about(axis, column(parameters, n, chains))
+            axis_rotation(axis, column(parameters, n, chains))
             for axis, n in (("x", "alpha"), ("y", "beta"))
         ]
         self.rail = (frame @ lean @ small[0] @ small[1])[..., 2]

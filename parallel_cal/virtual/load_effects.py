@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from parallel_cal.virtual.robot import Array, At, Effect, Parameters, apply, turn
+from parallel_cal.virtual.robot import Array, Effect, Parameters, SampleConditions, apply, turn
 
 DOWN = (0.0, 0.0, -9.81)
 
@@ -71,7 +71,7 @@ class ShaftTwist(Effect):
     compliance: tuple[float, ...]
     weights: Weights = field(default_factory=Weights)
 
-    def arm(self, reading: Array, robot: Any, at: At) -> Array:
+    def arm(self, reading: Array, robot: Any, at: SampleConditions) -> Array:
         angle = reading
         for _ in range(4):  # the load moves as the shafts give way
             torque = self.weights.torques(robot, angle, at.payload)
@@ -86,7 +86,7 @@ class SoftRods(Effect):
     compliance: float
     weights: Weights = field(default_factory=Weights)
 
-    def held(self, robot: Any, angle: Array, at: At) -> Any:
+    def loaded_robot(self, robot: Any, angle: Array, at: SampleConditions) -> Any:
         soft = robot
         for _ in range(3):
             tension = self.weights.tensions(soft, angle, at.payload)
@@ -102,7 +102,7 @@ class LooseBalls(Effect):
     force: float
     weights: Weights = field(default_factory=Weights)
 
-    def held(self, robot: Any, angle: Array, at: At) -> Any:
+    def loaded_robot(self, robot: Any, angle: Array, at: SampleConditions) -> Any:
         loose = robot
         for _ in range(3):
             way = np.exp(-2 * self.weights.tensions(loose, angle, at.payload) / self.force)
@@ -116,7 +116,7 @@ class Warmth(Effect):
 
     growth: dict[str, float]
 
-    def geometry(self, parameters: Parameters, at: At) -> Parameters:
+    def geometry(self, parameters: Parameters, at: SampleConditions) -> Parameters:
         def warm(name: str, value: Any) -> Any:
             part = name.split(".")[1].split("_")[0]
             return value * (1 + self.growth.get(part, 0.0) * (at.temperature - 20.0))
@@ -131,7 +131,7 @@ class SoftFrame(Effect):
     settle: float
     tilt: float
 
-    def device(self, r: Array, R: Array, at: At) -> tuple[Array, Array]:
+    def device(self, r: Array, R: Array, at: SampleConditions) -> tuple[Array, Array]:
         weight = at.payload[:, None] * np.array(DOWN)
         lean = turn(self.tilt * np.cross(r, weight))
         return apply(lean, r) + self.settle * weight, lean @ R

@@ -35,11 +35,11 @@ class Machine:
     lever: float = 1.0
     sees_position: bool = True
 
-    def as_drawn(self) -> Any:
+    def make_nominal(self) -> Any:
         """The robot that its controller believes in."""
         return self.kind(self.nominal)
 
-    def as_built(self, seed: int) -> Any:
+    def make_built(self, seed: int) -> Any:
         """A robot whose every dimension is a little off."""
         rng = np.random.default_rng([seed, 41])
         built = {

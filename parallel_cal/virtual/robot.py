@@ -69,7 +69,7 @@ def turn(w: ArrayLike) -> Array:
     return np.eye(3) + np.sinc(angle / np.pi) * cross + half**2 / 2 * (cross @ cross)
 
 
-def about(axis: str, angle: ArrayLike) -> Array:
+def axis_rotation(axis: str, angle: ArrayLike) -> Array:
     """Rotation matrix about the coordinate axis `x`, `y` or `z`."""
     return turn(np.asarray(angle)[..., None] * np.eye(3)["xyz".index(axis)])
 
@@ -163,8 +163,8 @@ class Delta(RodRobot):
         def vector(*names: str) -> Array:
             return stack(value(name) for name in names)
 
-        frame = about("z", value("theta")) @ about("x", value("alpha"))
-        motor = frame @ about("x", value("dalpha")) @ about("y", value("dbeta"))
+        frame = axis_rotation("z", value("theta")) @ axis_rotation("x", value("alpha"))
+        motor = frame @ axis_rotation("x", value("dalpha")) @ axis_rotation("y", value("dbeta"))
         ball, half = vector("b_x", "b_y", "b_z"), vector("", "", "d_z")
         arm, error = vector("La_x", "La_y", ""), vector("dC_x", "dC_y", "dC_z")
         self.hub = apply(frame, ball + vector("D_x", "D_y", "D_z"))
@@ -196,7 +196,7 @@ NOMINAL, MOCK_UP = Delta(TABLE_5_12), Delta(TABLE_5_18)
 
 
 @dataclass(frozen=True)
-class At:
+class SampleConditions:
     """The circumstances of each sample: seconds, degC, kg, and each joint's last direction."""
 
     time: Array
@@ -209,19 +209,19 @@ class At:
 class Effect:
     """One disturbance; it overrides the stage of the measuring chain at which it acts."""
 
-    def geometry(self, parameters: Parameters, at: At) -> Parameters:
+    def geometry(self, parameters: Parameters, at: SampleConditions) -> Parameters:
         """The dimensions the robot has under these circumstances."""
         return parameters
 
-    def arm(self, reading: Array, robot: RodRobot, at: At) -> Array:
+    def arm(self, reading: Array, robot: RodRobot, at: SampleConditions) -> Array:
         """The angle at which the arm stands when its encoder shows `reading`."""
         return reading
 
-    def held(self, robot: Any, angle: Array, at: At) -> Any:
+    def loaded_robot(self, robot: Any, angle: Array, at: SampleConditions) -> Any:
         """The robot with the rods it has under load."""
         return robot
 
-    def device(self, r: Array, R: Array, at: At) -> tuple[Array, Array]:
+    def device(self, r: Array, R: Array, at: SampleConditions) -> tuple[Array, Array]:
         """The pose that the measuring device shows for the true pose."""
         return r, R
 
@@ -237,7 +237,7 @@ class EncoderEccentricity(Effect):
     sin: tuple[float, ...]
     cos: tuple[float, ...]
 
-    def arm(self, reading: Array, robot: RodRobot, at: At) -> Array:
+    def arm(self, reading: Array, robot: RodRobot, at: SampleConditions) -> Array:
         return reading + np.array(self.sin) * np.sin(reading) + np.array(self.cos) * np.cos(reading)
 
 
@@ -247,7 +247,7 @@ class Backlash(Effect):
 
     width: tuple[float, ...]
 
-    def arm(self, reading: Array, robot: RodRobot, at: At) -> Array:
+    def arm(self, reading: Array, robot: RodRobot, at: SampleConditions) -> Array:
         return reading - np.array(self.width) / 2 * at.direction
 
 
@@ -255,19 +255,19 @@ def truth(
     robot: Any,
     effects: Sequence[Effect],
     reading: Array,
-    at: At,
+    at: SampleConditions,
     start: tuple[Array, Array] | None = None,
 ) -> tuple[Array, Array, Array]:
     """From encoder readings to (arm angles, position, rotation) as an errorless device shows."""
-    angle, r, R = assumed(robot, effects, reading, at, start)
-    return angle, *shown(effects, r, R, at)
+    angle, r, R = solve_true_pose(robot, effects, reading, at, start)
+    return angle, *apply_device_effects(effects, r, R, at)
 
 
-def assumed(
+def solve_true_pose(
     robot: Any,
     effects: Sequence[Effect],
     reading: Array,
-    at: At,
+    at: SampleConditions,
     start: tuple[Array, Array] | None = None,
 ) -> tuple[Array, Array, Array]:
     """From encoder readings to (arm angles, position, rotation) as they are: the pose that is
@@ -279,11 +279,13 @@ def assumed(
     for effect in effects:
         angle = effect.arm(angle, robot, at)
     for effect in effects:
-        robot = effect.held(robot, angle, at)
+        robot = effect.loaded_robot(robot, angle, at)
     return angle, *robot.forward(angle, start)
 
 
-def shown(effects: Sequence[Effect], r: Array, R: Array, at: At) -> tuple[Array, Array]:
+def apply_device_effects(
+    effects: Sequence[Effect], r: Array, R: Array, at: SampleConditions
+) -> tuple[Array, Array]:
     """The pose that an errorless device shows of the one that is."""
     for effect in effects:
         r, R = effect.device(r, R, at)

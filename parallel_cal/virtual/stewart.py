@@ -62,7 +62,7 @@ class Assembly:
         """Passive joints that bring the parts about together; none, unless a sibling has some."""
         return np.zeros((*np.shape(r)[:-1], 0))
 
-    def open_by(self, q: ArrayLike, r: ArrayLike, R: ArrayLike) -> Array:
+    def max_gap(self, q: ArrayLike, r: ArrayLike, R: ArrayLike) -> Array:
         """The largest gap with the passive joints where they fit best, shape (...)."""
         q, r, R = (np.asarray(part, dtype=float) for part in (q, r, R))
         return np.abs(self.gaps(q, r, R, self.hidden(q, r, R))).max(axis=-1)
@@ -71,7 +71,7 @@ class Assembly:
         """The pose (r, R) that the joints `q` hold, nearest to `start`."""
         q = np.asarray(q, dtype=float)
         r0, R0 = _batch(q.shape[:-1], *(start or (self.home, self.home_turn)))
-        pose, n = _moved(r0, R0, self.moves.split()), len(self.moves.split())
+        pose, n = _make_pose_function(r0, R0, self.moves.split()), len(self.moves.split())
         u = np.concatenate([np.zeros((*q.shape[:-1], n)), self.hidden(q, r0, R0)], -1)
         u = solve(lambda u: self.gaps(q, *pose(u[..., :n]), u[..., n:]), u)
         return pose(u[..., :n])
@@ -89,7 +89,7 @@ class Assembly:
         q0 = np.asarray(self.home_joints if start is None else start, dtype=float)
         q0 = np.broadcast_to(q0, (*shape, q0.shape[-1]))
         follows = [c for c in self.moves.split() if c not in self.controls.split()]
-        pose, n, m = _moved(r0, R0, follows), q0.shape[-1], q0.shape[-1] + len(follows)
+        pose, n, m = _make_pose_function(r0, R0, follows), q0.shape[-1], q0.shape[-1] + len(follows)
         u = np.concatenate([q0, np.zeros((*shape, m - n)), self.hidden(q0, r0, R0)], -1)
         u = solve(lambda u: self.gaps(u[..., :n], *pose(u[..., n:m]), u[..., m:]), u)
         return u[..., :n], *pose(u[..., n:m])
@@ -100,7 +100,9 @@ def _batch(shape: tuple[int, ...], r: ArrayLike, R: ArrayLike) -> Pose:
     return np.broadcast_to(r, (*shape, 3)), np.broadcast_to(R, (*shape, 3, 3))
 
 
-def _moved(r0: Array, R0: Array, coordinates: Sequence[str]) -> Callable[[Array], Pose]:
+def _make_pose_function(
+    r0: Array, R0: Array, coordinates: Sequence[str]
+) -> Callable[[Array], Pose]:
     """Poses near (r0, R0): shifts along, and turns about, some of the base's axes."""
     places = [POSE.index(c) for c in coordinates]
 
@@ -126,16 +128,16 @@ class Stewart(Assembly):
         self.platform = vectors(parameters, ["B_x", "B_y", "B_z"], self.legs)
         self.base = vectors(parameters, ["C_x", "C_y", "C_z"], self.legs)
         self.offset = column(parameters, "L0", self.legs)
-        self.home_joints = self.needed(np.asarray(self.home), np.eye(3)) - self.offset
+        self.home_joints = self.leg_lengths(np.asarray(self.home), np.eye(3)) - self.offset
 
-    def needed(self, r: Array, R: Array) -> Array:
+    def leg_lengths(self, r: Array, R: Array) -> Array:
         """Ball to ball distances at pose (r, R), shape (..., legs)."""
         balls = r[..., None, :] + apply(R[..., None, :, :], self.platform)
         return np.linalg.norm(balls - self.base, axis=-1)
 
     def gaps(self, q: Array, r: Array, R: Array, hidden: Array) -> Array:
         """How far each leg is too short to reach from ball to ball."""
-        return self.needed(r, R) - q - self.offset
+        return self.leg_lengths(r, R) - q - self.offset
 
 
 class PlanarStewart(Stewart):
@@ -158,4 +160,4 @@ class PlanarStewart(Stewart):
     def gaps(self, q: Array, r: Array, R: Array, hidden: Array) -> Array:
         """How far each leg's ball, slid by q, is from where the platform's ball is."""
         ball = stack([self.offset, np.zeros(len(self.legs))]) + q[..., None] * self.slide
-        return self.needed(r, R) - np.linalg.norm(ball, axis=-1)
+        return self.leg_lengths(r, R) - np.linalg.norm(ball, axis=-1)

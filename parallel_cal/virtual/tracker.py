@@ -31,7 +31,7 @@ class Tracker:
     target: Array = field(default_factory=lambda: np.zeros(3))
     target_spin: Array = field(default_factory=lambda: np.zeros(3))
 
-    def taken(self, after: float, until: float) -> Array:
+    def sampling_times(self, after: float, until: float) -> Array:
         """When (n,) poses are taken, after a time and up to another."""
         first, last = (np.floor((t - self.begin) / self.period) for t in (after, until))
         return self.begin + self.period * np.arange(max(first + 1, 0), last + 1)
@@ -40,7 +40,7 @@ class Tracker:
         """What its clock shows then."""
         return taken * (1 + self.drift) + self.offset
 
-    def sees(self, r: Array, R: Array, swapped: bool = False) -> tuple[Array, Array]:
+    def observe(self, r: Array, R: Array, swapped: bool = False) -> tuple[Array, Array]:
         """The target's poses in the device's frame, for poses of the platform in the base."""
         if swapped:
             r, R = r + apply(R, OTHER_SHIFT), R @ turn(OTHER_TURN)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.base.files import read_text, write_atomically
-from parallel_cal.base.worker import Unwanted, Worker, WorkError
+from parallel_cal.base.worker import WorkCancelled, Worker, WorkError
 from parallel_cal.session.history import History
 
 if TYPE_CHECKING:
@@ -72,9 +72,9 @@ class Bench:
         self.message, self.failed = "", False
         self.question: Question | None = None
         self.busy, self._cancelled = False, False
-        self._worker = Worker(first=_prepared)
+        self._worker = Worker(first=_import_views)
         self.view: dict[str, Any] | None = None
-        self._look()
+        self._update_view()
 
     def close(self) -> None:
         """End whatever is under way, and what was started for it."""
@@ -97,7 +97,7 @@ class Bench:
         if self.question is not None:
             self.question = None
             self.message, self.failed = f"not saved: {self.output} is as it was", False
-            self._changed()
+            self._mark_changed()
 
     def _begin(self, function: Callable[..., Done], *given: Any) -> None:
         if self.busy:
@@ -105,8 +105,8 @@ class Bench:
         self.busy, self._cancelled = True, False
         self.stage, self.fraction = "starting", 0.0
         self.message, self.failed, self.question = "", False, None
-        self._changed()
-        Thread(target=self._do, args=(function, *given), daemon=True).start()
+        self._mark_changed()
+        Thread(target=self._run_in_worker, args=(function, *given), daemon=True).start()
 
     def cancel(self) -> None:
         """End the step that is under way; the session stays as it was."""
@@ -117,20 +117,20 @@ class Bench:
         from parallel_cal.session.session import Session
 
         if self.live is not None:
-            self._done(partial(Session(self.session.folder).take, self.live.save_samples))
+            self._run_step(partial(Session(self.session.folder).take, self.live.save_samples))
 
-    def at_once(self, step: str, *given: Any) -> None:
+    def run_now(self, step: str, *given: Any) -> None:
         """A step that takes no time: undo, redo, start_branch, switch."""
-        self._done(partial(getattr(self.session, step), *given))
+        self._run_step(partial(getattr(self.session, step), *given))
 
-    def _done(self, step: Callable[[], object]) -> None:
+    def _run_step(self, step: Callable[[], object]) -> None:
         try:
             step()
             self.session.refresh()
             self.message, self.failed = "", False
         except (ParallelCalError, OSError) as error:
             self.message, self.failed = str(error), True
-        self._look()
+        self._update_view()
 
     @property
     def planned(self) -> Path | None:
@@ -147,43 +147,43 @@ class Bench:
 
     def follow(self) -> None:
         """Take up what another program has done in the session's folder."""
-        if not self.busy and self._taken_up():
-            self._look()
+        if not self.busy and self._refresh_session():
+            self._update_view()
 
-    def _do(self, function: Callable[..., Done], *given: Any) -> None:
+    def _run_in_worker(self, function: Callable[..., Done], *given: Any) -> None:
         before = self.session.state.number
         try:
             done: Done = self._worker.work(
-                function, self.session.folder, *given, tell=self._told,
+                function, self.session.folder, *given, tell=self._on_progress,
                 wanted=lambda: not self._cancelled,
             )  # fmt: skip
             self.message, self.question = done.message, done.question
-        except Unwanted:
+        except WorkCancelled:
             self.message = "cancelled"
         except WorkError as error:
             self.message, self.failed = str(error), True
         else:
             before = -1
-        self._taken_up()
+        self._refresh_session()
         if before == self.session.state.number:
             self.message += "; the session is as it was"
         elif before >= 0:  # the step was done, only the look at what it left was not
             self.message += f"; {self.session.state.step} is done, what it leaves is not looked at"
         # Where the look was ended what could be seen at once stays.
-        found = kept(self.session)
+        found = load_view(self.session)
         self.view, self.seen = (self.view if found is None else found), self.seen + 1
         self.busy = False
-        self._changed()
+        self._mark_changed()
 
-    def _told(self, stage: str, fraction: float, view: dict[str, Any] | None = None) -> None:
+    def _on_progress(self, stage: str, fraction: float, view: dict[str, Any] | None = None) -> None:
         """How far the step is, and what can be seen before all of it is."""
         self.stage, self.fraction = stage, fraction
         if view is not None:
-            self._taken_up()
+            self._refresh_session()
             self.view, self.seen = view, self.seen + 1
-        self._changed()
+        self._mark_changed()
 
-    def _taken_up(self) -> bool:
+    def _refresh_session(self) -> bool:
         """Whether the session on disk is another one now; one that is gone is said, once."""
         try:
             return self.session.refresh()
@@ -192,42 +192,42 @@ class Bench:
             self.message, self.failed = str(error), True
             return changed
 
-    def _look(self) -> None:
+    def _update_view(self) -> None:
         """Show the present state: what is kept of it, else look at it anew."""
         self.question = None  # it was about the state before
-        self.view, self.seen = kept(self.session), self.seen + 1
-        self._changed()
+        self.view, self.seen = load_view(self.session), self.seen + 1
+        self._mark_changed()
         if self.view is None:
             self.begin("look")
 
-    def _changed(self) -> None:
+    def _mark_changed(self) -> None:
         self.version += 1
 
 
-VERSION = 7  # of what is kept of a view: another one is looked at anew
+VIEW_VERSION = 7  # of what is kept of a view: another one is looked at anew
 
 
-def place(session: History, state: int | None = None) -> Path:
+def view_path(session: History, state: int | None = None) -> Path:
     """Where a state's view is kept; a state never changes, and so neither does its view."""
     number = session.state.number if state is None else state
     return session.folder / "views" / f"{number}.json"
 
 
-def kept(session: History, state: int | None = None) -> dict[str, Any] | None:
+def load_view(session: History, state: int | None = None) -> dict[str, Any] | None:
     try:
-        found: dict[str, Any] = json.loads(read_text(place(session, state), most=256 << 20))
+        found: dict[str, Any] = json.loads(read_text(view_path(session, state), most=256 << 20))
     except (OSError, ValueError):
         return None
-    return found["view"] if found.get("version") == VERSION else None
+    return found["view"] if found.get("version") == VIEW_VERSION else None
 
 
-def _prepared() -> None:
+def _import_views() -> None:
     """What a worker has at hand before it is asked."""
     import parallel_cal.workbench.views  # noqa: F401
 
 
 @cache
-def _opened(folder: Path) -> Session:
+def _open_session(folder: Path) -> Session:
     """The worker's own session, with the samples that it has read."""
     from parallel_cal.session.session import Session
 
@@ -245,17 +245,17 @@ def _work(
     on what came out."""
     from parallel_cal.workbench.views import glance, view
 
-    session = _opened(folder)
+    session = _open_session(folder)
     session.refresh()
     done = None
     if step in STEPS:
         done = getattr(session, step)(*given, progress=tell, **options)
-    if kept(session) is None:
+    if load_view(session) is None:
         tell("looking for what is missing", 0.0, glance(session))
         shown = view(session, tell)
-        file = place(session)
+        file = view_path(session)
         file.parent.mkdir(exist_ok=True)
-        write_atomically(file, json.dumps({"version": VERSION, "view": shown}))
+        write_atomically(file, json.dumps({"version": VIEW_VERSION, "view": shown}))
     return Done(f"written: {done}" if isinstance(done, Path) else session.state.against)
 
 
@@ -264,17 +264,17 @@ def _save(folder: Path, output: Path, confirmed: str, tell: Callable[..., None])
     first."""
     from parallel_cal.session.saving import SaveRefused
 
-    session = _opened(folder)
+    session = _open_session(folder)
     session.refresh()
-    before = place(session)
+    before = view_path(session)
     try:
         found = session.save(output, lambda replacement: replacement.key == confirmed, tell)
     except SaveRefused as refused:
         asked = refused.replacement
         words = f"{'; '.join(asked.reasons)}. Write it to {output} all the same?"
         return Done("", Question(words, asked.key))
-    if before.exists() and place(session) != before:  # the same numbers under another state
-        shutil.copyfile(before, place(session))
+    if before.exists() and view_path(session) != before:  # the same numbers under another state
+        shutil.copyfile(before, view_path(session))
     if found.is_in_use:
         return Done(f"{output} holds this model already")
     return Done("; ".join(filter(None, (f"written: {output}", found.comparison))))

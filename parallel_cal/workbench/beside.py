@@ -11,24 +11,24 @@ from nicegui import ui
 
 from parallel_cal.reporting.arrows import scale_of
 from parallel_cal.reporting.spaces import side
-from parallel_cal.session.history import History, shown
-from parallel_cal.workbench.bench import kept
-from parallel_cal.workbench.looks import drawn, table
+from parallel_cal.session.history import History, format_first_error
+from parallel_cal.workbench.bench import load_view
+from parallel_cal.workbench.looks import draw_figure, table
 
 
-class Beside:
+class BranchComparison:
     """A dialog with the last state of every branch."""
 
     def __init__(self, session: History):
         self.camera: Any = None
         states = session.compared()
-        views = {name: kept(session, state.number) or {} for name, state in states.items()}
+        views = {name: load_view(session, state.number) or {} for name, state in states.items()}
         fields = {name: v["arrows"]["field"] for name, v in views.items() if v.get("arrows")}
         with ui.dialog(value=True).props("maximized") as dialog, ui.card():
             ui.label("Branches side by side").classes("text-lg font-bold")
             rows = [
                 {"branch": name, "step": s.step, "out": len(s.excluded), "verdict": s.verdict,
-                 "after": shown(s.errors), "noise": shown(s.noise)}
+                 "after": format_first_error(s.errors), "noise": format_first_error(s.noise)}
                 for name, s in states.items()
             ]  # fmt: skip
             table(
@@ -64,7 +64,7 @@ class Beside:
             with ui.column().classes("flex-1 min-w-0 gap-0"):
                 ui.label(f"{name}: residuals drawn {scale:g} times as long as they are")
                 layout = figure["layout"] | {"scene": scene}
-                plot = drawn(figure | {"layout": layout}, f"residuals of {name}")
+                plot = draw_figure(figure | {"layout": layout}, f"residuals of {name}")
                 plot.on("plotly_relayout", partial(self._turn, plot))
             plots.append(plot)
         return plots

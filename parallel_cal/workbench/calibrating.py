@@ -12,9 +12,9 @@ from nicegui import ui
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.reporting.colours import MEASURED
 from parallel_cal.workbench.bench import Live
-from parallel_cal.workbench.looks import COLOURS, card, course, drawn
+from parallel_cal.workbench.looks import COLOURS, card, draw_figure, make_chart
 
-AT_REST = ("", "stopped", "done")
+INACTIVE_STATES = ("", "stopped", "done")
 
 
 class CampaignBar:
@@ -45,7 +45,7 @@ class CampaignBar:
     def show(self, told: dict[str, Any]) -> None:
         """What is known of the campaign now, as `nodes.steering` tells."""
         state = told["state"]
-        going = state not in AT_REST
+        going = state not in INACTIVE_STATES
         for word, seen in (
             ("resume", state == "paused"),
             ("pause", state != "paused"),
@@ -55,7 +55,7 @@ class CampaignBar:
         self.steers["pause"].set_enabled(going and state != "asking")
         # Where nothing was heard of a campaign there may be one all the same.
         self.steers["stop"].set_enabled(going or not state)
-        self.words.set_text(_words(told))
+        self.words.set_text(_describe_status(told))
         self.asked.set_text(told["reason"] if state == "asking" else "")
         self.asked.set_visibility(state == "asking")
 
@@ -64,7 +64,7 @@ class CampaignBar:
         return ui.button(name, on_click=click).props("dense").classes("shrink-0")
 
 
-class Calibrating:
+class CampaignCard:
     """Begins a campaign, and shows how its error falls."""
 
     def __init__(self, live: Live):
@@ -81,15 +81,15 @@ class Calibrating:
                 )
                 self.begin = ui.button("Calibrate", on_click=self._begin).props("dense")
             self.going = ui.label("It is at it: Pause and STOP are at the top of the page.")
-            figure = course(
+            figure = make_chart(
                 {"title": {"text": "poses measured"}, "rangemode": "tozero"}, "error [µm]",
                 mode="lines+markers", marker={"color": MEASURED, "size": 6},
             )  # fmt: skip
-            self.chart = drawn(figure, "error at poses that no fit saw, over poses")
+            self.chart = draw_figure(figure, "error at poses that no fit saw, over poses")
 
     def show(self, told: dict[str, Any]) -> None:
         """What is known of it now, as `nodes.steering` tells."""
-        at_rest = told["state"] in AT_REST
+        at_rest = told["state"] in INACTIVE_STATES
         self.begin.set_visibility(at_rest)
         self.going.set_visibility(not at_rest)
         self.chart.set_visibility(bool(told["curve"]))
@@ -113,7 +113,7 @@ def _try(ask: Callable[[], None]) -> None:
         ui.notify(str(error), type="negative")
 
 
-def _words(told: dict[str, Any]) -> str:
+def _describe_status(told: dict[str, Any]) -> str:
     """One line: what it does, how far it is."""
     if not told["state"]:
         return "nothing is known of it yet"
@@ -122,6 +122,6 @@ def _words(told: dict[str, Any]) -> str:
         words += f"; {told['poses']} poses"
     if not math.isnan(told["error_unseen"]):
         words += f", {1e6 * told['error_unseen']:.0f} µm off at poses that no fit saw"
-    if told["state"] in AT_REST and told["answer"]:
+    if told["state"] in INACTIVE_STATES and told["answer"]:
         words = f"{told['state']}: {told['answer']}; Take samples, then Fit, show it here"
     return words

@@ -8,8 +8,8 @@ from typing import Any
 from nicegui import ui
 
 from parallel_cal.reporting.colours import BAND, PATTERN, QUIET
-from parallel_cal.workbench.looks import ROUND, card
-from parallel_cal.workbench.marking import Marking, Place
+from parallel_cal.workbench.looks import FIGURE_MARGIN, card
+from parallel_cal.workbench.marking import FigureSlot, Marking
 
 HINT = (
     "Drag a box in a flat view (box or lasso tool): the same samples are marked in all flat views. "
@@ -19,7 +19,7 @@ LIKELY = "99 % of means if nothing depends on it"
 RMS = "rms residual [sigmas] over the workspace"
 
 
-class Failing:
+class ResidualsCard:
     """A card that is drawn once: the next view is put into what is there, as it was looked at."""
 
     def __init__(self, marking: Marking):
@@ -29,17 +29,17 @@ class Failing:
             with ui.row().classes("w-full no-wrap max-lg:flex-wrap"):
                 with ui.column().classes("flex-1 min-w-0 gap-0") as self.space:
                     self.scale = ui.label().classes("text-sm")
-                    self.arrows = Place()
-                self.map = Place(marking)
+                    self.arrows = FigureSlot()
+                self.map = FigureSlot(marking)
             self.tabs = ui.tabs(on_change=self._turn)
             self.words = ui.label().classes("text-sm")
-            self.picture = Place(marking)
+            self.picture = FigureSlot(marking)
             with ui.row().classes("items-center") as self.asked:
-                self.component = ui.select([], label="residual of", on_change=self._course)
-                self.along = ui.select([], label="against", on_change=self._course)
+                self.component = ui.select([], label="residual of", on_change=self._draw_profile)
+                self.along = ui.select([], label="against", on_change=self._draw_profile)
                 self.component.classes("w-32")
                 self.along.classes("w-48")
-            self.course = Place(marking)
+            self.course = FigureSlot(marking)
 
     def show(self, view: dict[str, Any]) -> None:
         self.view = view
@@ -52,14 +52,14 @@ class Failing:
         self._pictures()
         _offer(self.component, residuals["components"])
         _offer(self.along, list(residuals["along"]))
-        self._course()
+        self._draw_profile()
 
     def _map(self, residuals: dict[str, Any]) -> None:
         sizes = [sample["sigmas"] or 0 for sample in self.view["samples"]]
         marker = {"color": sizes, "colorscale": "Cividis", "showscale": True, "size": 9}
         x, y = ([p[k] for p in residuals["place"]] for k in (0, 1))
         across, up = (residuals["where"].format(axis) for axis in "xy")
-        self.map.show(_flat([self._samples(x, y, marker)], across, up, RMS), RMS)
+        self.map.show(_make_flat_figure([self._samples(x, y, marker)], across, up, RMS), RMS)
 
     def _pictures(self) -> None:
         """One at a time; the one that was looked at stays."""
@@ -78,7 +78,7 @@ class Failing:
         self.words.set_text(chosen[0]["words"] if chosen else "")
         self.picture.show(*((chosen[0]["figure"], chosen[0]["words"]) if chosen else (None,)))
 
-    def _course(self) -> None:
+    def _draw_profile(self) -> None:
         """The chosen component of the residuals against what it may go with."""
         residuals, name = self.view["residuals"], self.component.value
         along = residuals["along"].get(self.along.value)
@@ -91,7 +91,7 @@ class Failing:
         samples = self._samples(along["values"], [row[k] for row in residuals["sigmas"]], marker)
         across = f"{self.along.value} [{along['unit']}]" if along["unit"] else self.along.value
         title = f"residual of {name} against {self.along.value}"
-        figure = _flat([samples, *_means(along, k)], across, f"{name} [sigmas]", title)
+        figure = _make_flat_figure([samples, *_means(along, k)], across, f"{name} [sigmas]", title)
         self.course.show(figure, title)
 
     def _samples(self, x: Any, y: Any, marker: dict[str, Any]) -> dict[str, Any]:
@@ -109,10 +109,15 @@ def _offer(select: Any, names: list[str]) -> None:
     select.set_options(names, value=chosen)
 
 
-def _flat(data: Sequence[dict[str, Any]], across: str, up: str, title: str) -> dict[str, Any]:
+def _make_flat_figure(
+    data: Sequence[dict[str, Any]], across: str, up: str, title: str
+) -> dict[str, Any]:
     axes = {"xaxis": {"title": {"text": across}}, "yaxis": {"title": {"text": up}}}
     words = {"text": title, "font": {"size": 13}}
-    return {"data": [*data], "layout": {"height": 360, "margin": ROUND, "title": words, **axes}}
+    return {
+        "data": [*data],
+        "layout": {"height": 360, "margin": FIGURE_MARGIN, "title": words, **axes},
+    }
 
 
 def _means(along: dict[str, Any], component: int) -> list[dict[str, Any]]:

@@ -44,8 +44,8 @@ class Header:
             self.verdict = ui.label().classes("grow text-base leading-tight font-bold")
             self.verdict.props("id=verdict role=status aria-live=polite")
             with ui.row().classes("no-wrap gap-2"):
-                self.undo = self._button("Undo", partial(bench.at_once, "undo"))
-                self.redo = self._button("Redo", partial(bench.at_once, "redo"))
+                self.undo = self._button("Undo", partial(bench.run_now, "undo"))
+                self.redo = self._button("Redo", partial(bench.run_now, "redo"))
                 self.fit = ui.button("Fit", on_click=partial(bench.begin, "fit")).props("dense")
                 self.save = self._button("Save", lambda: bench.save())
                 self.save.tooltip(

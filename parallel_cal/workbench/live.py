@@ -9,11 +9,11 @@ from nicegui import run, ui
 
 from parallel_cal.reporting.colours import MEASURED, QUIET
 from parallel_cal.workbench.bench import Bench, Live
-from parallel_cal.workbench.calibrating import Calibrating, CampaignBar
-from parallel_cal.workbench.looks import COLOURS, card, course, drawn, table
+from parallel_cal.workbench.calibrating import CampaignBar, CampaignCard
+from parallel_cal.workbench.looks import COLOURS, card, draw_figure, make_chart, table
 
-LOOK = 1.0  # s between two looks at the nodes
-SHOWN = 60  # s of errors that are shown
+POLL_INTERVAL_S = 1.0  # s between two looks at the nodes
+ERROR_WINDOW_S = 60  # s of errors that are shown
 MARKS = {"ok": "✓", "warn": "!", "error": "✗", "stale": "?"}  # colour alone tells nothing
 COLUMNS = {
     "level": "", "node": "node", "what": "what", "rate": "rate [Hz]", "received": "received",
@@ -39,23 +39,23 @@ class LiveCard:
                     ui.tooltip("use what calibration_node has collected in this session")
             self.warnings = ui.label().classes("text-sm").style(f"color: {COLOURS['amber']}")
             self.streams = table([*COLUMNS.items()], [], "name").props("aria-label=streams")
-            figure = course(
-                {"title": {"text": "s ago"}, "range": [-SHOWN, 0]}, "error [µm]",
+            figure = make_chart(
+                {"title": {"text": "s ago"}, "range": [-ERROR_WINDOW_S, 0]}, "error [µm]",
                 mode="markers", marker={"color": MEASURED, "size": 4},
             )  # fmt: skip
             self.error = ui.label().classes("text-sm").props("id=live-error")
-            self.chart = drawn(figure, "error of the poses measured, over time")
+            self.chart = draw_figure(figure, "error of the poses measured, over time")
             self.dropped = ui.expansion("nothing was dropped").classes("w-full")
-        self.campaign = Calibrating(live)
+        self.campaign = CampaignCard(live)
         self._said: list[Any] = []
-        ui.timer(LOOK, self._look)
-        self._look()
+        ui.timer(POLL_INTERVAL_S, self._update)
+        self._update()
 
-    def _look(self) -> None:
+    def _update(self) -> None:
         told = self.live.snapshot()
         self.trouble.set_text(" ".join(told["trouble"]))
         self.trouble.set_visibility(bool(told["trouble"]))
-        self.model.set_text(self._served(told["model"]))
+        self.model.set_text(self._describe_served_model(told["model"]))
         samples = told["samples"]
         count = samples.get("samples", 0)
         said = f"{count} samples"
@@ -75,7 +75,7 @@ class LiveCard:
         if self.bar is not None:
             self.bar.show(told["campaign"])
 
-    def _served(self, model: dict[str, Any]) -> str:
+    def _describe_served_model(self, model: dict[str, Any]) -> str:
         if not model.get("hash"):
             return f"no model is served: {model.get('reason') or 'nobody has said so yet'}"
         same = model["hash"] == self.bench.hash
@@ -86,7 +86,7 @@ class LiveCard:
         return f"the robot uses {model['hash'][:12]}{effects} since {when}: {is_this}{failed}"
 
     def _draw_errors(self, errors: list[tuple[float, float]]) -> None:
-        shown = [(t, 1e6 * e) for t, e in errors if t > -SHOWN]
+        shown = [(t, 1e6 * e) for t, e in errors if t > -ERROR_WINDOW_S]
         trace = self.chart.figure["data"][0]
         trace["x"], trace["y"] = [round(t, 2) for t, _ in shown], [round(e, 1) for _, e in shown]
         if not shown:

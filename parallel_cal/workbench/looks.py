@@ -9,7 +9,7 @@ from nicegui import ui
 from parallel_cal.reporting.colours import BAND, QUIET
 
 COLOURS = {"green": "#1a7f37", "amber": "#9a6700", "grey": "#57606a"}
-CLEAR = {
+FIGURE_LAYOUT = {
     "paper_bgcolor": "rgba(0,0,0,0)",
     "plot_bgcolor": "rgba(0,0,0,0)",
     "font": {"color": QUIET},
@@ -42,7 +42,7 @@ function followHeaderHeight() {
 HEAD = """<script>document.documentElement.lang = "en"</script>
 <script type="module">import("nicegui-plotly").catch(() => undefined)</script>"""
 CHECKBOX = '<q-checkbox dense v-model="props.selected" :aria-label="{words}" />'
-ROUND = {"t": 24, "r": 12, "l": 52, "b": 44}
+FIGURE_MARGIN = {"t": 24, "r": 12, "l": 52, "b": 44}
 
 
 def card(title: str) -> Any:
@@ -66,7 +66,7 @@ def table(columns: list[tuple[str, str]], rows: list[dict[str, Any]], key: str, 
     return made.classes("w-full").props("dense flat wrap-cells")
 
 
-def course(across: dict[str, Any], up: str, **look: Any) -> dict[str, Any]:
+def make_chart(across: dict[str, Any], up: str, **look: Any) -> dict[str, Any]:
     """A low figure of one trace that is yet without points, over an axis, from zero up."""
     return {
         "data": [{"type": "scatter", "x": [], "y": [], **look}],
@@ -80,11 +80,11 @@ def course(across: dict[str, Any], up: str, **look: Any) -> dict[str, Any]:
     }
 
 
-def drawn(figure: dict[str, Any], words: str, before: Any = None) -> Any:
+def draw_figure(figure: dict[str, Any], words: str, before: Any = None) -> Any:
     """A figure in the page's colours, with words for whoever does not see it; in the stead of the
     one `before` it takes a tenth of the time."""
     kept = {"uirevision": words}  # what a person has zoomed or turned
-    figure = figure | {"layout": figure["layout"] | CLEAR | kept}
+    figure = figure | {"layout": figure["layout"] | FIGURE_LAYOUT | kept}
     if before is None:
         before = ui.plotly(figure).classes("w-full")
     else:

@@ -8,7 +8,7 @@ from typing import Any
 from nicegui import ui
 
 from parallel_cal.reporting.colours import PATTERN
-from parallel_cal.workbench.looks import drawn
+from parallel_cal.workbench.looks import draw_figure
 
 # As Plotly marks what is chosen in a view itself, here in every view: its 'restyle' draws each of
 # them anew, which takes twenty times as long.
@@ -26,8 +26,8 @@ function markSamples(numbers) {
     }
 }
 </script>"""
-NUMBERS = "event => emit((event?.points ?? []).map(point => point.customdata))"
-LOOK = {
+SELECTION_HANDLER = "event => emit((event?.points ?? []).map(point => point.customdata))"
+MARKED_STYLE = {
     "selected": {"marker": {"color": PATTERN, "size": 11}},
     "unselected": {"marker": {"opacity": 0.35}},
 }
@@ -51,7 +51,7 @@ class Marking:
     def markable(self, figure: dict[str, Any]) -> dict[str, Any]:
         """A figure whose points can be marked where they carry samples' numbers."""
         figure = {
-            "data": [t | LOOK if "customdata" in t else t for t in figure["data"]],
+            "data": [t | MARKED_STYLE if "customdata" in t else t for t in figure["data"]],
             "layout": figure["layout"] | {"dragmode": "select"},
             "config": {"displaylogo": False},
         }
@@ -60,7 +60,7 @@ class Marking:
 
     def follow(self, view: Any) -> None:
         """Mark what is chosen in a view, and in it what is chosen in another."""
-        view.on("plotly_selected", lambda e: self._brush(e.args), js_handler=NUMBERS)
+        view.on("plotly_selected", lambda e: self._brush(e.args), js_handler=SELECTION_HANDLER)
         view.on("plotly_deselect", self._forget)
         self._views.append(view)
 
@@ -81,7 +81,7 @@ class Marking:
             self.mark(set())
 
 
-class Place:
+class FigureSlot:
     """Where one figure after the other is shown, and nothing while there is none."""
 
     def __init__(self, marking: Marking | None = None):
@@ -96,6 +96,6 @@ class Place:
         before = self._view
         with self._column:
             figure = self._marking.markable(figure) if self._marking else figure
-            self._view = drawn(figure, words, before)
+            self._view = draw_figure(figure, words, before)
         if self._marking and before is None:
             self._marking.follow(self._view)

@@ -11,13 +11,21 @@ from nicegui import run, ui
 
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.reporting.colours import MEASURED, PATTERN, QUIET
-from parallel_cal.session.history import shown
+from parallel_cal.session.history import format_first_error
 from parallel_cal.workbench.bench import Bench, Live
-from parallel_cal.workbench.failing import Failing
+from parallel_cal.workbench.failing import ResidualsCard
 from parallel_cal.workbench.header import Header
 from parallel_cal.workbench.live import LiveCard
-from parallel_cal.workbench.looks import CSS, HEAD, HEADER_HEIGHT, ROUND, card, drawn, table
-from parallel_cal.workbench.marking import SCRIPT, Marking, Place
+from parallel_cal.workbench.looks import (
+    CSS,
+    FIGURE_MARGIN,
+    HEAD,
+    HEADER_HEIGHT,
+    card,
+    draw_figure,
+    table,
+)
+from parallel_cal.workbench.marking import SCRIPT, FigureSlot, Marking
 
 EMPTY = (
     "Looking at the measurements: this takes a few seconds.",
@@ -53,7 +61,7 @@ class Window:
             if bench.live is not None:
                 LiveCard(bench, bench.live, self.header.campaign)
             with ui.column().classes("w-full") as self.top:
-                self.failing = Failing(self.marking)
+                self.failing = ResidualsCard(self.marking)
             self.body = ui.column().classes("w-full gap-4")
         self.layer = ui.element()  # dialogs stay while the body is drawn anew
         self._draw()
@@ -107,9 +115,9 @@ class Window:
                     with ui.column().classes("gap-0 grow"):
                         ui.label(one["name"]).classes("font-bold" if one["found"] else "")
                         ui.label(one["physics"]).classes("text-sm")
-                        ui.label(one["against"] or _apart(one)).classes("text-xs").style(
-                            "opacity: 0.75"
-                        )
+                        ui.label(one["against"] or _describe_lookalikes(one)).classes(
+                            "text-xs"
+                        ).style("opacity: 0.75")
                         if one["found"] and one["remedy"]:
                             ui.label(f"At the machine: {one['remedy']}.").classes("text-sm")
                         if one["pattern"]:
@@ -123,7 +131,7 @@ class Window:
                         ui.label(f"{one['name']}: {one['why']}").style("opacity: 0.7")
 
     def _pattern(self, one: dict[str, Any]) -> None:
-        Place(self.marking).show(one["pattern"]["figure"], one["pattern"]["words"])
+        FigureSlot(self.marking).show(one["pattern"]["figure"], one["pattern"]["words"])
 
     def _unfolded(self, title: str, key: str, draw: Callable[[], None]) -> None:
         """Something that is drawn once somebody wants to see it, and then stays open."""
@@ -146,8 +154,8 @@ class Window:
             rows = [
                 {
                     "step": state.step,
-                    "before": shown(state.before),
-                    "after": shown(state.errors),
+                    "before": format_first_error(state.before),
+                    "after": format_first_error(state.errors),
                     "out": len(state.excluded),
                     "verdict": state.verdict or state.against,
                 }
@@ -164,17 +172,17 @@ class Window:
                     list(session.record.branches),
                     value=session.record.branch,
                     label="branch",
-                    on_change=lambda e: bench.at_once("switch", e.value),
+                    on_change=lambda e: bench.run_now("switch", e.value),
                 ).classes("w-48").set_enabled(not bench.busy)
                 name = ui.input("new branch from here").classes("w-48")
                 ui.button(
-                    "Branch", on_click=lambda: bench.at_once("start_branch", name.value or "")
+                    "Branch", on_click=lambda: bench.run_now("start_branch", name.value or "")
                 ).props("dense outline")
                 if len(session.record.branches) > 1:
                     ui.button("Compare", on_click=self._compare).props("dense outline")
             if len(session.record.branches) > 1:
                 beside = [
-                    {"branch": k, "step": s.step, "after": shown(s.errors),
+                    {"branch": k, "step": s.step, "after": format_first_error(s.errors),
                      "out": len(s.excluded)}
                     for k, s in session.compared().items()
                 ]  # fmt: skip
@@ -186,10 +194,10 @@ class Window:
                 )  # fmt: skip
 
     def _compare(self) -> None:
-        from parallel_cal.workbench.beside import Beside  # NumPy, only for this
+        from parallel_cal.workbench.beside import BranchComparison  # NumPy, only for this
 
         with self.layer:
-            Beside(self.bench.session)
+            BranchComparison(self.bench.session)
 
     # ------------------------------------------------------------------ samples, parameters, next
 
@@ -247,7 +255,7 @@ class Window:
             ui.label(f"Sample {sample}: its readings, less their means").classes("font-bold")
             ui.label(shown.get("words", ""))
             if figure := shown.get("figure"):
-                drawn(figure, f"readings of sample {sample}")
+                draw_figure(figure, f"readings of sample {sample}")
             ui.button("Close", on_click=dialog.close).props("dense outline")
 
     def _parameters(self, view: dict[str, Any]) -> None:
@@ -275,7 +283,9 @@ class Window:
                 ).classes("w-64").set_enabled(not bench.busy)
             if view["drawing"]:
                 self._unfolded(
-                    "where they are", "drawing", partial(drawn, view["drawing"], "the mechanism")
+                    "where they are",
+                    "drawing",
+                    partial(draw_figure, view["drawing"], "the mechanism"),
                 )
             for line in view["cannot_tell"]:
                 ui.label(f"The data cannot tell {line}.").classes("text-sm")
@@ -342,11 +352,11 @@ class Window:
             )
         ]  # fmt: skip
         axes = {f"{k}axis": {"title": {"text": f"{k} [mm]"}} for k in "xyz"}
-        layout = {"height": 380, "margin": ROUND, "scene": axes}
-        drawn({"data": traces, "layout": layout}, "planned poses among those measured")
+        layout = {"height": 380, "margin": FIGURE_MARGIN, "scene": axes}
+        draw_figure({"data": traces, "layout": layout}, "planned poses among those measured")
 
 
-def _apart(one: dict[str, Any]) -> str:
+def _describe_lookalikes(one: dict[str, Any]) -> str:
     """What a candidate is taken for, and what tells it from that."""
     words = [f"looks like {one['lookalikes']}"] if one["lookalikes"] else []
     return "; ".join(words + ([f"told apart by {one['apart']}"] if one["apart"] else []))

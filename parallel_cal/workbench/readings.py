@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from parallel_cal.base.documents import plain
+from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.reporting.colours import QUIET
 
@@ -49,4 +49,4 @@ def signals(folder: Path, sample: int) -> dict[str, Any]:
                    "title": {"text": "measured − sample [µm]"}},
         "shapes": [dwell],
     }  # fmt: skip
-    return {"figure": plain({"data": traces, "layout": layout})}
+    return {"figure": to_json_value({"data": traces, "layout": layout})}

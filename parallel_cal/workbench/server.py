@@ -9,7 +9,9 @@ from urllib.parse import parse_qs, urlsplit
 
 from parallel_cal.workbench.bench import Bench, Live
 
-RECONNECT = 60.0  # s a window may be silent: drawing in space without a graphics card takes seconds
+RECONNECT_TIMEOUT_S = (
+    60.0  # s a window may be silent: drawing in space without a graphics card takes seconds
+)
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 
 
@@ -27,12 +29,12 @@ class Guard:
             return await self.app(scope, receive, send)
         headers = {k.decode("latin-1"): v.decode("latin-1") for k, v in scope["headers"]}
         asked = parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[0]
-        if not self._known(f"//{headers.get('host', '')}") or (
-            "origin" in headers and not self._known(headers["origin"])
+        if not self._is_known_host(f"//{headers.get('host', '')}") or (
+            "origin" in headers and not self._is_known_host(headers["origin"])
         ):
-            return await self._refused(scope, send, b"foreign Host or Origin")
-        if self.token and not self._allowed(asked, headers.get("cookie", "")):
-            return await self._refused(scope, send, b"a token is needed: open the link printed")
+            return await self._refuse(scope, send, b"foreign Host or Origin")
+        if self.token and not self._is_allowed(asked, headers.get("cookie", "")):
+            return await self._refuse(scope, send, b"a token is needed: open the link printed")
 
         async def with_cookie(message: Any) -> None:
             if message["type"] == "http.response.start" and self.token and asked:
@@ -42,14 +44,14 @@ class Guard:
 
         await self.app(scope, receive, with_cookie)
 
-    def _known(self, url: str) -> bool:
+    def _is_known_host(self, url: str) -> bool:
         return urlsplit(url).hostname in self.hosts
 
-    def _allowed(self, asked: str, cookies: str) -> bool:
+    def _is_allowed(self, asked: str, cookies: str) -> bool:
         given = [asked, *(c.partition("=")[2] for c in cookies.split("; ") if c[:6] == "token=")]
         return any(hmac.compare_digest(one, self.token) for one in given)
 
-    async def _refused(self, scope: Any, send: Any, why: bytes) -> None:
+    async def _refuse(self, scope: Any, send: Any, why: bytes) -> None:
         if scope["type"] == "websocket":
             return await send({"type": "websocket.close", "code": 1008})
         head = [(b"content-type", b"text/plain")]
@@ -80,6 +82,6 @@ def serve(
     app.add_middleware(Guard, hosts=(*LOOPBACK, host), token=token)
     ui.run(
         host=host, port=port, show=show, reload=False, title="parallel-cal", favicon="📐",
-        show_welcome_message=False, dark=None, reconnect_timeout=RECONNECT,
+        show_welcome_message=False, dark=None, reconnect_timeout=RECONNECT_TIMEOUT_S,
         uvicorn_logging_level="warning",
     )  # fmt: skip

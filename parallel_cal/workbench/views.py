@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from parallel_cal.base.documents import plain
+from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.progress import Progress
 from parallel_cal.diagnosis.comparison import Comparison, compare
 from parallel_cal.diagnosis.diagnose import Diagnosis
 from parallel_cal.diagnosis.entries import Entry
-from parallel_cal.diagnosis.patterns import Along
+from parallel_cal.diagnosis.patterns import ResidualProfile
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.signature import Signature, signature
 from parallel_cal.diagnosis.thresholds import LEVELS
@@ -24,13 +24,13 @@ from parallel_cal.model.model import Model
 from parallel_cal.reporting import contents, drawings, maps, multiples, rounds, signatures, spaces
 from parallel_cal.reporting.figures import Spec
 from parallel_cal.reporting.readable import (
+    error_unit,
     in_unit,
-    large,
     number,
     percent,
     probability,
-    small,
     unit_of,
+    value_unit,
 )
 from parallel_cal.reporting.report import Report, report
 from parallel_cal.session.session import Session
@@ -44,7 +44,9 @@ def glance(session: Session) -> View | None:
     state = session.state
     if not (session.recordings and state.errors):
         return None
-    shown = _compared(compare(session.model, session.dataset, session.options.joint_sigma))
+    shown = _make_comparison_view(
+        compare(session.model, session.dataset, session.options.joint_sigma)
+    )
     tiles = [("before", state.before), ("now", state.errors), ("noise alone", state.noise)]
     summaries = [(name, Summary(**known)) for name, known in tiles if known]
     kinds = [k for k in ("position", "orientation", "reading") if summaries[0][1].rms(k)]
@@ -64,22 +66,24 @@ def view(session: Session, progress: Progress) -> View:
     if not session.recordings:
         return {}
     if not session.state.errors:
-        return _compared(compare(session.model, session.dataset, session.options.joint_sigma))
+        return _make_comparison_view(
+            compare(session.model, session.dataset, session.options.joint_sigma)
+        )
     how = session.options
     found = report(
         session.model, session.dataset, progress=progress, options=how, hold_out=how.hold_out
     )
     verdict = found.diagnosis.verdict
-    session.judged(session.state, f"{verdict.word}: {verdict.summary}")
-    return _reported(found)
+    session.record_verdict(session.state, f"{verdict.word}: {verdict.summary}")
+    return _make_report_view(found)
 
 
-def _compared(found: Comparison) -> View:
+def _make_comparison_view(found: Comparison) -> View:
     kinds = [k for k in ("position", "orientation", "reading") if found.errors.summary.rms(k)]
     in_sample = any(fits_of(found.model, found.dataset))
     where = "at the samples that the model was fitted on" if in_sample else "at all samples"
     tiles = [_tile("now", found.errors.summary, kinds, where)]
-    if found.noise.known:
+    if found.noise.is_known:
         tiles.append(_tile("noise alone", found.noise, kinds, where))
     residuals = contents.Residuals.of(found.scene, found.field)
     return {
@@ -88,7 +92,7 @@ def _compared(found: Comparison) -> View:
         "budget": [],
         "iso": [_iso(one) for one in iso_9283(found.errors, found.observations)],
         "arrows": _arrows(residuals),
-        "residuals": _residuals(residuals, found.along),
+        "residuals": _residuals(residuals, found.residual_profiles),
         "pictures": list(_pictures(residuals, found.scene, None)),
         "samples": [
             _sample(*one)
@@ -120,7 +124,7 @@ def _compared_words(found: Comparison) -> str:
     return "compared with the measurements; not identified yet"
 
 
-def _reported(found: Report) -> View:
+def _make_report_view(found: Report) -> View:
     diagnosis, errors = found.diagnosis, found.errors
     now = diagnosis.base.fitted  # the model of this state; what was found is only proposed
     identified = contents.parameters(now)
@@ -129,7 +133,7 @@ def _reported(found: Report) -> View:
         tiles.append(
             _tile(f"if {' and '.join(diagnosis.effects)} is added", errors.found, errors.kinds)
         )
-    if errors.noise.known:
+    if errors.noise.is_known:
         tiles.append(_tile("noise alone", errors.noise, errors.kinds))
     judged = {one.sample: one for one in found.samples}
     return {
@@ -146,16 +150,16 @@ def _reported(found: Report) -> View:
             for one in [judged[int(n)]]
         ],
         "candidates": [_candidate(e, found) for e in diagnosis.entries if e.p_adjusted is not None],
-        "together": _together(diagnosis),
+        "together": _combine_effects(diagnosis),
         "untested": [
             {"name": e.name, "why": e.reason} for e in diagnosis.entries if e.p_adjusted is None
         ],
         "parameters": [_parameter(name, p) for name, p in identified.items()],
-        "drawing": plain(drawings.drawing(diagnosis.model, found=identified)),
+        "drawing": to_json_value(drawings.drawing(diagnosis.model, found=identified)),
         "advice": list(diagnosis.measure_next.advice),
         "cannot_tell": [
             " ".join(f"{weight:+.2f} {name}" for name, weight in one["combination"].items())
-            for one in plain(contents.combinations(now))["unidentifiable"]
+            for one in to_json_value(contents.combinations(now))["unidentifiable"]
             if isinstance(one.get("combination"), Mapping)
         ],
     }
@@ -178,7 +182,7 @@ def _tile(
 ) -> View:
     values = []
     for kind in kinds:
-        unit, factor = small(unit_of(kind, {}))
+        unit, factor = error_unit(unit_of(kind, {}))
         values.append({"value": number(e.rms(kind), factor), "unit": unit, "kind": kind})
     return {"name": name, "values": values, "where": where}
 
@@ -186,7 +190,7 @@ def _tile(
 def _budget(budgets: Sequence[Budget]) -> Iterator[View]:
     """Parts of the first kind of error, the largest by itself first."""
     for budget in budgets[:1]:
-        unit, factor = small(unit_of(budget.kind, {}))
+        unit, factor = error_unit(unit_of(budget.kind, {}))
         for part in sorted(budget.parts, key=lambda p: -(p.alone or 0.0)):
             yield {
                 "name": part.name,
@@ -197,7 +201,7 @@ def _budget(budgets: Sequence[Budget]) -> Iterator[View]:
 
 
 def _iso(found: Iso9283) -> str:
-    unit, factor = small(unit_of(found.kind, {}))
+    unit, factor = error_unit(unit_of(found.kind, {}))
     again = f", RP {number(found.repeatability, factor)} {unit}" if found.repeatability else ""
     return f"{found.kind}: AP {number(found.accuracy_mean, factor)} {unit}{again}"
 
@@ -210,7 +214,7 @@ def _arrows(residuals: contents.Residuals) -> View | None:
     )
     field = {"kind": residuals.kind, "places": residuals.place, "vectors": residuals.now,
              "numbers": residuals.sample}  # fmt: skip
-    return plain({"figure": figure, "scale": scale, "field": field})
+    return to_json_value({"figure": figure, "scale": scale, "field": field})
 
 
 def _first(found: Report) -> Signature | None:
@@ -228,31 +232,33 @@ def _pictures(
     over = f"; the pattern of {laid.effect} laid over" if laid else ""
     words = "each joint's reading minus what the measured pose asks for"
     if own.joints:
-        yield _picture("joints", f"{words}, against the reading{over}", rounds.straight(own, laid))
-        if bent := rounds.around(own, laid):
+        yield _picture(
+            "joints", f"{words}, against the reading{over}", rounds.flat_panels(own, laid)
+        )
+        if bent := rounds.polar_panels(own, laid):
             yield _picture("joints, round", f"{words}, round the reading{over}", bent)
     if residuals.kind is not None:
         flat, scale = maps.residuals(
             residuals.place, [residuals.now], residuals.kind, residuals.sample
         )
         yield _picture("sides", f"residuals from three sides, {scale:g} times as long", flat)
-    if (spread := maps.Spread.of(scene.model)) is not None:
+    if (spread := maps.PositionUncertainty.of(scene.model)) is not None:
         known, scale = maps.workspace(spread)
         words = f"what the model itself leaves open: 1-sigma ellipses, {scale:g} times as large"
         yield _picture("uncertainty", words, known)
 
 
 def _picture(name: str, words: str, figure: Spec) -> View:
-    return {"name": name, "words": words, "figure": plain(figure)}
+    return {"name": name, "words": words, "figure": to_json_value(figure)}
 
 
-def _residuals(residuals: contents.Residuals, striking: Sequence[Along]) -> View:
+def _residuals(residuals: contents.Residuals, striking: Sequence[ResidualProfile]) -> View:
     """Residuals in sigmas (N, k) by component, and what they may go with (N,), most striking
     first; what does not vary tells nothing."""
     along = {}
-    for one in residuals.telling(striking):
+    for one in residuals.select_informative(striking):
         values = residuals.regressors[one.name]
-        unit, factor = large(residuals.units[one.name])
+        unit, factor = value_unit(residuals.units[one.name])
         along[one.name] = {
             "values": np.round(values * factor, 5),
             "unit": unit,
@@ -261,7 +267,7 @@ def _residuals(residuals: contents.Residuals, striking: Sequence[Along]) -> View
             "band": np.round(one.band, 3),
             "rolls": len(np.unique(values)) > LEVELS,
         }
-    return plain(
+    return to_json_value(
         {
             "components": residuals.components,
             "colours": [multiples.colour(name) for name in residuals.components],
@@ -275,7 +281,7 @@ def _residuals(residuals: contents.Residuals, striking: Sequence[Along]) -> View
     )
 
 
-def _together(diagnosis: Diagnosis) -> View | None:
+def _combine_effects(diagnosis: Diagnosis) -> View | None:
     """Several effects that were found, to be added at once: one alone may not stand."""
     if len(diagnosis.effects) < 2:
         return None
@@ -284,7 +290,7 @@ def _together(diagnosis: Diagnosis) -> View | None:
 
 def _candidate(entry: Entry, found: Report) -> View:
     kind = next(iter(found.errors.kinds), "joint")
-    unit, factor = small(unit_of(kind, found.provenance.joint_units))
+    unit, factor = error_unit(unit_of(kind, found.provenance.joint_units))
     alone, effect = entry.alone, entry.candidate.effect
     fall = "" if alone is None else (
         f"{number(alone.before.rms(kind), factor)} → {number(alone.after.rms(kind), factor)} {unit}"
@@ -310,7 +316,9 @@ def _pattern(entry: Entry, model: Model) -> View | None:
         return None
     laid, mechanism = signature(entry.candidate), model.mechanism
     return _picture(
-        entry.name, signatures.in_words(laid, mechanism), signatures.figure(laid, mechanism)
+        entry.name,
+        signatures.describe_signature(laid, mechanism),
+        signatures.figure(laid, mechanism),
     )
 
 
@@ -324,7 +332,7 @@ def _sample(number: int, time: float, error: float, sigmas: float, odd: str = ""
     }
 
 
-def _parameter(name: str, p: contents.Described) -> View:
+def _parameter(name: str, p: contents.DescribedParameter) -> View:
     value, unit = in_unit(p.value, p.unit)
     sigma = None if p.sigma is None else in_unit(p.sigma, p.unit)[0]
     return {

@@ -13,12 +13,20 @@ from parallel_cal.model.mechanism import poses_in_workspace
 from parallel_cal.model.model import Model
 
 # How conditions are drawn: from these values, or about neutral by this much (1 sigma).
-DRAWN = {"direction": (-1.0, 0.0, 1.0), "session": (0.0, 1.0, 2.0)}
-SPREAD = {"temperature": 5.0, "payload": 0.0, "time": 100.0, "velocity": 0.5, "travel": 0.1}
-FAR = 20  # so many poses lie out of reach,
-READ = 1e-5  # rad or m, 1 sigma, by which joints disagree where there are more than coordinates
+CONDITION_CHOICES = {"direction": (-1.0, 0.0, 1.0), "session": (0.0, 1.0, 2.0)}
+CONDITION_SIGMAS = {
+    "temperature": 5.0,
+    "payload": 0.0,
+    "time": 100.0,
+    "velocity": 0.5,
+    "travel": 0.1,
+}
+N_UNREACHABLE_POSES = 20  # so many poses lie out of reach,
+JOINT_DISAGREEMENT_SIGMA = (
+    1e-5  # rad or m, 1 sigma, by which joints disagree where there are more than coordinates
+)
 ROUNDING, SAME = 1e-9, 1e-3  # m that a pose is moved, rad or m that its joints then may
-BEYOND = 10.0  # by this times the mechanism's length (1 sigma)
+UNREACHABLE_DISTANCE_FACTOR = 10.0  # by this times the mechanism's length (1 sigma)
 
 
 def vectors(model: Model, poses: int) -> str:
@@ -27,11 +35,15 @@ def vectors(model: Model, poses: int) -> str:
     makes another one are left out."""
     rng = np.random.default_rng(0)
     r, R = poses_in_workspace(model.mechanism, poses, rng)
-    r[:FAR] += BEYOND * model.mechanism.length * rng.standard_normal(r[:FAR].shape)
+    r[:N_UNREACHABLE_POSES] += (
+        UNREACHABLE_DISTANCE_FACTOR
+        * model.mechanism.length
+        * rng.standard_normal(r[:N_UNREACHABLE_POSES].shape)
+    )
     r[-1], R[-1] = np.nan, np.nan
     r, turned = controlled_pose(model, r, R)
     a = np.column_stack(
-        [_drawn(name, poses, rng) for name in model.conditions] or [np.empty((poses, 0))]
+        [_draw_condition(name, poses, rng) for name in model.conditions] or [np.empty((poses, 0))]
     )
     a[-2] = np.nan
     at = {name: a[:, k] for k, name in enumerate(model.conditions)}
@@ -44,7 +56,7 @@ def vectors(model: Model, poses: int) -> str:
     steady = (steady | ~inverse.solved) & (near.status == inverse.status)
     home = np.array(model.mechanism.home.joints)
     q = np.where(inverse.ok[:, None], inverse.joints, home)
-    q += READ * rng.standard_normal(q.shape)
+    q += JOINT_DISAGREEMENT_SIGMA * rng.standard_normal(q.shape)
     q[-1] = np.nan
     names = [*model.conditions, *model.joints, *"xyz", *(f"R{i}{j}" for i in "123" for j in "123")]
     rows = [
@@ -54,13 +66,15 @@ def vectors(model: Model, poses: int) -> str:
     return "\n".join([",".join(["inverse", "status", *names]), *rows]) + "\n"
 
 
-def _drawn(condition: str, n: int, rng: np.random.Generator) -> np.ndarray:
+def _draw_condition(condition: str, n: int, rng: np.random.Generator) -> np.ndarray:
     kind = condition.split(".")[0]
-    if kind in DRAWN:
-        return rng.choice(DRAWN[kind], n)
+    if kind in CONDITION_CHOICES:
+        return rng.choice(CONDITION_CHOICES[kind], n)
     if kind == "payload":
         return rng.uniform(0.0, 1.0, n)
-    return (20.0 if kind == "temperature" else 0.0) + SPREAD[kind] * rng.standard_normal(n)
+    return (20.0 if kind == "temperature" else 0.0) + CONDITION_SIGMAS[kind] * rng.standard_normal(
+        n
+    )
 
 
 def _rows(problem: int, a: np.ndarray, answers: Solutions, **given: np.ndarray) -> list[str]:

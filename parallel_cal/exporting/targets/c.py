@@ -18,7 +18,12 @@ from parallel_cal.base.compiled import Single, dense
 from parallel_cal.base.errors import ModelError
 from parallel_cal.exporting.targets._vectors import vectors
 from parallel_cal.kinematics.newton import NewtonFunctions, newton_functions
-from parallel_cal.kinematics.solutions import CLOSED, SETTLED, SINGULAR, SUSPECT_PIVOT
+from parallel_cal.kinematics.solutions import (
+    MAX_CLOSED_RESIDUAL_M,
+    MAX_SETTLED_STEP_M,
+    MIN_REGULAR_SINGULAR_VALUE,
+    SUSPECT_PIVOT,
+)
 from parallel_cal.model.effect import CONDITIONS
 from parallel_cal.model.file.modelfile import model_hash
 from parallel_cal.model.model import Model
@@ -54,7 +59,7 @@ def files(model: Model, name: str = "", poses: int = 1000) -> dict[str, str]:
         f"{robot}_check.c": _template("check.c"),
         "Makefile": MAKEFILE,
     }
-    written = {file: filled(text, words) for file, text in templates.items()}
+    written = {file: fill_template(text, words) for file, text in templates.items()}
     return written | {f"{robot}_vectors.csv": vectors(model, poses)}
 
 
@@ -62,7 +67,7 @@ def _template(name: str) -> str:
     return resources(__package__).joinpath("_c", name).read_text(encoding="utf-8")
 
 
-def filled(text: str, words: Mapping[str, str]) -> str:
+def fill_template(text: str, words: Mapping[str, str]) -> str:
     return re.sub(r"@(\w+)@", lambda found: words[found[1]], text)
 
 
@@ -86,15 +91,15 @@ def _words(model: Model, robot: str) -> dict[str, str]:
         "controls": " ".join(m.controls), "n_joints": n, "rows": s.phi.shape[0],
         "n_conditions": len(names), "most": max(s.phi.shape[0], *map(len, unknown), n, 6),
         "constants": max(constants), "effects": int(bool(model.effects)),
-        "closed": CLOSED, "settled": SETTLED, "singular": SINGULAR, "suspect": SUSPECT_PIVOT,
+        "closed": MAX_CLOSED_RESIDUAL_M, "settled": MAX_SETTLED_STEP_M, "singular": MIN_REGULAR_SINGULAR_VALUE, "suspect": SUSPECT_PIVOT,
         "home": _list(m.home.configuration), "scale": _list(s.scale), "low": _list(limits[0]),
-        "high": _list(limits[1]), "turn": _list(m.turns), "neutral": _list(s.neutral or [0.0]),
-        "generated": _generated(model, newton),
+        "high": _list(limits[1]), "turn": _list(m.joint_periods), "neutral": _list(s.neutral or [0.0]),
+        "generated": _generate_functions(model, newton),
         "conditions": "\n".join(fields or ["    double none; /* the model needs none */"]),
         "copied": _lines(f"a[{k}] = at->{c};" for k, c in enumerate(names or ["none"])),
         "read": _lines((f"now.{c} = row[{2 + k}];" for k, c in enumerate(names)), 8),
-        "given": _lines(_copied("given", "", m.controlled)),
-        "passive": _lines(_copied("x", "start->", m.passive), 8),
+        "given": _lines(_generate_copy("given", "", m.controlled)),
+        "passive": _lines(_generate_copy("x", "start->", m.passive), 8),
     }  # fmt: skip
     for problem, u, g, c in zip(PROBLEMS, unknown, given, constants, strict=True):
         words |= {f"unknown_{problem}": _list(u), f"n_{problem}": len(u),
@@ -109,7 +114,7 @@ def _condition_names(model: Model) -> list[str]:
     return [f"{c}_{k}" if names.count(c) > 1 else c for k, c in enumerate(names)]
 
 
-def _copied(to: str, source: str, coordinates: list[int]) -> list[str]:
+def _generate_copy(to: str, source: str, coordinates: list[int]) -> list[str]:
     """C that copies these coordinates of a pose; a rotation can only be copied as a whole."""
     lines = [f"{to}[NQ + {i}] = {source}position[{i}];" for i in coordinates if i < 3]
     if any(i >= 3 for i in coordinates):
@@ -132,7 +137,7 @@ def _number(value: float) -> str:
 # ------------------------------------------------------------------ CasADi's expressions as C
 
 
-def _generated(model: Model, newton: list[NewtonFunctions]) -> str:
+def _generate_functions(model: Model, newton: list[NewtonFunctions]) -> str:
     """The functions that the templates call, the model's numbers in them."""
     s = model.structure
     parts = [s.closure_configuration(s.configuration, s.a, ca.DM(model.values))]
@@ -143,13 +148,13 @@ def _generated(model: Model, newton: list[NewtonFunctions]) -> str:
         prepare = dense(f"{problem}_prepare", [s.configuration, s.a], [before])
         functions += [
             (prepare, "given a", "before"),
-            (_renamed(step.step, f"{problem}_step"), "x constants", "to length pivot"),
-            (_renamed(step.residual, f"{problem}_residual"), "x constants", "phi"),
+            (_rename_function(step.step, f"{problem}_step"), "x constants", "to length pivot"),
+            (_rename_function(step.residual, f"{problem}_residual"), "x constants", "phi"),
         ]
     return "\n".join(_c_function(f, ins.split(), outs.split()) for f, ins, outs in functions)
 
 
-def _renamed(function: ca.Function, name: str) -> ca.Function:
+def _rename_function(function: ca.Function, name: str) -> ca.Function:
     inputs = function.sx_in()
     return ca.Function(name, inputs, function.call(inputs))
 

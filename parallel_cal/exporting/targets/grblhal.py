@@ -14,39 +14,39 @@ from pathlib import Path
 
 import numpy as np
 
-from parallel_cal.exporting.deltas import ROTARY, like_shoulders
+from parallel_cal.exporting.deltas import ROTARY, fit_equal_shoulders
 from parallel_cal.exporting.projection import Firmware, Projection
 from parallel_cal.importing.deltas import DEGREE, MM, Shoulders
-from parallel_cal.importing.stated import Place, Stated, lines
+from parallel_cal.importing.stated import Settings, SourceLine, read_lines
 from parallel_cal.model.model import Model
 
 HOLDS = ROTARY
 FILE = "settings.txt"
-PLACES = np.radians([270.0, 30.0, 150.0])
+SHOULDER_ANGLES = np.radians([270.0, 30.0, 150.0])
 SIDE = np.tan(np.radians(30)) / 2  # from a triangle's side to what its axis is from the centre
 
 
-def settings(paths: Sequence[Path]) -> Stated:
+def settings(paths: Sequence[Path]) -> Settings:
     """`$641=250.000`, as `$$` lists them."""
-    texts: dict[str, tuple[str, Place]] = {}
+    texts: dict[str, tuple[str, SourceLine]] = {}
     for path in paths:
-        for place, line in lines(path):
+        for place, line in read_lines(path):
             if found := re.match(r"\s*(\$\d+)\s*=\s*([^\s;(]*)", line):
                 texts[found[1]] = (found[2], place)
-    return Stated(texts, paths)
+    return Settings(texts, paths)
 
 
-def firmware(stated: Stated) -> Firmware:
+def firmware(stated: Settings) -> Firmware:
     rod, arm = (stated.number(f"${n}", "a length in mm", low=1.0) * MM for n in (641, 642))
     sides = [stated.number(f"${n}", "a triangle's side in mm", low=0.0) for n in (643, 644)]
     top = stated.number("$646", "the homing angle in degrees", low=-90.0, high=90.0)
     same, limits = np.ones(3), ((-np.pi / 2, -top * DEGREE),) * 3
     radius = SIDE * (sides[0] - sides[1]) * MM
-    return Shoulders(radius, 0 * same, arm * same, rod * same, PLACES, limits)
+    return Shoulders(radius, 0 * same, arm * same, rod * same, SHOULDER_ANGLES, limits)
 
 
 def project(model: Model) -> Projection:
-    delta, found = like_shoulders(model, PLACES, one_stop=True)
+    delta, found = fit_equal_shoulders(model, SHOULDER_ANGLES, one_stop=True)
     numbers = (delta.rods[0] / MM, delta.arms[0] / MM, delta.radius / MM / SIDE, 0.0)
     written = {f"${641 + k}": f"{number:.3f}" for k, number in enumerate(numbers)}
     written["$646"] = f"{-delta.homed[0] / DEGREE:.3f}"

@@ -19,7 +19,7 @@ from parallel_cal.exporting.projection import Firmware, Projection
 from parallel_cal.importing.deltas import DEGREE, MM, Shoulders
 from parallel_cal.importing.importers import klipper
 from parallel_cal.importing.importers.klipper import STEPPERS
-from parallel_cal.importing.stated import Stated
+from parallel_cal.importing.stated import Settings
 from parallel_cal.model.model import Model
 
 HOLDS = (*LINEAR, *ROTARY)
@@ -27,11 +27,11 @@ FILE = "printer.cfg"
 DECIMALS = 6  # of mm and degrees, as SAVE_CONFIG writes them
 
 
-def settings(paths: Sequence[Path]) -> Stated:
+def settings(paths: Sequence[Path]) -> Settings:
     return klipper.settings(paths)
 
 
-def firmware(stated: Stated) -> Firmware:
+def firmware(stated: Settings) -> Firmware:
     return klipper.delta(stated)
 
 

@@ -14,13 +14,13 @@ from pathlib import Path
 import numpy as np
 
 from parallel_cal.base.errors import ModelError
-from parallel_cal.exporting.deltas import LINEAR, ROTARY, like_shoulders, like_towers
-from parallel_cal.exporting.projection import Firmware, Frame, Machine, Projection, fitted
+from parallel_cal.exporting.deltas import LINEAR, ROTARY, fit_equal_shoulders, fit_equal_towers
+from parallel_cal.exporting.projection import Firmware, Frame, Machine, Projection, fit_numbers
 from parallel_cal.exporting.targets import c
 from parallel_cal.importing.deltas import DEGREE, MM, Shoulders
 from parallel_cal.importing.importers import linuxcnc
 from parallel_cal.importing.importers.linuxcnc import HOMED
-from parallel_cal.importing.stated import Stated
+from parallel_cal.importing.stated import Settings
 from parallel_cal.importing.struts import Struts
 from parallel_cal.model.model import Model
 
@@ -33,7 +33,7 @@ SWITCHES = (
     "elsewhere, make these limits so"
 )
 TOWERS, SHOULDERS = np.radians([90.0, 210.0, 330.0]), np.radians([270.0, 30.0, 150.0])
-THIGH = {"platformradius": "R", "thighlength": "U", "shinlength": "L", "footradius": "E"}
+ROTARY_PINS = {"platformradius": "R", "thighlength": "U", "shinlength": "L", "footradius": "E"}
 
 
 def files(model: Model, name: str = "") -> dict[str, str]:
@@ -44,7 +44,7 @@ def files(model: Model, name: str = "") -> dict[str, str]:
         raise ModelError(f"{model.mechanism.name} has {len(model.joints)} joints, LinuxCNC 9")
     m, tool = model.mechanism, resources(__package__).joinpath("_c", "kins.c")
     factors = [MM if unit == "m" else DEGREE for unit in m.joint_units]
-    text = c.filled(
+    text = c.fill_template(
         tool.read_text(encoding="utf-8"),
         {"robot": robot, "ROBOT": robot.upper(), "factors": ", ".join(map(repr, factors)),
          "turns": str(int(any(i >= 3 for i in m.controlled)))},
@@ -53,11 +53,11 @@ def files(model: Model, name: str = "") -> dict[str, str]:
             f"{robot}_kins.c": text}  # fmt: skip
 
 
-def settings(paths: Sequence[Path]) -> Stated:
+def settings(paths: Sequence[Path]) -> Settings:
     return linuxcnc.settings(paths)
 
 
-def firmware(stated: Stated) -> Firmware:
+def firmware(stated: Settings) -> Firmware:
     """With the kinematics whose pins are set."""
     unit = stated.texts.get("[TRAJ] LINEAR_UNITS")
     if unit and unit[0] != "mm":
@@ -66,8 +66,8 @@ def firmware(stated: Stated) -> Firmware:
     if "lineardeltakins.R" in stated:
         return linuxcnc.towers(stated, "mm")
     if "rotarydeltakins.thighlength" in stated:
-        size = {short: _pin(stated, f"rotarydeltakins.{pin}") for pin, short in THIGH.items()}
-        limits = tuple((-np.pi / 2, -float(top)) for top in _homed(stated, 3, DEGREE))
+        size = {short: _pin(stated, f"rotarydeltakins.{pin}") for pin, short in ROTARY_PINS.items()}
+        limits = tuple((-np.pi / 2, -float(top)) for top in _read_homed(stated, 3, DEGREE))
         return Shoulders(size["R"] - size["E"], 0 * same, size["U"] * same, size["L"] * same,
                          SHOULDERS, limits)  # fmt: skip
     stated.text(f"{HEXAPOD}.base.0.x", "pins of genhexkins, lineardeltakins or rotarydeltakins")
@@ -75,14 +75,14 @@ def firmware(stated: Stated) -> Firmware:
         np.array([[_pin(stated, f"{HEXAPOD}.{ends}.{k}.{a}") for a in "xyz"] for k in range(6)])
         for ends in ("base", "platform")
     )
-    return Struts(base, platform, _homed(stated, 6, MM))
+    return Struts(base, platform, _read_homed(stated, 6, MM))
 
 
-def _pin(stated: Stated, name: str) -> float:
+def _pin(stated: Settings, name: str) -> float:
     return stated.number(name, f"setp {name}, a length in mm", None, -1e5, 1e5) * MM
 
 
-def _homed(stated: Stated, n: int, unit: float) -> np.ndarray:
+def _read_homed(stated: Settings, n: int, unit: float) -> np.ndarray:
     expected = "where the joint is at its switch, mm or degrees"
     return np.array([stated.number(HOMED.format(i), expected, 0.0) for i in range(n)]) * unit
 
@@ -90,13 +90,13 @@ def _homed(stated: Stated, n: int, unit: float) -> np.ndarray:
 def project(model: Model) -> Projection:
     name = model.mechanism.name
     if name in LINEAR:
-        tall, found = like_towers(model, TOWERS)
+        tall, found = fit_equal_towers(model, TOWERS)
         pins = {"lineardeltakins.R": tall.radius[0], "lineardeltakins.L": tall.rods[0]}
         homed = tall.homed / MM
     elif name in ROTARY:
-        turned, found = like_shoulders(model, SHOULDERS, one_stop=False)
+        turned, found = fit_equal_shoulders(model, SHOULDERS, one_stop=False)
         sizes = (turned.radius, turned.arms[0], turned.rods[0], 0.0)
-        pins = {f"rotarydeltakins.{p}": size for p, size in zip(THIGH, sizes, strict=True)}
+        pins = {f"rotarydeltakins.{p}": size for p, size in zip(ROTARY_PINS, sizes, strict=True)}
         homed = -turned.homed / DEGREE
     else:
         struts, found = _struts(model)
@@ -123,5 +123,5 @@ def _struts(model: Model) -> tuple[Struts, Machine]:
         struts = Struts(v[:18].reshape(6, 3), v[18:36].reshape(6, 3), v[36:])
         return Machine(struts, Frame(tuple(range(6)), np.ones(6)), stops)
 
-    found = machine(fitted(model, np.array([*np.ravel(ends), *lengths]), machine))
+    found = machine(fit_numbers(model, np.array([*np.ravel(ends), *lengths]), machine))
     return found.firmware, found  # type: ignore[return-value]

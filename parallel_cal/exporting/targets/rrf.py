@@ -16,39 +16,41 @@ from numpy.typing import ArrayLike
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.exporting.deltas import LINEAR, ROTARY, TOWERS, shoulders, towers
-from parallel_cal.exporting.editing import as_it_is
-from parallel_cal.exporting.projection import Firmware, Frame, Machine, Projection, fitted
+from parallel_cal.exporting.editing import read_verbatim
+from parallel_cal.exporting.projection import Firmware, Frame, Machine, Projection, fit_numbers
 from parallel_cal.importing.deltas import DEGREE, MM
 from parallel_cal.importing.fivebar import TURNS, FiveBars
 from parallel_cal.importing.gcode import settings as settings_of
 from parallel_cal.importing.importers import rrf
 from parallel_cal.importing.importers.rrf import ANCHORS
-from parallel_cal.importing.lines import Lines
-from parallel_cal.importing.stated import Stated
+from parallel_cal.importing.lines import Hangprinter
+from parallel_cal.importing.stated import Settings
 from parallel_cal.model.model import Model
 
 HOLDS = (*LINEAR, *ROTARY, "five_bar", "cable")
 FILE, OVERRIDE = "config.g", "config-override.g"
 LOADS_OVERRIDE = re.compile(r"^\s*M501\b", re.MULTILINE | re.IGNORECASE)
 TEETH = 20  # of a motor's gear, where they suit
-THIN = 2e-6  # m: the firmware divides by the build-up, and less than this drowns in its rounding
+MIN_BUILDUP_M = (
+    2e-6  # m: the firmware divides by the build-up, and less than this drowns in its rounding
+)
 
 
-def settings(paths: Sequence[Path]) -> Stated:
+def settings(paths: Sequence[Path]) -> Settings:
     return settings_of(paths, rrf.CODES)
 
 
 def read_later(paths: Sequence[Path]) -> list[Path]:
     """`config-override.g` beside a file whose M501 has the firmware read it."""
     overrides = [
-        path.with_name(OVERRIDE) for path in paths if LOADS_OVERRIDE.search(as_it_is(path))
+        path.with_name(OVERRIDE) for path in paths if LOADS_OVERRIDE.search(read_verbatim(path))
     ]
     return [path for path in overrides if path.is_file()]
 
 
-def firmware(stated: Stated) -> Firmware:
-    of: dict[int, Callable[[Stated], Firmware]] = {6: rrf.lines_of, 9: rrf.five_bars_of}
-    return of.get(rrf.kind(stated), rrf.delta_of)(stated)
+def firmware(stated: Settings) -> Firmware:
+    of: dict[int, Callable[[Settings], Firmware]] = {6: rrf.read_hangprinter, 9: rrf.read_five_bars}
+    return of.get(rrf.kind(stated), rrf.read_delta)(stated)
 
 
 def project(model: Model) -> Projection:
@@ -62,8 +64,8 @@ def _linear(model: Model) -> Projection:
     homed = delta.heights.mean()
     found = {"M665 L": _numbers(delta.rods / MM, 4), "M665 R": _numbers(delta.radius[:1] / MM, 4)}
     found |= {"M665 H": _numbers([homed / MM], 4)}
-    found |= _three("M665", delta.trim / DEGREE, 5)
-    found |= _three("M666", (delta.heights - homed) / MM, 4)
+    found |= _format_three("M665", delta.trim / DEGREE, 5)
+    found |= _format_three("M666", (delta.heights - homed) / MM, 4)
     slopes = zip("AB", delta.tilt, strict=True)
     found |= {f"M666 {axis}": _numbers([100 * slope], 5) for axis, slope in slopes}
     return Projection({FILE: found}, c.frame, c.stops)
@@ -79,7 +81,9 @@ def _rotary(model: Model) -> Projection:
              "M669 L": _numbers(delta.rods / MM, 4), "M669 H": _numbers(delta.heights / MM, 4),
              "M669 A": _numbers([max(least, -np.pi / 2) / DEGREE, top / DEGREE], 5),
              "M669 R": _numbers([delta.radius / MM], 4)}  # fmt: skip
-    found |= _three("M669", trim / DEGREE, 5) | _three("M666", (delta.homed - top) / DEGREE, 5)
+    found |= _format_three("M669", trim / DEGREE, 5) | _format_three(
+        "M666", (delta.homed - top) / DEGREE, 5
+    )
     return Projection({FILE: found}, c.frame, c.stops)
 
 
@@ -104,7 +108,7 @@ def _five_bar(model: Model) -> Projection:
         return Machine(bars, Frame((0, 1), np.ones(2)), stops)
 
     start = np.array([x[0], y[0], x[1], y[1], *cranks, *rods, *(stops + q0)])
-    found = machine(fitted(model, start, machine))
+    found = machine(fit_numbers(model, start, machine))
     bars = found.firmware
     assert isinstance(bars, FiveBars)
     mode = next(mode for mode, side in TURNS.items() if side == turns)
@@ -138,13 +142,13 @@ def _cable(model: Model) -> Projection:
 
     def machine(v: np.ndarray) -> Machine:
         own = v[3 * n : 3 * n + len(radii)][np.searchsorted(sorted({*spools}), spools)]
-        grown = max(float(v[-1]), THIN) if wound else THIN
-        lines = Lines(v[: 3 * n].reshape(n, 3), own, gears, advantages, grown)
+        grown = max(float(v[-1]), MIN_BUILDUP_M) if wound else MIN_BUILDUP_M
+        lines = Hangprinter(v[: 3 * n].reshape(n, 3), own, gears, advantages, grown)
         return Machine(lines, Frame(tuple(range(n)), np.ones(n)), np.zeros(n))
 
-    found = machine(fitted(model, np.array([*anchors.ravel(), *radii, *buildup]), machine))
+    found = machine(fit_numbers(model, np.array([*anchors.ravel(), *radii, *buildup]), machine))
     lines = found.firmware
-    assert isinstance(lines, Lines)
+    assert isinstance(lines, Hangprinter)
     teeth = [_teeth(gear) for gear in gears]
     settings = {"M669 K": "6", "M669 N": str(n)}
     points = zip(ANCHORS, lines.anchors / MM, strict=False)
@@ -156,8 +160,8 @@ def _cable(model: Model) -> Projection:
         "M666 H": ":".join(str(spool) for _, spool in teeth),
     }  # fmt: skip
     remarks = []
-    if lines.buildup == THIN:
-        remarks.append(f"M666 Q is not below {THIN / MM:g}, as the firmware divides by it")
+    if lines.buildup == MIN_BUILDUP_M:
+        remarks.append(f"M666 Q is not below {MIN_BUILDUP_M / MM:g}, as the firmware divides by it")
     if any(model.value(f"line{i}.offset") for i in rows):
         remarks.append(
             "it has no number for the lines' offset, which is lost: fit --fix '*.offset'"
@@ -177,6 +181,6 @@ def _numbers(values: ArrayLike, digits: int) -> str:
     return ":".join(f"{v + 0.0:.{digits}f}" for v in np.asarray(values, float))
 
 
-def _three(code: str, values: ArrayLike, digits: int) -> dict[str, str]:
+def _format_three(code: str, values: ArrayLike, digits: int) -> dict[str, str]:
     rows = zip("XYZ", np.asarray(values, float), strict=True)
     return {f"{code} {axis}": _numbers([value], digits) for axis, value in rows}

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from parallel_cal.base.documents import plain
+from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.errors import ModelError
 from parallel_cal.exporting.projection import summary
 from parallel_cal.kinematics.kinematics import Kinematics
@@ -20,8 +20,8 @@ from parallel_cal.model.mechanism import POSE, poses_in_workspace
 from parallel_cal.model.model import Model
 
 PROBLEMS = ("inverse", "direct")
-MOST = 100_000  # grid points: a minute's work
-JUDGED = 2000  # poses over the workspace, none of them on the grid
+MAX_GRID_POINTS = 100_000  # grid points: a minute's work
+N_VALIDATION_POSES = 2000  # poses over the workspace, none of them on the grid
 
 
 def files(
@@ -32,10 +32,10 @@ def files(
     if problem not in PROBLEMS:
         raise ModelError(f"problem={problem}: expected one of {', '.join(PROBLEMS)}")
     given = len(model.mechanism.controls if problem == "inverse" else model.joints)
-    if size**given > MOST:
-        fits = int(MOST ** (1 / given))
+    if size**given > MAX_GRID_POINTS:
+        fits = int(MAX_GRID_POINTS ** (1 / given))
         raise ModelError(
-            f"{given} axes at size={size} are {size**given} grid points, at most {MOST}: "
+            f"{given} axes at size={size} are {size**given} grid points, at most {MAX_GRID_POINTS}: "
             f"give table:size={fits} or less, or another target, c for one"
         )
     table = lookup_table.table_for(model, problem, None, size, order)
@@ -57,7 +57,7 @@ def files(
     }
     return {
         "table.csv": "\n".join([header, *lines]) + "\n",
-        "table.json": json.dumps(plain(about), indent=1, allow_nan=False) + "\n",
+        "table.json": json.dumps(to_json_value(about), indent=1, allow_nan=False) + "\n",
     }
 
 
@@ -65,7 +65,7 @@ def _error(model: Model, table: LookUpTable, problem: str) -> dict[str, Any]:
     """Of poses at random: where the robot goes less where it was sent (m, rad); direct: where it is
     told to be less where it is. `without` is the same of the nominal solution alone."""
     exact, m = Kinematics(model), model.mechanism
-    r, R = poses_in_workspace(m, JUDGED, np.random.default_rng(1))
+    r, R = poses_in_workspace(m, N_VALIDATION_POSES, np.random.default_rng(1))
     wanted = exact.inverse(r, R)
     order, size = table.order, len(table.axes[0])
     if problem == "inverse":

@@ -17,7 +17,7 @@ COLOURS = {
     "rod": "0.10 0.45 0.70 1", "platform": "0.15 0.60 0.35 1",
 }  # fmt: skip
 THICKNESS = 0.008  # of a link, in parts of the drawing's extent
-FAR = 1e3  # m: the limit of what has none
+UNLIMITED = 1e3  # m: the limit of what has none
 
 
 def files(model: Model, name: str = "robot") -> dict[str, str]:
@@ -62,21 +62,21 @@ def _join(root: ElementTree.Element, joint: Joint, tree: Tree) -> None:
     ElementTree.SubElement(part, "child", link=joint.child)
     ElementTree.SubElement(part, "origin", xyz=_numbers(joint.origin), rpy="0 0 0")
     ElementTree.SubElement(part, "axis", xyz=_numbers(joint.axis))
-    limits = {"lower": low, "upper": high, "velocity": speed, "effort": FAR}
+    limits = {"lower": low, "upper": high, "velocity": speed, "effort": UNLIMITED}
     if endless:
-        limits = {"velocity": speed, "effort": FAR}
+        limits = {"velocity": speed, "effort": UNLIMITED}
     ElementTree.SubElement(part, "limit", {k: _numbers([v]) for k, v in limits.items()})
 
 
 def _limits(joint: Joint, tree: Tree) -> tuple[float, float, float]:
     """Lowest and highest position and the speed of a joint of the robot; of a passive one none."""
-    model, none = tree.model, np.inf if joint.turns else FAR
+    model, none = tree.model, np.inf if joint.turns else UNLIMITED
     if joint.value is not None:
-        return -none, none, FAR
+        return -none, none, UNLIMITED
     i = model.joints.index(joint.name)
     low, high = np.clip(model.mechanism.joint_limits[i], -none, none)
     rates = model.mechanism.joint_rates
-    return low, high, min(rates[i][0], FAR) if rates else FAR
+    return low, high, min(rates[i][0], UNLIMITED) if rates else UNLIMITED
 
 
 def _numbers(values: object) -> str:

@@ -11,12 +11,12 @@ from parallel_cal.base.errors import FitError
 from parallel_cal.identification.linearisation import Linearisation, System
 from parallel_cal.identification.methods._estimate import (
     Estimate,
+    EstimationProblem,
     NormalEquations,
-    Sought,
-    concluded,
+    make_estimate,
 )
 from parallel_cal.identification.observations import Observations
-from parallel_cal.identification.thresholds import CHOICES, PATIENCE, STALLED
+from parallel_cal.identification.thresholds import MAX_DIRECTION_CHOICES, PATIENCE, STALLED
 from parallel_cal.model.model import Model
 
 # The system at parameters that lie a step (n_free,) from those of the system before (None at the
@@ -25,7 +25,7 @@ Reach = Callable[[np.ndarray, System | None, np.ndarray], System | None]
 
 
 @dataclass
-class Predicted(System):
+class PredictedSystem(System):
     """Whitened residuals (N, m) and Jacobian (N, m, n_free) of a method without adjustment,
     with the raw residuals and the Cholesky factors that whiten them."""
 
@@ -33,12 +33,12 @@ class Predicted(System):
     raw: np.ndarray = field(kw_only=True)
     whitener: np.ndarray = field(kw_only=True)
 
-    def of(self, index: np.ndarray) -> None:
+    def select(self, index: np.ndarray) -> None:
         return None  # its samples are those that could be solved
 
     def chi2_of(self, other: System) -> float:
         """Another point's chi2 in this one's weights: what a step from here can lower."""
-        assert isinstance(other, Predicted)
+        assert isinstance(other, PredictedSystem)
         return float(np.sum(np.linalg.solve(self.whitener, other.raw[:, :, None]) ** 2))
 
 
@@ -57,7 +57,7 @@ class _Point:
 
 
 def minimise(
-    sought: Sought, reach: Reach, advice: str, iterations: int, near: bool = False
+    sought: EstimationProblem, reach: Reach, advice: str, iterations: int, near: bool = False
 ) -> Estimate:
     """Levenberg-Marquardt (C.4) on whitened residuals, for every method that settles.
 
@@ -85,18 +85,18 @@ def minimise(
     first = reach(np.array(sought.model.values), None, stay)
     if first is None:
         raise FitError("the starting model has no solution at some samples: start nearer")
-    known, choices = sought.known(first), 1
+    known, choices = sought.make_knowledge(first), 1
     here, damping, costs = held(np.array(sought.model.values), first), 1e-6, [np.inf]
     promised = np.inf
     for k in range(iterations):
-        last = near and k > 0 and here.normal.arrives(promised)
-        if (k > 0 and here.normal.arrived) or last or _stalled(costs):
-            seen = sought.seen(here.system)
-            better = sought.known(here.system, seen)
-            if choices >= CHOICES or known.alike(better):
+        last = near and k > 0 and here.normal.will_converge(promised)
+        if (k > 0 and here.normal.has_converged) or last or _stalled(costs):
+            seen = sought.compute_spectrum(here.system)
+            better = sought.make_knowledge(here.system, seen)
+            if choices >= MAX_DIRECTION_CHOICES or known.is_close_to(better):
                 values = here.values.copy()
                 values[free] += here.normal.step(0.0)[0] if last else 0.0
-                found = concluded(sought, values, here.system, k, seen)
+                found = make_estimate(sought, values, here.system, k, seen)
                 return replace(found, system=here.system)
             known, choices, damping, costs = better, choices + 1, 1e-6, [np.inf]
             here = held(here.values, here.system)
@@ -126,8 +126,8 @@ def _stalled(costs: list[float]) -> bool:
     return len(costs) > PATIENCE and costs[-PATIENCE - 1] - costs[-1] < STALLED * costs[-1]
 
 
-def concluded_at(
-    sought: Sought,
+def make_estimate_at(
+    sought: EstimationProblem,
     values: np.ndarray,
     observations: Observations,
     covariance: np.ndarray,
@@ -139,13 +139,15 @@ def concluded_at(
     """
     linearise = Linearisation(sought.model, observations, sought.free, True)
     system = linearise(values, linearise.start())
-    found = concluded(sought, values, system, iterations, sought.seen(system, held=False))
+    found = make_estimate(
+        sought, values, system, iterations, sought.compute_spectrum(system, held=False)
+    )
     whole = np.zeros_like(found.covariance)
     whole[np.ix_(sought.free, sought.free)] = covariance
     return replace(found, covariance=whole)
 
 
-def spread(
+def propagate_covariance(
     influence: np.ndarray, model: Model, values: np.ndarray, observations: Observations
 ) -> np.ndarray:
     """Covariance of estimates that the errors of a closure's rows move by influence
@@ -157,7 +159,7 @@ def spread(
     return np.asarray(np.einsum("anr,nrs,bns->ab", parts, W, parts, optimize=True))
 
 
-def need_measured(
+def check_measured(
     observations: Observations, columns: np.ndarray, names: list[str], method: str
 ) -> None:
     """FitError where a coordinate that the method starts from was not measured, or where more

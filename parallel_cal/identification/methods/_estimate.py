@@ -10,7 +10,12 @@ import numpy as np
 from parallel_cal.identification.linearisation import System
 from parallel_cal.identification.observability import Spectrum, spectrum
 from parallel_cal.identification.prior import Knowledge, Prior
-from parallel_cal.identification.thresholds import GAIN, STEP, UNSEEN_GAIN, VARIANCE_STEPS
+from parallel_cal.identification.thresholds import (
+    CONVERGED_GAIN,
+    CONVERGED_STEP,
+    UNSEEN_GAIN,
+    VARIANCE_STEPS,
+)
 from parallel_cal.model.model import Model
 
 
@@ -50,7 +55,7 @@ class Estimate:
 
 
 @dataclass(frozen=True)
-class Sought:
+class EstimationProblem:
     """The parameters of a model that are identified, `free` (n_parameters,) a mask, from the
     model's own values on, with what is known of them before."""
 
@@ -63,24 +68,24 @@ class Sought:
     def tolerance(self) -> np.ndarray:
         return np.asarray(self.model.table.tolerance[self.free])
 
-    def seen(self, system: System, held: bool = True) -> Spectrum:
+    def compute_spectrum(self, system: System, held: bool = True) -> Spectrum:
         """What the data see at a point; without a prior of all (None) the tolerances are known
         where the data tell less, if that was made use of (`held`)."""
         variance = self._variance(system)
         weight = variance if held and self.prior is None else 0.0
         return spectrum(system.triangle, self.model.table, self.free, self.prior, weight, variance)
 
-    def known(self, system: System, seen: Spectrum | None = None) -> Knowledge:
+    def make_knowledge(self, system: System, seen: Spectrum | None = None) -> Knowledge:
         """The prior; None is the tolerances along directions that the data at a point, where this
         is `seen`, tell less of."""
         table, free = self.model.table, self.free
         if self.prior is not None:
             return Knowledge.of(self.prior, table, free, self._variance(system))
         variance = self._variance(system)
-        found = seen or self.seen(system)
+        found = seen or self.compute_spectrum(system)
         weak = found.directions[found.rank - len(found.weak) : found.rank]
         unseen, start = found.directions[found.rank :], self.model.values
-        return Knowledge.along(weak, unseen, start, self.model, free, variance)
+        return Knowledge.from_directions(weak, unseen, start, self.model, free, variance)
 
     def _variance(self, system: System) -> float:
         """Of the residuals in noise units, where only the noise's proportions are known.
@@ -90,7 +95,7 @@ class Sought:
         """
         if not self.assumed:
             return 1.0
-        scale = self.model.table.likely[self.free]
+        scale = self.model.table.prior_sigma[self.free]
         size = np.linalg.eigvalsh(system.normal * np.outer(scale, scale)).clip(0)
         rows, chi2, variance = float(system.informative.sum()), max(system.chi2, 1e-300), 0.0
         for _ in range(VARIANCE_STEPS):
@@ -121,21 +126,21 @@ class NormalEquations:
         step = -self._tolerance * (self._directions @ (inverse * self._along))
         return step, float(np.sum(inverse * self._along**2))
 
-    def arrives(self, promised: float) -> bool:
+    def will_converge(self, promised: float) -> bool:
         """Whether the next step leaves nothing to gain, where that is as large a share as the last
         one, which promised so much, left."""
         return self.step(0.0)[1] ** 2 < UNSEEN_GAIN * promised * self._chi2
 
     @property
-    def arrived(self) -> bool:
+    def has_converged(self) -> bool:
         """Whether there is nothing left to gain; a damped step may be short far from there."""
         step, left = self.step(0.0)
-        short = np.max(np.abs(step / self._tolerance), initial=0.0) < STEP
-        return bool(short or left < GAIN * self._chi2)
+        short = np.max(np.abs(step / self._tolerance), initial=0.0) < CONVERGED_STEP
+        return bool(short or left < CONVERGED_GAIN * self._chi2)
 
 
-def concluded(
-    sought: Sought, values: np.ndarray, system: System, iterations: int, seen: Spectrum
+def make_estimate(
+    sought: EstimationProblem, values: np.ndarray, system: System, iterations: int, seen: Spectrum
 ) -> Estimate:
     """The estimate at parameters where a method has settled."""
     free = sought.free

@@ -6,8 +6,8 @@ import numpy as np
 
 from parallel_cal.base.errors import FitError
 from parallel_cal.identification.linearisation import Linearisation
-from parallel_cal.identification.methods._descent import Predicted, minimise, need_measured
-from parallel_cal.identification.methods._estimate import Estimate, Sought
+from parallel_cal.identification.methods._descent import PredictedSystem, check_measured, minimise
+from parallel_cal.identification.methods._estimate import Estimate, EstimationProblem
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prior import Prior
 from parallel_cal.identification.thresholds import NEAR_DIRECT, NEAR_INVERSE, NEWTON_STEP
@@ -35,30 +35,30 @@ class Prediction:
         self.given = np.array(joints if direct else [n + i for i in m.controlled])
         names = [*model.joints, *POSE]
         method = "forward" if direct else "inverse"
-        need_measured(observations, self.given, [names[c] for c in self.given], method)
+        check_measured(observations, self.given, [names[c] for c in self.given], method)
         self._model, self._free = model, free
         self._scale = model.structure.scale[self.unknown]
-        self._at(observations)
+        self._use_observations(observations)
         used = self._regular(NEAR_DIRECT if direct else NEAR_INVERSE)
         if not used.any():
             raise FitError("the starting model solves no sample: is it of the right robot?")
-        self._at(observations.select(used))
+        self._use_observations(observations.select(used))
 
-    def _at(self, observations: Observations) -> None:
+    def _use_observations(self, observations: Observations) -> None:
         self._observations = observations
         self._closure = Linearisation(self._model, observations, self._free, True)
         self._last = observations.x.copy()
 
     def _regular(self, near: float) -> np.ndarray:
         """Mask (N,) of the samples that the starting model solves away from singularities."""
-        _, C, _, ok = self.solved(self._model.values)
+        _, C, _, ok = self.solve(self._model.values)
         there = self._closure.blocks(self._model.values, self._observations.x)[1]
         # Judged where it was measured, too: a solution may lie across the singularity.
         both = np.stack([C, there])[:, :, :, self.unknown] / self._scale
         size = np.linalg.svd(both, compute_uv=False)[:, :, -1].min(axis=0)
         return np.asarray(ok & (size > near * size.max()))
 
-    def solved(self, values: np.ndarray) -> tuple[np.ndarray, ...]:
+    def solve(self, values: np.ndarray) -> tuple[np.ndarray, ...]:
         """Configurations that close at the given coordinates, blocks C and J there, success."""
         x = self._last.copy()
         for _ in range(20):
@@ -69,30 +69,30 @@ class Prediction:
                 break
             change = np.zeros((len(x), C.shape[2]))
             change[:, self.unknown] = np.clip(step, -0.2 / self._scale, 0.2 / self._scale)
-            x = Configuration.from_rows(x).moved(change).rows
+            x = Configuration.from_rows(x).apply_change(change).rows
         return x, C, J, size < 1e-9
 
-    def __call__(self, values: np.ndarray) -> Predicted | None:
-        x, C, J, ok = self.solved(values)
+    def __call__(self, values: np.ndarray) -> PredictedSystem | None:
+        x, C, J, ok = self.solve(values)
         if not ok.all():
             return None
         self._last = x
-        residual = self._closure.away(x)[:, self.unknown]
+        residual = self._closure.compute_adjustments(x)[:, self.unknown]
         inverse = np.linalg.pinv(C[:, :, self.unknown])
         # All that was measured takes part: its noise enters where a coordinate does not move, too.
         T = inverse @ C * self._observations.measured[:, None, :]
         return self._white(residual, inverse @ J, T)
 
-    def least(self, prior: bool | Prior | None) -> Estimate:
+    def minimise_residuals(self, prior: bool | Prior | None) -> Estimate:
         """Parameters that minimise the residuals; FitError where it does not converge."""
         return minimise(
-            Sought(self._model, self._free, prior, self._observations.noise_assumed),
+            EstimationProblem(self._model, self._free, prior, self._observations.noise_assumed),
             lambda values, before, step: self(values),
             "leave out samples near singularities, or use the implicit method",
             ITERATIONS,
         )
 
-    def _white(self, residual: np.ndarray, jacobian: np.ndarray, T: np.ndarray) -> Predicted:
+    def _white(self, residual: np.ndarray, jacobian: np.ndarray, T: np.ndarray) -> PredictedSystem:
         """Rows of unmeasured coordinates are zero; the others in units of their noise."""
         seen = self._observations.measured[:, self.unknown]
         W = T @ self._observations.S @ T.transpose(0, 2, 1)
@@ -102,4 +102,4 @@ class Prediction:
         L = np.linalg.cholesky(W)
         white = np.linalg.solve(L, rows)
         residual, jacobian = white[:, :, 0], white[:, :, 1:]
-        return Predicted(residual, jacobian, seen.sum(axis=1), raw=rows[:, :, 0], whitener=L)
+        return PredictedSystem(residual, jacobian, seen.sum(axis=1), raw=rows[:, :, 0], whitener=L)

@@ -14,8 +14,8 @@ import numpy as np
 
 from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.identification.methods._separation import Separation
-from parallel_cal.identification.observability import independent
-from parallel_cal.identification.thresholds import DEPENDENT, DRAWS
+from parallel_cal.identification.observability import find_independent_columns
+from parallel_cal.identification.thresholds import DRAWS, MIN_COLUMN_REMAINDER
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model
 
@@ -41,7 +41,7 @@ class Row:
         return np.array(self.of_parameters(values)).ravel()
 
 
-def separated(model: Model, seed: int = 0) -> list[Row]:
+def separate_factors(model: Model, seed: int = 0) -> list[Row]:
     """The factors of every closure row of a model; FitError where it cannot be separated."""
     separation = Separation(model.structure)
     x, p = _configurations(model, seed), _parameters(model, seed)
@@ -54,10 +54,10 @@ def _row(model: Model, separation: Separation, k: int, x: np.ndarray, p: np.ndar
     M = ca.vertcat(*[separation.monomial(m) for m in polynomial])
     c = ca.vertcat(*polynomial.values())
     # Monomials: keep a basis, give the rest's coefficients to it.
-    basis, others = _merged(_evaluate(M, s.configuration, x))
+    basis, others = _merge_dependent(_evaluate(M, s.configuration, x))
     M, c = M[basis], c[basis] + ca.DM(others).T @ c
     # Coefficients: the same, so that one function of the parameters has one factor.
-    basis, others = _merged(_evaluate(c, s.v, p))
+    basis, others = _merge_dependent(_evaluate(c, s.v, p))
     M, c = M[basis] + ca.DM(others).T @ M, c[basis]
     # The lead is divided by: it must be far from zero here, and best the same everywhere.
     here = np.abs(_evaluate(c, s.v, model.values[None])[0])
@@ -75,7 +75,7 @@ def _row(model: Model, separation: Separation, k: int, x: np.ndarray, p: np.ndar
     )
 
 
-def _merged(columns: np.ndarray) -> tuple[list[int], np.ndarray]:
+def _merge_dependent(columns: np.ndarray) -> tuple[list[int], np.ndarray]:
     """Independent columns, and how (n_columns, n_kept) the dropped ones are made of them.
 
     Earlier columns are kept before later ones; kept ones have zero rows.
@@ -83,7 +83,7 @@ def _merged(columns: np.ndarray) -> tuple[list[int], np.ndarray]:
     sizes = np.linalg.norm(columns, axis=0)
     nothing = sizes < 1e-11 * sizes.max()  # what cancels up to rounding
     unit = np.where(nothing, 0.0, columns / np.where(nothing, 1.0, sizes))
-    kept = np.flatnonzero(independent(unit, DEPENDENT)).tolist()
+    kept = np.flatnonzero(find_independent_columns(unit, MIN_COLUMN_REMAINDER)).tolist()
     made = np.linalg.lstsq(columns[:, kept], columns, rcond=None)[0].T
     made[kept], made[nothing] = 0.0, 0.0
     return kept, np.where(np.abs(made) > 1e-7, made.round(9), 0.0)

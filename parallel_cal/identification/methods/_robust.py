@@ -25,7 +25,7 @@ LOSSES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
 ITERATIONS = 30
 
 
-def robust(
+def estimate_robustly(
     estimator: Callable[..., Estimate],
     model: Model,
     observations: Observations,
@@ -43,7 +43,7 @@ def robust(
         raise FitError(f"no loss '{loss}'; there are linear, {', '.join(LOSSES)}")
     weight = np.ones(len(observations))
     for _ in range(ITERATIONS):
-        found = estimator(model, reweighted(observations, weight), free)
+        found = estimator(model, reweight(observations, weight), free)
         if len(found.residuals) != len(weight):
             raise FitError(
                 f"loss '{loss}' needs every sample, but this method leaves out those near "
@@ -60,7 +60,7 @@ def robust(
     return replace(found, weight=before, system=None)
 
 
-def reweighted(observations: Observations, weight: np.ndarray | None) -> Observations:
+def reweight(observations: Observations, weight: np.ndarray | None) -> Observations:
     """Samples whose noise is that of their weight (N,)."""
     if weight is None:
         return observations

@@ -87,12 +87,12 @@ class Separation:
             self._roots[name] = a
             return {(name,): ca.SX(1)}
         if op in (ca.OP_SIN, ca.OP_COS) and set(a) - {()}:
-            return self._turned(op, a)
+            return self._expand_sin_or_cos(op, a)
         if op in PLAIN and set(a) <= {()}:
             return {(): PLAIN[op](a.get((), 0))}
         raise _inseparable(f"CasADi's operation {op} mixes parameters and coordinates for good")
 
-    def _turned(self, op: int, a: Polynomial) -> Polynomial:
+    def _expand_sin_or_cos(self, op: int, a: Polynomial) -> Polynomial:
         """sin or cos of +-q_i + (parameters), by the addition theorem."""
         (m, k), *more = [(m, k) for m, k in a.items() if m]
         if more or len(m) != 1 or not m[0].startswith("q") or not k.is_constant():

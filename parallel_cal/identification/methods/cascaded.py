@@ -10,12 +10,12 @@ from __future__ import annotations
 import numpy as np
 
 from parallel_cal.base.errors import FitError
-from parallel_cal.identification.methods._estimate import Estimate, Sought
+from parallel_cal.identification.methods._estimate import Estimate, EstimationProblem
 from parallel_cal.identification.methods.semiparametric import (
     FactorMechanism,
     closure_rows,
-    extracted,
-    semiparametric,
+    extract_parameters,
+    make_factor_model,
 )
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prior import Prior
@@ -33,7 +33,7 @@ def estimate(
     """
     if prior:
         raise FitError("cascaded calibration takes no prior; use the implicit method")
-    factors = semiparametric(model)
+    factors = make_factor_model(model)
     _, M = closure_rows(factors, observations)
     constant = _constants(factors)
     inverse = _two_steps(M, constant, len(observations))
@@ -41,7 +41,7 @@ def estimate(
     first = np.linalg.qr(_differences(M, len(observations)), mode="r")
     mean = M[:, constant] / np.linalg.norm(M[:, constant], axis=0)
     weight = np.vstack([first, mean.T @ M])
-    return extracted(Sought(model, free), observations, inverse, weight)
+    return extract_parameters(EstimationProblem(model, free), observations, inverse, weight)
 
 
 def _constants(factors: Model) -> np.ndarray:

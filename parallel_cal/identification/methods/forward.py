@@ -20,4 +20,4 @@ def estimate(
     problem, so samples near a direct singularity count little (the thesis had to remove them).
     Measured coordinates that move take part. FitError where it does not converge.
     """
-    return Prediction(model, observations, free, direct=True).least(prior)
+    return Prediction(model, observations, free, direct=True).minimise_residuals(prior)

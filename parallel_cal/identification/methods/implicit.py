@@ -10,7 +10,7 @@ import numpy as np
 
 from parallel_cal.identification.linearisation import Linearisation, System
 from parallel_cal.identification.methods._descent import minimise
-from parallel_cal.identification.methods._estimate import Estimate, Sought
+from parallel_cal.identification.methods._estimate import Estimate, EstimationProblem
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prior import Prior
 from parallel_cal.model.model import Model
@@ -44,6 +44,6 @@ def estimate(
         # The adjusted quantities follow from the step by the linearised closure.
         return linearise(values, before.adjusted(step))
 
-    sought = Sought(model, free, prior, observations.noise_assumed)
+    sought = EstimationProblem(model, free, prior, observations.noise_assumed)
     advice = "is the starting model of the right robot?"
     return minimise(sought, reach, advice, ITERATIONS, near=begin is not None)

@@ -21,4 +21,4 @@ def estimate(
     same problem; where measured, their errors count too. FitError where a controlled
     coordinate was not measured, or it does not converge.
     """
-    return Prediction(model, observations, free, direct=False).least(prior)
+    return Prediction(model, observations, free, direct=False).minimise_residuals(prior)

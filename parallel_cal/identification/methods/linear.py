@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from parallel_cal.identification.linearisation import Linearisation
-from parallel_cal.identification.methods._descent import concluded_at, spread
+from parallel_cal.identification.methods._descent import make_estimate_at, propagate_covariance
 from parallel_cal.identification.methods._estimate import (
     Estimate,
+    EstimationProblem,
     NormalEquations,
-    Sought,
-    concluded,
+    make_estimate,
 )
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prior import Knowledge, Prior
@@ -30,18 +30,22 @@ def estimate(
     `weighted=False` is the thesis' equation. chi2 is that of the closure at the values found,
     so it shows what the linearisation left out.
     """
-    sought = Sought(model, free, prior, observations.noise_assumed)
+    sought = EstimationProblem(model, free, prior, observations.noise_assumed)
     tolerance = sought.tolerance
     linearise = Linearisation(model, observations, free, weighted)
     system = linearise(np.array(model.values), linearise.start())
-    known = sought.known(system) if weighted else Knowledge.of(prior or False, model.table, free)
+    known = (
+        sought.make_knowledge(system)
+        if weighted
+        else Knowledge.of(prior or False, model.table, free)
+    )
     step, _ = NormalEquations(system, model.values, tolerance, known).step(0.0)
     values = np.array(model.values)
     values[free] += step
     if weighted:
         end = linearise(values, system.adjusted(step))
-        return concluded(sought, values, end, 1, sought.seen(end))
+        return make_estimate(sought, values, end, 1, sought.compute_spectrum(end))
     J = system.columns * tolerance
     influence = -np.linalg.pinv(J) * tolerance[:, None]
-    covariance = spread(influence, model, values, observations)
-    return concluded_at(sought, values, observations, covariance, 1)
+    covariance = propagate_covariance(influence, model, values, observations)
+    return make_estimate_at(sought, values, observations, covariance, 1)

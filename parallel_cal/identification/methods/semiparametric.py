@@ -18,9 +18,13 @@ import numpy as np
 from parallel_cal.base.errors import FitError
 from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.methods import implicit
-from parallel_cal.identification.methods._descent import concluded_at, need_measured, spread
-from parallel_cal.identification.methods._estimate import Estimate, Sought
-from parallel_cal.identification.methods._factors import Row, separated
+from parallel_cal.identification.methods._descent import (
+    check_measured,
+    make_estimate_at,
+    propagate_covariance,
+)
+from parallel_cal.identification.methods._estimate import Estimate, EstimationProblem
+from parallel_cal.identification.methods._factors import Row, separate_factors
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prior import Prior
 from parallel_cal.identification.thresholds import FACTOR_STEP
@@ -80,9 +84,9 @@ def _factor_table(model: Model, rows: Sequence[Row]) -> list[Parameter]:
 
 
 @lru_cache(maxsize=16)
-def semiparametric(model: Model) -> Model:
+def make_factor_model(model: Model) -> Model:
     """The model with its linear factors as parameters; FitError where it cannot be separated."""
-    factors = new_model(FactorMechanism(model, separated(model)))
+    factors = new_model(FactorMechanism(model, separate_factors(model)))
     return replace(factors, noise=model.noise, frames=model.frames)
 
 
@@ -93,7 +97,7 @@ def identify(model: Model, observations: Observations, weighted: bool = True) ->
     cannot see keep the value of the given model. Weighted by inherited noise, the linear
     solution is refined as in implicit calibration; only then has it a covariance.
     """
-    factors = semiparametric(model)
+    factors = make_factor_model(model)
     free = np.ones(len(factors.values), dtype=bool)
     phi, M = closure_rows(factors, observations)
     linear = factors.with_values(factors.values - _inverse(factors, M) @ phi)
@@ -113,7 +117,7 @@ def _inverse(factors: Model, M: np.ndarray) -> np.ndarray:
 def closure_rows(model: Model, observations: Observations) -> tuple[np.ndarray, np.ndarray]:
     """phi (N * rows,) and its derivative by all parameters, at the measured configurations."""
     m, n = model.mechanism, len(model.joints)
-    need_measured(
+    check_measured(
         observations,
         np.array([n + i for i in m.moved]),
         list(m.moves),
@@ -135,21 +139,23 @@ def estimate(
     """
     if prior:
         raise FitError("semiparametric calibration takes no prior; use the implicit method")
-    factors = semiparametric(model)
+    factors = make_factor_model(model)
     _, M = closure_rows(factors, observations)
     triangle = np.asarray(np.linalg.qr(M, mode="r"))
-    return extracted(Sought(model, free), observations, _inverse(factors, M), triangle)
+    return extract_parameters(
+        EstimationProblem(model, free), observations, _inverse(factors, M), triangle
+    )
 
 
-def extracted(
-    sought: Sought, observations: Observations, inverse: np.ndarray, weight: np.ndarray
+def extract_parameters(
+    sought: EstimationProblem, observations: Observations, inverse: np.ndarray, weight: np.ndarray
 ) -> Estimate:
     """Parameters that minimise |weight (f(p) - target)|, by Gauss-Newton; (5.35) in general.
 
     `inverse` (n_factors, N * rows) makes the closure's errors phi the linear target
     f - inverse phi.
     """
-    factors, free, tolerance = semiparametric(sought.model), sought.free, sought.tolerance
+    factors, free, tolerance = make_factor_model(sought.model), sought.free, sought.tolerance
     mechanism, values = factors.mechanism, np.array(sought.model.values)
     assert isinstance(mechanism, FactorMechanism)
     target = factors.values - inverse @ closure_rows(factors, observations)[0]
@@ -169,5 +175,5 @@ def extracted(
     influence = -tolerance[:, None] * np.linalg.pinv(A, rcond=1e-10) @ weight @ inverse
     # The factors' rows are not the model's: a root may have been squared away.
     at_end = np.concatenate([row.factors(values) for row in mechanism.rows])
-    covariance = spread(influence, factors, at_end, observations)
-    return concluded_at(sought, values, observations, covariance, 0)
+    covariance = propagate_covariance(influence, factors, at_end, observations)
+    return make_estimate_at(sought, values, observations, covariance, 0)

@@ -11,18 +11,18 @@ from dataclasses import replace
 import numpy as np
 
 from parallel_cal.base.errors import FitError
-from parallel_cal.identification.methods._estimate import Estimate, Sought, concluded
+from parallel_cal.identification.methods._estimate import Estimate, EstimationProblem, make_estimate
 from parallel_cal.identification.methods._explicit import Prediction
-from parallel_cal.identification.observability import independent
+from parallel_cal.identification.observability import find_independent_columns
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prior import Prior
 from parallel_cal.identification.thresholds import RELATIVE_RANK
 from parallel_cal.model.model import Model
 
 
-def in_base(columns: np.ndarray) -> np.ndarray:
+def find_base_parameters(columns: np.ndarray) -> np.ndarray:
     """Mask of the independent columns of S, in tolerances; earlier ones in the table come first."""
-    return independent(columns, RELATIVE_RANK * np.linalg.norm(columns, axis=0).max())
+    return find_independent_columns(columns, RELATIVE_RANK * np.linalg.norm(columns, axis=0).max())
 
 
 def estimate(
@@ -48,13 +48,13 @@ def estimate(
         system = prediction(values)
         assert system is not None
         columns = system.columns * tolerance
-        kept = in_base(columns)
+        kept = find_base_parameters(columns)
         step = np.linalg.lstsq(columns[:, kept], -system.residual.ravel(), rcond=None)[0]
         values[where[kept]] += tolerance[kept] * step
     end = prediction(values)
     assert end is not None
-    sought = Sought(model, free)
-    found = concluded(sought, values, end, iterations, sought.seen(end, held=False))
+    sought = EstimationProblem(model, free)
+    found = make_estimate(sought, values, end, iterations, sought.compute_spectrum(end, held=False))
     covariance = np.zeros_like(found.covariance)
     inverse = np.linalg.pinv(columns[:, kept].T @ columns[:, kept])
     base = where[kept]

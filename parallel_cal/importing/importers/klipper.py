@@ -23,10 +23,10 @@ from parallel_cal.importing.deltas import (
     Towers,
     are_counter_clockwise,
 )
-from parallel_cal.importing.door import Configured
+from parallel_cal.importing.door import ConfiguredRobot
 from parallel_cal.importing.sections import settings
-from parallel_cal.importing.stated import Stated
-from parallel_cal.importing.touched import ends, of_joints
+from parallel_cal.importing.stated import Settings
+from parallel_cal.importing.touched import make_joint_samples, make_printed_ends
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.recording import Array
 
@@ -63,22 +63,22 @@ def samples(
         stated.text(f"{TOUCHES} height0", "what DELTA_CALIBRATE and SAVE_CONFIG store")
     if distances := sum(f"{TOUCHES} distance{k}" in stated for k in range(999)):
         warnings.append(f"{distances} {UNUSED}")
-    printed = ends(delta(stated), printed_x, printed_y)
-    return of_joints(
+    printed = make_printed_ends(delta(stated), printed_x, printed_y)
+    return make_joint_samples(
         np.array(found), np.array(heights), paths, step, warnings=warnings, printed=printed
     )
 
 
-def configured(paths: Sequence[Path]) -> Configured:
+def configured(paths: Sequence[Path]) -> ConfiguredRobot:
     """The printer as its configuration has it."""
     stated = settings(paths)
     printer = delta(stated)
     if isinstance(printer, Shoulders):
-        deltas.reaching(printer, stated, "[printer] shoulder_height")
-    return deltas.configured(printer, _probe(stated))
+        deltas.check_reach(printer, stated, "[printer] shoulder_height")
+    return deltas.make_configured_robot(printer, _probe(stated))
 
 
-def _position(stated: Stated, field: str) -> Array:
+def _position(stated: Settings, field: str) -> Array:
     text, place = stated.text(field, "steps of motors a, b, c from their end-stops")
     words = text.split(",")
     if len(words) != 3:
@@ -86,7 +86,7 @@ def _position(stated: Stated, field: str) -> Array:
     return np.array([place.number(field, word, "three numbers of steps") for word in words])
 
 
-def _probe(stated: Stated) -> Array:
+def _probe(stated: Settings) -> Array:
     """The probe's tip beside the nozzle (3,) m; stored heights are the nozzle's."""
     depths = (field for field in stated.texts if field.endswith("] z_offset"))  # of any probe's
     kind = next(depths, "[probe] z_offset").removesuffix(" z_offset")
@@ -94,8 +94,8 @@ def _probe(stated: Stated) -> Array:
     return np.array([*beside, 0.0])
 
 
-def _each(
-    stated: Stated,
+def _read_stepper_values(
+    stated: Settings,
     key: str,
     expected: str,
     defaults: Sequence[float] | None = None,
@@ -109,7 +109,7 @@ def _each(
     return np.array(values)
 
 
-def _steps(stated: Stated) -> Array:
+def _steps(stated: Settings) -> Array:
     """m or rad of a microstep (3,)."""
     found = []
     for stepper in STEPPERS:
@@ -123,7 +123,7 @@ def _steps(stated: Stated) -> Array:
     return np.array(found)
 
 
-def _gear(stated: Stated, field: str) -> float:
+def _gear(stated: Settings, field: str) -> float:
     """`57:11, 2:1`: the product of the ratios."""
     if field not in stated:
         return 1.0
@@ -138,24 +138,24 @@ def _gear(stated: Stated, field: str) -> float:
     return ratio
 
 
-def _kind(stated: Stated) -> str:
+def _kind(stated: Settings) -> str:
     text, place = stated.text("[printer] kinematics", KINDS)
     if text not in ("delta", "rotary_delta"):
         raise place.error("[printer] kinematics", text, KINDS)
     return text
 
 
-def delta(stated: Stated) -> Delta:
+def delta(stated: Settings) -> Delta:
     return _towers(stated) if _kind(stated) == "delta" else _shoulders(stated)
 
 
-def _angles(stated: Stated, defaults: Sequence[float]) -> Array:
+def _angles(stated: Settings, defaults: Sequence[float]) -> Array:
     """Where the steppers stand (3,) degrees; DatasetError unless they are counter-clockwise.
 
     Klipper solves its forward problem for this order alone: of another one it takes the mirror
     image of the nozzle above the joints, homes there, and moves the arms beyond their reach.
     """
-    angles = _each(stated, "angle", "degrees", defaults)
+    angles = _read_stepper_values(stated, "angle", "degrees", defaults)
     if are_counter_clockwise(angles * DEGREE):
         return angles
     cure = "correct the angles"
@@ -166,38 +166,38 @@ def _angles(stated: Stated, defaults: Sequence[float]) -> Array:
         )
     found = ", ".join(f"{angle:g}" for angle in angles)
     field = next(f"{s} angle" for s in reversed(STEPPERS) if f"{s} angle" in stated)
-    raise stated.wrong(
+    raise stated.error(
         field,
         f"steppers a, b, c counter-clockwise seen from above, but they are at {found} degrees: "
         f"Klipper cannot find its nozzle with these; {cure}",
     )
 
 
-def _towers(stated: Stated) -> Towers:
+def _towers(stated: Settings) -> Towers:
     radius = stated.number("[printer] delta_radius", "mm", low=1.0)
     angles = _angles(stated, TOWERS)
     return Towers.of(
         radius,
-        _each(stated, "arm_length", "mm, longer than the delta radius", low=radius),
+        _read_stepper_values(stated, "arm_length", "mm, longer than the delta radius", low=radius),
         angles - np.array(TOWERS),
-        _each(stated, "position_endstop", "the nozzle's height in mm"),
+        _read_stepper_values(stated, "position_endstop", "the nozzle's height in mm"),
         reach=stated.number("[printer] print_radius", "mm", 0.6 * radius, 1.0) * MM,
     )
 
 
-def _shoulders(stated: Stated) -> Shoulders:
+def _shoulders(stated: Settings) -> Shoulders:
     """The end-stops are where the nozzle in the middle is believed at their height."""
     height = stated.number("[printer] shoulder_height", "mm", low=1.0) * MM
     rotary = Shoulders(
         stated.number("[printer] shoulder_radius", "mm", low=1e-3) * MM,
         np.full(3, height),
-        _each(stated, "upper_arm_length", "mm", low=1.0) * MM,
-        _each(stated, "lower_arm_length", "mm", low=1.0) * MM,
+        _read_stepper_values(stated, "upper_arm_length", "mm", low=1.0) * MM,
+        _read_stepper_values(stated, "lower_arm_length", "mm", low=1.0) * MM,
         _angles(stated, SHOULDERS) * DEGREE,
     )
-    heights = _each(stated, "position_endstop", "the nozzle's height in mm") * MM
+    heights = _read_stepper_values(stated, "position_endstop", "the nozzle's height in mm") * MM
     tops = np.diag(rotary.joints(np.column_stack([np.zeros((3, 2)), heights])))
     for stepper in (s for s, top in zip(STEPPERS, tops, strict=True) if np.isnan(top)):
         given = stepper if f"{stepper} position_endstop" in stated else STEPPERS[0]
-        raise stated.wrong(f"{given} position_endstop", "a height in mm that the arms reach")
+        raise stated.error(f"{given} position_endstop", "a height in mm that the arms reach")
     return replace(rotary, limits=tuple((-np.pi / 2, float(top)) for top in tops))

@@ -16,9 +16,9 @@ import numpy as np
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.importing import deltas, sections
 from parallel_cal.importing.deltas import DEGREE, Towers
-from parallel_cal.importing.door import Configured
-from parallel_cal.importing.stated import Place, Stated, lines
-from parallel_cal.importing.touched import ends, touches
+from parallel_cal.importing.door import ConfiguredRobot
+from parallel_cal.importing.stated import Settings, SourceLine, read_lines
+from parallel_cal.importing.touched import make_printed_ends, make_touch_samples
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.table import UNITS
 
@@ -43,7 +43,7 @@ def samples(
     delta = towers(settings([path for path in paths if path not in logs]), unit)
     nozzle, places = [], []
     for path in logs:
-        for place, line in lines(path):
+        for place, line in read_lines(path):
             if words := line.split():
                 if len(words) != len(AXES):
                     raise place.error("the line", line.strip(), f"nine numbers: {' '.join(AXES)}")
@@ -53,17 +53,17 @@ def samples(
                 ]
                 nozzle.append(np.array(axes[:3]) * UNITS[unit])
                 places.append(place)
-    printed = ends(delta, printed_x, printed_y)
-    return touches(delta, nozzle, places, paths, step, printed=printed)
+    printed = make_printed_ends(delta, printed_x, printed_y)
+    return make_touch_samples(delta, nozzle, places, paths, step, printed=printed)
 
 
-def configured(paths: Sequence[Path]) -> Configured:
+def configured(paths: Sequence[Path]) -> ConfiguredRobot:
     """The machine as `setp lineardeltakins.R` and `.L` have it, in mm."""
     remark = "lengths in the HAL file are taken for mm"
-    return deltas.configured(towers(settings(paths), "mm"), NO_PROBE, remarks=[remark])
+    return deltas.make_configured_robot(towers(settings(paths), "mm"), NO_PROBE, remarks=[remark])
 
 
-def towers(stated: Stated, unit: str) -> Towers:
+def towers(stated: Settings, unit: str) -> Towers:
     """R, L and J0off, J1off, J2off of lineardeltakins, whose joint 0 stands along y; at their
     switches joints are at HOME_OFFSET."""
     size = UNITS[unit]
@@ -82,18 +82,18 @@ def towers(stated: Stated, unit: str) -> Towers:
     )
 
 
-def settings(paths: Sequence[Path]) -> Stated:
+def settings(paths: Sequence[Path]) -> Settings:
     """The pins that `setp` sets in .hal files, or `sets` the signal that `net` leads to them, by
     name; of .ini files `[section] key`."""
     setups = [path for path in paths if path.suffix == ".ini"]
     texts = dict(sections.settings(setups).texts)
-    signals: dict[str, tuple[str, Place]] = {}
+    signals: dict[str, tuple[str, SourceLine]] = {}
     nets: dict[str, str] = {}
     for path in paths:
-        for place, line in () if path in setups else lines(path):
+        for place, line in () if path in setups else read_lines(path):
             if found := re.match(r"\s*(setp|sets)\s+([\w.-]+)\s*=?\s*([^\s#]*)", line):
                 (texts if found[1] == "setp" else signals)[found[2]] = (found[3], place)
             elif found := re.match(r"\s*net\s+([\w.-]+)([^#]*)", line):
                 nets |= dict.fromkeys(found[2].split(), found[1])
     led = {pin: signals[name] for pin, name in nets.items() if name in signals}
-    return Stated(led | texts, paths)
+    return Settings(led | texts, paths)

@@ -18,16 +18,16 @@ import numpy as np
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.importing import deltas
 from parallel_cal.importing.deltas import DEGREE, MM, Towers
-from parallel_cal.importing.door import Configured
-from parallel_cal.importing.gcode import take
-from parallel_cal.importing.stated import Place, Stated, lines
-from parallel_cal.importing.touched import ends, of_joints
+from parallel_cal.importing.door import ConfiguredRobot
+from parallel_cal.importing.gcode import parse_settings_line
+from parallel_cal.importing.stated import Settings, SourceLine, read_lines
+from parallel_cal.importing.touched import make_joint_samples, make_printed_ends
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.recording import Array
 
 CONFIGURATION = (".log", ".txt")
 CODES = ("M92", "M665", "M666", "M851")
-BEFORE = re.compile(
+HOST_PREFIX = re.compile(
     r"^.*?(?:Recv|Send|RECV|SENDING|<<<|>>>|echo)\s*:?\s*(?:[\d:.]+:)?\s*(?:echo:)?"
 )
 BED = re.compile(r"Bed X:\s*(\S+)\s+Y:\s*(\S+)\s+Z:\s*(\S+)")
@@ -36,8 +36,15 @@ SETTING = re.compile(r"(Height|E[xyz]|Radius|T[xyz]):\s*([-+.\w]+)")
 FIELDS = {"Height": "M665 H", "Radius": "M665 R"}
 FIELDS |= {f"E{a}": f"M666 {a.upper()}" for a in "xyz"}
 FIELDS |= {f"T{a}": f"M665 {a.upper()}" for a in "xyz"}
-AROUND = {"x": 210, "xy": 270, "y": 330, "yz": 30, "z": 90, "zx": 150}  # degrees of G33's points
-ALONG = np.array([0.0, 0.0, 1.0])  # G33 has the nozzle over its points, with O the probe
+POINT_ANGLES_DEG = {
+    "x": 210,
+    "xy": 270,
+    "y": 330,
+    "yz": 30,
+    "z": 90,
+    "zx": 150,
+}  # degrees of G33's points
+Z_ONLY = np.array([0.0, 0.0, 1.0])  # G33 has the nozzle over its points, with O the probe
 STEPS = 80.0  # a mm, where M92 is not in the log
 MEANS = "G33's numbers are means of touches, but for P2 and P3: not used"
 
@@ -46,15 +53,15 @@ def samples(
     paths: Sequence[Path], printed_x: Sequence[float] = (), printed_y: Sequence[float] = ()
 ) -> Dataset:
     """The touches of a log; G33 with more than P3, or whose command is not in it, is not used."""
-    texts: dict[str, tuple[str, Place]] = {}
-    stated, found, skipped = Stated(texts, paths), [], False
-    radius, single, shift = None, False, ALONG
-    for place, line in _settled(paths, texts):
+    texts: dict[str, tuple[str, SourceLine]] = {}
+    stated, found, skipped = Settings(texts, paths), [], False
+    radius, single, shift = None, False, Z_ONLY
+    for place, line in _iterate_lines(paths, texts):
         if asked := re.search(r"(?<!\w)G33\b(.*)", line):
             points = re.search(r"P(\d+)", asked[1])
             if "Calibrate" not in line:
                 single = points is not None and int(points[1]) in (1, 2, 3)
-                shift = np.ones(3) if re.search(r"\bO", asked[1]) else ALONG
+                shift = np.ones(3) if re.search(r"\bO", asked[1]) else Z_ONLY
         elif at := re.search(r"at radius:\s*(\S+)", line):
             radius = place.number("at radius", at[1], "mm above 0", low=1.0)
         elif touch := BED.search(line):
@@ -68,7 +75,7 @@ def samples(
             for name, text in report if single else ():
                 z = place.number(f"G33 {name}", text, "mm within 20 of the bed", -20.0, 20.0)
                 out = 0.0 if name == "c" else _radius(stated, radius)
-                turn = AROUND.get(name, 0) * DEGREE
+                turn = POINT_ANGLES_DEG.get(name, 0) * DEGREE
                 nozzle = np.array([out * np.cos(turn), out * np.sin(turn), z])
                 found.append(_reading(stated, nozzle * MM - tip(stated) * shift))
     if not found:
@@ -77,53 +84,53 @@ def samples(
         raise DatasetError(f"{', '.join(map(str, paths))}: no touches, expected {expected}{why}")
     step = [MM / stated.number(f"M92 {a}", "steps a mm", STEPS, low=1e-3) for a in "XYZ"]
     towers = _towers(stated)
-    q, printed = np.array(found) + towers.end_stops, ends(towers, printed_x, printed_y)
+    q, printed = np.array(found) + towers.end_stops, make_printed_ends(towers, printed_x, printed_y)
     means = [MEANS] if skipped else []
-    return of_joints(q, np.zeros(len(q)), paths, step, warnings=means, printed=printed)
+    return make_joint_samples(q, np.zeros(len(q)), paths, step, warnings=means, printed=printed)
 
 
-def configured(paths: Sequence[Path]) -> Configured:
+def configured(paths: Sequence[Path]) -> ConfiguredRobot:
     """The printer as the last settings in a log have it."""
-    texts: dict[str, tuple[str, Place]] = {}
-    for _ in _settled(paths, texts):
+    texts: dict[str, tuple[str, SourceLine]] = {}
+    for _ in _iterate_lines(paths, texts):
         pass
-    stated = Stated(texts, paths)
-    return deltas.configured(_towers(stated), tip(stated))
+    stated = Settings(texts, paths)
+    return deltas.make_configured_robot(_towers(stated), tip(stated))
 
 
-def tip(stated: Stated) -> Array:
+def tip(stated: Settings) -> Array:
     """The probe's tip in {P} (m): M851, from the nozzle to the probe."""
     return np.array([stated.number(f"M851 {a}", "mm", 0.0, -200, 200) for a in "XYZ"]) * MM
 
 
-def _settled(
-    paths: Sequence[Path], texts: dict[str, tuple[str, Place]]
-) -> Iterator[tuple[Place, str]]:
+def _iterate_lines(
+    paths: Sequence[Path], texts: dict[str, tuple[str, SourceLine]]
+) -> Iterator[tuple[SourceLine, str]]:
     """Every line without what the host writes before it, its settings taken into `texts`."""
     for path in paths:
-        for place, line in lines(path):
-            plain = BEFORE.sub("", line).strip()
-            if take(texts, place, plain, CODES) is None and plain.startswith("."):
+        for place, line in read_lines(path):
+            plain = HOST_PREFIX.sub("", line).strip()
+            if parse_settings_line(texts, place, plain, CODES) is None and plain.startswith("."):
                 for name, text in SETTING.findall(plain):
                     texts[FIELDS[name]] = (text, place)
             yield place, plain
 
 
-def _reading(stated: Stated, nozzle: Array) -> Array:
+def _reading(stated: Settings, nozzle: Array) -> Array:
     """Carriages (3,) m from their end-stops."""
     towers = _towers(stated)
     q = towers.joints(nozzle[None])[0] - towers.end_stops
     if np.isfinite(q).all():
         return np.asarray(q)
-    raise stated.wrong("M665 L", f"rods that reach {np.round(nozzle / MM, 2).tolist()} mm")
+    raise stated.error("M665 L", f"rods that reach {np.round(nozzle / MM, 2).tolist()} mm")
 
 
-def _radius(stated: Stated, radius: float | None) -> float:
+def _radius(stated: Settings, radius: float | None) -> float:
     """Of G33's circle (mm): as it says, or as M665 B of older versions does."""
     return radius or stated.number("M665 B", "'at radius:' of G33, its circle in mm", low=1.0)
 
 
-def _towers(stated: Stated) -> Towers:
+def _towers(stated: Settings) -> Towers:
     """M665 L R H X Y Z, A B C added to the rods, and M666 X Y Z, by which the nozzle is lowered
     from its end-stop to where it is at H."""
     radius = stated.number("M665 R", "the delta radius in mm", low=1.0)

@@ -16,12 +16,12 @@ import numpy as np
 from parallel_cal.base.errors import DatasetError, ModelError
 from parallel_cal.importing import deltas
 from parallel_cal.importing.deltas import DEGREE, MM, Delta, Shoulders, Towers
-from parallel_cal.importing.door import Configured
+from parallel_cal.importing.door import ConfiguredRobot
 from parallel_cal.importing.fivebar import TURNS, FiveBars
 from parallel_cal.importing.gcode import settings
-from parallel_cal.importing.lines import Lines
-from parallel_cal.importing.stated import Place, Stated, lines
-from parallel_cal.importing.touched import ends, touches
+from parallel_cal.importing.lines import Hangprinter
+from parallel_cal.importing.stated import Settings, SourceLine, read_lines
+from parallel_cal.importing.touched import make_printed_ends, make_touch_samples
 from parallel_cal.model.model import new_model
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.recording import Array, Dropped
@@ -35,7 +35,7 @@ LABELS = (
     "xmin,xmax,ymin,ymax,radius,xspacing,yspacing,xnum,ynum",
     "xmin,xmax,ymin,ymax,radius,spacing,xnum,ynum",
 )
-HIGHEST = 20.0  # mm: further from its nominal plane no probe looks for a bed
+MAX_HEIGHT_MM = 20.0  # mm: further from its nominal plane no probe looks for a bed
 STEPS = 80.0  # a mm, or a degree, where M92 says nothing
 ANCHORS = "ABCDI"  # in M669, whose other letters are taken
 
@@ -51,10 +51,10 @@ def samples(
             "were probed with (config.g, config-override.g, in the order they are read)"
         )
     stated = settings([path for path in paths if path not in maps], CODES)
-    delta, unit = delta_of(stated), _unit(stated)
+    delta, unit = read_delta(stated), _unit(stated)
     read = [read_map(path) for path in maps]
     points = np.concatenate([each[0] for each in read])
-    return touches(
+    return make_touch_samples(
         delta,
         points - tip(stated),
         [place for each in read for place in each[1]],
@@ -62,45 +62,47 @@ def samples(
         [unit / stated.number(f"M92 {axis}", "steps a unit", STEPS, low=1e-3) for axis in "XYZ"],
         visits=points[:, :2],
         dropped=[gap for each in read for gap in each[2]],
-        printed=ends(delta, printed_x, printed_y),
+        printed=make_printed_ends(delta, printed_x, printed_y),
     )
 
 
-def configured(paths: Sequence[Path]) -> Configured:
+def configured(paths: Sequence[Path]) -> ConfiguredRobot:
     """The printer as its configuration has it; M666 A and B are where the bed lies."""
     stated = settings(paths, CODES)
     if kind(stated) == 6:
         remarks = ["lines on spools of one radius and advantage share it"]
         if stated.number("M666 W", "kg", 0.0) > 0:
             remarks.append("M666 W: what the firmware corrects of the lines' stretch is left out")
-        lines = lines_of(stated)
+        lines = read_hangprinter(stated)
         try:
-            return Configured(lines.model(), tuple(remarks))
+            return ConfiguredRobot(lines.model(), tuple(remarks))
         except ModelError as error:
-            raise stated.wrong("M669 A", f"other anchors: {error}") from None
+            raise stated.error("M669 A", f"other anchors: {error}") from None
     if kind(stated) == 9:
-        return Configured(new_model(five_bars_of(stated).mechanism()))
-    delta = delta_of(stated)
+        return ConfiguredRobot(new_model(read_five_bars(stated).mechanism()))
+    delta = read_delta(stated)
     if isinstance(delta, Shoulders):
-        deltas.reaching(delta, stated, "M669 H")
+        deltas.check_reach(delta, stated, "M669 H")
     plate = delta.tilt if isinstance(delta, Towers) else (0.0, 0.0)
-    return deltas.configured(delta, tip(stated), plate)
+    return deltas.make_configured_robot(delta, tip(stated), plate)
 
 
-def tip(stated: Stated) -> Array:
+def tip(stated: Settings) -> Array:
     """The probe's tip in {P} (m): X and Y beside the nozzle, the trigger height Z below it."""
     x, y, z = (stated.number(f"G31 {axis}", "the probe's offset in mm", 0.0) for axis in "XYZ")
     return np.array([x, y, -z]) * MM
 
 
-def read_map(path: Path) -> tuple[Array, list[Place], list[Dropped]]:
+def read_map(path: Path) -> tuple[Array, list[SourceLine], list[Dropped]]:
     """Points (N, 3) m of a height map, the line of each, and cells that were not probed."""
-    rows = lines(path)
+    rows = read_lines(path)
     if not rows or not rows[0][1].startswith(HEAD):
         first = rows[0][1][:40] if rows else ""
-        raise Place(path, 1).error("the first line", first, f"'{HEAD} ...'")
+        raise SourceLine(path, 1).error("the first line", first, f"'{HEAD} ...'")
     if len(rows) < 3:
-        raise Place(path, len(rows) + 1).error("the file's end", "", f"'{LABELS[0]}' and a grid")
+        raise SourceLine(path, len(rows) + 1).error(
+            "the file's end", "", f"'{LABELS[0]}' and a grid"
+        )
     label = rows[1][1].replace(" ", "")
     if label not in LABELS:
         raise rows[1][0].error("the names line", rows[1][1], f"'{LABELS[0]}'")
@@ -108,7 +110,7 @@ def read_map(path: Path) -> tuple[Array, list[Place], list[Dropped]]:
     points, places, dropped = [], [], []
     body = [(place, line) for place, line in rows[3:] if line.strip()]
     if len(body) != len(axes[1]):
-        end = Place(path, body[-1][0].line if body else 3)
+        end = SourceLine(path, body[-1][0].line if body else 3)
         raise end.error("the last row", f"{len(body)}", f"row {len(axes[1])} of the grid")
     for y, (place, line) in zip(axes[1], body, strict=True):
         cells = [cell.strip() for cell in line.split(",")]
@@ -119,14 +121,16 @@ def read_map(path: Path) -> tuple[Array, list[Place], list[Dropped]]:
                 where = f"{path}:{place.line}: column {k}, x {x:g} y {y:g} mm"
                 dropped.append(Dropped(0.0, "not probed", where))
                 continue
-            within = f"a height in mm within {HIGHEST:g} of the bed, or 0 where none was probed"
-            height = place.number(f"column {k}", cell, within, -HIGHEST, HIGHEST)
+            within = (
+                f"a height in mm within {MAX_HEIGHT_MM:g} of the bed, or 0 where none was probed"
+            )
+            height = place.number(f"column {k}", cell, within, -MAX_HEIGHT_MM, MAX_HEIGHT_MM)
             points.append((x, y, height))
             places.append(place)
     return np.array(points).reshape(-1, 3) * MM, places, dropped
 
 
-def _grid(place: Place, line: str, names: Sequence[str]) -> tuple[list[float], list[float]]:
+def _grid(place: SourceLine, line: str, names: Sequence[str]) -> tuple[list[float], list[float]]:
     """The grid's x and y (mm)."""
     cells = [cell.strip() for cell in line.split(",")]
     if len(cells) != len(names):
@@ -153,24 +157,24 @@ def _grid(place: Place, line: str, names: Sequence[str]) -> tuple[list[float], l
     return axes[0], axes[1]
 
 
-def kind(stated: Stated) -> int:
+def kind(stated: Settings) -> int:
     return int(stated.number("M669 K", KINDS, 3.0))
 
 
-def _unit(stated: Stated) -> float:
+def _unit(stated: Settings) -> float:
     """What M92 counts the steps of: mm, or degrees."""
     return DEGREE if kind(stated) == 10 else MM
 
 
-def delta_of(stated: Stated) -> Delta:
+def read_delta(stated: Settings) -> Delta:
     if kind(stated) == 3:
         return _towers(stated)
     if kind(stated) == 10:
         return _shoulders(stated)
-    raise stated.wrong("M669 K", KINDS)
+    raise stated.error("M669 K", KINDS)
 
 
-def _towers(stated: Stated) -> Towers:
+def _towers(stated: Settings) -> Towers:
     """M665 L R H B X Y Z and M666 X Y Z A B; A and B in per cent."""
     radius = stated.number("M665 R", "the delta radius in mm", low=1.0)
     least = "rod lengths in mm, longer than the delta radius"
@@ -184,14 +188,14 @@ def _towers(stated: Stated) -> Towers:
     return Towers.of(radius, rods, trim, heights, tilt=(tilt[0], tilt[1]), reach=reach)
 
 
-def _shoulders(stated: Stated) -> Shoulders:
+def _shoulders(stated: Settings) -> Shoulders:
     """M669 K10 U L H A R B X Y Z and M666 X Y Z (degrees)."""
     arm = "least:most degrees of an arm"
     reach = stated.numbers("M669 A", arm, 2) if "M669 A" in stated else np.array([-45.0, 45.0])
     trim = [stated.number(f"M669 {tower}", "degrees", 0.0, -30, 30) for tower in "XYZ"]
     stops = [stated.number(f"M666 {tower}", "degrees", 0.0) for tower in "XYZ"]
     if reach[1] + min(stops) <= reach[0]:
-        raise stated.wrong("M669 A", arm)
+        raise stated.error("M669 A", arm)
     return Shoulders(
         stated.number("M669 R", "the delta radius in mm", low=0.0) * MM,
         stated.numbers("M669 H", "heights of the arms' bearings in mm", 3, low=1.0) * MM,
@@ -203,13 +207,13 @@ def _shoulders(stated: Stated) -> Shoulders:
     )
 
 
-def _reach(stated: Stated, field: str) -> float | None:
+def _reach(stated: Settings, field: str) -> float | None:
     if field not in stated:
         return None
     return stated.number(field, "the bed's radius in mm", low=1.0) * MM
 
 
-def lines_of(stated: Stated) -> Lines:
+def read_hangprinter(stated: Settings) -> Hangprinter:
     """M669 K6 N and a triple an anchor, M666 Q R U O L H; q = 0 at home."""
     n = int(stated.number("M669 N", "the number of anchors", 4.0, 4, len(ANCHORS)))
     anchors = np.array([_anchor(stated, f"M669 {letter}") for letter in ANCHORS[:n]])
@@ -221,20 +225,20 @@ def lines_of(stated: Stated) -> Lines:
     gears = each("H", "teeth of the spools' gears") / each("L", "teeth of the motors' gears")
     on_spool = stated.numbers("M666 O", "lines on each spool", n, 1.0, low=1.0)
     if len({*on_spool}) > 1:
-        raise stated.wrong("M666 O", "as many lines on every spool")
+        raise stated.error("M666 O", "as many lines on every spool")
     buildup = stated.number("M666 Q", "the build-up in mm", low=0.0) * MM * on_spool[0]
-    return Lines(anchors * MM, radii, gears, each("U", "mechanical advantages"), buildup)
+    return Hangprinter(anchors * MM, radii, gears, each("U", "mechanical advantages"), buildup)
 
 
-def _anchor(stated: Stated, field: str) -> Array:
+def _anchor(stated: Settings, field: str) -> Array:
     """x, y, z (mm); of one number alone nobody can know which."""
     expected = "x:y:z of the anchor in mm"
     if ":" not in stated.text(field, expected)[0]:
-        raise stated.wrong(field, expected)
+        raise stated.error(field, expected)
     return stated.numbers(field, expected, 3)
 
 
-def five_bars_of(stated: Stated) -> FiveBars:
+def read_five_bars(stated: Settings) -> FiveBars:
     """M669 K9 X Y P, D with cantilevers of 0, the work mode L, B at the switches and C, the cranks'
     limits (degrees)."""
 
@@ -243,23 +247,23 @@ def five_bars_of(stated: Stated) -> FiveBars:
 
     mode, modes = stated.number("M669 L", "the work mode", 1.0), ", ".join(map(str, TURNS))
     if mode not in TURNS:
-        raise stated.wrong("M669 L", f"one of the work modes {modes}")
+        raise stated.error("M669 L", f"one of the work modes {modes}")
     turns = "least:most degrees of left:right"
     least, most = stated.numbers("M669 C", turns, 4).reshape(2, 2).T
     if (most <= least).any():
-        raise stated.wrong("M669 C", turns)
+        raise stated.error("M669 C", turns)
     homed = both("B", "degrees at the switches") * DEGREE
     axes = np.column_stack([both("X", "mm"), both("Y", "mm")]) * MM
     if (axes[0] == axes[1]).all():
-        raise stated.wrong("M669 X", "two axes, in mm of left:right")
+        raise stated.error("M669 X", "two axes, in mm of left:right")
     whole = "lengths in mm of left:right, and cantilevers of 0"
     count = 4 if stated.text("M669 D", whole)[0].count(":") > 1 else 2
     rods = stated.numbers("M669 D", whole, count, low=0.0)
     if rods[2:].any() or not rods[:2].all():
-        raise stated.wrong("M669 D", whole)
+        raise stated.error("M669 D", whole)
     limits = tuple(zip((least * DEGREE).tolist(), (most * DEGREE).tolist(), strict=True))
     cranks = both("P", "lengths in mm", 1.0) * MM
     bars = FiveBars(axes, cranks, rods[:2] * MM, TURNS[int(mode)], homed, limits)
     if not np.isfinite(bars.mechanism().home.joints).all():
-        raise stated.wrong("M669 P", "cranks whose rods meet in front of the axes")
+        raise stated.error("M669 P", "cranks whose rods meet in front of the axes")
     return bars

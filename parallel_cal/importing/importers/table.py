@@ -17,12 +17,12 @@ from itertools import pairwise
 from pathlib import Path
 
 from parallel_cal.base.errors import DatasetError
-from parallel_cal.importing.stated import Place, lines
+from parallel_cal.importing.stated import SourceLine, read_lines
 from parallel_cal.model.file.schema import NoisePart
 from parallel_cal.recordings.columns import ColumnMap, Join, JointColumn, PositionColumns
-from parallel_cal.recordings.csv_import import of_tables
+from parallel_cal.recordings.csv_import import make_dataset
 from parallel_cal.recordings.dataset import Dataset
-from parallel_cal.recordings.table import ALSO, UNITS, Table, said_unit
+from parallel_cal.recordings.table import UNIT_ALIASES, UNITS, Table, split_unit
 
 REMARKS = ("#", "//", "%", "!")
 XYZ = ("x", "y", "z")
@@ -31,7 +31,7 @@ EPOCH = date(1970, 1, 1)
 CLOCK = re.compile(
     r"(?:(\d{4}-\d\d-\d\d)[T ])?(\d{1,2}):(\d\d):(\d\d(?:\.\d*)?)(Z|[+-]\d\d:?\d\d)?"
 )  # any number of digits behind the seconds, which fromisoformat of Python 3.10 does not take
-SAID = re.compile(r"\bunits?\b\W*(\w+)", re.IGNORECASE)
+UNIT_STATEMENT = re.compile(r"\bunits?\b\W*(\w+)", re.IGNORECASE)
 
 
 def samples(
@@ -53,32 +53,32 @@ def samples(
     for name, columns in (("position", position), ("joints", joints)):
         if isinstance(columns, (str, Mapping)):
             raise DatasetError(f"{name}={columns}: expected names of columns, such as [J1, J2, J3]")
-    read = [_read(path) for path in paths]
+    read = [_read_table(path) for path in paths]
     points = _points([table for table, _ in read], position)
     logs = [table for table, _ in read if table is not points] or [points]
-    where = [_word(points, name) or "" for name in position]
-    key = by or _common(points, logs, where)
+    where = [_find_column(points, name) or "" for name in position]
+    key = by or _find_common_column(points, logs, where)
     if not by and within is None and key.lower() in TIMES:
         raise DatasetError(f"{paths[0]}: joined by {key}: say how near (--option within=SECONDS)")
     columns = [w for log in logs for w in _joints(log, joints, [*where, key])]
     units = dict.fromkeys(where, unit) | dict.fromkeys(columns, joint_unit)
-    tables = [_complete(table, said, units, key, within) for table, said in read]
+    tables = [_add_units(table, said, units, key, within) for table, said in read]
     wanted = ColumnMap(
-        joints={said_unit(word)[0]: JointColumn(column=said_unit(word)[0]) for word in columns},
-        position=PositionColumns(columns=[said_unit(word)[0] for word in where]),
+        joints={split_unit(word)[0]: JointColumn(column=split_unit(word)[0]) for word in columns},
+        position=PositionColumns(columns=[split_unit(word)[0] for word in where]),
         join=Join(by=key, within=within) if len(tables) > 1 else None,
         noise=NoisePart(position=sigma, joint=joint_sigma),
     )
-    return of_tables(tables, wanted, "import table")
+    return make_dataset(tables, wanted, "import table")
 
 
-def _read(path: Path) -> tuple[Table, str]:
+def _read_table(path: Path) -> tuple[Table, str]:
     """A table, and the unit that is said before its header; remarks are skipped."""
     said, rows = "", []
-    for place, line in lines(path):
-        if found := SAID.search(line):
+    for place, line in read_lines(path):
+        if found := UNIT_STATEMENT.search(line):
             word = found[1].lower()
-            said = said or (word if word in UNITS else ALSO.get(word, ""))
+            said = said or (word if word in UNITS else UNIT_ALIASES.get(word, ""))
         if line.strip() and not line.lstrip().startswith(REMARKS):
             rows.append((place.line, line))
     for k, ((_, line), (_, below)) in enumerate(pairwise(rows)):
@@ -97,7 +97,7 @@ def _table(path: Path, header: list[str], apart: str, rows: Sequence[tuple[int, 
     for (number, _), cells in zip(rows, body, strict=True):
         if len(cells) != len(header):
             found, expected = str(len(cells)), f"{len(header)} cells, as the header has"
-            raise Place(path, number).error("the line's length", found, expected)
+            raise SourceLine(path, number).error("the line's length", found, expected)
     numbers = [number for number, _ in rows]
     decimal = "." if apart == "," else ","
     return Table(path, header[:width], [cells[:width] for cells in body], numbers, decimal)
@@ -109,7 +109,7 @@ def _cells(line: str, apart: str) -> list[str]:
 
 def _points(tables: Sequence[Table], position: Sequence[str]) -> Table:
     """The one table with the position's columns."""
-    found = [t for t in tables if all(_word(t, name) is not None for name in position)]
+    found = [t for t in tables if all(_find_column(t, name) is not None for name in position)]
     if len(found) == 1:
         return found[0]
     files = ", ".join(str(table.path) for table in tables)
@@ -120,20 +120,20 @@ def _points(tables: Sequence[Table], position: Sequence[str]) -> Table:
     )
 
 
-def _word(table: Table, name: str) -> str | None:
+def _find_column(table: Table, name: str) -> str | None:
     """The header's word for a column, whether in capitals or not."""
-    same = (w for w in table.header if name.lower() in (w.lower(), said_unit(w)[0].lower()))
+    same = (w for w in table.header if name.lower() in (w.lower(), split_unit(w)[0].lower()))
     return next(same, None)
 
 
-def _common(points: Table, logs: Sequence[Table], where: Sequence[str]) -> str:
+def _find_common_column(points: Table, logs: Sequence[Table], where: Sequence[str]) -> str:
     """The column, not of the position, that all tables have; the time only where no other is."""
     if logs == [points]:
         return ""
     shared = [
-        said_unit(word)[0]
+        split_unit(word)[0]
         for word in points.header
-        if word not in where and all(_word(log, said_unit(word)[0]) for log in logs)
+        if word not in where and all(_find_column(log, split_unit(word)[0]) for log in logs)
     ]
     chosen = [name for name in shared if name.lower() not in TIMES] or shared
     if len(chosen) == 1:
@@ -148,34 +148,34 @@ def _common(points: Table, logs: Sequence[Table], where: Sequence[str]) -> str:
 def _joints(log: Table, joints: Sequence[str], others: Sequence[str]) -> list[str]:
     """The words of the joints' columns: those named, or all that are neither a time nor another."""
     if joints:
-        return [word for name in joints if (word := _word(log, name)) is not None]
+        return [word for name in joints if (word := _find_column(log, name)) is not None]
     taken = {*(name.lower() for name in others), *TIMES}
-    return [w for w in log.header if w and not {w.lower(), said_unit(w)[0].lower()} & taken]
+    return [w for w in log.header if w and not {w.lower(), split_unit(w)[0].lower()} & taken]
 
 
-def _complete(
+def _add_units(
     table: Table, said: str, units: dict[str, str], key: str, within: float | None
 ) -> Table:
     """The table with a unit in every word that needs one, and times in seconds."""
     header = [
         f"{word} [{units[word] or said}]"
-        if word in units and said_unit(word)[1] is None and (units[word] or said)
+        if word in units and split_unit(word)[1] is None and (units[word] or said)
         else word
         for word in table.header
     ]
-    word = _word(table, key) if key else None
+    word = _find_column(table, key) if key else None
     if word is None:
-        return replace(table, header=header).complete()
+        return replace(table, header=header).drop_empty_rows()
     column = table.header.index(word)
     header[column] = key
     rows = [[*row] for row in table.rows]
     for row, line in zip(rows, table.lines, strict=True) if within is not None else ():
         if len(row) > column:
-            row[column] = _seconds(row[column].strip(), Place(table.path, line), key)
-    return replace(table, header=header, rows=rows).complete()
+            row[column] = _seconds(row[column].strip(), SourceLine(table.path, line), key)
+    return replace(table, header=header, rows=rows).drop_empty_rows()
 
 
-def _seconds(text: str, place: Place, key: str) -> str:
+def _seconds(text: str, place: SourceLine, key: str) -> str:
     """A number of seconds as it is, a time of day or a date and time in seconds."""
     if _is_number(text.replace(",", ".")):
         return text

@@ -15,21 +15,26 @@ from parallel_cal.base.errors import SolveError
 from parallel_cal.base.rotation import quaternion_to_matrix, rotation_vector
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.kinematics.rows import joint_rows
-from parallel_cal.kinematics.singularity import jacobians, smallest
-from parallel_cal.kinematics.solutions import SINGULAR, Solutions, Status, stacked
+from parallel_cal.kinematics.singularity import jacobians, smallest_singular_values
+from parallel_cal.kinematics.solutions import (
+    MIN_REGULAR_SINGULAR_VALUE,
+    Solutions,
+    Status,
+    stack_solutions,
+)
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model
 from parallel_cal.model.structure import Structure
 
 
-def at_least_one(steps: int) -> int:
+def check_step_count(steps: int) -> int:
     if steps < 1:
         raise SolveError(f"{steps} steps asked for: expected 1 or more")
     return steps
 
 
 @lru_cache(maxsize=8)
-def kinematics_of(model: Model) -> Kinematics:
+def get_kinematics(model: Model) -> Kinematics:
     """The model's own direct problem, for refining what a solver found; made once a model."""
     return Kinematics(model)
 
@@ -64,12 +69,12 @@ def parts(
     return [part if len(part) == n else part.reshape(n, 3) for part in found]
 
 
-def shaped(solutions: Solutions, given: np.ndarray) -> Solutions:
+def match_shape(solutions: Solutions, given: np.ndarray) -> Solutions:
     """One solution where one was asked for."""
     return solutions[0] if np.ndim(given) == 1 else solutions
 
 
-def answers(
+def evaluate_solver(
     model: Model,
     solve: ca.Function,
     given: np.ndarray,
@@ -105,12 +110,15 @@ def with_status(
     status[residual >= tolerance] = Status.NOT_CONVERGED
     status[~np.isfinite(residual)] = Status.UNREACHABLE
     solutions = Solutions.of(x, residual, status)
-    near = smallest(jacobians(model, solutions, at)[problem == "inverse"]) < SINGULAR
+    near = (
+        smallest_singular_values(jacobians(model, solutions, at)[problem == "inverse"])
+        < MIN_REGULAR_SINGULAR_VALUE
+    )
     status[near & (residual < tolerance)] = Status.SINGULAR
     return solutions
 
 
-def on_home_branch(
+def solve_on_home_branch(
     model: Model,
     q: np.ndarray,
     at: Mapping[str, Any] | None,
@@ -120,19 +128,21 @@ def on_home_branch(
     q = np.asarray(q, dtype=float)
     if q.ndim == 1:
         found = every(model, q, at) if np.isfinite(q).all() else None
-        return found[0] if found else unsolved(model, q=q)
-    rows = [on_home_branch(model, row, sample(at, i), every) for i, row in enumerate(q)]
-    return stacked(rows)
+        return found[0] if found else make_unsolved(model, q=q)
+    rows = [
+        solve_on_home_branch(model, row, select_conditions(at, i), every) for i, row in enumerate(q)
+    ]
+    return stack_solutions(rows)
 
 
-def home_first(model: Model, poses: Solutions, at: Mapping[str, Any] | None) -> np.ndarray:
+def order_from_home(model: Model, poses: Solutions, at: Mapping[str, Any] | None) -> np.ndarray:
     """The order of all poses of one set of joints from the home branch outwards.
 
     Nearest to home is not enough: far from home a pose of another assembly mode may be nearer.
     """
     if len(poses) == 0:
         return np.arange(0)
-    branch, home = kinematics_of(model).direct(poses.joints[0], at), model.mechanism.home
+    branch, home = get_kinematics(model).direct(poses.joints[0], at), model.mechanism.home
     r, R = branch.position, branch.rotation
     if branch.status == Status.UNREACHABLE:
         r, R = np.array(home.position), quaternion_to_matrix(home.quaternion)
@@ -141,14 +151,16 @@ def home_first(model: Model, poses: Solutions, at: Mapping[str, Any] | None) -> 
     return np.argsort(np.linalg.norm(apart, axis=1))
 
 
-def sample(at: Mapping[str, Any] | None, i: int) -> dict[str, Any] | None:
+def select_conditions(at: Mapping[str, Any] | None, i: int) -> dict[str, Any] | None:
     """The conditions of sample i, where some are columns."""
     if at is None:
         return None
     return {name: np.ravel(v)[i] if np.size(v) > 1 else v for name, v in at.items()}
 
 
-def unsolved(model: Model, q: np.ndarray | None = None, r: np.ndarray | None = None) -> Solutions:
+def make_unsolved(
+    model: Model, q: np.ndarray | None = None, r: np.ndarray | None = None
+) -> Solutions:
     """The one answer where nothing is real: out of reach, or not a number to begin with."""
     finite = all(np.isfinite(given).all() for given in (q, r) if given is not None)
     status = np.array(Status.UNREACHABLE if finite else Status.INVALID_INPUT, dtype=np.int8)
@@ -172,7 +184,7 @@ def joint_candidates(model: Model, r: np.ndarray, R: np.ndarray) -> Configuratio
 
 
 @lru_cache(maxsize=16)
-def pose_is_seen_as_it_is(s: Structure) -> bool:
+def is_pose_unaffected(s: Structure) -> bool:
     """Whether no effect edits the pose, or looks at it to edit joints or geometry."""
     ideal, pose = s.seen, ca.vertcat(s.r, s.R9)
     edited = ca.vertcat(ca.vec(ideal.r - s.r), ca.vec(ca.SX(ideal.R - s.R)))

@@ -13,14 +13,14 @@ import json
 
 import numpy as np
 
-from parallel_cal.kinematics.solvers._platform import COUNT, START
+from parallel_cal.kinematics.solvers._platform import N_GENERIC_POSES, START
 from parallel_cal.kinematics.solvers._quadrics import (
-    CERTAIN,
+    MAX_CERTIFIED_ALPHA,
     Tracker,
     alpha,
-    distinct,
-    normalised,
-    refined,
+    find_distinct,
+    normalise,
+    refine,
 )
 from parallel_cal.kinematics.solvers._study import quadrics
 
@@ -46,16 +46,16 @@ def squares_through(C: np.ndarray, B: np.ndarray, zero: np.ndarray) -> np.ndarra
 
 def all_zeros(M: np.ndarray, zero: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """The zeros of M reached from one of them by loops through other platforms."""
-    found = normalised(zero[None])
+    found = normalise(zero[None])
     for _ in range(LOOPS):
         C, B, elsewhere = random_platform(rng)
         other = quadrics(C, B, squares_through(C, B, elsewhere))
         there, back = (complex(np.exp(2j * np.pi * rng.random())) for _ in range(2))
         X, first = Tracker(M, other, there, 1e-6)(found)
         X, second = Tracker(other, M, back, 1e-6)(X[first])
-        found = np.concatenate([found, refined(X[second], M)])
-        found = found[distinct(found)]
-        if len(found) >= COUNT:
+        found = np.concatenate([found, refine(X[second], M)])
+        found = found[find_distinct(found)]
+        if len(found) >= N_GENERIC_POSES:
             break
     return found
 
@@ -66,8 +66,8 @@ def main() -> None:
     squares = squares_through(C, B, zero)
     M = quadrics(C, B, squares)
     zeros = all_zeros(M, zero, rng)
-    certain = alpha(zeros, M)[0] < CERTAIN
-    if len(zeros) != COUNT or not certain.all():
+    certain = alpha(zeros, M)[0] < MAX_CERTIFIED_ALPHA
+    if len(zeros) != N_GENERIC_POSES or not certain.all():
         raise SystemExit(f"{len(zeros)} zeros found, {certain.sum()} of them certain: expected 40")
     arrays = {"C": C, "B": B, "squares": squares, "zeros": zeros}
     pairs = {name: np.stack([a.real, a.imag], -1).tolist() for name, a in arrays.items()}

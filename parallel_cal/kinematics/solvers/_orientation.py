@@ -17,7 +17,7 @@ from parallel_cal.base.errors import SolveError
 HALF_TANGENT = np.array([[-1.0, 0, 1], [0, 2, 0], [1, 0, 1]])
 TURNS = (0.0, 0.7, 1.9, 2.6, 4.1)  # origins tried, so that no root is at u = inf
 NEARLY_REAL = 1e-4  # imaginary part of u that rounding may leave on a double root
-CLOSED = 1e-11  # residual of a solution, relative to the size of the conditions
+MAX_CLOSED_RESIDUAL = 1e-11  # residual of a solution, relative to the size of the conditions
 
 
 def orientations(
@@ -34,7 +34,7 @@ def orientations(
     first = int(np.argmin(np.abs(c)))  # the widest circle: a point would leave one angle idle
     if abs(c[first]) > 1:
         return np.empty((0, 3, 3))
-    A = _carrying(v[first], u[first], c[first])
+    A = _find_carrying_rotation(v[first], u[first], c[first])
     m, k = (
         sw(-u[first], u[i]).T @ A @ sw(v[first], v[i]) - c[i] * np.diag([0.0, 0, 1])
         for i in range(3)
@@ -53,8 +53,8 @@ def angles(m: np.ndarray, k: np.ndarray, form: str = "eigenvalue") -> np.ndarray
     m, k = (a / np.linalg.norm(a) for a in (np.asarray(m, dtype=float), np.asarray(k, dtype=float)))
     roots, turn = _first_roots(m, k, FORMS[form])
     real = roots[np.abs(roots.imag) < NEARLY_REAL * (1 + np.abs(roots))].real
-    pairs = [pair for t in 2 * np.arctan(real) + turn for pair in _completed(t, m, k)]
-    return _distinct([_polished(np.array(pair), m, k) for pair in pairs], m, k)
+    pairs = [pair for t in 2 * np.arctan(real) + turn for pair in _find_second_angles(t, m, k)]
+    return _distinct([_polish(np.array(pair), m, k) for pair in pairs], m, k)
 
 
 def coefficients(m: np.ndarray, k: np.ndarray) -> np.ndarray:
@@ -131,7 +131,7 @@ def _first_roots(m: np.ndarray, k: np.ndarray, roots: Callable) -> tuple[np.ndar
     return best[0], best[2]
 
 
-def _completed(t: float, m: np.ndarray, k: np.ndarray) -> list[tuple[float, float]]:
+def _find_second_angles(t: float, m: np.ndarray, k: np.ndarray) -> list[tuple[float, float]]:
     """theta_3 for a theta_2: where both circles a cos + b sin + c = 0 agree (eq. 6.18).
 
     As two lines in (cos, sin) they meet in one point; where they coincide, a double root of
@@ -148,7 +148,7 @@ def _completed(t: float, m: np.ndarray, k: np.ndarray) -> list[tuple[float, floa
     return [(t, float(np.arctan2(b, a) + side * apart)) for side in (1, -1)]
 
 
-def _polished(pair: np.ndarray, m: np.ndarray, k: np.ndarray) -> np.ndarray:
+def _polish(pair: np.ndarray, m: np.ndarray, k: np.ndarray) -> np.ndarray:
     """Newton's method on eq. 6.7; least squares where a double solution makes it singular."""
     for _ in range(8):
         value, slope = _bilinear(pair, m, k)
@@ -169,12 +169,12 @@ def _distinct(pairs: list[np.ndarray], m: np.ndarray, k: np.ndarray) -> np.ndarr
     found: list[np.ndarray] = []
     for pair in pairs:
         new = np.all([np.abs(np.exp(1j * pair) - np.exp(1j * old)).max() > 1e-6 for old in found])
-        if new and np.abs(_bilinear(pair, m, k)[0]).max() < CLOSED:
+        if new and np.abs(_bilinear(pair, m, k)[0]).max() < MAX_CLOSED_RESIDUAL:
             found.append(np.angle(np.exp(1j * pair)))
     return np.array(sorted(found, key=tuple)).reshape(-1, 2)
 
 
-def _carrying(v: np.ndarray, u: np.ndarray, cosine: float) -> np.ndarray:
+def _find_carrying_rotation(v: np.ndarray, u: np.ndarray, cosine: float) -> np.ndarray:
     """Some rotation that carries the unit vector v to the angle arccos(cosine) from u."""
     across = np.eye(3)[np.argmin(np.abs(v))]
     axis = np.cross(v, across) / np.linalg.norm(np.cross(v, across))

@@ -17,17 +17,17 @@ import numpy as np
 from parallel_cal.base.errors import SolveError
 from parallel_cal.kinematics.kinematics import Solutions, Status
 from parallel_cal.kinematics.solvers._quadrics import (
-    CERTAIN,
+    MAX_CERTIFIED_ALPHA,
     Tracker,
     alpha,
-    distinct,
-    normalised,
-    refined,
+    find_distinct,
+    normalise,
+    refine,
 )
 from parallel_cal.kinematics.solvers._study import poses, quadrics
 
 START = Path(__file__).with_name("homotopy_start.json")
-COUNT = 40  # of a generic platform (Wampler, Husty, Raghavan)
+N_GENERIC_POSES = 40  # of a generic platform (Wampler, Husty, Raghavan)
 NEARLY_REAL = 1e-3  # imaginary part that a real zero, however ill-conditioned, stays below
 AT_INFINITY = 1e-13  # |e.e| of a zero that is no pose (e = 0 = g.g is a singular surface)
 
@@ -60,7 +60,7 @@ def all_poses(C: np.ndarray, B: np.ndarray, L: np.ndarray, retries: int = 2) -> 
     Poses are counted where they are regular: at a singularity, or in a special geometry, where
     some coincide or lie at infinity, there are fewer than 40.
     """
-    C, B, L = _checked(C, B, L)
+    C, B, L = _check_platform(C, B, L)
     c, b = C.mean(axis=0), B.mean(axis=0)
     unit = np.sqrt((((C - c) ** 2).sum() + ((B - b) ** 2).sum() + (L**2).sum()) / 6)
     M = quadrics((C - c) / unit, (B - b) / unit, (L / unit) ** 2)
@@ -73,7 +73,9 @@ def all_poses(C: np.ndarray, B: np.ndarray, L: np.ndarray, retries: int = 2) -> 
         return r * unit + c - R @ b
 
     real = _rod_solutions(back(real_position, real_rotation), real_rotation, C, B, L)
-    return PoseSet(back(position, rotation), rotation, size < CERTAIN, real, used, complete)
+    return PoseSet(
+        back(position, rotation), rotation, size < MAX_CERTIFIED_ALPHA, real, used, complete
+    )
 
 
 @lru_cache(maxsize=1)
@@ -95,32 +97,32 @@ def _zeros(M: np.ndarray, retries: int) -> tuple[np.ndarray, int, bool]:
     for attempt in range(retries + 1):
         gamma = np.exp(2j * np.pi * np.random.default_rng(attempt).random())
         X, arrived = Tracker(start, M, gamma, 1e-5 * 0.1**attempt)(zeros)
-        before, found = len(found), np.concatenate([found, _proper(X[arrived], M)])
-        found = found[distinct(found)]
+        before, found = len(found), np.concatenate([found, _select_proper(X[arrived], M)])
+        found = found[find_distinct(found)]
         repeated = attempt > 0 and len(found) == before
-        if len(found) >= COUNT or (repeated and arrived.all()):
+        if len(found) >= N_GENERIC_POSES or (repeated and arrived.all()):
             break
-    return found, attempt, len(found) >= COUNT or repeated
+    return found, attempt, len(found) >= N_GENERIC_POSES or repeated
 
 
-def _proper(X: np.ndarray, M: np.ndarray) -> np.ndarray:
+def _select_proper(X: np.ndarray, M: np.ndarray) -> np.ndarray:
     """The refined zeros that are regular and have a finite pose."""
-    X = refined(X, M)
+    X = refine(X, M)
     size, beta = alpha(X, M)
     finite = np.abs((X[:, :4] ** 2).sum(axis=1)) > AT_INFINITY
-    return X[finite & (size < CERTAIN) & (beta < 1e-8)]
+    return X[finite & (size < MAX_CERTIFIED_ALPHA) & (beta < 1e-8)]
 
 
 def _real_zeros(X: np.ndarray, M: np.ndarray) -> np.ndarray:
     """The real ones, each proved by Newton's method in real arithmetic from its real part."""
     square = (X**2).sum(axis=1)
     X = X * np.sqrt(square.conj() / np.abs(square))[:, None]
-    X = normalised(X.real[np.abs(X.imag).max(axis=1) < NEARLY_REAL])
+    X = normalise(X.real[np.abs(X.imag).max(axis=1) < NEARLY_REAL])
     if len(X) == 0:
         return X
-    X = refined(X, M)
-    X = X[alpha(X, M)[0] < CERTAIN]
-    return X[distinct(X)]
+    X = refine(X, M)
+    X = X[alpha(X, M)[0] < MAX_CERTIFIED_ALPHA]
+    return X[find_distinct(X)]
 
 
 def _rod_solutions(
@@ -132,7 +134,7 @@ def _rod_solutions(
     return Solutions(np.empty((len(r), 0)), r, R, residual, status)
 
 
-def _checked(C: Any, B: Any, L: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _check_platform(C: Any, B: Any, L: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     C, B, L = (np.asarray(a, dtype=float) for a in (C, B, L))
     if (C.shape, B.shape, L.shape) != ((6, 3), (6, 3), (6,)):
         raise SolveError(

@@ -14,8 +14,12 @@ from functools import cached_property
 import numpy as np
 
 ORDER = 10  # of the Taylor predictor; from 8 to 12 the time is the same
-END = 1e-12  # 1 - t at which a path that still cannot reach t = 1 ends in a multiple zero
-CERTAIN = (13 - 3 * np.sqrt(17)) / 4  # alpha below this proves a zero (Smale's alpha theorem)
+MIN_PATH_REMAINDER = (
+    1e-12  # 1 - t at which a path that still cannot reach t = 1 ends in a multiple zero
+)
+MAX_CERTIFIED_ALPHA = (
+    13 - 3 * np.sqrt(17)
+) / 4  # alpha below this proves a zero (Smale's alpha theorem)
 
 
 @dataclass(frozen=True)
@@ -37,29 +41,29 @@ class Tracker:
 
         A path to a multiple zero arrives too, but only near it.
         """
-        X, t = normalised(X.astype(complex)), np.zeros(len(X))
+        X, t = normalise(X.astype(complex)), np.zeros(len(X))
         shrink = np.ones(len(X))
         for _ in range(self.max_steps):
-            k = np.flatnonzero((t < 1 - END) & (shrink > 1e-6))
+            k = np.flatnonzero((t < 1 - MIN_PATH_REMAINDER) & (shrink > 1e-6))
             if len(k) == 0:
                 break
-            moved, after, good = self._advanced(X[k], t[k], shrink[k])
+            moved, after, good = self._advance(X[k], t[k], shrink[k])
             X[k[good]], t[k[good]] = moved[good], after[good]
             shrink[k] = np.where(good, 1.0, shrink[k] / 2)
-        return X, t >= 1 - END
+        return X, t >= 1 - MIN_PATH_REMAINDER
 
-    def _advanced(
+    def _advance(
         self, X: np.ndarray, t: np.ndarray, shrink: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """One step of every path: new X, new t, and which of these steps may be kept."""
         series = self._series(X, t)
-        after = np.minimum(t + shrink * self._trusted(series), 1.0)
+        after = np.minimum(t + shrink * self._compute_trusted_step(series), 1.0)
         powers = (after - t)[:, None] ** np.arange(ORDER + 1)
-        X = normalised((powers[:, None, :] @ series)[:, 0])
+        X = normalise((powers[:, None, :] @ series)[:, 0])
         first = second = np.full(len(X), np.inf)
         for _ in range(2):
             change = self._newton(X, after)
-            X = normalised(X + change)
+            X = normalise(X + change)
             first, second = second, np.linalg.norm(change, axis=1)
         good = (first < 10 * self.tolerance) & (second < 1e-3 * first + 1e-9)
         return X, after, good
@@ -84,7 +88,7 @@ class Tracker:
             slope = next_slope
         return x
 
-    def _trusted(self, series: np.ndarray) -> np.ndarray:
+    def _compute_trusted_step(self, series: np.ndarray) -> np.ndarray:
         """The step at which the last two terms of a series reach the tolerance."""
         last = np.linalg.norm(series[:, -2:], axis=2)
         orders = np.array([ORDER - 1, ORDER])
@@ -109,10 +113,10 @@ class Tracker:
         return both.reshape(-1, both.shape[2]).T.copy()
 
 
-def refined(X: np.ndarray, M: np.ndarray, steps: int = 3) -> np.ndarray:
+def refine(X: np.ndarray, M: np.ndarray, steps: int = 3) -> np.ndarray:
     """Zeros after some Newton steps, in the arithmetic (real or complex) of X and M."""
     for _ in range(steps):
-        X = normalised(X + _newton_step(X, M)[0])
+        X = normalise(X + _newton_step(X, M)[0])
     return X
 
 
@@ -129,7 +133,7 @@ def alpha(X: np.ndarray, M: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return beta * np.linalg.norm(curvature, axis=(1, 2)), beta
 
 
-def distinct(X: np.ndarray, apart: float = 1e-8) -> np.ndarray:
+def find_distinct(X: np.ndarray, apart: float = 1e-8) -> np.ndarray:
     """Indices of the first row of each group of equal points of projective space."""
     if len(X) == 0:
         return np.arange(0)
@@ -139,7 +143,7 @@ def distinct(X: np.ndarray, apart: float = 1e-8) -> np.ndarray:
     return np.flatnonzero(np.argmax(same, axis=1) == np.arange(len(X)))
 
 
-def normalised(X: np.ndarray) -> np.ndarray:
+def normalise(X: np.ndarray) -> np.ndarray:
     with np.errstate(invalid="ignore"):  # a path that blew up becomes NaN
         return X / np.linalg.norm(X, axis=1, keepdims=True)
 

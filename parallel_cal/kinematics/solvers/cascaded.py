@@ -21,11 +21,11 @@ from parallel_cal.base.rotation import cayley, left_generators
 from parallel_cal.kinematics.kinematics import Solutions
 from parallel_cal.kinematics.rows import joint_rows, pose_rows
 from parallel_cal.kinematics.solvers._common import (
-    answers,
-    at_least_one,
+    check_step_count,
+    evaluate_solver,
     half_step_function,
-    pose_is_seen_as_it_is,
-    shaped,
+    is_pose_unaffected,
+    match_shape,
 )
 from parallel_cal.model.closed_form import joint_angles, positions
 from parallel_cal.model.effect import Seen
@@ -37,7 +37,7 @@ from parallel_cal.model.structure import Structure
 HALF_STEPS = 3  # G1, G2, G1: one and a half iterations (6.4.5)
 TOLERANCE = 1e-6  # m: what such few steps are expected to reach
 PERFECT = "P1"  # the group of parameters that vanish in a perfect parallelogram
-SETTLING = 3  # passes that undo joint effects; each shrinks the rest by the effect's slope
+N_EFFECT_PASSES = 3  # passes that undo joint effects; each shrinks the rest by the effect's slope
 
 
 def direct(
@@ -49,8 +49,10 @@ def direct(
     tolerance: float = TOLERANCE,
 ) -> Solutions:
     """Poses for joints (nq,) or (N, nq) after some half steps; `rough` is eq. 6.33 instead."""
-    solve = direct_function(model.structure, 0 if rough else at_least_one(half_steps))
-    return shaped(answers(model, solve, joint_rows(model, q), at, tolerance, "direct"), q)
+    solve = direct_function(model.structure, 0 if rough else check_step_count(half_steps))
+    return match_shape(
+        evaluate_solver(model, solve, joint_rows(model, q), at, tolerance, "direct"), q
+    )
 
 
 def inverse(
@@ -63,15 +65,15 @@ def inverse(
     tolerance: float = TOLERANCE,
 ) -> Solutions:
     """Joints, and the orientation that follows, for positions (3,) or (N, 3)."""
-    solve = inverse_function(model.structure, 0 if rough else at_least_one(half_steps))
+    solve = inverse_function(model.structure, 0 if rough else check_step_count(half_steps))
     given = pose_rows(model, position, None)
-    return shaped(answers(model, solve, given, at, tolerance, "inverse"), position)
+    return match_shape(evaluate_solver(model, solve, given, at, tolerance, "inverse"), position)
 
 
 @lru_cache(maxsize=32)
 def direct_function(s: Structure, half_steps: int) -> ca.Function:
     """(configuration, a, v) -> configuration with the pose found; 0 half steps: eq. 6.33."""
-    ideal = _checked(s)
+    ideal = _check_structure(s)
     p = ideal.p if half_steps else _perfect(ideal.p, s)
     turn, r, R = _orientation(s, ideal.q, p, ideal.p), s.r, ca.SX.eye(3)
     home = ca.DM(s.mechanism.home.position)
@@ -93,8 +95,8 @@ def inverse_function(s: Structure, half_steps: int) -> ca.Function:
         )
     q, R = ca.SX(ca.DM(s.mechanism.home.joints)), ca.SX.eye(3)
     for k in range(max(half_steps, 2)):
-        for _ in range(SETTLING if s.effects and k % 2 == 0 else 1):
-            ideal = _at_joints(_checked(s), s, q)
+        for _ in range(N_EFFECT_PASSES if s.effects and k % 2 == 0 else 1):
+            ideal = _substitute_joints(_check_structure(s), s, q)
             p = ideal.p if half_steps else _perfect(ideal.p, s)
             if k % 2:
                 R = _orientation(s, ideal.q, p, ideal.p)(s.r, R)
@@ -135,7 +137,7 @@ def _perfect(p: Named, s: Structure) -> Named:
     return p.replaced(errors)
 
 
-def _checked(s: Structure) -> Seen:
+def _check_structure(s: Structure) -> Seen:
     """What the mechanism sees, where cascading is possible; SolveError where it is not."""
     rows = s.mechanism.closure(s.q, s.r, s.R, s.geometry)
     halves = s.mechanism.moves == POSE and rows.shape[0] == 6 and len(s.q.nz) == 3
@@ -146,12 +148,12 @@ def _checked(s: Structure) -> Seen:
             f"the cascaded solver needs three closure rows that are spheres and three that give "
             f"the orientation; {s.mechanism.name} is not like that: use --solver newton"
         )
-    if not pose_is_seen_as_it_is(s):
+    if not is_pose_unaffected(s):
         raise SolveError("an effect depends on the pose: use --solver newton for this model")
     return s.seen
 
 
-def _at_joints(ideal: Seen, s: Structure, q: Any) -> Seen:
+def _substitute_joints(ideal: Seen, s: Structure, q: Any) -> Seen:
     """What the mechanism sees at other joint readings."""
     new_q, vector = ca.substitute([ideal.q, ca.SX(ideal.p._vector)], [s.q], [q])
     return Seen(new_q, ideal.r, ideal.R, Named(ideal.p._names, vector))

@@ -20,10 +20,10 @@ from parallel_cal.base.rotation import cayley
 from parallel_cal.kinematics.rows import joint_rows, pose_rows
 from parallel_cal.kinematics.solutions import Solutions
 from parallel_cal.kinematics.solvers._common import (
-    answers,
-    at_least_one,
+    check_step_count,
+    evaluate_solver,
     half_step_function,
-    shaped,
+    match_shape,
 )
 from parallel_cal.model.closed_form import joint_angles, positions
 from parallel_cal.model.mechanism import POSE, Mechanism, nearest
@@ -44,8 +44,10 @@ def direct(
     tolerance: float = TOLERANCE,
 ) -> Solutions:
     """Poses for joints (nq,) or (N, nq) after some half steps (6.7.2)."""
-    solve = direct_function(model.structure, at_least_one(half_steps))
-    return shaped(answers(model, solve, joint_rows(model, q), at, tolerance, "direct"), q)
+    solve = direct_function(model.structure, check_step_count(half_steps))
+    return match_shape(
+        evaluate_solver(model, solve, joint_rows(model, q), at, tolerance, "direct"), q
+    )
 
 
 def inverse(
@@ -57,15 +59,15 @@ def inverse(
     tolerance: float = TOLERANCE,
 ) -> Solutions:
     """Joints, and the position that follows, for rotations (3, 3) or (N, 3, 3) (6.7.3)."""
-    solve = inverse_function(model.structure, at_least_one(half_steps))
+    solve = inverse_function(model.structure, check_step_count(half_steps))
     given = pose_rows(model, position, rotation)
-    return shaped(answers(model, solve, given, at, tolerance, "inverse"), position)
+    return match_shape(evaluate_solver(model, solve, given, at, tolerance, "inverse"), position)
 
 
 @lru_cache(maxsize=16)
 def direct_function(s: Structure, half_steps: int) -> ca.Function:
     """(configuration, a, v) -> configuration with the pose found."""
-    ideal = _checked(s)
+    ideal = _check_structure(s)
     turn = _orientation(s.mechanism, ideal.q, ideal.p)
     _, R = s.mechanism.start(ideal.q, ideal.p)
     r = ca.SX(ca.DM(s.mechanism.home.position))
@@ -81,7 +83,7 @@ def direct_function(s: Structure, half_steps: int) -> ca.Function:
 @lru_cache(maxsize=16)
 def inverse_function(s: Structure, half_steps: int) -> ca.Function:
     """The same for joints and position at a given orientation."""
-    ideal = _checked(s)
+    ideal = _check_structure(s)
     r, q = ca.SX(ca.DM(s.mechanism.home.position)), ca.SX(ca.DM(s.mechanism.home.joints))
     for k in range(half_steps):
         if k % 2:
@@ -119,7 +121,7 @@ class _Spheres:
         return self._mechanism.closure(q, r, R, p)[3:]
 
 
-def _checked(s: Structure) -> Any:
+def _check_structure(s: Structure) -> Any:
     """What the mechanism sees; SolveError unless it is an Argos with effects on geometry alone."""
     m = s.mechanism
     if not hasattr(m, "circles") or m.moves != POSE:

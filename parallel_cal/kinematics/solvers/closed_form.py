@@ -14,15 +14,15 @@ import numpy as np
 
 from parallel_cal.base.errors import SolveError
 from parallel_cal.base.rotation import quaternion_to_matrix
-from parallel_cal.kinematics.solutions import CLOSED, Solutions, stacked
+from parallel_cal.kinematics.solutions import MAX_CLOSED_RESIDUAL_M, Solutions, stack_solutions
 from parallel_cal.kinematics.solvers._common import (
-    home_first,
+    get_kinematics,
     joint_candidates,
-    kinematics_of,
-    on_home_branch,
+    make_unsolved,
+    order_from_home,
     pose_candidates,
-    sample,
-    unsolved,
+    select_conditions,
+    solve_on_home_branch,
     with_status,
 )
 from parallel_cal.model.configuration import Configuration
@@ -34,13 +34,13 @@ At = Mapping[str, Any]
 
 def direct(model: Model, q: np.ndarray, at: At | None = None) -> Solutions:
     """The pose on the home branch for joints (nq,) or (N, nq)."""
-    return on_home_branch(model, q, at, direct_all)
+    return solve_on_home_branch(model, q, at, direct_all)
 
 
 def direct_all(model: Model, q: np.ndarray, at: At | None = None) -> Solutions:
     """The candidate poses of joints (nq,) that are exact, the home branch first."""
-    found = _exact(model, pose_candidates(model, q), at, "direct")
-    return replace(found[home_first(model, found, at)], complete=found.complete)
+    found = _select_exact(model, pose_candidates(model, q), at, "direct")
+    return replace(found[order_from_home(model, found, at)], complete=found.complete)
 
 
 def inverse(
@@ -50,10 +50,10 @@ def inverse(
     r = np.asarray(position, dtype=float)
     if r.ndim == 1:
         found = inverse_all(model, r, rotation, at)
-        return found[0] if len(found) else unsolved(model, r=r)
+        return found[0] if len(found) else make_unsolved(model, r=r)
     turns = [None] * len(r) if rotation is None else np.reshape(rotation, (-1, 3, 3))
     rows = enumerate(zip(r, turns, strict=True))
-    return stacked([inverse(model, *row, sample(at, i)) for i, row in rows])
+    return stack_solutions([inverse(model, *row, select_conditions(at, i)) for i, row in rows])
 
 
 def inverse_all(
@@ -62,18 +62,22 @@ def inverse_all(
     """The candidate joints for a pose that are exact, the ones nearest to home first."""
     home = model.mechanism.home
     R = quaternion_to_matrix(home.quaternion) if rotation is None else np.reshape(rotation, (3, 3))
-    found = _exact(model, joint_candidates(model, position, R), at, "inverse")
+    found = _select_exact(model, joint_candidates(model, position, R), at, "inverse")
     order = np.argsort(np.sum(1 - np.cos(found.joints - np.array(home.joints)), axis=1))
     return replace(found[order], complete=found.complete)
 
 
-def _exact(model: Model, candidates: Configuration, at: At | None, problem: str) -> Solutions:
+def _select_exact(
+    model: Model, candidates: Configuration, at: At | None, problem: str
+) -> Solutions:
     """The exact ones with status, maybe none; SolveError where the workspace has none either."""
-    solutions = with_status(model, candidates.rows, at, CLOSED, problem)
-    exact = np.flatnonzero(solutions.residual < CLOSED)
+    solutions = with_status(model, candidates.rows, at, MAX_CLOSED_RESIDUAL_M, problem)
+    exact = np.flatnonzero(solutions.residual < MAX_CLOSED_RESIDUAL_M)
     if len(solutions) and not len(exact):
-        off = _off_within(model, at, problem)
-        if off >= CLOSED:  # else the formula holds for this model: the sample is out of reach
+        off = _compute_max_residual(model, at, problem)
+        if (
+            off >= MAX_CLOSED_RESIDUAL_M
+        ):  # else the formula holds for this model: the sample is out of reach
             raise SolveError(
                 f"closed_form is not exact for this {model.mechanism.name} and its effects "
                 f"(off by {off:.2g} m); there is newton"
@@ -82,11 +86,11 @@ def _exact(model: Model, candidates: Configuration, at: At | None, problem: str)
     return replace(solutions[exact], complete=every)
 
 
-def _off_within(model: Model, at: At | None, problem: str) -> float:
+def _compute_max_residual(model: Model, at: At | None, problem: str) -> float:
     """The largest residual (m) of the formula's best answers at five poses of the workspace."""
     r, R = poses_in_workspace(model.mechanism, 5, np.random.default_rng(0))
-    solved = kinematics_of(model).inverse(r, R, at)
-    judged = partial(with_status, model, at=at, tolerance=CLOSED, problem=problem)
+    solved = get_kinematics(model).inverse(r, R, at)
+    judged = partial(with_status, model, at=at, tolerance=MAX_CLOSED_RESIDUAL_M, problem=problem)
     best = []
     for i in np.flatnonzero(solved.ok):
         found = (

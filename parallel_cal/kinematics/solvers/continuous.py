@@ -15,17 +15,24 @@ from parallel_cal.base.errors import SolveError
 from parallel_cal.base.rotation import rotation_matrix, rotation_vector
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.kinematics.singularity import distances
-from parallel_cal.kinematics.solutions import Solutions, Status, concatenated, stacked
-from parallel_cal.kinematics.solvers._common import kinematics_of, sample
+from parallel_cal.kinematics.solutions import (
+    Solutions,
+    Status,
+    concatenate_solutions,
+    stack_solutions,
+)
+from parallel_cal.kinematics.solvers._common import get_kinematics, select_conditions
 from parallel_cal.model.model import Model
 
-NEAR = 0.02  # scaled singular value below which the mode is called in danger
-AHEAD = 5  # points: danger is announced when the branch will end within so many
-SMALLEST = 2.0**-12  # of a way between two points: finer steps mean that the branch has ended
+MIN_SAFE_DISTANCE = 0.02  # scaled singular value below which the mode is called in danger
+WARN_POINTS_AHEAD = 5  # points: danger is announced when the branch will end within so many
+MIN_STEP_FRACTION = (
+    2.0**-12
+)  # of a way between two points: finer steps mean that the branch has ended
 SOLVED = (Status.CONVERGED, Status.OUTSIDE_LIMITS)
 # Driven joints leave the platform free in a direct singularity only. A commanded platform brings
 # the robot into either kind.
-ENDS = {"direct": ("direct",), "inverse": ("direct", "inverse")}
+SINGULARITY_KINDS = {"direct": ("direct",), "inverse": ("direct", "inverse")}
 
 # (k, t, here) -> the solution at t between points k - 1 and k, from one nearby
 Step = Callable[[int, float, Solutions | None], Solutions]
@@ -58,7 +65,7 @@ def direct(model: Model, q: np.ndarray, at: Mapping[str, Any] | None = None) -> 
     branch has ended."""
     q = np.atleast_2d(q)
     nowhere = np.full((len(q), 3), np.nan)
-    return _filled_up(follow_joints(kinematics_of(model), q, at), q, nowhere)
+    return _fill_lost_points(follow_joints(get_kinematics(model), q, at), q, nowhere)
 
 
 def inverse(
@@ -70,7 +77,7 @@ def inverse(
     """Joints along positions (N, 3) and rotations (N, 3, 3), likewise."""
     r = np.atleast_2d(position)
     nowhere = np.full((len(r), len(model.joints)), np.nan)
-    return _filled_up(follow_poses(kinematics_of(model), r, rotation, at), nowhere, r)
+    return _fill_lost_points(follow_poses(get_kinematics(model), r, rotation, at), nowhere, r)
 
 
 def follow_joints(
@@ -80,7 +87,7 @@ def follow_joints(
     q = np.asarray(joints, dtype=float)
 
     def solve(k: int, t: float, here: Solutions | None) -> Solutions:
-        return kinematics.direct(_between(q, k, t), sample(at, k), here)
+        return kinematics.direct(_interpolate(q, k, t), select_conditions(at, k), here)
 
     return _follow(kinematics, len(q), "direct", at, solve)
 
@@ -98,19 +105,19 @@ def follow_poses(
 
     def solve(k: int, t: float, here: Solutions | None) -> Solutions:
         kept = None if here is None else np.asarray(here.rotation)
-        turned = kept if R is None else _turned_between(R, k, t)
-        return kinematics.inverse(_between(r, k, t), turned, sample(at, k), here)
+        turned = kept if R is None else _interpolate_rotation(R, k, t)
+        return kinematics.inverse(_interpolate(r, k, t), turned, select_conditions(at, k), here)
 
     return _follow(kinematics, len(r), "inverse", at, solve)
 
 
-def _between(points: np.ndarray, k: int, t: float) -> np.ndarray:
+def _interpolate(points: np.ndarray, k: int, t: float) -> np.ndarray:
     """The point at t between points k - 1 and k; point 0 where k is 0."""
     begin = points[max(k - 1, 0)]
     return np.asarray(begin + t * (points[k] - begin))
 
 
-def _turned_between(R: np.ndarray, k: int, t: float) -> np.ndarray:
+def _interpolate_rotation(R: np.ndarray, k: int, t: float) -> np.ndarray:
     begin = R[max(k - 1, 0)]
     return np.asarray(rotation_matrix(t * rotation_vector(R[k] @ begin.T)) @ begin)
 
@@ -124,15 +131,15 @@ def _follow(
     lost = None if found[0].status in SOLVED else 0
     while lost is None and len(found) < count:
         k = len(found)
-        after = _walk(kinematics.model, k, found[-1], kind, sample(at, k), solve)
+        after = _walk(kinematics.model, k, found[-1], kind, select_conditions(at, k), solve)
         if after is None:
             lost = k
         else:
             found.append(after)
-    solutions = stacked(found)
+    solutions = stack_solutions(found)
     conditions = {name: np.resize(values, len(found)) for name, values in (at or {}).items()}
     here = distances(kinematics.model, solutions, conditions)
-    distance = np.min([getattr(here, end) for end in ENDS[kind]], axis=0)
+    distance = np.min([getattr(here, end) for end in SINGULARITY_KINDS[kind]], axis=0)
     return Track(solutions, distance, _first_danger(distance), lost)
 
 
@@ -142,8 +149,8 @@ def _first_danger(distance: np.ndarray) -> int | None:
     Two branches meet like a square root, so distance^2 falls in a straight line to zero.
     """
     square = distance**2
-    ends = square + AHEAD * np.diff(square, prepend=square[:1]) <= 0
-    near = np.flatnonzero((distance < NEAR) | ends)
+    ends = square + WARN_POINTS_AHEAD * np.diff(square, prepend=square[:1]) <= 0
+    near = np.flatnonzero((distance < MIN_SAFE_DISTANCE) | ends)
     return int(near[0]) if len(near) else None
 
 
@@ -155,23 +162,23 @@ def _walk(
     while way < 1:
         target = min(way + step, 1.0)
         there = solve(k, target, here)
-        if _same_branch(model, here, there, kind, at):
+        if _is_same_branch(model, here, there, kind, at):
             here, way, step = there, target, 2 * step
         else:
             step /= 2
-            if step < SMALLEST:
+            if step < MIN_STEP_FRACTION:
                 return None
     return here
 
 
-def _same_branch(
+def _is_same_branch(
     model: Model, here: Solutions, there: Solutions, kind: str, at: Mapping[str, Any] | None
 ) -> bool:
     """Solved, no determinant's sign changed, and the step no longer than what it led to."""
     if there.status not in SOLVED:
         return False
-    both = distances(model, stacked([here, there]), at)
-    signs = [getattr(both, f"{end}_sign") for end in ENDS[kind]]
+    both = distances(model, stack_solutions([here, there]), at)
+    signs = [getattr(both, f"{end}_sign") for end in SINGULARITY_KINDS[kind]]
     if any(before != after for before, after in signs):
         return False
     moved = np.abs(there.position - here.position).max() / model.mechanism.length
@@ -181,11 +188,11 @@ def _same_branch(
     return bool(max(moved / 4, turned, swung / 2) < 0.25)
 
 
-def _filled_up(track: Track, joints: np.ndarray, positions: np.ndarray) -> Solutions:
+def _fill_lost_points(track: Track, joints: np.ndarray, positions: np.ndarray) -> Solutions:
     """The track's solutions, then what is given and NaN for the points beyond its end."""
     n = len(track.solutions)
     beyond = len(joints) - n
     nan = np.full((beyond, 3, 3), np.nan)
     ended = np.full(beyond, Status.NOT_CONVERGED, dtype=np.int8)
     rest = Solutions(joints[n:], positions[n:], nan, nan[:, 0, 0], ended)
-    return replace(concatenated([track.solutions, rest]), message=track.message)
+    return replace(concatenate_solutions([track.solutions, rest]), message=track.message)

@@ -18,9 +18,9 @@ import numpy as np
 from parallel_cal.base.compiled import dense
 from parallel_cal.base.errors import SolveError
 from parallel_cal.kinematics.kinematics import Solutions
-from parallel_cal.kinematics.newton import Elimination, moved, row_order, split
+from parallel_cal.kinematics.newton import Elimination, apply_change, row_order, split
 from parallel_cal.kinematics.rows import joint_rows, pose_rows
-from parallel_cal.kinematics.solvers._common import answers, at_least_one, shaped
+from parallel_cal.kinematics.solvers._common import check_step_count, evaluate_solver, match_shape
 from parallel_cal.model.model import Model
 from parallel_cal.model.structure import Structure
 
@@ -39,8 +39,10 @@ def direct(
     tolerance: float = TOLERANCE,
 ) -> Solutions:
     """Poses for joints (nq,) or (N, nq) after some steps."""
-    solve = newton_steps(model.structure, "direct", at_least_one(steps), update, start)
-    return shaped(answers(model, solve, joint_rows(model, q), at, tolerance, "direct"), q)
+    solve = newton_steps(model.structure, "direct", check_step_count(steps), update, start)
+    return match_shape(
+        evaluate_solver(model, solve, joint_rows(model, q), at, tolerance, "direct"), q
+    )
 
 
 def inverse(
@@ -54,9 +56,9 @@ def inverse(
     tolerance: float = TOLERANCE,
 ) -> Solutions:
     """Joints for positions (3,) or (N, 3) and rotations; passive coordinates follow."""
-    solve = newton_steps(model.structure, "inverse", at_least_one(steps), update, start)
+    solve = newton_steps(model.structure, "inverse", check_step_count(steps), update, start)
     given = pose_rows(model, position, rotation)
-    return shaped(answers(model, solve, given, at, tolerance, "inverse"), position)
+    return match_shape(evaluate_solver(model, solve, given, at, tolerance, "inverse"), position)
 
 
 @lru_cache(maxsize=32)
@@ -78,5 +80,5 @@ def newton_steps(
     for k in range(steps):
         if update and k:
             solver = Elimination(slope(x, s.a, s.v), order)
-        x = moved(s, x, columns, solver(-phi(x, s.a, s.v)))
+        x = apply_change(s, x, columns, solver(-phi(x, s.a, s.v)))
     return dense(f"newton_{problem}", inputs, [x])

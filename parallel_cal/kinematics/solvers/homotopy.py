@@ -16,11 +16,11 @@ import numpy as np
 
 from parallel_cal.kinematics.kinematics import Solutions
 from parallel_cal.kinematics.solvers._common import (
-    home_first,
-    kinematics_of,
-    on_home_branch,
+    get_kinematics,
+    is_pose_unaffected,
+    order_from_home,
     parts,
-    pose_is_seen_as_it_is,
+    solve_on_home_branch,
 )
 from parallel_cal.kinematics.solvers._platform import PoseSet, all_poses
 from parallel_cal.model.model import Model
@@ -39,17 +39,17 @@ def pose_set(model: Model, q: np.ndarray, at: Mapping[str, Any] | None = None) -
     if m == 0:
         return replace(found, real=replace(found.real, joints=np.empty((0, len(q)))))
     start = replace(found.real, joints=np.tile(q, (m, 1)))
-    real = kinematics_of(model).direct(start.joints, at, start)
-    return replace(found, real=real[home_first(model, real, at)])
+    real = get_kinematics(model).direct(start.joints, at, start)
+    return replace(found, real=real[order_from_home(model, real, at)])
 
 
 def direct_all(model: Model, q: np.ndarray, at: Mapping[str, Any] | None = None) -> Solutions:
     """Every real pose of the model at joints q (nq,), the home branch first; maybe none."""
     found = pose_set(model, q, at)
-    complete = found.complete and pose_is_seen_as_it_is(model.structure)
+    complete = found.complete and is_pose_unaffected(model.structure)
     return replace(found.real, count_complex=found.count_complex, complete=complete)
 
 
 def direct(model: Model, q: np.ndarray, at: Mapping[str, Any] | None = None) -> Solutions:
     """The pose on the home branch for joints (nq,) or (N, nq); unreachable where none is real."""
-    return on_home_branch(model, q, at, direct_all)
+    return solve_on_home_branch(model, q, at, direct_all)

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.base.errors import SolveError
-from parallel_cal.kinematics.kinematics import CLOSED, Kinematics, Solutions, Status
-from parallel_cal.kinematics.solvers._common import shaped, with_status
+from parallel_cal.kinematics.kinematics import MAX_CLOSED_RESIDUAL_M, Kinematics, Solutions, Status
+from parallel_cal.kinematics.solvers._common import match_shape, with_status
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model
 
@@ -28,8 +28,8 @@ def direct(model: Model, q: np.ndarray, at: Mapping[str, Any] | None = None) -> 
     nominal = _nominal(model).direct(np.atleast_2d(q), at)
     dX = pose_error(model, nominal, at)
     still = np.zeros_like(nominal.joints)
-    x = nominal.configuration.moved(np.hstack([still, dX]))
-    return shaped(_answer(model, x, nominal, at, "direct"), q)
+    x = nominal.configuration.apply_change(np.hstack([still, dX]))
+    return match_shape(_answer(model, x, nominal, at, "direct"), q)
 
 
 def inverse(
@@ -54,8 +54,8 @@ def inverse(
     dq, follows = joint_correction(model, nominal, dx, at)  # (iv)
     left = np.zeros_like(dX)
     left[:, m.passive] = dX[:, m.passive] - follows
-    x = nominal.configuration.moved(np.hstack([-dq, left]))
-    return shaped(_answer(model, x, nominal, at, "inverse"), position)  # (v)
+    x = nominal.configuration.apply_change(np.hstack([-dq, left]))
+    return match_shape(_answer(model, x, nominal, at, "inverse"), position)  # (v)
 
 
 def pose_error(model: Model, nominal: Solutions, at: Mapping[str, Any] | None = None) -> np.ndarray:
@@ -63,7 +63,7 @@ def pose_error(model: Model, nominal: Solutions, at: Mapping[str, Any] | None = 
     _, J_x, J_v = _blocks(model, nominal, at)
     dk = model.values - nominal_values(model)
     dX, moved = np.zeros((len(nominal), 6)), model.mechanism.moved
-    dX[:, moved] = -_solved(J_x[:, :, moved], J_v @ dk)
+    dX[:, moved] = -_solve_least_squares(J_x[:, :, moved], J_v @ dk)
     return dX
 
 
@@ -75,7 +75,7 @@ def joint_correction(
     m, n = model.mechanism, len(model.joints)
     unknown = np.concatenate([J_q, J_x[:, :, m.passive]], axis=2)
     given = (J_x[:, :, m.controlled] @ dx[..., None])[..., 0]
-    change = -_solved(unknown, given)
+    change = -_solve_least_squares(unknown, given)
     return change[:, :n], change[:, n:]
 
 
@@ -99,7 +99,7 @@ def _blocks(
     return J_x[:, :, :n], J_x[:, :, n:], J_v
 
 
-def _solved(A: np.ndarray, b: np.ndarray) -> np.ndarray:
+def _solve_least_squares(A: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Least squares A u = b for each sample; NaN where the nominal solution failed."""
     u = np.full(A.shape[::2], np.nan)
     good = np.isfinite(A).all(axis=(1, 2)) & np.isfinite(b).all(axis=1)
@@ -126,7 +126,7 @@ def _answer(
     before, solutions = (
         with_status(model, each.rows, at, np.inf, problem) for each in (nominal.configuration, x)
     )
-    left = solutions.residual > np.maximum(0.1 * before.residual, CLOSED)
+    left = solutions.residual > np.maximum(0.1 * before.residual, MAX_CLOSED_RESIDUAL_M)
     solutions.status[left] = Status.NOT_CONVERGED
     failed = (nominal.status != Status.CONVERGED) & (nominal.status != Status.OUTSIDE_LIMITS)
     solutions.status[failed] = nominal.status[failed]

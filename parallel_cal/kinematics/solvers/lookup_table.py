@@ -20,7 +20,7 @@ import numpy as np
 from parallel_cal.base.errors import SolveError
 from parallel_cal.base.rotation import rotation_vector
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions, Status
-from parallel_cal.kinematics.solvers._common import shaped, with_status
+from parallel_cal.kinematics.solvers._common import match_shape, with_status
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.model import Model
 
@@ -72,7 +72,7 @@ def direct(
     """Nominal pose + table at joints q; status NOT_CONVERGED outside the table."""
     table = table_for(model, "direct", at, size, order)
     nominal = table.nominal.direct(np.atleast_2d(q), at)
-    return shaped(_corrected(model, table, nominal, np.atleast_2d(q), at), q)
+    return match_shape(_apply_corrections(model, table, nominal, np.atleast_2d(q), at), q)
 
 
 def inverse(
@@ -87,7 +87,7 @@ def inverse(
     table = table_for(model, "inverse", at, size, order)
     nominal = table.nominal.inverse(np.atleast_2d(position), rotation, at)
     given = _controlled(model.mechanism, nominal)
-    return shaped(_corrected(model, table, nominal, given, at), position)
+    return match_shape(_apply_corrections(model, table, nominal, given, at), position)
 
 
 def table_for(
@@ -102,18 +102,18 @@ def table_for(
     if any(np.ndim(v) for v in (at or {}).values()):
         raise SolveError("a look-up table holds for one set of conditions; give single numbers")
     conditions = tuple(sorted((k, float(v)) for k, v in (at or {}).items()))
-    return _built(model, problem, conditions, size, order)
+    return _build_table(model, problem, conditions, size, order)
 
 
 @lru_cache(maxsize=8)
-def _built(
+def _build_table(
     model: Model, problem: str, conditions: tuple[tuple[str, float], ...], size: int, order: str
 ) -> LookUpTable:
     at = dict(conditions)
     exact, nominal = Kinematics(model), Kinematics(model.with_values(model.table.nominal))
     axes = _axes((exact, nominal), problem, size)
     points = _grid(axes)
-    wanted, usual = (_solved_at(k, problem, points, at) for k in (exact, nominal))
+    wanted, usual = (_solve_at(k, problem, points, at) for k in (exact, nominal))
     values = wanted.configuration.change_from(usual.configuration)
     if problem == "direct":
         values = values[:, len(model.joints) :]
@@ -133,7 +133,7 @@ def _axes(robots: Sequence[Kinematics], problem: str, size: int) -> tuple[np.nda
     low, high = np.array(m.workspace.low), np.array(m.workspace.high)
     if problem == "direct":
         points = _grid([np.linspace(a, b, 5) for a, b in zip(low, high, strict=True)])
-        joints = np.vstack([_solved_at(k, "inverse", points, {}).joints for k in robots])
+        joints = np.vstack([_solve_at(k, "inverse", points, {}).joints for k in robots])
         low, high = np.nanmin(joints, axis=0), np.nanmax(joints, axis=0)
     edge = EDGE * (high - low)
     return tuple(np.linspace(a, b, size) for a, b in zip(low - edge, high + edge, strict=True))
@@ -143,7 +143,7 @@ def _grid(axes: Sequence[np.ndarray]) -> np.ndarray:
     return np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, len(axes))
 
 
-def _solved_at(
+def _solve_at(
     kinematics: Kinematics, problem: str, points: np.ndarray, at: Mapping[str, Any]
 ) -> Solutions:
     """Solutions at grid points: joints, or controlled coordinates as `Workspace` has them."""
@@ -157,7 +157,7 @@ def _controlled(mechanism: Mechanism, s: Solutions) -> np.ndarray:
     return np.hstack([s.position, rotation_vector(s.rotation)])[:, mechanism.controlled]
 
 
-def _corrected(
+def _apply_corrections(
     model: Model,
     table: LookUpTable,
     nominal: Solutions,
@@ -167,7 +167,7 @@ def _corrected(
     """Nominal solutions with the table's corrections, and the closure's residual there."""
     change = table.corrections(given)
     still = np.zeros((len(given), len(model.joints) if table.problem == "direct" else 0))
-    x = nominal.configuration.moved(np.hstack([still, change]))
+    x = nominal.configuration.apply_change(np.hstack([still, change]))
     solutions = with_status(model, x.rows, at, np.inf, table.problem)
     usable = _usable(nominal)
     solutions.status[~usable] = nominal.status[~usable]

@@ -16,10 +16,16 @@ from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.kinematics.problem import Problem
 from parallel_cal.kinematics.rows import joint_rows, pose_rows
-from parallel_cal.kinematics.solutions import CLOSED, SETTLED, Solutions, Status, concatenated
+from parallel_cal.kinematics.solutions import (
+    MAX_CLOSED_RESIDUAL_M,
+    MAX_SETTLED_STEP_M,
+    Solutions,
+    Status,
+    concatenate_solutions,
+)
 from parallel_cal.kinematics.solvers._common import (
+    get_kinematics,
     joint_candidates,
-    kinematics_of,
     pose_candidates,
     residuals,
 )
@@ -29,21 +35,21 @@ from parallel_cal.model.model import Model
 
 STARTS = 256  # random ones
 ROUNDS = 6  # of iterations from each
-SAME = 1e-7  # m or rad: solutions nearer than that are one
+MAX_SAME_SOLUTION_DIFFERENCE = 1e-7  # m or rad: solutions nearer than that are one
 
 At = Mapping[str, Any]
 
 
 def direct(model: Model, q: np.ndarray, at: At | None = None) -> Solutions:
     """Poses on the home branch for joints (nq,) or (N, nq)."""
-    return kinematics_of(model).direct(q, at)
+    return get_kinematics(model).direct(q, at)
 
 
 def inverse(
     model: Model, position: np.ndarray, rotation: np.ndarray | None = None, at: At | None = None
 ) -> Solutions:
     """Joints on the home branch for positions (3,) or (N, 3) and rotations."""
-    return kinematics_of(model).inverse(position, rotation, at)
+    return get_kinematics(model).inverse(position, rotation, at)
 
 
 def direct_all(
@@ -51,7 +57,7 @@ def direct_all(
 ) -> Solutions:
     """Every distinct pose found for joints (nq,), the home branch first: from the mechanism's
     candidates and, where these are not known to be all, from random `starts`."""
-    kinematics, given = kinematics_of(model), joint_rows(model, q)
+    kinematics, given = get_kinematics(model), joint_rows(model, q)
     candidates = pose_candidates(model, given[0, : len(model.joints)])
     return _Search(kinematics, kinematics.direct_problem, given, at)(candidates, starts)
 
@@ -67,7 +73,7 @@ def inverse_all(
 
     SolveError for a redundant arm: infinitely many are none.
     """
-    kinematics, given = kinematics_of(model), pose_rows(model, position, rotation)
+    kinematics, given = get_kinematics(model), pose_rows(model, position, rotation)
     pose, problem = Configuration.from_rows(given[0]), kinematics.inverse_problem
     if len(problem.columns) > model.structure.phi.shape[0]:
         raise SolveError(
@@ -91,51 +97,55 @@ class _Search:
         first = self.kinematics.solve_rows(self.problem, self.given, self.at)
         if first.status == Status.INVALID_INPUT:
             return first
-        known = concatenated([first, self._from(candidates.rows)])
-        complete = self._all_exact(candidates)
+        known = concatenate_solutions([first, self._solve_from(candidates.rows)])
+        complete = self._are_all_exact(candidates)
         if not complete:
-            more = self._from(self._reached(starts))
+            more = self._solve_from(self._search_randomly(starts))
             # Not the singular ones: where the robot moves by itself they are without number.
-            known = concatenated([known, more[more.status != Status.SINGULAR]])
+            known = concatenate_solutions([known, more[more.status != Status.SINGULAR]])
         found = known[known.solved]
         found = found[self._distinct(found.configuration.rows)]
         return replace(found if len(found) else first, complete=complete)
 
-    def _from(self, rows: np.ndarray) -> Solutions:
+    def _solve_from(self, rows: np.ndarray) -> Solutions:
         """The solutions reached from configurations (k, nq + 12)."""
         given = np.repeat(self.given, len(rows), axis=0)
         return self.kinematics.solve_rows(self.problem, given, self.at, _start(rows))
 
     def _distinct(self, rows: np.ndarray) -> list[int]:
         """The first of each group of equal ones, whole turns aside."""
-        turns, firsts, left = self.kinematics.model.mechanism.turns, [], np.arange(len(rows))
+        turns, firsts, left = (
+            self.kinematics.model.mechanism.joint_periods,
+            [],
+            np.arange(len(rows)),
+        )
         while len(left):
             here = Configuration.from_rows(rows[left[0]])
             change = Configuration.from_rows(rows[left]).change_from(here)
             change -= np.append(turns, np.zeros(6)) * np.round(change / (2 * np.pi))
             firsts.append(int(left[0]))
-            left = left[np.abs(change).max(axis=1) > SAME]
+            left = left[np.abs(change).max(axis=1) > MAX_SAME_SOLUTION_DIFFERENCE]
         return firsts
 
-    def _all_exact(self, candidates: Configuration) -> bool:
+    def _are_all_exact(self, candidates: Configuration) -> bool:
         """Whether the candidates are the mechanism's closed form and effects leave it exact."""
         model, rows = self.kinematics.model, candidates.rows
         if self.problem.name not in model.mechanism.closed_forms:
             return False
-        exact = (residuals(model, rows, self.at) < CLOSED).all()
+        exact = (residuals(model, rows, self.at) < MAX_CLOSED_RESIDUAL_M).all()
         return bool(exact) if len(rows) else not model.effects
 
-    def _reached(self, starts: int) -> np.ndarray:
+    def _search_randomly(self, starts: int) -> np.ndarray:
         """Different configurations (k, nq + 12) that plain iterations from random ones end in."""
         if self.problem.redundant:  # there a local minimum is no answer
             return self.given[:0]
         model = self.kinematics.model
         given = np.repeat(self.given, starts, axis=0)
-        x = self.problem.begin(given, _start(_scattered(model.mechanism, starts).rows))
+        x = self.problem.begin(given, _start(_sample_configurations(model.mechanism, starts).rows))
         a = model.condition_rows(self.at, starts)
         for _ in range(ROUNDS):
             x, step, residual, _ = self.problem.refine(x, a)
-        x = x[((step < SETTLED) & (residual < CLOSED))[:, 0]]
+        x = x[((step < MAX_SETTLED_STEP_M) & (residual < MAX_CLOSED_RESIDUAL_M))[:, 0]]
         return x[self._distinct(x)]
 
 
@@ -144,13 +154,13 @@ def _start(rows: np.ndarray) -> Solutions:
     return Solutions.of(rows, nothing, np.full(len(rows), Status.NOT_CONVERGED))
 
 
-def _scattered(m: Mechanism, n: int) -> Configuration:
+def _sample_configurations(m: Mechanism, n: int) -> Configuration:
     """Random configurations: what turns anywhere, slides within their limits and half as far
     beyond, positions a length around the workspace and its mirror image; always the same."""
     rng, home = np.random.default_rng(0), Configuration.from_rows(m.home.configuration)
     q, r, w = (rng.uniform(-1, 1, (n, size)) for size in (len(m.joints), 3, 3))
     limits, half = np.array(m.joint_limits, dtype=float), np.full(len(m.joints), np.pi)
-    middle, slides = home.q.copy(), (m.turns == 0) & np.isfinite(limits).all(axis=1)
+    middle, slides = home.q.copy(), (m.joint_periods == 0) & np.isfinite(limits).all(axis=1)
     middle[slides], half[slides] = limits[slides].mean(axis=1), np.ptp(limits[slides], axis=1)
     box = np.tile(home.r, (2, 1))
     for i, *between in zip(m.controlled, m.workspace.low, m.workspace.high, strict=True):

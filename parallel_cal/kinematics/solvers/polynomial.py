@@ -20,7 +20,11 @@ from parallel_cal.base.compiled import Single, dense
 from parallel_cal.base.errors import SolveError
 from parallel_cal.kinematics.kinematics import Solutions
 from parallel_cal.kinematics.rows import joint_rows
-from parallel_cal.kinematics.solvers._common import home_first, on_home_branch, with_status
+from parallel_cal.kinematics.solvers._common import (
+    order_from_home,
+    solve_on_home_branch,
+    with_status,
+)
 from parallel_cal.kinematics.solvers._orientation import orientations
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.model import Model
@@ -41,7 +45,7 @@ def direct_all(
     R = orientations(u, v, c, form)
     x = Configuration(np.asarray(q), np.array(model.mechanism.home.position), R).rows
     found = with_status(model, x, at, TOLERANCE, "direct")
-    return replace(found[home_first(model, found, at)], complete=True)
+    return replace(found[order_from_home(model, found, at)], complete=True)
 
 
 def direct(
@@ -51,7 +55,7 @@ def direct(
     form: str = "eigenvalue",
 ) -> Solutions:
     """The orientation on the home branch for joints (nq,) or (N, nq); unreachable where none is."""
-    return on_home_branch(model, q, at, partial(direct_all, form=form))
+    return solve_on_home_branch(model, q, at, partial(direct_all, form=form))
 
 
 def circles(

@@ -18,17 +18,17 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.base.rotation import nearest_rotation
-from parallel_cal.kinematics.solutions import Solutions, Status, stacked
+from parallel_cal.kinematics.solutions import Solutions, Status, stack_solutions
 from parallel_cal.kinematics.solvers._common import (
-    home_first,
-    kinematics_of,
-    on_home_branch,
+    get_kinematics,
+    is_pose_unaffected,
+    order_from_home,
     parts,
-    pose_is_seen_as_it_is,
+    solve_on_home_branch,
 )
 from parallel_cal.model.model import Model
 
-DEGREE = 16
+RESULTANT_DEGREE = 16
 SIDES = ((0, 1), (0, 2), (1, 2))
 SAMPLES = 64  # on the unit circle; more than the resultant's 17 coefficients need
 NEGLIGIBLE = 1e-12  # of the largest coefficient: the degree is lower in symmetric cases
@@ -41,23 +41,23 @@ def direct_all(model: Model, q: np.ndarray, at: Mapping[str, Any] | None = None)
     C, u, radius, B = parts(model, "circles", q, at)
     z, starts = balls(C, u, radius, B)
     found: list[Solutions] = []
-    kinematics = kinematics_of(model)
+    kinematics = get_kinematics(model)
     for points in starts:
-        r, R = placed(B, points)
+        r, R = fit_pose(B, points)
         pose = kinematics.direct(q, at, Solutions(q, r, R, np.array(np.nan), np.array(0)))
         known = any(np.abs(pose.rotation - f.rotation).max() < 1e-6 for f in found)
         if pose.status in (Status.CONVERGED, Status.OUTSIDE_LIMITS) and not known:
             found.append(pose)
     none = np.empty((0, len(q) + 12))
-    poses = stacked(found) if found else Solutions.of(none, none[:, 0], none[:, 0])
-    complete = pose_is_seen_as_it_is(model.structure)
-    poses = poses[home_first(model, poses, at)]
+    poses = stack_solutions(found) if found else Solutions.of(none, none[:, 0], none[:, 0])
+    complete = is_pose_unaffected(model.structure)
+    poses = poses[order_from_home(model, poses, at)]
     return replace(poses, count_complex=len(z), complete=complete)
 
 
 def direct(model: Model, q: np.ndarray, at: Mapping[str, Any] | None = None) -> Solutions:
     """The pose on the home branch for joints (nq,) or (N, nq); unreachable where none is real."""
-    return on_home_branch(model, q, at, direct_all)
+    return solve_on_home_branch(model, q, at, direct_all)
 
 
 def balls(
@@ -94,8 +94,8 @@ def _roots(pairs: dict[tuple[int, int], np.ndarray]) -> np.ndarray:
     """Zeros of the resultant in z_1."""
     z = np.exp(2j * np.pi * np.arange(SAMPLES) / SAMPLES)
     values = np.array([_resultant(one, pairs) for one in z])
-    half = DEGREE // 2
-    coefficients = np.roll(np.fft.fft(values) / SAMPLES, half)[: DEGREE + 1]
+    half = RESULTANT_DEGREE // 2
+    coefficients = np.roll(np.fft.fft(values) / SAMPLES, half)[: RESULTANT_DEGREE + 1]
     size = np.abs(coefficients).max()
     significant = np.flatnonzero(np.abs(coefficients) > NEGLIGIBLE * size)
     return np.roots(coefficients[significant[0] : significant[-1] + 1][::-1])
@@ -125,7 +125,7 @@ def _triangles(z: complex, terms: list[Any], pairs: dict[tuple[int, int], np.nda
     ]
 
 
-def placed(B: np.ndarray, P: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def fit_pose(B: np.ndarray, P: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The pose (r, R) that brings points B (n, 3) nearest to P (n, 3)."""
     b, p = B - B.mean(axis=0), P - P.mean(axis=0)
     turn = nearest_rotation(p.T @ b)

@@ -16,7 +16,7 @@ FOREIGN = {
     "m": (("mm", 1e-3), ("um", 1e-6), ("inch", 0.0254)),
     "rad": (("degrees", math.pi / 180), ("mrad", 1e-3), ("arcmin", math.pi / 10800)),
 }
-WIDE = 50.0  # rad; limits beyond it, eight turns, are degrees
+MAX_LIMIT_RAD = 50.0  # rad; limits beyond it, eight turns, are degrees
 
 
 def names(document: Document, path: Path, found: Iterable[str], expected: Iterable[str]) -> None:
@@ -54,7 +54,7 @@ def joint(document: Document, name: str, expected: str, part: JointPart) -> None
     limits = [v for v in (part.low, part.high) if v is not None]
     if len(limits) == 2 and limits[0] >= limits[1]:
         raise document.error((*path, "low"), f"{limits[0]} is not below high, {limits[1]}")
-    if expected == "rad" and any(abs(v) > WIDE for v in limits):
+    if expected == "rad" and any(abs(v) > MAX_LIMIT_RAD for v in limits):
         raise document.error(path, f"limits {limits} rad: are these degrees?")
 
 

@@ -6,7 +6,7 @@ import hashlib
 from pathlib import Path
 
 from parallel_cal.base.errors import ModelFileError
-from parallel_cal.base.files import MEGABYTE, PREVIOUS, read_text, write_atomically
+from parallel_cal.base.files import BACKUP_SUFFIX, MEGABYTE, read_text, write_atomically
 from parallel_cal.model.file.writer import dump_model
 from parallel_cal.model.file.yamltext import parse_yaml
 from parallel_cal.model.model import Model
@@ -16,7 +16,9 @@ __all__ = [
     "replace_model", "replace_text", "write_model", "write_text",
 ]  # fmt: skip
 
-MOST = 4 * MEGABYTE  # of a file: a second each, in which streams of the node that reads it suffer
+MAX_MODEL_FILE_BYTES = (
+    4 * MEGABYTE
+)  # of a file: a second each, in which streams of the node that reads it suffer
 
 
 def read_model(path: str | Path) -> Model:
@@ -47,7 +49,7 @@ def read_model(path: str | Path) -> Model:
 def model_text(path: str | Path) -> str:
     """The text of a model file; ModelFileError where it cannot be read or is none."""
     try:
-        return read_text(path, MOST)
+        return read_text(path, MAX_MODEL_FILE_BYTES)
     except OSError as error:
         raise ModelFileError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:
@@ -96,7 +98,7 @@ def replace_text(path: str | Path, text: str) -> None:
     ModelFileError, and both files as they were, for a text that could not be read back."""
     parse_model(text, f"{path} (not written)")
     if Path(path).exists():
-        write_text(f"{path}{PREVIOUS}", model_text(path), like=path)
+        write_text(f"{path}{BACKUP_SUFFIX}", model_text(path), like=path)
     write_text(path, text)
 
 

@@ -12,14 +12,14 @@ import numpy as np
 from parallel_cal.base.errors import ModelError
 from parallel_cal.model.effect import Effect
 from parallel_cal.model.file import checks
-from parallel_cal.model.file.schema import FilePart, OwnNumberPart, validated
+from parallel_cal.model.file.schema import FilePart, OwnNumberPart, validate
 from parallel_cal.model.file.sensoroptions import own_numbers, read_sensor
 from parallel_cal.model.file.yamltext import Document, Path
 from parallel_cal.model.mechanism import Box, Home, Mechanism, Workspace
 from parallel_cal.model.model import Model, Noise
 from parallel_cal.model.parameters import Parameter, ParameterTable
-from parallel_cal.model.sensor import Sensor, known_to
-from parallel_cal.model.shelf import load_effect, load_mechanism, shelf_names
+from parallel_cal.model.sensor import Sensor, apply_sensor_tolerances
+from parallel_cal.model.shelf import list_plugins, load_effect, load_mechanism
 
 VERSION = 1
 
@@ -34,10 +34,10 @@ class Reader:
     def model(self) -> Model:
         self._check_version()
         mechanism = self._mechanism()
-        effects = self._loaded("effects", lambda path, name, entry: load_effect(name))
-        sensors = self._loaded("sensors", self._sensor)
+        effects = self._load_parts("effects", lambda path, name, entry: load_effect(name))
+        sensors = self._load_parts("sensors", self._sensor)
         hint = checks.Hint(self._document, _full_table(mechanism, effects, sensors))
-        file = validated(self._document, hint)
+        file = validate(self._document, hint)
         self._configure(mechanism, file)
         self._check_tolerances(mechanism, file)
         entries = self._entries(file, mechanism, effects, sensors)
@@ -87,7 +87,7 @@ class Reader:
         options = entry.get("options", {}) if isinstance(entry, dict) else {}
         name = entry.get("name") if isinstance(entry, dict) else entry
         if not isinstance(name, str) or not isinstance(options, dict):
-            known = ", ".join(shelf_names("mechanisms"))
+            known = ", ".join(list_plugins("mechanisms"))
             raise self._error(("mechanism",), f"{name!r} found, expected one of {known}")
         try:
             return load_mechanism(name, **options)
@@ -100,7 +100,7 @@ class Reader:
             raise self._error((*path, "options"), f"expected a mapping, found {options!r}")
         return read_sensor(self._document, (*path, "options"), name, options)
 
-    def _loaded(self, key: str, load: Callable[[Path, str, dict[str, Any]], Any]) -> list[Any]:
+    def _load_parts(self, key: str, load: Callable[[Path, str, dict[str, Any]], Any]) -> list[Any]:
         """What the entries of a list name, each once, in their order."""
         entries = self._document.data.get(key)
         loaded: list[Any] = []
@@ -193,7 +193,7 @@ class Reader:
         ]
         for i, (effect, entry) in enumerate(zip(effects, file.effects, strict=True)):
             path: Path = ("effects", i, "parameters")
-            table = known_to(sensors, effect.table(mechanism), mechanism)
+            table = apply_sensor_tolerances(sensors, effect.table(mechanism), mechanism)
             table = table.with_tolerances(file.tolerances)
             found += self._part(path, effect, table, entry.parameters)
         for i, (sensor, given) in enumerate(zip(sensors, file.sensors, strict=True)):

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, JsonValue, ValidationError
 
-from parallel_cal.base.errors import nearest
+from parallel_cal.base.errors import format_suggestion
 from parallel_cal.model.file.yamltext import Document, Path
 
 Positive = Annotated[float, Field(gt=0)]
@@ -186,7 +186,7 @@ EXPECTED = {
 }
 
 
-def validated(document: Document, hint: Any) -> FilePart:
+def validate(document: Document, hint: Any) -> FilePart:
     """The document as a checked structure; ModelFileError for the first thing wrong.
 
     `hint(path)` says what the value at a path should be ("m, 0.066 to 0.086").
@@ -224,6 +224,6 @@ def _known_at(path: Path) -> list[str]:
 
 def suggestion(word: str, known: list[str]) -> str:
     """The nearest known words, or all of them where none is near and they are few."""
-    if near := nearest(word, known):
+    if near := format_suggestion(word, known):
         return near
     return f"; expected one of {', '.join(known[:24])}" if known else ""

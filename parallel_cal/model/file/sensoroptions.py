@@ -42,7 +42,7 @@ def read_sensor(document: Document, path: Path, name: str, options: Mapping[str,
 
 def own_numbers(sensor: Sensor, table: ParameterTable) -> dict[str, OwnNumberPart]:
     """The numbers of a sensor whose entry gives none: nominal, fixed where it knows them."""
-    fixed = table.matching(sensor.known())
+    fixed = table.matching(sensor.fixed_patterns())
     return {
         p.name.removeprefix(f"{sensor.name}."): OwnNumberPart(
             value=p.nominal, unit=p.unit, fixed=bool(known)

@@ -21,7 +21,7 @@ NUMBER = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
 WHOLE = re.compile(r"[-+]?[0-9]+")
 NOT_FINITE = re.compile(r"[-+]?\.?(inf|infinity|nan)", re.IGNORECASE)
 PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_./+-]*( [A-Za-z0-9_./+-]+)*")
-DEEPEST = 30  # levels; a model file has six, and parsers go down by recursion
+MAX_DEPTH = 30  # levels; a model file has six, and parsers go down by recursion
 DIGITS = 18  # of a whole number: what 64 bits hold
 AMBIGUOUS = {"null", "true", "false", "yes", "no", "on", "off", "y", "n", "nan", "inf", "infinity"}
 
@@ -73,9 +73,9 @@ def _check_depth(events: Iterable[Any], name: str) -> None:
         kind = type(event).__name__
         depth += kind.endswith(("MappingStartEvent", "SequenceStartEvent"))
         depth -= kind.endswith(("MappingEndEvent", "SequenceEndEvent"))
-        if depth > DEEPEST:
+        if depth > MAX_DEPTH:
             line = event.start_mark.line + 1
-            raise ModelFileError(f"{name}:{line}: nested more than {DEEPEST} levels deep")
+            raise ModelFileError(f"{name}:{line}: nested more than {MAX_DEPTH} levels deep")
 
 
 class _Builder:
