@@ -39,8 +39,13 @@ from parallel_cal.fleet.cluster import cluster, run_each
 from parallel_cal.virtual import robot as vr
 
 CLEARLY = 1.1  # of the true error before: its own uncertainty at 80 poses
-SEES = {"pose": "111111", "position": "111000", "orientation": "000111", "plane": "000000",
-        "ball_bar": "000000"}  # fmt: skip
+SEES = {
+    "pose": "111111",
+    "position": "111000",
+    "orientation": "000111",
+    "plane": "000000",
+    "ball_bar": "000000",
+}
 CENTRE = np.array([0.02, -0.01, 0.05])  # of the ball-bar's fixed ball (m): under the workspace
 HEIGHT = 0.2  # of the plate that a gauge stands on (m)
 GOALS = {  # family -> what is counted, and the share that it must (not) reach

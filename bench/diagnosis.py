@@ -95,8 +95,17 @@ def measured(case: Callable[[], Any]) -> list[str]:
 
 
 def main() -> None:
-    table = Table("data", "samples", "fit, s", "first, s", "later, s", "first / fit", "later / fit",
-                  "later, by phase, s", title="Diagnosis with the whole catalogue")  # fmt: skip
+    table = Table(
+        "data",
+        "samples",
+        "fit, s",
+        "first, s",
+        "later, s",
+        "first / fit",
+        "later / fit",
+        "later, by phase, s",
+        title="Diagnosis with the whole catalogue",
+    )
     with get_context("spawn").Pool(1, maxtasksperchild=1) as pool:
         for row in pool.imap(measured, CASES):
             table.add_row(*row)

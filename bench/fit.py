@@ -70,9 +70,13 @@ def odr_fit(model: Model, observations: Observations, free: np.ndarray) -> np.nd
         observations.x[:, used].T, y=1, we=1e14, wd=1 / np.diag(observations.S[0])[used]
     )
     problem = odr.ODR(
-        data, odr.Model(rod, implicit=True), beta0=model.values[free] / unit,
-        maxit=1000, sstol=1e-15, partol=1e-15,
-    )  # fmt: skip
+        data,
+        odr.Model(rod, implicit=True),
+        beta0=model.values[free] / unit,
+        maxit=1000,
+        sstol=1e-15,
+        partol=1e-15,
+    )
     problem.set_job(fit_type=1, deriv=1)
     return np.asarray(problem.run().beta * unit)
 
@@ -94,11 +98,15 @@ def beside_odr() -> list[Row]:
     apart = np.abs(ours / theirs - 1)[large].max()
     assert apart < 1e-6
     return [
-        Row("weighted implicit, one chain, 94 poses",
-            processor_each(lambda: estimate(model, observations, free), least=10)),
-        Row(f"ODRPACK's implicit ODR (estimates within {apart:.0e})",
-            processor_each(lambda: odr_fit(model, observations, free), least=1, repeats=3)),
-    ]  # fmt: skip
+        Row(
+            "weighted implicit, one chain, 94 poses",
+            processor_each(lambda: estimate(model, observations, free), least=10),
+        ),
+        Row(
+            f"ODRPACK's implicit ODR (estimates within {apart:.0e})",
+            processor_each(lambda: odr_fit(model, observations, free), least=1, repeats=3),
+        ),
+    ]
 
 
 def main() -> None:

@@ -36,9 +36,14 @@ def measured(model: Model, n: int) -> Observations:
     turned = (rotation_matrix(e[:, 6:]) @ true.rotation).reshape(-1, 9)
     x = np.hstack([true.joints + e[:, :3], true.position + e[:, 3:6], turned])
     return Observations(
-        x, np.tile(np.diag(SIGMA**2), (n, 1, 1)), np.ones((n, 9), bool), np.zeros((n, 0)),
-        np.arange(n), np.zeros((n, 0)), {},
-    )  # fmt: skip
+        x,
+        np.tile(np.diag(SIGMA**2), (n, 1, 1)),
+        np.ones((n, 9), bool),
+        np.zeros((n, 0)),
+        np.arange(n),
+        np.zeros((n, 0)),
+        {},
+    )
 
 
 def seconds(model: Model, observations: Observations) -> float:
@@ -60,8 +65,16 @@ def peak(model: Model, observations: Observations) -> float:
 
 
 def main() -> None:
-    table = Table("model", "poses", "CPU s", "us a pose", "ratio", "MB", "kB a pose",
-                  title="Identification of many poses")  # fmt: skip
+    table = Table(
+        "model",
+        "poses",
+        "CPU s",
+        "us a pose",
+        "ratio",
+        "MB",
+        "kB a pose",
+        title="Identification of many poses",
+    )
     with single_threaded():
         for name in ("delta24", "delta54"):
             model, first = new_model(name), 0.0
@@ -70,9 +83,14 @@ def main() -> None:
                 spent, memory = seconds(model, observations), peak(model, observations)
                 first = first or spent / n
                 table.add_row(
-                    name, str(n), f"{spent:.3f}", f"{spent / n * 1e6:.1f}",
-                    f"{spent / n / first:.2f}", f"{memory:.0f}", f"{memory * 1024 / n:.2f}",
-                )  # fmt: skip
+                    name,
+                    str(n),
+                    f"{spent:.3f}",
+                    f"{spent / n * 1e6:.1f}",
+                    f"{spent / n / first:.2f}",
+                    f"{memory:.0f}",
+                    f"{memory * 1024 / n:.2f}",
+                )
     Console().print(table)
 
 

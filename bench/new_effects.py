@@ -69,10 +69,15 @@ class Robot:
             errors = np.random.default_rng([seed, 4]).normal(0, 2e-6, n)
             conditions["reading.probe"] = shown + loud * errors
         return Dataset.from_arrays(
-            names, reading + loud * q_error, r + loud * r_error, vr.turn(loud * w_error) @ R,
-            pose_cov=np.diag(sigma**2), joint_sigma=self.noise.joint, conditions=conditions,
+            names,
+            reading + loud * q_error,
+            r + loud * r_error,
+            vr.turn(loud * w_error) @ R,
+            pose_cov=np.diag(sigma**2),
+            joint_sigma=self.noise.joint,
+            conditions=conditions,
             pose_id=pose,
-        )  # fmt: skip
+        )
 
 
 def visited(reading: Any, seed: int, again: int = 30) -> Any:
@@ -215,11 +220,15 @@ KINDS = {
     "probe beside": Kind(("probe_offset",), ("gauged stewart",), beside, 0.1e-3),
     "probe slanted": Kind(("probe_tilt",), ("gauged stewart",), slanted, 5e-3),
     **{
-        name: Kind(kind.names, ("fine delta" if kind.noise != vr.THESIS_NOISE else "delta",),
-                   known(kind), kind.size)
+        name: Kind(
+            kind.names,
+            ("fine delta" if kind.noise != vr.THESIS_NOISE else "delta",),
+            known(kind),
+            kind.size,
+        )
         for name, kind in vf.KINDS.items()
     },
-}  # fmt: skip
+}
 
 
 def sized(robot: Robot, kind: Kind, wanted: float, seed: int) -> Any:

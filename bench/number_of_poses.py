@@ -54,12 +54,22 @@ def cases() -> list[Case]:
     only = Noise(NOISE.joint, NOISE.position)
     full = Noise(NOISE.joint, NOISE.position, NOISE.orientation)
     return [
-        Case("model 24, position measured", replace(new_model("delta24", own), noise=only),
-             POSITION_ONLY, 8, (8, 9, 10, 12, 16, 24, 32, 40, 48, 56, 64, 74)),
-        Case("model 54, pose measured", replace(new_model("delta54", nominal), noise=full),
-             # 7 poses give 42 equations, but only 7 for the 8 of a chain's mean rod (G1): 8 it is
-             np.ones(6, dtype=bool), 8, (7, 8, 9, 10, 12, 16, 24, 32, 42, 56, 74, 84)),
-    ]  # fmt: skip
+        Case(
+            "model 24, position measured",
+            replace(new_model("delta24", own), noise=only),
+            POSITION_ONLY,
+            8,
+            (8, 9, 10, 12, 16, 24, 32, 40, 48, 56, 64, 74),
+        ),
+        Case(
+            "model 54, pose measured",
+            replace(new_model("delta54", nominal), noise=full),
+            # 7 poses give 42 equations, but only 7 for the 8 of a chain's mean rod (G1): 8 it is
+            np.ones(6, dtype=bool),
+            8,
+            (7, 8, 9, 10, 12, 16, 24, 32, 42, 56, 74, 84),
+        ),
+    ]
 
 
 def readings(case: Case, kind: str, n: int, draw: int) -> np.ndarray:

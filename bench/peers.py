@@ -59,8 +59,10 @@ class Rods:
     def mjcf(self) -> str:
         """The robot as MuJoCo XML: hinged arms and a floating platform, sites for balls."""
         sites = [f'<site name="c{k}" pos="{_text(end)}"/>' for k, end in enumerate(self.ends)]
-        held = ["".join(s for s, on in zip(sites, self.on, strict=True) if on == h)
-                for h in range(-1, len(self.axes))]  # fmt: skip
+        held = [
+            "".join(s for s, on in zip(sites, self.on, strict=True) if on == h)
+            for h in range(-1, len(self.axes))
+        ]
         geom = '<geom size=".001" mass="1"/>'
         arms = "".join(
             f'<body><joint type="hinge" pos="{_text(p)}" axis="{_text(a)}"/>{geom}{inside}</body>'

@@ -35,9 +35,11 @@ class Both(KinematicsNode):
             model_hash="0" * 64,
         )
         self.create_service(
-            ComputeFK, "~/constant", lambda request, response: self._constant,
+            ComputeFK,
+            "~/constant",
+            lambda request, response: self._constant,
             callback_group=self._front,
-        )  # fmt: skip
+        )
 
 
 def round_trip(node: Any, client: Any, request: Any) -> float:

@@ -31,9 +31,12 @@ def main() -> None:
             trips, stops, slower = list[float](), list[float](), list[float]()
             for _ in range(TIMES):
                 handle = client.send_goal(
-                    Calibrate, f"{CALIBRATION}/calibrate", lambda news: None,
-                    model_file=str(Path(folder, "robot.yaml")), minutes=5.0,
-                )  # fmt: skip
+                    Calibrate,
+                    f"{CALIBRATION}/calibrate",
+                    lambda news: None,
+                    model_file=str(Path(folder, "robot.yaml")),
+                    minutes=5.0,
+                )
                 result = handle.get_result_async()
                 client.wait(lambda: bool(states) and _speed(states[-1]) > MOVING, "motion", 60)
                 begin = time.perf_counter()

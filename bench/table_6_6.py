@@ -74,10 +74,13 @@ def rows(model: Model) -> list[Row]:
         Row("  5 steps, from centre", (2.7, None), "0.02, 0.3", newton("direct", 5, False, "home")),
         Row("  all steps, from model 24", (3.4, None), "0, 0", newton("direct", 6, False)),
         Row(
-            "Newton, 3 Jacobians", (None, 7.6), "0, 0", newton("direct", 3, True),
+            "Newton, 3 Jacobians",
+            (None, 7.6),
+            "0, 0",
+            newton("direct", 3, True),
             newton("inverse", 3, True),
         ),
-    ]  # fmt: skip
+    ]
 
 
 def cascade(structure: object, half_steps: int) -> tuple[ca.Function, ca.Function]:
@@ -146,8 +149,19 @@ def owner_of(row: Row, model: Model) -> Model:
 def main() -> None:
     model = new_model("delta54", vr.TABLE_5_18)
     ours, mild = robot(model), robot(milder(model))
-    table = Table("model 54, table 5.18", "us", "ratio", "thesis", "um, arcsec", "at 1070\"",
-                  "thesis", "inverse us", "ratio", "thesis", caption=CAPTION)  # fmt: skip
+    table = Table(
+        "model 54, table 5.18",
+        "us",
+        "ratio",
+        "thesis",
+        "um, arcsec",
+        'at 1070"',
+        "thesis",
+        "inverse us",
+        "ratio",
+        "thesis",
+        caption=CAPTION,
+    )
     base: list[float] = []
     for row in rows(model):
         owner = owner_of(row, model)

@@ -49,18 +49,27 @@ TABLE_5_18 = (
 )
 PRESETS = {
     "delta_mockup_nominal": (
-        "delta54", COMPLETE, TABLE_5_12, "table 5.12",
+        "delta54",
+        COMPLETE,
+        TABLE_5_12,
+        "table 5.12",
         "Delta mock-up as designed, which is what its controller believes",
     ),
     "delta_mockup_identified": (
-        "delta54", COMPLETE, TABLE_5_18, "table 5.18",
+        "delta54",
+        COMPLETE,
+        TABLE_5_18,
+        "table 5.18",
         "Delta mock-up as identified with model 54 from 74 full poses",
     ),
     "delta24_mockup_identified": (
-        "delta24", POSITION, TABLE_5_13, "table 5.13",
+        "delta24",
+        POSITION,
+        TABLE_5_13,
+        "table 5.13",
         "Delta mock-up as identified with model 24 from 74 positions",
     ),
-}  # fmt: skip
+}
 
 
 def values_of(names: str, rows: tuple[str, ...]) -> dict[str, float]:

@@ -59,15 +59,24 @@ def models() -> dict[str, Model]:
     """The presets by file name."""
     return {
         "argos_mockup_nominal": _argos(
-            "argos_nominal", "alpha0", [row.split()[0] for row in TABLE_5_21], "table 5.21",
+            "argos_nominal",
+            "alpha0",
+            [row.split()[0] for row in TABLE_5_21],
+            "table 5.21",
             "Argos mock-up as designed: everything at right angles",
         ),
         "argos9_mockup_identified": _argos(
-            "argos9", SPHERICAL, TABLE_5_22, "table 5.22",
+            "argos9",
+            SPHERICAL,
+            TABLE_5_22,
+            "table 5.22",
             "Argos mock-up as identified with model 9 from 47 orientations",
         ),
         "argos27_mockup_identified": _argos(
-            "argos27", f"{SPHERICAL} {SPATIAL}", TABLE_5_25, "table 5.25",
+            "argos27",
+            f"{SPHERICAL} {SPATIAL}",
+            TABLE_5_25,
+            "table 5.25",
             "Argos mock-up as identified with model 27 from 47 full poses; alpha0, Omega, Phi, "
             "omega and phi of chain 3 are illegible in our copy and nominal here (table 5.21)",
         ),
@@ -82,7 +91,7 @@ def models() -> dict[str, Model]:
             "Hangprinter HP4: rough values as its maker gives them; nobody measured the noise",
             HP4,
         ),
-    }  # fmt: skip
+    }
 
 
 def _argos(name: str, names: str, rows: Any, table: str, about: str) -> Model:

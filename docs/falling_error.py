@@ -100,8 +100,11 @@ def draw(record: dict[str, Any]) -> None:
     axes.axhline(record["noise"] * 1e6, color="0.35", lw=1, ls=(0, (4, 3)))
     axes.annotate(
         f"noise floor: {record['noise'] * 1e6:.1f} {UM}",
-        (-0.45, record["noise"] * 0.88e6), va="top", fontsize=9, color="0.35",
-    )  # fmt: skip
+        (-0.45, record["noise"] * 0.88e6),
+        va="top",
+        fontsize=9,
+        color="0.35",
+    )
     axes.set(yscale="log", ylim=(3, 2200), xlim=(-0.5, 2.5), xticks=range(3))
     axes.set_xticklabels([step.format(record["effect"].replace("_", " ")) for step in STEPS])
     axes.set_ylabel(f"position error at held-out poses [{UM}]")

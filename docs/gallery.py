@@ -78,10 +78,11 @@ def session(robot: Model, seed: int = 0) -> Dataset:
     time = np.linspace(0.0, 3600.0 * HOURS, n)
     way = rng.choice([-1.0, 1.0], (n, nq))
     at = {
-        "time": time, "session": np.repeat([0.0, 1.0], n // 2),
+        "time": time,
+        "session": np.repeat([0.0, 1.0], n // 2),
         "temperature": 21.0 + 4.0 * np.sin(7 * np.pi * time / time[-1]),
         "payload": rng.choice([0.0, 0.5, 1.0], n),
-    }  # fmt: skip
+    }
     for j, joint in enumerate(robot.joints):
         at[f"direction.{joint}"] = way[:, j]
         at[f"travel.{joint}"] = way[:, j] * rng.exponential(0.01, n)
@@ -102,11 +103,16 @@ def session(robot: Model, seed: int = 0) -> Dataset:
     seen = np.isin(range(6), m.moved) & (not channels)  # who probes has no other device
     one = FINE * (noise.joint or 0.0)
     return Dataset.from_arrays(
-        robot.joints, joints + one * rng.standard_normal((n, nq)), found.position + e[:, :3],
-        rotation_matrix(e[:, 3:]) @ found.rotation, measured=np.tile(seen, (n, 1)),
-        pose_cov=np.diag(sigma**2), joint_sigma=one, conditions=at | readings,
+        robot.joints,
+        joints + one * rng.standard_normal((n, nq)),
+        found.position + e[:, :3],
+        rotation_matrix(e[:, 3:]) @ found.rotation,
+        measured=np.tile(seen, (n, 1)),
+        pose_cov=np.diag(sigma**2),
+        joint_sigma=one,
+        conditions=at | readings,
         pose_id=np.arange(n),
-    )  # fmt: skip
+    )
 
 
 def found(effect: Effect) -> Candidate:
@@ -214,15 +220,19 @@ def drawn(
     zero, left, right = TOP + tall / 2, shift + LEFT, shift + LEFT + wide
     ticks = [(TOP + 8, f"+{size:.0f}"), (zero + 4, "0"), (TOP + tall, f"−{size:.0f}")]
     ends = [("start", left, factor * panel.at.min()), ("end", right, factor * panel.at.max())]
-    return "\n".join([
-        f'<text class="name" x="{left}" y="14">{escape(title)}</text>',
-        f'<path class="axis" d="M{left} {TOP}V{TOP + tall}M{left} {zero:.1f}H{right}"/>',
-        *(f'<text x="{left - 4}" y="{h:.0f}" text-anchor="end">{t}</text>' for h, t in ticks),
-        *(f'<text x="{e}" y="{TOP + tall + 12}" text-anchor="{a}">{v:.4g}</text>'
-          for a, e, v in ends),
-        f'<path class="points" d="{dots}"/>',
-        f'<path class="pattern" d="{line}"/>',
-    ])  # fmt: skip
+    return "\n".join(
+        [
+            f'<text class="name" x="{left}" y="14">{escape(title)}</text>',
+            f'<path class="axis" d="M{left} {TOP}V{TOP + tall}M{left} {zero:.1f}H{right}"/>',
+            *(f'<text x="{left - 4}" y="{h:.0f}" text-anchor="end">{t}</text>' for h, t in ticks),
+            *(
+                f'<text x="{e}" y="{TOP + tall + 12}" text-anchor="{a}">{v:.4g}</text>'
+                for a, e, v in ends
+            ),
+            f'<path class="points" d="{dots}"/>',
+            f'<path class="pattern" d="{line}"/>',
+        ]
+    )
 
 
 def page() -> str:

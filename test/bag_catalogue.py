@@ -111,9 +111,15 @@ def fine(about: str, seed: int, *effects: Effect, found: str, day: Callable[[int
     """The same with finer instruments, which see what is less than the mock-up's noise."""
     clocks = LIVELY if day is days.wide else LEISURELY
     return delta(
-        about, seed, *effects, machine=FINE_DELTA, day=day, clocks=clocks,
-        baseline=FINE_NOMINAL, found=found,
-    )  # fmt: skip
+        about,
+        seed,
+        *effects,
+        machine=FINE_DELTA,
+        day=day,
+        clocks=clocks,
+        baseline=FINE_NOMINAL,
+        found=found,
+    )
 
 
 CLEAN = delta("geometry errors only", 1, clocks=Clocks())

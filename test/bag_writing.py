@@ -86,9 +86,14 @@ def header(stamp: int, frame: str = "base") -> Any:
 
 
 def joint_state(
-    t: float, names: Sequence[str], q: Any, *, velocity: Any = NONE, stamp: int | None = None,
+    t: float,
+    names: Sequence[str],
+    q: Any,
+    *,
+    velocity: Any = NONE,
+    stamp: int | None = None,
     topic: str = "joint_states",
-) -> Message:  # fmt: skip
+) -> Message:
     """One joint_states message at `t` s; `stamp` overrides the header's time in ns."""
     at = header(ns(t) if stamp is None else stamp, "")
     body = kind("sensor_msgs/msg/JointState")(
@@ -106,10 +111,16 @@ def joint_states(session: Session, *, order: Sequence[int] | None = None) -> lis
 
 
 def pose(
-    t: float, r: Any, quaternion: Any = (0.0, 0.0, 0.6, 0.8), *, variances: Any = None,
-    type: str = COVARIANT, topic: str = "measured_pose", frame: str = "base",
+    t: float,
+    r: Any,
+    quaternion: Any = (0.0, 0.0, 0.6, 0.8),
+    *,
+    variances: Any = None,
+    type: str = COVARIANT,
+    topic: str = "measured_pose",
+    frame: str = "base",
     stamp: int | None = None,
-) -> Message:  # fmt: skip
+) -> Message:
     """One measured pose or point at `t` s; `variances` (6,) fill the covariance's diagonal."""
     point = kind("geometry_msgs/msg/Point")(*map(float, r))
     at = header(ns(t) if stamp is None else stamp, frame)

@@ -87,8 +87,11 @@ class SimulatedCell:
             raise CellError("no pose came while the robot rested")
         time = self.cell.time - REST / 2
         q = seen.q[len(seen.q) // 4 :].mean(axis=0)
-        at = {"time": time, "payload": self.cell.now.payload,
-              "temperature": float(self.cell.temperature(time))}  # fmt: skip
+        at = {
+            "time": time,
+            "payload": self.cell.now.payload,
+            "temperature": float(self.cell.temperature(time)),
+        }
         for i, joint in enumerate(self.cell.machine.joints):
             at[f"direction.{joint}"] = self._direction[i]
             at[f"travel.{joint}"] = q[i] - self._turned[i]
@@ -96,11 +99,16 @@ class SimulatedCell:
         measured = np.array([self.cell.machine.sees_position] * 3 + [True] * 3)
         u, _, v = np.linalg.svd(R.mean(axis=0))
         sample = Dataset.from_arrays(
-            self.cell.machine.joints, q[None], r.mean(axis=0)[None] * measured[:3], (u @ v)[None],
-            measured=measured, joint_sigma=noise.joint,
+            self.cell.machine.joints,
+            q[None],
+            r.mean(axis=0)[None] * measured[:3],
+            (u @ v)[None],
+            measured=measured,
+            joint_sigma=noise.joint,
             pose_cov=np.diag([noise.position**2] * 3 + [noise.orientation**2] * 3),
-            conditions={key: [value] for key, value in at.items()}, pose_id=[0],
-        )  # fmt: skip
+            conditions={key: [value] for key, value in at.items()},
+            pose_id=[0],
+        )
         return Sample(sample, 1)
 
     def _read(self, seen):

@@ -23,14 +23,23 @@ class PlayedRobot:
 
     def snapshot(self):
         campaign = {
-            "state": self._state, "reason": REASON, "poses": 26, "error_unseen": 3.7e-5,
-            "curve": [(0, 6e-4), (16, 1.1e-4), (24, 3.7e-5)], "answer": "ended as asked",
-        }  # fmt: skip
+            "state": self._state,
+            "reason": REASON,
+            "poses": 26,
+            "error_unseen": 3.7e-5,
+            "curve": [(0, 6e-4), (16, 1.1e-4), (24, 3.7e-5)],
+            "answer": "ended as asked",
+        }
         model = {"ok": True, "hash": "0" * 64, "effects": ["backlash"], "since": 0.0, "reason": ""}
         return {
-            "streams": [], "model": model, "samples": {"samples": 26}, "dropped": [],
-            "errors": [], "campaign": campaign, "trouble": [],
-        }  # fmt: skip
+            "streams": [],
+            "model": model,
+            "samples": {"samples": 26},
+            "dropped": [],
+            "errors": [],
+            "campaign": campaign,
+            "trouble": [],
+        }
 
     def steer(self, word):
         with self._told.open("a") as file:

@@ -45,10 +45,14 @@ def orientations():
     R = np.array([robot.orientation_at_origin(row, home) for row in q])
     dq, _, w = noise.draw(rng, len(q))
     return Dataset.from_arrays(
-        JOINTS, q + dq, np.zeros((40, 3)), vr.turn(w) @ R,
+        JOINTS,
+        q + dq,
+        np.zeros((40, 3)),
+        vr.turn(w) @ R,
         measured=np.tile([False] * 3 + [True] * 3, (40, 1)),
-        pose_cov=np.diag([1.0] * 3 + [noise.orientation**2] * 3), joint_sigma=noise.joint,
-    )  # fmt: skip
+        pose_cov=np.diag([1.0] * 3 + [noise.orientation**2] * 3),
+        joint_sigma=noise.joint,
+    )
 
 
 def redrawn(samples, seed, noise=vr.THESIS_NOISE):

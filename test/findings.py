@@ -25,10 +25,17 @@ def dataset(samples, noise):
         **{name: samples[name] for name in ("time", "temperature", "payload")},
     }
     return Dataset.from_arrays(
-        JOINTS, samples["q"], samples["r"], samples["R"], measured=np.ones((n, 6), dtype=bool),
-        pose_cov=cov, joint_sigma=[noise.joint] * 3, conditions=conditions,
-        pose_id=samples["pose_index"], source="virtual robot",
-    )  # fmt: skip
+        JOINTS,
+        samples["q"],
+        samples["r"],
+        samples["R"],
+        measured=np.ones((n, 6), dtype=bool),
+        pose_cov=cov,
+        joint_sigma=[noise.joint] * 3,
+        conditions=conditions,
+        pose_id=samples["pose_index"],
+        source="virtual robot",
+    )
 
 
 def travel(ways):

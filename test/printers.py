@@ -46,10 +46,14 @@ class Kind:
             q = q - hidden.get("ripple", 0.0) * np.sin(phase)
         q = q + (self.joint if noise else 0.0) * rng.standard_normal(q.shape)
         return Dataset.from_arrays(
-            self.model().joints, q, np.zeros((n, 3)), measured=np.zeros(6, dtype=bool),
-            joint_sigma=np.full(3, self.joint), source="virtual printer",
+            self.model().joints,
+            q,
+            np.zeros((n, 3)),
+            measured=np.zeros(6, dtype=bool),
+            joint_sigma=np.full(3, self.joint),
+            source="virtual printer",
             conditions={"reading.probe": noise * rng.standard_normal(n)},
-        )  # fmt: skip
+        )
 
 
 PRINTERS = {

@@ -54,9 +54,12 @@ class Desk:
 
     def start(self):
         return NodeProcess(
-            "calibration_node", self.folder, self.namespace, model_file=str(self.file),
+            "calibration_node",
+            self.folder,
+            self.namespace,
+            model_file=str(self.file),
             journal_folder=str(self.folder),
-        )  # fmt: skip
+        )
 
     def close(self):
         self.client.close()
@@ -117,9 +120,13 @@ def command(tmp_path):
     """`calibrate` of a virtual robot as a terminal runs it, which has begun to move."""
     words = ["parallel_cal.cli", "calibrate", "robot.yaml", "--simulated", "delta:hidden"]
     process = subprocess.Popen(
-        [sys.executable, "-m", *words], cwd=tmp_path, start_new_session=True, text=True,
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-    )  # fmt: skip
+        [sys.executable, "-m", *words],
+        cwd=tmp_path,
+        start_new_session=True,
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
     for line in process.stderr:
         if line.startswith("moving: pose 3"):
             break

@@ -411,9 +411,14 @@ def test_a_user_s_own_method_that_never_returns_ends_when_its_goal_is_cancelled(
     shutil.copy(PRESET, tmp_path / "m.yaml")
     namespace = use_private_domain() + "_endless"
     node = Process(
-        "calibration_node", tmp_path, namespace, journal=False, allow_foreign_modules=True,
-        model_file=str(tmp_path / "m.yaml"), allowed_folders=f"{tmp_path}:{collected.folder}",
-    )  # fmt: skip
+        "calibration_node",
+        tmp_path,
+        namespace,
+        journal=False,
+        allow_foreign_modules=True,
+        model_file=str(tmp_path / "m.yaml"),
+        allowed_folders=f"{tmp_path}:{collected.folder}",
+    )
     client, heard = Client("tester", namespace, [node]), []
     samples = str(collected.folder / "s.json")
     assert client.call(LoadSamples, "calibration_node/load_samples", path=samples).success
@@ -546,7 +551,7 @@ def test_a_goal_that_rclpy_dropped_does_not_keep_the_next_one_out():
 
 
 def test_a_goal_without_an_answer_is_sent_again(full, monkeypatch):
-    monkeypatch.setattr(node_client, "ASK_AGAIN", 0.05)
+    monkeypatch.setattr(node_client, "RESEND_INTERVAL_S", 0.05)
     server = SimpleNamespace(server_is_ready=lambda: True, sent=[])
 
     def send(goal, feedback):
@@ -726,9 +731,7 @@ def test_with_a_clock_that_stands_still_a_topic_of_another_type_is_told_and_path
     shutil.copy(PRESET, tmp_path / "robot.yaml")
     namespace = use_private_domain() + "_still"
     allowed = f"~:{REPOSITORY}"
-    parameters = {
-        "model_file": "~/robot.yaml", "use_sim_time": True, "allowed_folders": allowed
-    }  # fmt: skip
+    parameters = {"model_file": "~/robot.yaml", "use_sim_time": True, "allowed_folders": allowed}
     node = Process("calibration_node", tmp_path, namespace, **parameters)
     client = Client("tester", namespace, [node])
     status = client.subscribe_latest(CollectionStatus, "calibration_node/collection_status")
@@ -766,8 +769,16 @@ def test_a_constraint_session_gives_the_samples_of_its_bag_and_calibrates_the_ro
     status = client.subscribe_latest(CollectionStatus, "calibration_node/collection_status")
     client.wait(lambda: bool(status), "a status")
     listeners = client.count_subscribers(topic.name for topic in list_topics(bag)[0])
-    processes.append(Process("replay_node", tmp_path, namespace, bag=str(bag), rate=20.0,
-                             wait_for_subscribers=listeners))  # fmt: skip
+    processes.append(
+        Process(
+            "replay_node",
+            tmp_path,
+            namespace,
+            bag=str(bag),
+            rate=20.0,
+            wait_for_subscribers=listeners,
+        )
+    )
     joints = next(t.count for t in list_topics(bag)[0] if t.name.endswith("joint_states"))
     client.wait(lambda: status[0].joint_states_received >= joints, "the bag", 60)
     client.wait(lambda: processes[1].status is not None, "the end of the replay")

@@ -53,9 +53,21 @@ def quick(question, dataset, unseen, tell=None):
     more = [Target(tuple(q + 0.01 * k for q in joints), purpose="more") for k in range(2)]
     targets = tuple(more) if question.more else ()
     return Judgement(
-        len(dataset), "unexplained", "nothing is known", (), (), (), (), (), ("time",),
-        question.model, {"position": 2e-3}, {"position": 1e-3}, {"position": 1e-3}, targets,
-    )  # fmt: skip
+        len(dataset),
+        "unexplained",
+        "nothing is known",
+        (),
+        (),
+        (),
+        (),
+        (),
+        ("time",),
+        question.model,
+        {"position": 2e-3},
+        {"position": 1e-3},
+        {"position": 1e-3},
+        targets,
+    )
 
 
 def work(function, *given):
@@ -113,7 +125,7 @@ def test_a_robot_that_rests_where_it_was_sent_may_be_read_a_little_inside(tmp_pa
         ends = [trajectory.positions[-1] for trajectory in cell.sent] or [q]
         return "" if any(np.allclose(q, end, atol=1e-9) for end in ends) else "inside the box"
 
-    monkeypatch.setattr(Guard, "astray", inside)
+    monkeypatch.setattr(Guard, "describe_violation", inside)
     cell = Beside()
     assert "enough" in campaign(tmp_path / "1", cell, Goal()).run().message
     cell = Beside()
@@ -144,9 +156,7 @@ def test_the_first_poses_are_of_three_kinds_and_may_all_be_gone_to():
     for target in again:
         first = next(t for t in fitted if t.joints == target.joints and t is not target)
         assert first.via == target.via[::-1]
-        from_one, from_other = (
-            np.sign(np.subtract(t.joints, t.via[-1])) for t in (first, target)
-        )  # fmt: skip
+        from_one, from_other = (np.sign(np.subtract(t.joints, t.via[-1])) for t in (first, target))
         assert (from_one == -from_other).all()
 
 
@@ -163,10 +173,20 @@ def test_a_condition_is_brought_to_the_end_at_which_less_was_measured():
 
 def judgement(**change):
     known = {
-        "samples": 32, "verdict": "explained", "summary": "", "effects": ("backlash",),
-        "additions": (), "doubt": (), "untold": (), "suspected": (), "missing": (), "text": "",
-        "before": {}, "unseen": {}, "usual": {},
-    }  # fmt: skip
+        "samples": 32,
+        "verdict": "explained",
+        "summary": "",
+        "effects": ("backlash",),
+        "additions": (),
+        "doubt": (),
+        "untold": (),
+        "suspected": (),
+        "missing": (),
+        "text": "",
+        "before": {},
+        "unseen": {},
+        "usual": {},
+    }
     return Judgement(**known | change)
 
 

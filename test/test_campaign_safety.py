@@ -153,7 +153,7 @@ def test_stamps_that_go_back_are_no_robot_that_never_rests():
 
 
 def test_a_robot_with_other_joints_is_named(monkeypatch):
-    monkeypatch.setattr(robot_cell, "FOUND", 0.0)
+    monkeypatch.setattr(robot_cell, "DISCOVERY_TIMEOUT_S", 0.0)
     cell = RobotCell(mock.Mock(), model_of("stewart"), mock.Mock(), 0.3, Inflow())
     cell.on_joint_state(JointState(name=["joint1", "joint2", "joint3"], position=[0.0] * 3))
     words = "joint_states name joint1, joint2, joint3, the model has leg1, leg2"

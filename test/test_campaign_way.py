@@ -31,12 +31,21 @@ def test_a_long_way_rises_cruises_and_falls():
     """3 rad at 1 rad/s and 2 rad/s^2: 0.5 s up over 0.25 rad, 2.5 s at 1 rad/s, 0.5 s down."""
     motion = trapezoid(np.zeros(1), np.array([3.0]), ONE, TWO)
     assert motion.seconds == pytest.approx(3.5)
-    at = dict(zip(motion.time.round(6), zip(motion.positions[:, 0], motion.velocities[:, 0],
-                                            strict=True), strict=True))  # fmt: skip
+    at = dict(
+        zip(
+            motion.time.round(6),
+            zip(motion.positions[:, 0], motion.velocities[:, 0], strict=True),
+            strict=True,
+        )
+    )
     for time, position, velocity in (
-        (0.25, 0.0625, 0.5), (0.5, 0.25, 1.0), (2.0, 1.75, 1.0), (3.0, 2.75, 1.0),
-        (3.25, 2.9375, 0.5), (3.5, 3.0, 0.0),
-    ):  # fmt: skip
+        (0.25, 0.0625, 0.5),
+        (0.5, 0.25, 1.0),
+        (2.0, 1.75, 1.0),
+        (3.0, 2.75, 1.0),
+        (3.25, 2.9375, 0.5),
+        (3.5, 3.0, 0.0),
+    ):
         assert at[time] == pytest.approx((position, velocity), abs=1e-9)
 
 

@@ -23,8 +23,9 @@ STOPS = [[0.1, 0.2, 0.3], [0.4, 0.1, 0.2], [0.2, 0.5, 0.1]]
 @pytest.fixture(autouse=True)
 def own_channels(monkeypatch):
     """What the recipe in CONTRIBUTING says, and a second topic of distances."""
-    humidity = Channel("condition", (HUMID,), lambda m: (m.relative_humidity,), unit="1",
-                       plausible=(0.0, 1.0))  # fmt: skip
+    humidity = Channel(
+        "condition", (HUMID,), lambda m: (m.relative_humidity,), unit="1", plausible=(0.0, 1.0)
+    )
     wire = Channel("readings", ("sensor_msgs/msg/Range",), lambda m: ("wire", m.range), True)
     monkeypatch.setitem(CHANNELS, "humidity", humidity)
     monkeypatch.setitem(CHANNELS, "wire", wire)

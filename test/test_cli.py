@@ -140,11 +140,35 @@ def test_what_is_on_a_shelf_is_built_for_its_first_listing_only(tmp_path):
 def test_help_names_the_commands_that_exist_and_no_other():
     listed = re.findall(r"^  ([\w-]+) ", child("--help").stdout.split("Commands:")[1], flags=re.M)
     assert listed == [
-        "new", "mechanisms", "effects", "sensors", "direct", "inverse", "info", "import",
-        "import-csv", "simulate", "replay", "fit", "compare", "add", "remove", "diagnose", "report",
-        "export", "export-residuals", "short-cut", "plan", "calibrate", "workbench", "fleet",
-        "demo", "bench", "session", "study",
-    ]  # fmt: skip
+        "new",
+        "mechanisms",
+        "effects",
+        "sensors",
+        "direct",
+        "inverse",
+        "info",
+        "import",
+        "import-csv",
+        "simulate",
+        "replay",
+        "fit",
+        "compare",
+        "add",
+        "remove",
+        "diagnose",
+        "report",
+        "export",
+        "export-residuals",
+        "short-cut",
+        "plan",
+        "calibrate",
+        "workbench",
+        "fleet",
+        "demo",
+        "bench",
+        "session",
+        "study",
+    ]
 
 
 def test_version_is_that_of_the_package(run):
@@ -433,9 +457,16 @@ def test_fit_prints_the_promised_document_and_writes_the_model_with_its_history(
     out = tmp_path / "out.yaml"
     found = document("fit", NOMINAL, BAG, "-o", out)
     assert set(found) >= {
-        "samples", "parameters", "before", "after", "held_out", "improvement", "chi2_per_dof",
-        "rank", "unidentifiable",
-    }  # fmt: skip
+        "samples",
+        "parameters",
+        "before",
+        "after",
+        "held_out",
+        "improvement",
+        "chi2_per_dof",
+        "rank",
+        "unidentifiable",
+    }
     assert set(found["before"]) == set(found["after"]) == E
     assert set(found["held_out"]) == {"before", "after"}
     assert set(found["improvement"]) == set(KINDS)

@@ -308,7 +308,7 @@ def test_a_recording_played_twice_is_two_sessions(messages, offline):
 
 @pytest.mark.wide
 def test_a_long_session_lets_messages_go_and_keeps_samples(messages, offline, monkeypatch):
-    monkeypatch.setattr(collector_module, "LONGEST", 4000)
+    monkeypatch.setattr(collector_module, "MAX_JOINT_STATES", 4000)
     collector = Collector()
     for k in range(0, len(messages), 200):
         feed(collector, messages[k : k + 200])
@@ -431,7 +431,7 @@ def test_neither_poses_nor_a_constraint_is_said(tied):
 
 
 def test_a_long_constraint_session_keeps_what_holds_the_tip(tied, tied_bag, monkeypatch):
-    monkeypatch.setattr(collector_module, "LONGEST", 400)
+    monkeypatch.setattr(collector_module, "MAX_JOINT_STATES", 400)
     collector = Collector()
     for k in range(0, len(tied), 50):
         feed(collector, tied[k : k + 50])

@@ -34,9 +34,14 @@ def configurations(model, n):
 
 def samples(model, n):
     return Observations(
-        configurations(model, n), np.tile(1e-8 * np.eye(9), (n, 1, 1)), np.ones((n, 9), bool),
-        np.zeros((n, 0)), np.arange(n), np.zeros((n, 0)), {},
-    )  # fmt: skip
+        configurations(model, n),
+        np.tile(1e-8 * np.eye(9), (n, 1, 1)),
+        np.ones((n, 9), bool),
+        np.zeros((n, 0)),
+        np.arange(n),
+        np.zeros((n, 0)),
+        {},
+    )
 
 
 def linearised(model, observations):
@@ -50,7 +55,7 @@ def test_very_many_samples_are_linearised_by_machine_code_with_the_same_result(
     observations = samples(model, 40)
     before = linearised(model, observations)
     assert not list(tmp_path.rglob("*.so"))
-    monkeypatch.setattr(linearisation, "MANY", 40)
+    monkeypatch.setattr(linearisation, "MIN_SAMPLES_TO_COMPILE", 40)
     after = linearised(model, observations)
     assert len(list(tmp_path.rglob("*.so"))) == 1
     np.testing.assert_allclose(after.residual, before.residual, rtol=1e-12)
@@ -64,7 +69,7 @@ def test_a_jacobian_too_large_to_hold_is_computed_anew_with_the_same_result(untu
     observations.measured[::2, 6:] = not unturned
     monkeypatch.setattr(linearisation, "BLOCK", 16)
     held = linearised(model, observations)
-    monkeypatch.setattr(linearisation, "HELD", 0)
+    monkeypatch.setattr(linearisation, "MAX_JACOBIAN_BYTES", 0)
     streamed = linearised(model, observations)
     assert isinstance(streamed, linearisation.Streamed)
     step = 1e-2 * model.table.tolerance[~model.fixed]
@@ -143,7 +148,7 @@ def test_a_sample_is_the_same_to_the_last_bit_whatever_is_computed_beside_it(
     given, known = np.random.default_rng(n).standard_normal((n, 3)), np.array([1.3, -0.2])
     expected = [np.array(out) for out in zip(*(one(row, known) for row in given), strict=True)]
     batch = compiled.Batch(function, compile)
-    monkeypatch.setattr(compiled, "SPREAD", 100)
+    monkeypatch.setattr(compiled, "MIN_SAMPLES_PER_CORE", 100)
     for cores in ("1", "3"):
         monkeypatch.setenv("OMP_NUM_THREADS", cores)
         for values, constant in (
@@ -185,7 +190,7 @@ def test_where_machine_code_cannot_be_had_the_virtual_machine_serves_in_silence(
 @pytest.mark.parametrize("large", [0, 10**9], ids=["as it is", "with common parts shared"])
 @pytest.mark.parametrize("effect", ["joint_compliance", "rod_compliance"])
 def test_slopes_of_a_closure_under_load_are_those_of_small_steps(effect, large, monkeypatch):
-    monkeypatch.setattr(compiled, "LARGE", large)
+    monkeypatch.setattr(compiled, "MAX_INSTRUCTIONS_FOR_CSE", large)
     model = new_model("delta54", effects=[effect])
     s, n = Structure(model.mechanism, model.effects), 3
     values = model.values + 0.3 * model.table.tolerance  # some compliance, and no nominal robot

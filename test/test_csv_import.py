@@ -67,8 +67,9 @@ def test_a_motors_angle_becomes_the_way_of_its_joint(files):
     )
     data = import_csv(*files(columns=moved))
     np.testing.assert_allclose(data.q[:, 1], [-0.018, 0.036, -0.009], atol=1e-12)
-    geared = MAP.replace("arm: {column: a_deg, unit: deg}", "arm: {column: n, unit: rev, per_rev: "
-                         "36 deg}")  # fmt: skip
+    geared = MAP.replace(
+        "arm: {column: a_deg, unit: deg}", "arm: {column: n, unit: rev, per_rev: 36 deg}"
+    )
     data = import_csv(*files(TABLE.replace("number", "n"), geared))
     np.testing.assert_allclose(data.q[:, 0], np.radians([36, 72, 108]))
 
@@ -104,8 +105,11 @@ def test_orientations_alone_are_a_measurement(files):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (("T,visit\n", "temp,visit\n"), "t.csv:1: no column T, which .*map.yaml names; the table "
-         "has number, a_deg, .*, temp, visit"),
+        (
+            ("T,visit\n", "temp,visit\n"),
+            "t.csv:1: no column T, which .*map.yaml names; the table "
+            "has number, a_deg, .*, temp, visit",
+        ),
         ((",100,", ",,"), "t.csv:2: column b_mm holds '', expected a finite number"),
         ((",22.5,", ",nan,"), "t.csv:4: column T holds 'nan'"),
         ((",22.5,", ",cold,"), "t.csv:4: column T holds 'cold'"),
@@ -114,7 +118,7 @@ def test_orientations_alone_are_a_measurement(files):
         (("number,a_deg", "x,a_deg"), "t.csv:1: a column occurs twice"),
         ((TABLE, "a,b\n"), "expected a header line and rows, found 1 lines"),
     ],
-)  # fmt: skip
+)
 def test_a_bad_table_is_named_by_file_line_and_column(files, change, words):
     with pytest.raises(ParallelCalError, match=words):
         import_csv(*files(table=TABLE.replace(*change)))
@@ -127,13 +131,16 @@ def test_a_bad_table_is_named_by_file_line_and_column(files, change, words):
         (("z], unit: mm", "z], unit: inch"), "map.yaml:4: position.unit: .*'mm'.*, found 'inch'"),
         (("z], unit: mm", "z]"), "t.csv:1: column x names no unit; say so in .*map.yaml"),
         (("[x, y, z]", "[x, y]"), "map.yaml:4: position.columns: too few values"),
-        (("temperature: T", "temprature: T"), "map.yaml:6: conditions.temprature: unknown "
-         "condition; expected one of time, temperature, .*direction.JOINT"),
+        (
+            ("temperature: T", "temprature: T"),
+            "map.yaml:6: conditions.temprature: unknown "
+            "condition; expected one of time, temperature, .*direction.JOINT",
+        ),
         (("group:", "groups:"), "map.yaml:7: groups: unknown key; did you mean 'group'"),
         (("joint: 1.0e-4", "joint: -1"), "map.yaml:8: noise.joint: expected 0 or more"),
         ((MAP, "joints: {a: {column: a_deg, unit: deg}}"), "neither position nor orientation"),
     ],
-)  # fmt: skip
+)
 def test_a_bad_map_is_named_by_file_line_and_key(files, change, words):
     with pytest.raises(ParallelCalError, match=words):
         import_csv(*files(columns=MAP.replace(*change)))

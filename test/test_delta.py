@@ -14,9 +14,25 @@ from parallel_cal.virtual import robot as vr
 
 # One chain in whole numbers. R turns (x, y, z) into (z, x, y); T turns it into (x, -z, y).
 HAND = dict(  # noqa: C408
-    D_x=4, D_y=5, D_z=6, theta=0, alpha=np.pi / 2, La_x=2, La_y=1, Lb=10, d_z=2,
-    dalpha=0, dbeta=0, dC_x=1, dC_y=2, dC_z=3, dLb=2, b_x=1, b_y=2, b_z=3,
-)  # fmt: skip
+    D_x=4,
+    D_y=5,
+    D_z=6,
+    theta=0,
+    alpha=np.pi / 2,
+    La_x=2,
+    La_y=1,
+    Lb=10,
+    d_z=2,
+    dalpha=0,
+    dbeta=0,
+    dC_x=1,
+    dC_y=2,
+    dC_z=3,
+    dLb=2,
+    b_x=1,
+    b_y=2,
+    b_z=3,
+)
 CYCLE = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
 # Changed number -> (G1, G2), worked on paper: CB = (5, 10, -3) and dd = (-1, 5, -4) unchanged,
 # so G1 = (134 + 42 - 104) / 20 and G2 = (57 - 20) / 10.

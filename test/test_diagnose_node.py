@@ -169,8 +169,9 @@ class Bench:
         return self.client.call(type, f"calibration_node/{name}", **fields)
 
     def goal(self, type=Diagnose, hear=lambda feedback: None, **fields):
-        return self.client.send_goal(type, f"calibration_node/{type.__name__.lower()}", hear,
-                                     **fields)  # fmt: skip
+        return self.client.send_goal(
+            type, f"calibration_node/{type.__name__.lower()}", hear, **fields
+        )
 
     def outcome(self, handle):
         return self.client.answer(handle.get_result_async(), "the result", 120)
@@ -316,9 +317,12 @@ def test_while_an_effect_is_added_the_node_answers_but_takes_no_goal(loaded):
 def test_an_effect_can_be_named_with_what_is_known_of_it(loaded):
     output = loaded.folder / "ripple.yaml"
     answer = loaded.call(
-        AddEffect, "add_effect", effect="gear_transmission_error:ratio=17", output_file=str(output),
+        AddEffect,
+        "add_effect",
+        effect="gear_transmission_error:ratio=17",
+        output_file=str(output),
         force=True,
-    )  # fmt: skip
+    )
     assert answer.success, answer.message
     written = read_model(output)
     assert written.values[written.table.index_of("gear_transmission_error.ratio")] == 17

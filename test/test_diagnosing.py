@@ -150,7 +150,7 @@ def test_no_more_copies_are_drawn_than_tell_that_something_is_chance(monkeypatch
     early = known.shuffled_p
     assert len(looks) < 20
     assert early == 5 / len(looks)  # the fifth that scores as well is the last
-    monkeypatch.setattr(catalogue, "ENOUGH_AS_GOOD", 1000)
+    monkeypatch.setattr(catalogue, "EQUAL_SHUFFLES_TO_STOP", 1000)
     monkeypatch.setattr(catalogue, "SHUFFLES", 999)
     assert 0.4 < candidate(scene, "backlash").shuffled_p / early < 2.5
 

@@ -87,9 +87,17 @@ def test_its_document_is_the_contracts(play):
     document = play[0].document()
     assert {"verdict", "summary", "baseline", "noise", "candidates", "structure"} <= set(document)
     wanted = {
-        "effect", "rank", "p_value", "holdout_before", "holdout_after", "share_explained",
-        "remaining_after_geometry", "confused_with", "missing_conditions", "parameters",
-    }  # fmt: skip
+        "effect",
+        "rank",
+        "p_value",
+        "holdout_before",
+        "holdout_after",
+        "share_explained",
+        "remaining_after_geometry",
+        "confused_with",
+        "missing_conditions",
+        "parameters",
+    }
     for row in document["candidates"]:
         assert wanted <= set(row)
     ranks = [row["rank"] for row in document["candidates"]]
@@ -221,9 +229,15 @@ def test_poses_planned_to_tell_two_explanations_apart_do_so():
 def test_without_any_noise_figure_it_cannot_know_but_still_names_the_best():
     data = measured(2, effects=[vr.Backlash((6e-4, 6e-4, 6e-4))], n_replicates=0)
     guessed = Dataset.from_arrays(
-        JOINTS, data.q, data.r, data.R, measured=data.measured, conditions=data.conditions,
-        pose_id=np.arange(len(data)), source="a camera nobody calibrated",
-    )  # fmt: skip
+        JOINTS,
+        data.q,
+        data.r,
+        data.R,
+        measured=data.measured,
+        conditions=data.conditions,
+        pose_id=np.arange(len(data)),
+        source="a camera nobody calibrated",
+    )
     model = replace(MODEL, noise=Noise(1e-4, 1e-5, 1e-4, assumed=True))
     found = diagnose(model, guessed)
     assert found.verdict.word == "cannot_know"

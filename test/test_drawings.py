@@ -39,9 +39,12 @@ def drawn_at_a_solved_pose(name):
     assert found.solved.any()
     x = found.configuration.rows[np.flatnonzero(found.solved)[0]]
     n = len(model.joints)
-    return drawings.lines(model, x), dict(zip(model.table.names, model.values, strict=True)), x[
-        :n
-    ], x[n : n + 3]  # fmt: skip
+    return (
+        drawings.lines(model, x),
+        dict(zip(model.table.names, model.values, strict=True)),
+        x[:n],
+        x[n : n + 3],
+    )
 
 
 def lengths(lines, kind):
@@ -50,8 +53,11 @@ def lengths(lines, kind):
 
 
 def rods_of_pairs(v):
-    return [v[f"chain{i}.Lb"] + side * v.get(f"chain{i}.dLb", 0.0)
-            for i in (1, 2, 3) for side in (1, -1)]  # fmt: skip
+    return [
+        v[f"chain{i}.Lb"] + side * v.get(f"chain{i}.dLb", 0.0)
+        for i in (1, 2, 3)
+        for side in (1, -1)
+    ]
 
 
 @pytest.mark.parametrize(
@@ -61,8 +67,11 @@ def rods_of_pairs(v):
         ("linear_delta", "rod", lambda v, q: rods_of_pairs(v)),
         ("delta51", "rod", lambda v, q: [v[f"rod{i}{j}.l"] for i in (1, 2, 3) for j in (1, 2)]),
         ("delta24", "rod", lambda v, q: [v[f"chain{i}.Lb"] for i in (1, 2, 3)]),
-        ("delta24", "driven",
-         lambda v, q: [np.hypot(v[f"chain{i}.La_x"], v[f"chain{i}.La_y"]) for i in (1, 2, 3)]),
+        (
+            "delta24",
+            "driven",
+            lambda v, q: [np.hypot(v[f"chain{i}.La_x"], v[f"chain{i}.La_y"]) for i in (1, 2, 3)],
+        ),
         ("delta_nominal", "rod", lambda v, q: [v["Lb"]] * 3),
         ("delta_nominal", "driven", lambda v, q: [v["La"]] * 3),
         ("stewart42", "driven", lambda v, q: [q[i] + v[f"leg{i + 1}.L0"] for i in range(6)]),
@@ -79,7 +88,7 @@ def rods_of_pairs(v):
         ("argos9", "rod", lambda v, q: [0.11] * 3),
         ("argos_nominal", "rod", lambda v, q: [0.11] * 3),
     ],
-)  # fmt: skip
+)
 def test_a_rod_is_as_long_as_its_parameter_says_at_a_solved_pose(name, kind, expected):
     lines, values, q, _ = drawn_at_a_solved_pose(name)
     assert lengths(lines, kind) == pytest.approx(expected(values, q), abs=1e-8)
@@ -92,8 +101,11 @@ def test_lines_of_the_cable_robot_are_as_long_as_at_the_origin_plus_what_was_let
         anchor = np.array([v[f"line{i + 1}.A_{axis}"] for axis in "xyz"])
         np.testing.assert_allclose(line.points, [r, anchor], atol=1e-9)
     # More lines than freedoms: three that say where it is, the fourth that fits nearly.
-    let_out = [q[i] * radius[i] / (v[f"line{i + 1}.gear"] * v[f"line{i + 1}.advantage"])
-               + v[f"line{i + 1}.offset"] for i in range(4)]  # fmt: skip
+    let_out = [
+        q[i] * radius[i] / (v[f"line{i + 1}.gear"] * v[f"line{i + 1}.advantage"])
+        + v[f"line{i + 1}.offset"]
+        for i in range(4)
+    ]
     at_origin = [np.linalg.norm(line.points[1]) for line in lines]
     assert lengths(lines, "rod") == pytest.approx(np.add(at_origin, let_out), abs=1e-2)
 
@@ -136,9 +148,15 @@ def test_a_line_whose_parameters_moved_far_is_marked_and_told_where_one_points()
 
     model = new_model("delta24")
     moved = DescribedParameter(
-        value=0.246, sigma=2e-5, nominal=0.24, moved_tolerances=12.0, unit="m", fixed=False,
-        words="rod length of chain 1", sigma_tolerances=0.04,
-    )  # fmt: skip
+        value=0.246,
+        sigma=2e-5,
+        nominal=0.24,
+        moved_tolerances=12.0,
+        unit="m",
+        fixed=False,
+        words="rod length of chain 1",
+        sigma_tolerances=0.04,
+    )
     drawn = drawings.drawing(model, None, {"chain1.Lb": moved})
     far = [t for t in drawn["data"] if "moved over 5 tolerances" in t["name"]]
     assert [t["name"] for t in far] == ["rod, moved over 5 tolerances"]
@@ -159,6 +177,10 @@ def test_the_page_of_mechanisms_shows_every_one_as_it_draws_itself_today():
         kept = (DOCS / "mechanisms" / f"{name}.svg").read_text(encoding="utf-8")
         drawn = tool.picture(model_of(name))
         assert re.findall(r">([^<]+)</text>", kept) == re.findall(r">([^<]+)</text>", drawn)
-        numbers = [np.array(re.findall(r"[\d.]+", " ".join(re.findall(r'points="([^"]+)"', svg))),
-                            dtype=float) for svg in (kept, drawn)]  # fmt: skip
+        numbers = [
+            np.array(
+                re.findall(r"[\d.]+", " ".join(re.findall(r'points="([^"]+)"', svg))), dtype=float
+            )
+            for svg in (kept, drawn)
+        ]
         np.testing.assert_allclose(*numbers, atol=0.3)

@@ -99,9 +99,14 @@ def session(line, n=60, seed=0, noise=1.0, loads=(0.0,), fall=FALL):
     r = robot.hangs(held, payload) + noise * NOISE["position"] * rng.normal(size=(n, 3))
     sigma = [NOISE["position"]] * 3 + [np.nan] * 3
     return Dataset.from_arrays(
-        MOTORS, q, r, pose_cov=np.diag(np.square(sigma)), joint_sigma=NOISE["joint"],
-        conditions={"payload": payload}, pose_id=np.arange(n),
-    )  # fmt: skip
+        MOTORS,
+        q,
+        r,
+        pose_cov=np.diag(np.square(sigma)),
+        joint_sigma=NOISE["joint"],
+        conditions={"payload": payload},
+        pose_id=np.arange(n),
+    )
 
 
 def closure(model, data):

@@ -59,9 +59,12 @@ def test_second_harmonic_of_a_joint_at_30_degrees_is_sine_and_cosine_of_60():
 
 def test_a_gain_of_a_thousandth_lengthens_a_stroke_of_80_mm_by_80_um_and_leaves_zero():
     q, _, _ = sees(
-        "encoder_gain", "stewart42", {"leg1.gain": 1e-3, "leg2.gain": -1e-3, "leg3.gain": 5e-4}, {},
+        "encoder_gain",
+        "stewart42",
+        {"leg1.gain": 1e-3, "leg2.gain": -1e-3, "leg3.gain": 5e-4},
+        {},
         [0.08, 0.08, 0.0, 0.08, 0.08, 0.08],
-    )  # fmt: skip
+    )
     np.testing.assert_allclose(q, [0.08008, 0.07992, 0.0, 0.08, 0.08, 0.08], atol=1e-16)
 
 
@@ -132,9 +135,12 @@ def test_a_target_off_the_origin_turns_with_the_platform():
 
 def test_an_eccentric_encoder_and_play_in_a_sliding_joint_by_hand():
     q, _, _ = sees(
-        "encoder_eccentricity", "scara16", {"joint1.sin": 2e-3, "joint2.cos": 1e-3}, {},
+        "encoder_eccentricity",
+        "scara16",
+        {"joint1.sin": 2e-3, "joint2.cos": 1e-3},
+        {},
         [np.pi / 6, THIRD, 0.05],
-    )  # fmt: skip
+    )
     np.testing.assert_allclose(q, [np.pi / 6 + 1e-3, THIRD + 0.5e-3, 0.05], atol=1e-15)
     came = {f"direction.joint{i}": 1.0 for i in (1, 2, 3)}
     q, _, _ = sees("backlash", "scara16", {"joint3.width": 40e-6}, came, [0.1, 0.1, 0.05])
@@ -305,10 +311,15 @@ def measured(robot, hidden, n=100, seed=1, errorless=False):
         for name in ("direction", "travel", "velocity"):
             conditions[f"{name}.{joint}"] = getattr(at, name)[:, k]
     return Dataset.from_arrays(
-        robot.joints, reading + factor * q_error, r + factor * r_error,
-        vr.turn(factor * w_error) @ R, pose_cov=np.diag(sigma**2),
-        joint_sigma=robot.noise.joint * size, conditions=conditions, pose_id=np.arange(n),
-    )  # fmt: skip
+        robot.joints,
+        reading + factor * q_error,
+        r + factor * r_error,
+        vr.turn(factor * w_error) @ R,
+        pose_cov=np.diag(sigma**2),
+        joint_sigma=robot.noise.joint * size,
+        conditions=conditions,
+        pose_id=np.arange(n),
+    )
 
 
 @dataclass(frozen=True)
@@ -365,17 +376,23 @@ DRIFT = {
 }
 CASES = [
     Case(
-        DELTA, "encoder_second_harmonic", ve.OvalDisc(OVAL, AT),
+        DELTA,
+        "encoder_second_harmonic",
+        ve.OvalDisc(OVAL, AT),
         a_joint(DELTA, "sin", np.array(OVAL) * np.sin(2 * np.array(AT)))
         | a_joint(DELTA, "cos", np.array(OVAL) * np.cos(2 * np.array(AT))),
     ),
     Case(
-        DELTA, "encoder_gain", ve.WrongPitch((2e-3, -3e-3, 1e-3)),
+        DELTA,
+        "encoder_gain",
+        ve.WrongPitch((2e-3, -3e-3, 1e-3)),
         a_joint(DELTA, "gain", (2e-3, -3e-3, 1e-3)),
     ),
     Case(HEXAPOD, "encoder_gain", ve.WrongPitch(PITCH), a_joint(HEXAPOD, "gain", PITCH)),
     Case(
-        DELTA, "gear_transmission_error", ve.GearRipple(50.0, RIPPLE, PHASE),
+        DELTA,
+        "gear_transmission_error",
+        ve.GearRipple(50.0, RIPPLE, PHASE),
         a_joint(DELTA, "sin1", np.array(RIPPLE) * np.cos(PHASE))
         | a_joint(DELTA, "cos1", np.array(RIPPLE) * np.sin(PHASE))
         | a_joint(DELTA, "sin2", np.array(RIPPLE) / 3 * np.cos(2 * np.array(PHASE)))
@@ -383,37 +400,50 @@ CASES = [
         {"ratio": 50.0},
     ),
     Case(
-        DELTA, "hysteresis", ve.WindUp((5e-4, 3e-4, 4e-4), 0.02),
+        DELTA,
+        "hysteresis",
+        ve.WindUp((5e-4, 3e-4, 4e-4), 0.02),
         a_joint(DELTA, "lag", (5e-4, 3e-4, 4e-4)),
     ),
     Case(
-        HEXAPOD, "hysteresis", ve.WindUp((20e-6,) * 6, 5e-4),
-        a_joint(HEXAPOD, "lag", (20e-6,) * 6), a_joint(HEXAPOD, "width", (5e-4,) * 6),
+        HEXAPOD,
+        "hysteresis",
+        ve.WindUp((20e-6,) * 6, 5e-4),
+        a_joint(HEXAPOD, "lag", (20e-6,) * 6),
+        a_joint(HEXAPOD, "width", (5e-4,) * 6),
     ),
     Case(DELTA, "latency", ve.LateStamp(3e-3), {"delay": 3e-3}),
     Case(HEXAPOD, "latency", ve.LateStamp(-2e-3), {"delay": -2e-3}),
     Case(
-        DELTA, "zero_shift", ve.HomedAnew((1e-3, -5e-4, 7e-4)),
+        DELTA,
+        "zero_shift",
+        ve.HomedAnew((1e-3, -5e-4, 7e-4)),
         a_joint(DELTA, "since1", (1e-3, -5e-4, 7e-4)),
     ),
     Case(HEXAPOD, "zero_shift", ve.HomedAnew(SIX), a_joint(HEXAPOD, "since1", SIX)),
     Case(DELTA, "base_drift", ve.CreepingStand(SLIDE, SPIN), DRIFT),
     Case(HEXAPOD, "base_drift", ve.CreepingStand(SLIDE, SPIN), DRIFT),
     Case(
-        DELTA, "encoder_harmonic", ve.LobedRing(5, LOBES, AT),
+        DELTA,
+        "encoder_harmonic",
+        ve.LobedRing(5, LOBES, AT),
         a_joint(DELTA, "sin", np.array(LOBES) * np.sin(5 * np.array(AT)))
         | a_joint(DELTA, "cos", np.array(LOBES) * np.cos(5 * np.array(AT))),
         {"order": 5.0},
     ),
     Case(
-        HEXAPOD, "encoder_crosstalk", ve.DraggedNeighbours(tuple(map(tuple, DRAG))),
+        HEXAPOD,
+        "encoder_crosstalk",
+        ve.DraggedNeighbours(tuple(map(tuple, DRAG))),
         {
             f"leg{i + 1}.by_leg{j + 1}": float(DRAG[i, j])
             for i, j in zip(*np.nonzero(DRAG), strict=True)
         },
     ),
     Case(
-        HEXAPOD, "screw_pitch_error", ve.UnevenScrew(5e-3, WOBBLE, ANGLE, GROWING),
+        HEXAPOD,
+        "screw_pitch_error",
+        ve.UnevenScrew(5e-3, WOBBLE, ANGLE, GROWING),
         a_joint(HEXAPOD, "sin", np.array(WOBBLE) * np.cos(ANGLE))
         | a_joint(HEXAPOD, "cos", np.array(WOBBLE) * np.sin(ANGLE))
         | a_joint(HEXAPOD, "bend", GROWING),
@@ -421,29 +451,39 @@ CASES = [
     ),
     *[
         Case(
-            robot, "device_bump", ve.Knock(1500.0, PUSH, TWIST),
-            KNOCKED, {"time": 1500.0},
+            robot,
+            "device_bump",
+            ve.Knock(1500.0, PUSH, TWIST),
+            KNOCKED,
+            {"time": 1500.0},
         )
         for robot in (DELTA, HEXAPOD)
     ],
     Case(HEXAPOD, "device_field", BENT, FIELD),
     *[
         Case(
-            robot, "base_compliance", ve.LeaningBase((1e-3, 1.5e-3)),
+            robot,
+            "base_compliance",
+            ve.LeaningBase((1e-3, 1.5e-3)),
             {"lean_x": 1e-3, "lean_y": 1.5e-3},
         )
         for robot in (DELTA, HEXAPOD)
     ],
     Case(HEXAPOD, "device_axes", CROOKED, AXES),
     Case(
-        HEXAPOD, "target_offset", ve.MisplacedTarget((1e-3, -2e-3, 1.5e-3)),
-        {"o_x": 1e-3, "o_y": -2e-3, "o_z": 1.5e-3}, fix=("*.B_?",),
+        HEXAPOD,
+        "target_offset",
+        ve.MisplacedTarget((1e-3, -2e-3, 1.5e-3)),
+        {"o_x": 1e-3, "o_y": -2e-3, "o_z": 1.5e-3},
+        fix=("*.B_?",),
     ),
     Case(
-        HEXAPOD, "backlash", vr.Backlash((30e-6, 10e-6, 20e-6, 40e-6, 15e-6, 25e-6)),
+        HEXAPOD,
+        "backlash",
+        vr.Backlash((30e-6, 10e-6, 20e-6, 40e-6, 15e-6, 25e-6)),
         a_joint(HEXAPOD, "width", (30e-6, 10e-6, 20e-6, 40e-6, 15e-6, 25e-6)),
     ),
-]  # fmt: skip
+]
 # A Delta's arms and rods take the place of leaning axes: noise hides them, yet they are no nullity.
 SWALLOWED = Case(DELTA, "device_axes", CROOKED, AXES)
 

@@ -51,14 +51,22 @@ def sees(name, mechanism, numbers, conditions, q=None, r=None, gravity=None):
 def test_a_horizontal_bar_twists_its_shaft_by_compliance_times_m_g_l():
     bar, h = 0.95, 0.1
     q, *_ = sees(
-        "joint_compliance", "parallelogram_simple", {"joint1.compliance": 1e-4},
-        {"payload": 2.0}, [np.pi / 2], [bar, -h, 0],
-    )  # fmt: skip
+        "joint_compliance",
+        "parallelogram_simple",
+        {"joint1.compliance": 1e-4},
+        {"payload": 2.0},
+        [np.pi / 2],
+        [bar, -h, 0],
+    )
     assert q == pytest.approx(np.pi / 2 - 1e-4 * 2 * G * bar, abs=1e-12)
     hanging, *_ = sees(
-        "joint_compliance", "parallelogram_simple", {"joint1.compliance": 1e-4},
-        {"payload": 2.0}, [0.0], [0, -bar - h, 0],
-    )  # fmt: skip
+        "joint_compliance",
+        "parallelogram_simple",
+        {"joint1.compliance": 1e-4},
+        {"payload": 2.0},
+        [0.0],
+        [0, -bar - h, 0],
+    )
     assert hanging == pytest.approx(0.0, abs=1e-15)
 
 
@@ -92,9 +100,13 @@ def test_six_rods_of_a_delta_are_shortened_by_the_weight_they_carry():
     *_, p = sees("rod_compliance", "delta_nominal", numbers, {"payload": 2.0}, r=[0, 0, height])
     assert p["Lb"] == pytest.approx(0.24 - 2e-6 * 3 * push, abs=1e-13)
     *_, p = sees(
-        "rod_compliance", "delta_nominal", numbers, {"payload": 2.0}, r=[0, 0, height],
+        "rod_compliance",
+        "delta_nominal",
+        numbers,
+        {"payload": 2.0},
+        r=[0, 0, height],
         gravity=(0.0, 0.0, 1.62),
-    )  # fmt: skip
+    )
     assert p["Lb"] == pytest.approx(0.24 + 2e-6 * 3 * push * 1.62 / G, abs=1e-13)
 
 
@@ -280,34 +292,64 @@ HUNG = replace(WEIGHTS, gravity=SIDE)
 LEGS = (3e-7, 2e-7, 4e-7, 3e-7, 1e-7, 3e-7)
 CASES = [
     Case(
-        DELTA, "joint_compliance", vl.ShaftTwist((1e-3, 0.8e-3, 1.2e-3), WEIGHTS),
+        DELTA,
+        "joint_compliance",
+        vl.ShaftTwist((1e-3, 0.8e-3, 1.2e-3), WEIGHTS),
         {"joint1.compliance": 1e-3, "joint2.compliance": 0.8e-3, "joint3.compliance": 1.2e-3},
-        MASSES, 1e-6,
+        MASSES,
+        1e-6,
     ),
     Case(
-        HEXAPOD, "joint_compliance", vl.ShaftTwist(LEGS, vl.Weights(platform=10.0)),
-        {f"leg{i}.compliance": c for i, c in enumerate(LEGS, 1)}, {"mass.platform": 10.0}, 1e-8,
+        HEXAPOD,
+        "joint_compliance",
+        vl.ShaftTwist(LEGS, vl.Weights(platform=10.0)),
+        {f"leg{i}.compliance": c for i, c in enumerate(LEGS, 1)},
+        {"mass.platform": 10.0},
+        1e-8,
     ),
     Case(
-        DELTA, "rod_compliance", vl.SoftRods(4e-6, HUNG), {"compliance": 4e-6}, MASSES, 1e-7, SIDE,
+        DELTA,
+        "rod_compliance",
+        vl.SoftRods(4e-6, HUNG),
+        {"compliance": 4e-6},
+        MASSES,
+        1e-7,
+        SIDE,
     ),
     Case(
-        DELTA, "ball_joint_clearance", vl.LooseBalls(40e-6, 1.5, HUNG), {"play": 40e-6},
-        {"force": 1.5, **MASSES}, 1e-7, SIDE,
+        DELTA,
+        "ball_joint_clearance",
+        vl.LooseBalls(40e-6, 1.5, HUNG),
+        {"play": 40e-6},
+        {"force": 1.5, **MASSES},
+        1e-7,
+        SIDE,
     ),
     Case(
-        DELTA, "thermal_expansion",
+        DELTA,
+        "thermal_expansion",
         vl.Warmth({"La": 23e-6, "Lb": 1e-6, "dLb": 1e-6, "D": 11.7e-6, "b": 11.7e-6}),
-        {"arms.alpha": 23e-6, "rods.alpha": 1e-6, "base.alpha": 11.7e-6}, {}, 1e-11,
+        {"arms.alpha": 23e-6, "rods.alpha": 1e-6, "base.alpha": 11.7e-6},
+        {},
+        1e-11,
     ),
     Case(
-        HEXAPOD, "thermal_expansion", vl.Warmth({"B": 23e-6, "C": 11.7e-6, "L0": 12e-6}),
-        {"platform.alpha": 23e-6, "base.alpha": 11.7e-6, "legs.alpha": 12e-6}, {}, 1e-11,
+        HEXAPOD,
+        "thermal_expansion",
+        vl.Warmth({"B": 23e-6, "C": 11.7e-6, "L0": 12e-6}),
+        {"platform.alpha": 23e-6, "base.alpha": 11.7e-6, "legs.alpha": 12e-6},
+        {},
+        1e-11,
     ),
     Case(
-        DELTA, "payload_sag", vl.SoftFrame(2e-6, 3e-5), {"settle": 2e-6, "tilt": 3e-5}, {}, 1e-8,
+        DELTA,
+        "payload_sag",
+        vl.SoftFrame(2e-6, 3e-5),
+        {"settle": 2e-6, "tilt": 3e-5},
+        {},
+        1e-8,
     ),
-]  # fmt: skip
+]
 each = pytest.mark.parametrize("case", CASES, ids=str)
 
 
@@ -322,10 +364,15 @@ def measured(case, n=80, seed=1, errorless=False):
     q_error, r_error, w_error = (error * (0.0 if errorless else 1.0) for error in errors)
     sigma = factor * np.repeat([robot.noise.position, robot.noise.orientation], 3)
     return Dataset.from_arrays(
-        load_mechanism(robot.mechanism).joints, reading + q_error, r + r_error,
-        vr.turn(w_error) @ R, pose_cov=np.diag(sigma**2), joint_sigma=factor * robot.noise.joint,
-        conditions={"payload": at.payload, "temperature": at.temperature}, pose_id=np.arange(n),
-    )  # fmt: skip
+        load_mechanism(robot.mechanism).joints,
+        reading + q_error,
+        r + r_error,
+        vr.turn(w_error) @ R,
+        pose_cov=np.diag(sigma**2),
+        joint_sigma=factor * robot.noise.joint,
+        conditions={"payload": at.payload, "temperature": at.temperature},
+        pose_id=np.arange(n),
+    )
 
 
 @cache
@@ -400,9 +447,13 @@ def test_the_larger_model_keeps_effects_numbers_masks_and_all_else():
     fixed = small.fixed | small.table.matching(["chain2.La_y", "encoder_gain.joint1.*"])
     small.mechanism.gravity = (0.0, 0.0, G)
     small = replace(
-        small, values=values, fixed=fixed, noise=Noise(1e-4, 1e-5), history=({"step": "fit"},),
+        small,
+        values=values,
+        fixed=fixed,
+        noise=Noise(1e-4, 1e-5),
+        history=({"step": "fit"},),
         frames={"base": "table", "platform": "tool"},
-    )  # fmt: skip
+    )
     large = small.with_effect("parallelogram_errors")
     assert large.mechanism.name == "delta54"
     assert [e.name for e in large.effects] == ["encoder_gain", "thermal_expansion"]

@@ -100,11 +100,15 @@ def gauged(gauge, n=120, seed=2):
     r, R = twin.forward(reading)
     q_error, r_error, w_error = vd.errors(noise, n, 6, seed)
     return Dataset.from_arrays(
-        HEXAPOD.joints, reading + q_error, r + r_error, vr.turn(w_error) @ R,
+        HEXAPOD.joints,
+        reading + q_error,
+        r + r_error,
+        vr.turn(w_error) @ R,
         pose_cov=np.diag(np.repeat([noise.position, noise.orientation], 3) ** 2),
-        joint_sigma=noise.joint, pose_id=np.arange(n),
+        joint_sigma=noise.joint,
+        pose_id=np.arange(n),
         conditions={"reading.probe": gauge.reads(r, R) + rng.normal(0, 2e-6, n)},
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.wide

@@ -123,8 +123,11 @@ def test_a_users_closure_of_the_wrong_kind_is_a_clear_error(closure, words, pack
         ("    def closure(", "    def closure((", "SyntaxError: .*crank.py, line 14"),
         ("closure(self", "clause(self", "TypeError: .*closure"),
         ("    home = ", "    away = ", "the class has no home"),
-        ('moves, controls = ("crank",), ("x",)', 'moves, controls = ("crank",), ("u",)',
-         "coordinates .'u'., expected some of x y z rx ry rz"),
+        (
+            'moves, controls = ("crank",), ("x",)',
+            'moves, controls = ("crank",), ("u",)',
+            "coordinates .'u'., expected some of x y z rx ry rz",
+        ),
         ('("x",), ("x",)', '("x",), ("y",)', "controls y, which it does not move"),
         ('("x",), ("x",)', '("x", "y"), ("x", "y")', "controls x y with joints crank only"),
         ("Workspace((0.02,)", "Workspace((0.02, 0.0)", "workspace.low has 2 entries, expected 1"),
@@ -134,7 +137,7 @@ def test_a_users_closure_of_the_wrong_kind_is_a_clear_error(closure, words, pack
         ("    home", "    joint_unit = 'deg'\n    home", "joints in deg, expected rad or m"),
         ("    home", "    length = 0.0\n    home", "length 0.0 m.*expected above 0"),
     ],
-)  # fmt: skip
+)
 def test_a_users_class_that_lacks_or_miscounts_something_is_a_clear_error(
     given, instead, words, package
 ):

@@ -155,16 +155,23 @@ class Exported:
     def direct(self, q, at=None, start=None):
         answer, left = self.kind(), ctypes.c_double()
         begin = ctypes.byref(start) if start is not None else None
-        status = self._call("direct", numbers(q), at and numbers(at), begin,
-                            ctypes.byref(answer), ctypes.byref(left))  # fmt: skip
+        status = self._call(
+            "direct",
+            numbers(q),
+            at and numbers(at),
+            begin,
+            ctypes.byref(answer),
+            ctypes.byref(left),
+        )
         return status, answer
 
     def inverse(self, r, R=None, at=None, start=None):
         answer = self.kind()
         begin = ctypes.byref(start) if start is not None else None
         turned = None if R is None else numbers(R)
-        status = self._call("inverse", numbers(r), turned, at and numbers(at), begin,
-                            ctypes.byref(answer), None)  # fmt: skip
+        status = self._call(
+            "inverse", numbers(r), turned, at and numbers(at), begin, ctypes.byref(answer), None
+        )
         return status, answer
 
     def jacobian(self, answer, function="jacobian"):

@@ -228,28 +228,63 @@ def plain_delta():
     return new_model(mechanism, values)
 
 
-@pytest.mark.parametrize(("target", "lines"), [
-    ("klipper", ["delta_radius = 150.000000", "arm_length = 250.000000", "angle = 330.000000",
-                 "position_endstop = 400.000000"]),
-    ("rrf", ["M665 L250.0000:250.0000:250.0000 R150.0000 H400.0000 X0.00000 Y0.00000 Z0.00000",
-             "M666 X0.0000 Y0.0000 Z0.0000 A0.00000 B0.00000"]),
-    ("linuxcnc", ["setp lineardeltakins.R 150.00000", "setp lineardeltakins.L 250.00000",
-                  "[JOINT_2]", "HOME_OFFSET = 600.000000"]),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("target", "lines"),
+    [
+        (
+            "klipper",
+            [
+                "delta_radius = 150.000000",
+                "arm_length = 250.000000",
+                "angle = 330.000000",
+                "position_endstop = 400.000000",
+            ],
+        ),
+        (
+            "rrf",
+            [
+                "M665 L250.0000:250.0000:250.0000 R150.0000 H400.0000 X0.00000 Y0.00000 Z0.00000",
+                "M666 X0.0000 Y0.0000 Z0.0000 A0.00000 B0.00000",
+            ],
+        ),
+        (
+            "linuxcnc",
+            [
+                "setp lineardeltakins.R 150.00000",
+                "setp lineardeltakins.L 250.00000",
+                "[JOINT_2]",
+                "HOME_OFFSET = 600.000000",
+            ],
+        ),
+    ],
+)
 def test_a_linear_delta_has_the_numbers_of_its_drawing(target, lines, tmp_path):
     export(plain_delta(), target, tmp_path)
     written = [line for path in tmp_path.iterdir() for line in path.read_text().splitlines()]
     assert not set(lines) - {line.replace("-0.00000", "0.00000") for line in written}
 
 
-@pytest.mark.parametrize(("target", "numbers"), [
-    # motors in z = 0 at 76 mm; -30 degrees of {B}, whose z points down, are 30 up; bed at z 275
-    ("klipper", {"shoulder_radius": 76, "shoulder_height": 275, "upper_arm_length": 120,
-                 "lower_arm_length": 240}),
-    ("rrf", {"M669 U": 120, "M669 L": 240, "M669 H": 275, "M669 R": 76, "M666 X": 0}),
-    ("grblhal", {641: 240, 642: 120, 643: 2 * 3**0.5 * 76, 644: 0, 646: -30}),
-    ("linuxcnc", {"platformradius": 76, "thighlength": 120, "shinlength": 240, "footradius": 0}),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("target", "numbers"),
+    [
+        # motors in z = 0 at 76 mm; -30 degrees of {B}, whose z points down, are 30 up; bed at z 275
+        (
+            "klipper",
+            {
+                "shoulder_radius": 76,
+                "shoulder_height": 275,
+                "upper_arm_length": 120,
+                "lower_arm_length": 240,
+            },
+        ),
+        ("rrf", {"M669 U": 120, "M669 L": 240, "M669 H": 275, "M669 R": 76, "M666 X": 0}),
+        ("grblhal", {641: 240, 642: 120, 643: 2 * 3**0.5 * 76, 644: 0, 646: -30}),
+        (
+            "linuxcnc",
+            {"platformradius": 76, "thighlength": 120, "shinlength": 240, "footradius": 0},
+        ),
+    ],
+)
 def test_a_rotary_delta_has_the_numbers_of_its_drawing(target, numbers, tmp_path):
     export(new_model("delta_nominal"), target, tmp_path)
     firmware = simulated(target, tmp_path)

@@ -320,10 +320,13 @@ def test_heights_of_a_robot_that_hangs_upside_down_are_counted_upwards(tmp_path)
         assert done.heights.after == pytest.approx(expected, abs=0.5e-6)
 
 
-@pytest.mark.parametrize(("change", "message"), [
-    ({"q": 9.0}, "2 of 2 touches are beyond the firmware's reach with the file's numbers"),
-    ({"sensors": ()}, "the model's sensors are none: expected a 'probe'"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"q": 9.0}, "2 of 2 touches are beyond the firmware's reach with the file's numbers"),
+        ({"sensors": ()}, "the model's sensors are none: expected a 'probe'"),
+    ],
+)
 def test_touches_that_cannot_be_judged_are_refused_in_one_line(tmp_path, change, message):
     (tmp_path / "config.g").write_text(vp.CONFIG)
     model = configured([tmp_path / "config.g"]).model

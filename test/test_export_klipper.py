@@ -23,12 +23,23 @@ from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_mechanism
 
 ROOT = Path(__file__).parents[1]
-NOMINAL = ("delta_nominal", "linear_delta", "delta24", "delta54", "linear_delta at 90 degrees",
-           "config/delta_mockup_nominal.yaml", "bags/models/delta24.yaml",
-           "bags/models/delta54_fine.yaml")  # fmt: skip
-OFF_NOMINAL = ("delta24 off nominal", "delta54 off nominal", "linear_delta off nominal",
-               "config/delta24_mockup_identified.yaml",
-               "config/delta_mockup_identified.yaml")  # fmt: skip
+NOMINAL = (
+    "delta_nominal",
+    "linear_delta",
+    "delta24",
+    "delta54",
+    "linear_delta at 90 degrees",
+    "config/delta_mockup_nominal.yaml",
+    "bags/models/delta24.yaml",
+    "bags/models/delta54_fine.yaml",
+)
+OFF_NOMINAL = (
+    "delta24 off nominal",
+    "delta54 off nominal",
+    "linear_delta off nominal",
+    "config/delta24_mockup_identified.yaml",
+    "config/delta_mockup_identified.yaml",
+)
 MAX_HOMED_ERROR = 0.3  # mm, where the firmware has fewer numbers than the model
 
 
@@ -139,10 +150,13 @@ USERS = {
     "linear as documented": (PRINTER, (210, 330, 90)),
     "linear, turned by half a turn": (turned((30, 150, 270)), (30, 150, 270)),
     "rotary as documented": (ROTARY, (30, 150, 271)),
-    "rotary from the front": (ROTARY.replace("angle: 271", "angle: 30").replace(
-        "[stepper_a]", "[stepper_a]\nangle: 150").replace(
-        "[stepper_b]", "[stepper_b]\nangle: 270"), (150, 270, 30)),
-}  # fmt: skip
+    "rotary from the front": (
+        ROTARY.replace("angle: 271", "angle: 30")
+        .replace("[stepper_a]", "[stepper_a]\nangle: 150")
+        .replace("[stepper_b]", "[stepper_b]\nangle: 270"),
+        (150, 270, 30),
+    ),
+}
 
 
 @pytest.mark.parametrize("name", first(*USERS))
@@ -165,10 +179,12 @@ def test_a_users_steppers_stay_where_they_are(name, tmp_path):
 
 CLOCKWISE = {
     "rotary": ROTARY.replace("angle: 271", "angle: 150").replace(
-        "[stepper_b]", "[stepper_b]\nangle: 270"),
+        "[stepper_b]", "[stepper_b]\nangle: 270"
+    ),
     "linear": LINEAR.replace("angle = 331.0", "angle = 91.0").replace(
-        "[stepper_c]", "[stepper_c]\nangle: 330"),
-}  # fmt: skip
+        "[stepper_c]", "[stepper_c]\nangle: 330"
+    ),
+}
 
 
 @pytest.mark.parametrize("name", CLOCKWISE)

@@ -63,8 +63,10 @@ class Urdf:
 
 
 def everything(model, tree, q, x):
-    return {**dict(zip(model.joints, q, strict=True)),
-            **dict(zip(tree.passive, tree.values(x), strict=True))}  # fmt: skip
+    return {
+        **dict(zip(model.joints, q, strict=True)),
+        **dict(zip(tree.passive, tree.values(x), strict=True)),
+    }
 
 
 def apart(points, others):
@@ -73,9 +75,17 @@ def apart(points, others):
 
 
 OTHERS = (
-    "delta_nominal", "stewart42", "linear_delta", "cable", "argos27", "slider_crank", "rssr",
-    "planar_stewart", "parallelogram", "five_bar",
-)  # fmt: skip
+    "delta_nominal",
+    "stewart42",
+    "linear_delta",
+    "cable",
+    "argos27",
+    "slider_crank",
+    "rssr",
+    "planar_stewart",
+    "parallelogram",
+    "five_bar",
+)
 
 
 @pytest.mark.parametrize(

@@ -38,10 +38,15 @@ def document(names, estimate, sigma):
 def row(robot, recording="0", lengths=(0.24, 0.24), play=None, plays=(0.0,) * 3, when=None):
     """A recording that tells two rods to 10 um and three plays to 0.1 mrad."""
     found = {
-        "robot": robot, "recording": recording, "reason": "", "mechanism": "delta54", "time": when,
-        "effects": [play] if play else [], "evidence": document(NUMBERS, lengths, 1e-5),
+        "robot": robot,
+        "recording": recording,
+        "reason": "",
+        "mechanism": "delta54",
+        "time": when,
+        "effects": [play] if play else [],
+        "evidence": document(NUMBERS, lengths, 1e-5),
         "effects_evidence": {"backlash": document(PLAYS, plays, 1e-4)},
-    }  # fmt: skip
+    }
     if play:
         found["evidence"] = document(
             (*NUMBERS, *PLAYS), (*lengths, *plays), np.array([1e-5] * 2 + [1e-4] * 3)

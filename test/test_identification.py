@@ -132,9 +132,15 @@ def test_projecting_out_equals_a_measurement_without_weight():
     cov = np.array(vague.pose_cov)
     cov[:, range(3, 6), range(3, 6)] = 3.0**2
     vague = Dataset.from_arrays(
-        JOINTS, vague.q, vague.r, vague.R, measured=vague.measured, pose_cov=cov,
-        joint_sigma=vague.joint_sigma, pose_id=vague.pose_id,
-    )  # fmt: skip
+        JOINTS,
+        vague.q,
+        vague.r,
+        vague.R,
+        measured=vague.measured,
+        pose_cov=cov,
+        joint_sigma=vague.joint_sigma,
+        pose_id=vague.pose_id,
+    )
     weightless = fit(model, vague, hold_out=0, prior=True)
     apart = (left_out.model.values - weightless.model.values) / model.table.tolerance
     assert np.abs(apart).max() < 1e-3
@@ -142,9 +148,13 @@ def test_projecting_out_equals_a_measurement_without_weight():
 
 # A robot with perfect parallelograms, all that model 24 knows off by some of its tolerance.
 PARALLEL = vr.TABLE_5_12 | {
-    "chain1.D_x": 0.0768, "chain1.Lb": 0.2404, "chain2.theta": 2.099, "chain2.La_y": -0.0035,
-    "chain3.alpha": 1.565, "chain3.La_x": 0.1196,
-}  # fmt: skip
+    "chain1.D_x": 0.0768,
+    "chain1.Lb": 0.2404,
+    "chain2.theta": 2.099,
+    "chain2.La_y": -0.0035,
+    "chain3.alpha": 1.565,
+    "chain3.La_x": 0.1196,
+}
 
 
 @pytest.mark.wide

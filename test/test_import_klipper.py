@@ -166,8 +166,11 @@ BROKEN = {
     "radius": ("150.000000", "15O", "cfg:30: [printer] delta_radius is '15O', expected mm"),
     "short arm": ("arm_length: 250", "arm_length: 25", "cfg:10: [stepper_a] arm_length is '25'"),
     "no arm": ("arm_length: 250", "", "no [stepper_a] arm_length, expected mm, longer"),
-    "no distance": ("[stepper_b]\nrotation_distance: 40", "[stepper_b]",
-                    "no [stepper_b] rotation_distance, expected mm a turn"),
+    "no distance": (
+        "[stepper_b]\nrotation_distance: 40",
+        "[stepper_b]",
+        "no [stepper_b] rotation_distance, expected mm a turn",
+    ),
     "gear": ("2:1", "2", "cfg:18: [stepper_c] gear_ratio is '2', expected ratios such as"),
     "gears": ("2:1", "2:x", "cfg:18: [stepper_c] gear_ratio is 'x', expected ratios"),
     "endstop": ("299.500000", "nan", "cfg:34: [stepper_b] position_endstop is 'nan'"),
@@ -176,7 +179,7 @@ BROKEN = {
     "step": ("23976.000", "2397o", "cfg:40: [delta_calibrate] height1_pos is '2397o', expected"),
     "no position": ("height1_pos", "height1_at", "no [delta_calibrate] height1_pos, expected ste"),
     "no touches": ("height", "weight", "no [delta_calibrate] height0, expected what DELTA_CALI"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", BROKEN)

@@ -123,7 +123,7 @@ BROKEN = {
     "no radius": (G33.replace("B0.00", ""), " at radius:80.00", "", "no M665 B, expected 'at rad"),
     "report": (G33, "z:-0.10", "z:-0.1O", "log:12: G33 z is '-0.1O', expected mm within 20"),
     "setting": (G33, "Ez:-1.20", "Ez:oops", "log:15: M666 Z is 'oops', expected mm, 0 or less"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", BROKEN)

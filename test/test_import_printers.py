@@ -168,10 +168,13 @@ def test_seven_touches_set_klippers_bed_right_with_tolerances(tmp_path, seed):
     heights = []
     for text in (KLIPPER, file.read_text()):
         firmware = vf.Klipper(text)
-        heights.append(vp.heights(
-            printer, vp.places(200, seed) * 0.6,
-            lambda r, f=firmware: 1e-3 * (f.motors(1e3 * r) - f.homed() + first.homed()),
-        ))  # fmt: skip
+        heights.append(
+            vp.heights(
+                printer,
+                vp.places(200, seed) * 0.6,
+                lambda r, f=firmware: 1e-3 * (f.motors(1e3 * r) - f.homed() + first.homed()),
+            )
+        )
     before, after = (np.sqrt(np.mean(h**2)) for h in heights)
     assert before > 0.2e-3
     assert after < 8e-6

@@ -30,8 +30,10 @@ X,Y,-40.00,40.00,-30.00,30.00,50.00,40.00,60.00,3,2
   0.100, -0.050,      0
  0.000,0.200,   nan
 """
-OLD = MAP.replace("axis0,axis1,min0,max0,min1,max1,radius,spacing0,spacing1,num0,num1",
-                  "xmin,xmax,ymin,ymax,radius,xspacing,yspacing,xnum,ynum")  # fmt: skip
+OLD = MAP.replace(
+    "axis0,axis1,min0,max0,min1,max1,radius,spacing0,spacing1,num0,num1",
+    "xmin,xmax,ymin,ymax,radius,xspacing,yspacing,xnum,ynum",
+)
 OLD = OLD.replace("X,Y,-40", "-40")
 TOP = np.full(3, 0.5)
 POINTS = np.array([[20, -35, 8], [-50, 10, 3], [5, 60, 40]]) * MM
@@ -76,11 +78,16 @@ def test_arms_of_a_rotary_delta_stand_where_pythagoras_puts_them():
     assert found == pytest.approx(-np.arctan2(3, 4), abs=1e-12)
 
 
-@pytest.mark.parametrize("config", [
-    LINEAR, LINEAR.lower(), ROTARY,
-    "M665 L250.5:251:249.2 R148.2 H240.1 X-0.3 Y0.2 Z0.1\nM666 X0.1 Y-0.2 Z0.1 A1.5 B-0.7\n",
-    "M669 K10 U100:101:99.5 L250:251:249 H200:201:199 R50 X0.4 Y-0.2 Z0.1\n",
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "config",
+    [
+        LINEAR,
+        LINEAR.lower(),
+        ROTARY,
+        "M665 L250.5:251:249.2 R148.2 H240.1 X-0.3 Y0.2 Z0.1\nM666 X0.1 Y-0.2 Z0.1 A1.5 B-0.7\n",
+        "M669 K10 U100:101:99.5 L250:251:249 H200:201:199 R50 X0.4 Y-0.2 Z0.1\n",
+    ],
+)
 def test_the_model_as_configured_is_the_firmwares_formula(files, config):
     from parallel_cal.importing.gcode import settings
     from parallel_cal.importing.importers import rrf
@@ -111,8 +118,9 @@ def test_cells_are_touches_with_the_nozzle_beside_and_above_the_tip(files, heigh
     paths = files(LINEAR, heights)
     data = samples("rrf", paths)
     nozzle = np.array([(-50, -30, 2.6), (-10, -30, 2.45), (-50, 30, 2.5), (-10, 30, 2.7)]) * MM
-    np.testing.assert_allclose(Kinematics(configured(paths[1:]).model).direct(data.q).position,
-                               nozzle, atol=1e-9)  # fmt: skip
+    np.testing.assert_allclose(
+        Kinematics(configured(paths[1:]).model).direct(data.q).position, nozzle, atol=1e-9
+    )
     assert configured(paths[1:]).model.sensors[0].tip == (0.01, 0.0, -0.0025)
     assert not data.measured.any()
     np.testing.assert_array_equal(data.conditions["reading.probe"], np.zeros(4))
@@ -165,8 +173,7 @@ def test_a_hangprinters_lines_are_those_of_its_firmware(files):
     triples = " ".join(
         f"{a}{':'.join(map(str, x))}" for a, x in zip("ABCD", anchors.tolist(), strict=True)
     )
-    _, path = files(f"M669 K6 N4 {triples} P1500\n"
-                    "M666 Q0.0078 R75 U2:2:2:4 O1 L20 H255 J25\n")  # fmt: skip
+    _, path = files(f"M669 K6 N4 {triples} P1500\nM666 Q0.0078 R75 U2:2:2:4 O1 L20 H255 J25\n")
     model = configured([path]).model
     r = np.array([[0.2, -0.1, 0.3], [-0.3, 0.4, 0.6]])
     out = np.linalg.norm(r[:, None] - anchors * MM, axis=2) - np.linalg.norm(anchors * MM, axis=1)
@@ -181,10 +188,17 @@ def test_a_hangprinters_lines_are_those_of_its_firmware(files):
         configured([path])
 
 
-@pytest.mark.parametrize(("old", "new", "message"), [
-    ("H200", "H900", "config.g:1: M669 H is '900', expected lengths that reach 50 mm ab"),
-    ("A-40:60", "A60:-40", "config.g:1: M669 A is '60:-40', expected least:most degrees of an arm"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("H200", "H900", "config.g:1: M669 H is '900', expected lengths that reach 50 mm ab"),
+        (
+            "A-40:60",
+            "A60:-40",
+            "config.g:1: M669 A is '60:-40', expected least:most degrees of an arm",
+        ),
+    ],
+)
 def test_arms_that_reach_nothing_are_named(files, old, new, message):
     with pytest.raises(ParallelCalError, match=re.escape(message)):
         configured(files(ROTARY.replace(old, new))[1:])
@@ -204,8 +218,11 @@ BROKEN = {
     "word": (LINEAR, MAP.replace("0.200", "0,2x0"), "heightmap.csv:5: the row's length is '4'"),
     "number": (LINEAR, MAP.replace("0.200", "0.2x"), "heightmap.csv:5: column 2 is '0.2x'"),
     "unit": (LINEAR, MAP.replace("0.200", "200.0"), "column 2 is '200.0', expected a height in mm"),
-    "far": (LINEAR, MAP.replace("-40.00,40.00", "-400,400").replace("40.00,60", "400,60"),
-            "heightmap.csv:4: position is 'x -410.000 y -30.000"),
+    "far": (
+        LINEAR,
+        MAP.replace("-40.00,40.00", "-400,400").replace("40.00,60", "400,60"),
+        "heightmap.csv:4: position is 'x -410.000 y -30.000",
+    ),
     "no rods": (LINEAR.replace("L250.000", ""), MAP, "config.g: no M665 L, expected rod lengths"),
     "rods": (LINEAR.replace("L250.000", "L25O"), MAP, "config.g:4: M665 L is '25O'"),
     "short rods": (LINEAR.replace("L250", "L100"), MAP, "config.g:4: M665 L is '100.000'"),
@@ -216,7 +233,7 @@ BROKEN = {
     "inches": (LINEAR.replace("G21", "G20"), MAP, "config.g:2: unit is 'G20', expected mill"),
     "CoreXY": (LINEAR + "M669 K1\n", MAP, "config.g:7: M669 K is '1', expected 3 (linear"),
     "lines": (LINEAR + "M669 K6 N4\n", MAP, "config.g:7: M669 K is '6'"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", BROKEN)
@@ -249,16 +266,19 @@ def test_the_commands_write_samples_and_a_model_that_can_be_read(files, tmp_path
     assert compared["reading_mean"] == pytest.approx(0.0875e-3, abs=1e-7)
 
 
-@pytest.mark.parametrize(("words", "code", "message"), [
-    (("new", "-o", "a.yaml"), 2, "--from FILE"),
-    (("new", "delta24", "--from", "c.g", "-o", "a.yaml"), 2, "--from FILE"),
-    (("new", "--from", "c.stl", "-o", "a.yaml"), 1, "expected .cfg (klipper)"),
-    (("new", "--from", "c.urdf", "-o", "a.yaml"), 1, "; .urdf (new serial)"),
-    (("import", "rrrf", "c.g", "-o", "a.json"), 1, "no importer 'rrrf': expected one of"),
-    (("import", "rrf", "c.g", "-o", "a.json"), 1, "expected height maps (.csv)"),
-    (("import", "rrf", "c.g", "h.csv", "-o", "a.json"), 1, "c.g: cannot be read: No such file"),
-    (("import", "rrf", "c.g", "-o", "a.json", "--option", "x=1"), 1, "rrf: got an unexpected"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("words", "code", "message"),
+    [
+        (("new", "-o", "a.yaml"), 2, "--from FILE"),
+        (("new", "delta24", "--from", "c.g", "-o", "a.yaml"), 2, "--from FILE"),
+        (("new", "--from", "c.stl", "-o", "a.yaml"), 1, "expected .cfg (klipper)"),
+        (("new", "--from", "c.urdf", "-o", "a.yaml"), 1, "; .urdf (new serial)"),
+        (("import", "rrrf", "c.g", "-o", "a.json"), 1, "no importer 'rrrf': expected one of"),
+        (("import", "rrf", "c.g", "-o", "a.json"), 1, "expected height maps (.csv)"),
+        (("import", "rrf", "c.g", "h.csv", "-o", "a.json"), 1, "c.g: cannot be read: No such file"),
+        (("import", "rrf", "c.g", "-o", "a.json", "--option", "x=1"), 1, "rrf: got an unexpected"),
+    ],
+)
 def test_wrong_usage_is_said_in_one_line(words, code, message, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(SystemExit) as ended:

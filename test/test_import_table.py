@@ -49,20 +49,28 @@ def test_points_find_their_joints_by_the_index_that_both_have(files):
     np.testing.assert_allclose(np.sqrt(np.diag(data.pose_cov[0])[:3]), 2e-5)
     np.testing.assert_array_equal(data.joint_sigma, [1e-5] * 3)
     assert [d.detail.split(": ")[0].split("/")[-1] for d in data.dropped] == [
-        "tracker.txt:9", "joints.txt:4"
-    ]  # fmt: skip
+        "tracker.txt:9",
+        "joints.txt:4",
+    ]
 
 
-@pytest.mark.parametrize(("clock", "joints"), [
-    ("2026-11-22 10:00:", "2026-11-22T10:00:"), ("9:00:", "09:00:"),
-    ("2026-11-22T10:00:", "2026-11-22T10:00:"), ("10:00:", "10:00:"), ("", ""),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("clock", "joints"),
+    [
+        ("2026-11-22 10:00:", "2026-11-22T10:00:"),
+        ("9:00:", "09:00:"),
+        ("2026-11-22T10:00:", "2026-11-22T10:00:"),
+        ("10:00:", "10:00:"),
+        ("", ""),
+    ],
+)
 def test_or_by_the_time_that_is_near(files, clock, joints):
     tracker = TRACKER.replace("2026-11-22T10:00:", clock)
     log = JOINTS.replace("2026-11-22T10:00:", joints)
     log = log.replace("2026-11-22T10:01:00", "99" if not joints else joints + "59")
-    data = samples("table", files(tracker, log), by="Timestamp", within=0.6,
-                   joints=["joint1", "joint2"])  # fmt: skip
+    data = samples(
+        "table", files(tracker, log), by="Timestamp", within=0.6, joints=["joint1", "joint2"]
+    )
     np.testing.assert_allclose(np.degrees(data.q), [[30, 60], [90, -45]])
     np.testing.assert_allclose(data.r[:, 1], [-0.02025, 0.01])
     with pytest.raises(ParallelCalError, match=r"no row of .* has a partner by Timestamp"):
@@ -84,18 +92,34 @@ def test_clocks_may_stand_in_other_zones(files):
 def test_one_table_may_hold_both_and_other_names_are_said(files):
     table = "nr,A1,A2,XA,YA,ZA\n1,0.5,1,0.1,0.2,0.3\n2,0.25,2,0.4,0.5,0.6\n"
     path = files(table)[:1]
-    data = samples("table", path, position=["xa", "YA", "ZA"], unit="in", joints=["A2", "A1"],
-                   joint_unit="rad")  # fmt: skip
+    data = samples(
+        "table", path, position=["xa", "YA", "ZA"], unit="in", joints=["A2", "A1"], joint_unit="rad"
+    )
     np.testing.assert_allclose(data.q, [[1, 0.5], [2, 0.25]])
     np.testing.assert_allclose(data.r[1], np.array([0.4, 0.5, 0.6]) * 0.0254)
 
 
-@pytest.mark.parametrize(("unit", "metres"), [
-    ("MM", 1e-3), ("cm", 1e-2), ("Feet", 0.3048), ("mil", 25.4e-6), ("nm", 1e-9), ("Metre", 1.0),
-])  # fmt: skip
-@pytest.mark.parametrize(("angle", "turn"), [
-    ("gon", 400), ("arcsec", 1_296_000), ("Revolutions", 1), ("mrad", 2000 * np.pi), ("Deg", 360),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("unit", "metres"),
+    [
+        ("MM", 1e-3),
+        ("cm", 1e-2),
+        ("Feet", 0.3048),
+        ("mil", 25.4e-6),
+        ("nm", 1e-9),
+        ("Metre", 1.0),
+    ],
+)
+@pytest.mark.parametrize(
+    ("angle", "turn"),
+    [
+        ("gon", 400),
+        ("arcsec", 1_296_000),
+        ("Revolutions", 1),
+        ("mrad", 2000 * np.pi),
+        ("Deg", 360),
+    ],
+)
 def test_lengths_and_angles_have_the_unit_of_the_header(files, unit, metres, angle, turn):
     tracker = f"nr,X ({unit}),Y ({unit}),Z ({unit})\n1,3,4,5\n"
     data = samples("table", files(tracker, f"nr,joint1 [{angle}]\n1,{turn / 4}\n"))
@@ -120,13 +144,16 @@ BROKEN = {
     "no index": (("point name", "number"), {}, "joined by Timestamp: say how near (--option with"),
     "no column": (("Timestamp", "at"), {"by": "nr"}, "tracker.txt:1: no column nr to join by"),
     "two": (("P2;", "P1;"), {}, "tracker.txt:8: Point Name P1 occurs twice"),
-    "time": (("10.5;", "1O.5;"), {"by": "Timestamp", "within": 1.0},
-             "tracker.txt:8: Timestamp is '2026-11-22T10:00:1O.5', expected seconds, 14:03:05.2"),
+    "time": (
+        ("10.5;", "1O.5;"),
+        {"by": "Timestamp", "within": 1.0},
+        "tracker.txt:8: Timestamp is '2026-11-22T10:00:1O.5', expected seconds, 14:03:05.2",
+    ),
     "unit": (("", ""), {"unit": "ell"}, "unit=ell: expected one of rad, mrad, deg, arcmin"),
     "joint unit": (("joint1 [deg]", "joint1"), {}, "joints.txt:1: column joint1 names no unit"),
     "empty": ((TRACKER, ""), {}, "tracker.txt: no table in there, expected a header and rows"),
     "option": (("", ""), {"x": 1}, "its options: by="),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", BROKEN)

@@ -43,10 +43,18 @@ UR5 = robot(
 SCARA = robot(
     joint("first", "revolute", "base", "a", "0.1 0 0.3", limit=TURN),
     joint("second", "revolute", "a", "b", "0.25 0 0.05", limit=TURN),
-    joint("slide", "prismatic", "b", "c", "0.2 0 -0.1", "3.141592653589793 0 0", "0 0 1",
-          '<limit lower="0.02" upper="0.12" velocity="0.5"/>'),
+    joint(
+        "slide",
+        "prismatic",
+        "b",
+        "c",
+        "0.2 0 -0.1",
+        "3.141592653589793 0 0",
+        "0 0 1",
+        '<limit lower="0.02" upper="0.12" velocity="0.5"/>',
+    ),
     joint("roll", "continuous", "c", "d", "0 0 0.04"),
-)  # fmt: skip
+)
 
 
 def forward(text, start, end, q):
@@ -87,14 +95,23 @@ def agrees(model, text, start, end, seed=1):
         q = rng.uniform(-1.4, 1.4, len(model.joints))
         expected = forward(text, start, end, dict(zip(model.joints, q, strict=True)))
         found = Kinematics(model).direct(q)
-        worst = max(worst, np.abs(found.position - expected[:3, 3]).max(),
-                    np.abs(found.rotation - expected[:3, :3]).max())  # fmt: skip
+        worst = max(
+            worst,
+            np.abs(found.position - expected[:3, 3]).max(),
+            np.abs(found.rotation - expected[:3, :3]).max(),
+        )
     return worst
 
 
-@pytest.mark.parametrize(("text", "start", "end"), [
-    (UR5, "world", "tool0"), (UR5, "base", "camera"), (UR5, "shoulder", "w3"), (SCARA, "base", "d"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("text", "start", "end"),
+    [
+        (UR5, "world", "tool0"),
+        (UR5, "base", "camera"),
+        (UR5, "shoulder", "w3"),
+        (SCARA, "base", "d"),
+    ],
+)
 def test_the_arm_is_where_the_urdf_puts_it(file, text, start, end):
     model = arm(file(text), start, end).model
     assert agrees(model, text, start, end) < 1e-12
@@ -173,7 +190,7 @@ BROKEN = {
     "xml": ("</robot>", "", ("", ""), "not a URDF: no element found: line 3, column 0"),
     "other": ("robot", "sdf", ("", ""), "not a URDF: expected <robot> with <joint>s, found <sdf>"),
     "child": ('<child link="fore"/>', "", ("", "tool0"), "joint 'elbow': no parent or child link"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", BROKEN)

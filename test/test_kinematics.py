@@ -51,8 +51,11 @@ def test_arms_stretched_into_one_line_are_singular():
 def test_nan_and_infinity_are_invalid_input_and_spoil_no_neighbour(mock_up):
     answers = mock_up.inverse([[0, 0, 0.2], [np.nan, 0, 0.2], [0, np.inf, 0.2], [0, 0.01, 0.2]])
     assert [Status(s).text for s in answers.status] == [
-        "converged", "invalid_input", "invalid_input", "converged",
-    ]  # fmt: skip
+        "converged",
+        "invalid_input",
+        "invalid_input",
+        "converged",
+    ]
     assert np.isnan(answers.joints[1]).all()
 
 
@@ -207,7 +210,7 @@ def test_a_single_solve_needs_no_arrays(name, monkeypatch):
     rows[:, mechanism.controlled] = mechanism.sample(20, np.random.default_rng(8))
     kinematics = Kinematics(new_model(mechanism))
     poses = kinematics.inverse(rows[:, :3], rotation_matrix(rows[:, 3:]))
-    monkeypatch.setattr(Kinematics, "_classified", None)
+    monkeypatch.setattr(Kinematics, "_classify", None)
     for pose in poses:
         answer = kinematics.direct(pose.joints)
         assert np.abs(answer.position - pose.position).max() < 1e-9

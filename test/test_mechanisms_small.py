@@ -134,10 +134,17 @@ def test_nominal_values_of_the_argos_are_those_of_table_5_21():
 
 
 COUNTS = {  # table 3.1 and section 3.5; gear and advantage of a cable's line act as its radius
-    "argos_nominal": 3, "argos9": 9, "argos27": 27, "stewart42": 42, "planar_stewart": 18,
-    "linear_delta": 48, "slider_crank": 3, "rssr": 9, "cable": 4 * 6 + 2,
+    "argos_nominal": 3,
+    "argos9": 9,
+    "argos27": 27,
+    "stewart42": 42,
+    "planar_stewart": 18,
+    "linear_delta": 48,
+    "slider_crank": 3,
+    "rssr": 9,
+    "cable": 4 * 6 + 2,
     "five_bar": 10,
-}  # fmt: skip
+}
 RANKS = COUNTS | {"cable": 4 * 5}  # each line: anchor, offset, metres a radian
 
 
@@ -178,9 +185,19 @@ def rank(model, x, fixed=False):
 # C = (5, -7, 3), u = (0, -1, 0), R v = (-1, 0, 0), so CB = (-14, 9, 0), G1 = -9 and
 # G2 = (277 - 100) / 20. Changed number -> (G1, G2).
 ARGOS = {
-    "alpha0": RIGHT, "Omega": RIGHT, "Phi": RIGHT, "omega": RIGHT, "phi": -RIGHT, "dA": 1,
-    "dC": 2, "da": 3, "dc": 4, "gamma": RIGHT, "dR": 5, "R": 10,
-}  # fmt: skip
+    "alpha0": RIGHT,
+    "Omega": RIGHT,
+    "Phi": RIGHT,
+    "omega": RIGHT,
+    "phi": -RIGHT,
+    "dA": 1,
+    "dC": 2,
+    "da": 3,
+    "dc": 4,
+    "gamma": RIGHT,
+    "dR": 5,
+    "R": 10,
+}
 ARGOS_BY_HAND = {
     "": (0, -9, 8.85),
     "q": (RIGHT, -15, 6.25),
@@ -225,13 +242,25 @@ def one_leg(leg, numbers):
 
 
 STEWART = {  # CB = (3, 4, 12), 13 long
-    "B_x": 1, "B_y": 2, "B_z": 3, "C_x": 4, "C_y": 2, "C_z": 4, "L0": 2,
-}  # fmt: skip
+    "B_x": 1,
+    "B_y": 2,
+    "B_z": 3,
+    "C_x": 4,
+    "C_y": 2,
+    "C_z": 4,
+    "L0": 2,
+}
 STEWART_BY_HAND = {
-    "": (0, 13 - 7), "q": (6, 13 - 8), "L0": (3, 13 - 8),
-    "B_x": (2, 178**0.5 - 7), "B_y": (3, 194**0.5 - 7), "B_z": (4, 176**0.5 - 7),
-    "C_x": (5, 164**0.5 - 7), "C_y": (3, 162**0.5 - 7), "C_z": (5, 146**0.5 - 7),
-}  # fmt: skip
+    "": (0, 13 - 7),
+    "q": (6, 13 - 8),
+    "L0": (3, 13 - 8),
+    "B_x": (2, 178**0.5 - 7),
+    "B_y": (3, 194**0.5 - 7),
+    "B_z": (4, 176**0.5 - 7),
+    "C_x": (5, 164**0.5 - 7),
+    "C_y": (3, 162**0.5 - 7),
+    "C_z": (5, 146**0.5 - 7),
+}
 
 
 @pytest.mark.parametrize("changed", STEWART_BY_HAND, ids=lambda name: name or "nothing")
@@ -245,13 +274,23 @@ def test_stewart_leg_is_what_paper_and_pencil_say(changed, leg):
 
 
 PLANAR = {  # CB = (3, 4); |3 + 4 i| = 5
-    "B_x": 1, "B_y": 2, "C_x": 1, "C_y": 2, "L0": 3, "delta": RIGHT,
-}  # fmt: skip
+    "B_x": 1,
+    "B_y": 2,
+    "C_x": 1,
+    "C_y": 2,
+    "L0": 3,
+    "delta": RIGHT,
+}
 PLANAR_BY_HAND = {
-    "": (0, 0), "q": (3, 5 - 18**0.5), "delta": (0, 5 - 7), "L0": (4, 5 - 32**0.5),
-    "B_x": (2, 34**0.5 - 5), "B_y": (3, 20**0.5 - 5),
-    "C_x": (2, 20**0.5 - 5), "C_y": (3, 18**0.5 - 5),
-}  # fmt: skip
+    "": (0, 0),
+    "q": (3, 5 - 18**0.5),
+    "delta": (0, 5 - 7),
+    "L0": (4, 5 - 32**0.5),
+    "B_x": (2, 34**0.5 - 5),
+    "B_y": (3, 20**0.5 - 5),
+    "C_x": (2, 20**0.5 - 5),
+    "C_y": (3, 18**0.5 - 5),
+}
 
 
 @pytest.mark.parametrize("changed", PLANAR_BY_HAND, ids=lambda name: name or "nothing")
@@ -268,19 +307,44 @@ def test_planar_leg_is_what_paper_and_pencil_say(changed, leg):
 
 
 LINEAR = {
-    "D_x": 4, "D_y": 5, "D_z": 6, "alpha": RIGHT, "beta": 0, "Lb": 10, "dC_x": 3, "dC_y": -6,
-    "dC_z": 3, "dLb": 2, "d_x": 1, "d_y": 2, "d_z": 3, "b_x": 1, "b_y": 2, "b_z": 3,
-}  # fmt: skip
+    "D_x": 4,
+    "D_y": 5,
+    "D_z": 6,
+    "alpha": RIGHT,
+    "beta": 0,
+    "Lb": 10,
+    "dC_x": 3,
+    "dC_y": -6,
+    "dC_z": 3,
+    "dLb": 2,
+    "d_x": 1,
+    "d_y": 2,
+    "d_z": 3,
+    "b_x": 1,
+    "b_y": 2,
+    "b_z": 3,
+}
 # On paper CB = (5, 10, -3) and dd = (-1, 5, -4) at reading 2; the rail runs along -y.
 LINEAR_BY_HAND = {
-    "": (0, 3.6, 3.7), "q": (3, 4.65, 4.2),
-    "D_x": (5, 3.15, 3.8), "D_y": (6, 2.65, 3.2), "D_z": (7, 3.95, 4.1),
-    "alpha": (0, 2.6, 3.5), "beta": (RIGHT, 1.0, 2.9), "Lb": (20, -5.7, 0.85),
-    "dC_x": (4, 3.75, 3.2), "dC_y": (-5, 3.15, 2.7), "dC_z": (4, 4.05, 4.0),
+    "": (0, 3.6, 3.7),
+    "q": (3, 4.65, 4.2),
+    "D_x": (5, 3.15, 3.8),
+    "D_y": (6, 2.65, 3.2),
+    "D_z": (7, 3.95, 4.1),
+    "alpha": (0, 2.6, 3.5),
+    "beta": (RIGHT, 1.0, 2.9),
+    "Lb": (20, -5.7, 0.85),
+    "dC_x": (4, 3.75, 3.2),
+    "dC_y": (-5, 3.15, 2.7),
+    "dC_z": (4, 4.05, 4.0),
     "dLb": (3, 3.35, 2.7),
-    "d_x": (2, 4.3, 4.2), "d_y": (3, 2.8, 2.4), "d_z": (4, 4.0, 4.5),
-    "b_x": (2, 4.2, 4.3), "b_y": (3, 2.4, 2.8), "b_z": (4, 4.5, 4.0),
-}  # fmt: skip
+    "d_x": (2, 4.3, 4.2),
+    "d_y": (3, 2.8, 2.4),
+    "d_z": (4, 4.0, 4.5),
+    "b_x": (2, 4.2, 4.3),
+    "b_y": (3, 2.4, 2.8),
+    "b_z": (4, 4.5, 4.0),
+}
 
 
 @pytest.mark.parametrize("changed", LINEAR_BY_HAND, ids=lambda name: name or "nothing")
@@ -298,8 +362,12 @@ def test_linear_delta_chain_is_what_paper_and_pencil_say(changed, chain):
 
 CRANK = {"a": 3, "b": 5, "q0": 0}
 CRANK_BY_HAND = {  # changed -> (value, row) at x = 4 and a crank at right angles
-    "": (0, 0), "a": (4, 0.7), "b": (10, -3.75), "q0": (RIGHT, 2.4), "q": (np.pi, 2.4),
-}  # fmt: skip
+    "": (0, 0),
+    "a": (4, 0.7),
+    "b": (10, -3.75),
+    "q0": (RIGHT, 2.4),
+    "q": (np.pi, 2.4),
+}
 
 
 @pytest.mark.parametrize("changed", CRANK_BY_HAND, ids=lambda name: name or "nothing")
@@ -312,9 +380,14 @@ def test_slider_crank_is_what_paper_and_pencil_say(changed):
 
 FIVE = {"x": 1, "y": 2, "crank": 3, "rod": 5, "q0": 0}
 FIVE_BY_HAND = {  # changed -> (value, row) at (5, 8), a crank at right angles ending at (1, 5)
-    "": (0, 0), "x": (2, -0.7), "y": (1, 0.7), "crank": (6, -0.9), "rod": (2.5, 3.75),
-    "q0": (RIGHT, 6.0), "q": (0, 1.2),
-}  # fmt: skip
+    "": (0, 0),
+    "x": (2, -0.7),
+    "y": (1, 0.7),
+    "crank": (6, -0.9),
+    "rod": (2.5, 3.75),
+    "q0": (RIGHT, 6.0),
+    "q": (0, 1.2),
+}
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
@@ -338,14 +411,29 @@ def test_slider_crank_of_the_thesis_meets_the_axis_twice():
 
 
 RSSR = {
-    "a": 1, "alpha": RIGHT, "input.r": 2, "input.s": 3, "input.q0": 0,
-    "output.r": 4, "output.s": 5, "output.q0": RIGHT, "L": 5,
-}  # fmt: skip
+    "a": 1,
+    "alpha": RIGHT,
+    "input.r": 2,
+    "input.s": 3,
+    "input.q0": 0,
+    "output.r": 4,
+    "output.s": 5,
+    "output.q0": RIGHT,
+    "L": 5,
+}
 RSSR_BY_HAND = {  # C = (1, -3, 2), B = (0, 4, 5)
-    "": (0, 3.4), "q": (0, 5.8), "a": (2, 3.7), "alpha": (0, -1.6), "L": (10, -2.05),
-    "input.r": (3, 2.9), "input.s": (4, 4.9), "input.q0": (RIGHT, 5.0),
-    "output.r": (5, 4.9), "output.s": (6, 4.1), "output.q0": (0, 0.2),
-}  # fmt: skip
+    "": (0, 3.4),
+    "q": (0, 5.8),
+    "a": (2, 3.7),
+    "alpha": (0, -1.6),
+    "L": (10, -2.05),
+    "input.r": (3, 2.9),
+    "input.s": (4, 4.9),
+    "input.q0": (RIGHT, 5.0),
+    "output.r": (5, 4.9),
+    "output.s": (6, 4.1),
+    "output.q0": (0, 0.2),
+}
 
 
 @pytest.mark.parametrize("changed", RSSR_BY_HAND, ids=lambda name: name or "nothing")
@@ -358,15 +446,25 @@ def test_rssr_loop_is_what_paper_and_pencil_say(changed):
 
 
 CABLE = {
-    "line2.A_x": 0, "line2.A_y": 0, "line2.A_z": 5, "line2.offset": 1, "line2.gear": 3,
-    "line2.advantage": 2, "spool1.R": 6,
-}  # fmt: skip
+    "line2.A_x": 0,
+    "line2.A_y": 0,
+    "line2.A_z": 5,
+    "line2.offset": 1,
+    "line2.gear": 3,
+    "line2.advantage": 2,
+    "spool1.R": 6,
+}
 CABLE_BY_HAND = {  # |P - A| = 13, |A| = 5, one metre a radian, two radians, offset one
-    "": (0, 5), "q": (3, 4), "line2.offset": (2, 4), "line2.gear": (6, 6),
-    "line2.advantage": (4, 6), "spool1.R": (12, 3),
-    "line2.A_x": (1, 164**0.5 - 26**0.5 - 3), "line2.A_y": (1, 162**0.5 - 26**0.5 - 3),
+    "": (0, 5),
+    "q": (3, 4),
+    "line2.offset": (2, 4),
+    "line2.gear": (6, 6),
+    "line2.advantage": (4, 6),
+    "spool1.R": (12, 3),
+    "line2.A_x": (1, 164**0.5 - 26**0.5 - 3),
+    "line2.A_y": (1, 162**0.5 - 26**0.5 - 3),
     "line2.A_z": (6, 146**0.5 - 6 - 3),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("changed", CABLE_BY_HAND, ids=lambda name: name or "nothing")
@@ -391,9 +489,14 @@ def nominal_triples(joints, R):
     """(w x u) . R v of eq. 6.53 for the three chains of the nominal Argos."""
     a = joints + np.radians([-45, 45, -45])
     c, s, zero = np.cos(a), np.sin(a), np.zeros(len(a))
-    u = [np.stack(row, 1) for row in (
-        (zero, c[:, 0], s[:, 0]), (-c[:, 1], zero, s[:, 1]), (-c[:, 2], -s[:, 2], zero),
-    )]  # fmt: skip
+    u = [
+        np.stack(row, 1)
+        for row in (
+            (zero, c[:, 0], s[:, 0]),
+            (-c[:, 1], zero, s[:, 1]),
+            (-c[:, 2], -s[:, 2], zero),
+        )
+    ]
     v = np.diag([1, 1, -1])
     return [np.sum(np.cross(EYE[i], u[i]) * (R @ v[i]), axis=1) for i in range(3)]
 

@@ -321,9 +321,13 @@ def test_weighted_implicit_calibration_is_orthogonal_distance_regression():
         observations.x[:, used].T, y=1, we=1e14, wd=1 / np.diag(observations.S[0])[used]
     )
     fit = odr.ODR(
-        data, odr.Model(rod, implicit=True), beta0=model.values[free] / unit,
-        maxit=1000, sstol=1e-15, partol=1e-15,
-    )  # fmt: skip
+        data,
+        odr.Model(rod, implicit=True),
+        beta0=model.values[free] / unit,
+        maxit=1000,
+        sstol=1e-15,
+        partol=1e-15,
+    )
     fit.set_job(fit_type=1, deriv=1)
     best = fit.run().beta * unit
     large = np.abs(best) > 10 * MM
@@ -345,8 +349,12 @@ def _first_chain():
 
 
 OPTIMISERS = (
-    "newton", "gauss_newton_normal", "gauss_newton_svd", "levenberg_marquardt", "steepest_descent"
-)  # fmt: skip
+    "newton",
+    "gauss_newton_normal",
+    "gauss_newton_svd",
+    "levenberg_marquardt",
+    "steepest_descent",
+)
 
 
 def test_all_optimisers_of_annex_c_end_in_one_minimum():

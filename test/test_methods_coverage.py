@@ -10,9 +10,7 @@ from parallel_cal.base.threads import single_threaded
 from parallel_cal.identification.estimators import load_method
 from parallel_cal.kinematics.kinematics import Kinematics
 
-METHODS = (
-    "implicit", "forward", "inverse", "linear", "sensitivity", "semiparametric", "cascaded"
-)  # fmt: skip
+METHODS = ("implicit", "forward", "inverse", "linear", "sensitivity", "semiparametric", "cascaded")
 ONE_STEP = ("linear", "sensitivity")  # they come near; started there, nearer
 NO_CONSTANT = ("argos9", "argos_nominal", "parallelogram", "parallelogram_simple")
 REFUSED = {
@@ -22,10 +20,14 @@ REFUSED = {
 }
 PAIRS = [(m, r) for r in ROBOTS for m in METHODS if (m, r) not in REFUSED]
 SOME = [
-    ("implicit", "argos9"), ("forward", "argos_nominal"), ("inverse", "argos_nominal"),
-    ("linear", "slider_crank"), ("sensitivity", "parallelogram_simple"),
-    ("semiparametric", "argos_nominal"), ("cascaded", "slider_crank"),
-]  # fmt: skip
+    ("implicit", "argos9"),
+    ("forward", "argos_nominal"),
+    ("inverse", "argos_nominal"),
+    ("linear", "slider_crank"),
+    ("sensitivity", "parallelogram_simple"),
+    ("semiparametric", "argos_nominal"),
+    ("cascaded", "slider_crank"),
+]
 SOME_THEN_ALL = [
     pytest.param(*pair, marks=() if pair in SOME else pytest.mark.slow) for pair in PAIRS
 ]

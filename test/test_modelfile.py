@@ -227,8 +227,12 @@ def test_what_is_no_plain_file_of_a_sane_size_is_not_waited_for(tmp_path):
     pipe, large = tmp_path / "pipe", tmp_path / "large"
     os.mkfifo(pipe)
     large.write_bytes(b"#" * ((4 << 20) + 1))
-    for path, words in ((pipe, "not a regular file"), ("/dev/zero", "not a regular file"),
-                        (large, "more than 4 MB"), (tmp_path, "Is a directory")):  # fmt: skip
+    for path, words in (
+        (pipe, "not a regular file"),
+        ("/dev/zero", "not a regular file"),
+        (large, "more than 4 MB"),
+        (tmp_path, "Is a directory"),
+    ):
         with pytest.raises(ModelFileError, match=f"cannot be read: .*{words}"):
             read_model(path)
 
@@ -550,7 +554,7 @@ def test_a_sensor_without_numbers_has_its_own_and_with_some_lacks_the_others():
         ("{name: device_frame, option: {}}", "0.option: unknown key; did you mean 'options'"),
         ("{name: plane_spheres, options: {height: 0.2, holes: [[0.1]]}}", "holes.0.1: this key is"),
     ],
-)  # fmt: skip
+)
 def test_a_sensor_described_wrongly_is_refused_with_its_line(entry, words):
     text = with_sensors(entry)
     refused(text, f"robot.yaml:{line_of(text, entry)}: ", words)
@@ -631,9 +635,12 @@ def test_every_preset_can_be_read(path):
 
 @pytest.mark.parametrize(
     ("name", "table"),
-    [("delta_mockup_nominal", "5.12"), ("delta_mockup_identified", "5.18"),
-     ("delta24_mockup_identified", "5.13")],
-)  # fmt: skip
+    [
+        ("delta_mockup_nominal", "5.12"),
+        ("delta_mockup_identified", "5.18"),
+        ("delta24_mockup_identified", "5.13"),
+    ],
+)
 def test_the_presets_of_the_delta_mockup_name_their_table_and_noise(name, table):
     path = ROOT / "config" / f"{name}.yaml"
     model = read_model(path)

@@ -31,8 +31,18 @@ def off_nominal(name, seed, size=1.0, free_only=False):
 
 # ------------------------------------------------------------------------- the parallelogram
 
-WHOLE = {"q0": 0, "a1_x": 1, "a2_x": 2, "a2_y": 3, "b1_x": 1, "b2_x": 2, "b2_y": 3,
-         "l1": 5, "l2": 10, "h": 1}  # fmt: skip
+WHOLE = {
+    "q0": 0,
+    "a1_x": 1,
+    "a2_x": 2,
+    "a2_y": 3,
+    "b1_x": 1,
+    "b2_x": 2,
+    "b2_y": 3,
+    "l1": 5,
+    "l2": 10,
+    "h": 1,
+}
 # C = (4, -6), platform turned by a quarter: (x, y) -> (-y, x). Then B1 = C + (-1, -1), so
 # A1 B1 = (4, -7) and the crank hangs at (0, -5); B2 = C + (-4, 2), so A2 B2 = (-2, -7).
 PARALLELOGRAM_BY_HAND = {

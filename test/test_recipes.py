@@ -104,9 +104,14 @@ def test_the_sensor_reads_what_it_shows_and_its_numbers_are_found_again(folder, 
     r = pc.Kinematics(model).direct(q).position
     read = r[:, 0] * np.cos(0.02) + r[:, 1] * np.sin(0.02) - 0.0005
     data = pc.Dataset.from_arrays(
-        model.joints, q, r, measured=[1, 1, 0, 0, 0, 0], pose_cov=1e-12 * np.eye(6),
-        joint_sigma=1e-6, conditions={"reading.scale": read},
-    )  # fmt: skip
+        model.joints,
+        q,
+        r,
+        measured=[1, 1, 0, 0, 0, 0],
+        pose_cov=1e-12 * np.eye(6),
+        joint_sigma=1e-6,
+        conditions={"reading.scale": read},
+    )
     found = pc.fit(model, data, hold_out=0).model
     assert found.value("my_pkg.my_sensor.zero") == pytest.approx(0.0005, abs=5e-6)
     assert found.value("my_pkg.my_sensor.turn") == pytest.approx(0.02, abs=5e-5)
@@ -136,8 +141,10 @@ def test_the_solver_answers_as_newtons_method_does(folder, ran, problem):
 
 def test_the_channel_comes_from_a_bag_to_the_samples(folder, ran):
     kind, moves = "sensor_msgs/msg/RelativeHumidity", bw.Session([[0.1, 0.2, 0.3], [0.4, 0.0, 0.5]])
-    said = [("lab/air", kind, bw.ns(t), bw.kind(kind)(bw.header(bw.ns(t)), value, 0.0))
-            for t, value in ((0, 0.4), (10, 0.6))]  # fmt: skip
+    said = [
+        ("lab/air", kind, bw.ns(t), bw.kind(kind)(bw.header(bw.ns(t)), value, 0.0))
+        for t, value in ((0, 0.4), (10, 0.6))
+    ]
     bw.write_bag(folder / "humid", bw.joint_states(moves) + bw.poses(moves) + said)
     own = "--data channels=my_pkg.my_channel --data humidity=lab/air"
     told = answer(folder, f"info humid {own}")

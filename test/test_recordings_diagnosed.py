@@ -57,8 +57,9 @@ def test_the_verdict_is_right_and_adding_what_it_names_lowers_the_error(name, ru
         assert any(set(group) & names for names in found), (group, found)
     before = run("fit", model, bag, "-o", tmp_path / "0.yaml", *data)["held_out"]["after"]
     for k, effect in enumerate(document["effects"]):
-        step = run("add", tmp_path / f"{k}.yaml", effect, bag, "-o", tmp_path / f"{k + 1}.yaml",
-                   *data)  # fmt: skip
+        step = run(
+            "add", tmp_path / f"{k}.yaml", effect, bag, "-o", tmp_path / f"{k + 1}.yaml", *data
+        )
         after = step["held_out"]["after"]
         kinds = [f"{kind}_rms" for kind in ("position", "orientation") if before[f"{kind}_rms"]]
         assert any(after[kind] < 0.99 * before[kind] for kind in kinds)

@@ -15,8 +15,15 @@ from parallel_cal.recordings.dataset import Dataset
 
 QUARTER = np.pi / 2
 # A whole-arm manipulator of seven turning joints: twist, offset along, offset across (rad, m).
-ARM = [(-QUARTER, 0, 0), (QUARTER, 0, 0), (-QUARTER, 0.55, 0.045), (QUARTER, 0, -0.045),
-       (-QUARTER, 0.3, 0), (QUARTER, 0, 0), (0, 0.06, 0)]  # fmt: skip
+ARM = [
+    (-QUARTER, 0, 0),
+    (QUARTER, 0, 0),
+    (-QUARTER, 0.55, 0.045),
+    (QUARTER, 0, -0.045),
+    (-QUARTER, 0.3, 0),
+    (QUARTER, 0, 0),
+    (0, 0.06, 0),
+]
 HOME = (0.1, 0.5, 0.1, 1.2, 0.1, 0.5, 0.1)
 
 
@@ -35,9 +42,13 @@ def by_matrices(q, shifts):
         c, s = np.cos(q[k] + shifts[0][k]), np.sin(q[k] + shifts[0][k])
         ct, st = np.cos(twist), np.sin(twist)
         A = np.array(
-            [[c, -s * ct, s * st, across * c], [s, c * ct, -c * st, across * s],
-             [0, st, ct, along + shifts[1][k]], [0, 0, 0, 1]]
-        )  # fmt: skip
+            [
+                [c, -s * ct, s * st, across * c],
+                [s, c * ct, -c * st, across * s],
+                [0, st, ct, along + shifts[1][k]],
+                [0, 0, 0, 1],
+            ]
+        )
         T = T @ A
     return T
 

@@ -25,10 +25,20 @@ from parallel_cal.session.steps import fitted
 from parallel_cal.virtual import robot as vr
 
 SECTIONS = [
-    "verdict", "numbers", "history", "error-budget", "what-is-left-in-space",
-    "what-is-left-along-everything", "which-effect-is-missing", "what-to-measure-next",
-    "parameters", "what-the-data-cannot-tell", "unexplained-structure", "samples", "provenance",
-]  # fmt: skip
+    "verdict",
+    "numbers",
+    "history",
+    "error-budget",
+    "what-is-left-in-space",
+    "what-is-left-along-everything",
+    "which-effect-is-missing",
+    "what-to-measure-next",
+    "parameters",
+    "what-the-data-cannot-tell",
+    "unexplained-structure",
+    "samples",
+    "provenance",
+]
 POLICY = (
     "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval'; style-src 'unsafe-inline'; "
     "img-src data: blob:"
@@ -179,10 +189,13 @@ def test_provenance_names_model_data_noise_and_options(calibrated, document, tex
 
 def test_what_comes_from_files_cannot_become_part_of_the_page(data):
     joints = (EVIL, "joint2", "joint3")
-    names = {f"{k.split('.')[0]}.{EVIL}" if k.endswith(".joint1") else k: v
-             for k, v in data.conditions.items()}  # fmt: skip
-    evil = replace(data, joint_names=joints, conditions=names, source=EVIL,
-                   warnings=(f"</script>{EVIL}",))  # fmt: skip
+    names = {
+        f"{k.split('.')[0]}.{EVIL}" if k.endswith(".joint1") else k: v
+        for k, v in data.conditions.items()
+    }
+    evil = replace(
+        data, joint_names=joints, conditions=names, source=EVIL, warnings=(f"</script>{EVIL}",)
+    )
     model = new_model("delta24")
     model.mechanism.joints = joints
     document, text = shown(model, evil, effects=["backlash"])

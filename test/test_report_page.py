@@ -22,10 +22,18 @@ from parallel_cal.virtual import robot as vr
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 DRAWS = ["--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader"]
 PARTS = {  # those of the page that fold, in their order
-    "History", "Error budget", "What is left, in space", "What is left, along everything",
-    "Which effect is missing", "What to measure next", "Parameters", "What the data cannot tell",
-    "Unexplained structure", "Samples", "Provenance",
-}  # fmt: skip
+    "History",
+    "Error budget",
+    "What is left, in space",
+    "What is left, along everything",
+    "Which effect is missing",
+    "What to measure next",
+    "Parameters",
+    "What the data cannot tell",
+    "Unexplained structure",
+    "Samples",
+    "Provenance",
+}
 
 
 @pytest.fixture(scope="module")
@@ -119,8 +127,13 @@ def test_samples_are_sorted_by_a_column_that_is_seen_at_once(text):
     heads = re.findall(r"<th[^>]*>([^<]+)</th>", said)
     assert heads[:2] == ["sample", "sigmas"]
     assert re.findall(r"<th[^>]*aria-sort=\"descending\">([^<]+)</th>", said) == ["sigmas"]
-    keys = [float(row[1]) for row in (re.findall(r'data-key="([^"]+)"', r)
-            for r in re.findall(r"<tr>(.*?)</tr>", said)) if row]  # fmt: skip
+    keys = [
+        float(row[1])
+        for row in (
+            re.findall(r'data-key="([^"]+)"', r) for r in re.findall(r"<tr>(.*?)</tr>", said)
+        )
+        if row
+    ]
     assert keys == sorted(keys, reverse=True)
 
 

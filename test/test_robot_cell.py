@@ -56,9 +56,7 @@ class Desk:
         self.inflow, self.reader, self.said = Inflow(), Reader(), []
         self.inflow.add_reader(self.reader)
         self.taken, self._take = 0, take
-        self.cell = RobotCell(
-            mock.Mock(), MODEL, self.taking, 0.1, self.inflow, self.said.append
-        )  # fmt: skip
+        self.cell = RobotCell(mock.Mock(), MODEL, self.taking, 0.1, self.inflow, self.said.append)
         self.script, self.begun = [], time.monotonic()
 
     def taking(self, meanwhile):
@@ -81,9 +79,11 @@ class Desk:
 
 @pytest.fixture(autouse=True)
 def soon(monkeypatch):
-    monkeypatch.setattr(robot_cell, "LONGEST", LONGEST)
+    monkeypatch.setattr(robot_cell, "SAMPLE_TIMEOUT_S", LONGEST)
     monkeypatch.setattr(robot_cell, "SAID_EVERY", 0.1)
-    monkeypatch.setattr(robot_cell, "SILENT", 30.0)  # whatever else this machine is at
+    monkeypatch.setattr(
+        robot_cell, "JOINT_STATE_TIMEOUT_S", 30.0
+    )  # whatever else this machine is at
 
 
 def a_sample():
@@ -177,8 +177,11 @@ class Played:
 
     def __init__(self, folder):
         write_model(MODEL, folder / "robot.yaml")
-        given = {"model_file": folder / "robot.yaml", "journal_folder": folder,
-                 "look_period": 3600.0}  # fmt: skip
+        given = {
+            "model_file": folder / "robot.yaml",
+            "journal_folder": folder,
+            "look_period": 3600.0,
+        }
         parameters = [part for k, v in given.items() for part in ("-p", f"{k}:={v}")]
         rclpy.init(args=["--ros-args", "-r", f"__ns:={use_private_domain()}", *parameters])
         self.node, self.executor = CalibrationNode(), FrontExecutor()
@@ -256,7 +259,7 @@ def test_while_a_pose_is_awaited_nothing_is_made_anew_of_all_that_was_collected(
             cell.sample(lambda: None)
         assert made == []
         desk.measuring.set()
-        monkeypatch.setattr(robot_cell, "LONGEST", 20.0)
+        monkeypatch.setattr(robot_cell, "SAMPLE_TIMEOUT_S", 20.0)
         sample = cell.sample(lambda: None)
     assert len(sample.dataset) == 1
     np.testing.assert_allclose(sample.dataset.r[0], [0.0, 0.0, 0.2], atol=1e-5)

@@ -212,9 +212,14 @@ def before_hexapod(device, seed=1):
     q_error, r_error, w_error = vd.errors(noise, 150, 6, seed)
     sigma = np.repeat([noise.position, noise.orientation], 3)
     return Dataset.from_arrays(
-        new_model("stewart42").joints, reading + q_error, r + r_error, vr.turn(w_error) @ R,
-        pose_cov=np.diag(sigma**2), joint_sigma=noise.joint, pose_id=pose,
-    )  # fmt: skip
+        new_model("stewart42").joints,
+        reading + q_error,
+        r + r_error,
+        vr.turn(w_error) @ R,
+        pose_cov=np.diag(sigma**2),
+        joint_sigma=noise.joint,
+        pose_id=pose,
+    )
 
 
 @pytest.mark.wide

@@ -110,8 +110,9 @@ def test_the_commands_of_the_page_do_what_it_says(prefix, tmp_path):
     try:
         client.wait(
             lambda: {"kinematics_node", "calibration_node"} <= set(client._node.get_node_names()),
-            "both nodes", 60,
-        )  # fmt: skip
+            "both nodes",
+            60,
+        )
         for command in others:
             expected = next(text for part, text in EXPECTED.items() if part in command)
             assert expected in said(command, prefix, tmp_path), command

@@ -295,9 +295,16 @@ def argos_session(device, n=47, seed=0, spherical=True):
     measured = np.tile([not spherical] * 3 + [True] * 3, (n, 1))
     cov = np.diag([noise.position**2] * 3 + [noise.orientation**2] * 3)
     return Dataset.from_arrays(
-        JOINTS, q + dq, r + dr, vr.turn(w) @ R, measured=measured, pose_cov=cov,
-        joint_sigma=[noise.joint] * 3, pose_id=np.arange(n), source="virtual argos",
-    )  # fmt: skip
+        JOINTS,
+        q + dq,
+        r + dr,
+        vr.turn(w) @ R,
+        measured=measured,
+        pose_cov=cov,
+        joint_sigma=[noise.joint] * 3,
+        pose_id=np.arange(n),
+        source="virtual argos",
+    )
 
 
 def spatial_argos():

@@ -136,14 +136,23 @@ def test_the_closure_is_the_distance_in_metres_and_the_angle_in_radians():
 def test_table_3_5_gives_each_topology_its_parameters():
     names = load_mechanism("serial", **PUMA).parameters.names
     assert [n for n in names if n.startswith("base")] == [
-        "base.a", "base.b", "base.alpha", "base.beta",
-    ]  # fmt: skip
+        "base.a",
+        "base.b",
+        "base.alpha",
+        "base.beta",
+    ]
     assert [n for n in names if n.startswith("link1")] == [
-        "link1.theta", "link1.d", "link1.a", "link1.alpha",
-    ]  # fmt: skip
+        "link1.theta",
+        "link1.d",
+        "link1.a",
+        "link1.alpha",
+    ]
     assert [n for n in names if n.startswith("link2")] == [
-        "link2.theta", "link2.a", "link2.alpha", "link2.beta",
-    ]  # fmt: skip
+        "link2.theta",
+        "link2.a",
+        "link2.alpha",
+        "link2.beta",
+    ]
     assert len(names) == 4 * 6 + 6  # eq. 3.1
 
 
@@ -157,8 +166,13 @@ def test_a_slide_gets_only_its_direction():
     arm = load_mechanism("serial", links=links)
     names = [n.split(".")[1] for n in arm.parameters.names]
     assert names == [*("theta", "alpha"), *("theta", "alpha"), *("alpha", "beta")] + [
-        "theta", "d", "a", "b", "alpha", "beta",
-    ]  # fmt: skip
+        "theta",
+        "d",
+        "a",
+        "b",
+        "alpha",
+        "beta",
+    ]
     assert len(names) == 2 * 3 + 6
     assert set(arm.joint_units) == {"m"}
 

@@ -105,8 +105,9 @@ def test_samples_know_their_session_and_time_goes_on(two):
     np.testing.assert_array_equal(both.time, both.conditions["time"])
     np.testing.assert_allclose(np.diff(both.time[35:]), np.diff(two[1].time))
     np.testing.assert_array_equal(both.q[35:], two[1].q)
-    np.testing.assert_array_equal(both.conditions["direction.joint2"][:35],
-                                  two[0].conditions["direction.joint2"])  # fmt: skip
+    np.testing.assert_array_equal(
+        both.conditions["direction.joint2"][:35], two[0].conditions["direction.joint2"]
+    )
 
 
 def test_replicates_stay_within_their_session(two):

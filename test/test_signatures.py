@@ -146,8 +146,12 @@ def test_the_figure_shows_measured_means_and_pattern_in_sigmas(ripple):
     drawn = signatures.figure(found, ripple.model.mechanism)
     go.Figure(drawn)
     names = [trace["name"] for trace in drawn["data"] if trace["showlegend"]]
-    assert names == ["measured", "99 % of means if nothing depends on it", "measured, mean",
-                     "this effect's pattern"]  # fmt: skip
+    assert names == [
+        "measured",
+        "99 % of means if nothing depends on it",
+        "measured, mean",
+        "this effect's pattern",
+    ]
     layout = drawn["layout"]
     assert layout["xaxis"]["title"]["text"] == "joint1, within 4.50 deg [deg]"
     assert layout["yaxis3"]["title"]["text"] == "joint3 residual [σ]"

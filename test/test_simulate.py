@@ -168,8 +168,21 @@ def test_an_unknown_effect_or_number_is_a_clear_error(robot):
 
 def test_the_command_says_what_it_recorded_and_never_overwrites(tmp_path, capsys):
     bag = tmp_path / "bag"
-    command = ["simulate", str(IDENTIFIED), "--effect", "backlash:width=0.0004", "--poses", "9",
-               "--seed", "3", "--replicates", "2", "-o", str(bag), "--json"]  # fmt: skip
+    command = [
+        "simulate",
+        str(IDENTIFIED),
+        "--effect",
+        "backlash:width=0.0004",
+        "--poses",
+        "9",
+        "--seed",
+        "3",
+        "--replicates",
+        "2",
+        "-o",
+        str(bag),
+        "--json",
+    ]
     with pytest.raises(SystemExit) as ended:
         cli.main(command)
     made = json.loads(capsys.readouterr().out)

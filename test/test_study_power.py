@@ -181,10 +181,18 @@ def as_if(found_from):
             other = one.number == 1 and one.effect == ""
             wrong = one.effect and one.size > found_from / 2
             effects = [one.effect] if named else ["base_drift"] if other or wrong else []
-            yield k, {
-                "inputs": question.inputs(), **vars(one), "error": 1e-5 * one.size, "swaps": {},
-                "effects": effects, "verdict": "", "reason": "",
-            }  # fmt: skip
+            yield (
+                k,
+                {
+                    "inputs": question.inputs(),
+                    **vars(one),
+                    "error": 1e-5 * one.size,
+                    "swaps": {},
+                    "effects": effects,
+                    "verdict": "",
+                    "reason": "",
+                },
+            )
 
     return asked, each
 
@@ -194,7 +202,7 @@ def test_a_study_ends_where_it_knows_goes_on_where_it_was_and_counts_false_alarm
 ):
     monkeypatch.setattr(study, "cluster", lambda *given: nullcontext())
     asked, each = as_if(0.8)
-    monkeypatch.setattr(study, "each", each)
+    monkeypatch.setattr(study, "run_each", each)
     found = power(question, ["backlash"], 4, folder=tmp_path / "out")
     (one,) = found.effects
     assert one.smallest(0.5) is one.smallest(0.9)

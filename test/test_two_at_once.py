@@ -96,8 +96,10 @@ def test_a_rival_that_would_turn_a_joint_back_is_no_doubt():
     found = diagnose(model, data)
     assert found.effects == ("backlash",)
     rivals = {"backlash": ["hysteresis"]}
-    widths = [doubt.model.value("hysteresis.leg1.width")
-              for doubt in rank_rival_pairs(found.best, rivals, found.ranked)]  # fmt: skip
+    widths = [
+        doubt.model.value("hysteresis.leg1.width")
+        for doubt in rank_rival_pairs(found.best, rivals, found.ranked)
+    ]
     assert sorted(widths) == pytest.approx([1e-4, 3e-4])
 
 

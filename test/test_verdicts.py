@@ -122,9 +122,15 @@ def test_what_is_left_beside_the_noise_can_be_read_off():
 def test_the_order_of_samples_is_no_time():
     data = measured(1)
     unordered = Dataset.from_arrays(
-        JOINTS, data.q, data.r, data.R, measured=data.measured, pose_cov=data.pose_cov,
-        joint_sigma=data.joint_sigma, pose_id=data.pose_id,
-    )  # fmt: skip
+        JOINTS,
+        data.q,
+        data.r,
+        data.R,
+        measured=data.measured,
+        pose_cov=data.pose_cov,
+        joint_sigma=data.joint_sigma,
+        pose_id=data.pose_id,
+    )
     scene = Trial((), fit(MODEL, unordered, hold_out=0)).scene
     drift = candidate(scene, "base_drift")
     assert drift.reason == "cannot be tested: no time recorded"

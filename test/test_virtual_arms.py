@@ -141,8 +141,13 @@ def test_a_tracker_that_stands_anywhere_is_registered_and_said(kind, pose, frame
     assert np.abs(np.array(where.target_position) - va.FAR_AWAY.target).max() < 5e-3
 
     result = fit(model, data)
-    assert sum(w.startswith(f"frame '{frame or 'device'}' was registered to 'base'")
-               for w in result.warnings) == 1  # fmt: skip
+    assert (
+        sum(
+            w.startswith(f"frame '{frame or 'device'}' was registered to 'base'")
+            for w in result.warnings
+        )
+        == 1
+    )
     assert result.document()["registration"]["base"] == "base"
     assert result.held_out.summary.position_rms < 1.15 * result.noise_floor.position_rms
     # Nothing of the frames that the robot's own numbers say already is left free to run.

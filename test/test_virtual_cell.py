@@ -267,8 +267,11 @@ def test_what_is_hidden_shows_in_the_poses_beyond_the_noise(robot):
 def test_thirteen_kinds_may_be_hidden_seven_and_more_in_every_robot():
     assert len(KINDS) == 13
     assert {robot: len(kinds_of(robot)) for robot in MACHINES} == {
-        "delta": 10, "stewart": 8, "argos": 7, "linear_delta": 10,
-    }  # fmt: skip
+        "delta": 10,
+        "stewart": 8,
+        "argos": 7,
+        "linear_delta": 10,
+    }
 
 
 def test_hidden_kinds_are_drawn_by_the_seed_each_once_and_a_wrong_name_is_told():

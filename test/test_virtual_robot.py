@@ -146,8 +146,9 @@ def test_the_mock_up_stands_at_the_centre_with_arms_near_30_65_degrees() -> None
 
 
 def test_the_nominal_platform_never_tilts() -> None:
-    np.testing.assert_allclose(NOMINAL.inverse(CUBE)[1], np.broadcast_to(np.eye(3), (74, 3, 3)),
-                               atol=1e-13)  # fmt: skip
+    np.testing.assert_allclose(
+        NOMINAL.inverse(CUBE)[1], np.broadcast_to(np.eye(3), (74, 3, 3)), atol=1e-13
+    )
 
 
 def test_the_uncalibrated_mock_up_misses_its_targets_as_table_5_15_measured() -> None:

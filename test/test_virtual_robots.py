@@ -29,8 +29,11 @@ def circle(radius, degrees):
 
 
 def points(members, name, values):
-    return {f"{m}.{name}_{c}": v for m, row in zip(members, values, strict=True)
-            for c, v in zip("xyz", row, strict=True)}  # fmt: skip
+    return {
+        f"{m}.{name}_{c}": v
+        for m, row in zip(members, values, strict=True)
+        for c, v in zip("xyz", row, strict=True)
+    }
 
 
 def same(members, **values):
@@ -61,8 +64,11 @@ SCARA = (
     | same(["platform"], theta=0.0)
 )
 CRANK = {"a": 0.08, "b": 0.05, "q0": 0.0}
-FIVE = {f"{side}.{n}": v for side, x in (("left", -0.05), ("right", 0.05))
-        for n, v in {"x": x, "y": 0.0, "crank": 0.1, "rod": 0.15, "q0": 0.0}.items()}  # fmt: skip
+FIVE = {
+    f"{side}.{n}": v
+    for side, x in (("left", -0.05), ("right", 0.05))
+    for n, v in {"x": x, "y": 0.0, "crank": 0.1, "rod": 0.15, "q0": 0.0}.items()
+}
 ARM = np.hypot(0.119963, 0.003)  # table 5.12: La_x and La_y
 RSSR = {"a": 0.0, "alpha": -120 * DEGREE, "L": 0.24} | {
     f"{crank}.{name}": value
@@ -175,8 +181,10 @@ def test_two_encoders_see_all_of_the_rssr_loop_but_its_size():
     columns = sensitivities(vm.Rssr, parameters, q)
     assert len(parameters) == 9  # section 5.4.5
     assert seen(columns) == 8
-    lengths = [0.0 if unit in ("alpha", "q0") else parameters[name]
-               for name, unit in ((n, n.split(".")[-1]) for n in parameters)]  # fmt: skip
+    lengths = [
+        0.0 if unit in ("alpha", "q0") else parameters[name]
+        for name, unit in ((n, n.split(".")[-1]) for n in parameters)
+    ]
     np.testing.assert_allclose(columns @ lengths, 0, atol=1e-8)
 
 
@@ -276,8 +284,11 @@ def closed_form_joints(R):
 def test_joints_of_the_nominal_argos_are_those_of_the_thesis_closed_form():
     R = orientations(50, 1)
     q, r, _ = ARGOS.inverse(R=R)
-    np.testing.assert_allclose(turn(np.stack([0 * q, 0 * q, q - closed_form_joints(R)], -1)),
-                               np.broadcast_to(np.eye(3), (50, 3, 3, 3)), atol=1e-12)  # fmt: skip
+    np.testing.assert_allclose(
+        turn(np.stack([0 * q, 0 * q, q - closed_form_joints(R)], -1)),
+        np.broadcast_to(np.eye(3), (50, 3, 3, 3)),
+        atol=1e-12,
+    )
     np.testing.assert_allclose(r, 0, atol=1e-14)
 
 

@@ -78,9 +78,14 @@ def test_a_robot_is_let_calibrate_itself_held_and_stopped_on_the_page(tmp_path):
     use_private_domain()
     file = tmp_path / "robot.yaml"
     cell = NodeProcess(
-        "virtual_cell_node", tmp_path, "/cell", robot="delta", seed=2, rate=4.0,
+        "virtual_cell_node",
+        tmp_path,
+        "/cell",
+        robot="delta",
+        seed=2,
+        rate=4.0,
         model_file=str(file),
-    )  # fmt: skip
+    )
     until(file.exists, "the nominal model")
     with opened() as browser:
         served = Served("--ros", file, "--session", tmp_path / "s", "--namespace", "cell")
@@ -146,7 +151,9 @@ def test_without_nodes_and_without_a_model_there_is_nothing_to_open(tmp_path, ca
     code = "import sys; from parallel_cal.cli.main import main; main(sys.argv[1:])"
     done = subprocess.run(
         [sys.executable, "-c", code, "workbench", "--ros", "--no-open"],
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.returncode == 1
     assert "no model: give MODEL.yaml to start the nodes on" in done.stderr

@@ -14,13 +14,22 @@ from parallel_cal.virtual.robot import Array, turn
 QUARTER = np.pi / 2
 # a, d (m), alpha (rad) of every joint: A = Rot(z, theta) Trans(z, d) Trans(x, a) Rot(x, alpha).
 UR5 = (
-    (0.0, 0.089159, QUARTER), (-0.425, 0.0, 0.0), (-0.39225, 0.0, 0.0),
-    (0.0, 0.10915, QUARTER), (0.0, 0.09465, -QUARTER), (0.0, 0.0823, 0.0),
-)  # fmt: skip
+    (0.0, 0.089159, QUARTER),
+    (-0.425, 0.0, 0.0),
+    (-0.39225, 0.0, 0.0),
+    (0.0, 0.10915, QUARTER),
+    (0.0, 0.09465, -QUARTER),
+    (0.0, 0.0823, 0.0),
+)
 WAM = (
-    (0.0, 0.0, -QUARTER), (0.0, 0.0, QUARTER), (0.045, 0.55, -QUARTER), (-0.045, 0.0, QUARTER),
-    (0.0, 0.3, -QUARTER), (0.0, 0.0, QUARTER), (0.0, 0.06, 0.0),
-)  # fmt: skip
+    (0.0, 0.0, -QUARTER),
+    (0.0, 0.0, QUARTER),
+    (0.045, 0.55, -QUARTER),
+    (-0.045, 0.0, QUARTER),
+    (0.0, 0.3, -QUARTER),
+    (0.0, 0.0, QUARTER),
+    (0.0, 0.06, 0.0),
+)
 HOME = {
     "ur5": (0.3, -1.2, 1.4, -0.8, -1.3, 0.4),
     "wam": (0.1, 0.5, 0.1, 1.2, 0.1, 0.5, 0.1),
@@ -139,5 +148,9 @@ def session(
     return Session(
         q + tracker.joint * rng.standard_normal(q.shape),
         r + tracker.position * rng.standard_normal((n, 3)),
-        noisy, direction, r, R, tracker,
-    )  # fmt: skip
+        noisy,
+        direction,
+        r,
+        R,
+        tracker,
+    )

@@ -99,8 +99,11 @@ def growing(n: int, r: Array, rng: np.random.Generator) -> Array:
 
 
 NOISE = {"stated half": twice, "correlated": correlated, "grows outwards": growing}
-CALLED = {"stated half": "times what is stated", "correlated": "correlated over",
-          "grows outwards": "larger far from the centre"}  # fmt: skip
+CALLED = {
+    "stated half": "times what is stated",
+    "correlated": "correlated over",
+    "grows outwards": "larger far from the centre",
+}
 
 
 def draw(noise: vr.Noise, units: Array) -> tuple[Array, Array, Array]:

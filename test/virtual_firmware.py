@@ -161,11 +161,13 @@ class Duet:
         if self.kind == 3:
             x, y, z = np.radians(self.xyz("M665"))
             angles = np.radians(30)
-            towers = w["M665 R"] * np.array([
-                [-np.cos(angles + x), -np.sin(angles + x)],
-                [np.cos(angles - y), -np.sin(angles - y)],
-                [-np.sin(z), np.cos(z)],
-            ])  # fmt: skip
+            towers = w["M665 R"] * np.array(
+                [
+                    [-np.cos(angles + x), -np.sin(angles + x)],
+                    [np.cos(angles - y), -np.sin(angles - y)],
+                    [-np.sin(z), np.cos(z)],
+                ]
+            )
             slope = np.concatenate([w.get(f"M666 {axis}", np.zeros(1)) for axis in "AB"]) / 100
             return carriages(r, towers, w["M665 L"] * ones, slope)
         if self.kind == 10:

@@ -163,9 +163,13 @@ def height_map(
     cells = [f"{1e3 * h:7.3f}" if on else "      0" for h, on in zip(found, on_bed, strict=True)]
     low, high, apart = (f"{1e3 * length:.2f}" for length in (line[0], line[-1], step))
     rows = [",".join(cells[k * n : (k + 1) * n]) for k in range(n)]
-    return "\n".join([
-        "RepRapFirmware height map file v2 generated at 2026-11-22 10:00, min error 0, max error 0",
-        "axis0,axis1,min0,max0,min1,max1,radius,spacing0,spacing1,num0,num1",
-        f"X,Y,{low},{high},{low},{high},{1e3 * REACH:.1f},{apart},{apart},{n},{n}",
-        *rows, "",
-    ])  # fmt: skip
+    return "\n".join(
+        [
+            "RepRapFirmware height map file v2 generated at 2026-11-22 10:00, "
+            "min error 0, max error 0",
+            "axis0,axis1,min0,max0,min1,max1,radius,spacing0,spacing1,num0,num1",
+            f"X,Y,{low},{high},{low},{high},{1e3 * REACH:.1f},{apart},{apart},{n},{n}",
+            *rows,
+            "",
+        ]
+    )

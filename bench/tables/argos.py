@@ -71,11 +71,16 @@ def session(robot: va.Argos, seed: int, position: bool, device: vs.Device = DEVI
     r, R = device.shows(*pose)
     dq, dr, w = NOISE.draw(np.random.default_rng([seed, 5]), POSES)
     return Dataset.from_arrays(
-        ("joint1", "joint2", "joint3"), q + dq, r + dr, vr.turn(w) @ R,
+        ("joint1", "joint2", "joint3"),
+        q + dq,
+        r + dr,
+        vr.turn(w) @ R,
         measured=np.tile([position] * 3 + [True] * 3, (POSES, 1)),
         pose_cov=np.diag([NOISE.position**2] * 3 + [NOISE.orientation**2] * 3),
-        joint_sigma=[NOISE.joint] * 3, pose_id=np.arange(POSES), source="virtual argos",
-    )  # fmt: skip
+        joint_sigma=[NOISE.joint] * 3,
+        pose_id=np.arange(POSES),
+        source="virtual argos",
+    )
 
 
 def numbers(draws: int = 50) -> dict[str, Any]:

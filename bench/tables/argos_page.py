@@ -45,11 +45,17 @@ def section(n: dict[str, Any]) -> str:
 
 def parameter_table(rows: dict[str, Any]) -> str:
     head = ["parameter", "thesis (the truth here)", "ours (mean +- deviation)"]
-    return markdown(head, [
-        [name, "lost, nominal taken" if lost(name, rows) else f"{r['printed']:.2f}",
-         f"{r['mean']:.3f} +- {r['deviation']:.3f}"]
-        for name, r in rows.items()
-    ])  # fmt: skip
+    return markdown(
+        head,
+        [
+            [
+                name,
+                "lost, nominal taken" if lost(name, rows) else f"{r['printed']:.2f}",
+                f"{r['mean']:.3f} +- {r['deviation']:.3f}",
+            ]
+            for name, r in rows.items()
+        ],
+    )
 
 
 def lost(name: str, rows: dict[str, Any]) -> bool:

@@ -80,10 +80,16 @@ def _classical(measured: Dataset, tip: np.ndarray) -> Model:
     model = new_model("delta24")
     r = measured.r + measured.R @ tip - tip
     flat = Dataset.from_arrays(
-        measured.joint_names, measured.q, r, np.tile(np.eye(3), (len(r), 1, 1)),
-        measured=np.tile([True] * 3 + [False] * 3, (len(r), 1)), pose_cov=measured.pose_cov,
-        joint_sigma=measured.joint_sigma, pose_id=measured.pose_id, source="tips",
-    )  # fmt: skip
+        measured.joint_names,
+        measured.q,
+        r,
+        np.tile(np.eye(3), (len(r), 1, 1)),
+        measured=np.tile([True] * 3 + [False] * 3, (len(r), 1)),
+        pose_cov=measured.pose_cov,
+        joint_sigma=measured.joint_sigma,
+        pose_id=measured.pose_id,
+        source="tips",
+    )
     found = sensitivity.estimate(model, observe(model, flat), ~model.fixed, iterations=5)
     return model.with_values(found.values)
 

@@ -102,8 +102,17 @@ def errors_table(before: dict[str, Any], after: dict[str, Any], ours: dict[str, 
 
 
 def methods_table(rows: dict[str, Any], loud: dict[str, Any]) -> str:
-    head = ["method", "iterations: thesis", "ours", "F_pos: thesis", "ours", "ours, louder",
-            "F_joint: thesis", "ours", "ours, louder"]  # fmt: skip
+    head = [
+        "method",
+        "iterations: thesis",
+        "ours",
+        "F_pos: thesis",
+        "ours",
+        "ours, louder",
+        "F_joint: thesis",
+        "ours",
+        "ours, louder",
+    ]
     cells = []
     for name, row in rows.items():
         steps, position, joint = TABLE_5_16[name]

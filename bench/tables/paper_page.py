@@ -59,10 +59,13 @@ def base_table(rows: dict[str, Any]) -> str:
         return f"{entry['mean']:.4f} +- {entry['deviation']:.4f}"
 
     head = ["error", "expected", "one linear step (mean +- deviation)", "repeated"]
-    return markdown(head, [
-        [name, f"{r['expected']:g}", found(r["linear"]), found(r["iterated"])]
-        for name, r in rows.items()
-    ])  # fmt: skip
+    return markdown(
+        head,
+        [
+            [name, f"{r['expected']:g}", found(r["linear"]), found(r["iterated"])]
+            for name, r in rows.items()
+        ],
+    )
 
 
 def tip_table(tools: dict[str, Any]) -> str:

@@ -48,15 +48,25 @@ def strayed(h: float) -> vp.Parallelogram:
 
 
 def dataset(
-    joints: tuple[str, ...], q: np.ndarray, r: np.ndarray, R: np.ndarray, seed: int,
+    joints: tuple[str, ...],
+    q: np.ndarray,
+    r: np.ndarray,
+    R: np.ndarray,
+    seed: int,
     columns: list[bool],
-) -> Dataset:  # fmt: skip
+) -> Dataset:
     _, dr, w = NOISE.draw(np.random.default_rng(seed), len(q))
     return Dataset.from_arrays(
-        joints, q, r + dr, vr.turn(w) @ R, measured=np.tile(columns, (len(q), 1)),
+        joints,
+        q,
+        r + dr,
+        vr.turn(w) @ R,
+        measured=np.tile(columns, (len(q), 1)),
         pose_cov=np.diag([NOISE.position**2] * 3 + [NOISE.orientation**2] * 3),
-        joint_sigma=[NOISE.joint] * len(joints), pose_id=np.arange(len(q)), source="virtual",
-    )  # fmt: skip
+        joint_sigma=[NOISE.joint] * len(joints),
+        pose_id=np.arange(len(q)),
+        source="virtual",
+    )
 
 
 def complete(h: float, seed: int) -> tuple[Model, Observations]:
@@ -81,8 +91,9 @@ def base_parameters(model: Model, observations: Observations, free: np.ndarray) 
     columns, names = system.columns, np.array(model.table.names)[free]
     kept = sensitivity.find_base_parameters(columns * model.table.tolerance[free])
     grouping = np.linalg.lstsq(columns[:, kept], columns[:, ~kept], rcond=None)[0]
-    return Base(tuple(names[kept]), tuple(names[~kept]), np.where(
-        np.abs(grouping) > 1e-6, grouping, 0.0))  # fmt: skip
+    return Base(
+        tuple(names[kept]), tuple(names[~kept]), np.where(np.abs(grouping) > 1e-6, grouping, 0.0)
+    )
 
 
 def rank_analysis() -> dict[str, Any]:

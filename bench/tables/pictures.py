@@ -30,10 +30,13 @@ import matplotlib.pyplot as plt  # noqa: E402
 OURS, THESIS, THIRD = "#2f7f6f", "#b0413e", "#d98e32"
 COLOURS = {"none": "0.55", "classical": THIRD, "improved": OURS, "exact": "#3b6ea5"}
 LABELS = {
-    "a": "error of a [um]", "b": "error of b [um]", "q0": "error of q0 [arcsec]",
-    "Q": "merit Q [mm^4]", "F_pos": "factor of improvement, position",
+    "a": "error of a [um]",
+    "b": "error of b [um]",
+    "q0": "error of q0 [arcsec]",
+    "Q": "merit Q [mm^4]",
+    "F_pos": "factor of improvement, position",
     "F_joint": "factor of improvement, joint",
-}  # fmt: skip
+}
 
 
 def draw(document: dict[str, Any], folder: Path) -> None:

@@ -280,10 +280,8 @@ class Campaign:
                 load_effect(name)  # unknown ones are told before the robot moves
             self._add_targets(first_targets(self._guard, self.goal.poses, self.goal.seed))
         due = [
-            k
-            for k in range(len(self.targets))
-            if k not in self.samples and k not in self.left_out
-        ]  # fmt: skip
+            k for k in range(len(self.targets)) if k not in self.samples and k not in self.left_out
+        ]
         over = self._describe_exhausted_budget()
         if due and not over:
             self._measure(due[0])
@@ -305,9 +303,12 @@ class Campaign:
     def _report_status(self, state: str, reason: str) -> None:
         last = self.judgements[-1] if self.judgements else None
         self._status = Status(
-            state, reason, len(self.samples), last.validation_error if last else np.nan,
+            state,
+            reason,
+            len(self.samples),
+            last.validation_error if last else np.nan,
             last.verdict if last else "",
-        )  # fmt: skip
+        )
         self._tell(self._status)
 
     # ------------------------------------------------------------------ one pose
@@ -368,7 +369,8 @@ class Campaign:
             raise odd from None
         if not self._checker.is_same_pose(sample.dataset, before.dataset):
             raise odd
-        self._checker.mark_conditions_changed()  # the model is known to be wrong, until there is a better one
+        # The model is known to be wrong until a better one is identified.
+        self._checker.mark_conditions_changed()
         return target, sample
 
     def _add_targets(self, targets: list[Target]) -> None:
@@ -398,7 +400,8 @@ class Campaign:
         if not other:
             return
         words = "; ".join(
-            f"bring {name} to {value:.3g} {ADJUSTABLE_CONDITIONS[name][1]} (it is {known[name][0]:.3g})"
+            f"bring {name} to {value:.3g} {ADJUSTABLE_CONDITIONS[name][1]} "
+            f"(it is {known[name][0]:.3g})"
             for name, value in other.items()
         )
         self._report_status("asking", f"{words}, then continue")
@@ -422,9 +425,16 @@ class Campaign:
             seed = goal.seed + 1 + len(self.judgements)
             changes = {"payload": goal.payload, "temperature": goal.warmer}
             question = JudgementRequest(
-                self.model, goal.keep_out, goal.reach, goal.effects, min(BATCH, left), left,
-                changes, seed, options,
-            )  # fmt: skip
+                self.model,
+                goal.keep_out,
+                goal.reach,
+                goal.effects,
+                min(BATCH, left),
+                left,
+                changes,
+                seed,
+                options,
+            )
             before, last = last, self._work(judge_samples, question, dataset, self.validation_mask)
             self._write(judged=last)
             self.targets += last.targets
@@ -481,9 +491,13 @@ class Campaign:
             "diagnosis": judgement.diagnosis,
         }
         return Outcome(
-            success, message, to_json_value(document), verdict=judgement.verdict,
-            samples=len(self.samples), curve=tuple(curve),
-        )  # fmt: skip
+            success,
+            message,
+            to_json_value(document),
+            verdict=judgement.verdict,
+            samples=len(self.samples),
+            curve=tuple(curve),
+        )
 
     def _end(self, outcome: Outcome) -> Outcome:
         """The better model, where it is proven to be one, and the last line."""

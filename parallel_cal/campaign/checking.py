@@ -60,8 +60,10 @@ class Checker:
 
     def is_same_pose(self, one: Dataset, other: Dataset) -> bool:
         """Whether two samples (1,) of one pose are, as far as is usual."""
-        apart = {"position": float(np.linalg.norm(one.r[0] - other.r[0])),
-                 "orientation": _angle(one.R[0], other.R[0])}  # fmt: skip
+        apart = {
+            "position": float(np.linalg.norm(one.r[0] - other.r[0])),
+            "orientation": _angle(one.R[0], other.R[0]),
+        }
         return all(apart[kind] <= MAX_ERROR_RATIO * usual for kind, usual in self._usual.items())
 
     def check_arrived(self, q: np.ndarray, sent: np.ndarray) -> None:

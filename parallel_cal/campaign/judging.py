@@ -119,8 +119,9 @@ def judge_samples(
     )
     best = found.best.fitted.model
     text = readable_text(best, f"the model of the judgement of {len(dataset)} samples")
-    doubt = tuple(dict.fromkeys([*(n for s in found.swaps.values() for n in s),
-                                 *found.robot_or_device]))  # fmt: skip
+    doubt = tuple(
+        dict.fromkeys([*(n for s in found.swaps.values() for n in s), *found.robot_or_device])
+    )
     targets, untold = list[Target](), tuple[str, ...]()
     if question.more:
         guard = Guard.of(replace(best, covariance=None), question.keep_out, question.reach)
@@ -128,12 +129,22 @@ def judge_samples(
             found, guard, question.more, question.left, question.changes, question.seed
         )
     return Judgement(
-        len(dataset), found.verdict.word, found.verdict.summary, found.effects, found.additions,
-        doubt, untold, found.suspected, describe_missing_evidence(found), text,
+        len(dataset),
+        found.verdict.word,
+        found.verdict.summary,
+        found.effects,
+        found.additions,
+        doubt,
+        untold,
+        found.suspected,
+        describe_missing_evidence(found),
+        text,
         rms(found.base.fitted.given.model, dataset.select(unseen), question.options),
         rms(best, dataset.select(unseen), question.options),
-        rms(best, dataset, question.options), tuple(targets), found.document(),
-    )  # fmt: skip
+        rms(best, dataset, question.options),
+        tuple(targets),
+        found.document(),
+    )
 
 
 def describe_missing_evidence(found: Diagnosis) -> tuple[str, ...]:

@@ -23,7 +23,9 @@ from parallel_cal.recordings.simulate import with_noise
 POOL = 400  # poses to choose the first ones from
 N_VALIDATION_POSES = 6  # poses that no fit ever sees
 N_REPEATED_POSES = 4  # of the first poses that are come to once more, from the other side
-AMPLE, ENOUGH = 2.0, 1.25  # times as many equations as unknowns, in the first poses; at least
+# times as many equations as unknowns, in the first poses; at least
+AMPLE_EQUATION_RATIO = 2.0
+MIN_EQUATION_RATIO = 1.25
 MIN_FIRST_POSES = 12  # first poses
 SUSPECTS = 3  # effects that the next poses are to tell of, where nothing is in doubt yet
 # What a person changes: so much makes it another one, and its unit.
@@ -61,14 +63,15 @@ def first_targets(guard: Guard, most: int, seed: int = 0) -> list[Target]:
         )
     unseen = select_spread_out(controlled_coordinates(model, pool), N_VALIDATION_POSES)
     free = int((~np.asarray(model.fixed)).sum())
-    least = int(np.ceil(ENOUGH * free / equations_per_pose(model)))
+    least = int(np.ceil(MIN_EQUATION_RATIO * free / equations_per_pose(model)))
     if most < least + N_VALIDATION_POSES + N_REPEATED_POSES:
         raise FitError(
             f"{most} poses are too few for {free} free parameters: at least "
-            f"{least + N_VALIDATION_POSES + N_REPEATED_POSES}, of which {N_VALIDATION_POSES} are never fitted and {N_REPEATED_POSES} are "
-            "second visits; or fix parameters"
+            f"{least + N_VALIDATION_POSES + N_REPEATED_POSES}, of which {N_VALIDATION_POSES} are "
+            f"validation poses and {N_REPEATED_POSES} are second visits. Allow more poses, or fix "
+            "parameters"
         )
-    ample = int(np.ceil(AMPLE * free / equations_per_pose(model)))
+    ample = int(np.ceil(AMPLE_EQUATION_RATIO * free / equations_per_pose(model)))
     n = min(max(MIN_FIRST_POSES, ample), most - N_VALIDATION_POSES - N_REPEATED_POSES)
     rest = pool[np.setdiff1d(np.arange(len(pool)), unseen)]
     chosen = plan(model, n, pool=rest, seed=seed).poses
@@ -82,8 +85,9 @@ def first_targets(guard: Guard, most: int, seed: int = 0) -> list[Target]:
             first[i] = Target(first[i].joints, tuple(stops), purpose="come to from one side")
         words = "the same pose from the other side"
         second.append(Target(first[i].joints, first[i].via[::-1], purpose=words))
-    kept = [Target(tuple(q), purpose="never fitted", unseen=True)
-            for q in pool.joints[unseen].tolist()]  # fmt: skip
+    kept = [
+        Target(tuple(q), purpose="never fitted", unseen=True) for q in pool.joints[unseen].tolist()
+    ]
     once = [*first, *kept]
     return [*(once[i] for i in rng.permutation(len(once))), *second]
 

@@ -26,7 +26,8 @@ MAX_WORKSPACE_OVERSHOOT = (
 POINTS_PER_LINE = 9  # points on each line of the robot's picture that are held against the boxes
 # A way after a joint has turned that is shorter than its play need not move what it drives: as much
 # play as any drive may have, or so many times what the model knows of it.
-PLAY, BEYOND_PLAY = {"rad": 3e-3, "m": 0.2e-3}, 1.25
+DEFAULT_BACKLASH = {"rad": 3e-3, "m": 0.2e-3}
+BACKLASH_SAFETY_FACTOR = 1.25
 LINE_FRACTIONS = np.linspace(0.0, 1.0, POINTS_PER_LINE)[:, None]
 
 
@@ -82,9 +83,11 @@ class Guard:
         m, known = self.model.mechanism, self.model.table.mapping(self.model.values)
         found = []
         for joint, unit in zip(m.joints, m.joint_units, strict=True):
-            play = max(known.get(f"backlash.{joint}.width", 0.0),
-                       2 * known.get(f"hysteresis.{joint}.lag", 0.0))  # fmt: skip
-            found.append(BEYOND_PLAY * play or PLAY[unit])
+            play = max(
+                known.get(f"backlash.{joint}.width", 0.0),
+                2 * known.get(f"hysteresis.{joint}.lag", 0.0),
+            )
+            found.append(BACKLASH_SAFETY_FACTOR * play or DEFAULT_BACKLASH[unit])
         return np.array(found)
 
     def points(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -131,9 +134,11 @@ class Guard:
             *((at.status == status, _describe_status(status)) for status in Status if status),
             (self._is_outside_workspace(at), "outside the workspace"),
             (~self._is_clear(at), "too near a singularity, or beyond it"),
-            *((self._is_in_box(at, box), f"inside the box to keep out of {box}")
-              for box in self.keep_out),
-        ]  # fmt: skip
+            *(
+                (self._is_in_box(at, box), f"inside the box to keep out of {box}")
+                for box in self.keep_out
+            ),
+        ]
 
     # ------------------------------------------------------------------ what is asked of a pose
 

@@ -92,9 +92,13 @@ def with_options(command: Callable[..., None]) -> Callable[..., None]:
         **others: Any,
     ) -> None:
         options = FitOptions(
-            hold_out=hold_out, joint_sigma=joint_sigma, free=patterns(free), fix=patterns(fix),
-            prior=prior or None, loss=loss,
-        )  # fmt: skip
+            hold_out=hold_out,
+            joint_sigma=joint_sigma,
+            free=patterns(free),
+            fix=patterns(fix),
+            prior=prior or None,
+            loss=loss,
+        )
         command(**others, options=options)
 
     *these, _ = signature(with_all, eval_str=True).parameters.values()

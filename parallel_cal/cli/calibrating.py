@@ -87,10 +87,18 @@ def calibrate(
                         calibration.confirm_done()
 
         result = calibration.run(
-            hear, minutes, poses=poses, enough=enough, effects=effects or [],
-            keep_out=boxes, payload=payload, warmer=warmer, reach=reach, afresh=afresh,
+            hear,
+            minutes,
+            poses=poses,
+            enough=enough,
+            effects=effects or [],
+            keep_out=boxes,
+            payload=payload,
+            warmer=warmer,
+            reach=reach,
+            afresh=afresh,
             output_file=str(output.resolve()) if output else "",
-        )  # fmt: skip
+        )
     document: dict[str, Any] = json.loads(result.json) if result.json else {}
     if as_json:
         console.emit(document | {"success": result.success, "message": result.message})

@@ -32,9 +32,13 @@ def diagnose(
 
     judged, dataset = read_model_and_data(model, bags, data)
     found = diagnosis.diagnose(
-        judged, dataset, effects=effect or (), also=also or (), options=options,
+        judged,
+        dataset,
+        effects=effect or (),
+        also=also or (),
+        options=options,
         progress=console.progress,
-    )  # fmt: skip
+    )
     console.progress("", 1.0)
     console.warn(found.best.fitted.warnings)
     if as_json:

@@ -103,10 +103,12 @@ def _touches(model: Model, file: Path, given: list[Path], into: bool) -> Touches
                 continue
             if dataset.sha256 == last.get("sha256"):
                 return touches_in(dataset, model.joints)
-    console.warn([
-        f"whether the bed gets better is not known: the touches that {file} was fitted on "
-        f"({last.get('source')}) are not here; give their samples: --touches TOUCHES.json"
-    ])  # fmt: skip
+    console.warn(
+        [
+            f"whether the bed gets better is not known: the touches that {file} was fitted on "
+            f"({last.get('source')}) are not here; give their samples: --touches TOUCHES.json"
+        ]
+    )
     return None
 
 

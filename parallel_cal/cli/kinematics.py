@@ -187,12 +187,16 @@ def _print_solutions(
     console.table(
         ("status", "position [mm]", "quaternion x y z w", f"joints [{name}]", "residual [m]"),
         [
-            (r["status"], format_fixed_vector(r["position"], 1e3, 4),
-             format_fixed_vector(r["quaternion"], 1, 7), format_fixed_vector(r["joints"], factor, 5),
-             f"{r['residual']:.1e}" if math.isfinite(r["residual"]) else "-")
+            (
+                r["status"],
+                format_fixed_vector(r["position"], 1e3, 4),
+                format_fixed_vector(r["quaternion"], 1, 7),
+                format_fixed_vector(r["joints"], factor, 5),
+                f"{r['residual']:.1e}" if math.isfinite(r["residual"]) else "-",
+            )
             for r in rows
         ],
-    )  # fmt: skip
+    )
     if solutions.complete is not None:
         console.say(_format_solution_count(solutions))
     for covariance in covariances or []:

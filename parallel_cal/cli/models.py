@@ -156,11 +156,17 @@ def mechanisms(
     console.table(
         header,
         [
-            (r["name"], str(len(r["joints"]) or "-"), str(r["parameters"] or "-"),
-             " ".join(r["moves"]), " ".join(r["controls"]), r["description"])
+            (
+                r["name"],
+                str(len(r["joints"]) or "-"),
+                str(r["parameters"] or "-"),
+                " ".join(r["moves"]),
+                " ".join(r["controls"]),
+                r["description"],
+            )
             for r in rows
         ],
-    )  # fmt: skip
+    )
 
 
 def _print_mechanism(name: str, options: list[str], as_json: bool) -> None:

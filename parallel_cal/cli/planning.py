@@ -52,10 +52,18 @@ def plan(
     if known.noise != own.noise and not own.structure.channels:
         console.note(f"{model} states no noise of joints or device: typical instruments are taken")
     found = planning.plan(
-        known, poses, criterion=criterion, method=method,
-        pool=pool, symmetric=symmetric, free=patterns(free), fix=patterns(fix), prior=prior,
-        seed=seed, progress=console.progress,
-    )  # fmt: skip
+        known,
+        poses,
+        criterion=criterion,
+        method=method,
+        pool=pool,
+        symmetric=symmetric,
+        free=patterns(free),
+        fix=patterns(fix),
+        prior=prior,
+        seed=seed,
+        progress=console.progress,
+    )
     console.progress("", 1.0)
     document = found.document()
     console.warn(found.warnings)
@@ -91,12 +99,15 @@ def _show(found: Plan, document: dict[str, Any]) -> None:
     console.table(
         header,
         [
-            (str(i + 1), *(format_fixed(v, 1, 5) for v in row["position"]),
-             format_fixed_vector(np.round(row["quaternion"], 5) + 0.0, 1, 5),
-             *(format_fixed(v, 1, 5) for v in row["joints"]))
+            (
+                str(i + 1),
+                *(format_fixed(v, 1, 5) for v in row["position"]),
+                format_fixed_vector(np.round(row["quaternion"], 5) + 0.0, 1, 5),
+                *(format_fixed(v, 1, 5) for v in row["joints"]),
+            )
             for i, row in enumerate(document["poses"])
         ],
-    )  # fmt: skip
+    )
     console.say("")
     columns = (document["indices"], document["random"])
     rows = [

@@ -233,6 +233,19 @@ def save(folder: Folder, output: Out, force: Force = False, as_json: Json = Fals
 
 
 for command in (
-    new, show, fit, add, remove, diagnose, exclude, include, plan, undo, redo, branch, switch, save,
-):  # fmt: skip
+    new,
+    show,
+    fit,
+    add,
+    remove,
+    diagnose,
+    exclude,
+    include,
+    plan,
+    undo,
+    redo,
+    branch,
+    switch,
+    save,
+):
     app.command()(command)

@@ -58,10 +58,15 @@ def tolerance(
 
     known = _with_noise(model) if plan else read_model(model)
     found = tolerances(
-        known, robots, poses, seed=seed, at=parse_conditions(known, at or []),
-        planned=None if plan is None else planned_joints(plan, known), scheduler=scheduler,
+        known,
+        robots,
+        poses,
+        seed=seed,
+        at=parse_conditions(known, at or []),
+        planned=None if plan is None else planned_joints(plan, known),
+        scheduler=scheduler,
         progress=console.progress,
-    )  # fmt: skip
+    )
     if output is not None:
         _write(output, "tolerance", found.document(), tolerances_page(found))
     if as_json:
@@ -111,9 +116,14 @@ def power(
     with console.bar() as progress:
         try:
             found = studies.power(
-                question, effect or (), sessions, folder=output, scheduler=scheduler,
-                workers=workers, progress=progress,
-            )  # fmt: skip
+                question,
+                effect or (),
+                sessions,
+                folder=output,
+                scheduler=scheduler,
+                workers=workers,
+                progress=progress,
+            )
         except KeyboardInterrupt:
             console.note(console.STOPPED)
             raise typer.Exit(130) from None

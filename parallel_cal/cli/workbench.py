@@ -98,9 +98,13 @@ def _start(watch: Watch, folder: Path, model_file: Path) -> None:
 
 
 def _prepare_session(
-    folder: Path, model: Path, bags: list[Path], options: FitOptions, data: list[str] | None,
+    folder: Path,
+    model: Path,
+    bags: list[Path],
+    options: FitOptions,
+    data: list[str] | None,
     ros: bool,
-) -> None:  # fmt: skip
+) -> None:
     """A session in the folder: the one that is there, else a new one."""
     from parallel_cal.session.history import FILE, History
 

@@ -110,8 +110,12 @@ class Comparison(ShownInNotebook):
         # Without a pose there are noise units of something else.
         sigmas = field.noise_units if field.measured.any() else np.full((len(seen.q), 6), np.nan)
         return Residuals(
-            numbers, stamps, self.dataset.frame or self.model.frames["base"], self.model.joints,
-            errors.joint, self.scene.sigmas,
+            numbers,
+            stamps,
+            self.dataset.frame or self.model.frames["base"],
+            self.model.joints,
+            errors.joint,
+            self.scene.sigmas,
             {
                 "/position": errors.position,
                 "/orientation": errors.orientation,
@@ -127,7 +131,7 @@ class Comparison(ShownInNotebook):
                     matrix_to_quaternion(reached.R),
                 ),
             },
-        )  # fmt: skip
+        )
 
     def document(self) -> dict[str, Any]:
         """E, one row a sample, worst first, and where the model fails."""

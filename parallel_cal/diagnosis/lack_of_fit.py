@@ -138,8 +138,10 @@ def smooth_map(scene: Scene, field: Field) -> SmoothMap:
     e, places = e[thinned], places[thinned]
     spread = np.maximum(places.std(axis=0), 1e-12)
     apart = np.sum(((places[:, None] - places[None]) / spread) ** 2, axis=2)
-    best = max((_cross_validate(apart, e, l, s) for l in LENGTHS for s in ROUGHNESS),
-               key=lambda fit: fit[0])  # fmt: skip
+    best = max(
+        (_cross_validate(apart, e, l, s) for l in LENGTHS for s in ROUGHNESS),
+        key=lambda fit: fit[0],
+    )
     share, length, smooth = best if e.any() else (0.0, *best[1:])
     metres = length * float(np.sqrt(np.mean(spread**2)))
     size = float(np.sqrt(np.mean(np.sum(smooth**2, axis=1))))

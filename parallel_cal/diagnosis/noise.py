@@ -62,9 +62,10 @@ def _collect_visit_conditions(scene: Scene) -> np.ndarray:
     """(N, k) in their own spreads: how the joints came, payload, temperature, time."""
     names = ("direction.", "payload", "temperature", "time")
     known = [
-        values for name, values in scene.dataset.conditions.items() if name.startswith(names)
-        and np.isfinite(values).all()
-    ]  # fmt: skip
+        values
+        for name, values in scene.dataset.conditions.items()
+        if name.startswith(names) and np.isfinite(values).all()
+    ]
     columns = np.reshape(known, (len(known), len(scene.x))).T
     return np.asarray(columns / np.maximum(columns.std(axis=0), 1e-12))
 

@@ -59,9 +59,11 @@ def compute_measured_components(scene: Scene) -> Components:
         [POSE[k] for k in shown], scene.measured_jacobian[:, :, [n + k for k in shown]]
     )
     channels = scene.model.structure.channels
-    return pose if pose.names or not channels else Components.of(
-        channels, -scene.whitener[:, :, -len(channels) :]
-    )  # fmt: skip
+    return (
+        pose
+        if pose.names or not channels
+        else Components.of(channels, -scene.whitener[:, :, -len(channels) :])
+    )
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,8 @@ from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter
 
 # A coupling is at most one to one, and what is made up for of it errs as its belt's pitch does.
-USUAL, MOST = 0.2e-3, 1.6e-3
+TOLERANCE = 0.2e-3
+MAX_COUPLING_ERROR = 1.6e-3
 WHEEL = 0.1  # m, radius of one that turns travel into an angle
 # of the one that is read and of its neighbour: unit, and by how much both are multiplied
 SIZE = {
@@ -37,7 +38,14 @@ class EncoderCrosstalk(Effect):
         units = dict(zip(mechanism.joints, mechanism.joint_units, strict=True))
         sizes = [(i, j, *SIZE[units[i], units[j]]) for i, j in neighbours(mechanism)]
         return [
-            Parameter(f"{i}.by_{j}", unit, 0.0, USUAL * by, low=-MOST * by, high=MOST * by)
+            Parameter(
+                f"{i}.by_{j}",
+                unit,
+                0.0,
+                TOLERANCE * by,
+                low=-MAX_COUPLING_ERROR * by,
+                high=MAX_COUPLING_ERROR * by,
+            )
             for i, j, unit, by in sizes
         ]
 

@@ -78,16 +78,18 @@ def chains_of(model: Model, places: Array | None) -> Chains:
     axes = (UPSIDE_DOWN if down else np.eye(3)) @ rotation_matrix(np.array([0.0, 0.0, turn]))
     slope = np.eye(3)
     slope[2, :2] = tilt
-    frame = Frame(order, np.full(3, -1.0 if down else 1.0), np.array([0, 0, height]),
-                  slope @ axes, axes)  # fmt: skip
+    frame = Frame(
+        order, np.full(3, -1.0 if down else 1.0), np.array([0, 0, height]), slope @ axes, axes
+    )
     limits, home = np.array(m.joint_limits, float), np.array(m.home.joints)
     stops = limits[:, 0] if down else limits[:, 1]
     stops = np.where(np.isfinite(stops), stops, home)
     rows = np.array(order)
     homed = frame.motors(stops + offset) - (height if linear else 0.0)
     heights = (up - height)[rows] * (-1 if down else 1)
-    return Chains(frame, stops, radius[rows], angles[rows], heights, rods[rows], homed, arms[rows],
-                  tilt, bed)  # fmt: skip
+    return Chains(
+        frame, stops, radius[rows], angles[rows], heights, rods[rows], homed, arms[rows], tilt, bed
+    )
 
 
 def towers(model: Model, places: Array | None, tilted: bool) -> tuple[Towers, Chains]:

@@ -21,7 +21,9 @@ from parallel_cal.model.mechanism import poses_in_workspace
 from parallel_cal.model.model import Model
 
 Array = np.ndarray
-FITTED, JUDGED = 400, 2000  # poses over the workspace that numbers are fitted to, and judged at
+# poses over the workspace that numbers are fitted to, and judged at
+N_FIT_POSES = 400
+N_VALIDATION_POSES = 2000
 BED_POSES = 200  # on the plate of a probe, where a printer's first layer is
 BED_WEIGHT = 10.0  # of a height on that plate beside any other error over the workspace
 STEP = 1e-6  # rad or m, for differences
@@ -173,7 +175,7 @@ def fit_numbers(
     """
     from scipy.optimize import least_squares
 
-    wanted = TargetPoses.over_workspace(model, FITTED, seed=2)
+    wanted = TargetPoses.over_workspace(model, N_FIT_POSES, seed=2)
     parts = [(wanted.at, wanted.controlled_jacobian)]
     if bed is not None:
         on_bed = TargetPoses.on_bed(model, bed, machine(start))
@@ -198,7 +200,7 @@ def fit_numbers(
 def loss(model: Model, machine: Machine) -> dict[str, Any]:
     """Where the robot goes less where its controller sends it, at poses that the fit did not see;
     of robots with more joints than freedoms that of their lines, too (m)."""
-    wanted = TargetPoses.over_workspace(model, JUDGED, seed=1)
+    wanted = TargetPoses.over_workspace(model, N_VALIDATION_POSES, seed=1)
     q = machine.readings(wanted.at.position, wanted.at.rotation)
     start = wanted.at[np.isfinite(q).all(axis=1)]
     found = wanted.kinematics.direct(q[np.isfinite(q).all(axis=1)], start=start)
@@ -220,6 +222,9 @@ def summary(model: Model, wanted: Solutions, found: Solutions) -> dict[str, Any]
         norm = np.linalg.norm(change[:, columns], axis=1)
         if columns and len(norm):
             worst = int(np.nanargmax(norm))
-            document |= {f"{kind}_mean": np.nanmean(norm), f"{kind}_max": norm[worst],
-                         f"{kind}_worst_at": wanted.position[worst]}  # fmt: skip
+            document |= {
+                f"{kind}_mean": np.nanmean(norm),
+                f"{kind}_max": norm[worst],
+                f"{kind}_worst_at": wanted.position[worst],
+            }
     return document

@@ -44,10 +44,14 @@ def cluster(scheduler: str | None, workers: int | None) -> Iterator[Client]:
     if scheduler is None:
         with ExitStack() as here:
             with _without_ctrl_c():
-                local = here.enter_context(LocalCluster(
-                    n_workers=workers or len(os.sched_getaffinity(0)), threads_per_worker=1,
-                    silence_logs=logging.CRITICAL, dashboard_address="127.0.0.1:0",
-                ))  # fmt: skip
+                local = here.enter_context(
+                    LocalCluster(
+                        n_workers=workers or len(os.sched_getaffinity(0)),
+                        threads_per_worker=1,
+                        silence_logs=logging.CRITICAL,
+                        dashboard_address="127.0.0.1:0",
+                    )
+                )
                 client = here.enter_context(Client(local))
             yield client
         return
@@ -103,10 +107,17 @@ def results(
     calls = [(job, asked, inputs, page if job.last else None) for job, inputs in jobs]
     for k, answer in run_each(client, judge_recording, calls):
         job, inputs = jobs[k]
-        yield answer or ({
-            "robot": job.robot, "recording": job.recording, "inputs": inputs,
-            "time": job.time, "reason": KILLED_WORKER_REASON, "seconds": None,
-        }, "")  # fmt: skip
+        yield answer or (
+            {
+                "robot": job.robot,
+                "recording": job.recording,
+                "inputs": inputs,
+                "time": job.time,
+                "reason": KILLED_WORKER_REASON,
+                "seconds": None,
+            },
+            "",
+        )
 
 
 def run_each(

@@ -171,11 +171,16 @@ def _spreads(found: Population, table: ParameterTable) -> tuple[Spread, ...]:
     rows = zip(table, away, sigma, found.spread, found.low, found.high, strict=True)
     return tuple(
         Spread(
-            p.name, p.unit, p.nominal, p.tolerance, float(p.nominal + mean), float(own),
+            p.name,
+            p.unit,
+            p.nominal,
+            p.tolerance,
+            float(p.nominal + mean),
+            float(own),
             *(float(p.tolerance * value) for value in spreads),
         )
         for p, mean, own, *spreads in rows
-    )  # fmt: skip
+    )
 
 
 def _deviations(
@@ -183,12 +188,16 @@ def _deviations(
 ) -> tuple[Deviation, ...]:
     return tuple(
         Deviation(
-            robots[i], (p := table[one.parameter]).name, p.unit, p.tolerance * one.size,
-            p.tolerance * one.sigma, one.p_value,
+            robots[i],
+            (p := table[one.parameter]).name,
+            p.unit,
+            p.tolerance * one.size,
+            p.tolerance * one.sigma,
+            one.p_value,
         )
         for i, aways in each.outlying.items()
         for one in aways
-    )  # fmt: skip
+    )
 
 
 def _trends(told: Mapping[str, Sequence[Evidence]], own: Recordings) -> dict[str, Trend]:

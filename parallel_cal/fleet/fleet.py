@@ -109,9 +109,10 @@ def _make_fleet(rows: tuple[Row, ...], jobs: Sequence[Job]) -> Fleet:
         return Fleet(rows)
     kind = Counter(row["mechanism"] for row in judged.values()).most_common(1)[0][0]
     drawn = next(
-        job for job in jobs
+        job
+        for job in jobs
         if (row := judged.get((job.robot, job.recording))) and row["mechanism"] == kind
-    )  # fmt: skip
+    )
     drawing = read_model(drawn.model)
     found = findings(rows, drawing)
     return Fleet(rows, found, next_robot(drawing, found) if found else None)

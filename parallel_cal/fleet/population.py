@@ -14,7 +14,9 @@ import numpy as np
 
 from parallel_cal.identification.evidence import Evidence
 
-ROUNDS, SETTLED = 1000, 1e-5  # of the iteration, and the relative change at which it has settled
+# of the iteration, and the relative change at which it has settled
+ROUNDS = 1000
+CONVERGENCE_TOLERANCE = 1e-5
 LEVEL = 0.95  # of the intervals
 PRIOR_MEAN_SIGMA = 10.0  # tolerances: a mean further from the drawing than these is nobody's
 NEGLIGIBLE_VARIANCE_RATIO = 0.01  # of a variance's own uncertainty
@@ -66,7 +68,7 @@ def population(robots: Sequence[Evidence]) -> Population:
         # The way to zero is long: what falls far below all that the data could show is there.
         shown = np.sqrt(2 / np.maximum(np.einsum("ijj,ijj->j", W, W), 1e-300))
         variance[(variance < NEGLIGIBLE_VARIANCE_RATIO * shown) & (step < 1)] = MIN_VARIANCE
-        if np.abs(step[variance > 100 * MIN_VARIANCE] - 1).max(initial=0.0) < SETTLED:
+        if np.abs(step[variance > 100 * MIN_VARIANCE] - 1).max(initial=0.0) < CONVERGENCE_TOLERANCE:
             break
     W, mean, covariance = _compute_weighted_mean(A, g, variance)
     away = _whiten(A, variance, (g - A @ mean)[..., None])[..., 0]

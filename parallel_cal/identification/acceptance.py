@@ -74,10 +74,12 @@ def acceptance(
     factor = "" if ratio is None else f"; factor {ratio:.3f}"
     known_already = f"; {IN_SAMPLE}" if old is None and new.given.fits_of_these_samples else ""
     return Acceptance(
-        then, now, True,
+        then,
+        now,
+        True,
         f"the error at poses left out {'rises' if rise else verb}{change} "
         f"({format_errors(now, then)}{factor}){known_already}",
-    )  # fmt: skip
+    )
 
 
 def _describe_missing_proof(new: FitResult) -> str:

@@ -63,9 +63,14 @@ class Knowledge:
 
     @classmethod
     def from_directions(
-        cls, weak: np.ndarray, unseen: np.ndarray, start: np.ndarray, model: Model,
-        free: np.ndarray, weight: float = 1.0,
-    ) -> Knowledge:  # fmt: skip
+        cls,
+        weak: np.ndarray,
+        unseen: np.ndarray,
+        start: np.ndarray,
+        model: Model,
+        free: np.ndarray,
+        weight: float = 1.0,
+    ) -> Knowledge:
         """The tolerances along some directions (k, n_free) alone: along `weak` ones around the
         nominal values, along `unseen` ones around `start` (n,), as no data moved them."""
         tolerance, nominal = model.table.tolerance[free], model.table.nominal[free]

@@ -27,10 +27,10 @@ from parallel_cal.identification.observations import Observations, observe
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.predictions import condition_columns, predict_configurations
 from parallel_cal.identification.thresholds import (
-    EXPLAINS,
-    FAR_OFF,
     LSTSQ_RANK_TOLERANCE,
+    MIN_EXPLAINED_ERROR_RATIO,
     MIN_FRAME_COLUMN_REMAINDER,
+    MIN_UNREGISTERED_ERROR_RATIO,
     NEWTON_STEP,
     OUTLIER_DISTANCE_RATIO,
 )
@@ -214,9 +214,18 @@ class _Poses:
         allowed = np.median(np.sum(spread[:, 3:] ** 2, axis=1))
         tilts = bool(np.mean(np.sum(away**2, axis=1)) > allowed) and moves[1]
         return cls(
-            reached.position, reached.rotation, seen.r, seen.R, placed, turned, m.length,
-            moves[1], tilts, _frames_of(model), np.array([sizes[0], m.length * sizes[1]]),
-        )  # fmt: skip
+            reached.position,
+            reached.rotation,
+            seen.r,
+            seen.R,
+            placed,
+            turned,
+            m.length,
+            moves[1],
+            tilts,
+            _frames_of(model),
+            np.array([sizes[0], m.length * sizes[1]]),
+        )
 
     def frames(self) -> Frames:
         """Those that bring measured and predicted poses nearest to each other, the odd tenth of
@@ -231,13 +240,17 @@ class _Poses:
     def is_off(self) -> bool:
         """Whether positions, or orientations, are further off than the robot's tolerances let
         them be."""
-        return bool((self._compute_median_errors(self.now) > FAR_OFF * self.expected).any())
+        return bool(
+            (
+                self._compute_median_errors(self.now) > MIN_UNREGISTERED_ERROR_RATIO * self.expected
+            ).any()
+        )
 
     def is_explained_by(self, found: Frames) -> bool:
         """Whether frames explain most of that."""
         before, after = self._compute_median_errors(self.now), self._compute_median_errors(found)
-        off = before > FAR_OFF * self.expected
-        return bool((off & (before > EXPLAINS * after)).any())
+        off = before > MIN_UNREGISTERED_ERROR_RATIO * self.expected
+        return bool((off & (before > MIN_EXPLAINED_ERROR_RATIO * after)).any())
 
     @property
     def _used(self) -> Array:
@@ -434,6 +447,13 @@ def _registration(model: Model, frame: str, why: str, told: bool) -> Registratio
     sensor: Any = _device(model)
     base, platform = model.frames["base"], model.frames["platform"]
     return Registration(
-        frame, base, platform, why, sensor.position, sensor.quaternion, sensor.target_position,
-        sensor.target_quaternion, told,
-    )  # fmt: skip
+        frame,
+        base,
+        platform,
+        why,
+        sensor.position,
+        sensor.quaternion,
+        sensor.target_position,
+        sensor.target_quaternion,
+        told,
+    )

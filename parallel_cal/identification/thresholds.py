@@ -27,7 +27,9 @@ MIN_SIGMAS_PER_TOLERANCE = (
     1.0  # sigmas that a tolerance moves the residuals by: less, and tolerances know better
 )
 UNSEEN = 1e-13  # of the largest variance: directions below it were not seen by that fit
-NEAR_DIRECT, NEAR_INVERSE = 0.2, 1e-4  # smallest singular value, as a share of the best sample's:
+# smallest singular value, as a share of the best sample's:
+MIN_DIRECT_SINGULAR_VALUE_RATIO = 0.2
+MIN_INVERSE_SINGULAR_VALUE_RATIO = 1e-4
 # samples nearer to a singularity are left out; at direct ones two branches meet (5.3.4)
 
 # When a search has arrived
@@ -36,7 +38,9 @@ CONVERGED_GAIN = (
     1e-9  # of chi2: steps that promise less have arrived, however long (weak directions)
 )
 UNSEEN_GAIN = 1e-6  # of chi2: what a step may leave at most that nobody looks at
-STALLED, PATIENCE = 1e-6, 10  # of chi2: what so many steps gain where nothing is left to gain
+# of chi2: what so many steps gain where nothing is left to gain
+STALLED_GAIN = 1e-6
+STALLED_ITERATIONS = 10
 MAX_DIRECTION_CHANGE = 1e-4  # rad: by so much directions may turn that tolerances were held along
 MAX_DIRECTION_CHOICES = 8  # of these directions, each where the last ones led to
 FACTOR_STEP = 1e-9  # tolerances: of parameters that follow from linear factors
@@ -55,7 +59,9 @@ PART_OF_TRAVEL = 0.15  # of each joint's range, to both sides of home
 FRAME_UNIT = 1e-3  # m, and rad at the mechanism's length: what a frame's error is counted in
 
 # Where a device stands that nobody has described
-FAR_OFF, EXPLAINS = 3.0, 10.0  # times what tolerances let poses be off, and times what is then left
+# times what tolerances let poses be off, and times what is then left
+MIN_UNREGISTERED_ERROR_RATIO = 3.0
+MIN_EXPLAINED_ERROR_RATIO = 10.0
 OUTLIER_DISTANCE_RATIO = 6.0  # times the usual distance: such poses have no say in it
 LSTSQ_RANK_TOLERANCE = 1e-9  # of the largest singular value: below, no pose tells
 MIN_FRAME_COLUMN_REMAINDER = (

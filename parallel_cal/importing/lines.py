@@ -45,9 +45,11 @@ class Hangprinter:
         alike = [*dict.fromkeys(zip(self.radii, self.advantages, strict=True))]
         spools = [alike.index(p) + 1 for p in zip(self.radii, self.advantages, strict=True)]
         mechanism = load_mechanism(
-            "cable", anchors=self.anchors.tolist(), advantages=self.advantages.tolist(),
+            "cable",
+            anchors=self.anchors.tolist(),
+            advantages=self.advantages.tolist(),
             spools=spools,
-        )  # fmt: skip
+        )
         nominal = {f"line{i + 1}.gear": float(g) for i, g in enumerate(self.gears)}
         nominal |= {f"spool{k}.R": float(r) for k, r in zip(spools, self.radii, strict=True)}
         mechanism.parameters = mechanism.parameters.with_nominal(nominal)

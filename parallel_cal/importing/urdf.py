@@ -97,9 +97,15 @@ def _joint(path: Path, part: ElementTree.Element) -> Joint:
     low, high = (_read_one(where, limit, k, None if moves else 0.0) for k in ("lower", "upper"))
     velocity = _read_one(where, limit, "velocity", 0.0) or np.inf
     return Joint(
-        name, KINDS.get(kind, kind), ends[0] or "", ends[1] or "", origin,
-        axis / (np.linalg.norm(axis) or 1.0), (low, high) if moves else (-np.inf, np.inf), velocity,
-    )  # fmt: skip
+        name,
+        KINDS.get(kind, kind),
+        ends[0] or "",
+        ends[1] or "",
+        origin,
+        axis / (np.linalg.norm(axis) or 1.0),
+        (low, high) if moves else (-np.inf, np.inf),
+        velocity,
+    )
 
 
 def _read_three(where: str, part: ElementTree.Element | None, key: str, default: str) -> Array:
@@ -128,11 +134,13 @@ def _read_one(
 def _rotation_from_rpy(rpy: Array) -> Array:
     """About the fixed x, then y, then z."""
     (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
-    return np.array([
-        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-        [-sp, cp * sr, cp * cr],
-    ])  # fmt: skip
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
 
 
 def _chain(path: Path, joints: Sequence[Joint], start: str, end: str) -> list[Joint]:

@@ -169,9 +169,13 @@ class Model:
         kept = [known.get(p.name, new) for p, new in zip(table, fresh, strict=True)]
         values, fixed = (np.array(column) for column in zip(*kept, strict=True))
         return replace(
-            self, effects=effects, sensors=sensors, values=values, fixed=fixed.astype(bool),
+            self,
+            effects=effects,
+            sensors=sensors,
+            values=values,
+            fixed=fixed.astype(bool),
             covariance=None,
-        )  # fmt: skip
+        )
 
     def widen(self) -> Model:
         """The same robot in the next larger model (delta24 -> delta54): equal poses.

@@ -27,7 +27,9 @@ from parallel_cal.nodes.client import (
 )
 
 CELL = "virtual_cell_node"
-STOPPING, LATE = 30.0, 600.0  # s
+# s
+STOP_TIMEOUT_S = 30.0
+RESULT_TIMEOUT_S = 600.0
 CONDITION_REQUEST = re.compile(r"bring (\w+) to (\S+)")
 
 Hear = Callable[[Any], None]  # Calibrate.Feedback
@@ -93,12 +95,16 @@ class Calibration:
                 "this ROS domain?"
             ) from None
         handle = self.client.send_goal(
-            Calibrate, f"{CALIBRATION}/calibrate", news.append,
-            model_file=str(self._model_file), minutes=minutes, **goal,
-        )  # fmt: skip
+            Calibrate,
+            f"{CALIBRATION}/calibrate",
+            news.append,
+            model_file=str(self._model_file),
+            minutes=minutes,
+            **goal,
+        )
         if not handle.accepted:
             raise NodeError(f"{CALIBRATION} did not take the goal: its log says why")
-        future, end = handle.get_result_async(), time.monotonic() + 60 * minutes + LATE
+        future, end = handle.get_result_async(), time.monotonic() + 60 * minutes + RESULT_TIMEOUT_S
 
         def gone() -> bool:
             return not self.client.count_publishers(topic)
@@ -118,7 +124,7 @@ class Calibration:
                 hear(news.popleft())
             if self._interrupted():
                 handle.cancel_goal_async()
-                self.client.wait(future.done, "the robot to stop", STOPPING)
+                self.client.wait(future.done, "the robot to stop", STOP_TIMEOUT_S)
         return future.result().result
 
     @property

@@ -130,9 +130,13 @@ class CalibrationNode(ManagedNode):
         self._dropped = self.create_publisher(String, "~/dropped", LATCHED)
         self._calibrator = Calibrator(self, self._collect, self._say, self._group, self._folders)
         here = NodeAccess(
-            self._calibrator.files, self._take, self._folder / "campaigns", self._fit_options,
-            self._dwell, self._inflow,
-        )  # fmt: skip
+            self._calibrator.files,
+            self._take,
+            self._folder / "campaigns",
+            self._fit_options,
+            self._dwell,
+            self._inflow,
+        )
         calibrator = self._calibrator
         self._campaigning = CampaignServer(
             self, here, calibrator.one, calibrator.worker, self._say, self._group
@@ -239,8 +243,9 @@ class CalibrationNode(ManagedNode):
                 # alone would not match a publisher that does not latch.
                 self._listen(name, type, LATCHED, event_callbacks=quiet)
 
-    def _listen(self, channel: str, type: Any, qos: QoSProfile, overrides: Any = None,
-                **more: Any) -> None:  # fmt: skip
+    def _listen(
+        self, channel: str, type: Any, qos: QoSProfile, overrides: Any = None, **more: Any
+    ) -> None:
         if CHANNELS[channel].kind in STREAMED:
             on_messages = partial(self._on_stream, channel)
             more["qos_overriding_options"] = overrides

@@ -73,14 +73,22 @@ class Calibrator:
         self.one, self.look = WorkSlot(self.worker), lookup(node)
         jobs = (
             Job(
-                "identify", Identify, "an identification is running; cancel it or wait",
-                self._identify, partial(self._on_recalibrated, "identify"), messages.identify_result,
+                "identify",
+                Identify,
+                "an identification is running; cancel it or wait",
+                self._identify,
+                partial(self._on_recalibrated, "identify"),
+                messages.identify_result,
             ),
             Job(
-                "diagnose", Diagnose, "a diagnosis is running; cancel it or wait",
-                self._diagnose, self._on_diagnosed, messages.diagnose_result,
+                "diagnose",
+                Diagnose,
+                "a diagnosis is running; cancel it or wait",
+                self._diagnose,
+                self._on_diagnosed,
+                messages.diagnose_result,
             ),
-        )  # fmt: skip
+        )
         self._actions = [JobServer(node, self.one, job, say, group) for job in jobs]
         # the node's default group: it takes seconds, and must not keep anything else waiting
         node.create_service(AddEffect, "~/add_effect", self._add_effect)
@@ -179,9 +187,12 @@ class Calibrator:
         files = self.files(goal.model_file, goal.output_file)
         collection = self._samples(read_model(files[0]))
         options = FitOptions(
-            method=goal.method or "implicit", free=tuple(goal.free), fix=tuple(goal.fix),
-            hold_out=self._hold_out(goal), joint_sigma=goal.joint_sigma or self._sigma(),
-        )  # fmt: skip
+            method=goal.method or "implicit",
+            free=tuple(goal.free),
+            fix=tuple(goal.fix),
+            hold_out=self._hold_out(goal),
+            joint_sigma=goal.joint_sigma or self._sigma(),
+        )
         request = Request(*files, options, goal.force)
         return Work(
             propose_model, (request, collection.dataset), partial(write_proposal, request)

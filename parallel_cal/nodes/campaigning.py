@@ -80,12 +80,19 @@ class CampaignServer:
         self._told.publish(self._status)
         self._command = node.create_publisher(JointTrajectory, "joint_trajectory", 10)
         job = Job(
-            "calibrate", Calibrate, "the robot is calibrating itself; cancel it or wait",
-            self._prepare, self._on_finished, _answer,
-        )  # fmt: skip
+            "calibrate",
+            Calibrate,
+            "the robot is calibrating itself; cancel it or wait",
+            self._prepare,
+            self._on_finished,
+            _answer,
+        )
         self.action = JobServer(node, one, job, say, group)
-        for name, work in (("pause", self._pause), ("resume", self._resume),
-                           ("continue", self._continue)):  # fmt: skip
+        for name, work in (
+            ("pause", self._pause),
+            ("resume", self._resume),
+            ("continue", self._continue),
+        ):
             node.create_service(Trigger, f"~/{name}", work, callback_group=group)
 
     def on_joint_state(self, message: Any) -> None:
@@ -115,10 +122,16 @@ class CampaignServer:
             raise ParallelCalError("keep_out: expected six numbers a box, x y z x y z in m")
         boxes = tuple(_box(numbers[k : k + 6]) for k in range(0, len(numbers), 6))
         wanted = Goal(
-            poses=goal.poses or POSES, minutes=goal.minutes or MINUTES, enough=goal.enough,
-            effects=tuple(goal.effects), keep_out=boxes, payload=goal.payload,
-            warmer=goal.warmer, reach=goal.reach or 1.0, **self._here.options(),
-        )  # fmt: skip
+            poses=goal.poses or POSES,
+            minutes=goal.minutes or MINUTES,
+            enough=goal.enough,
+            effects=tuple(goal.effects),
+            keep_out=boxes,
+            payload=goal.payload,
+            warmer=goal.warmer,
+            reach=goal.reach or 1.0,
+            **self._here.options(),
+        )
         cancel = self._one.cancel
         control = Control(lambda: cancel.asked)
         model = parse_model(text, model_file)
@@ -174,10 +187,14 @@ class CampaignServer:
 
     def _publish_status(self, status: Status, folder: Path) -> None:
         self._status = CalibrationStatus(
-            stamp=self._node.get_clock().now().to_msg(), state=status.state,
-            reason=status.reason, poses=status.samples, error_unseen=status.unseen,
-            verdict=status.verdict, folder=str(folder),
-        )  # fmt: skip
+            stamp=self._node.get_clock().now().to_msg(),
+            state=status.state,
+            reason=status.reason,
+            poses=status.samples,
+            error_unseen=status.unseen,
+            verdict=status.verdict,
+            folder=str(folder),
+        )
         self._told.publish(self._status)
 
     def _tell_reason(self, reason: str) -> None:

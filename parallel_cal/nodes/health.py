@@ -13,7 +13,9 @@ from parallel_cal.nodes.tally import diagnostics
 
 WINDOW = 10  # s that rates and shares are told of
 MAX_LATENCY_S = 0.1  # s from reception to answer that is worth a warning (99 of 100 are below)
-SOME, MOST = 1e-3, 0.1  # share of messages lost or refused that is a warning, an error
+# share of messages lost or refused that is a warning, an error
+WARN_SHARE = 1e-3
+ERROR_SHARE = 0.1
 
 
 class Stream:
@@ -59,10 +61,10 @@ class Stream:
         ordered = sorted(self._latencies)
         p99 = ordered[int(0.99 * (len(ordered) - 1))] * 1e-9 if ordered else 0.0
         shares = {kind: window[kind] / came for kind in ("lost", "skipped", "refused")}
-        wrong = [f"{share:.2%} {kind}" for kind, share in shares.items() if share > SOME]
+        wrong = [f"{share:.2%} {kind}" for kind, share in shares.items() if share > WARN_SHARE]
         wrong += [f"{1e3 * p99:.0f} ms late"] * (p99 > MAX_LATENCY_S)
         level = DiagnosticStatus.WARN if wrong else DiagnosticStatus.OK
-        if max(shares.values()) > MOST:
+        if max(shares.values()) > ERROR_SHARE:
             level = DiagnosticStatus.ERROR
         items = {
             "Events in window": str(window["received"]),

@@ -118,13 +118,15 @@ def declare(
 # What nodes that take requests have in common.
 SECURITY = {
     "allowed_folders": Setting(
-        "", "folders by colons that requests may name files in; empty = those of the files named "
-        "at the start, and the journal's", fixed=True,
+        "",
+        "folders by colons that requests may name files in; empty = those of the files named "
+        "at the start, and the journal's",
+        fixed=True,
     ),
     "allow_foreign_modules": Setting(
         False, "import mechanisms, effects, solvers by Python path", fixed=True
     ),
-}  # fmt: skip
+}
 
 
 def absolute(path: str) -> str:

@@ -103,7 +103,8 @@ class RobotCell:
                 return
             if time.monotonic() > due:
                 raise CellError(
-                    f"the robot does not come to rest {ARRIVAL_TIMEOUT_S:.0f} s after it should have"
+                    f"the robot does not come to rest {ARRIVAL_TIMEOUT_S:.0f} s "
+                    "after it should have"
                 )
             time.sleep(POLL_INTERVAL_S)
 
@@ -163,7 +164,10 @@ class RobotCell:
         while not self._states and time.monotonic() < due:
             time.sleep(POLL_INTERVAL_S)
         if not self._states or time.monotonic() - self._states[-1][1] > JOINT_STATE_TIMEOUT_S:
-            words = f"no joint states for {JOINT_STATE_TIMEOUT_S:.0f} s: nobody knows where the robot is"
+            words = (
+                f"no joint states for {JOINT_STATE_TIMEOUT_S:.0f} s: nobody knows where the robot "
+                "is"
+            )
             if self._others:
                 words += f"; joint_states name {', '.join(self._others)}, the model has "
                 words += ", ".join(self._model.joints)

@@ -69,9 +69,13 @@ class Streams:
         self._command = self._publisher(JointTrajectory, "joint_command")
         self.health["joint_states"] = Stream()
         self._pump = Pump(
-            node, JointState, "joint_states", STATES, self._on_states,
+            node,
+            JointState,
+            "joint_states",
+            STATES,
+            self._on_states,
             qos_overriding_options=overridable(),
-        )  # fmt: skip
+        )
         # A target out of reach is searched for longer than a joint state may wait.
         self._told = self._publisher(CommandStatus, "~/command_status")
         self._subscribe(PoseStamped, "target_pose", RELIABLE, self._on_target, WorkerThreadGroup())

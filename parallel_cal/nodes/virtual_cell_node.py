@@ -35,14 +35,18 @@ from parallel_cal.virtual.tracker import Tracker
 
 # What a robot's owner believes it to be.
 BELIEVED = {
-    "delta": "delta54", "stewart": "stewart42", "argos": "argos9", "linear_delta": "linear_delta",
-}  # fmt: skip
+    "delta": "delta54",
+    "stewart": "stewart42",
+    "argos": "argos9",
+    "linear_delta": "linear_delta",
+}
 
 SET_UP = {
     "robot": Setting("delta", "which robot stands in the cell", tuple(BELIEVED), fixed=True),
     "seed": Setting(0, "draws how it was built, what is hidden in it, and all noise", fixed=True),
     "effects": Setting(
-        "", "physics that the robot has, by commas; hidden: one that is drawn and not told",
+        "",
+        "physics that the robot has, by commas; hidden: one that is drawn and not told",
         fixed=True,
     ),
     "noise": Setting(1.0, "errors of encoders and tracker, times the usual", (0.0, 100.0), True),
@@ -64,7 +68,7 @@ SET_UP = {
     "target_offset": Setting(
         0.0, "m from the platform's origin to the target; as many rad it is turned", fixed=True
     ),
-}  # fmt: skip
+}
 # May be set at any time, as a person or bad luck does it.
 CIRCUMSTANCES = {
     "payload": Setting(0.0, "kg on the platform", (0.0, 100.0)),

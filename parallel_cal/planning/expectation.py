@@ -63,8 +63,9 @@ class View:
     def expectation(self, rows: np.ndarray) -> Expectation:
         """Of the fit's own covariance: no vague knowledge in it."""
         seen = self._spectrum(rows)
-        counted = indices(self._scaled[rows].reshape(-1, self._scaled.shape[2]), len(rows),
-                          self.rank)  # fmt: skip
+        counted = indices(
+            self._scaled[rows].reshape(-1, self._scaled.shape[2]), len(rows), self.rank
+        )
         sigma = np.where(seen.lost, np.inf, np.sqrt(np.diag(seen.covariance)))
         blind = seen.rank < self.rank and not self._sought.prior
         scale = self._sought.tolerance

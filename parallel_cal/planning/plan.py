@@ -28,7 +28,9 @@ from parallel_cal.planning.selection import CRITERIA, LINEAR, SelectionProblem, 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-POOL, UNSEEN, RANDOM_SETS = 1000, 200, 21
+POOL = 1000
+N_VALIDATION_POSES = 200
+RANDOM_SETS = 21
 METHODS = ("exchange", "annealing")
 PLACE = ("x", "y", "z", "qx", "qy", "qz", "qw")  # columns of a pose in a file
 
@@ -238,7 +240,9 @@ def plan(
     else:
         pool = make_pool(model, options.pool, rng, options.symmetric)
     groups = _number_of_groups(n, pool)
-    unseen = make_pool(model, UNSEEN, np.random.default_rng([options.seed, 1]), symmetric=False)
+    unseen = make_pool(
+        model, N_VALIDATION_POSES, np.random.default_rng([options.seed, 1]), symmetric=False
+    )
     view = View(sought, measured, pool, unseen)
     problem = view.problem(options.criterion)
     report(0.0)
@@ -273,7 +277,7 @@ def expected_at(model: Model, q: np.ndarray) -> Expectation:
     _check_enough(model, len(q), free)
     rng = np.random.default_rng(0)
     poses = Kinematics(model).direct(q)
-    unseen = make_pool(model, UNSEEN, rng, symmetric=False)
+    unseen = make_pool(model, N_VALIDATION_POSES, rng, symmetric=False)
     whole = Pool(
         concatenate_solutions([poses, unseen.poses]),
         np.arange(len(q) + len(unseen.poses))[:, None],
@@ -342,8 +346,10 @@ def _check_seeing(expected: Expectation, rank: int, prior: bool) -> None:
 def _number_of_groups(n: int, pool: Pool) -> int:
     size = pool.groups.shape[1]
     if n % size:
-        raise FitError(f"{n} poses are no symmetric sets of {size}: plan {n // size * size or size}"
-                       f" or {n // size * size + size}")  # fmt: skip
+        raise FitError(
+            f"{n} poses are no symmetric sets of {size}: plan {n // size * size or size}"
+            f" or {n // size * size + size}"
+        )
     if n > len(pool.poses):
         raise FitError(
             f"{n} poses wanted, but only {len(pool.poses)} candidates are reachable, inside the "

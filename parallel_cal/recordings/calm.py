@@ -5,7 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from parallel_cal.base.rotation import rotation_vector
-from parallel_cal.recordings.dwells import CEILING, encoder_step, jitter, still_tolerance
+from parallel_cal.recordings.dwells import (
+    MAX_TOLERANCE_SHARE,
+    encoder_step,
+    jitter,
+    still_tolerance,
+)
 from parallel_cal.recordings.recording import Array, Dropped, PoseStream
 from parallel_cal.recordings.samples import mean_rotation
 from parallel_cal.recordings.windows import Dwell
@@ -35,7 +40,7 @@ def pose_limits(pose: PoseStream, dwells: list[Dwell], length: float) -> Array:
     largest = np.median([s.max(axis=0) for s in strays], axis=0)
     half = np.median([np.median(s, axis=0) for s in strays], axis=0)
     seen = _clip_pose_coordinates(pose)
-    calm = np.minimum(20.0 * half, CEILING * np.ptp(seen, axis=0))
+    calm = np.minimum(20.0 * half, MAX_TOLERANCE_SHARE * np.ptp(seen, axis=0))
     calm = np.maximum(calm, still_tolerance(pose.time, seen, length))
     calm = np.maximum(calm, 6.0 * jitter(pose.time, seen, length))  # where nothing ever moves
     limits = np.maximum(np.minimum(8.0 * largest, calm), 1.5 * encoder_step(seen))

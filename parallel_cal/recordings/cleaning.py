@@ -70,9 +70,16 @@ def assemble(
     conditions, distances = numbers(of("condition")), numbers(_by_gauge(of("readings").values()))
     words = (_latch_texts(raw, streams[0], times[0], start) for raw in of("words").values())
     return Recording(
-        source, start, joints, pose, conditions, next(words, None), distances,
-        tuple(dropped), tuple(said),
-    )  # fmt: skip
+        source,
+        start,
+        joints,
+        pose,
+        conditions,
+        next(words, None),
+        distances,
+        tuple(dropped),
+        tuple(said),
+    )
 
 
 def _numbers(

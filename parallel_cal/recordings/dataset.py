@@ -111,10 +111,23 @@ class Dataset:
             pose_id = replicate_ids(Configuration(q, r, R), measured, scatter)
         sigma = None if joint_sigma is None else np.broadcast_to(joint_sigma, (nq,)).astype(float)
         return cls(
-            tuple(joint_names), q, r, R.copy(), measured.copy(),
-            np.broadcast_to(cov, (n, 6, 6)).copy(), sigma, time, np.zeros(n), scatter,
-            np.full((n, 6), np.nan), one, one.copy(), given, np.array(pose_id, np.int64), **texts,
-        )  # fmt: skip
+            tuple(joint_names),
+            q,
+            r,
+            R.copy(),
+            measured.copy(),
+            np.broadcast_to(cov, (n, 6, 6)).copy(),
+            sigma,
+            time,
+            np.zeros(n),
+            scatter,
+            np.full((n, 6), np.nan),
+            one,
+            one.copy(),
+            given,
+            np.array(pose_id, np.int64),
+            **texts,
+        )
 
     def __len__(self) -> int:
         return len(self.q)

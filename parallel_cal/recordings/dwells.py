@@ -15,7 +15,9 @@ Indices = NDArray[np.intp]
 # The tolerance is a few times the spread seen while still, kept between these parts of the travel:
 # below FLOOR, settling would cut dwells short; a calm spread above SLOW may be slow motion, and
 # nothing above CEILING is noise of a robot worth calibrating.
-FLOOR, SLOW, CEILING = 2e-5, 1e-3, 5e-2
+MIN_TOLERANCE_SHARE = 2e-5
+MAX_CALM_SHARE = 1e-3
+MAX_TOLERANCE_SHARE = 5e-2
 MIN_READINGS_PER_WINDOW = 8  # in a window: with fewer, noise cannot be told from motion
 
 
@@ -41,10 +43,10 @@ def still_tolerance(time: Array, q: Array, min_dwell: float) -> Array:
     calm = np.quantile(window_spread(time, q, min_dwell), 0.1, axis=0)
     sigma = jitter(time, q, min_dwell)
     noise = noise_span(sigma, q)
-    tolerance = np.maximum(noise, np.minimum(4.0 * calm, SLOW * travel))
+    tolerance = np.maximum(noise, np.minimum(4.0 * calm, MAX_CALM_SHARE * travel))
     dense = min_dwell > MIN_READINGS_PER_WINDOW * np.median(np.diff(time))
-    ceiling = np.maximum(CEILING * travel, 6.0 * sigma if dense else 0.0)
-    tolerance = np.clip(tolerance, FLOOR * travel, ceiling)
+    ceiling = np.maximum(MAX_TOLERANCE_SHARE * travel, 6.0 * sigma if dense else 0.0)
+    tolerance = np.clip(tolerance, MIN_TOLERANCE_SHARE * travel, ceiling)
     rests = travel <= 1.5 * np.maximum(noise, 4.0 * calm)
     return np.where(rests, np.maximum(travel, 1e-12), tolerance)
 

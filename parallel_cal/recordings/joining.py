@@ -139,5 +139,8 @@ def _join_conditions(parts: Sequence[Dataset]) -> dict[str, Array]:
 def _list_missing_conditions(parts: Sequence[Dataset], shared: dict[str, Array]) -> list[str]:
     """A sentence for each part's conditions that the others do not have."""
     lost = [(d.source, [c for c in d.conditions if c not in shared]) for d in parts]
-    return [f"{', '.join(names)} of {source} is not used: not recorded in every session"
-            for source, names in lost if names]  # fmt: skip
+    return [
+        f"{', '.join(names)} of {source} is not used: not recorded in every session"
+        for source, names in lost
+        if names
+    ]

@@ -218,11 +218,17 @@ def _stack(
         )
     dropped = sorted((*recording.dropped, *samples.dropped), key=lambda d: d.time)
     return Dataset(
-        joint_names=names, **columns, conditions=conditions, pose_id=ids, mode=samples.mode,
+        joint_names=names,
+        **columns,
+        conditions=conditions,
+        pose_id=ids,
+        mode=samples.mode,
         joint_sigma=None if sigma is None else broadcast_to_joints(sigma, names, "joint_sigma"),
-        dropped=tuple(dropped), source=recording.source, sha256=recording.sha256,
+        dropped=tuple(dropped),
+        source=recording.source,
+        sha256=recording.sha256,
         frame=recording.pose.frame,
-    )  # fmt: skip
+    )
 
 
 def order_joints(dataset: Dataset, joints: Sequence[str] | None) -> Dataset:
@@ -239,6 +245,9 @@ def order_joints(dataset: Dataset, joints: Sequence[str] | None) -> Dataset:
     order = [dataset.joint_names.index(name) for name in joints]
     sigma = dataset.joint_sigma
     return dataclasses.replace(
-        dataset, joint_names=tuple(joints), q=dataset.q[:, order],
-        scatter_q=dataset.scatter_q[:, order], joint_sigma=None if sigma is None else sigma[order],
-    )  # fmt: skip
+        dataset,
+        joint_names=tuple(joints),
+        q=dataset.q[:, order],
+        scatter_q=dataset.scatter_q[:, order],
+        joint_sigma=None if sigma is None else sigma[order],
+    )

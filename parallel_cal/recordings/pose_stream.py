@@ -40,9 +40,14 @@ def clean_poses(
     np.swapaxes(covariance, 1, 2)[~measured] = np.nan
     keep = sieve.keep
     return PoseStream(
-        raw.topic, frame, sieve.time[keep], position[keep], quaternion[keep],
-        measured[keep], covariance[keep],
-    )  # fmt: skip
+        raw.topic,
+        frame,
+        sieve.time[keep],
+        position[keep],
+        quaternion[keep],
+        measured[keep],
+        covariance[keep],
+    )
 
 
 def read_covariance(covariance: Array) -> tuple[Array, Bools]:

@@ -92,9 +92,14 @@ class PoseStream:
 
 
 NO_POSES = PoseStream(
-    "", "", np.zeros(0), np.zeros((0, 3)), np.zeros((0, 4)), np.zeros((0, 6), bool),
+    "",
+    "",
+    np.zeros(0),
+    np.zeros((0, 3)),
+    np.zeros((0, 4)),
+    np.zeros((0, 6), bool),
     np.zeros((0, 6, 6)),
-)  # fmt: skip
+)
 
 
 @dataclass(frozen=True)

@@ -114,9 +114,23 @@ class _Residuals(Messages):
         )
         no_mesh = self.kind("visualization_msgs/MeshFile")("", np.zeros(0, np.uint8))
         return self.kind("visualization_msgs/Marker")(
-            self.header(0, frame), "residuals", number, 0, action,
+            self.header(0, frame),
+            "residuals",
+            number,
+            0,
+            action,
             self.pose(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0])),
             self.vector(np.array([thickness, 2 * thickness, 0.0])),
-            rgba(*colour.tolist(), 1.0), forever, False,
-            [self.point(end) for end in ends], [], "", no_texture, [], "", "", no_mesh, False,
-        )  # fmt: skip
+            rgba(*colour.tolist(), 1.0),
+            forever,
+            False,
+            [self.point(end) for end in ends],
+            [],
+            "",
+            no_texture,
+            [],
+            "",
+            "",
+            no_mesh,
+            False,
+        )

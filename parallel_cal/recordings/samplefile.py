@@ -18,9 +18,19 @@ from parallel_cal.recordings.recording import Dropped
 
 FILE_VERSION = 1
 PER_SAMPLE = (
-    "q", "r", "R", "measured", "pose_cov", "time", "duration", "scatter_q", "scatter_pose",
-    "count_q", "count_pose", "pose_id",
-)  # fmt: skip
+    "q",
+    "r",
+    "R",
+    "measured",
+    "pose_cov",
+    "time",
+    "duration",
+    "scatter_q",
+    "scatter_pose",
+    "count_q",
+    "count_pose",
+    "pose_id",
+)
 MAX_SAMPLE_FILE_BYTES = 512 * MEGABYTE  # of a sample file: a million samples
 NULLABLE_FIELDS = ("pose_cov", "scatter_q", "scatter_pose")  # null where the device does not say
 MAX_ORTHOGONALITY_ERROR = 1e-6  # what R R^T may differ from the identity

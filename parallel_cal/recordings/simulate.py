@@ -23,8 +23,13 @@ from parallel_cal.recordings.recording import JointStream, PoseStream, Recording
 MOVE, DWELL = 0.5, 1.0  # s at a time
 JOINT_RATE, POSES_EVERY = 100, 5  # Hz; the device reports at every fifth reading, 20 Hz
 JITTER = 0.2  # of the noise sigma anew in every message; the noise itself is one draw a dwell
-PAYLOADS, SAME_PAYLOAD = (0.0, 0.5), 5  # kg, changed after so many poses
-AIR, WARMING, PERIOD = 21.0, 3.0, 180.0  # degC, degC, s: the workshop's temperature is a wave
+# kg, changed after so many poses
+PAYLOADS = (0.0, 0.5)
+POSES_PER_PAYLOAD = 5
+# degC, degC, s: the workshop's temperature is a wave
+MEAN_TEMPERATURE_DEGC = 21.0
+TEMPERATURE_AMPLITUDE_DEGC = 3.0
+TEMPERATURE_PERIOD_S = 180.0
 ARCSEC = np.pi / 180 / 3600
 # Of instruments a model file says nothing about: those of the thesis (sections 2.3.2 and 4.2).
 TYPICAL = {"rad": 25 * ARCSEC, "m": 10e-6, "position": 10e-6, "orientation": 15 * ARCSEC}
@@ -136,9 +141,12 @@ def simulate(
     stated = stated_noise(model)
     errors = _Errors(model, Noise() if quiet else stated, len(targets), rng)
     joints = JointStream(
-        "joint_states", model.joints, motion.time, errors.add_to_joints(motion.joints, motion.dwell),
+        "joint_states",
+        model.joints,
+        motion.time,
+        errors.add_to_joints(motion.joints, motion.dwell),
         np.full_like(motion.joints, np.nan),
-    )  # fmt: skip
+    )
     measured = _measure_poses(model, motion, errors, np.diag(_pose_sigma(stated) ** 2))
     return Simulation(model, Recording("simulated", 0, joints, measured, _slow_streams(motion)))
 
@@ -163,10 +171,14 @@ def _measure_poses(
     position, rotation = errors.add_to_pose(answer.position, answer.rotation, motion.dwell[seen])
     m = int(solved.sum())
     return PoseStream(
-        "measured_pose", model.frames["base"], motion.time[seen][solved], position[solved],
-        matrix_to_quaternion(rotation[solved]), np.ones((m, 6), bool),
+        "measured_pose",
+        model.frames["base"],
+        motion.time[seen][solved],
+        position[solved],
+        matrix_to_quaternion(rotation[solved]),
+        np.ones((m, 6), bool),
         np.tile(covariance, (m, 1, 1)),
-    )  # fmt: skip
+    )
 
 
 def _slow_streams(motion: _Motion) -> dict[str, ScalarStream]:
@@ -233,7 +245,7 @@ def _motion(model: Model, targets: np.ndarray) -> _Motion:
     joints = stops[dwell] + part * steps[dwell]
     moving = part < 1
     at = {"time": time, "temperature": _temperature(time)}
-    at["payload"] = np.array(PAYLOADS)[dwell // SAME_PAYLOAD % len(PAYLOADS)]
+    at["payload"] = np.array(PAYLOADS)[dwell // POSES_PER_PAYLOAD % len(PAYLOADS)]
     direction = _directions(steps)
     travel = _compute_travel(steps, direction)[dwell] + part * steps[dwell]
     for j, name in enumerate(model.joints):
@@ -261,7 +273,10 @@ def _compute_travel(steps: np.ndarray, direction: np.ndarray) -> np.ndarray:
 
 
 def _temperature(time: np.ndarray) -> np.ndarray:
-    return np.asarray(AIR + WARMING * np.sin(2 * np.pi * time / PERIOD))
+    return np.asarray(
+        MEAN_TEMPERATURE_DEGC
+        + TEMPERATURE_AMPLITUDE_DEGC * np.sin(2 * np.pi * time / TEMPERATURE_PERIOD_S)
+    )
 
 
 class _Errors:

@@ -55,11 +55,17 @@ def _pose(offer: _Offer, names: Mapping[str, str], needed: bool) -> TopicInfo | 
     if not needed:
         seen = [topic for topic in (pose, point) if topic and topic.count]
         return seen[0] if seen else offer.optional("measured_pose", wanted, POSES + POINTS, False)
-    return pose or point or offer.require(
-        "measured_pose", wanted, POSES + POINTS,
-        f"; or, without a pose device, record on '{names['constraint'] or 'constraint'}' "
-        f"({CHANNELS['constraint'].types[0]}) which plane or sphere holds the tip",
-    )  # fmt: skip
+    return (
+        pose
+        or point
+        or offer.require(
+            "measured_pose",
+            wanted,
+            POSES + POINTS,
+            f"; or, without a pose device, record on '{names['constraint'] or 'constraint'}' "
+            f"({CHANNELS['constraint'].types[0]}) which plane or sphere holds the tip",
+        )
+    )
 
 
 @dataclass(frozen=True)

@@ -24,8 +24,12 @@ from parallel_cal.reporting.spaces import space
 
 # Okabe and Ito's palette; what moves with a motor, what follows, what carries the tool.
 COLOURS = {
-    "base": QUIET, "axis": QUIET, "driven": MEASURED, "rod": "#009e73", "platform": "#cc79a7",
-}  # fmt: skip
+    "base": QUIET,
+    "axis": QUIET,
+    "driven": MEASURED,
+    "rod": "#009e73",
+    "platform": "#cc79a7",
+}
 WIDTHS = {"base": 4, "axis": 2, "driven": 8, "rod": 5, "platform": 7}
 
 
@@ -89,12 +93,23 @@ def drawing(
     named = select_labelled(parts)
     at = 1e3 * np.array([part.middle for part in named]).reshape(-1, 3)
     words = {
-        "type": "scatter3d", "mode": "text", "name": "parameters", "hoverinfo": "skip",
-        "x": round_values(at[:, 0]), "y": round_values(at[:, 1]), "z": round_values(at[:, 2]),
-        "text": [escape(part.label) for part in named], "textfont": {"size": 11},
-    }  # fmt: skip
-    layout = {"height": 460, "showlegend": True, "legend": {"orientation": "h", "y": 0, "x": 0},
-              "margin": {"l": 0, "r": 0, "t": 0, "b": 0}, "scene": _cube(parts)}  # fmt: skip
+        "type": "scatter3d",
+        "mode": "text",
+        "name": "parameters",
+        "hoverinfo": "skip",
+        "x": round_values(at[:, 0]),
+        "y": round_values(at[:, 1]),
+        "z": round_values(at[:, 2]),
+        "text": [escape(part.label) for part in named],
+        "textfont": {"size": 11},
+    }
+    layout = {
+        "height": 460,
+        "showlegend": True,
+        "legend": {"orientation": "h", "y": 0, "x": 0},
+        "margin": {"l": 0, "r": 0, "t": 0, "b": 0},
+        "scene": _cube(parts),
+    }
     return {"data": [*traces, words | {"showlegend": False}], "layout": layout}
 
 
@@ -152,9 +167,13 @@ def _trace(
         words += ["<br>".join(told) or kind] * (len(part.points) + 1)
     at = 1e3 * np.vstack(points)
     return {
-        "type": "scatter3d", "mode": "lines",
+        "type": "scatter3d",
+        "mode": "lines",
         "name": f"{kind}, moved over {MAX_MOVED_TOLERANCES:g} tolerances" if far else kind,
-        "x": round_with_gaps(at[:, 0]), "y": round_with_gaps(at[:, 1]), "z": round_with_gaps(at[:, 2]),
+        "x": round_with_gaps(at[:, 0]),
+        "y": round_with_gaps(at[:, 1]),
+        "z": round_with_gaps(at[:, 2]),
         "line": {"width": WIDTHS[kind], "color": WARNING if far else COLOURS[kind]},
-        "text": words, "hoverinfo": "text",
-    }  # fmt: skip
+        "text": words,
+        "hoverinfo": "text",
+    }

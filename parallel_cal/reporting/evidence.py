@@ -80,9 +80,14 @@ def _tested(report: Report, rows: Sequence[Entry]) -> str:
     kind = next(iter(report.errors.kinds), "joint")
     unit = unit_of(kind, report.provenance.joint_units)
     header = (
-        "effect", "p (Holm)", f"left-out {kind} rms", "explains", "picked first", "not geometry",
+        "effect",
+        "p (Holm)",
+        f"left-out {kind} rms",
+        "explains",
+        "picked first",
+        "not geometry",
         "cannot be told from",
-    )  # fmt: skip
+    )
     found = report.diagnosis.effects
     return table(
         header, [_row(entry, kind, unit, entry.name in found) for entry in rows], "evidence"
@@ -157,11 +162,13 @@ def _poses(poses: Sequence[PlannedPose], units: Mapping[str, str]) -> str:
     conditions = list(poses[0].conditions)
     rows = [
         [
-            str(i), *(vector(stop.position, "m") for stop in pose.by_way_of),
-            vector(pose.position, "m"), vector(pose.quaternion, "", 5),
+            str(i),
+            *(vector(stop.position, "m") for stop in pose.by_way_of),
+            vector(pose.position, "m"),
+            vector(pose.quaternion, "", 5),
             *(vector([q], u) for q, u in zip(pose.joints, units.values(), strict=True)),
             *(f"{pose.conditions[c]:.3g}" for c in conditions),
         ]
         for i, pose in enumerate(poses, 1)
-    ]  # fmt: skip
+    ]
     return table(["", *stops, "x y z [mm]", "quaternion x y z w", *joints, *conditions], rows)

@@ -83,11 +83,15 @@ def _regions(rows: Sequence[Region]) -> str:
     listed = table(
         ("octant", "samples", "position rms", "orientation rms"),
         [
-            (r.region, str(r.samples), with_unit(r.position_rms, "m"),
-             with_unit(r.orientation_rms, "rad"))
+            (
+                r.region,
+                str(r.samples),
+                with_unit(r.position_rms, "m"),
+                with_unit(r.orientation_rms, "rad"),
+            )
             for r in rows
         ],
-    )  # fmt: skip
+    )
     return folded(f"By octant of the workspace about ({vector(rows[0].middle, 'm', 0)}) mm", listed)
 
 
@@ -177,10 +181,14 @@ def _samples(report: Report) -> str:
     of = {kind: unit_of(kind, units) for kind in report.errors.kinds}
     names = ("", ", with effect") if report.errors.found else ("",)
     header = [
-        "sample", *(f"sigmas{name}" for name in names), "odd",
+        "sample",
+        *(f"sigmas{name}" for name in names),
+        "odd",
         *(f"{k} [{error_unit(u)[0]}]{name}" for name in names for k, u in of.items()),
-        "time [s]", "joints", "position [mm]",
-    ]  # fmt: skip
+        "time [s]",
+        "joints",
+        "position [mm]",
+    ]
     rows = [_sample(row, of, units) for row in report.samples[:MAX_SAMPLE_ROWS]]
     return table(header, rows, kind="sortable", sorted_by="sigmas")
 

@@ -43,13 +43,18 @@ def side_by_side(
         ]
         left, low = column * (width + 0.07), 1 - row * (height + 0.25 / rows) - height
         layout[f"xaxis{mark}"] = {
-            "domain": [left, min(left + width, 1.0)], "anchor": f"y{mark}",
-            "title": {"text": escape(across), "standoff": 4}, "nticks": 6,
-        }  # fmt: skip
+            "domain": [left, min(left + width, 1.0)],
+            "anchor": f"y{mark}",
+            "title": {"text": escape(across), "standoff": 4},
+            "nticks": 6,
+        }
         layout[f"yaxis{mark}"] = {
-            "domain": [max(low, 0.0), min(low + height, 1.0)], "anchor": f"x{mark}",
-            "title": {"text": escape(up), "standoff": 4}, "range": list(heights), "nticks": 5,
-        }  # fmt: skip
+            "domain": [max(low, 0.0), min(low + height, 1.0)],
+            "anchor": f"x{mark}",
+            "title": {"text": escape(up), "standoff": 4},
+            "range": list(heights),
+            "nticks": 5,
+        }
     margin = {"t": 44, "r": 8, "l": 48, "b": 44}
     about = {"height": 30 + 220 * rows, "showlegend": True, "legend": LEGEND, "margin": margin}
     return {"data": data, "layout": layout | about}
@@ -79,19 +84,36 @@ def circles(
         )
         ticks = [-size / 2, 0.0, size / 2]
         layout[mark] = {
-            "domain": {"x": x, "y": y}, "sector": list(sector), "bgcolor": "rgba(0,0,0,0)",
+            "domain": {"x": x, "y": y},
+            "sector": list(sector),
+            "bgcolor": "rgba(0,0,0,0)",
             "radialaxis": {
-                "range": [-2 * size, size], "tickvals": ticks, "angle": sector[0],
+                "range": [-2 * size, size],
+                "tickvals": ticks,
+                "angle": sector[0],
                 "ticktext": [f"{t:+.2g}" if t else f"0 {unit}" for t in ticks],
-                "tickfont": {"size": 10}, "gridcolor": BAND,
+                "tickfont": {"size": 10},
+                "gridcolor": BAND,
             },
-            "angularaxis": {"nticks": 12, "tickfont": {"size": 10}, "ticksuffix": "°",
-                            "gridcolor": BAND},
-        }  # fmt: skip
+            "angularaxis": {
+                "nticks": 12,
+                "tickfont": {"size": 10},
+                "ticksuffix": "°",
+                "gridcolor": BAND,
+            },
+        }
         layout["annotations"].append(
-            {"text": escape(name), "x": x[0], "xanchor": "left", "y": y[0], "yanchor": "bottom",
-             "xref": "paper", "yref": "paper", "showarrow": False}
-        )  # fmt: skip
+            {
+                "text": escape(name),
+                "x": x[0],
+                "xanchor": "left",
+                "y": y[0],
+                "yanchor": "bottom",
+                "xref": "paper",
+                "yref": "paper",
+                "showarrow": False,
+            }
+        )
     about = {"height": 60 + 300 * rows, "showlegend": True, "legend": LEGEND}
     return {
         "data": data,
@@ -130,21 +152,31 @@ def history(rows: Sequence[Mapping[str, Any]], floor: Summary, kind: str, si: st
 
 def _level(noise: float, ends: Sequence[float]) -> Spec:
     return {
-        "type": "scatter", "mode": "lines", "x": list(ends), "y": [noise] * 2,
-        "line": {"dash": "dash", "color": QUIET}, "hoverinfo": "skip",
-    }  # fmt: skip
+        "type": "scatter",
+        "mode": "lines",
+        "x": list(ends),
+        "y": [noise] * 2,
+        "line": {"dash": "dash", "color": QUIET},
+        "hoverinfo": "skip",
+    }
 
 
 def _steps(rows: Sequence[Mapping[str, Any]], values: Sequence[float | None]) -> Spec:
     return {
-        "type": "scatter", "mode": "lines+markers+text", "x": list(range(len(rows))),
-        "y": list(values), "text": [number(v) for v in values], "textposition": "top right",
+        "type": "scatter",
+        "mode": "lines+markers+text",
+        "x": list(range(len(rows))),
+        "y": list(values),
+        "text": [number(v) for v in values],
+        "textposition": "top right",
         "hovertext": [
             f"{escape(r['name'])}: {r['samples']} samples, data {r['sha256'][:12]}" for r in rows
         ],
-        "hoverinfo": "text", "line": {"color": ACCENT, "width": 3}, "marker": {"size": 9},
+        "hoverinfo": "text",
+        "line": {"color": ACCENT, "width": 3},
+        "marker": {"size": 9},
         "cliponaxis": False,
-    }  # fmt: skip
+    }
 
 
 def _log_axis(values: Sequence[float | None], title: str) -> Spec:
@@ -154,16 +186,24 @@ def _log_axis(values: Sequence[float | None], title: str) -> Spec:
     powers = 10.0 ** np.arange(np.floor(low), np.ceil(high) + 1)
     ticks = [t for t in (np.array([[1], [2], [5]]) * powers).T.ravel() if low < np.log10(t) < high]
     return {
-        "type": "log", "range": [low, high], "title": {"text": title}, "tickvals": ticks,
+        "type": "log",
+        "range": [low, high],
+        "title": {"text": title},
+        "tickvals": ticks,
         "ticktext": [f"{t:g}" for t in ticks],
-    }  # fmt: skip
+    }
 
 
 def _floor_label(noise: float) -> Spec:
     return {
-        "xref": "paper", "x": 0.01, "xanchor": "left", "y": float(np.log10(noise)),
-        "yanchor": "top", "text": f"noise alone: {number(noise)}", "showarrow": False,
-    }  # fmt: skip
+        "xref": "paper",
+        "x": 0.01,
+        "xanchor": "left",
+        "y": float(np.log10(noise)),
+        "yanchor": "top",
+        "text": f"noise alone: {number(noise)}",
+        "showarrow": False,
+    }
 
 
 def parameter_bars(parameters: Mapping[str, DescribedParameter]) -> Spec:
@@ -171,12 +211,15 @@ def parameter_bars(parameters: Mapping[str, DescribedParameter]) -> Spec:
     rows = [(name, p) for name, p in parameters.items() if not p.fixed][::-1]
     sigma = [p.sigma_tolerances or 0.0 for _, p in rows]
     bars = {
-        "type": "bar", "orientation": "h",
-        "x": [p.moved_tolerances for _, p in rows], "y": [escape(name) for name, _ in rows],
+        "type": "bar",
+        "orientation": "h",
+        "x": [p.moved_tolerances for _, p in rows],
+        "y": [escape(name) for name, _ in rows],
         "error_x": {"array": sigma, "thickness": 1.2, "width": 2, "color": QUIET},
         "marker": {"color": [_bar_colour(p) for _, p in rows]},
-        "hovertext": [describe_parameter(p) for _, p in rows], "hoverinfo": "text",
-    }  # fmt: skip
+        "hovertext": [describe_parameter(p) for _, p in rows],
+        "hoverinfo": "text",
+    }
     return {
         "data": [bars],
         "layout": {

@@ -98,19 +98,25 @@ def _by_error(fleet: Fleet, plot: Plot) -> str:
     colours = {"before": QUIET, "identified": ACCENT, "after": WARNING}
     traces: list[Spec] = [
         {
-            "type": "scatter", "mode": "markers", "name": name, "marker": {"color": colours[when]},
+            "type": "scatter",
+            "mode": "markers",
+            "name": name,
+            "marker": {"color": colours[when]},
             "x": [escape(row["robot"]) for row in rows],
             "y": [_scale(row[when][f"{kind}_rms"], factor) for row in rows],
             "hovertemplate": f"%{{x}}: %{{y:.3g}} {unit}",
         }
         for when, name in WHEN.items()
-    ]  # fmt: skip
+    ]
     note = "Of each robot's last recording, at poses left out of the fit; worst first."
     layout = {
-        "height": 320, "showlegend": True, "legend": LEGEND, "margin": {"t": 40},
+        "height": 320,
+        "showlegend": True,
+        "legend": LEGEND,
+        "margin": {"t": 40},
         "xaxis": {"type": "category", "nticks": 20},
         "yaxis": {"type": "log", "title": {"text": f"{kind} error, rms [{unit}]"}},
-    }  # fmt: skip
+    }
     return paragraph(note, "note") + plot({"data": traces, "layout": layout})
 
 
@@ -173,18 +179,23 @@ def _over_time(fleet: Fleet, plot: Plot) -> str:
     for robot in sorted({row["robot"] for row in rows}, key=lambda name: name in changing):
         own = sorted((row for row in rows if row["robot"] == robot), key=lambda row: row["time"])
         colour = WARNING if robot in changing else QUIET
-        traces.append({
-            "type": "scatter", "mode": "lines+markers", "name": escape(robot),
-            "x": [datetime.fromtimestamp(row["time"], timezone.utc).isoformat() for row in own],
-            "y": [_scale(row["before"][f"{kind}_rms"], factor) for row in own],
-            "line": {"color": colour, "width": 2 if robot in changing else 1},
-            "opacity": 1.0 if robot in changing else 0.4,
-            "hovertemplate": f"{escape(robot)}: %{{y:.3g}} {unit}<extra></extra>",
-        })  # fmt: skip
+        traces.append(
+            {
+                "type": "scatter",
+                "mode": "lines+markers",
+                "name": escape(robot),
+                "x": [datetime.fromtimestamp(row["time"], timezone.utc).isoformat() for row in own],
+                "y": [_scale(row["before"][f"{kind}_rms"], factor) for row in own],
+                "line": {"color": colour, "width": 2 if robot in changing else 1},
+                "opacity": 1.0 if robot in changing else 0.4,
+                "hovertemplate": f"{escape(robot)}: %{{y:.3g}} {unit}<extra></extra>",
+            }
+        )
     layout = {
-        "height": 300, "showlegend": False,
+        "height": 300,
+        "showlegend": False,
         "yaxis": {"title": {"text": f"{kind} error as given, rms [{unit}]"}},
-    }  # fmt: skip
+    }
     said = f"In colour: {', '.join(sorted(changing))}." if changing else "No robot changes."
     return paragraph(said, "note") + plot({"data": traces, "layout": layout})
 
@@ -196,12 +207,14 @@ def _render_effects(fleet: Fleet, plot: Plot) -> str:
         return paragraph("No effect was named in most recordings of any robot.", "none")
     upwards = found.effects[::-1]
     bars = {
-        "type": "bar", "orientation": "h", "y": [effect.name for effect in upwards],
+        "type": "bar",
+        "orientation": "h",
+        "y": [effect.name for effect in upwards],
         "x": [len(effect.robots) for effect in upwards],
         "marker": {"color": [WARNING if e.kind == "fault" else ACCENT for e in upwards]},
         "hovertext": [escape(effect_in_words(effect)) for effect in upwards],
         "hoverinfo": "text",
-    }  # fmt: skip
+    }
     layout = {
         "height": 90 + 30 * len(upwards),
         "xaxis": {"title": {"text": "robots"}, "range": [0, len(found.robots)]},
@@ -213,10 +226,14 @@ def _render_effects(fleet: Fleet, plot: Plot) -> str:
         for one in effect.numbers:
             name, factor = error_unit(one.unit)
             mean, sigma = round_to_sigma(one.mean, one.sigma, factor)
-            rows.append((
-                one.name, f"{mean} ± {sigma} {name}", with_unit(one.spread, one.unit),
-                f"{number(one.low, factor)} … {number(one.high, factor)} {name}",
-            ))  # fmt: skip
+            rows.append(
+                (
+                    one.name,
+                    f"{mean} ± {sigma} {name}",
+                    with_unit(one.spread, one.unit),
+                    f"{number(one.low, factor)} … {number(one.high, factor)} {name}",
+                )
+            )
     shown = table(("number", "mean", "spread", "95 %"), rows)
     return plot({"data": [bars], "layout": layout}) + shown
 
@@ -229,32 +246,43 @@ def _spreads(found: Findings | None, plot: Plot) -> str:
     share = [one.spread / one.tolerance for one in rows]
     traces: list[Spec] = [
         {
-            "type": "scatter", "mode": "markers", "name": "spread, 95 % interval",
-            "y": [escape(one.name) for one in rows], "x": share, "marker": {"color": MEASURED},
+            "type": "scatter",
+            "mode": "markers",
+            "name": "spread, 95 % interval",
+            "y": [escape(one.name) for one in rows],
+            "x": share,
+            "marker": {"color": MEASURED},
             "error_x": {
                 "array": [one.high / one.tolerance - s for one, s in zip(rows, share, strict=True)],
                 "arrayminus": [
                     s - one.low / one.tolerance for one, s in zip(rows, share, strict=True)
                 ],
-                "color": MEASURED, "thickness": 1,
+                "color": MEASURED,
+                "thickness": 1,
             },
         },
         {
-            "type": "scatter", "mode": "markers", "name": "mean from the drawing, 1 σ",
+            "type": "scatter",
+            "mode": "markers",
+            "name": "mean from the drawing, 1 σ",
             "y": [escape(one.name) for one in rows],
             "x": [(one.mean - one.nominal) / one.tolerance for one in rows],
             "error_x": {
                 "array": [one.sigma / one.tolerance for one in rows],
-                "color": WARNING, "thickness": 1,
+                "color": WARNING,
+                "thickness": 1,
             },
             "marker": {"color": WARNING, "symbol": "diamond-open"},
         },
-    ]  # fmt: skip
+    ]
     layout = {
-        "height": 110 + 16 * len(rows), "showlegend": True, "legend": LEGEND, "margin": {"t": 40},
+        "height": 110 + 16 * len(rows),
+        "showlegend": True,
+        "legend": LEGEND,
+        "margin": {"t": 40},
         "xaxis": {"title": {"text": "in tolerances of the drawing (1)"}},
         "yaxis": {"dtick": 1, "tickfont": {"size": 10}},
-    }  # fmt: skip
+    }
     note = (
         "next_robot.yaml has these means and spreads as nominal values and tolerances: by --prior "
         "the next robot is identified from fewer poses."

@@ -12,7 +12,9 @@ from parallel_cal.reporting.readable import ARCMIN, columns, format_fixed, in_un
 
 UNITS = {"position": ("um", 1e6), "reading": ("um", 1e6), "orientation": ("arcmin", ARCMIN)}
 DAY = 86400.0
-WORST, NAMED = 10, 5  # recordings that a person reads
+# recordings that a person reads
+MAX_WORST_RECORDINGS = 10
+MAX_NAMED_ROBOTS = 5
 MAX_FAULT_SHARE = 0.25  # of the robots: more are nobody's own fault
 
 
@@ -47,18 +49,20 @@ def _worst(fleet: Fleet) -> Iterator[str]:
     if kind is None:
         return
     (unit, factor), key = UNITS[kind], f"{kind}_rms"
-    worst = sorted(fleet.judged, key=lambda row: -(row["after"][key] or 0.0))[:WORST]
+    worst = sorted(fleet.judged, key=lambda row: -(row["after"][key] or 0.0))[:MAX_WORST_RECORDINGS]
     header = ("robot", "recording", f"{kind} error [{unit}]", "identified", "with effects")
     yield columns(
         (*header, "effects"),
         [
             (
-                row["robot"], row["recording"],
-                *(format_fixed(row[when][key], factor, 1) for when in ERRORS), ", ".join(row["effects"]),
+                row["robot"],
+                row["recording"],
+                *(format_fixed(row[when][key], factor, 1) for when in ERRORS),
+                ", ".join(row["effects"]),
             )
             for row in worst
         ],
-    )  # fmt: skip
+    )
 
 
 def _format_findings(fleet: Fleet) -> Iterator[str]:
@@ -108,7 +112,7 @@ def effect_in_words(effect: EffectOfFleet) -> str:
     """Whose an effect is."""
     apart = dict.fromkeys(one.robot for one in effect.deviations)
     robots = list(apart) if effect.kind == "fault" else list(effect.robots)
-    few = ", ".join(robots[:NAMED]) + (", ..." if len(robots) > NAMED else "")
+    few = ", ".join(robots[:MAX_NAMED_ROBOTS]) + (", ..." if len(robots) > MAX_NAMED_ROBOTS else "")
     share = f"{len(effect.robots)} of {effect.of} robots"
     alike = "whose numbers do not stand apart from the others'"
     if len(robots) > effect.of * MAX_FAULT_SHARE:

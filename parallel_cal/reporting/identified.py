@@ -29,8 +29,8 @@ def parameters(report: Report, plot: Plot) -> str:
     added = report.diagnosis.effects
     of = f"Of the model with {' and '.join(added)} added: " if added else ""
     note = (
-        f"{of}{len(moving)} free parameters; {far or 'none'} moved further than {figures.MAX_MOVED_TOLERANCES:g} "
-        "tolerances from nominal. Sorted anew by a click on a column's head."
+        f"{of}{len(moving)} free parameters; {far or 'none'} moved further than "
+        f"{figures.MAX_MOVED_TOLERANCES:g} tolerances from nominal. Click a column's head to sort."
     )
     most = max((abs(p.moved_tolerances) for p in moving.values()), default=0.0)
     rows = [_parameter(name, p, most) for name, p in moving.items()]

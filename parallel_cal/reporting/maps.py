@@ -46,9 +46,7 @@ def workspace(found: PositionUncertainty) -> tuple[Spec, float]:
     root of the covariance's trace."""
     sigma = np.sqrt(np.trace(found.covariance, axis1=1, axis2=2))
     scale = 0.5 * scale_of(found.places, [np.outer(sigma, np.eye(3)[0])])
-    views = [
-        axes for axes in VIEWS.values() if all("xyz"[k] in found.across for k in axes)
-    ]  # fmt: skip
+    views = [axes for axes in VIEWS.values() if all("xyz"[k] in found.across for k in axes)]
     middle = np.median(found.places, axis=0)
     panels = []
     for axes in views:
@@ -56,20 +54,29 @@ def workspace(found: PositionUncertainty) -> tuple[Spec, float]:
         own = np.isclose(found.places[:, rest], middle[rest], atol=1e-6)
         places, spread = found.places[own], found.covariance[own]
         marks = {
-            "type": "scatter", "mode": "markers", "name": "pose", "showlegend": False,
-            "x": round_values(1e3 * places[:, axes[0]]), "y": round_values(1e3 * places[:, axes[1]]),
+            "type": "scatter",
+            "mode": "markers",
+            "name": "pose",
+            "showlegend": False,
+            "x": round_values(1e3 * places[:, axes[0]]),
+            "y": round_values(1e3 * places[:, axes[1]]),
             "marker": {
-                "size": 7, "color": round_values(1e6 * sigma[own]), "coloraxis": "coloraxis",
+                "size": 7,
+                "color": round_values(1e6 * sigma[own]),
+                "coloraxis": "coloraxis",
             },
-            "text": [f"1 σ {with_unit(s, 'm')}" for s in sigma[own]], "hoverinfo": "text",
-        }  # fmt: skip
+            "text": [f"1 σ {with_unit(s, 'm')}" for s in sigma[own]],
+            "hoverinfo": "text",
+        }
         ellipses = _ellipses(places, spread, scale, 1e3, axes)
         panels.append([ellipses, marks])
     drawn = _three(panels, views, " [mm]")
     drawn["layout"]["coloraxis"] = {
-        "colorscale": "Cividis", "cmin": 0.0, "cmax": float(f"{1e6 * sigma.max():.3g}"),
+        "colorscale": "Cividis",
+        "cmin": 0.0,
+        "cmax": float(f"{1e6 * sigma.max():.3g}"),
         "colorbar": {"title": {"text": "1 σ [µm]"}, "thickness": 12},
-    }  # fmt: skip
+    }
     return drawn, scale
 
 
@@ -102,15 +109,22 @@ def _arrows(
     sizes = np.linalg.norm(field, axis=1)
     words = [f"{n}: {with_unit(size, SI[kind])}" for n, size in zip(numbers, sizes, strict=True)]
     return {
-        "type": "scatter", "mode": "lines+markers", "name": "residual", "x": round_with_gaps(x), "y": round_with_gaps(y),
+        "type": "scatter",
+        "mode": "lines+markers",
+        "name": "residual",
+        "x": round_with_gaps(x),
+        "y": round_with_gaps(y),
         "line": {"color": MEASURED, "width": 1.5},
         "marker": {
-            "symbol": ["circle", "arrow", "circle"] * len(places), "size": [3, 7, 0] * len(places),
-            "angleref": "previous", "color": MEASURED,
+            "symbol": ["circle", "arrow", "circle"] * len(places),
+            "size": [3, 7, 0] * len(places),
+            "angleref": "previous",
+            "color": MEASURED,
         },
-        "text": [text for word in words for text in (word, word, "")], "hoverinfo": "text",
+        "text": [text for word in words for text in (word, word, "")],
+        "hoverinfo": "text",
         "customdata": np.repeat(numbers, 3).tolist(),
-    }  # fmt: skip
+    }
 
 
 def _ellipses(
@@ -129,10 +143,14 @@ def _ellipses(
     edges = factor * (places[:, axes, None] + round_)
     broken = np.concatenate([edges, np.full((len(places), 2, 1), np.nan)], axis=2)
     return {
-        "type": "scatter", "mode": "lines", "name": "1 σ of the model", "hoverinfo": "skip",
-        "x": round_with_gaps(broken[:, 0].ravel()), "y": round_with_gaps(broken[:, 1].ravel()),
+        "type": "scatter",
+        "mode": "lines",
+        "name": "1 σ of the model",
+        "hoverinfo": "skip",
+        "x": round_with_gaps(broken[:, 0].ravel()),
+        "y": round_with_gaps(broken[:, 1].ravel()),
         "line": {"color": QUIET, "width": 1},
-    }  # fmt: skip
+    }
 
 
 def _bar(
@@ -148,9 +166,15 @@ def _bar(
     low = factor * (places.min(axis=0) - 0.12 * np.ptp(places, axis=0))
     x, y = low[axes[0]], low[axes[1]]
     return {
-        "type": "scatter", "mode": "lines+markers+text", "name": "scale", "showlegend": False,
-        "x": round_with_gaps(np.array([x, x + factor * scale * size])), "y": round_with_gaps(np.array([y, y])),
-        "line": {"color": PATTERN, "width": 3}, "marker": {"color": PATTERN, "size": 4},
-        "text": ["", with_unit(size, SI[kind])], "textposition": "middle right",
+        "type": "scatter",
+        "mode": "lines+markers+text",
+        "name": "scale",
+        "showlegend": False,
+        "x": round_with_gaps(np.array([x, x + factor * scale * size])),
+        "y": round_with_gaps(np.array([y, y])),
+        "line": {"color": PATTERN, "width": 3},
+        "marker": {"color": PATTERN, "size": 4},
+        "text": ["", with_unit(size, SI[kind])],
+        "textposition": "middle right",
         "hoverinfo": "skip",
-    }  # fmt: skip
+    }

@@ -15,10 +15,16 @@ from parallel_cal.reporting.readable import value_unit
 
 # Okabe and Ito's palette: told apart by the colour-blind, on light and dark grounds
 COMPONENTS = {
-    "x": "#0072b2", "y": "#d55e00", "z": "#009e73", "rx": "#56b4e9", "ry": "#e69f00",
+    "x": "#0072b2",
+    "y": "#d55e00",
+    "z": "#009e73",
+    "rx": "#56b4e9",
+    "ry": "#e69f00",
     "rz": "#cc79a7",
-}  # fmt: skip
-POINTS, STEPS = 400, 150  # of a panel's residuals, of a rolling mean
+}
+# of a panel's residuals, of a rolling mean
+MAX_POINTS = 400
+MAX_MEAN_POINTS = 150
 
 
 def multiples(
@@ -76,26 +82,34 @@ def _panel(entry: ResidualProfile, found: Residuals, z: np.ndarray) -> Spec:
 
 def _points(values: np.ndarray, z: np.ndarray, width: float) -> Spec:
     """Every residual, thinned out evenly where there are many; spread where they would coincide."""
-    kept = select_evenly(len(values), POINTS // max(z.shape[1], 1))
+    kept = select_evenly(len(values), MAX_POINTS // max(z.shape[1], 1))
     x = np.repeat(values[kept], z.shape[1])
     spread = width * np.random.default_rng(0).uniform(-1, 1, len(x))
     return {
-        "type": "scatter", "mode": "markers", "hoverinfo": "skip", "x": round_values(x + spread),
-        "y": round_values(z[kept].ravel()), "marker": {"size": 3, "color": QUIET, "opacity": 0.3},
-    }  # fmt: skip
+        "type": "scatter",
+        "mode": "markers",
+        "hoverinfo": "skip",
+        "x": round_values(x + spread),
+        "y": round_values(z[kept].ravel()),
+        "marker": {"size": 3, "color": QUIET, "opacity": 0.3},
+    }
 
 
 def _rolling_traces(
     at: np.ndarray, band: np.ndarray, means: np.ndarray, names: Sequence[str]
 ) -> list[Spec]:
-    kept = select_evenly(len(at), STEPS)
+    kept = select_evenly(len(at), MAX_MEAN_POINTS)
     at, band, means = at[kept], band[kept], means[kept]
     grey = {
-        "type": "scatter", "mode": "lines", "hoverinfo": "skip",
+        "type": "scatter",
+        "mode": "lines",
+        "hoverinfo": "skip",
         "x": round_values(np.concatenate([at, at[::-1]])),
         "y": round_values(np.concatenate([band, -band[::-1]])),
-        "fill": "toself", "fillcolor": BAND, "line": {"width": 0},
-    }  # fmt: skip
+        "fill": "toself",
+        "fillcolor": BAND,
+        "line": {"width": 0},
+    }
     lines = [
         _mean(name, at, mean) | {"mode": "lines", "line": {"color": colour(name), "width": 2}}
         for name, mean in zip(names, means.T, strict=True)
@@ -123,9 +137,12 @@ def _level_traces(
 
 def _mean(name: str, at: np.ndarray, mean: np.ndarray) -> Spec:
     return {
-        "type": "scatter", "name": name, "x": round_values(at), "y": round_values(mean),
+        "type": "scatter",
+        "name": name,
+        "x": round_values(at),
+        "y": round_values(mean),
         "hovertemplate": "%{y:.2f} σ",
-    }  # fmt: skip
+    }
 
 
 def colour(name: str) -> str:

@@ -19,7 +19,9 @@ from parallel_cal.reporting.figures import (
 from parallel_cal.reporting.readable import number, value_unit
 
 MAX_LINE_ROUGHNESS = 0.5  # of a pattern's variance: neighbours that differ by more are no line
-FINE, NEAR = 40, 5  # points of a curve a period, samples that one is the mean of
+# points of a curve a period, samples that one is the mean of
+POINTS_PER_PERIOD = 40
+SAMPLES_PER_MEAN = 5
 MAX_POINTS_PER_JOINT = 2000  # a joint: more hide each other
 SECTOR_MARGIN_DEG = 5.0  # deg of a sector beside what was measured
 
@@ -46,9 +48,12 @@ def polar_panels(found: JointResiduals, candidate: Signature | None = None) -> S
     factor, (fine, small) = value_unit("rad")[1], _fine("rad")
     sector, panels = _sector(found.readings[:, turning] * factor), []
     zero = {
-        "mode": "lines", "x": round_values(np.linspace(*sector, 181)), "y": [0.0] * 181,
-        "line": {"color": QUIET, "width": 1}, "hoverinfo": "skip",
-    }  # fmt: skip
+        "mode": "lines",
+        "x": round_values(np.linspace(*sector, 181)),
+        "y": [0.0] * 181,
+        "line": {"color": QUIET, "width": 1},
+        "hoverinfo": "skip",
+    }
     for k in turning:
         traces = [zero, *_traces(found, candidate, k, factor, small)]
         panels.append([_to_polar(trace) for trace in traces])
@@ -91,21 +96,28 @@ def _points(found: JointResiduals, k: int, factor: float, small: float) -> Spec:
     kept = select_evenly(len(found.sample), MAX_POINTS_PER_JOINT)
     x, y, numbers = found.readings[kept, k], found.errors[kept, k] * small, found.sample[kept]
     return {
-        "mode": "markers", "name": "measured", "x": round_values(x * factor), "y": round_with_gaps(y),
+        "mode": "markers",
+        "name": "measured",
+        "x": round_values(x * factor),
+        "y": round_with_gaps(y),
         "marker": {"size": 4, "color": QUIET, "opacity": 0.8},
         "text": [f"sample {n}: {number(v)}" for n, v in zip(numbers, y, strict=True)],
-        "customdata": numbers.tolist(), "hoverinfo": "text",
-    }  # fmt: skip
+        "customdata": numbers.tolist(),
+        "hoverinfo": "text",
+    }
 
 
 def _mean(found: JointResiduals, k: int, factor: float, small: float) -> Spec:
     told = np.isfinite(found.errors[:, k])
     means = compute_mean_profile("", found.readings[told, k], found.errors[told, k, None])
     return {
-        "mode": "lines", "name": "measured, mean", "x": round_values(means.at * factor),
-        "y": round_values(means.mean[:, 0] * small), "line": {"color": MEASURED, "width": 2},
+        "mode": "lines",
+        "name": "measured, mean",
+        "x": round_values(means.at * factor),
+        "y": round_values(means.mean[:, 0] * small),
+        "line": {"color": MEASURED, "width": 2},
         "hoverinfo": "skip",
-    }  # fmt: skip
+    }
 
 
 def _pattern(
@@ -122,14 +134,18 @@ def _pattern(
     order = np.argsort(x, kind="stable")
     x, y = x[order], y[order]
     if period is not None:
-        fine = np.linspace(x[0], x[-1], round(FINE * (x[-1] - x[0]) / period))
+        fine = np.linspace(x[0], x[-1], round(POINTS_PER_PERIOD * (x[-1] - x[0]) / period))
         x, y = fine, _interpolate_periodic(x, y, period, fine)
     is_line = period is not None or np.mean(np.diff(y) ** 2) < MAX_LINE_ROUGHNESS * np.var(y)
     return {
-        "mode": "lines" if is_line else "markers", "name": "this effect's pattern",
-        "x": round_values(x * factor), "y": round_values(y * small), "hoverinfo": "skip",
-        "line": {"color": PATTERN, "width": 2}, "marker": {"color": PATTERN, "size": 4},
-    }  # fmt: skip
+        "mode": "lines" if is_line else "markers",
+        "name": "this effect's pattern",
+        "x": round_values(x * factor),
+        "y": round_values(y * small),
+        "hoverinfo": "skip",
+        "line": {"color": PATTERN, "width": 2},
+        "marker": {"color": PATTERN, "size": 4},
+    }
 
 
 def _interpolate_periodic(
@@ -138,8 +154,10 @@ def _interpolate_periodic(
     """A pattern y (N,) at readings x (N,) that comes round, at others: the mean of samples near
     within the period."""
     order = np.argsort(x % period, kind="stable")
-    around = np.take(y[order], np.arange(-(NEAR // 2), len(y) + NEAR // 2), mode="wrap")
-    smooth = np.convolve(around, np.full(NEAR, 1 / NEAR), mode="valid")
+    around = np.take(
+        y[order], np.arange(-(SAMPLES_PER_MEAN // 2), len(y) + SAMPLES_PER_MEAN // 2), mode="wrap"
+    )
+    smooth = np.convolve(around, np.full(SAMPLES_PER_MEAN, 1 / SAMPLES_PER_MEAN), mode="valid")
     return np.interp(at, (x % period)[order], smooth, period=period)
 
 

@@ -60,19 +60,29 @@ def _traces(panel: Panel, mechanism: Mechanism) -> Iterator[Spec]:
     kept = select_evenly(len(at), MAX_POINTS_PER_JOINT)
     spread = 0.2 * step * np.random.default_rng(0).uniform(-1, 1, len(kept))
     yield {
-        "type": "scatter", "mode": "markers", "name": "measured", "hoverinfo": "text",
-        "x": round_values((at[kept] + spread) * factor), "y": round_values(panel.residual[kept]),
+        "type": "scatter",
+        "mode": "markers",
+        "name": "measured",
+        "hoverinfo": "text",
+        "x": round_values((at[kept] + spread) * factor),
+        "y": round_values(panel.residual[kept]),
         "marker": {"size": 4, "color": QUIET, "opacity": 0.45},
         "text": [f"sample {n}" for n in panel.sample[kept]],
         "customdata": panel.sample[kept].tolist(),
-    }  # fmt: skip
+    }
     x, wide = means.at * factor, 0.3 * step * factor
     across, up = _boxes(x, means.band, wide) if few else _outline_band(x, means.band)
     yield {
-        "type": "scatter", "mode": "lines", "name": "99 % of means if nothing depends on it",
-        "x": round_with_gaps(across), "y": round_with_gaps(up), "fill": "toself", "fillcolor": BAND,
-        "line": {"width": 0}, "hoverinfo": "skip",
-    }  # fmt: skip
+        "type": "scatter",
+        "mode": "lines",
+        "name": "99 % of means if nothing depends on it",
+        "x": round_with_gaps(across),
+        "y": round_with_gaps(up),
+        "fill": "toself",
+        "fillcolor": BAND,
+        "line": {"width": 0},
+        "hoverinfo": "skip",
+    }
     blue, orange = {"color": MEASURED, "width": 2}, {"color": PATTERN, "width": 3, "dash": "dash"}
     for name, mean, look in (
         ("measured, mean", means.mean[:, 0], blue),
@@ -80,9 +90,14 @@ def _traces(panel: Panel, mechanism: Mechanism) -> Iterator[Spec]:
     ):
         across, up = _strokes(x, mean, wide) if few else (x, mean)  # where nothing rolls
         yield {
-            "type": "scatter", "mode": "lines", "name": name, "x": round_with_gaps(across), "y": round_with_gaps(up),
-            "line": look, "hovertemplate": "%{y:.2f} σ",
-        }  # fmt: skip
+            "type": "scatter",
+            "mode": "lines",
+            "name": name,
+            "x": round_with_gaps(across),
+            "y": round_with_gaps(up),
+            "line": look,
+            "hovertemplate": "%{y:.2f} σ",
+        }
 
 
 def _outline_band(x: np.ndarray, half: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -50,8 +50,9 @@ def smooth_map(found: SmoothMap) -> tuple[Spec, float] | None:
     drawn = _draw_arrows(found.places, found.field, scale, found.kind, np.arange(len(found.field)))
     layout = space(found.kind)
     if found.kind == "orientation":
-        layout["scene"] |= {f"{a}axis": {"title": {"text": f"joint {k}"}} for k, a in
-                            enumerate("xyz", 1)}  # fmt: skip
+        layout["scene"] |= {
+            f"{a}axis": {"title": {"text": f"joint {k}"}} for k, a in enumerate("xyz", 1)
+        }
     return {"data": drawn, "layout": layout}, scale
 
 
@@ -74,15 +75,29 @@ def _add_scale_arrow(
     x, y, z = (1e3 if kind == "position" else 1.0) * places.min(axis=0)
     long = (1e3 if kind == "position" else 1.0) * scale * size
     bar = {
-        "type": "scatter3d", "mode": "lines", "showlegend": False, "hoverinfo": "skip",
-        "x": round_values(np.array([x, x + long])), "y": round_values(np.array([y, y])),
-        "z": round_values(np.array([z, z])), "line": {"width": 8, "color": PATTERN},
-    }  # fmt: skip
-    words = {"x": x + long, "y": y, "z": z, "text": with_unit(size, SI[kind]), "showarrow": False,
-             "xanchor": "left", "xshift": 8}  # fmt: skip
+        "type": "scatter3d",
+        "mode": "lines",
+        "showlegend": False,
+        "hoverinfo": "skip",
+        "x": round_values(np.array([x, x + long])),
+        "y": round_values(np.array([y, y])),
+        "z": round_values(np.array([z, z])),
+        "line": {"width": 8, "color": PATTERN},
+    }
+    words = {
+        "x": x + long,
+        "y": y,
+        "z": z,
+        "text": with_unit(size, SI[kind]),
+        "showarrow": False,
+        "xanchor": "left",
+        "xshift": 8,
+    }
     layout = space(kind)
-    return {"data": [*traces, bar], "layout": layout | {"scene": layout["scene"] | {
-        "annotations": [words]}}}  # fmt: skip
+    return {
+        "data": [*traces, bar],
+        "layout": layout | {"scene": layout["scene"] | {"annotations": [words]}},
+    }
 
 
 def space(kind: str) -> Spec:

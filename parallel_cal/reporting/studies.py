@@ -46,22 +46,29 @@ def format_tolerances(found: Tolerances) -> str:
     ]
     rows = [
         (
-            one.name, *_tolerance(one), str(one.count),
+            one.name,
+            *_tolerance(one),
+            str(one.count),
             *(
                 text
                 for k in found.errors
-                for text in (_format_error(one.rms[k], k), format_fixed(_share(found, one, k), 100, 1))
+                for text in (
+                    _format_error(one.rms[k], k),
+                    format_fixed(_share(found, one, k), 100, 1),
+                )
             ),
             _format_error(one.halved[found.kind], found.kind),
         )
         for one in shown
-    ]  # fmt: skip
-    return "\n".join([
-        f"{robots} robots, {poses} poses each",
-        columns(("", *ERRORS), errors),
-        columns((*PARAMETER_COLUMNS, *header, "all, were it halved"), rows),
-        *remarks(found),
-    ])  # fmt: skip
+    ]
+    return "\n".join(
+        [
+            f"{robots} robots, {poses} poses each",
+            columns(("", *ERRORS), errors),
+            columns((*PARAMETER_COLUMNS, *header, "all, were it halved"), rows),
+            *remarks(found),
+        ]
+    )
 
 
 def _figures(found: Tolerances, kind: str) -> list[float]:
@@ -96,8 +103,8 @@ def remarks(found: Tolerances) -> Iterator[str]:
     whole, halved = (_format_error(v, kind) for v in (found.linear[kind], one.halved[kind]))
     yield (
         f"{what}, {' '.join(_tolerance(one))}, costs most: "
-        f"{format_fixed(_share(found, one, kind), 100, 0)} % of the squared {kind} error; held to half of "
-        f"it, {whole} {UNITS[kind][0]} would be {halved}"
+        f"{format_fixed(_share(found, one, kind), 100, 0)} % of the squared {kind} error; "
+        f"held to half of it, {whole} {UNITS[kind][0]} would be {halved}"
     )
     for kind in found.errors:
         if found.differs(kind):
@@ -139,23 +146,30 @@ def _bars(found: Tolerances, kind: str, plot: Plot) -> str:
     upwards = sorted(found.budget, key=lambda one: one.rms[kind])
     upwards = [one for one in upwards if _share(found, one, kind) > MIN_BUDGET_SHARE]
     bars: Spec = {
-        "type": "bar", "orientation": "h", "y": [escape(one.name) for one in upwards],
-        "x": [one.rms[kind] * factor for one in upwards], "marker": {"color": ACCENT},
+        "type": "bar",
+        "orientation": "h",
+        "y": [escape(one.name) for one in upwards],
+        "x": [one.rms[kind] * factor for one in upwards],
+        "marker": {"color": ACCENT},
         "text": [f"{number(_share(found, one, kind), 100, 2)} %" for one in upwards],
         "textposition": "auto",
         "hovertext": [
-            escape(f"{one.label or one.name}, {' '.join(_tolerance(one))}: "
-                   f"{with_unit(one.rms[kind], SI_UNITS[kind])}; all, were it halved: "
-                   f"{with_unit(one.halved[kind], SI_UNITS[kind])}")
+            escape(
+                f"{one.label or one.name}, {' '.join(_tolerance(one))}: "
+                f"{with_unit(one.rms[kind], SI_UNITS[kind])}; all, were it halved: "
+                f"{with_unit(one.halved[kind], SI_UNITS[kind])}"
+            )
             for one in upwards
         ],
         "hoverinfo": "text",
-    }  # fmt: skip
+    }
     across = f"{kind} error that it makes, rms [{unit}]; % of the squared error of all"
     layout = {
-        "height": 90 + 24 * len(upwards), "bargap": 0.3, "yaxis": {"dtick": 1},
+        "height": 90 + 24 * len(upwards),
+        "bargap": 0.3,
+        "yaxis": {"dtick": 1},
         "xaxis": {"title": {"text": across}},
-    }  # fmt: skip
+    }
     return plot({"data": [bars], "layout": layout})
 
 
@@ -166,22 +180,35 @@ def _distribution(found: Tolerances, kind: str, plot: Plot) -> str:
     *_, keep, budget = _figures(found, kind)
     traces: list[Spec] = [
         {
-            "type": "bar", "x": ((edges[1:] + edges[:-1]) / 2).tolist(), "y": count.tolist(),
-            "width": float(edges[1] - edges[0]), "marker": {"color": MEASURED}, "name": "robots",
+            "type": "bar",
+            "x": ((edges[1:] + edges[:-1]) / 2).tolist(),
+            "y": count.tolist(),
+            "width": float(edges[1] - edges[0]),
+            "marker": {"color": MEASURED},
+            "name": "robots",
             "hovertemplate": f"%{{x:.3g}} {unit}: %{{y}}<extra></extra>",
         }
-    ]  # fmt: skip
+    ]
     for name, at, colour in (("budget", budget, WARNING), ("95 % of robots", keep, QUIET)):
-        traces.append({
-            "type": "scatter", "mode": "lines", "name": name, "hoverinfo": "name",
-            "x": [at * factor] * 2, "y": [0, int(count.max())],
-            "line": {"color": colour, "width": 2},
-        })  # fmt: skip
+        traces.append(
+            {
+                "type": "scatter",
+                "mode": "lines",
+                "name": name,
+                "hoverinfo": "name",
+                "x": [at * factor] * 2,
+                "y": [0, int(count.max())],
+                "line": {"color": colour, "width": 2},
+            }
+        )
     layout = {
-        "height": 280, "showlegend": True, "legend": LEGEND, "margin": {"t": 40},
+        "height": 280,
+        "showlegend": True,
+        "legend": LEGEND,
+        "margin": {"t": 40},
         "xaxis": {"title": {"text": f"a robot's {kind} error, rms [{unit}]"}},
         "yaxis": {"title": {"text": "robots"}},
-    }  # fmt: skip
+    }
     return plot({"data": traces, "layout": layout})
 
 
@@ -194,11 +221,13 @@ def format_power(found: Power) -> str:
         for one in found.effects
         if not one.reason
     ]
-    return "\n".join([
-        f"{len(found.question.planned)} poses, {found.sessions} sessions",
-        *([columns(header, rows)] if rows else []),
-        *power_remarks(found),
-    ])  # fmt: skip
+    return "\n".join(
+        [
+            f"{len(found.question.planned)} poses, {found.sessions} sessions",
+            *([columns(header, rows)] if rows else []),
+            *power_remarks(found),
+        ]
+    )
 
 
 def _sizes(found: Power, one: Detectable) -> list[str]:
@@ -244,11 +273,14 @@ def power_page(found: Power) -> str:
     header = ("effect", "number", "unit", *SIZES, f"{found.kind} error 50 %", "error 90 %", "found")
     rows = [
         (
-            one.effect, one.number, error_unit(one.unit)[0], *_sizes(found, one),
+            one.effect,
+            one.number,
+            error_unit(one.unit)[0],
+            *_sizes(found, one),
             ", ".join(f"{size.found}/{size.sessions}" for size in one.tried),
         )
         for one in shown
-    ]  # fmt: skip
+    ]
     remarks_ = "".join(paragraph(sentence(text)) for text in power_remarks(found))
     parts = [
         section("What is found", _ranges(found, shown, drawn.plot) if shown else ""),
@@ -271,25 +303,40 @@ def _ranges(found: Power, shown: list[Detectable], plot: Plot) -> str:
     predicted = [one.predicted[1] * one.error_by_size * factor for one in upwards]
     traces: list[Spec] = [
         {
-            "type": "scatter", "mode": "lines", "x": [low, high], "y": [name, name],
-            "line": {"color": ACCENT, "width": 6}, "showlegend": False, "hoverinfo": "skip",
+            "type": "scatter",
+            "mode": "lines",
+            "x": [low, high],
+            "y": [name, name],
+            "line": {"color": ACCENT, "width": 6},
+            "showlegend": False,
+            "hoverinfo": "skip",
         }
-        for name, low, high in zip(names, half, mostly, strict=True) if high
-    ]  # fmt: skip
+        for name, low, high in zip(names, half, mostly, strict=True)
+        if high
+    ]
     for name, colour, symbol, values in (
-        ("found in 50 %", QUIET, "circle", half), ("found in 90 %", ACCENT, "circle", mostly),
+        ("found in 50 %", QUIET, "circle", half),
+        ("found in 90 %", ACCENT, "circle", mostly),
         ("predicted, 90 %", WARNING, "diamond-open", predicted),
-    ):  # fmt: skip
-        traces.append({
-            "type": "scatter", "mode": "markers", "name": name, "x": values, "y": names,
-            "marker": {"color": colour, "symbol": symbol, "size": 10},
-            "hovertemplate": f"%{{y}}: %{{x:.3g}} {unit}",
-        })  # fmt: skip
+    ):
+        traces.append(
+            {
+                "type": "scatter",
+                "mode": "markers",
+                "name": name,
+                "x": values,
+                "y": names,
+                "marker": {"color": colour, "symbol": symbol, "size": 10},
+                "hovertemplate": f"%{{y}}: %{{x:.3g}} {unit}",
+            }
+        )
     layout = {
-        "height": 120 + 24 * len(upwards), "showlegend": True, "legend": LEGEND,
+        "height": 120 + 24 * len(upwards),
+        "showlegend": True,
+        "legend": LEGEND,
         "margin": {"t": 40},
         "yaxis": {"dtick": 1, "categoryorder": "array", "categoryarray": names},
         "xaxis": {"type": "log", "title": {"text": f"{found.kind} error, rms [{unit}]"}},
-    }  # fmt: skip
+    }
     note = "What an effect does to the measured pose by itself, where sessions begin to find it."
     return paragraph(note, "note") + plot({"data": traces, "layout": layout})

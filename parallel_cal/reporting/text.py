@@ -28,7 +28,10 @@ from parallel_cal.reporting.readable import (
 )
 from parallel_cal.session.steps import Step
 
-CANDIDATES, SAMPLES, PATTERNS = 8, 10, 5  # that a person reads
+# that a person reads
+MAX_CANDIDATES = 8
+MAX_SAMPLES = 10
+MAX_PATTERNS = 5
 MIN_SHOWN_P_VALUE = 1e-99  # p-value: what is below says no more
 PATTERN_SIGNIFICANCE_LEVEL = 0.05  # of what errors go with
 
@@ -198,7 +201,7 @@ def format_comparison(comparison: Comparison) -> str:
 def _worst(comparison: Comparison) -> str:
     data, errors = comparison.dataset, comparison.errors
     norms = {kind: errors.norms(kind) for kind in ERRORS}
-    worst = comparison.worst_first[:SAMPLES]
+    worst = comparison.worst_first[:MAX_SAMPLES]
     shown = {
         "sample": [str(number) for number in data.numbers[worst]],
         "time [s]": [format_fixed(t, 1, 1) for t in data.time[worst]],
@@ -218,7 +221,7 @@ def _format_patterns(comparison: Comparison) -> Iterator[str]:
     """What the errors go with, beyond chance, and whether neighbours err alike."""
     rows = [
         (a.name, format_fixed(a.strength, 1, 1), f"{a.p_value:.2g}")
-        for a in comparison.residual_profiles[:PATTERNS]
+        for a in comparison.residual_profiles[:MAX_PATTERNS]
         if a.p_value < PATTERN_SIGNIFICANCE_LEVEL
     ]
     if rows:
@@ -232,7 +235,7 @@ def _format_patterns(comparison: Comparison) -> Iterator[str]:
         f"{format_fixed(worst.position_rms or worst.reading_rms, 1e6, 0)} um rms; "
         f"structure: p = {comparison.structure.p_value:.2g}"
     )
-    for one in comparison.odd_samples[:PATTERNS]:
+    for one in comparison.odd_samples[:MAX_PATTERNS]:
         at = format_fixed_vector(one.place, 1e3, 1)
         yield f"odd: sample {one.sample} at {at} mm, {one.sigmas:.1f} sigmas"
 
@@ -256,7 +259,7 @@ def format_diagnosis(diagnosis: Diagnosis) -> str:
 
 
 def _candidates(entries: tuple[Entry, ...]) -> Iterator[str]:
-    tested = [entry for entry in entries if entry.p_adjusted is not None][:CANDIDATES]
+    tested = [entry for entry in entries if entry.p_adjusted is not None][:MAX_CANDIDATES]
     header = ("effect", "p", "left out", "explains", "first pick", "not geometry", "confused with")
     yield columns(header, [_candidate(entry) for entry in tested])
     for entry in tested:
@@ -282,7 +285,7 @@ def _candidate(entry: Entry) -> tuple[str, ...]:
 
 
 def _odd(diagnosis: Diagnosis) -> Iterator[str]:
-    for one in diagnosis.odd_samples[:CANDIDATES]:
+    for one in diagnosis.odd_samples[:MAX_CANDIDATES]:
         yield (
             f"{one.label}: sample {one.sample} at {format_fixed_vector(one.place, 1e3, 1)} mm, "
             f"{one.time:.1f} s, {one.sigmas:.1f} sigmas, Cook's "

@@ -273,6 +273,6 @@ def _comparison(
         if new.position_rms and new.orientation_rms:
             verdict += " (position and orientation together)"
     return (
-        f"on the same samples the model in use errs by {format_errors(old)} {old_where}, this model by "
-        f"{format_errors(new)} {new_where}: {verdict}"
+        f"on the same samples the model in use errs by {format_errors(old)} {old_where}, "
+        f"this model by {format_errors(new)} {new_where}: {verdict}"
     )

@@ -40,7 +40,9 @@ from parallel_cal.study.tolerance import model_of
 Row = dict[str, Any]  # of a session, the JSON document of `diagnosed`
 HALF, MOSTLY = 0.5, 0.9
 STEP = 2**0.5  # from a size to the next
-MOST, LEAST = 5.0, 1 / 8  # tolerances rms, and share of the predicted size: none beyond is tried
+# tolerances rms, and share of the predicted size: none beyond is tried
+MAX_SIZE = 5.0
+MIN_SIZE_RATIO = 1 / 8
 DRAWS = 40  # of an effect's numbers, for the prediction
 CLEAN = 2  # times as many sessions without any effect as with one of a size
 MAX_SESSIONS_BYTES = 64 << 20  # bytes of sessions that are done
@@ -95,13 +97,17 @@ class Detectable:
     def document(self) -> dict[str, Any]:
         half, mostly = (self.smallest(share) for share in (HALF, MOSTLY))
         return {
-            "effect": self.effect, "reason": self.reason,
-            "number": self.number, "unit": self.unit, "tolerance": self.tolerance,
+            "effect": self.effect,
+            "reason": self.reason,
+            "number": self.number,
+            "unit": self.unit,
+            "tolerance": self.tolerance,
             "predicted": {"in_50": self.predicted[0], "in_90": self.predicted[1]},
-            "found_in_50": half and half.size, "found_in_90": mostly and mostly.size,
+            "found_in_50": half and half.size,
+            "found_in_90": mostly and mostly.size,
             "error_by_size": self.error_by_size,
             "tried": [vars(one) for one in self.tried],
-        }  # fmt: skip
+        }
 
 
 @dataclass(frozen=True)
@@ -130,14 +136,18 @@ class Power:
         model = model_of(self.question.model)
         return {
             "mechanism": model.mechanism.name,
-            "poses": len(self.question.planned), "noise": vars(model.noise),
-            "seed": self.question.seed, "error_kind": self.kind,
+            "poses": len(self.question.planned),
+            "noise": vars(model.noise),
+            "seed": self.question.seed,
+            "error_kind": self.kind,
             "effects": [one.document() for one in self.effects],
             "sessions": self.sessions,
-            "clean_sessions": self.clean, "false_alarms": dict(self.false_alarms),
-            "failed": [{k: row[k] for k in ("effect", "size", "number", "reason")}
-                       for row in self.failed],
-        }  # fmt: skip
+            "clean_sessions": self.clean,
+            "false_alarms": dict(self.false_alarms),
+            "failed": [
+                {k: row[k] for k in ("effect", "size", "number", "reason")} for row in self.failed
+            ],
+        }
 
 
 def power(
@@ -210,13 +220,13 @@ def power(
 
 def next_sizes(first: float, tried: Sequence[SizeResult]) -> list[float]:
     """The predicted size, then one larger, and one smaller, where the ones tried do not suffice."""
-    first = min(first, MOST)
+    first = min(first, MAX_SIZE)
     if not tried:
         return [_rounded(first)]
     low, high = tried[0], tried[-1]
     sizes = [_rounded(high.size * STEP)] if high.share < MOSTLY else []
     sizes += [_rounded(low.size / STEP)] if low.share >= HALF else []
-    return [size for size in sizes if LEAST * first <= size <= MOST * STEP]
+    return [size for size in sizes if MIN_SIZE_RATIO * first <= size <= MAX_SIZE * STEP]
 
 
 def _rounded(size: float) -> float:
@@ -231,12 +241,14 @@ def _summarise_sizes(effect: str, rows: Sequence[Row]) -> tuple[SizeResult, ...]
             by_size.setdefault(row["size"], []).append(row)
     return tuple(
         SizeResult(
-            size, len(some), sum(_is_found(row) for row in some),
+            size,
+            len(some),
+            sum(_is_found(row) for row in some),
             Counter(name for row in some if not _is_found(row) for name in row["effects"]),
             _rms([row["error"] for row in some if row["error"] is not None]),
         )
         for size, some in sorted(by_size.items())
-    )  # fmt: skip
+    )
 
 
 def _rms(values: Sequence[float]) -> float:
@@ -278,9 +290,13 @@ def predict_detectability(question: Question, one: Candidate, level: float) -> D
 
     number = has.table[int(np.flatnonzero(new)[0])]
     return Detectable(
-        one.name, "", number.name.removeprefix(f"{one.name}."), number.unit,
-        float(number.tolerance), (size(HALF), size(MOSTLY)),
-    )  # fmt: skip
+        one.name,
+        "",
+        number.name.removeprefix(f"{one.name}."),
+        number.unit,
+        float(number.tolerance),
+        (size(HALF), size(MOSTLY)),
+    )
 
 
 def _without(has: Model, new: np.ndarray) -> np.ndarray:

@@ -141,7 +141,13 @@ def diagnose_session(question: Question, one: PlantedEffect) -> dict[str, Any]:
             )
         except Exception as error:
             return row | FAILED | {"reason": reason(error)}
-    return to_json_value(row | {
-        "error": rms, "effects": found.effects, "swaps": found.swaps,
-        "verdict": found.verdict.word, "reason": "",
-    })  # fmt: skip
+    return to_json_value(
+        row
+        | {
+            "error": rms,
+            "effects": found.effects,
+            "swaps": found.swaps,
+            "verdict": found.verdict.word,
+            "reason": "",
+        }
+    )

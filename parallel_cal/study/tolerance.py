@@ -113,7 +113,10 @@ class Tolerances:
         robots, poses = self.errors[self.kind].shape
         return {
             "mechanism": self.model.mechanism.name,
-            "robots": robots, "poses": poses, "unreached": self.unreached, "seed": self.seed,
+            "robots": robots,
+            "poses": poses,
+            "unreached": self.unreached,
+            "seed": self.seed,
             "errors": {
                 kind: self.summary(kind)
                 | {"linear_rms": self.linear[kind], "linear_differs": self.differs(kind)}
@@ -121,20 +124,26 @@ class Tolerances:
             },
             "budget": [
                 {
-                    "parameters": one.name, "label": one.label, "count": one.count,
-                    "unit": one.unit, "tolerance": one.tolerance,
+                    "parameters": one.name,
+                    "label": one.label,
+                    "count": one.count,
+                    "unit": one.unit,
+                    "tolerance": one.tolerance,
                     "rms": dict(one.rms),
-                    "share": {kind: one.compute_fraction(self.linear, kind) for kind in self.errors},
+                    "share": {
+                        kind: one.compute_fraction(self.linear, kind) for kind in self.errors
+                    },
                     "rms_of_all_if_halved": dict(one.halved),
                 }
                 for one in self.budget
             ],
-            "calibrated": self.calibrated and {
+            "calibrated": self.calibrated
+            and {
                 "poses": self.planned,
                 "position_rms": self.calibrated.position_rms,
                 "orientation_rms": self.calibrated.orientation_rms,
             },
-        }  # fmt: skip
+        }
 
 
 def tolerances(
@@ -182,10 +191,14 @@ def tolerances(
     if np.isnan(norms).all():
         raise FitError(f"{model.mechanism.name}: no robot drawn from these tolerances can be moved")
     return Tolerances(
-        model, seed, {kind: norms[..., list(KINDS).index(kind)] for kind in kinds}, linear, budget,
+        model,
+        seed,
+        {kind: norms[..., list(KINDS).index(kind)] for kind in kinds},
+        linear,
+        budget,
         None if planned is None else expected_at(model, planned),
         0 if planned is None else len(planned),
-    )  # fmt: skip
+    )
 
 
 def find_varying_parameters(model: Model) -> np.ndarray:
@@ -229,9 +242,14 @@ def _budget(
             left = {k: float(np.sqrt(whole[k] ** 2 - 0.75 * part)) for k, part in parts.items()}
             strays = [p.tolerance for p in some]
             yield Share(
-                pattern, some[0].label, some[0].unit, (min(strays), max(strays)), len(some),
-                {kind: float(np.sqrt(part)) for kind, part in parts.items()}, left,
-            )  # fmt: skip
+                pattern,
+                some[0].label,
+                some[0].unit,
+                (min(strays), max(strays)),
+                len(some),
+                {kind: float(np.sqrt(part)) for kind, part in parts.items()},
+                left,
+            )
 
     first = next(iter(kinds))
     return whole, tuple(sorted(shares(), key=lambda share: -share.rms[first]))

@@ -154,9 +154,12 @@ class Bench:
         before = self.session.state.number
         try:
             done: Done = self._worker.work(
-                function, self.session.folder, *given, tell=self._on_progress,
+                function,
+                self.session.folder,
+                *given,
+                tell=self._on_progress,
                 wanted=lambda: not self._cancelled,
-            )  # fmt: skip
+            )
             self.message, self.question = done.message, done.question
         except WorkCancelled:
             self.message = "cancelled"

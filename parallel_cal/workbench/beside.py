@@ -27,17 +27,28 @@ class BranchComparison:
         with ui.dialog(value=True).props("maximized") as dialog, ui.card():
             ui.label("Branches side by side").classes("text-lg font-bold")
             rows = [
-                {"branch": name, "step": s.step, "out": len(s.excluded), "verdict": s.verdict,
-                 "after": format_first_error(s.errors), "noise": format_first_error(s.noise)}
+                {
+                    "branch": name,
+                    "step": s.step,
+                    "out": len(s.excluded),
+                    "verdict": s.verdict,
+                    "after": format_first_error(s.errors),
+                    "noise": format_first_error(s.noise),
+                }
                 for name, s in states.items()
-            ]  # fmt: skip
+            ]
             table(
-                [("branch", "branch"), ("step", "last step"), ("after", "left out"),
-                 ("noise", "noise alone"), ("out", "samples left out"),
-                 ("verdict", "verdict")],
+                [
+                    ("branch", "branch"),
+                    ("step", "last step"),
+                    ("after", "left out"),
+                    ("noise", "noise alone"),
+                    ("out", "samples left out"),
+                    ("verdict", "verdict"),
+                ],
                 rows,
                 "branch",
-            )  # fmt: skip
+            )
             with ui.row().classes("w-full no-wrap max-lg:flex-wrap"):
                 self.plots = self._plots(fields) if fields else []
             for name in sorted(set(states) - set(fields)):

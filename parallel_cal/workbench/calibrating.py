@@ -82,9 +82,11 @@ class CampaignCard:
                 self.begin = ui.button("Calibrate", on_click=self._begin).props("dense")
             self.going = ui.label("It is at it: Pause and STOP are at the top of the page.")
             figure = make_chart(
-                {"title": {"text": "poses measured"}, "rangemode": "tozero"}, "error [µm]",
-                mode="lines+markers", marker={"color": MEASURED, "size": 6},
-            )  # fmt: skip
+                {"title": {"text": "poses measured"}, "rangemode": "tozero"},
+                "error [µm]",
+                mode="lines+markers",
+                marker={"color": MEASURED, "size": 6},
+            )
             self.chart = draw_figure(figure, "error at poses that no fit saw, over poses")
 
     def show(self, told: dict[str, Any]) -> None:

@@ -98,9 +98,15 @@ class ResidualsCard:
         """A point of every sample, in the samples' order."""
         numbers = [s["sample"] for s in self.view["samples"]]
         return {
-            "type": "scatter", "mode": "markers", "x": x, "y": y, "marker": marker,
-            "text": [f"sample {n}" for n in numbers], "customdata": numbers, "showlegend": False,
-        }  # fmt: skip
+            "type": "scatter",
+            "mode": "markers",
+            "x": x,
+            "y": y,
+            "marker": marker,
+            "text": [f"sample {n}" for n in numbers],
+            "customdata": numbers,
+            "showlegend": False,
+        }
 
 
 def _offer(select: Any, names: list[str]) -> None:

@@ -16,9 +16,15 @@ POLL_INTERVAL_S = 1.0  # s between two looks at the nodes
 ERROR_WINDOW_S = 60  # s of errors that are shown
 MARKS = {"ok": "✓", "warn": "!", "error": "✗", "stale": "?"}  # colour alone tells nothing
 COLUMNS = {
-    "level": "", "node": "node", "what": "what", "rate": "rate [Hz]", "received": "received",
-    "lost": "lost", "late": "p99 [ms]", "said": "says",
-}  # fmt: skip
+    "level": "",
+    "node": "node",
+    "what": "what",
+    "rate": "rate [Hz]",
+    "received": "received",
+    "lost": "lost",
+    "late": "p99 [ms]",
+    "said": "says",
+}
 
 
 class LiveCard:
@@ -40,9 +46,11 @@ class LiveCard:
             self.warnings = ui.label().classes("text-sm").style(f"color: {COLOURS['amber']}")
             self.streams = table([*COLUMNS.items()], [], "name").props("aria-label=streams")
             figure = make_chart(
-                {"title": {"text": "s ago"}, "range": [-ERROR_WINDOW_S, 0]}, "error [µm]",
-                mode="markers", marker={"color": MEASURED, "size": 4},
-            )  # fmt: skip
+                {"title": {"text": "s ago"}, "range": [-ERROR_WINDOW_S, 0]},
+                "error [µm]",
+                mode="markers",
+                marker={"color": MEASURED, "size": 4},
+            )
             self.error = ui.label().classes("text-sm").props("id=live-error")
             self.chart = draw_figure(figure, "error of the poses measured, over time")
             self.dropped = ui.expansion("nothing was dropped").classes("w-full")
@@ -64,10 +72,13 @@ class LiveCard:
         self.take.set_enabled(bool(count) and not self.bench.busy)
         self.warnings.set_text("; ".join(samples.get("warnings", [])))
         self.streams.rows = [
-            {**{k: s.get(k, "") for k in COLUMNS}, "name": f"{s['node']} {s['what']}",
-             "level": f"{MARKS[s['level']]} {s['level']}"}
+            {
+                **{k: s.get(k, "") for k in COLUMNS},
+                "name": f"{s['node']} {s['what']}",
+                "level": f"{MARKS[s['level']]} {s['level']}",
+            }
             for s in told["streams"]
-        ]  # fmt: skip
+        ]
         self.streams.update()
         self._draw_errors(told["errors"])
         self._list_dropped(told["dropped"])

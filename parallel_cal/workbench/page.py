@@ -34,7 +34,9 @@ EMPTY = (
 )
 PRIORS = {None: "where the data tell less", True: "throughout", False: "nowhere"}
 PLACE, TURN = ("x", "y", "z"), ("qx", "qy", "qz", "qw")  # columns of planned poses
-POLL, FOLLOW = 0.05, 0.3  # s between looks at the bench, and at the disk for what others did there
+# s between looks at the bench, and at the disk for what others did there
+POLL_INTERVAL_S = 0.05
+REFRESH_INTERVAL_S = 0.3
 
 
 def build(bench: Bench) -> None:
@@ -65,8 +67,8 @@ class Window:
             self.body = ui.column().classes("w-full gap-4")
         self.layer = ui.element()  # dialogs stay while the body is drawn anew
         self._draw()
-        ui.timer(POLL, self._poll)
-        ui.timer(FOLLOW, bench.follow)
+        ui.timer(POLL_INTERVAL_S, self._poll)
+        ui.timer(REFRESH_INTERVAL_S, bench.follow)
 
     def _poll(self) -> None:
         if self.version != self.bench.version:
@@ -162,11 +164,16 @@ class Window:
                 for state in session.history()
             ]
             table(
-                [("step", "step"), ("before", "left out, before"), ("after", "after"),
-                 ("out", "samples left out"), ("verdict", "verdict")],
+                [
+                    ("step", "step"),
+                    ("before", "left out, before"),
+                    ("after", "after"),
+                    ("out", "samples left out"),
+                    ("verdict", "verdict"),
+                ],
                 rows,
                 "history",
-            )  # fmt: skip
+            )
             with ui.row().classes("items-center"):
                 ui.select(
                     list(session.record.branches),
@@ -182,16 +189,24 @@ class Window:
                     ui.button("Compare", on_click=self._compare).props("dense outline")
             if len(session.record.branches) > 1:
                 beside = [
-                    {"branch": k, "step": s.step, "after": format_first_error(s.errors),
-                     "out": len(s.excluded)}
+                    {
+                        "branch": k,
+                        "step": s.step,
+                        "after": format_first_error(s.errors),
+                        "out": len(s.excluded),
+                    }
                     for k, s in session.compared().items()
-                ]  # fmt: skip
+                ]
                 table(
-                    [("branch", "branch"), ("step", "last step"), ("after", "left out"),
-                     ("out", "samples left out")],
+                    [
+                        ("branch", "branch"),
+                        ("step", "last step"),
+                        ("after", "left out"),
+                        ("out", "samples left out"),
+                    ],
                     beside,
                     "branches",
-                )  # fmt: skip
+                )
 
     def _compare(self) -> None:
         from parallel_cal.workbench.beside import BranchComparison  # NumPy, only for this
@@ -205,13 +220,18 @@ class Window:
         bench = self.bench
         with card("Samples"):
             self.table = table(
-                [("sample", "sample"), ("time", "time [s]"), ("error", "error [µm]"),
-                 ("sigmas", "residual [sigmas]"), ("odd", "odd")],
+                [
+                    ("sample", "sample"),
+                    ("time", "time [s]"),
+                    ("error", "error [µm]"),
+                    ("sigmas", "residual [sigmas]"),
+                    ("odd", "odd"),
+                ],
                 view["samples"],
                 "sample",
                 selection="multiple",
                 pagination={"rowsPerPage": 8, "sortBy": "sigmas", "descending": True},
-            )  # fmt: skip
+            )
             self.table.on_select(
                 lambda e: self.marking.mark({row["sample"] for row in e.selection})
             )
@@ -264,13 +284,19 @@ class Window:
         bench = self.bench
         with card("Parameters"):
             rows = table(
-                [("name", "parameter"), ("what", "what it is"), ("value", "value"),
-                 ("sigma", "sigma"), ("unit", "unit"), ("moved", "moved [tolerances]")],
+                [
+                    ("name", "parameter"),
+                    ("what", "what it is"),
+                    ("value", "value"),
+                    ("sigma", "sigma"),
+                    ("unit", "unit"),
+                    ("moved", "moved [tolerances]"),
+                ],
                 view["parameters"],
                 "name",
                 selection="multiple",
                 pagination=12,
-            )  # fmt: skip
+            )
             with ui.row().classes("items-center"):
                 for words, fix in (("Hold marked", True), ("Free marked", False)):
                     chosen = partial(self._choose, rows, fix)
@@ -342,7 +368,9 @@ class Window:
         poses = [[1e3 * float(row[k]) for k in PLACE] for row in rows]
         traces = [
             {
-                "type": "scatter3d", "mode": "markers", "name": name,
+                "type": "scatter3d",
+                "mode": "markers",
+                "name": name,
                 **{k: [p[i] for p in places] for i, k in enumerate("xyz")},
                 "marker": {"size": size, "color": colour},
             }
@@ -350,7 +378,7 @@ class Window:
                 ("measured", view["residuals"]["place"], 2, QUIET),
                 ("planned", poses, 5, PATTERN),
             )
-        ]  # fmt: skip
+        ]
         axes = {f"{k}axis": {"title": {"text": f"{k} [mm]"}} for k in "xyz"}
         layout = {"height": 380, "margin": FIGURE_MARGIN, "scene": axes}
         draw_figure({"data": traces, "layout": layout}, "planned poses among those measured")

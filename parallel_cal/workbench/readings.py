@@ -21,14 +21,28 @@ def signals(folder: Path, sample: int) -> dict[str, Any]:
     except ParallelCalError as error:
         return {"words": str(error)}
     traces = [
-        {"type": "scatter", "mode": "lines", "name": name, "x": found.time.round(4),
-         "y": (1e6 * q).round(2), "xaxis": "x", "yaxis": "y"}
+        {
+            "type": "scatter",
+            "mode": "lines",
+            "name": name,
+            "x": found.time.round(4),
+            "y": (1e6 * q).round(2),
+            "xaxis": "x",
+            "yaxis": "y",
+        }
         for name, q in zip(found.joint_names, found.joints.T, strict=True)
     ] + [
-        {"type": "scatter", "mode": "lines+markers", "name": name, "x": found.pose_time.round(4),
-         "y": (1e6 * r).round(2), "xaxis": "x", "yaxis": "y2"}
+        {
+            "type": "scatter",
+            "mode": "lines+markers",
+            "name": name,
+            "x": found.pose_time.round(4),
+            "y": (1e6 * r).round(2),
+            "xaxis": "x",
+            "yaxis": "y2",
+        }
         for name, r in zip("xyz", found.position.T, strict=True)
-    ]  # fmt: skip
+    ]
     # What stands still must be seen: the motion before and after goes out of the picture.
     inside = np.abs(found.time) < found.duration / 2
     placed = np.abs(found.pose_time) < found.duration / 2
@@ -37,16 +51,32 @@ def signals(folder: Path, sample: int) -> dict[str, Any]:
         for values in (found.joints[inside], found.position[placed])
     ]
     half = found.duration / 2
-    dwell = {"type": "rect", "xref": "x", "yref": "paper", "x0": -half, "x1": half, "y0": 0,
-             "y1": 1, "fillcolor": QUIET, "opacity": 0.15, "line": {"width": 0}}  # fmt: skip
+    dwell = {
+        "type": "rect",
+        "xref": "x",
+        "yref": "paper",
+        "x0": -half,
+        "x1": half,
+        "y0": 0,
+        "y1": 1,
+        "fillcolor": QUIET,
+        "opacity": 0.15,
+        "line": {"width": 0},
+    }
     layout = {
         "height": 460,
         "margin": {"t": 8, "r": 12, "l": 64, "b": 40},
         "xaxis": {"title": {"text": "s from the middle of the dwell"}, "anchor": "y2"},
-        "yaxis": {"domain": [0.54, 1], "range": [-ranges[0], ranges[0]],
-                  "title": {"text": "joints − sample [µrad or µm]"}},
-        "yaxis2": {"domain": [0, 0.46], "range": [-ranges[1], ranges[1]],
-                   "title": {"text": "measured − sample [µm]"}},
+        "yaxis": {
+            "domain": [0.54, 1],
+            "range": [-ranges[0], ranges[0]],
+            "title": {"text": "joints − sample [µrad or µm]"},
+        },
+        "yaxis2": {
+            "domain": [0, 0.46],
+            "range": [-ranges[1], ranges[1]],
+            "title": {"text": "measured − sample [µm]"},
+        },
         "shapes": [dwell],
-    }  # fmt: skip
+    }
     return {"figure": to_json_value({"data": traces, "layout": layout})}

@@ -81,7 +81,14 @@ def serve(
     build(bench)
     app.add_middleware(Guard, hosts=(*LOOPBACK, host), token=token)
     ui.run(
-        host=host, port=port, show=show, reload=False, title="parallel-cal", favicon="📐",
-        show_welcome_message=False, dark=None, reconnect_timeout=RECONNECT_TIMEOUT_S,
+        host=host,
+        port=port,
+        show=show,
+        reload=False,
+        title="parallel-cal",
+        favicon="📐",
+        show_welcome_message=False,
+        dark=None,
+        reconnect_timeout=RECONNECT_TIMEOUT_S,
         uvicorn_logging_level="warning",
-    )  # fmt: skip
+    )

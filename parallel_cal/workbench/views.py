@@ -173,8 +173,10 @@ def _verdict(found: Report) -> View:
     if verdict.word == "explained":
         count = "one effect" if len(effects) == 1 else f"{len(effects)} effects"
         return {"colour": AMBER, "words": f"{count} missing: {verdict.summary}"}
-    return {"colour": AMBER if verdict.word in AMBER_VERDICTS else GREY,
-            "words": f"{verdict.word.replace('_', ' ')}: {verdict.summary}"}  # fmt: skip
+    return {
+        "colour": AMBER if verdict.word in AMBER_VERDICTS else GREY,
+        "words": f"{verdict.word.replace('_', ' ')}: {verdict.summary}",
+    }
 
 
 def _tile(
@@ -212,8 +214,12 @@ def _arrows(residuals: contents.Residuals) -> View | None:
     figure, scale = spaces.residual_arrows(
         residuals.place, [residuals.now], residuals.kind, residuals.sample
     )
-    field = {"kind": residuals.kind, "places": residuals.place, "vectors": residuals.now,
-             "numbers": residuals.sample}  # fmt: skip
+    field = {
+        "kind": residuals.kind,
+        "places": residuals.place,
+        "vectors": residuals.now,
+        "numbers": residuals.sample,
+    }
     return to_json_value({"figure": figure, "scale": scale, "field": field})
 
 
@@ -292,9 +298,10 @@ def _candidate(entry: Entry, found: Report) -> View:
     kind = next(iter(found.errors.kinds), "joint")
     unit, factor = error_unit(unit_of(kind, found.provenance.joint_units))
     alone, effect = entry.alone, entry.candidate.effect
-    fall = "" if alone is None else (
-        f"{number(alone.before.rms(kind), factor)} → {number(alone.after.rms(kind), factor)} {unit}"
-    )  # fmt: skip
+    fall = ""
+    if alone is not None:
+        before, after = alone.before.rms(kind), alone.after.rms(kind)
+        fall = f"{number(before, factor)} → {number(after, factor)} {unit}"
     return {
         "name": entry.name,
         "found": entry.name in found.diagnosis.effects,

@@ -25,7 +25,9 @@ N_UNREACHABLE_POSES = 20  # so many poses lie out of reach,
 JOINT_DISAGREEMENT_SIGMA = (
     1e-5  # rad or m, 1 sigma, by which joints disagree where there are more than coordinates
 )
-ROUNDING, SAME = 1e-9, 1e-3  # m that a pose is moved, rad or m that its joints then may
+# m that a pose is moved, rad or m that its joints then may
+POSE_PERTURBATION_M = 1e-9
+MAX_JOINT_CHANGE = 1e-3
 UNREACHABLE_DISTANCE_FACTOR = 10.0  # by this times the mechanism's length (1 sigma)
 
 
@@ -51,8 +53,8 @@ def vectors(model: Model, poses: int) -> str:
     inverse = kinematics.inverse(r, turned, at)
     # An arm's search from home may end on another branch by the last digit: no two programs agree
     # there, and such poses are no test.
-    near = kinematics.inverse(r + ROUNDING, turned, at)
-    steady = np.isclose(near.joints, inverse.joints, rtol=0, atol=SAME).all(axis=1)
+    near = kinematics.inverse(r + POSE_PERTURBATION_M, turned, at)
+    steady = np.isclose(near.joints, inverse.joints, rtol=0, atol=MAX_JOINT_CHANGE).all(axis=1)
     steady = (steady | ~inverse.solved) & (near.status == inverse.status)
     home = np.array(model.mechanism.home.joints)
     q = np.where(inverse.ok[:, None], inverse.joints, home)

@@ -30,9 +30,13 @@ from parallel_cal.model.model import Model
 
 PROBLEMS = ("direct", "inverse")
 HELPERS = {
-    "casadi_real": "double", "casadi_sq": "square", "casadi_sign": "sign", "casadi_fabs": "fabs",
-    "casadi_fmax": "fmax", "casadi_fmin": "fmin",
-}  # fmt: skip
+    "casadi_real": "double",
+    "casadi_sq": "square",
+    "casadi_sign": "sign",
+    "casadi_fabs": "fabs",
+    "casadi_fmax": "fmax",
+    "casadi_fmin": "fmin",
+}
 MAKEFILE = """# Checks @robot@.c against @robot@_vectors.csv, Python's answers.
 CFLAGS = -std=c99 -O2 -Wall -Wextra -Werror
 
@@ -85,26 +89,45 @@ def _words(model: Model, robot: str) -> dict[str, str]:
         for c, full, neutral in zip(names, model.conditions, s.neutral, strict=True)
     ]
     words: dict[str, Any] = {
-        "robot": robot, "ROBOT": robot.upper(), "version": __version__, "hash": model_hash(model),
+        "robot": robot,
+        "ROBOT": robot.upper(),
+        "version": __version__,
+        "hash": model_hash(model),
         "what": ", ".join([m.name, *(effect.name for effect in model.effects)]),
-        "joints": ", ".join(model.joints), "units": ", ".join(dict.fromkeys(m.joint_units)),
-        "controls": " ".join(m.controls), "n_joints": n, "rows": s.phi.shape[0],
-        "n_conditions": len(names), "most": max(s.phi.shape[0], *map(len, unknown), n, 6),
-        "constants": max(constants), "effects": int(bool(model.effects)),
-        "closed": MAX_CLOSED_RESIDUAL_M, "settled": MAX_SETTLED_STEP_M, "singular": MIN_REGULAR_SINGULAR_VALUE, "suspect": SUSPECT_PIVOT,
-        "home": _list(m.home.configuration), "scale": _list(s.scale), "low": _list(limits[0]),
-        "high": _list(limits[1]), "turn": _list(m.joint_periods), "neutral": _list(s.neutral or [0.0]),
+        "joints": ", ".join(model.joints),
+        "units": ", ".join(dict.fromkeys(m.joint_units)),
+        "controls": " ".join(m.controls),
+        "n_joints": n,
+        "rows": s.phi.shape[0],
+        "n_conditions": len(names),
+        "most": max(s.phi.shape[0], *map(len, unknown), n, 6),
+        "constants": max(constants),
+        "effects": int(bool(model.effects)),
+        "closed": MAX_CLOSED_RESIDUAL_M,
+        "settled": MAX_SETTLED_STEP_M,
+        "singular": MIN_REGULAR_SINGULAR_VALUE,
+        "suspect": SUSPECT_PIVOT,
+        "home": _list(m.home.configuration),
+        "scale": _list(s.scale),
+        "low": _list(limits[0]),
+        "high": _list(limits[1]),
+        "turn": _list(m.joint_periods),
+        "neutral": _list(s.neutral or [0.0]),
         "generated": _generate_functions(model, newton),
         "conditions": "\n".join(fields or ["    double none; /* the model needs none */"]),
         "copied": _lines(f"a[{k}] = at->{c};" for k, c in enumerate(names or ["none"])),
         "read": _lines((f"now.{c} = row[{2 + k}];" for k, c in enumerate(names)), 8),
         "given": _lines(_generate_copy("given", "", m.controlled)),
         "passive": _lines(_generate_copy("x", "start->", m.passive), 8),
-    }  # fmt: skip
+    }
     for problem, u, g, c in zip(PROBLEMS, unknown, given, constants, strict=True):
-        words |= {f"unknown_{problem}": _list(u), f"n_{problem}": len(u),
-                  f"given_{problem}": _list(g), f"g_{problem}": len(g),
-                  f"constants_{problem}": c}  # fmt: skip
+        words |= {
+            f"unknown_{problem}": _list(u),
+            f"n_{problem}": len(u),
+            f"given_{problem}": _list(g),
+            f"g_{problem}": len(g),
+            f"constants_{problem}": c,
+        }
     return {key: str(value) for key, value in words.items()}
 
 

@@ -46,11 +46,18 @@ def files(model: Model, name: str = "") -> dict[str, str]:
     factors = [MM if unit == "m" else DEGREE for unit in m.joint_units]
     text = c.fill_template(
         tool.read_text(encoding="utf-8"),
-        {"robot": robot, "ROBOT": robot.upper(), "factors": ", ".join(map(repr, factors)),
-         "turns": str(int(any(i >= 3 for i in m.controlled)))},
-    )  # fmt: skip
-    return {f"{robot}.h": made[f"{robot}.h"], f"{robot}.c": made[f"{robot}.c"],
-            f"{robot}_kins.c": text}  # fmt: skip
+        {
+            "robot": robot,
+            "ROBOT": robot.upper(),
+            "factors": ", ".join(map(repr, factors)),
+            "turns": str(int(any(i >= 3 for i in m.controlled))),
+        },
+    )
+    return {
+        f"{robot}.h": made[f"{robot}.h"],
+        f"{robot}.c": made[f"{robot}.c"],
+        f"{robot}_kins.c": text,
+    }
 
 
 def settings(paths: Sequence[Path]) -> Settings:
@@ -68,8 +75,9 @@ def firmware(stated: Settings) -> Firmware:
     if "rotarydeltakins.thighlength" in stated:
         size = {short: _pin(stated, f"rotarydeltakins.{pin}") for pin, short in ROTARY_PINS.items()}
         limits = tuple((-np.pi / 2, -float(top)) for top in _read_homed(stated, 3, DEGREE))
-        return Shoulders(size["R"] - size["E"], 0 * same, size["U"] * same, size["L"] * same,
-                         SHOULDERS, limits)  # fmt: skip
+        return Shoulders(
+            size["R"] - size["E"], 0 * same, size["U"] * same, size["L"] * same, SHOULDERS, limits
+        )
     stated.text(f"{HEXAPOD}.base.0.x", "pins of genhexkins, lineardeltakins or rotarydeltakins")
     base, platform = (
         np.array([[_pin(stated, f"{HEXAPOD}.{ends}.{k}.{a}") for a in "xyz"] for k in range(6)])

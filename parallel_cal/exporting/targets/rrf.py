@@ -77,10 +77,14 @@ def _rotary(model: Model) -> Projection:
     least = c.frame.motors(limits[:, 0] if c.frame.signs[0] > 0 else limits[:, 1]).max()
     top = delta.homed.mean()
     trim = (delta.angles - TOWERS + np.pi) % (2 * np.pi) - np.pi
-    found = {"M669 K": "10", "M669 U": _numbers(delta.arms / MM, 4),
-             "M669 L": _numbers(delta.rods / MM, 4), "M669 H": _numbers(delta.heights / MM, 4),
-             "M669 A": _numbers([max(least, -np.pi / 2) / DEGREE, top / DEGREE], 5),
-             "M669 R": _numbers([delta.radius / MM], 4)}  # fmt: skip
+    found = {
+        "M669 K": "10",
+        "M669 U": _numbers(delta.arms / MM, 4),
+        "M669 L": _numbers(delta.rods / MM, 4),
+        "M669 H": _numbers(delta.heights / MM, 4),
+        "M669 A": _numbers([max(least, -np.pi / 2) / DEGREE, top / DEGREE], 5),
+        "M669 R": _numbers([delta.radius / MM], 4),
+    }
     found |= _format_three("M669", trim / DEGREE, 5) | _format_three(
         "M666", (delta.homed - top) / DEGREE, 5
     )
@@ -100,8 +104,10 @@ def _five_bar(model: Model) -> Projection:
     left = np.sign(np.cos(angles) * way[:, 1] - np.sin(angles) * way[:, 0])
     turns = (int(left[0]), int(left[1]))
     if turns not in TURNS.values():
-        raise ModelError("rrf: no work mode for a left crank with the point to its left and a "
-                         "right one with it to its right")  # fmt: skip
+        raise ModelError(
+            "rrf: no work mode for a left crank with the point to its left and a "
+            "right one with it to its right"
+        )
 
     def machine(v: np.ndarray) -> Machine:
         bars = FiveBars(v[:4].reshape(2, 2), v[4:6], v[6:8], turns, v[8:])
@@ -114,11 +120,15 @@ def _five_bar(model: Model) -> Projection:
     mode = next(mode for mode, side in TURNS.items() if side == turns)
     ends = np.array(model.mechanism.joint_limits) + (bars.homed - stops)[:, None]
     settings = {
-        "M669 K": "9", "M669 X": _numbers(bars.axes[:, 0] / MM, 4),
-        "M669 Y": _numbers(bars.axes[:, 1] / MM, 4), "M669 L": str(mode),
-        "M669 P": _numbers(bars.cranks / MM, 4), "M669 D": _numbers(bars.rods / MM, 4) + ":0:0",
-        "M669 B": _numbers(bars.homed / DEGREE, 5), "M669 C": _numbers(ends.ravel() / DEGREE, 3),
-    }  # fmt: skip
+        "M669 K": "9",
+        "M669 X": _numbers(bars.axes[:, 0] / MM, 4),
+        "M669 Y": _numbers(bars.axes[:, 1] / MM, 4),
+        "M669 L": str(mode),
+        "M669 P": _numbers(bars.cranks / MM, 4),
+        "M669 D": _numbers(bars.rods / MM, 4) + ":0:0",
+        "M669 B": _numbers(bars.homed / DEGREE, 5),
+        "M669 C": _numbers(ends.ravel() / DEGREE, 3),
+    }
     return Projection({FILE: settings}, found.frame, found.stops)
 
 
@@ -154,11 +164,13 @@ def _cable(model: Model) -> Projection:
     points = zip(ANCHORS, lines.anchors / MM, strict=False)
     settings |= {f"M669 {name}": _numbers(point, 4) for name, point in points}
     settings |= {
-        "M666 Q": f"{lines.buildup / MM:.7f}", "M666 R": _numbers(lines.radii / MM, 5),
-        "M666 U": _numbers(advantages, 0), "M666 O": ":".join("1" * n),
+        "M666 Q": f"{lines.buildup / MM:.7f}",
+        "M666 R": _numbers(lines.radii / MM, 5),
+        "M666 U": _numbers(advantages, 0),
+        "M666 O": ":".join("1" * n),
         "M666 L": ":".join(str(motor) for motor, _ in teeth),
         "M666 H": ":".join(str(spool) for _, spool in teeth),
-    }  # fmt: skip
+    }
     remarks = []
     if lines.buildup == MIN_BUILDUP_M:
         remarks.append(f"M666 Q is not below {MIN_BUILDUP_M / MM:g}, as the firmware divides by it")

@@ -35,7 +35,8 @@ def files(
     if size**given > MAX_GRID_POINTS:
         fits = int(MAX_GRID_POINTS ** (1 / given))
         raise ModelError(
-            f"{given} axes at size={size} are {size**given} grid points, at most {MAX_GRID_POINTS}: "
+            f"{given} axes at size={size} are {size**given} grid points, "
+            f"at most {MAX_GRID_POINTS}: "
             f"give table:size={fits} or less, or another target, c for one"
         )
     table = lookup_table.table_for(model, problem, None, size, order)

@@ -13,9 +13,12 @@ from parallel_cal.exporting.tree import Joint, Segment, Tree, tree_of
 from parallel_cal.model.model import Model
 
 COLOURS = {
-    "base": "0.35 0.35 0.38 1", "axis": "0.85 0.65 0.13 1", "driven": "0.80 0.35 0.10 1",
-    "rod": "0.10 0.45 0.70 1", "platform": "0.15 0.60 0.35 1",
-}  # fmt: skip
+    "base": "0.35 0.35 0.38 1",
+    "axis": "0.85 0.65 0.13 1",
+    "driven": "0.80 0.35 0.10 1",
+    "rod": "0.10 0.45 0.70 1",
+    "platform": "0.15 0.60 0.35 1",
+}
 THICKNESS = 0.008  # of a link, in parts of the drawing's extent
 UNLIMITED = 1e3  # m: the limit of what has none
 

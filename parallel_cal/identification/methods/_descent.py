@@ -16,7 +16,11 @@ from parallel_cal.identification.methods._estimate import (
     make_estimate,
 )
 from parallel_cal.identification.observations import Observations
-from parallel_cal.identification.thresholds import MAX_DIRECTION_CHOICES, PATIENCE, STALLED
+from parallel_cal.identification.thresholds import (
+    MAX_DIRECTION_CHOICES,
+    STALLED_GAIN,
+    STALLED_ITERATIONS,
+)
 from parallel_cal.model.model import Model
 
 # The system at parameters that lie a step (n_free,) from those of the system before (None at the
@@ -123,7 +127,10 @@ def minimise(
 def _stalled(costs: list[float]) -> bool:
     """Whether the last steps gained nothing worth mentioning: the minimum is reached, however
     far it extends."""
-    return len(costs) > PATIENCE and costs[-PATIENCE - 1] - costs[-1] < STALLED * costs[-1]
+    return (
+        len(costs) > STALLED_ITERATIONS
+        and costs[-STALLED_ITERATIONS - 1] - costs[-1] < STALLED_GAIN * costs[-1]
+    )
 
 
 def make_estimate_at(

@@ -10,7 +10,11 @@ from parallel_cal.identification.methods._descent import PredictedSystem, check_
 from parallel_cal.identification.methods._estimate import Estimate, EstimationProblem
 from parallel_cal.identification.observations import Observations
 from parallel_cal.identification.prior import Prior
-from parallel_cal.identification.thresholds import NEAR_DIRECT, NEAR_INVERSE, NEWTON_STEP
+from parallel_cal.identification.thresholds import (
+    MIN_DIRECT_SINGULAR_VALUE_RATIO,
+    MIN_INVERSE_SINGULAR_VALUE_RATIO,
+    NEWTON_STEP,
+)
 from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.mechanism import POSE
 from parallel_cal.model.model import Model
@@ -39,7 +43,9 @@ class Prediction:
         self._model, self._free = model, free
         self._scale = model.structure.scale[self.unknown]
         self._use_observations(observations)
-        used = self._regular(NEAR_DIRECT if direct else NEAR_INVERSE)
+        used = self._regular(
+            MIN_DIRECT_SINGULAR_VALUE_RATIO if direct else MIN_INVERSE_SINGULAR_VALUE_RATIO
+        )
         if not used.any():
             raise FitError("the starting model solves no sample: is it of the right robot?")
         self._use_observations(observations.select(used))

@@ -18,10 +18,17 @@ Monomial = tuple[str, ...]  # atoms, sorted, repeated for powers; () is 1
 Polynomial = dict[Monomial, Any]
 
 PLAIN = {
-    ca.OP_SIN: ca.sin, ca.OP_COS: ca.cos, ca.OP_TAN: ca.tan, ca.OP_SQRT: ca.sqrt,
-    ca.OP_ACOS: ca.acos, ca.OP_ASIN: ca.asin, ca.OP_ATAN: ca.atan, ca.OP_EXP: ca.exp,
-    ca.OP_LOG: ca.log, ca.OP_FABS: ca.fabs,
-}  # fmt: skip
+    ca.OP_SIN: ca.sin,
+    ca.OP_COS: ca.cos,
+    ca.OP_TAN: ca.tan,
+    ca.OP_SQRT: ca.sqrt,
+    ca.OP_ACOS: ca.acos,
+    ca.OP_ASIN: ca.asin,
+    ca.OP_ATAN: ca.atan,
+    ca.OP_EXP: ca.exp,
+    ca.OP_LOG: ca.log,
+    ca.OP_FABS: ca.fabs,
+}
 
 
 class Separation:

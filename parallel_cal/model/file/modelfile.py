@@ -12,9 +12,17 @@ from parallel_cal.model.file.yamltext import parse_yaml
 from parallel_cal.model.model import Model
 
 __all__ = [
-    "dump_model", "model_hash", "model_text", "parse_model", "read_model", "readable_text",
-    "replace_model", "replace_text", "write_model", "write_text",
-]  # fmt: skip
+    "dump_model",
+    "model_hash",
+    "model_text",
+    "parse_model",
+    "read_model",
+    "readable_text",
+    "replace_model",
+    "replace_text",
+    "write_model",
+    "write_text",
+]
 
 MAX_MODEL_FILE_BYTES = (
     4 * MEGABYTE
