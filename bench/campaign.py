@@ -32,8 +32,8 @@ from campaign_cells import SimulatedCell, model_of
 
 from parallel_cal.campaign.campaign import Campaign, Goal
 from parallel_cal.campaign.judging import judge_samples
+from parallel_cal.campaign.path_guard import Guard
 from parallel_cal.campaign.targets import first_targets
-from parallel_cal.campaign.way import Guard
 from parallel_cal.fleet.cluster import cluster, run_each
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.file.modelfile import dump_model

@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.table import Table
 
 from parallel_cal.base.rotation import rotation_vector
-from parallel_cal.kinematics.every import direct_all
+from parallel_cal.kinematics.all_solutions import direct_all
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.kinematics.singularity import distances
 from parallel_cal.kinematics.solvers import continuous

@@ -23,6 +23,7 @@ from parallel_cal.campaign.campaign import (
 from parallel_cal.campaign.cell import CellError, Control, Sample
 from parallel_cal.campaign.checking import Checker
 from parallel_cal.campaign.judging import Conclusion, Judgement, JudgementRequest, conclude
+from parallel_cal.campaign.path_guard import Guard
 from parallel_cal.campaign.targets import (
     Target,
     first_targets,
@@ -30,7 +31,6 @@ from parallel_cal.campaign.targets import (
     select_rarer,
     select_spread_out,
 )
-from parallel_cal.campaign.way import Guard
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.file.modelfile import dump_model, parse_model, read_model
 from parallel_cal.model.mechanism import Box

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from parallel_cal.base.errors import ModelFileError
+from parallel_cal.campaign.path_guard import Guard, PathError
 from parallel_cal.campaign.targets import first_targets
 from parallel_cal.campaign.trajectory import plan_trajectory, rates, trapezoid
-from parallel_cal.campaign.way import Guard, PathError
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.file.modelfile import dump_model, parse_model, read_model
 from parallel_cal.model.mechanism import Box, Workspace

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from parallel_cal.base.rotation import rotation_vector
-from parallel_cal.kinematics.every import direct_all, inverse_all
+from parallel_cal.kinematics.all_solutions import direct_all, inverse_all
 from parallel_cal.kinematics.kinematics import Kinematics, Status
 from parallel_cal.kinematics.newton import newton_functions
 from parallel_cal.model.model import new_model

@@ -7,8 +7,8 @@ from test_virtual_robots import CABLE
 from virtual_cable import FALL, Line, WoundCable
 
 from parallel_cal.base.errors import ModelError
-from parallel_cal.identification.doubts import chi2_band
 from parallel_cal.identification.fit import fit
+from parallel_cal.identification.fit_warnings import chi2_band
 from parallel_cal.model.effect import Seen
 from parallel_cal.model.model import new_model
 from parallel_cal.model.parameters import Named

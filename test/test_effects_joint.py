@@ -12,8 +12,8 @@ from twins import hexapod, joints_near_home
 
 from parallel_cal.diagnosis.catalogue import collect_recorded_values
 from parallel_cal.effects.encoder_crosstalk import SIZE
-from parallel_cal.identification.doubts import chi2_band
 from parallel_cal.identification.fit import fit
+from parallel_cal.identification.fit_warnings import chi2_band
 from parallel_cal.identification.methods.implicit import estimate
 from parallel_cal.identification.observations import observe
 from parallel_cal.model.effect import Seen

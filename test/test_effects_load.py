@@ -14,8 +14,8 @@ from datasets import measured as session
 from twins import hexapod, joints_near_home
 
 from parallel_cal.base.errors import ModelError, ModelFileError
-from parallel_cal.identification.doubts import chi2_band
 from parallel_cal.identification.fit import fit
+from parallel_cal.identification.fit_warnings import chi2_band
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.effect import Seen
 from parallel_cal.model.file.modelfile import dump_model, parse_model

@@ -9,8 +9,8 @@ import virtual_day as vd
 import virtual_setups as vs
 from test_effects_joint import HEXAPOD
 
-from parallel_cal.identification.doubts import chi2_band
 from parallel_cal.identification.fit import fit
+from parallel_cal.identification.fit_warnings import chi2_band
 from parallel_cal.model.model import new_model
 from parallel_cal.model.parameters import Named
 from parallel_cal.model.shelf import load_effect, load_mechanism, load_sensor

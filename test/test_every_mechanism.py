@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from parallel_cal.base.errors import ModelError, ModelFileError
-from parallel_cal.identification.doubts import chi2_band
 from parallel_cal.identification.fit import fit
+from parallel_cal.identification.fit_warnings import chi2_band
 from parallel_cal.kinematics import solving
-from parallel_cal.kinematics.every import direct_all
+from parallel_cal.kinematics.all_solutions import direct_all
 from parallel_cal.kinematics.kinematics import Kinematics, Status
 from parallel_cal.model.file.modelfile import dump_model, parse_model
 from parallel_cal.model.model import new_model

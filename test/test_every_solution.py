@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from parallel_cal.kinematics import solving
-from parallel_cal.kinematics.every import direct_all, inverse_all
+from parallel_cal.kinematics.all_solutions import direct_all, inverse_all
 from parallel_cal.kinematics.kinematics import Kinematics, Status
 from parallel_cal.model.mechanism import poses_in_workspace
 from parallel_cal.model.model import new_model

@@ -19,7 +19,7 @@ from virtual_cable import Line, WoundCable
 from parallel_cal.base.errors import ModelError, ParallelCalError
 from parallel_cal.cli.main import main
 from parallel_cal.exporting.export import export, export_into
-from parallel_cal.importing.door import configured
+from parallel_cal.importing.controller_files import configured
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.file.modelfile import read_model, write_model
 from parallel_cal.model.mechanism import Home, poses_in_workspace

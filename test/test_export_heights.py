@@ -17,8 +17,8 @@ from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.cli.main import main
 from parallel_cal.exporting.export import export, export_into
 from parallel_cal.identification.fit import fit
-from parallel_cal.importing.door import configured, samples
-from parallel_cal.importing.touched import Touches, touches_in
+from parallel_cal.importing.controller_files import configured, samples
+from parallel_cal.importing.touch_samples import Touches, touches_in
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.model.model import new_model

@@ -15,7 +15,7 @@ from test_import_klipper import LINEAR, ROTARY
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.exporting.export import export, export_into
 from parallel_cal.exporting.targets import klipper
-from parallel_cal.importing.door import configured, samples
+from parallel_cal.importing.controller_files import configured, samples
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.model.mechanism import poses_in_workspace

@@ -6,7 +6,7 @@ import pytest
 from parallel_cal.base.errors import SolveError
 from parallel_cal.base.rotation import rotation_matrix, rotation_vector
 from parallel_cal.kinematics import solving
-from parallel_cal.kinematics.every import direct_all
+from parallel_cal.kinematics.all_solutions import direct_all
 from parallel_cal.kinematics.kinematics import Kinematics, Status
 from parallel_cal.kinematics.solvers import homotopy
 from parallel_cal.kinematics.solvers._platform import all_poses, start_system

@@ -11,8 +11,8 @@ from scipy import stats
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.diagnosis.comparison import compare
-from parallel_cal.identification.doubts import chi2_band
 from parallel_cal.identification.fit import fit
+from parallel_cal.identification.fit_warnings import chi2_band
 from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.methods._estimate import NormalEquations
 from parallel_cal.identification.methods.implicit import estimate

@@ -10,7 +10,7 @@ import test_import_table as table
 import test_import_urdf as urdf
 
 from parallel_cal.base.errors import ParallelCalError
-from parallel_cal.importing.door import configured, samples
+from parallel_cal.importing.controller_files import configured, samples
 from parallel_cal.importing.urdf import arm
 
 FILES = {

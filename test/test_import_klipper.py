@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from parallel_cal.base.errors import ParallelCalError
-from parallel_cal.importing.door import configured, samples
+from parallel_cal.importing.controller_files import configured, samples
 from parallel_cal.kinematics.kinematics import Kinematics
 
 MM, DEGREE = 1e-3, np.pi / 180

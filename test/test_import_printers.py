@@ -12,7 +12,7 @@ from parallel_cal.diagnosis.comparison import compare
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.exporting.export import export_into
 from parallel_cal.identification.fit import fit
-from parallel_cal.importing.door import configured, samples
+from parallel_cal.importing.controller_files import configured, samples
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_sensor
 

@@ -8,8 +8,8 @@ import pytest
 
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.cli import main as cli
+from parallel_cal.importing.controller_files import configured, samples
 from parallel_cal.importing.deltas import Shoulders, Towers
-from parallel_cal.importing.door import configured, samples
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.file.modelfile import parse_model
 

@@ -5,7 +5,7 @@ import pytest
 
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.cli import main as cli
-from parallel_cal.importing.door import samples
+from parallel_cal.importing.controller_files import samples
 from parallel_cal.recordings.dataset import Dataset
 
 TRACKER = """\

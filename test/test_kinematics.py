@@ -7,7 +7,7 @@ from datasets import measured
 from parallel_cal.base.errors import ModelError, SolveError
 from parallel_cal.base.rotation import rotation_matrix, rotation_vector
 from parallel_cal.identification.fit import fit
-from parallel_cal.kinematics.every import inverse_all
+from parallel_cal.kinematics.all_solutions import inverse_all
 from parallel_cal.kinematics.kinematics import Kinematics, Status
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_mechanism

@@ -43,7 +43,7 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from parallel_cal.exporting.tree import tree_of
-from parallel_cal.kinematics.every import direct_all
+from parallel_cal.kinematics.all_solutions import direct_all
 from parallel_cal.kinematics.kinematics import Kinematics, Status
 from parallel_cal.model.file.modelfile import model_hash, read_model, write_model
 from parallel_cal.nodes.client import Client, use_private_domain

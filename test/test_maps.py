@@ -6,7 +6,7 @@ import pytest
 from datasets import measured
 
 from parallel_cal.identification.fit import fit
-from parallel_cal.identification.spread import PositionUncertainty
+from parallel_cal.identification.position_uncertainty import PositionUncertainty
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.model import new_model
 from parallel_cal.reporting import maps

@@ -9,7 +9,7 @@ import virtual_small
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.rotation import rotation_matrix, rotation_vector
-from parallel_cal.kinematics.every import direct_all, inverse_all
+from parallel_cal.kinematics.all_solutions import direct_all, inverse_all
 from parallel_cal.kinematics.kinematics import Kinematics, Status
 from parallel_cal.model.mechanism import poses_in_workspace
 from parallel_cal.model.model import new_model

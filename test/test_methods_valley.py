@@ -12,7 +12,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from bench.tables.argos import session, with_device
 from parallel_cal.base.threads import single_threaded
-from parallel_cal.identification.doubts import chi2_band
+from parallel_cal.identification.fit_warnings import chi2_band
 from parallel_cal.identification.methods.implicit import estimate
 from parallel_cal.identification.observations import observe
 

@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 
 from parallel_cal.base.errors import ModelFileError, SolveError
-from parallel_cal.kinematics.every import inverse_all
+from parallel_cal.kinematics.all_solutions import inverse_all
 from parallel_cal.kinematics.kinematics import Kinematics, Status
 from parallel_cal.model.file.modelfile import model_hash, read_model, write_model
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import list_plugins
 from parallel_cal.nodes.file_watch import DEBOUNCE, FileWatch
-from parallel_cal.nodes.following import DirectionTracker, Memory, joints_for
 from parallel_cal.nodes.model_server import ModelServer, ServedModel, self_test
+from parallel_cal.nodes.stream_memory import DirectionTracker, Memory, joints_for
 
 CONFIG = Path(__file__).parents[1] / "config"
 NOMINAL, IDENTIFIED = CONFIG / "delta_mockup_nominal.yaml", CONFIG / "delta_mockup_identified.yaml"

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from parallel_cal.identification.fit import fit
-from parallel_cal.identification.moves import compute_platform_shift
+from parallel_cal.identification.platform_shift import compute_platform_shift
 from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.recordings.loading import load_dataset
 from parallel_cal.session.steps import add

@@ -6,7 +6,7 @@ import virtual_day as vd
 
 from parallel_cal.base.errors import SolveError
 from parallel_cal.base.rotation import rotation_vector
-from parallel_cal.kinematics.every import direct_all
+from parallel_cal.kinematics.all_solutions import direct_all
 from parallel_cal.kinematics.kinematics import Kinematics, Status
 from parallel_cal.kinematics.solvers import ipr_compensation
 from parallel_cal.mechanisms.delta51 import RODS, from_delta54, to_delta54

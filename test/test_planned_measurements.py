@@ -9,9 +9,9 @@ from settling import DOUBTS, settled
 
 from parallel_cal.diagnosis.separate import explain_separation
 from parallel_cal.model.model import Noise, new_model
-from parallel_cal.planning.course import Schedule
 from parallel_cal.planning.plan import plan
 from parallel_cal.planning.posepool import make_pool
+from parallel_cal.planning.schedule import Schedule
 from parallel_cal.virtual import robot as vr
 
 NOISE = Noise(vr.THESIS_NOISE.joint, vr.THESIS_NOISE.position, vr.THESIS_NOISE.orientation)

@@ -9,8 +9,8 @@ import pytest
 import yaml
 from bag_catalogue import RECORDINGS
 
-from parallel_cal.identification.doubts import chi2_band
 from parallel_cal.identification.fit import fit
+from parallel_cal.identification.fit_warnings import chi2_band
 from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.recordings.loading import load_dataset
 

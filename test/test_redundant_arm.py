@@ -7,7 +7,7 @@ from parallel_cal.base.errors import SolveError
 from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.diagnosis.comparison import compare
 from parallel_cal.identification.fit import fit
-from parallel_cal.kinematics.every import inverse_all
+from parallel_cal.kinematics.all_solutions import inverse_all
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_mechanism

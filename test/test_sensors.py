@@ -9,8 +9,8 @@ from tied import blind, dataset
 
 from parallel_cal.base.errors import FitError, ModelError
 from parallel_cal.base.threads import single_threaded
-from parallel_cal.identification.doubts import chi2_band
 from parallel_cal.identification.fit import fit
+from parallel_cal.identification.fit_warnings import chi2_band
 from parallel_cal.identification.linearisation import Linearisation
 from parallel_cal.identification.methods.implicit import estimate
 from parallel_cal.identification.observations import observe

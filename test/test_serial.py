@@ -11,7 +11,7 @@ from parallel_cal.base.errors import ModelError
 from parallel_cal.identification import completeness
 from parallel_cal.identification.observations import observe
 from parallel_cal.identification.prediction_errors import errors
-from parallel_cal.kinematics.every import inverse_all
+from parallel_cal.kinematics.all_solutions import inverse_all
 from parallel_cal.kinematics.kinematics import Kinematics, Status
 from parallel_cal.model.file.modelfile import read_model, write_model
 from parallel_cal.model.model import new_model

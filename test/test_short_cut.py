@@ -13,7 +13,7 @@ from virtual_small import Rssr
 
 from parallel_cal.base.errors import FitError
 from parallel_cal.cli import main as cli
-from parallel_cal.identification.doubts import chi2_band
+from parallel_cal.identification.fit_warnings import chi2_band
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.mechanisms.rssr import Circle, compute_parameters
 from parallel_cal.model.file.modelfile import read_model, write_model

@@ -6,7 +6,7 @@ import pytest
 from parallel_cal.base.errors import SolveError
 from parallel_cal.base.rotation import rotation_matrix
 from parallel_cal.kinematics import solving
-from parallel_cal.kinematics.every import inverse_all
+from parallel_cal.kinematics.all_solutions import inverse_all
 from parallel_cal.kinematics.kinematics import Kinematics, Status
 from parallel_cal.kinematics.singularity import distances
 from parallel_cal.kinematics.solvers import continuous

@@ -23,7 +23,7 @@ from parallel_cal.recordings.options import ReadOptions
 from parallel_cal.recordings.simulate import simulate, with_noise
 from parallel_cal.reporting.studies import format_power, power_page
 from parallel_cal.study import power as study
-from parallel_cal.study.planned import planned_session
+from parallel_cal.study.planned_session import planned_session
 from parallel_cal.study.power import (
     CLEAN,
     Detectable,

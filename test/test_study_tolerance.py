@@ -15,7 +15,7 @@ from parallel_cal.model.mechanism import Workspace
 from parallel_cal.model.model import Noise, new_model
 from parallel_cal.planning.plan import plan
 from parallel_cal.reporting.studies import format_tolerances, remarks, tolerances_page
-from parallel_cal.study.planned import planned_joints
+from parallel_cal.study.planned_session import planned_joints
 from parallel_cal.study.tolerance import draw_values, find_varying_parameters, tolerances
 from parallel_cal.virtual.robot import TABLE_5_12, Delta
 

@@ -17,8 +17,8 @@ from parallel_cal.diagnosis.noise_shape import NoiseShape
 from parallel_cal.diagnosis.region import Region
 from parallel_cal.diagnosis.search import Trial
 from parallel_cal.diagnosis.verdict import format_effect_names
-from parallel_cal.identification.doubts import format_distinctly
 from parallel_cal.identification.fit import fit
+from parallel_cal.identification.fit_warnings import format_distinctly
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.model import new_model
 from parallel_cal.recordings.dataset import Dataset

@@ -17,8 +17,8 @@ from parallel_cal.diagnosis.comparison import compare
 from parallel_cal.diagnosis.diagnose import diagnose
 from parallel_cal.diagnosis.scene import Scene, columns
 from parallel_cal.diagnosis.scoring import quick_log_p, score
-from parallel_cal.identification.doubts import chi2_band
 from parallel_cal.identification.fit import fit
+from parallel_cal.identification.fit_warnings import chi2_band
 from parallel_cal.identification.observations import conditions
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.shelf import load_sensor

@@ -11,7 +11,7 @@ from parallel_cal.base.errors import ModelFileError, SolveError
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.file.modelfile import dump_model, parse_model
 from parallel_cal.model.model import new_model
-from parallel_cal.nodes.way import Bounds, check_path
+from parallel_cal.nodes.path_check import Bounds, check_path
 
 NOMINAL = Path(__file__).parents[1] / "config" / "delta_mockup_nominal.yaml"
 BOUNDS = Bounds(crossing=1.0, singularity=0.02)

@@ -32,9 +32,9 @@ from parallel_cal.campaign.judging import (
     judge_samples,
     select_primary_error,
 )
+from parallel_cal.campaign.path_guard import Guard, PathError
 from parallel_cal.campaign.targets import ADJUSTABLE_CONDITIONS, Target, first_targets
 from parallel_cal.campaign.trajectory import plan_trajectory
-from parallel_cal.campaign.way import Guard, PathError
 from parallel_cal.identification.observations import observe
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.file.modelfile import model_hash, parse_model, replace_text

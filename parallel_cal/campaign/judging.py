@@ -14,8 +14,8 @@ import numpy as np
 
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.threads import single_threaded
+from parallel_cal.campaign.path_guard import Guard
 from parallel_cal.campaign.targets import Target, next_targets
-from parallel_cal.campaign.way import Guard
 from parallel_cal.diagnosis.diagnose import Diagnosis, diagnose
 from parallel_cal.diagnosis.separate import explain_separation
 from parallel_cal.identification.observations import observe

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.base.errors import FitError
-from parallel_cal.campaign.way import Guard, PathError
+from parallel_cal.campaign.path_guard import Guard, PathError
 from parallel_cal.diagnosis.catalogue import Candidate
 from parallel_cal.diagnosis.diagnose import Diagnosis
 from parallel_cal.diagnosis.separate import plan_refinement, plan_separation, rank_rival_pairs

@@ -15,7 +15,7 @@ from parallel_cal.reporting import console
 
 if TYPE_CHECKING:
     from parallel_cal.exporting.heights import BedHeights
-    from parallel_cal.importing.touched import Touches
+    from parallel_cal.importing.touch_samples import Touches
     from parallel_cal.model.model import Model
 
 
@@ -85,7 +85,7 @@ def _touches(model: Model, file: Path, given: list[Path], into: bool) -> Touches
     are: as its history names them, from this folder or from the model's. None without any, which
     is said where numbers are replaced."""
     from parallel_cal.exporting.heights import why_not
-    from parallel_cal.importing.touched import touches_in
+    from parallel_cal.importing.touch_samples import touches_in
     from parallel_cal.recordings.loading import load_sessions
 
     if given:

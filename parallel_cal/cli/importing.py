@@ -25,7 +25,7 @@ def import_(
     as_json: Json = False,
 ) -> None:
     """Make samples of what a controller stored, or of a tracker's table and a log of joints."""
-    from parallel_cal.importing.door import samples
+    from parallel_cal.importing.controller_files import samples
     from parallel_cal.recordings.info import info_of
 
     dataset = samples(kind, files, **parse_options(option))

@@ -91,7 +91,7 @@ def _make_model(
 
     if mechanism is not None:
         return new_model(_mechanism(mechanism, options or [])), "at their nominal values", ()
-    from parallel_cal.importing.door import configured
+    from parallel_cal.importing.controller_files import configured
 
     files = configuration or []
     found = configured(files)

@@ -53,7 +53,7 @@ def tolerance(
     from parallel_cal.kinematics.answers import parse_conditions
     from parallel_cal.model.file.modelfile import read_model
     from parallel_cal.reporting.studies import format_tolerances, tolerances_page
-    from parallel_cal.study.planned import planned_joints
+    from parallel_cal.study.planned_session import planned_joints
     from parallel_cal.study.tolerance import tolerances
 
     known = _with_noise(model) if plan else read_model(model)
@@ -107,7 +107,7 @@ def power(
     from parallel_cal.model.file.modelfile import dump_model
     from parallel_cal.reporting.studies import format_power, power_page
     from parallel_cal.study import power as studies
-    from parallel_cal.study.planned import planned_session
+    from parallel_cal.study.planned_session import planned_session
     from parallel_cal.study.session import Question
 
     known = _with_noise(model)

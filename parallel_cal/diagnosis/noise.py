@@ -10,7 +10,7 @@ from parallel_cal.base.confidence import SIGNIFICANCE_LEVEL
 from parallel_cal.diagnosis.field import Field
 from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.thresholds import MIN_REPLICATE_DOF, REPLICATE_CONTRADICTION_LEVEL
-from parallel_cal.identification.doubts import chi2_band
+from parallel_cal.identification.fit_warnings import chi2_band
 from parallel_cal.recordings.replicates import average_groups
 
 STATED = ("option", "dataset", "model file")

@@ -22,9 +22,9 @@ from parallel_cal.identification.observations import Observations, conditions
 from parallel_cal.model.model import Model, Noise
 from parallel_cal.model.shelf import load_effect
 from parallel_cal.planning.approach import Waypoint, fill
-from parallel_cal.planning.course import BLOCKS, Schedule
 from parallel_cal.planning.expectation import VAGUE_INFORMATION, white_blocks
 from parallel_cal.planning.posepool import Pool, find_inside_poses, make_pool
+from parallel_cal.planning.schedule import BLOCKS, Schedule
 from parallel_cal.planning.selection import SelectionProblem, exchange
 from parallel_cal.recordings.dataset import Dataset
 

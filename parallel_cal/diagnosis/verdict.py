@@ -21,7 +21,7 @@ from parallel_cal.diagnosis.thresholds import (
     MIN_FAMILY_MEMBERS,
 )
 from parallel_cal.identification.acceptance import UNITS, acceptance, format_errors
-from parallel_cal.identification.doubts import format_distinctly
+from parallel_cal.identification.fit_warnings import format_distinctly
 from parallel_cal.identification.methods.implicit import Estimate
 from parallel_cal.model.shelf import load_effect
 

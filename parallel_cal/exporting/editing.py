@@ -10,7 +10,7 @@ from pathlib import Path
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.files import read_text
 from parallel_cal.importing.sections import SAVE_CONFIG_PREFIX
-from parallel_cal.importing.stated import Settings
+from parallel_cal.importing.settings import Settings
 
 
 def format_settings(settings: Mapping[str, str]) -> str:

@@ -18,8 +18,8 @@ from parallel_cal.base.threads import single_threaded
 from parallel_cal.exporting.editing import edit_files, format_settings, read_verbatim
 from parallel_cal.exporting.heights import BedHeights, bed_heights
 from parallel_cal.exporting.projection import Firmware, Machine, Projection, loss
-from parallel_cal.importing.stated import Settings
-from parallel_cal.importing.touched import Touches
+from parallel_cal.importing.settings import Settings
+from parallel_cal.importing.touch_samples import Touches
 from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import list_plugins, load_module, wrap_plugin_function
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.exporting.projection import Array, Machine
-from parallel_cal.importing.touched import Touches
+from parallel_cal.importing.touch_samples import Touches
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.model import Model
 

@@ -22,7 +22,8 @@ from parallel_cal.identification.checks import (
     chosen_parameters,
     explain_too_few_poses,
 )
-from parallel_cal.identification.doubts import (
+from parallel_cal.identification.estimators import check_convergent_method, estimator
+from parallel_cal.identification.fit_warnings import (
     DownWeightedSample,
     chi2_band,
     find_down_weighted_samples,
@@ -33,7 +34,6 @@ from parallel_cal.identification.doubts import (
     list_sample_warnings,
     on_priors,
 )
-from parallel_cal.identification.estimators import check_convergent_method, estimator
 from parallel_cal.identification.given_model import Folds, GivenModel
 from parallel_cal.identification.methods.implicit import Estimate
 from parallel_cal.identification.noise_floor import noise_floor

@@ -16,8 +16,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from parallel_cal.importing.door import ConfiguredRobot
-from parallel_cal.importing.stated import Settings
+from parallel_cal.importing.controller_files import ConfiguredRobot
+from parallel_cal.importing.settings import Settings
 from parallel_cal.model.mechanism import Home, Mechanism, Workspace
 from parallel_cal.model.model import Model, new_model
 from parallel_cal.model.shelf import load_mechanism, load_sensor

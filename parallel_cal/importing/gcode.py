@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from parallel_cal.importing.stated import Settings, SourceLine, read_lines
+from parallel_cal.importing.settings import Settings, SourceLine, read_lines
 
 COMMAND = re.compile(r"\s*(?:N\d+\s*)?([GM]\d+)(?![\d.])(.*)", re.IGNORECASE)
 

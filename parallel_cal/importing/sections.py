@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from parallel_cal.importing.stated import Settings, SourceLine, read_lines
+from parallel_cal.importing.settings import Settings, SourceLine, read_lines
 
 SAVE_CONFIG_PREFIX = "#*#"  # before every line of what Klipper's SAVE_CONFIG wrote
 

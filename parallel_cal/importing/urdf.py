@@ -16,7 +16,7 @@ import numpy as np
 
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.base.files import read_text
-from parallel_cal.importing.door import ConfiguredRobot
+from parallel_cal.importing.controller_files import ConfiguredRobot
 from parallel_cal.model.model import new_model
 from parallel_cal.model.shelf import load_mechanism
 from parallel_cal.recordings.recording import Array

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from parallel_cal.base.errors import SolveError
-from parallel_cal.kinematics.every import direct_all, inverse_all
+from parallel_cal.kinematics.all_solutions import direct_all, inverse_all
 from parallel_cal.kinematics.kinematics import Solutions
 from parallel_cal.kinematics.solutions import stack_solutions
 from parallel_cal.kinematics.solvers._common import make_unsolved

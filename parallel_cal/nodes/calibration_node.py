@@ -32,7 +32,7 @@ from parallel_cal.model.model import Model
 from parallel_cal.model.shelf import forbid_foreign
 from parallel_cal.nodes import calibration_messages as messages
 from parallel_cal.nodes.calibrator import Calibrator
-from parallel_cal.nodes.campaigning import CampaignServer, NodeAccess
+from parallel_cal.nodes.campaign_server import CampaignServer, NodeAccess
 from parallel_cal.nodes.collector import Collection, Collector
 from parallel_cal.nodes.conversions import message_class
 from parallel_cal.nodes.folders import Folders
@@ -41,7 +41,7 @@ from parallel_cal.nodes.health import Stream
 from parallel_cal.nodes.inflow import Inflow
 from parallel_cal.nodes.jobs import describe_error
 from parallel_cal.nodes.journal import Journal
-from parallel_cal.nodes.managed import AUTOSTART, ManagedNode
+from parallel_cal.nodes.managed_node import AUTOSTART, ManagedNode
 from parallel_cal.nodes.parameters import (
     ACCEPTED,
     LATCHED,

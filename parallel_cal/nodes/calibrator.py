@@ -27,7 +27,7 @@ from parallel_cal.nodes.conversions import message_class
 from parallel_cal.nodes.folders import Folders
 from parallel_cal.nodes.frames import lookup, to_base_frame
 from parallel_cal.nodes.jobs import Job, JobServer, Say, Work, WorkSlot, describe_error
-from parallel_cal.nodes.managed import ManagedNode
+from parallel_cal.nodes.managed_node import ManagedNode
 from parallel_cal.nodes.parameters import LATCHED, absolute
 from parallel_cal.nodes.run import run_in_spin_thread
 from parallel_cal.recordings.residuals import TOPICS, residual_messages

@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from parallel_cal.base.errors import DatasetError
+from parallel_cal.nodes.clock_alignment import ClockAlignment, JointClock
 from parallel_cal.nodes.gate import Gate, StampedMessage
 from parallel_cal.nodes.inbox import Inbox
 from parallel_cal.nodes.journal import Entry, Part
-from parallel_cal.nodes.related import ClockAlignment, JointClock
 from parallel_cal.recordings.channels import CHANNELS, list_channels, stamp_of
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.joining import fingerprint, join_datasets

@@ -14,7 +14,7 @@ from rclpy.callback_groups import CallbackGroup
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.base.worker import WorkCancelled, Worker
 from parallel_cal.nodes.collector import Collection
-from parallel_cal.nodes.managed import ManagedNode
+from parallel_cal.nodes.managed_node import ManagedNode
 from parallel_cal.session.goals import Outcome
 
 Tell = Callable[..., None]

@@ -21,8 +21,7 @@ from parallel_cal.model.shelf import forbid_foreign
 from parallel_cal.nodes.computing import prepare
 from parallel_cal.nodes.file_watch import FileWatch
 from parallel_cal.nodes.folders import Folders
-from parallel_cal.nodes.following import Memory
-from parallel_cal.nodes.managed import AUTOSTART, ManagedNode
+from parallel_cal.nodes.managed_node import AUTOSTART, ManagedNode
 from parallel_cal.nodes.model_server import Attempt, ModelServer
 from parallel_cal.nodes.parameters import (
     ACCEPTED,
@@ -35,6 +34,7 @@ from parallel_cal.nodes.parameters import (
 )
 from parallel_cal.nodes.requests import Budget, answer, warm_up
 from parallel_cal.nodes.run import WorkerThreadGroup, create_steady_timer, foreign_publishers, run
+from parallel_cal.nodes.stream_memory import Memory
 from parallel_cal.nodes.streams import Streams
 from parallel_cal.nodes.tally import Tally, model_diagnostics, traffic_diagnostics
 

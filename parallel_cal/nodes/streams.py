@@ -29,15 +29,15 @@ from parallel_cal.nodes.conversions import (
     pose_numbers,
     set_pose,
 )
-from parallel_cal.nodes.following import Memory, joints_for
 from parallel_cal.nodes.health import Stream
-from parallel_cal.nodes.managed import ManagedNode
+from parallel_cal.nodes.managed_node import ManagedNode
 from parallel_cal.nodes.model_server import ModelServer, ServedModel, describe_status
 from parallel_cal.nodes.parameters import LATCHED, RELIABLE, SENSOR, overridable
+from parallel_cal.nodes.path_check import Bounds, check_path
 from parallel_cal.nodes.pump import Messages, Pump
 from parallel_cal.nodes.run import WorkerThreadGroup
+from parallel_cal.nodes.stream_memory import Memory, joints_for
 from parallel_cal.nodes.tally import Tally
-from parallel_cal.nodes.way import Bounds, check_path
 from parallel_cal.recordings.channels import CHANNELS, list_channels
 
 # Room for what comes while the interpreter is busy; a tenth of a second at 1 kHz.

@@ -24,10 +24,10 @@ from rclpy.node import NodeNameNonExistentError
 from std_msgs.msg import String
 
 from parallel_cal.base.errors import ParallelCalError
+from parallel_cal.nodes.campaign_client import CampaignClient
 from parallel_cal.nodes.client import CALIBRATION, KINEMATICS, TIMEOUT_S, NodeError, Process
 from parallel_cal.nodes.parameters import LATCHED, SENSOR
 from parallel_cal.nodes.run import type_name
-from parallel_cal.nodes.steering import CampaignClient
 
 NODE_TIMEOUT_S = (
     5.0  # s without a word, after which a node that tells something each second is missed

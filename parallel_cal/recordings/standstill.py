@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from parallel_cal.base.rotation import rotation_vector
-from parallel_cal.recordings.calm import drop_outliers, pose_limits
 from parallel_cal.recordings.dwells import drift, still_intervals
 from parallel_cal.recordings.options import SampleOptions
+from parallel_cal.recordings.pose_outliers import drop_outliers, pose_limits
 from parallel_cal.recordings.recording import Array, Dropped, JointStream, PoseStream, Recording
 from parallel_cal.recordings.samples import (
     Sample,

@@ -8,7 +8,7 @@ from html import escape
 from parallel_cal.diagnosis.lack_of_fit import SmoothMap
 from parallel_cal.diagnosis.patterns import Region
 from parallel_cal.diagnosis.signature import signature
-from parallel_cal.reporting import maps, rounds, spaces
+from parallel_cal.reporting import joint_panels, maps, spaces
 from parallel_cal.reporting.contents import JudgedSample
 from parallel_cal.reporting.markup import Cell, Plot, folded, paragraph, table, tabs
 from parallel_cal.reporting.multiples import colour, multiples
@@ -130,8 +130,8 @@ def _joints(report: Report, plot: Plot) -> str:
     own = [s for s in patterns if any(p.component in found.joints for p in s.panels)]
     candidate = own[0] if own else None
     laid = f", the pattern of {candidate.effect} laid over" if candidate else ""
-    pages = {"over the reading": plot(rounds.flat_panels(found, candidate))}
-    if (bent := rounds.polar_panels(found, candidate)) is not None:
+    pages = {"over the reading": plot(joint_panels.flat_panels(found, candidate))}
+    if (bent := joint_panels.polar_panels(found, candidate)) is not None:
         pages["round the reading"] = plot(bent)
     words = f"Measured joint minus inverse of the measured pose, model as it is{laid}."
     title = "<h3>Each joint's own residual</h3>"

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from parallel_cal.identification.spread import PositionUncertainty
+from parallel_cal.identification.position_uncertainty import PositionUncertainty
 from parallel_cal.reporting.arrows import scale_of, typical
 from parallel_cal.reporting.colours import MEASURED, PATTERN, QUIET
 from parallel_cal.reporting.figures import (

@@ -24,7 +24,7 @@ from parallel_cal.diagnosis.patterns import (
 )
 from parallel_cal.identification.budget import Budget, Iso9283
 from parallel_cal.identification.options import FitKeywords, FitOptions
-from parallel_cal.identification.spread import PositionUncertainty
+from parallel_cal.identification.position_uncertainty import PositionUncertainty
 from parallel_cal.model.file.modelfile import model_hash
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset

@@ -19,8 +19,8 @@ from parallel_cal.reporting.figures import (
     select_evenly,
     side_by_side,
 )
+from parallel_cal.reporting.joint_panels import MAX_POINTS_PER_JOINT
 from parallel_cal.reporting.readable import number, value_unit
-from parallel_cal.reporting.rounds import MAX_POINTS_PER_JOINT
 
 
 def figure(found: Signature, mechanism: Mechanism) -> Spec:

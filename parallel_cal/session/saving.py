@@ -18,8 +18,8 @@ from parallel_cal.base.errors import ModelFileError, ParallelCalError
 from parallel_cal.base.files import BACKUP_SUFFIX
 from parallel_cal.diagnosis.verdict import AMBER_VERDICTS
 from parallel_cal.identification.acceptance import format_errors
-from parallel_cal.identification.doubts import list_parameter_warnings
 from parallel_cal.identification.fit import FitResult, fit
+from parallel_cal.identification.fit_warnings import list_parameter_warnings
 from parallel_cal.identification.observations import observe
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.identification.prediction_errors import (

@@ -19,8 +19,8 @@ from parallel_cal.diagnosis.search import is_superfluous
 from parallel_cal.diagnosis.verdict import robot_or_device
 from parallel_cal.identification.acceptance import IN_SAMPLE, Acceptance, acceptance
 from parallel_cal.identification.fit import FitResult, fit
-from parallel_cal.identification.moves import PlatformShift, compute_platform_shift
 from parallel_cal.identification.options import FitKeywords, FitOptions
+from parallel_cal.identification.platform_shift import PlatformShift, compute_platform_shift
 from parallel_cal.identification.prediction_errors import Summary
 from parallel_cal.identification.thresholds import MAX_NEGLIGIBLE_ERROR_RISE
 from parallel_cal.model.effect import parse_effects

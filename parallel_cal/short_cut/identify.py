@@ -15,8 +15,8 @@ import numpy as np
 from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.errors import FitError
 from parallel_cal.base.threads import single_threaded
-from parallel_cal.identification.doubts import chi2_band
 from parallel_cal.identification.fit import FitResult, fit, summarise_parameters
+from parallel_cal.identification.fit_warnings import chi2_band
 from parallel_cal.identification.observability import Spectrum, directions_in_words, spectrum
 from parallel_cal.identification.prediction_errors import errors
 from parallel_cal.model.model import Model

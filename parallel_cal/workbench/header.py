@@ -9,8 +9,8 @@ from nicegui import ui
 
 from parallel_cal.reporting.colours import QUIET
 from parallel_cal.workbench.bench import Bench
-from parallel_cal.workbench.calibrating import CampaignBar
-from parallel_cal.workbench.looks import COLOURS
+from parallel_cal.workbench.campaign_card import CampaignBar
+from parallel_cal.workbench.widgets import COLOURS
 
 NOTHING = {"colour": "grey", "words": "no samples in this session yet"}
 

@@ -9,8 +9,8 @@ from nicegui import run, ui
 
 from parallel_cal.reporting.colours import MEASURED, QUIET
 from parallel_cal.workbench.bench import Bench, Live
-from parallel_cal.workbench.calibrating import CampaignBar, CampaignCard
-from parallel_cal.workbench.looks import COLOURS, card, draw_figure, make_chart, table
+from parallel_cal.workbench.campaign_card import CampaignBar, CampaignCard
+from parallel_cal.workbench.widgets import COLOURS, card, draw_figure, make_chart, table
 
 POLL_INTERVAL_S = 1.0  # s between two looks at the nodes
 ERROR_WINDOW_S = 60  # s of errors that are shown

@@ -8,7 +8,7 @@ from typing import Any
 from nicegui import ui
 
 from parallel_cal.reporting.colours import PATTERN
-from parallel_cal.workbench.looks import draw_figure
+from parallel_cal.workbench.widgets import draw_figure
 
 # As Plotly marks what is chosen in a view itself, here in every view: its 'restyle' draws each of
 # them anew, which takes twenty times as long.

@@ -13,10 +13,11 @@ from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.reporting.colours import MEASURED, PATTERN, QUIET
 from parallel_cal.session.history import format_first_error
 from parallel_cal.workbench.bench import Bench, Live
-from parallel_cal.workbench.failing import ResidualsCard
 from parallel_cal.workbench.header import Header
 from parallel_cal.workbench.live import LiveCard
-from parallel_cal.workbench.looks import (
+from parallel_cal.workbench.marking import SCRIPT, FigureSlot, Marking
+from parallel_cal.workbench.residuals_card import ResidualsCard
+from parallel_cal.workbench.widgets import (
     CSS,
     FIGURE_MARGIN,
     HEAD,
@@ -25,7 +26,6 @@ from parallel_cal.workbench.looks import (
     draw_figure,
     table,
 )
-from parallel_cal.workbench.marking import SCRIPT, FigureSlot, Marking
 
 EMPTY = (
     "Looking at the measurements: this takes a few seconds.",
@@ -209,7 +209,9 @@ class Window:
                 )
 
     def _compare(self) -> None:
-        from parallel_cal.workbench.beside import BranchComparison  # NumPy, only for this
+        from parallel_cal.workbench.branch_comparison import (
+            BranchComparison,  # NumPy, only for this
+        )
 
         with self.layer:
             BranchComparison(self.bench.session)

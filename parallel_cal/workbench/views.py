@@ -21,7 +21,15 @@ from parallel_cal.identification.budget import Budget, Iso9283, iso_9283
 from parallel_cal.identification.given_model import fits_of
 from parallel_cal.identification.prediction_errors import Summary
 from parallel_cal.model.model import Model
-from parallel_cal.reporting import contents, drawings, maps, multiples, rounds, signatures, spaces
+from parallel_cal.reporting import (
+    contents,
+    drawings,
+    joint_panels,
+    maps,
+    multiples,
+    signatures,
+    spaces,
+)
 from parallel_cal.reporting.figures import Spec
 from parallel_cal.reporting.readable import (
     error_unit,
@@ -239,9 +247,9 @@ def _pictures(
     words = "each joint's reading minus what the measured pose asks for"
     if own.joints:
         yield _picture(
-            "joints", f"{words}, against the reading{over}", rounds.flat_panels(own, laid)
+            "joints", f"{words}, against the reading{over}", joint_panels.flat_panels(own, laid)
         )
-        if bent := rounds.polar_panels(own, laid):
+        if bent := joint_panels.polar_panels(own, laid):
             yield _picture("joints, round", f"{words}, round the reading{over}", bent)
     if residuals.kind is not None:
         flat, scale = maps.residuals(

@@ -19,7 +19,7 @@ from parallel_cal.exporting.projection import Firmware, Projection
 from parallel_cal.importing.deltas import DEGREE, MM, Shoulders
 from parallel_cal.importing.importers import klipper
 from parallel_cal.importing.importers.klipper import STEPPERS
-from parallel_cal.importing.stated import Settings
+from parallel_cal.importing.settings import Settings
 from parallel_cal.model.model import Model
 
 HOLDS = (*LINEAR, *ROTARY)

@@ -20,7 +20,7 @@ from parallel_cal.exporting.targets import c
 from parallel_cal.importing.deltas import DEGREE, MM, Shoulders
 from parallel_cal.importing.importers import linuxcnc
 from parallel_cal.importing.importers.linuxcnc import HOMED
-from parallel_cal.importing.stated import Settings
+from parallel_cal.importing.settings import Settings
 from parallel_cal.importing.struts import Struts
 from parallel_cal.model.model import Model
 

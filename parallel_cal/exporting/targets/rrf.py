@@ -21,10 +21,10 @@ from parallel_cal.exporting.projection import Firmware, Frame, Machine, Projecti
 from parallel_cal.importing.deltas import DEGREE, MM
 from parallel_cal.importing.fivebar import TURNS, FiveBars
 from parallel_cal.importing.gcode import settings as settings_of
+from parallel_cal.importing.hangprinter import Hangprinter
 from parallel_cal.importing.importers import rrf
 from parallel_cal.importing.importers.rrf import ANCHORS
-from parallel_cal.importing.lines import Hangprinter
-from parallel_cal.importing.stated import Settings
+from parallel_cal.importing.settings import Settings
 from parallel_cal.model.model import Model
 
 HOLDS = (*LINEAR, *ROTARY, "five_bar", "cable")

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from parallel_cal.importing import deltas
+from parallel_cal.importing.controller_files import ConfiguredRobot
 from parallel_cal.importing.deltas import (
     DEGREE,
     MM,
@@ -23,10 +24,9 @@ from parallel_cal.importing.deltas import (
     Towers,
     are_counter_clockwise,
 )
-from parallel_cal.importing.door import ConfiguredRobot
 from parallel_cal.importing.sections import settings
-from parallel_cal.importing.stated import Settings
-from parallel_cal.importing.touched import make_joint_samples, make_printed_ends
+from parallel_cal.importing.settings import Settings
+from parallel_cal.importing.touch_samples import make_joint_samples, make_printed_ends
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.recording import Array
 

@@ -17,11 +17,11 @@ import numpy as np
 
 from parallel_cal.base.errors import DatasetError
 from parallel_cal.importing import deltas
+from parallel_cal.importing.controller_files import ConfiguredRobot
 from parallel_cal.importing.deltas import DEGREE, MM, Towers
-from parallel_cal.importing.door import ConfiguredRobot
 from parallel_cal.importing.gcode import parse_settings_line
-from parallel_cal.importing.stated import Settings, SourceLine, read_lines
-from parallel_cal.importing.touched import make_joint_samples, make_printed_ends
+from parallel_cal.importing.settings import Settings, SourceLine, read_lines
+from parallel_cal.importing.touch_samples import make_joint_samples, make_printed_ends
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.recording import Array
 

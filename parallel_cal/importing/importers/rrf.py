@@ -15,13 +15,13 @@ import numpy as np
 
 from parallel_cal.base.errors import DatasetError, ModelError
 from parallel_cal.importing import deltas
+from parallel_cal.importing.controller_files import ConfiguredRobot
 from parallel_cal.importing.deltas import DEGREE, MM, Delta, Shoulders, Towers
-from parallel_cal.importing.door import ConfiguredRobot
 from parallel_cal.importing.fivebar import TURNS, FiveBars
 from parallel_cal.importing.gcode import settings
-from parallel_cal.importing.lines import Hangprinter
-from parallel_cal.importing.stated import Settings, SourceLine, read_lines
-from parallel_cal.importing.touched import make_printed_ends, make_touch_samples
+from parallel_cal.importing.hangprinter import Hangprinter
+from parallel_cal.importing.settings import Settings, SourceLine, read_lines
+from parallel_cal.importing.touch_samples import make_printed_ends, make_touch_samples
 from parallel_cal.model.model import new_model
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.recording import Array, Dropped

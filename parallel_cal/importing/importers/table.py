@@ -17,7 +17,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from parallel_cal.base.errors import DatasetError
-from parallel_cal.importing.stated import SourceLine, read_lines
+from parallel_cal.importing.settings import SourceLine, read_lines
 from parallel_cal.model.file.schema import NoisePart
 from parallel_cal.recordings.columns import ColumnMap, Join, JointColumn, PositionColumns
 from parallel_cal.recordings.csv_import import make_dataset

@@ -8,8 +8,8 @@ from typing import Any
 from nicegui import ui
 
 from parallel_cal.reporting.colours import BAND, PATTERN, QUIET
-from parallel_cal.workbench.looks import FIGURE_MARGIN, card
 from parallel_cal.workbench.marking import FigureSlot, Marking
+from parallel_cal.workbench.widgets import FIGURE_MARGIN, card
 
 HINT = (
     "Drag a box in a flat view (box or lasso tool): the same samples are marked in all flat views. "

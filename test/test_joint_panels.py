@@ -13,7 +13,7 @@ from parallel_cal.diagnosis.scene import Scene
 from parallel_cal.diagnosis.signature import signature
 from parallel_cal.identification.fit import fit
 from parallel_cal.model.model import new_model
-from parallel_cal.reporting import rounds
+from parallel_cal.reporting import joint_panels
 from parallel_cal.reporting.contents import JointResiduals
 from parallel_cal.virtual import joint_effects as vj
 from parallel_cal.virtual import robot as vr
@@ -43,7 +43,7 @@ def trace(figure, name, axis="xaxis", mark="x"):
 
 
 def test_a_panel_a_joint_shows_each_sample_at_its_reading_with_its_number(found):
-    drawn = rounds.flat_panels(found)
+    drawn = joint_panels.flat_panels(found)
     go.Figure(drawn)
     titles = [drawn["layout"][f"yaxis{k}"]["title"]["text"] for k in ("", "2", "3")]
     assert titles == [f"joint{k} residual [mrad]" for k in (1, 2, 3)]
@@ -54,7 +54,7 @@ def test_a_panel_a_joint_shows_each_sample_at_its_reading_with_its_number(found)
 
 
 def test_a_gears_ripple_is_laid_over_as_the_wave_that_it_is(found, gear):
-    laid = trace(rounds.flat_panels(found, gear), "this effect's pattern", mark="x3")
+    laid = trace(joint_panels.flat_panels(found, gear), "this effect's pattern", mark="x3")
     assert laid["mode"] == "lines"
     q, drawn = np.radians(laid["x"]), 1e-3 * np.array(laid["y"])
     turned = RATIO * q + PHASE[2]
@@ -69,12 +69,12 @@ def test_play_is_laid_over_as_points_since_neighbours_differ():
     result = fit(new_model("delta54"), data, hold_out=0)
     scene = Scene.of(result.model, data, result.observations, result.free)
     one = signature(candidate(scene, "backlash"))
-    laid = trace(rounds.flat_panels(JointResiduals.of(scene), one), "this effect's pattern")
+    laid = trace(joint_panels.flat_panels(JointResiduals.of(scene), one), "this effect's pattern")
     assert laid["mode"] == "markers"
 
 
 def test_round_the_reading_outwards_is_a_joint_that_reads_too_much(found, gear):
-    drawn = rounds.polar_panels(found, gear)
+    drawn = joint_panels.polar_panels(found, gear)
     go.Figure(drawn)
     points = trace(drawn, "measured", "subplot", "polar3")
     np.testing.assert_allclose(points["theta"], np.degrees(found.readings[:, 2]), rtol=1e-4)
@@ -88,8 +88,8 @@ def test_round_the_reading_outwards_is_a_joint_that_reads_too_much(found, gear):
 
 def test_sliding_joints_are_in_micrometres_and_have_no_round(found):
     sliding = replace(found, units=("m",) * 3)
-    assert rounds.polar_panels(sliding) is None
-    drawn = rounds.flat_panels(sliding)
+    assert joint_panels.polar_panels(sliding) is None
+    drawn = joint_panels.flat_panels(sliding)
     assert drawn["layout"]["yaxis"]["title"]["text"] == "joint1 residual [µm]"
     assert drawn["layout"]["xaxis"]["title"]["text"] == "joint1 [mm]"
 

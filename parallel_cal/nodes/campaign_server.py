@@ -33,7 +33,7 @@ from parallel_cal.model.model import Model
 from parallel_cal.nodes.calibration_messages import json_text
 from parallel_cal.nodes.inflow import Inflow
 from parallel_cal.nodes.jobs import Job, JobServer, Say, ThreadWork, WorkSlot
-from parallel_cal.nodes.managed import ManagedNode
+from parallel_cal.nodes.managed_node import ManagedNode
 from parallel_cal.nodes.parameters import LATCHED
 from parallel_cal.nodes.robot_cell import RobotCell
 from parallel_cal.nodes.run import run_in_spin_thread

@@ -12,7 +12,7 @@ from nicegui import ui
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.reporting.colours import MEASURED
 from parallel_cal.workbench.bench import Live
-from parallel_cal.workbench.looks import COLOURS, card, draw_figure, make_chart
+from parallel_cal.workbench.widgets import COLOURS, card, draw_figure, make_chart
 
 INACTIVE_STATES = ("", "stopped", "done")
 

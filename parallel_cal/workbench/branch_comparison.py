@@ -13,7 +13,7 @@ from parallel_cal.reporting.arrows import scale_of
 from parallel_cal.reporting.spaces import side
 from parallel_cal.session.history import History, format_first_error
 from parallel_cal.workbench.bench import load_view
-from parallel_cal.workbench.looks import draw_figure, table
+from parallel_cal.workbench.widgets import draw_figure, table
 
 
 class BranchComparison:
