@@ -72,7 +72,7 @@ def quick(question, dataset, unseen, tell=None):
 
 def work(function, *given):
     """Judgements in no time, and no model to write."""
-    if function.__name__ == "judged":
+    if function.__name__ == "judge_samples":
         return quick(*given)
     return Conclusion("", "nothing was written")
 
@@ -629,7 +629,7 @@ def test_a_stored_judgement_that_cannot_be_read_is_set_aside_and_its_samples_jud
     judged_samples = []
 
     def count_judgements(function, *given):
-        if function.__name__ == "judged":
+        if function.__name__ == "judge_samples":
             judged_samples.append(len(given[1]))
         return work(function, *given)
 

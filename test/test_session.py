@@ -349,7 +349,7 @@ def test_a_model_in_use_that_other_samples_made_is_judged_as_it_is(session, in_u
 
 def test_an_amber_model_is_written_only_where_the_owner_insists(session, tmp_path):
     file = tmp_path / "robot.yaml"
-    session.judged(session.state, "explained: backlash explains what is left")
+    session.record_verdict(session.state, "explained: backlash explains what is left")
     with pytest.raises(SaveRefused, match="the verdict on this model is explained: backlash"):
         session.save(file)
     assert not file.exists()
