@@ -364,3 +364,23 @@ def test_a_real_printers_bed_gets_as_good_as_its_firmware_can(tmp_path):
     assert done.heights.touches == 137
     assert done.heights.before == pytest.approx(54.0e-6, abs=0.1e-6)
     assert done.heights.after < 44.5e-6
+
+
+def test_a_model_that_was_never_fitted_warns_that_no_heights_were_compared(
+    tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    Path("config.g").write_text(vp.CONFIG)
+
+    def run(*words):
+        with pytest.raises(SystemExit) as ended:
+            main(words)
+        assert ended.value.code in (0, None)
+        return capsys.readouterr()
+
+    probe = "probe: {sigma: 4.0e-5}"
+    assert "the probe's noise is not stated" in run("new", "--from", "config.g", "-o", "a.yaml").out
+    stated = run("new", "--from", "config.g", "--sensor", probe, "-o", "printer.yaml")
+    assert "the probe's noise is not stated" not in stated.out
+    err = run("export", "printer.yaml", "--to", "rrf", "--into", "config.g").err
+    assert "the heights of the bed were not compared: printer.yaml was not fitted on touches" in err

@@ -91,7 +91,15 @@ def _touches(model: Model, file: Path, given: list[Path], into: bool) -> Touches
     if given:
         return touches_in(load_sessions(given, joints=model.joints), model.joints)
     steps = [step["dataset"] for step in model.history if isinstance(step.get("dataset"), dict)]
-    if not into or not steps or why_not(model):
+    if not into or why_not(model):
+        return None
+    if not steps:
+        console.warn(
+            [
+                f"the heights of the bed were not compared: {file} was not fitted on touches. Give "
+                "samples of the bed: --touches TOUCHES.json"
+            ]
+        )
         return None
     last = steps[-1]
     for folder in (Path(), file.parent):

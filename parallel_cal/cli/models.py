@@ -50,6 +50,7 @@ def new(
     as_json: Json = False,
 ) -> None:
     """Write a model file with a mechanism's nominal values, or as a controller is set up."""
+    from parallel_cal.importing.deltas import PROBE_NOISE_UNKNOWN
     from parallel_cal.model.file.modelfile import model_hash, replace_model
 
     if output.exists():
@@ -71,6 +72,8 @@ def new(
     else:
         model, values, remarks = _make_model(mechanism, option, configuration)
     model = _with_set_ups(model, sensor or [])
+    if configuration and model.structure.channels_without_sigma:
+        remarks = (*remarks, PROBE_NOISE_UNKNOWN)
     replace_model(model, output)
     document = {"file": str(output), "mechanism": model.mechanism.name, "hash": model_hash(model)}
     if as_json:

@@ -31,10 +31,10 @@ NOT_STATED = (
     "towers' or motors' leans, errors between the two rods of a pair and the effector's size have "
     "no number in the firmware: they are at the mechanism's nominal values"
 )
-NOT_MEASURED = (
-    "nobody stated what the probe repeats to, so a fit takes its noise from the residuals: touch "
-    "one place ten times, and state the standard deviation (--sensor 'probe: {sigma: 5.0e-6}', m; "
-    "in the model file under sensors)"
+PROBE_NOISE_UNKNOWN = (
+    "the probe's noise is not stated, so a fit estimates it from the residuals. To state it, touch "
+    "one place ten times and give the standard deviation in m (--sensor 'probe: {sigma: 5.0e-6}', "
+    "or in the model file under sensors)"
 )
 
 
@@ -189,4 +189,4 @@ def make_configured_robot(
     values = model.values.copy()
     for axis, slope in (("rx", plate[1]), ("ry", -plate[0])):
         values[model.table.index_of(f"probe.plate.{axis}")] = slope
-    return ConfiguredRobot(model.with_values(values), (NOT_STATED, NOT_MEASURED, *remarks))
+    return ConfiguredRobot(model.with_values(values), (NOT_STATED, *remarks))
