@@ -127,7 +127,7 @@ class CountedWatch(FileWatch):
 
     looks = 0
 
-    def _settled(self):
+    def _has_settled_change(self):
         self.looks += 1
         return super()._has_settled_change()
 

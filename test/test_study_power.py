@@ -184,7 +184,7 @@ def as_if(found_from):
             yield (
                 k,
                 {
-                    "inputs": question.inputs(),
+                    "inputs": question.hash_inputs(),
                     **vars(one),
                     "error": 1e-5 * one.size,
                     "swaps": {},

@@ -105,7 +105,7 @@ def test_a_function_of_the_library_solves_with_one_thread(call, data, solves):
     check_one_thread(solves)
 
 
-@pytest.mark.parametrize("part", ["field", "along", "regions", "structure", "odd_samples"])
+@pytest.mark.parametrize("part", ["field", "residual_profiles", "regions", "structure", "odd_samples"])
 def test_what_a_comparison_computes_when_it_is_asked_is_solved_with_one_thread(part, data, solves):
     compared = pc.compare(MODEL, data)
     solves.clear()
@@ -114,8 +114,8 @@ def test_what_a_comparison_computes_when_it_is_asked_is_solved_with_one_thread(p
 
 
 def test_what_a_step_computes_when_it_is_asked_is_solved_with_one_thread(backlash, solves):
-    backlash.__dict__.pop("moves", None)
-    backlash.result.__dict__.pop("noise", None)
+    backlash.__dict__.pop("platform_shift", None)
+    backlash.result.__dict__.pop("noise_floor", None)
     backlash.result.__dict__.pop("budgets", None)
     backlash.document()
     pc.show(backlash)

@@ -118,5 +118,5 @@ def test_a_load_changes_when_the_robot_sets_out():
 def test_other_robots_reach_the_poses_of_their_day(robot, day):
     session = day(1)
     r, R = robot.forward(session.reading)
-    assert robot.open_by(session.reading, r, R).max() < 1e-12
+    assert robot.max_gap(session.reading, r, R).max() < 1e-12
     assert len(session.reading) > len(np.unique(session.pose_index))

@@ -136,7 +136,7 @@ def test_parts_touch_and_the_way_there_leads_back(name, seed):
     build, parameters = ROBOTS[name]
     robot = build(strayed(parameters, seed))
     q, r, R = poses(robot, 50, seed)
-    assert robot.open_by(q, r, R).max() < 1e-14
+    assert robot.max_gap(q, r, R).max() < 1e-14
     back = robot.forward(q)
     np.testing.assert_allclose(back[0], r, atol=1e-13)
     np.testing.assert_allclose(back[1], R, atol=1e-12)
