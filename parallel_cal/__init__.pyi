@@ -69,3 +69,4 @@ from .session.steps import add as add
 from .session.steps import remove as remove
 
 __version__: str
+__all__: list[str]
