@@ -236,7 +236,7 @@ def test_what_comes_round_once_a_turn_is_only_asked_of_joints_that_turn():
         joints = {p.name.split(".")[0] for p in effect.parameters(scara)} - {"ratio", "order"}
         assert joints == {"joint1", "joint2"}
         assert effect.applies(scara) == ""
-        assert effect.applies(hexapod) == "no joint turns"
+        assert effect.applies(hexapod) == "it has no revolute joint"
 
 
 @pytest.mark.parametrize(
@@ -268,7 +268,7 @@ def test_device_and_base_have_the_numbers_that_the_platform_can_feel(effect, mec
         ("device_field", "slider_crank", "fewer than two axes"),
         ("base_compliance", "planar_stewart", "does not move across gravity"),
         ("base_compliance", "argos9", "does not move across gravity"),
-        ("screw_pitch_error", "delta54", "no joint slides"),
+        ("screw_pitch_error", "delta54", "it has no prismatic joint"),
         ("target_offset", "delta24", "does not turn"),
         ("target_offset", "argos9", "only turns"),
     ],

@@ -149,14 +149,14 @@ def test_a_frame_sinks_and_leans_towards_the_load():
     ("effect", "mechanism", "reason"),
     [
         ("joint_compliance", "cable", "more joints than freedoms"),
-        ("joint_compliance", "planar_stewart", "no joint feels the weight"),
-        ("joint_compliance", "argos27", "no joint feels the weight"),
-        ("rod_compliance", "stewart42", "no rods beside joints"),
-        ("ball_joint_clearance", "scara16", "no rods beside joints"),
+        ("joint_compliance", "planar_stewart", "no joint carries any of the payload's weight"),
+        ("joint_compliance", "argos27", "no joint carries any of the payload's weight"),
+        ("rod_compliance", "stewart42", "it has no rods"),
+        ("ball_joint_clearance", "scara16", "it has no rods"),
         ("thermal_expansion", "argos9", "no lengths"),
         ("payload_sag", "slider_crank", "does not move along gravity"),
         ("parallelogram_errors", "delta54", "not a special case"),
-        ("parallelogram_errors", "delta_nominal", "delta24, its larger model, leaves"),
+        ("parallelogram_errors", "delta_nominal", "delta24, its larger model, gives"),
     ],
 )
 def test_effects_of_load_say_where_they_make_no_sense(effect, mechanism, reason):

@@ -310,5 +310,5 @@ def test_an_effect_that_only_the_larger_model_can_have_fails_without_it_and_says
     assert both.result is not None
     alone = search.fit(Chosen("target_offset"))
     assert alone.result is None
-    assert "the platform does not turn" in alone.reason
+    assert "the platform does not rotate" in alone.reason
     assert "parallelogram_errors" in search.backward(both).names

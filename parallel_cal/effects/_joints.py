@@ -23,7 +23,7 @@ def find_revolute_joints(mechanism: Mechanism) -> list[str]:
 
 def needs_turning(mechanism: Mechanism) -> str:
     """What `Effect.applies` answers for an effect of joints that turn."""
-    return "" if find_revolute_joints(mechanism) else "no joint turns"
+    return "" if find_revolute_joints(mechanism) else "it has no revolute joint"
 
 
 def sizes(
@@ -52,7 +52,7 @@ def shift_joints(
 class Harmonic(Effect):
     """q_ideal = q + sin * sin(k q) + cos * cos(k q) for every joint that turns, k its `order`."""
 
-    separated_by = "poses that use the whole travel of every joint"
+    separated_by = "poses over the whole range of every joint"
     family = SMOOTH
     order: ClassVar[int]
     tolerance: ClassVar[float]  # rad; no real encoder misreads by ten of it

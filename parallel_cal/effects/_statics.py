@@ -64,17 +64,18 @@ def find_loaded_joints(mechanism: Mechanism) -> list[str]:
 def needs_weight(mechanism: Mechanism) -> str:
     """What `Effect.applies` answers for an effect of the payload's weight."""
     if len(mechanism.joints) > len(mechanism.moves):
-        return "more joints than freedoms: statics alone does not share the weight out"
-    return (
-        ""
-        if find_loaded_joints(mechanism)
-        else "no joint feels the weight of what the platform carries"
-    )
+        return (
+            "it has more joints than degrees of freedom: statics alone does not determine the "
+            "joint forces"
+        )
+    return "" if find_loaded_joints(mechanism) else "no joint carries any of the payload's weight"
 
 
 def needs_rods(mechanism: Mechanism) -> str:
     """The same for an effect on rods between joints and platform."""
-    return needs_weight(mechanism) or ("" if rods(mechanism)[0] else "it has no rods beside joints")
+    return needs_weight(mechanism) or (
+        "" if rods(mechanism)[0] else "it has no rods in addition to its joints"
+    )
 
 
 @lru_cache(maxsize=64)

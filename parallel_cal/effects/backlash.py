@@ -17,18 +17,21 @@ class Backlash(Effect):
     """q_ideal = q - width / 2 * direction for every joint, direction of the last motion."""
 
     needs = ("direction",)
-    physics = "A gear with play leaves the arm half the play behind the motor's encoder."
-    remedy = "preload or exchange the gear; until then approach poses from one side"
-    source = "gearbox play, 0.03-0.3 mrad for precision gears; 5-20 um for ball screws"
+    physics = "Backlash in a gear: the arm stops half the backlash short of the motor's encoder."
+    remedy = "preload or replace the gear; until then, approach all poses from one side"
+    source = "backlash of gearboxes: 0.03-0.3 mrad for precision gears; 5-20 um for ball screws"
     lookalikes = ("hysteresis", "latency")
-    separated_by = "the same poses approached from both directions, at rest"
+    separated_by = "the same poses approached from both directions, measured at rest"
     told_from: ClassVar[Mapping[str, str]] = {
-        "hysteresis": "poses come to over ways of some mrad, beside long ways from the same side"
+        "hysteresis": (
+            "the same poses approached twice from the same side: once by a short move (a few "
+            "mrad), once by a long one"
+        )
     }
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
         return [
-            Parameter(f"{joint}.width", unit, 0.0, tolerance, low=0.0, high=most, label="play")
+            Parameter(f"{joint}.width", unit, 0.0, tolerance, low=0.0, high=most, label="width")
             for joint, unit, (tolerance, most) in sizes(mechanism, SIZE)
         ]
 

@@ -20,11 +20,14 @@ class BallJointClearance(Effect):
 
     needs = ("payload",)
     fixed = ("mass.*", "force")
-    physics = "A ball in a loose socket lies on the side that the rod's force pushes it to."
-    remedy = "exchange or preload the ball joints; springs between paired rods take the play up"
+    physics = (
+        "In a ball joint with clearance, the ball rests on the side to which the rod's "
+        "force pushes it."
+    )
+    remedy = "replace or preload the ball joints; springs between paired rods take up the clearance"
     source = "clearance of ball joints, 5-50 um"
     lookalikes = ("rod_compliance", "joint_compliance", "payload_sag")
-    separated_by = "payloads that turn rods from pushed to pulled, small and large ones"
+    separated_by = "small and large payloads that change rods from compression to tension"
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
         return [

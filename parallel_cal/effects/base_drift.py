@@ -20,14 +20,19 @@ class BaseDrift(Effect):
 
     needs = ("time",)
     of_device = True
-    physics = "A stand, tripod or frame creeps against the device as it settles and warms up."
-    remedy = "let robot and device warm up, and fix both to one base"
+    physics = (
+        "A stand, tripod or frame moves slowly relative to the device while it settles and "
+        "warms up."
+    )
+    remedy = "let robot and device warm up, and mount both on one base"
     source = "tens of um in a session of some hours, up to 0.1 um/s while warming up"
     lookalikes = ("thermal_expansion", "zero_shift", "device_bump")
     told_from: ClassVar[Mapping[str, str]] = {
-        "thermal_expansion": "the robot measured cold, then warm from work, then cold again"
+        "thermal_expansion": "measurements of the cold robot, then warm from work, then cold again"
     }
-    separated_by = "a temperature that is not monotone in time; first poses measured again at last"
+    separated_by = (
+        "a temperature that is not monotone in time, and the first poses measured again at the end"
+    )
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
         return shift_and_turn(mechanism, ("m/s", 1e-7, 1e-6), ("rad/s", 3e-7, 3e-6))

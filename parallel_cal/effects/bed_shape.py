@@ -23,11 +23,14 @@ class BedShape(Touch):
     A Delta whose radius or rods are wrong bends its own plane, too.
     """
 
-    physics = "A bed of glass or sheet, clamped at its rim and heated, is domed or saddled."
-    remedy = "level or exchange the bed; a mesh of its heights serves it, not the robot"
+    physics = (
+        "A bed of glass or sheet metal that is clamped at its rim and heated becomes domed "
+        "or saddle-shaped."
+    )
+    remedy = "level or replace the bed; a mesh of its heights corrects the bed, not the robot"
     source = "printers' beds 0.1-0.3 mm over 200 mm; ground plates 5 um (ISO 8512)"
     lookalikes = ("probe_offset", "encoder_gain", "encoder_eccentricity")
-    separated_by = "the plate turned by a quarter turn, or a second one"
+    separated_by = "the plate rotated by 90 degrees, or a second plate"
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
         sizes = [(i, j, *SIZE[i + j]) for i, j in POWERS]

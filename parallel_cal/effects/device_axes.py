@@ -22,14 +22,19 @@ class DeviceAxes(Effect):
     """
 
     of_device = True
-    physics = "A coordinate measuring machine's axes lean and its scales stretch."
-    remedy = "have the device calibrated, or measure with it turned by a quarter turn as well"
+    physics = (
+        "The axes of a coordinate measuring machine are not square, and its scales have a "
+        "wrong length."
+    )
+    remedy = (
+        "have the device calibrated, or measure once more with the device rotated by 90 degrees"
+    )
     source = (
         "10-50 urad and 10-50 um/m for machines in a workshop (ISO 10360 ball plate tests); "
         "to 1e-3 for cameras scaled by a printed target"
     )
     lookalikes = ("encoder_gain",)
-    separated_by = "the same poses with the device turned by a quarter turn about the vertical"
+    separated_by = "the same poses with the device rotated by 90 degrees about the vertical"
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
         axes = _axes(mechanism)

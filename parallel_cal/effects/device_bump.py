@@ -25,11 +25,13 @@ class DeviceBump(Effect):
     needs = ("time",)
     fixed = ("time",)
     of_device = True
-    physics = "A stand, tripod or target that somebody ran into stays where it was pushed."
-    remedy = "fasten the stand, measure what came before anew"
-    source = "tens of um to 1 mm, when a stand is touched or a magnetic nest is seated anew"
+    physics = "A stand, tripod or target that was bumped stays where it was pushed."
+    remedy = "fasten the stand, and repeat the measurements from before the bump"
+    source = (
+        "tens of um to 1 mm, when a stand is touched or a target is put back on its magnetic nest"
+    )
     lookalikes = ("base_drift", "zero_shift", "thermal_expansion")
-    separated_by = "poses from the beginning, measured again at last"
+    separated_by = "the first poses, measured again at the end"
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
         time = Parameter("time", "s", 0.0, 10e3, low=0.0)  # of one day at most

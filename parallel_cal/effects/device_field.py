@@ -19,11 +19,16 @@ class DeviceField(Effect):
     """
 
     of_device = True
-    physics = "Air that is warmer above bends a beam; slides that are not straight bend an axis."
-    remedy = "keep the air even and the beam short; have the device calibrated over its volume"
+    physics = (
+        "Air that is warmer at the top bends a beam; slides that are not straight bend an axis."
+    )
+    remedy = (
+        "keep the air temperature even and the beam short; have the device calibrated over "
+        "its volume"
+    )
     source = "1 K/m bends light by 0.5 um/m^2; slides and cameras by 10-100 um over a metre"
     lookalikes = ("device_axes", "base_compliance")
-    separated_by = "the same poses with the device moved aside or turned by a quarter turn"
+    separated_by = "the same poses with the device moved sideways or rotated by 90 degrees"
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
         axes = find_translation_axes(mechanism)

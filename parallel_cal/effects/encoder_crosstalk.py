@@ -28,11 +28,13 @@ class EncoderCrosstalk(Effect):
     it; wires that leak into one another ripple with the signal's period and are not this.
     """
 
-    physics = "Shafts led through one another and belts that share a frame drag their neighbours."
-    remedy = "part cables, belts and shafts from one another, or keep the correction in the model"
+    physics = (
+        "Shafts that run through one another and belts that share a frame drag their neighbours."
+    )
+    remedy = "separate cables, belts and shafts, or keep the correction in the model"
     source = "toothed belts hold their length to 1.6e-3 at 10 inches, 1.0e-3 at 20 (ANSI/RMA IP-24)"
     lookalikes = ("encoder_gain", "encoder_eccentricity", "encoder_second_harmonic")
-    separated_by = "poses in which one joint uses its travel while its neighbours stand still"
+    separated_by = "poses in which one joint moves over its range while its neighbours stand still"
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
         units = dict(zip(mechanism.joints, mechanism.joint_units, strict=True))
@@ -50,7 +52,7 @@ class EncoderCrosstalk(Effect):
         ]
 
     def applies(self, mechanism: Mechanism) -> str:
-        return "" if len(mechanism.joints) > 1 else "it has one joint only"
+        return "" if len(mechanism.joints) > 1 else "it has only one joint"
 
     def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
         read = dict(zip(mechanism.joints, ca.vertsplit(seen.q), strict=True))

@@ -16,11 +16,14 @@ class EncoderGain(Effect):
     """q_ideal = q + gain * q for every joint: where the reading is zero, it stays zero."""
 
     family = SMOOTH
-    physics = "A spindle's lead or a belt's pitch off by k makes the joint travel (1 + k) times."
-    remedy = "enter the lead or pitch that was found, or keep the correction in the model"
+    physics = (
+        "If the lead of a spindle or the pitch of a belt is wrong by k, the joint travels "
+        "(1 + k) times as far."
+    )
+    remedy = "enter the identified lead or pitch, or keep the correction in the model"
     source = "ball screw of class C5: 20 um on 300 mm is 0.07e-3; belts and spools reach 1e-3"
     lookalikes = ("encoder_eccentricity", "encoder_second_harmonic", "device_axes")
-    separated_by = "poses that use the whole travel of every joint, checked with a second device"
+    separated_by = "poses over the whole range of every joint, checked with a second device"
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
         joints = zip(mechanism.joints, mechanism.joint_units, strict=True)

@@ -23,7 +23,7 @@ class EncoderHarmonic(Harmonic):
 
     fixed = ("order",)
     refines = False
-    physics = "A ring that n screws pull out of round, or n pole pairs, misread n times per turn."
+    physics = "A ring that n screws deform, or n pole pairs, misreads n times per turn."
     remedy = (
         "loosen the ring's screws and tighten them crosswise, or keep the correction in the model"
     )
@@ -32,7 +32,9 @@ class EncoderHarmonic(Harmonic):
     order, tolerance = 3, 0.3e-3
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
-        order = Parameter("order", "1", self.order, 20.0, low=1.0, high=200.0, label="waves a turn")
+        order = Parameter(
+            "order", "1", self.order, 20.0, low=1.0, high=200.0, label="waves per turn"
+        )
         return [order, *super().parameters(mechanism)]
 
     def scan(

@@ -33,7 +33,7 @@ class GearTransmissionError(Effect):
     fixed = ("ratio",)
     family = SMOOTH
     physics = "Eccentric gears and wave generators advance and delay the arm once per input turn."
-    remedy = "keep the correction in the model; it stays as long as the gear is not taken apart"
+    remedy = "keep the correction in the model; it stays valid until the gear is taken apart"
     source = "harmonic drives: 0.3-0.45 mrad at one and two periods per turn of the input"
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:

@@ -1,4 +1,4 @@
-"""A drive that winds up after each reversal before it follows: play with rounded corners."""
+"""A drive that winds up after each reversal before it follows: backlash with rounded corners."""
 
 from __future__ import annotations
 
@@ -25,11 +25,13 @@ class Hysteresis(Effect):
 
     needs = ("travel",)
     fixed = ("*.width",)
-    physics = "Friction winds up an elastic drive, which lags behind once the joint has reversed."
-    remedy = "measure behind the drive, or approach poses over the same way"
+    physics = (
+        "Friction winds up an elastic drive, so the drive lags behind after the joint has reversed."
+    )
+    remedy = "measure the joint behind the drive, or approach all poses along the same path"
     source = "harmonic drives: 0.3-0.6 mrad between the two directions"
     lookalikes = ("backlash", "latency")
-    separated_by = "the same poses approached from both directions over short and long ways"
+    separated_by = "the same poses approached from both directions, by short and by long moves"
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
         joints = zip(mechanism.joints, mechanism.joint_units, strict=True)
@@ -47,7 +49,7 @@ class Hysteresis(Effect):
             if lag > width:
                 return (
                     f"hysteresis.{joint}.lag would have to be {lag:.3g}, built up in {width:.3g}: "
-                    "the joint would turn back while its drive goes on"
+                    "the joint would turn back while its drive continues"
                 )
         return ""
 
@@ -71,6 +73,6 @@ def _make_joint_parameters(joint: str, unit: str) -> list[Parameter]:
             width,
             width / 10,
             low=width / 9,
-            label="way in which it turns over",
+            label="travel over which it builds up",
         ),
     ]

@@ -22,14 +22,14 @@ class JointCompliance(Effect):
 
     needs = ("payload",)
     fixed = ("mass.*",)
-    physics = "Between encoder and arm a shaft twists in proportion to the torque it holds."
+    physics = "Between encoder and arm, a shaft twists in proportion to its torque."
     remedy = (
-        "keep the correction in the model and tell it the payload; a stiffer shaft or "
-        "belt lessens it"
+        "keep the correction in the model and enter the payload; a stiffer shaft or belt "
+        "reduces the error"
     )
     source = "harmonic drives 1e-5..1e-4 rad/Nm, belts and thin shafts to 1e-3; screws 1e-8 m/N"
     lookalikes = ("rod_compliance", "payload_sag", "ball_joint_clearance")
-    separated_by = "several payloads in poses all over the workspace, its edges included"
+    separated_by = "several payloads in poses all over the workspace, including its edges"
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
         units = dict(zip(mechanism.joints, mechanism.joint_units, strict=True))

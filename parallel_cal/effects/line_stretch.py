@@ -22,11 +22,11 @@ class LineStretch(Effect):
 
     needs = ("payload",)
     fixed = ("mass",)
-    physics = "A loaded line is longer than an unloaded one, in proportion to its length."
-    remedy = "tell the model the payload; stiffer line lessens it"
+    physics = "A loaded line is longer than an unloaded line, in proportion to its length."
+    remedy = "enter the payload in the model; a stiffer line reduces the error"
     source = "Hooke's law; braided line of 1 mm, EA of 10-50 kN: 2 m under 1 kg give 2-0.4 mm"
     lookalikes = ("payload_sag", "joint_compliance", "device_axes")
-    separated_by = "the same poses with another payload, high and low"
+    separated_by = "the same poses with another payload, at high and low positions"
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
         return [

@@ -16,11 +16,11 @@ class ParallelogramErrors(Effect):
     """
 
     widens = True
-    physics = "Unequal rods and skew bars tilt a platform, bent pantographs shift its centre."
-    remedy = "exchange rods in pairs of equal length, or use the larger model"
+    physics = "Unequal rods and skew bars tilt the platform; bent pantographs shift its centre."
+    remedy = "replace rods in pairs of equal length, or use the larger model"
     source = "table 5.18: half bars and rods off by 0.02-0.1 mm, axes by 0.1-0.6 degrees"
     lookalikes = ("target_offset",)
-    separated_by = "orientation measured as well, or a target at a lever arm"
+    separated_by = "measured orientations, or a target at a lever arm"
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
         return []
@@ -30,7 +30,7 @@ class ParallelogramErrors(Effect):
             return "it is not a special case of a larger model"
         name, _ = mechanism.widen(mechanism.parameters.mapping(mechanism.parameters.nominal))
         if set(load_mechanism(name, **mechanism.options).moves) <= set(mechanism.moves):
-            return f"{name}, its larger model, leaves the platform no further freedom"
+            return f"{name}, its larger model, gives the platform no additional degree of freedom"
         return ""
 
     def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:

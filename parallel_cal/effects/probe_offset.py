@@ -17,11 +17,14 @@ class ProbeOffset(Touch):
     """
 
     reads = ("probe", "plane", "sphere*")
-    physics = "A probe beside the nozzle, or a stylus changed, touches beside the stated tip."
-    remedy = "measure where the tip is, and enter it; the robot itself is not at fault"
+    physics = (
+        "A probe beside the nozzle, or a changed stylus, touches at another point than the "
+        "stated tip."
+    )
+    remedy = "measure where the tip is, and enter its position; the robot is not the cause"
     source = "0.1-1 mm as mounted; styli are qualified to 2 um on a sphere"
     lookalikes = ("bed_shape", "probe_tilt")
-    separated_by = "one place of the plate touched with the platform tilted to all sides"
+    separated_by = "one point of the plate touched with the platform tilted to all sides"
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
         return [Parameter(f"o_{a}", "m", 0.0, 0.5e-3, low=-5e-3, high=5e-3) for a in "xyz"]

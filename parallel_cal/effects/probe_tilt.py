@@ -22,12 +22,13 @@ class ProbeTilt(Touch):
 
     reads = ("probe",)
     physics = (
-        "A gauge's stem that leans meets the plate later: a cosine that changes with the pose."
+        "A gauge whose stem is tilted meets the plate later: a cosine error that changes "
+        "with the pose."
     )
-    remedy = "clamp the gauge square to the plate; the robot itself is not at fault"
+    remedy = "clamp the gauge perpendicular to the plate; the robot is not the cause"
     source = "5-20 mrad as clamped: 10 mm at 0.1 rad of platform tilt are 5-20 um"
     lookalikes = ("probe_offset", "bed_shape")
-    separated_by = "the same tilts of the platform high and low over one place of the plate"
+    separated_by = "the same tilts of the platform, high and low, over one point of the plate"
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
         return [Parameter(f"tilt_{a}", "rad", 0.0, 10e-3, low=-0.1, high=0.1) for a in "xy"]

@@ -16,11 +16,11 @@ class RodCompliance(Effect):
 
     needs = ("payload",)
     fixed = ("mass.*",)
-    physics = "A rod and its two ball joints are springs: loaded by weight, they change length."
-    remedy = "tell the model the payload; stiffer rods and joints lessen it"
+    physics = "A rod and its two ball joints are springs: their length changes with the load."
+    remedy = "enter the payload in the model; stiffer rods and joints reduce the error"
     source = "l/(EA) + 1/k: steel of 10 mm and 0.24 m 1.5e-8 m/N, ball joints 1e-8..1e-6 m/N"
     lookalikes = ("joint_compliance", "payload_sag", "ball_joint_clearance")
-    separated_by = "several payloads at the edge of the workspace, where rods lean most"
+    separated_by = "several payloads at the edge of the workspace, where the rods are most inclined"
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
         own = Parameter("compliance", "m/N", 0.0, 1e-6, low=0.0, high=1e-5)

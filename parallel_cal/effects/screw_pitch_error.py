@@ -24,11 +24,11 @@ class ScrewPitchError(Effect):
     """
 
     fixed = ("lead",)
-    physics = "A screw that wobbles or is bent advances unevenly within each turn of its own."
-    remedy = "keep the correction in the model; a ground screw lessens it"
+    physics = "A screw that wobbles or is bent advances unevenly within each of its turns."
+    remedy = "keep the correction in the model; a ground screw reduces the error"
     source = "ISO 3408-3: v_2pi of 4-8 um for ball screws of class C1-C5, tens for rolled ones"
     lookalikes = ("encoder_gain",)
-    separated_by = "poses all over the stroke, not a whole number of leads apart"
+    separated_by = "poses over the whole stroke whose distances are not multiples of the lead"
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
         sizes = {part: ("m", 10e-6, 0.1e-3, label) for part, label in WAVE.items()}
@@ -50,7 +50,7 @@ class ScrewPitchError(Effect):
         return shift_joints(seen, mechanism, _find_prismatic_joints(mechanism), error)
 
     def applies(self, mechanism: Mechanism) -> str:
-        return "" if _find_prismatic_joints(mechanism) else "no joint slides"
+        return "" if _find_prismatic_joints(mechanism) else "it has no prismatic joint"
 
     def scan(
         self, mechanism: Mechanism, recorded: Mapping[str, Any]

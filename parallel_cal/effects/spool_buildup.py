@@ -21,17 +21,17 @@ class SpoolBuildup(Effect):
     number because every spool holds the same line on the same width.
     """
 
-    physics = "Every layer of line makes the spool larger: the same turn then moves more line."
+    physics = "Every layer of line makes the spool larger, so the same turn moves more line."
     remedy = "enter the spool's build-up in the firmware, or keep the correction in the model"
     source = "the Hangprinter's maker; round line has Q = d^2 / (4 width), 1 mm in 3: 0.08 mm"
     lookalikes = ("encoder_gain", "line_stretch")
-    separated_by = "poses that use the whole travel of every line, near and far from its anchor"
+    separated_by = "poses over the whole range of every line, near and far from its anchor"
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
         return [Parameter("Q", "m", 0.0, 0.1e-3, low=0.0, high=0.5e-3, label="build-up")]
 
     def applies(self, mechanism: Mechanism) -> str:
-        return "" if isinstance(mechanism, Cable) else "no line is wound on a spool"
+        return "" if isinstance(mechanism, Cable) else "it has no line on a spool"
 
     def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
         rows = []

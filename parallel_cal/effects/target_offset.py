@@ -19,8 +19,10 @@ class TargetOffset(Effect):
     """
 
     of_device = True
-    physics = "A reflector or stylus is never mounted exactly where the model has the origin."
-    remedy = "enter where the target is mounted; the robot itself is not at fault"
+    physics = (
+        "A reflector or stylus is never mounted exactly at the model's origin of the platform."
+    )
+    remedy = "enter where the target is mounted; the robot is not the cause"
     source = "0.01-1 mm, as the target's mount was made or measured"
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
@@ -36,5 +38,5 @@ class TargetOffset(Effect):
     def applies(self, mechanism: Mechanism) -> str:
         turns = [c for c in mechanism.moves if c.startswith("r")]
         if not turns:
-            return "the platform does not turn"
-        return "" if len(turns) < len(mechanism.moves) else "the platform only turns"
+            return "the platform does not rotate"
+        return "" if len(turns) < len(mechanism.moves) else "the platform only rotates"

@@ -15,11 +15,11 @@ class ThermalExpansion(Effect):
 
     needs = ("temperature",)
     fixed = ("reference",)
-    physics = "A part of length L is longer by alpha L for every kelvin that it is warmer."
-    remedy = "warm up before work, or tell the model the temperature"
+    physics = "A part of length L becomes longer by alpha L for every kelvin of warming."
+    remedy = "warm up before work, or give the model the temperature"
     source = "steel 11.7e-6/K, aluminium 23e-6/K, carbon fibre -1e-6..2e-6/K, polymers to 1e-4/K"
     lookalikes = ("base_drift", "zero_shift")
-    separated_by = "a temperature that rises and falls, so that it is not merely another clock"
+    separated_by = "a temperature that rises and falls, so that it is not proportional to time"
 
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
         return [
@@ -33,7 +33,7 @@ class ThermalExpansion(Effect):
         ]
 
     def applies(self, mechanism: Mechanism) -> str:
-        return "" if mechanism.bodies else "it has no lengths that are known to be of one body"
+        return "" if mechanism.bodies else "it has no lengths that belong to a known body"
 
     def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
         warmer, table = at["temperature"] - e.reference, mechanism.parameters

@@ -26,9 +26,9 @@ class ZeroShift(Effect):
 
     needs = ("session",)
     fixed = tuple(f"*.since{k}" for k in LATER_SESSIONS[1:])
-    physics = "Homing finds a joint's zero only as well as its switch repeats."
+    physics = "Homing reproduces a joint's zero only as well as its switch repeats."
     remedy = (
-        "home against an index mark or a better switch; after homing re-fit the zeros "
+        "home against an index mark or a better switch; after homing, fit the zeros again "
         "from a few poses"
     )
     source = "reference switches repeat within 10-100 um"

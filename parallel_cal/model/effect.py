@@ -83,7 +83,7 @@ class Effect(ABC):
         return any(fnmatchcase(channel, pattern) for pattern in self.reads)
 
     def applies(self, mechanism: Mechanism) -> str:
-        """Empty where it makes sense, else why it does not (`no joint turns`)."""
+        """Return why the effect does not apply to a mechanism; empty if it applies."""
         return ""
 
     def scan(
