@@ -97,7 +97,9 @@ def test_a_recording_split_over_files_is_read_as_one(tmp_path):
 
 def test_a_folder_that_is_no_recording_is_refused(tmp_path):
     (tmp_path / "a.txt").write_text("hello")
-    with pytest.raises(BagError, match=r"not a rosbag2 recording: it holds neither metadata\.yaml"):
+    with pytest.raises(
+        BagError, match=r"not a rosbag2 recording: it contains neither metadata\.yaml"
+    ):
         read_bag(tmp_path)
 
 
@@ -114,7 +116,7 @@ def test_a_file_that_is_no_recording_is_refused(tmp_path):
 
 @pytest.mark.parametrize("sqlite", [False, True])
 def test_an_empty_bag_is_refused(tmp_path, sqlite):
-    with pytest.raises(BagError, match="holds no message"):
+    with pytest.raises(BagError, match="contains no message"):
         read_bag(write_bag(tmp_path / "b", [], sqlite=sqlite))
 
 
@@ -126,7 +128,7 @@ def test_a_truncated_bag_is_refused_with_advice(tmp_path, sqlite, part):
     content = file.read_bytes()
     file.write_bytes(content[: int(part * len(content))])
     for path in (bag, file):
-        with pytest.raises(BagError, match=r"damaged or cut short.*reindex"):
+        with pytest.raises(BagError, match=r"damaged or truncated.*reindex"):
             read_bag(path)
 
 
@@ -211,7 +213,7 @@ def test_extra_joints_are_ignored_and_reported(tmp_path):
     bag = write_bag(tmp_path / "b", joint_states(MOVES) + poses(MOVES))
     recording = read_bag(bag, ReadOptions(joints=("joint3", "joint1")))
     np.testing.assert_array_equal(recording.joints.position, MOVES.q[:, [2, 0]])
-    assert recording.notes == ("joint_states: joints ignored: joint2",)
+    assert recording.notes == ("joint_states: ignored joints: joint2",)
 
 
 def test_messages_of_another_publisher_are_dropped_and_counted(tmp_path):
@@ -375,7 +377,7 @@ def correlated(value, *, both=True):
 def test_a_matrix_that_is_no_covariance_leaves_its_variances_and_is_told(tmp_path, value):
     recording = read_bag(write_bag(tmp_path / "b", correlated(value)))
     np.testing.assert_array_equal(recording.pose.covariance[0], np.diag([1e-10] * 6))
-    assert "no covariance, as it has a negative eigenvalue" in recording.notes[0]
+    assert "the covariance has a negative eigenvalue" in recording.notes[0]
 
 
 def test_a_correlation_is_kept_even_when_written_on_one_side(tmp_path):
@@ -401,7 +403,7 @@ def test_points_measure_position_only(tmp_path):
 
 def test_orientations_that_are_all_identity_are_suspicious(tmp_path):
     messages = joint_states(MOVES) + poses(MOVES, quaternion=(0, 0, 0, 1))
-    assert "exactly identity" in read_bag(write_bag(tmp_path / "b", messages)).notes[0]
+    assert "exactly the identity" in read_bag(write_bag(tmp_path / "b", messages)).notes[0]
 
 
 def test_poses_in_another_frame_are_dropped(tmp_path):

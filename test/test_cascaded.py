@@ -134,7 +134,7 @@ def test_mechanisms_that_do_not_fall_into_halves_are_refused():
         cascaded.direct(new_model("stewart42"), np.zeros(6))
     with pytest.raises(SolveError, match="use --solver newton"):
         cascaded.direct(new_model("delta51"), np.zeros(3))
-    with pytest.raises(SolveError, match="slide: use --solver newton"):
+    with pytest.raises(SolveError, match="are prismatic: use --solver newton"):
         cascaded.inverse(new_model("linear_delta"), np.zeros(3))
     with pytest.raises(SolveError, match="has 3"):
         cascaded.direct(new_model("delta54"), np.zeros(4))

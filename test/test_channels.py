@@ -68,7 +68,7 @@ def test_it_is_found_by_its_type_or_named_and_a_wrong_unit_is_warned_of(tmp_path
     bag = bw.write_bag(tmp_path / "bag", messages(*said))
     found, named = load_dataset(bag), load_dataset(bag, data_options(["humidity=/lab/air"]))
     np.testing.assert_array_equal(found.conditions["humidity"], named.conditions["humidity"])
-    assert any("humidity does not look like 1: it goes from 4" in w for w in named.warnings)
+    assert any("humidity does not look like 1: it ranges from 4" in w for w in named.warnings)
     assert "humidity" not in load_dataset(bag, topics={"humidity": ""}).conditions
 
 
@@ -97,7 +97,7 @@ def test_one_device_on_two_topics_is_refused(tmp_path):
     gauge = [bw.distance(0.1 * i, 0.2, "wire") for i in range(30)]
     both = [*bw.joint_states(ts.session(STOPS)), *gauge, *(("wire", *m[1:]) for m in gauge)]
     bag = bw.write_bag(tmp_path / "bag", both)
-    with pytest.raises(BagError, match=r"wire \(wire\) comes as distance \(wire\), too"):
+    with pytest.raises(BagError, match=r"wire \(wire\) is also on distance \(wire\)"):
         load_dataset(bag)
 
 

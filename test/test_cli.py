@@ -196,7 +196,7 @@ def test_new_writes_a_nominal_model_file(document, run, tmp_path):
     model = read_model(path)
     assert (model.values == new_model("delta24").values).all()
     assert made["hash"] == model_hash(model)
-    fails(run("new", "delta24", "-o", path), "exists already")
+    fails(run("new", "delta24", "-o", path), "already exists")
     fails(run("new", "delta99", "-o", tmp_path / "x.yaml"), "no mechanism 'delta99'")
     fails(run("new", "serial", "-o", tmp_path / "x.yaml"), "serial", "links")
 
@@ -421,7 +421,7 @@ def test_a_malformed_table_is_a_clear_error_and_writes_nothing(run, tmp_path):
         )
         fails(result, "q.csv:1", word)
     (tmp_path / "q.csv").write_bytes(b"\xff\xfe\x00")
-    fails(run("direct", DELTA24, "--input", tmp_path / "q.csv"), "save it as UTF-8")
+    fails(run("direct", DELTA24, "--input", tmp_path / "q.csv"), "Save it as UTF-8")
     fails(run("direct", DELTA24, "--input", tmp_path / "no.csv"), "cannot be read")
     assert not (tmp_path / "p.csv").exists()
 

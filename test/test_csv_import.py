@@ -84,7 +84,7 @@ def test_a_way_for_each_revolution_that_is_none_is_refused_by_line_and_key(files
 
 def test_a_length_is_no_motors_angle(files):
     columns = MAP.replace("unit: mm}\nposition", "unit: mm, per_rev: 72 mm}\nposition")
-    words = "t.csv:1: column b_mm is in mm, but .*map.yaml says per_rev 72 mm, which is of an angle"
+    words = "t.csv:1: column b_mm is in mm, but .*map.yaml has per_rev 72 mm, which needs an angle"
     with pytest.raises(ParallelCalError, match=words):
         import_csv(*files(columns=columns))
 
@@ -110,13 +110,13 @@ def test_orientations_alone_are_a_measurement(files):
             "t.csv:1: no column T, which .*map.yaml names; the table "
             "has number, a_deg, .*, temp, visit",
         ),
-        ((",100,", ",,"), "t.csv:2: column b_mm holds '', expected a finite number"),
-        ((",22.5,", ",nan,"), "t.csv:4: column T holds 'nan'"),
-        ((",22.5,", ",cold,"), "t.csv:4: column T holds 'cold'"),
-        ((",23,home", ",23"), "t.csv:5: 11 cells, the header has 12"),
-        ((",1,0,0,0,", ",1,1,0,0,"), "t.csv:5: qx, qy, qz, qw are no quaternion"),
+        ((",100,", ",,"), "t.csv:2: column b_mm contains '', expected a finite number"),
+        ((",22.5,", ",nan,"), "t.csv:4: column T contains 'nan'"),
+        ((",22.5,", ",cold,"), "t.csv:4: column T contains 'cold'"),
+        ((",23,home", ",23"), "t.csv:5: 11 cells, but the header has 12"),
+        ((",1,0,0,0,", ",1,1,0,0,"), "t.csv:5: qx, qy, qz, qw are not a quaternion"),
         (("number,a_deg", "x,a_deg"), "t.csv:1: a column occurs twice"),
-        ((TABLE, "a,b\n"), "expected a header line and rows, found 1 lines"),
+        ((TABLE, "a,b\n"), "expected a header line and rows, found only 1 line"),
     ],
 )
 def test_a_bad_table_is_named_by_file_line_and_column(files, change, words):
@@ -129,7 +129,7 @@ def test_a_bad_table_is_named_by_file_line_and_column(files, change, words):
     [
         (("unit: deg", "unit: degree"), "map.yaml:2: joints.arm.unit: .*'deg'.*, found 'degree'"),
         (("z], unit: mm", "z], unit: inch"), "map.yaml:4: position.unit: .*'mm'.*, found 'inch'"),
-        (("z], unit: mm", "z]"), "t.csv:1: column x names no unit; say so in .*map.yaml"),
+        (("z], unit: mm", "z]"), "t.csv:1: column x has no unit; state it in .*map.yaml"),
         (("[x, y, z]", "[x, y]"), "map.yaml:4: position.columns: too few values"),
         (
             ("temperature: T", "temprature: T"),
@@ -172,7 +172,7 @@ def test_a_comma_may_be_the_decimal_point_where_cells_are_apart_otherwise(files)
 def test_a_unit_that_the_header_contradicts_is_refused(files):
     table = "arm_deg,slide_mm,x_mm,y_mm,z_mm\n1,2,3,4,5\n"
     with pytest.raises(
-        ParallelCalError, match=r"t.csv:1: column x_mm is in mm, .*map.yaml says m$"
+        ParallelCalError, match=r"t.csv:1: column x_mm is in mm, .*map.yaml states m$"
     ):
         import_csv(*files(table, SHORT + "position: {columns: [x, y, z], unit: m}"))
 
@@ -235,7 +235,7 @@ def test_tables_are_joined_by_the_nearest_time_within_reach(two):
 @pytest.mark.parametrize(
     ("join", "words"),
     [
-        ("", "3 rows in .*joints.csv and 2 rows in .*poses.csv: say in the column map how"),
+        ("", "3 rows in .*joints.csv and 2 rows in .*poses.csv: state in the column map how"),
         ("join: {by: visit}", "joints.csv:1: no column visit to join by"),
         ("join: {by: t}", "joints.csv:3: t 0 occurs twice"),
         ("join: {by: no, within: 0}", "join.within: "),
@@ -279,7 +279,7 @@ def test_a_joint_of_the_model_that_the_map_does_not_name_is_said(files, tmp_path
 def test_files_that_are_not_there_are_named(files, tmp_path, capsys):
     table, columns = files()
     assert run("import-csv", tmp_path / "no.csv", "--columns", columns, "-o", tmp_path / "o") == 1
-    assert "no.csv: No such file" in capsys.readouterr().err
+    assert "no.csv: the table cannot be read: No such file" in capsys.readouterr().err
     assert run("import-csv", table, "--columns", tmp_path / "no.yaml", "-o", tmp_path / "o") == 1
     assert "no.yaml: No such file" in capsys.readouterr().err
     assert not (tmp_path / "o").exists()

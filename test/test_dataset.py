@@ -175,7 +175,7 @@ def test_where_clocks_differ_motion_brings_them_together(tmp_path, late):
     assert len(dataset) == 5
     np.testing.assert_allclose(dataset.r, STOPS, atol=2e-5)
     assert dataset.dropped == ()
-    assert sum("two clocks, brought to that of the joints" in w for w in dataset.warnings) == 1
+    assert sum("moved to the joints' clock" in w for w in dataset.warnings) == 1
 
 
 @pytest.mark.parametrize("late", [0.2, -0.2])
@@ -223,7 +223,7 @@ def test_a_device_that_shows_whole_steps_is_no_motion(tmp_path, rate):
 def test_joints_that_come_too_rarely_are_reported_and_make_no_sample(tmp_path):
     stops = np.random.default_rng(0).uniform(-0.5, 0.5, (12, 3))
     slow, seen = Session(stops, rate=1.0), poses(Session(stops))
-    with pytest.raises(DatasetError, match="one message in 1 s; only standstills of 10 s"):
+    with pytest.raises(DatasetError, match="one message per 1 s; only standstills of 10 s"):
         dataset_of(tmp_path, joint_states(slow) + seen)
 
 
@@ -234,7 +234,7 @@ def test_messages_that_measure_less_than_their_dwell_are_reported(tmp_path):
     dataset = dataset_of(tmp_path, joint_states(ROBOT) + messages)
     assert dataset.measured.all()
     told = [(d.reason, d.count, round(d.time, 3)) for d in dataset.dropped]
-    assert told == [("measures less than the rest of its dwell", 1, 0.254)]
+    assert told == [("measures fewer coordinates than the rest of its dwell", 1, 0.254)]
 
 
 def test_a_joint_that_creeps_is_not_standing_still(tmp_path):
@@ -294,7 +294,7 @@ def test_poses_in_a_silence_of_the_joints_are_not_interpolated(tmp_path):
     moving = Session(STOPS, dwell=0.0)
     gap = [m for m in joint_states(moving) if not 0.5e9 < m[2] - ROBOT_START < 1.5e9]
     dataset = dataset_of(tmp_path, gap + poses(moving), mode="continuous")
-    assert reasons(dataset) == {"no joint readings around the pose"}
+    assert reasons(dataset) == {"no joint readings before and after the pose"}
     assert not ((dataset.time > 0.51) & (dataset.time < 1.49)).any()
 
 
@@ -405,7 +405,7 @@ def test_temperature_is_interpolated_and_payload_is_the_latest(tmp_path):
     dataset = dataset_of(tmp_path, joint_states(ROBOT) + poses(ROBOT) + extra)
     np.testing.assert_allclose(dataset.conditions["temperature"], 20 + dataset.time, atol=1e-9)
     assert dataset.conditions["payload"].tolist() == [0.5, 0.5, 0.5, 1.5, 1.5]
-    assert any("payload: 1 samples lie before" in w for w in dataset.warnings)
+    assert any("payload: 1 samples are earlier" in w for w in dataset.warnings)
 
 
 def test_conditions_that_were_not_recorded_are_absent(robot):
@@ -444,9 +444,9 @@ def test_joints_in_degrees_are_suspicious(tmp_path):
 @pytest.mark.parametrize(
     ("measured", "told"),
     [
-        (temperature(0.0, 294.15), "temperature does not look like degC: it goes from 294.1"),
-        (temperature(0.0, -400.0), "temperature does not look like degC: it goes from -400"),
-        (payload(0.0, -1.0), "payload does not look like kg: it goes from -1"),
+        (temperature(0.0, 294.15), "temperature does not look like degC: it ranges from 294.1"),
+        (temperature(0.0, -400.0), "temperature does not look like degC: it ranges from -400"),
+        (payload(0.0, -1.0), "payload does not look like kg: it ranges from -1"),
     ],
 )
 def test_a_condition_in_another_unit_is_suspicious(tmp_path, measured, told):
@@ -610,7 +610,7 @@ def test_a_damaged_sample_file_is_refused_naming_file_and_key(robot, tmp_path):
     with pytest.raises(DatasetError, match=r"parallel_cal_samples is None; expected 1"):
         Dataset.from_json(path)
     path.write_text("{")
-    with pytest.raises(DatasetError, match=r"cannot read samples.*cut off"):
+    with pytest.raises(DatasetError, match=r"cannot read samples.*truncated"):
         Dataset.from_json(path)
 
 
@@ -621,14 +621,14 @@ def mirrored(document):
 @pytest.mark.parametrize(
     ("spoil", "said"),
     [
-        (lambda d: d["q"].__setitem__(1, [None] * 3), "q of sample 1 holds null"),
-        (lambda d: d["time"].__setitem__(0, None), "time of sample 0 holds null"),
+        (lambda d: d["q"].__setitem__(1, [None] * 3), "q of sample 1 is null"),
+        (lambda d: d["time"].__setitem__(0, None), "time of sample 0 is null"),
         (lambda d: d["r"].pop(), "r is not"),
         (lambda d: d["duration"].pop(), "duration is not"),
         (lambda d: d["measured"].pop(), "measured has"),
         (lambda d: d["pose_id"].pop(), "pose_id has"),
         (lambda d: next(iter(d["conditions"].values())).pop(), "conditions.*has"),
-        (mirrored, "R of sample 2 is no rotation, it mirrors"),
+        (mirrored, "R of sample 2 is not a rotation: it is a reflection"),
         (lambda d: d["R"].__setitem__(0, [[2, 0, 0], [0, 1, 0], [0, 0, 1]]), "not orthogonal"),
         (lambda d: d.update(joint_names=["a", "a", "b"]), "joint_names"),
         (lambda d: d.update(joint_sigma=[1e-5]), "joint_sigma"),

@@ -308,7 +308,10 @@ class Faulty(Effect):
 
 @pytest.mark.parametrize(
     ("tolerance", "words"),
-    [("0.0", "faulty0.size: tolerance 0.0, expected above 0"), ("1 / 0", "faulty1: ZeroDivision")],
+    [
+        ("0.0", "faulty0.size: tolerance is 0.0, expected above 0"),
+        ("1 / 0", "faulty1: ZeroDivision"),
+    ],
 )
 def test_an_own_effect_that_is_wrong_is_said_so_and_not_left_out(
     tmp_path, monkeypatch, tolerance, words

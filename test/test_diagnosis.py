@@ -317,7 +317,7 @@ def test_excluded_samples_keep_the_numbers_of_the_others():
     data.r[[12, 40]] += [1e-3, 0, 0]
     found = diagnose(MODEL, data.excluding([12]), effects=["backlash"])
     assert [row["sample"] for row in found.document()["odd_samples"] if row["outlier"]] == [40]
-    assert any("left out on request: sample 12" in w for w in found.document()["warnings"])
+    assert any("excluded on request: sample 12" in w for w in found.document()["warnings"])
 
 
 def test_a_baseline_that_cannot_be_identified_is_a_clear_error():
@@ -352,7 +352,7 @@ def test_gross_outliers_are_set_aside_and_named_before_a_robust_diagnosis():
     assert found.effects == ("backlash",)
     assert found.verdict.word == "explained"
     assert any(
-        "left out by --loss cauchy: sample 20, 60, 100" in w for w in found.document()["warnings"]
+        "excluded by --loss cauchy: sample 20, 60, 100" in w for w in found.document()["warnings"]
     )
 
 

@@ -119,16 +119,18 @@ def test_every_free_number_is_felt(mechanism, name):
 def test_where_an_effect_makes_no_sense_it_is_refused_with_the_reason(mechanism, name):
     model = new_model(mechanism)
     reason = load_effect(name).applies(model.mechanism)
-    with pytest.raises(ModelError, match=f"'{name}' makes no sense for {mechanism}: ") as refusal:
+    with pytest.raises(
+        ModelError, match=f"effect {name} does not apply to {mechanism}: "
+    ) as refusal:
         model.with_effect(name)
     assert str(refusal.value).endswith(reason)
 
 
 @pytest.mark.parametrize("name", [n for n in EFFECTS if load_effect(n).reads])
 def test_an_effect_on_readings_needs_a_sensor_that_takes_them(name):
-    with pytest.raises(ModelError, match="no sensor reads probe") as refusal:
+    with pytest.raises(ModelError, match="no sensor measures probe") as refusal:
         new_model("stewart42").with_effect(name)
-    assert str(refusal.value).startswith(f"'{name}' makes no sense for stewart42: ")
+    assert str(refusal.value).startswith(f"effect {name} does not apply to stewart42: ")
 
 
 @each_pair
@@ -248,11 +250,19 @@ def test_a_users_own_effect_acts_after_ours(tmp_path, monkeypatch):
     ("right", "wrong", "words"),
     [
         ("def ideal", "def ideally", "slip: TypeError: Can't instantiate abstract class Slip"),
-        ('("time",)', '("hour",)', "slip needs 'hour', which nobody records; there are time, "),
-        ('"rad/s"', '"deg/s"', "slip.rate in deg, expected SI units"),
-        ("0.0, 1e-6", "0.0, 0.0", "slip.rate: tolerance 0.0, expected above 0"),
-        ("seen.with_q(seen.q - e.rate * at.time)", "seen.q", "slip: ideal gives a SX"),
-        ("seen.with_q(", "seen.with_q([1, 2] + ", "slip: ideal gives q, r, R of shapes [(2, 1), "),
+        (
+            '("time",)',
+            '("hour",)',
+            "slip needs the condition 'hour', which is unknown; known conditions: time, ",
+        ),
+        ('"rad/s"', '"deg/s"', "slip.rate has the unit deg, expected SI units"),
+        ("0.0, 1e-6", "0.0, 0.0", "slip.rate: tolerance is 0.0, expected above 0"),
+        ("seen.with_q(seen.q - e.rate * at.time)", "seen.q", "slip: ideal returns a SX"),
+        (
+            "seen.with_q(",
+            "seen.with_q([1, 2] + ",
+            "slip: ideal returns q, r, R of shapes [(2, 1), ",
+        ),
         ("e.rate", "e.speed", "slip: no entry 'workshop_wrong.slip.speed'; there are"),
         ("at.time", "at.hour", "slip: no entry 'hour'; there are time"),
     ],

@@ -269,8 +269,8 @@ def test_device_and_base_have_the_numbers_that_the_platform_can_feel(effect, mec
         ("base_compliance", "planar_stewart", "does not move across gravity"),
         ("base_compliance", "argos9", "does not move across gravity"),
         ("screw_pitch_error", "delta54", "it has no prismatic joint"),
-        ("target_offset", "delta24", "does not turn"),
-        ("target_offset", "argos9", "only turns"),
+        ("target_offset", "delta24", "does not rotate"),
+        ("target_offset", "argos9", "only rotates"),
     ],
 )
 def test_device_effects_say_where_they_make_no_sense(effect, mechanism, reason):

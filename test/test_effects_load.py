@@ -148,7 +148,7 @@ def test_a_frame_sinks_and_leans_towards_the_load():
 @pytest.mark.parametrize(
     ("effect", "mechanism", "reason"),
     [
-        ("joint_compliance", "cable", "more joints than freedoms"),
+        ("joint_compliance", "cable", "more joints than degrees of freedom"),
         ("joint_compliance", "planar_stewart", "no joint carries any of the payload's weight"),
         ("joint_compliance", "argos27", "no joint carries any of the payload's weight"),
         ("rod_compliance", "stewart42", "it has no rods"),
@@ -196,8 +196,8 @@ def test_a_model_file_may_name_the_joints_and_lay_the_robot_on_its_side():
 @pytest.mark.parametrize(
     ("gravity", "error"),
     [
-        ("[0.0, 0.0, -9810.0]", "gravity.*9810 m/s.2 long, expected about 9.81"),
-        ("[0.0, 0.0, -1.0]", "gravity.* 1 m/s.2 long"),
+        ("[0.0, 0.0, -9810.0]", "gravity.*the length 9810 m/s.2, expected about 9.81"),
+        ("[0.0, 0.0, -1.0]", "gravity.* 1 m/s.2"),
         ("[0.0, -9.81]", "gravity"),
         ("down", "gravity"),
     ],
@@ -485,7 +485,10 @@ def test_parallelogram_errors_bring_a_tilting_platform_down_to_the_noise():
 def test_a_larger_model_is_left_by_its_older_file_and_the_error_says_so():
     large = new_model("delta24").with_effect("parallelogram_errors")
     large = replace(large, history=({"step": "add", "effect": "parallelogram_errors"},))
-    with pytest.raises(ModelError, match=r"became the mechanism delta54, go back to the file"):
+    with pytest.raises(
+        ModelError,
+        match=r"changing the mechanism to delta54. To undo it, go back to the model file",
+    ):
         large.without_effect("parallelogram_errors")
     with pytest.raises(ModelError, match=r"no effect 'backlash'; it has none$"):
         large.without_effect("backlash")

@@ -288,7 +288,7 @@ def test_the_command_writes_the_robot_alone_with_a_makefile_that_checks_it(tmp_p
         ("c:size=3", "option 'size=3': expected one of name="),
         ("c:poses=many", "option 'poses=many': expected one of name="),
         ("c:poses=1", "poses=1: expected 2 or more"),
-        ("c:name=my robot", "name=my robot: expected a name that C takes"),
+        ("c:name=my robot", "name=my robot: expected a valid C identifier"),
     ],
 )
 def test_what_cannot_be_exported_is_said(target, said, tmp_path):

@@ -180,7 +180,7 @@ def test_a_hangprinters_lines_agree_with_wound_ones_to_the_stated_loss(tmp_path)
     assert np.abs(lines).max() < 1.1 * done.loss["line_max"] + 1e-8
     assert np.abs(lines).mean() == pytest.approx(done.loss["line_mean"], abs=2e-8)
     assert done.loss["line_max"] < 1e-6
-    assert done.remarks == ["what its numbers cannot follow of spool_buildup is in the loss"]
+    assert done.remarks == ["the loss includes what its numbers cannot represent of spool_buildup"]
 
 
 def test_lines_that_start_at_another_length_are_lost_and_said(tmp_path):
@@ -195,8 +195,8 @@ def test_lines_that_start_at_another_length_are_lost_and_said(tmp_path):
     lines = np.abs(lines * model.mechanism.winds)
     assert lines.mean() == pytest.approx(done.loss["line_mean"], rel=0.05)
     assert done.loss["line_max"] > 1e-3
-    assert "M666 Q is not below 0.002" in done.remarks[0]
-    assert "no number for the lines' offset" in done.remarks[1]
+    assert "M666 Q must be at least 0.002" in done.remarks[0]
+    assert "no number for the offset of the lines" in done.remarks[1]
 
 
 def test_the_fifth_anchor_has_the_letter_that_its_firmware_reads(tmp_path):
@@ -306,7 +306,7 @@ def test_a_rotary_delta_has_the_numbers_of_its_drawing(target, numbers, tmp_path
 
 CONFIG = """\
 ; my Kossel, do not lose this
-M92 X160 Y160 Z160            ; steps a mm
+M92 X160 Y160 Z160            ; steps per mm
 M665 L250.000 R100 B65 H300 ; rods
 M666 X-0.5 Y0.25 (mine) Z0.25
 G31 P500 X0 Y0 Z0.1
@@ -427,9 +427,9 @@ def test_a_signal_that_leads_to_a_pin_is_set(tmp_path):
 
 def test_what_a_target_cannot_hold_is_refused_with_those_that_can(tmp_path):
     for name, target, can in (
-        ("stewart42", "klipper", "c, linuxcnc, table can hold it"),
-        ("linear_delta", "grblhal", "c, klipper, linuxcnc, rrf, table can hold it"),
-        ("argos27", "rrf", "c, linuxcnc, table can hold it"),
+        ("stewart42", "klipper", "c, linuxcnc, table can represent it"),
+        ("linear_delta", "grblhal", "c, klipper, linuxcnc, rrf, table can represent it"),
+        ("argos27", "rrf", "c, linuxcnc, table can represent it"),
     ):
         with pytest.raises(ModelError) as error:
             export(new_model(name), target, tmp_path)
@@ -439,7 +439,9 @@ def test_what_a_target_cannot_hold_is_refused_with_those_that_can(tmp_path):
     with pytest.raises(ModelError, match="configured for another kind of machine"):
         export_into(new_model("delta24"), "klipper", [tmp_path / "printer.cfg"])
     leaning = new_model(load_mechanism("linear_delta", inclination=0.3))
-    with pytest.raises(ModelError, match=r"its rails lean by 17.2 degrees, .* c and table can"):
+    with pytest.raises(
+        ModelError, match=r"its rails are inclined by 17.2 degrees, .* c and table can"
+    ):
         export(leaning, "klipper", tmp_path)
     with pytest.raises(ModelError, match="option 'x=1': rrf has none"):
         export(new_model("linear_delta"), "rrf:x=1", tmp_path)

@@ -109,7 +109,7 @@ def exchanged(text):
 def test_an_export_says_which_joint_each_stepper_drives(tmp_path):
     done = export(new_model("delta_nominal"), "klipper", tmp_path)
     assert done.remarks == [
-        "[stepper_b] drives joint3 and [stepper_c] drives joint2, as Klipper needs its steppers "
+        "[stepper_b] drives joint3 and [stepper_c] drives joint2. Klipper needs its steppers "
         "counter-clockwise seen from above: the pins in these sections must be those of these "
         "joints",
         "its origin is at x 0 y 0 z 275 mm of {B}, its x-axis 1 0 0, its z-axis 0 0 -1",
@@ -202,7 +202,7 @@ def test_clockwise_steppers_are_refused_with_the_cure_and_the_cure_helps(name, t
         message = str(error.value)
         assert "[stepper_c] angle is '" in message
         assert "expected steppers a, b, c counter-clockwise seen from above" in message
-        assert "state the angle in [stepper_b] and [stepper_c], then exchange the names" in message
+        assert "set the angle in [stepper_b] and [stepper_c], then exchange the names" in message
     assert file.read_text() == CLOCKWISE[name]
     file.write_text(exchanged(CLOCKWISE[name]))
     done = export_into(moved(configured([file]).model), "klipper", [file])

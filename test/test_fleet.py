@@ -93,9 +93,9 @@ def test_samples_that_count_from_1970_say_when_they_were_taken(folder, since):
 @pytest.mark.parametrize(
     ("rows", "words"),
     [
-        (["x,all.yaml,a/monday,", "x,a/own.yaml,a/tuesday,"], "two robots are called 'x'"),
+        (["x,all.yaml,a/monday,", "x,a/own.yaml,a/tuesday,"], "two robots have the name 'x'"),
         (["x,all.yaml,a/monday,", "x,all.yaml,a/monday,"], "'x' has the recording a/monday twice"),
-        (["x,all.yaml,a/monday,May"], r"list.csv:2: time 'May': expected such as 2026"),
+        (["x,all.yaml,a/monday,May"], r"list.csv:2: time is 'May', expected a time such as 2026"),
         (["x,,a/monday,"], "list.csv:2: no model"),
         ([], "expected a header line and rows"),
         (
@@ -136,7 +136,7 @@ def test_a_list_may_come_from_any_spreadsheet(folder, apart):
 
 def test_a_list_in_another_encoding_says_what_to_do(folder):
     (folder / "list.csv").write_text("robot,model,recording\nMüller,a,b", encoding="latin-1")
-    with pytest.raises(DatasetError, match=r"list.csv: .*save it as UTF-8"):
+    with pytest.raises(DatasetError, match=r"list.csv: .*Save it as UTF-8"):
         jobs_of(folder / "list.csv")
 
 
@@ -165,7 +165,7 @@ def test_an_unknown_effect_is_refused_before_work_begins(folder):
 def test_what_cannot_be_judged_is_a_row_with_its_reason(folder):
     (folder / "cut.mcap").write_bytes(b"\x89MCAP0\r\nnothing")
     stewart = fleets.ROOT / "bags" / "stewart_backlash"
-    cases = {folder / "cut.mcap": "cut short", folder / "none": "no such", stewart: "leg1"}
+    cases = {folder / "cut.mcap": "truncated", folder / "none": "no such", stewart: "leg1"}
     for data, words in cases.items():
         row, _ = judge_recording(Job("x", "y", folder / "all.yaml", data, 3.0), QUICK, "0")
         assert words in row["reason"]
@@ -176,7 +176,7 @@ def test_what_cannot_be_judged_is_a_row_with_its_reason(folder):
 
 
 def test_a_worker_of_another_version_does_nothing(folder):
-    with pytest.raises(FleetError, match=r"there, 9\.9 is asked for"):
+    with pytest.raises(FleetError, match=r"but 9\.9 is needed"):
         judge_recording(Job("x", "y", folder / "all.yaml", BAG), FleetOptions(version="9.9"), "0")
 
 

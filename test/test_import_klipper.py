@@ -101,7 +101,7 @@ def test_steps_count_from_the_end_stops(file):
     np.testing.assert_array_equal(data.conditions["reading.probe"], np.array([0.2, 0, 0.1]) * MM)
     np.testing.assert_allclose(data.joint_sigma * 12**0.5, np.array([12.5, 12.5, 6.25]) * 1e-6)
     assert data.warnings[1:] == (
-        "1 distances are not used: --option printed_x=[sent, measured] tells the size",
+        "1 distances are not used: --option printed_x=[sent, measured] determines the size",
     )
     model = configured(file(LINEAR)).model
     at = Kinematics(model).direct(data.q[:1] + 0.05).position

@@ -65,7 +65,7 @@ BROKEN = {
     "word": (LOG.replace("0.25", "O.25"), HAL, "probe.txt:2: Z is 'O.25', expected a number"),
     "nan": (LOG.replace("80.000000", "nan"), HAL, "probe.txt:1: Y is 'nan', expected a number"),
     "far": (LOG.replace("80.0", "880.0"), HAL, "probe.txt:1: position is 'x 0.000 y 880.000"),
-    "empty": ("", HAL, "no touches in there"),
+    "empty": ("", HAL, "the files contain no touches"),
     "no R": (LOG, HAL.replace(".R", ".Q"), "machine.hal: no lineardeltakins.R, expected setp"),
     "R": (LOG, HAL.replace("150", "[KINS]R"), "hal:2: lineardeltakins.R is '[KINS]R', expected"),
     "L": (LOG, HAL.replace("250", "140"), "hal:3: lineardeltakins.L is '140', expected setp, the"),

@@ -73,7 +73,7 @@ def test_or_by_the_time_that_is_near(files, clock, joints):
     )
     np.testing.assert_allclose(np.degrees(data.q), [[30, 60], [90, -45]])
     np.testing.assert_allclose(data.r[:, 1], [-0.02025, 0.01])
-    with pytest.raises(ParallelCalError, match=r"no row of .* has a partner by Timestamp"):
+    with pytest.raises(ParallelCalError, match=r"no row of .* has the same Timestamp"):
         samples("table", files(tracker, log), by="Timestamp", within=0.4)
 
 
@@ -138,10 +138,18 @@ def test_the_command_writes_samples(files, tmp_path):
 BROKEN = {
     "word": (("-20,25", "-2O,25"), {}, "tracker.txt:6: column Y [mm] holds '-2O,25', expected a"),
     "cell": (("; 10; 250,125", "; 250,125"), {}, "tracker.txt:8: the line's length is '6', exp"),
-    "no unit": (("Units: Millimeters", ""), {}, "tracker.txt:1: column X names no unit; say so"),
+    "no unit": (("Units: Millimeters", ""), {}, "tracker.txt:1: column X has no unit; state it"),
     "no x": (("; X;", "; Xx;"), {}, "none of the tables has the columns x, y, z; say which"),
-    "two x": (("slide [mm]\tT", "X\tY\tZ\tT"), {}, "joints.txt: no table in there, expected"),
-    "no index": (("point name", "number"), {}, "joined by Timestamp: say how near (--option with"),
+    "two x": (
+        ("slide [mm]\tT", "X\tY\tZ\tT"),
+        {},
+        "joints.txt: the file contains no table, expected",
+    ),
+    "no index": (
+        ("point name", "number"),
+        {},
+        "joined by Timestamp: state the largest time difference (--option with",
+    ),
     "no column": (("Timestamp", "at"), {"by": "nr"}, "tracker.txt:1: no column nr to join by"),
     "two": (("P2;", "P1;"), {}, "tracker.txt:8: Point Name P1 occurs twice"),
     "time": (
@@ -150,8 +158,12 @@ BROKEN = {
         "tracker.txt:8: Timestamp is '2026-11-22T10:00:1O.5', expected seconds, 14:03:05.2",
     ),
     "unit": (("", ""), {"unit": "ell"}, "unit=ell: expected one of rad, mrad, deg, arcmin"),
-    "joint unit": (("joint1 [deg]", "joint1"), {}, "joints.txt:1: column joint1 names no unit"),
-    "empty": ((TRACKER, ""), {}, "tracker.txt: no table in there, expected a header and rows"),
+    "joint unit": (("joint1 [deg]", "joint1"), {}, "joints.txt:1: column joint1 has no unit"),
+    "empty": (
+        (TRACKER, ""),
+        {},
+        "tracker.txt: the file contains no table, expected a header, and rows",
+    ),
     "option": (("", ""), {"x": 1}, "its options: by="),
 }
 

@@ -178,10 +178,10 @@ def test_the_command_writes_a_model_that_is_read_again(file, tmp_path, capsys):
 
 
 BROKEN = {
-    "leaves": ("", "", ("", ""), "the chain may end in camera, tool0: say --to-link"),
+    "leaves": ("", "", ("", ""), "the chain may end in camera, tool0: choose one with --to-link"),
     "no link": ("", "", ("base", "hand"), "no link 'hand', expected one of base, camera, fore"),
-    "other way": ("", "", ("camera", "tool0"), "no way from link 'camera' up to 'tool0'"),
-    "one": ("", "", ("tool0", "tool0"), "'tool0' and 'tool0' are one link"),
+    "other way": ("", "", ("camera", "tool0"), "link 'tool0' does not descend from link 'camera'"),
+    "one": ("", "", ("tool0", "tool0"), "'tool0' and 'tool0' are the same link"),
     "fixed": ("", "", ("w3", "tool0"), "no joint moves between 'w3' and 'tool0'"),
     "number": ("0.425", "O.425", ("", "tool0"), "joint 'elbow': xyz is '0 -0.1197 O.425', exp"),
     "axis": ('axis xyz="0 1 0"', 'axis xyz="0 0 0"', ("", "tool0"), "joint 'lift': axis xyz is '0"),

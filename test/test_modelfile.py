@@ -215,7 +215,7 @@ def test_writing_through_a_link_keeps_the_link(tmp_path):
         ("[" * 30_000 + "]" * 30_000, "m:1: nested more than 30 levels deep"),
         ("{a: " * 15_000, "m:1: nested more than 30 levels deep"),
         ("".join(" " * k + "a:\n" for k in range(400)), "m:31: nested more than 30 levels deep"),
-        ("parallel_cal: " + "9" * 5000, "m:1: parallel_cal: a whole number of 5000 digits"),
+        ("parallel_cal: " + "9" * 5000, "m:1: parallel_cal: a whole number has 5000 digits"),
     ],
 )
 def test_a_text_that_would_break_a_parser_is_refused_before_it_does(text, words):
@@ -230,7 +230,7 @@ def test_what_is_no_plain_file_of_a_sane_size_is_not_waited_for(tmp_path):
     for path, words in (
         (pipe, "not a regular file"),
         ("/dev/zero", "not a regular file"),
-        (large, "more than 4 MB"),
+        (large, "larger than 4 MB"),
         (tmp_path, "Is a directory"),
     ):
         with pytest.raises(ModelFileError, match=f"cannot be read: .*{words}"):
@@ -363,7 +363,7 @@ def test_a_matrix_that_is_no_covariance_is_refused():
     bad = head + "  lower:\n" + "\n".join(["  - [1.0e-30]", *others])
     refused(re.sub(r", sigma: [0-9.e-]+", "", bad), "covariance.lower", "a correlation is above 1")
     refused(
-        head + "  lower:\n" + "\n".join(others), "covariance.lower: 22 values found, expected 23"
+        head + "  lower:\n" + "\n".join(others), "covariance.lower: found 22 values, expected 23"
     )
 
 
@@ -413,7 +413,7 @@ def test_a_missing_section_is_named(text, key):
 def test_a_wrong_unit_is_refused(text):
     bad = text.replace(LINK, LINK.replace("unit: m", "unit: mm"))
     line = line_of(bad, "unit: mm")
-    refused(bad, f"robot.yaml:{line}: parameters.chain1.D_x.unit: 'mm' found, expected 'm'", "SI")
+    refused(bad, f"robot.yaml:{line}: parameters.chain1.D_x.unit: found 'mm', expected 'm'", "SI")
 
 
 def test_a_key_that_occurs_twice_is_refused(text):
@@ -427,7 +427,7 @@ def test_a_key_that_occurs_twice_is_refused(text):
 
 def test_another_version_is_refused(text):
     bad = text.replace("parallel_cal: 1", "parallel_cal: 2")
-    refused(bad, "robot.yaml:3: parallel_cal: version 2 found, expected 1")
+    refused(bad, "robot.yaml:3: parallel_cal: found version 2, expected 1")
 
 
 def test_a_file_of_something_else_is_refused():
@@ -550,7 +550,10 @@ def test_a_sensor_without_numbers_has_its_own_and_with_some_lacks_the_others():
         ("name: probe", "sensors.0.options.height: this key is missing"),
         ("{name: probe, options: [0.3]}", "sensors.0.options: expected a mapping"),
         ("{name: probe, options: {height: .nan}}", "sensors.0.options: a number is not finite"),
-        ("{name: plane_spheres, options: {height: 0.2, bars: [0.1]}}", "expected one bar a hole"),
+        (
+            "{name: plane_spheres, options: {height: 0.2, bars: [0.1]}}",
+            "expected one bar for each hole",
+        ),
         ("{name: device_frame, option: {}}", "0.option: unknown key; did you mean 'options'"),
         ("{name: plane_spheres, options: {height: 0.2, holes: [[0.1]]}}", "holes.0.1: this key is"),
     ],
@@ -579,12 +582,12 @@ def test_a_wrong_number_of_joints_is_refused(text):
 def test_joints_in_another_order_are_refused(text):
     bad = text.replace("  joint1:", "  jointX:").replace("  joint2:", "  joint1:")
     bad = bad.replace("  jointX:", "  joint2:")
-    refused(bad, "joints: joints in another order, found joint2, joint1, joint3")
+    refused(bad, "joints: joints are in another order: found joint2, joint1, joint3")
 
 
 def test_a_joint_name_with_spaces_and_a_wrong_joint_unit_are_refused(text):
-    refused(text.replace("  joint1: {", "  'joint 1': {"), "neither spaces nor dots")
-    refused(text.replace("joint1: {unit: rad", "joint1: {unit: deg"), "'deg' found, expected 'rad'")
+    refused(text.replace("  joint1: {", "  'joint 1': {"), "must not contain spaces or dots")
+    refused(text.replace("joint1: {unit: rad", "joint1: {unit: deg"), "found 'deg', expected 'rad'")
 
 
 def test_joint_limits_that_make_no_sense_are_refused(text):
@@ -597,7 +600,7 @@ def test_joint_limits_that_make_no_sense_are_refused(text):
 
 def test_a_home_of_the_wrong_length_is_refused(text):
     refused(
-        re.sub(r"(home:\n  joints: )\[.*\]", r"\1[0.5, 0.5]", text), "home.joints: 2 values found"
+        re.sub(r"(home:\n  joints: )\[.*\]", r"\1[0.5, 0.5]", text), "home.joints: found 2 values"
     )
     refused(
         re.sub(r"  position: \[.*\]", "  position: [0, 0]", text), "home.position: too few values"
@@ -608,7 +611,7 @@ def test_a_home_of_the_wrong_length_is_refused(text):
 
 def test_a_workspace_of_the_wrong_length_is_refused(text):
     bad = re.sub(r"workspace: .*", "workspace: {low: [0, 0], high: [1, 1]}", text)
-    refused(bad, "workspace.low: 2 values found, expected 3, one for each of x, y, z")
+    refused(bad, "workspace.low: found 2 values, expected 3, one for each of x, y, z")
 
 
 def test_a_workspace_that_is_inside_out_is_refused(text):

@@ -486,5 +486,7 @@ def test_a_correction_that_corrects_nothing_is_no_solution():
 
 
 def test_a_robot_with_more_lines_than_freedoms_is_not_compensated_through_its_pose():
-    with pytest.raises(SolveError, match="more closure rows than freedoms: use --solver newton"):
+    with pytest.raises(
+        SolveError, match="more closure rows than degrees of freedom: use --solver newton"
+    ):
         ipr_compensation.inverse(new_model("cable"), np.zeros(3))

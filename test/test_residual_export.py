@@ -120,7 +120,7 @@ def test_a_file_that_stands_is_not_overwritten(exported, capsys):
     with pytest.raises(SystemExit) as ended:
         main(["export-residuals", str(PRESET), str(BAG), "-o", str(exported)])
     assert ended.value.code == 1
-    assert "exists already" in capsys.readouterr().err
+    assert "already exists" in capsys.readouterr().err
 
 
 @pytest.mark.wide

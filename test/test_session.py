@@ -216,7 +216,7 @@ def test_a_sample_can_be_opened_to_the_readings_it_was_made_of(session, tmp_path
     np.testing.assert_array_equal(again.joints, seen.joints)
     live = Session.new(tmp_path / "live", read_model(MODEL), [])
     live.take(session.samples.to_json)
-    with pytest.raises(DatasetError, match="holds samples, not the readings"):
+    with pytest.raises(DatasetError, match="contains samples, not the raw readings"):
         live.signals(5)
 
 

@@ -178,7 +178,7 @@ def test_a_pose_device_that_said_nothing_is_no_hindrance(tmp_path):
 
 def test_a_constraint_belongs_to_dwells(tmp_path):
     path = bag_of(tmp_path, bw.joint_states(moves()), [bw.tie(0.0, "plane")])
-    with pytest.raises(DatasetError, match=r"use mode='dwell', or leave their topics out"):
+    with pytest.raises(DatasetError, match=r"use mode='dwell', or disable their topics"):
         dataset_from_recording(read_bag(path), SampleOptions(mode="continuous"))
 
 

@@ -192,7 +192,7 @@ def test_the_command_says_what_it_recorded_and_never_overwrites(tmp_path, capsys
     with pytest.raises(SystemExit) as ended:
         cli.main(command)
     assert ended.value.code == 1
-    assert "exists already" in capsys.readouterr().err
+    assert "already exists" in capsys.readouterr().err
 
 
 def test_an_unknown_storage_is_a_clear_error(robot, tmp_path):

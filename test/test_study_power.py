@@ -91,7 +91,10 @@ def test_loads_that_a_plan_gives_are_those_of_its_poses(tmp_path):
     [
         ("joint1\n0.3\n", r"plan\.csv:1: no column crank: the plan is not for this slider_crank"),
         ("crank\n0.3\nmuch\n", r"plan\.csv:3: column crank holds 'much'"),
-        ("crank\n0.3\n2.5\n", r"plan\.csv:3: this slider_crank cannot stand with joints 2.5"),
+        (
+            "crank\n0.3\n2.5\n",
+            r"plan\.csv:3: this slider_crank cannot be assembled with joints 2.5",
+        ),
         ("crank,past.crank\n0.3,?\n", r"plan\.csv:2: column past.crank holds '\?'"),
     ],
 )
@@ -236,7 +239,7 @@ def test_what_fails_is_a_row_with_its_reason(question):
     )
     assert row["reason"]
     assert row["effects"] == []
-    with pytest.raises(FleetError, match=r"there, 9\.9 is asked for"):
+    with pytest.raises(FleetError, match=r"but 9\.9 is needed"):
         diagnose_session(replace(question, version="9.9"), PlantedEffect("", 0.0, 0))
 
 

@@ -26,7 +26,7 @@ def test_heights_fall_to_the_noise_and_what_hides_is_named(name):
 
 
 def test_what_touches_of_a_bed_cannot_tell_is_held_and_said():
-    """A printer that is too large by a hundredth touches its flat bed alike."""
+    """A printer that is too large by 1 % gives the same touches of its flat bed."""
     kind = PRINTERS["as built"]
     result = fit(kind.model(), kind.touches(120, 1), hold_out=0)
     document = result.document()

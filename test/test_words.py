@@ -33,8 +33,8 @@ def test_a_simulated_compliance_hides_no_masses():
 
 def test_samples_left_out_by_a_loss_are_not_said_to_be_left_out_on_request():
     data = Dataset.from_arrays(["a"], np.arange(4.0)[:, None], np.zeros((4, 3)))
-    assert data.excluding([2], "by the loss").warnings == ("left out by the loss: sample 2",)
-    assert data.excluding([2]).warnings == ("left out on request: sample 2",)
+    assert data.excluding([2], "by the loss").warnings == ("excluded by the loss: sample 2",)
+    assert data.excluding([2]).warnings == ("excluded on request: sample 2",)
 
 
 def test_what_is_alike_of_several_chains_is_named_once():

@@ -72,7 +72,7 @@ def test_what_was_told_is_there_when_the_time_is_over(worker):
     ("what", "given", "reason"),
     [
         (raise_one, (1,), "it went wrong"),
-        (take_memory, (4000,), "more memory than it may"),
+        (take_memory, (4000,), "more memory than its limit"),
         (crash, (), "crashed"),
     ],
 )
@@ -94,5 +94,5 @@ def test_work_that_nobody_wants_any_more_ends_though_it_would_never_return(worke
 def test_an_ended_worker_says_so():
     worker = Worker(64)
     worker.end()
-    with pytest.raises(WorkError, match="the node ends"):
+    with pytest.raises(WorkError, match="the node is shutting down"):
         worker.work(nothing)

@@ -180,7 +180,7 @@ def _load_external(function: ca.Function, wanted: ca.Function) -> ca.Function:
         return ca.external(wanted.name(), str(library))
     except (OSError, RuntimeError, subprocess.SubprocessError) as error:
         # No compiler, no home, no right, a cache from another machine.
-        log.info("no compiled code for %s (%s); CasADi's virtual machine serves", wanted, error)
+        log.info("no compiled code for %s (%s); CasADi's virtual machine is used", wanted, error)
         return wanted
 
 

@@ -34,7 +34,7 @@ def read_text(
             raise OSError(errno.EINVAL, "it is not a regular file", str(path))
         content = stream.read(most + 1)
     if len(content) > most:
-        words = f"it has more than {most // MEGABYTE} MB"
+        words = f"it is larger than {most // MEGABYTE} MB"
         raise OSError(errno.EFBIG, words, str(path))
     return content.decode(encoding, errors)
 

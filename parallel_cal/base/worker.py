@@ -86,7 +86,7 @@ class Worker:
         """
         with self._turn:
             if self._ended:
-                raise WorkError("the node ends")
+                raise WorkError("the node is shutting down")
             if self._process is None:
                 self._start()
             try:
@@ -102,7 +102,7 @@ class Worker:
                 if not self._ended:
                     self._start()
                 if left:
-                    raise WorkError("the node ends" if self._ended else how) from None
+                    raise WorkError("the node is shutting down" if self._ended else how) from None
                 raise
 
     def _await_result(
@@ -119,7 +119,7 @@ class Worker:
             if left <= 0:
                 raise TimeBudgetExceeded("over budget")
             if not wanted():
-                raise WorkCancelled("ended before it was done")
+                raise WorkCancelled("cancelled before it was done")
             if self._ended:
                 raise EOFError
             if not self._pipe.poll(min(left, POLL_INTERVAL_S)):
@@ -147,7 +147,7 @@ class Worker:
         self._process.wait()
         self._process = None
         if with_status is None:
-            return "the process that did the work was ended"
+            return "the process that did the work was stopped"
         if with_status < 0:
             return f"the process that did the work crashed ({signal.Signals(-with_status).name})"
         return f"the process that did the work ended with status {with_status}"
@@ -196,7 +196,7 @@ def _execute(
     except ParallelCalError as error:
         return "failed", str(error)
     except MemoryError:
-        return "failed", "it takes more memory than it may"
+        return "failed", "it needs more memory than its limit"
     except Exception as error:  # a user's own mechanism may raise anything
         return "failed", f"{type(error).__name__}: {error}"
 

@@ -52,9 +52,10 @@ def chains_of(model: Model, places: Array | None) -> Chains:
     m, linear = model.mechanism, model.mechanism.name in LINEAR
     if lean := float(m.options.get("inclination", 0.0)):
         said = (
-            f"its rails lean by {np.degrees(lean):.3g} degrees, a firmware's towers stand upright"
+            f"its rails are inclined by {np.degrees(lean):.3g} degrees, but a "
+            "firmware's towers are vertical"
         )
-        raise ModelError(f"{m.name}: {said}; c and table can hold it")
+        raise ModelError(f"{m.name}: {said}; the targets c and table can represent it")
     out, across, along, rods = (_read_three(model, n) for n in ("D_x", "D_y", "D_z", "Lb"))
     radius, up, offset, arms = out, across, along, np.zeros(3)
     if linear:

@@ -91,7 +91,7 @@ def _replace_value(line: str, field: str, old: str, new: str) -> str:
     code = re.sub(comment, lambda found: " " * len(found[0]), line)
     places = [*re.finditer(pattern, code)]
     if not places:
-        raise ModelError(f"'{line.strip()}': {field} is not found there")
+        raise ModelError(f"'{line.strip()}': {field} is not in this line")
     return line[: places[-1].end() - len(old)] + new + line[places[-1].end() :]
 
 

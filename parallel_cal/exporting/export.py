@@ -86,7 +86,9 @@ def export(
         raise _refusal(name, module, model, given)
     result = ExportResult([])
     if touches is not None and not _holds(module, model):
-        raise ModelError(f"{name} is no firmware with numbers of its own: export without touches")
+        raise ModelError(
+            f"{name} is not a firmware with parameters of its own: export without touches"
+        )
     if _holds(module, model):
         projection, found = _project(name, module, robot)
         made |= {file: format_settings(numbers) for file, numbers in projection.settings.items()}
@@ -125,7 +127,9 @@ def export_into(
     for file, numbers in projection.settings.items():
         its = [path for path in files if path.suffix == Path(file).suffix]
         if not its:
-            raise ModelError(f"{target}: numbers belong into {file}, too: --into that file as well")
+            raise ModelError(
+                f"{target}: some numbers belong in {file}: pass that file with --into as well"
+            )
         texts |= edit_files(stated, {**numbers, **dict.fromkeys(cleared, "0")}, its)
         cleared = []
     old, new = (
@@ -142,8 +146,9 @@ def export_into(
     for path in later:
         if winning := [field for field in module.settings([path]).texts if field in written]:
             remarks.append(
-                f"{path} is read after {files[-1]} and still has {', '.join(winning)}, which win: "
-                "remove them there, or export --into that file as well"
+                f"{path} is read after {files[-1]} and still sets {', '.join(winning)}, "
+                "which override the new numbers: remove them there, or export --into "
+                "that file as well"
             )
     return ExportResult(list(texts), after, before, remarks, heights)
 
@@ -162,8 +167,9 @@ def _worse_bed(files: Sequence[Path], heights: BedHeights) -> ModelError:
         f"firmware's formula, rms: {before:.1f} -> {after:.1f} um, expected less than before"
     )
     cure = (
-        "touch more places, leave bad touches out (fit --data exclude=N), hold what the firmware "
-        "has no number for (fit --fix), or --force"
+        "touch more places, exclude bad touches (fit --data exclude=N), fix the "
+        "parameters for which the firmware has no number (fit --fix), or pass "
+        "--force"
     )
     return ModelError(f"{', '.join(map(str, files))}: {words}; nothing was written: {cure}")
 
@@ -175,14 +181,14 @@ def _holds(module: ModuleType, model: Model) -> bool:
 def _refusal(name: str, module: ModuleType, model: Model, given: str = "") -> ModelError:
     """Why a target cannot take a model, and which can."""
     if not hasattr(module, "HOLDS"):
-        return ModelError(f"{name} is no target: it has no files(model)")
+        return ModelError(f"{name} is not an export target: it has no function files(model)")
     if given and _holds(module, model):
         return ModelError(f"option '{given}': {name} has none")
     others = [other for other in list_plugins(SHELF) if other not in (name, "urdf")]
     can = [other for other in others if _can_export(load_module(SHELF, other), model)]
     return ModelError(
-        f"{name} has no numbers for {model.mechanism.name}, only for {', '.join(module.HOLDS)}; "
-        f"{', '.join(can)} can hold it"
+        f"{name} has no numbers for {model.mechanism.name}, only for "
+        f"{', '.join(module.HOLDS)}; {', '.join(can)} can represent it"
     )
 
 
@@ -223,7 +229,7 @@ def _remarks(robot: Model, projection: Projection) -> list[str]:
         remarks.append(f"its motors are {joints}, in this order")
     if robot.effects:
         names = ", ".join(effect.name for effect in robot.effects)
-        remarks.append(f"what its numbers cannot follow of {names} is in the loss")
+        remarks.append(f"the loss includes what its numbers cannot represent of {names}")
     if robot.conditions:
         remarks.append(f"neutral conditions: {', '.join(robot.conditions)}")
     return remarks

@@ -44,8 +44,8 @@ def why_not(model: Model) -> str:
     names = [sensor.name for sensor in model.sensors]
     if PROBE not in names:
         return (
-            f"the model's sensors are {', '.join(names) or 'none'}: expected a '{PROBE}', whose "
-            "tip says how high the nozzle was at a touch"
+            f"the model's sensors are {', '.join(names) or 'none'}: expected a "
+            f"'{PROBE}', whose tip states how high the nozzle was at a touch"
         )
     if list(model.mechanism.controlled) != [0, 1, 2] or len(model.joints) != 3:
         return (
@@ -98,9 +98,9 @@ def bed_heights(
         heights = nozzle_heights(model, machine, touches)
         if beyond := int(np.isnan(heights).sum()):
             raise ModelError(
-                f"{touches.source}: {beyond} of {len(heights)} touches are beyond the firmware's "
-                f"reach with {whose} numbers: expected touches of this machine, imported with the "
-                "configuration that the model was made from"
+                f"{touches.source}: {beyond} of {len(heights)} touches are beyond the "
+                f"firmware's reach with {whose} numbers: expected touches of this "
+                "machine, imported with the configuration from which the model was made"
             )
         return float(np.sqrt(np.mean(heights**2)))
 

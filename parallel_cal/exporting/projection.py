@@ -191,7 +191,7 @@ def fit_numbers(
         return MICRO * np.concatenate([row.ravel() for row in rows])
 
     if np.isnan(missed(start)).any():
-        raise ModelError(f"{model.mechanism.name}: the firmware does not reach all its workspace")
+        raise ModelError(f"{model.mechanism.name}: the firmware does not reach its whole workspace")
     tight = {"ftol": 1e-14, "xtol": 1e-14, "gtol": 1e-14}
     scale = np.maximum(np.abs(start), 0.01)
     return np.asarray(least_squares(missed, start, x_scale=scale, **tight).x)

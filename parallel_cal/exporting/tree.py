@@ -88,7 +88,7 @@ class _Builder:
         self._s, self._model, self.tree = s, model, Tree(model)
         lines = model.mechanism.drawing(s.q, s.r, s.R, s.geometry)
         if not lines:
-            raise ModelError(f"{model.mechanism.name} does not draw itself: there is no tree of it")
+            raise ModelError(f"{model.mechanism.name} has no drawing, so there is no tree of it")
         self._lines = [
             (line.kind, [self._substitute_values(p) for p in line.points]) for line in lines
         ]

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 SCHEDULER_TIMEOUT_S = 15  # s for a scheduler to answer, and for its first worker
 EXTRA = ("dask", "distributed", "pyarrow")
-KILLED_WORKER_REASON = "it ended its worker again and again: has that enough memory?"
+KILLED_WORKER_REASON = "it ended its worker several times: does the worker have enough memory?"
 
 
 def check_extra_installed() -> None:
@@ -70,8 +70,8 @@ def cluster(scheduler: str | None, workers: int | None) -> Iterator[Client]:
             client.wait_for_workers(1, timeout=SCHEDULER_TIMEOUT_S)
         except TimeoutError:
             raise FleetError(
-                f"{scheduler}: it has no workers: 'dask worker {scheduler} --nthreads 1 "
-                "--nworkers -1' on each machine, where parallel_cal is installed"
+                f"{scheduler} has no workers: start 'dask worker {scheduler} --nthreads 1 "
+                "--nworkers -1' on each machine on which parallel_cal is installed"
             ) from None
         yield client
     finally:
@@ -139,8 +139,8 @@ def run_each(
         elif future.status == "error":
             error = future.exception()
             raise FleetError(
-                f"a worker cannot do it ({type(error).__name__}: {error}): the same parallel_cal "
-                "must be installed where workers are started"
+                f"a worker cannot do this task ({type(error).__name__}: {error}): workers "
+                "need the same version of parallel_cal"
             )
         else:
             raise _make_lost_error()
@@ -156,6 +156,7 @@ def _answer(future: Future) -> Any:
 
 def _make_lost_error() -> FleetError:
     return FleetError(
-        "the scheduler is gone. Start it again, and give the same command: what is in its folder "
-        "is not done again"
+        "the connection to the scheduler is lost. Start the scheduler again, and "
+        "give the same command: finished results in its folder are not computed "
+        "again"
     )

@@ -74,7 +74,7 @@ def judge(
     for name in (*asked.effects, *asked.also):
         load_effect(name)
     if robots.is_dir() and any(job.data.is_relative_to(folder.resolve()) for job in jobs):
-        raise FleetError(f"{folder}: recordings are in it, expected a folder of its own")
+        raise FleetError(f"{folder} contains recordings; expected a folder for the results only")
     store = Rows(folder)
     report = progress or ignore_progress
     with store.lock():

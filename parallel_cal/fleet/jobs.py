@@ -38,7 +38,7 @@ def reason(error: Exception) -> str:
 def check_version(asked: str) -> None:
     """FleetError where another version is asked for than is here: answers would not compare."""
     if asked != __version__:
-        raise FleetError(f"parallel_cal is {__version__} there, {asked} is asked for")
+        raise FleetError(f"the worker has parallel_cal {__version__}, but {asked} is needed")
 
 
 @dataclass(frozen=True)
@@ -91,16 +91,17 @@ def jobs_of(robots: Path) -> list[Job]:
     jobs = list(_list_table_jobs(robots) if robots.is_file() else _list_folder_jobs(robots))
     if not jobs:
         raise FleetError(
-            f"{robots}: no recordings; expected a folder for each robot with its model (.yaml) and "
-            f"its recordings in it, or a list (.csv) with the columns {', '.join(COLUMNS)}"
+            f"{robots}: no recordings; expected a folder for each robot with its "
+            "model (.yaml) and its recordings, or a list (.csv) with the columns "
+            f"{', '.join(COLUMNS)}"
         )
     models: dict[str, Path] = {}
     seen: set[tuple[str, str]] = set()
     for job in jobs:
         if models.setdefault(job.robot, job.model) != job.model:
             raise FleetError(
-                f"{robots}: two robots are called '{job.robot}', with the models "
-                f"{models[job.robot]} and {job.model}: name them apart"
+                f"{robots}: two robots have the name '{job.robot}', with the models "
+                f"{models[job.robot]} and {job.model}: give them different names"
             )
         if (job.robot, job.recording) in seen:
             raise FleetError(f"{robots}: '{job.robot}' has the recording {job.recording} twice")
@@ -164,5 +165,7 @@ def _time(text: str | None, place: str) -> float | None:
     try:
         moment = datetime.fromisoformat(text)
     except ValueError:
-        raise FleetError(f"{place}: time '{text}': expected such as 2026-05-31T14:00") from None
+        raise FleetError(
+            f"{place}: time is '{text}', expected a time such as 2026-05-31T14:00"
+        ) from None
     return (moment if moment.tzinfo else moment.replace(tzinfo=timezone.utc)).timestamp()

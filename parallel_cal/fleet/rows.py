@@ -25,7 +25,7 @@ class Rows:
     def __init__(self, folder: Path):
         self.folder = folder
         if folder.is_file():
-            raise FleetError(f"{folder}: is a file, expected a folder")
+            raise FleetError(f"{folder} is a file, expected a folder")
         for part in (folder, folder / "recordings", folder / "reports"):
             part.mkdir(parents=True, exist_ok=True)
 
@@ -34,7 +34,7 @@ class Rows:
         """Keep other processes out; FleetError where one is at it."""
         file = open_locked(self.folder / ".lock")
         if file is None:
-            raise FleetError(f"{self.folder}: another fleet is being judged into it")
+            raise FleetError(f"{self.folder}: another run is writing fleet results there")
         try:
             yield
         finally:

@@ -28,8 +28,9 @@ JOINT_NAMES = ("joint1", "joint2", "joint3")
 HOME_HEIGHT_M = 0.05  # m above the bed, the middle of what is used
 FLAT = 1e-6  # of a triangle on the unit circle: with less area it has no sense of rotation
 NOT_STATED = (
-    "towers' or motors' leans, errors between the two rods of a pair and the effector's size have "
-    "no number in the firmware: they are at the mechanism's nominal values"
+    "inclinations of towers or motors, errors between the two rods of a pair "
+    "and the size of the effector have no number in the firmware: they have "
+    "the mechanism's nominal values"
 )
 PROBE_NOISE_UNKNOWN = (
     "the probe's noise is not stated, so a fit estimates it from the residuals. To state it, touch "
@@ -163,7 +164,7 @@ def check_reach(delta: Delta, stated: Settings, field: str) -> None:
     """DatasetError at a field, where the arms do not reach the middle of the bed."""
     if np.isnan(delta.joints(np.array([[0.0, 0.0, HOME_HEIGHT_M]]))).any():
         raise stated.error(
-            field, f"lengths that reach {HOME_HEIGHT_M / MM:.0f} mm above the bed's middle"
+            field, f"lengths that reach {HOME_HEIGHT_M / MM:.0f} mm above the centre of the bed"
         )
 
 

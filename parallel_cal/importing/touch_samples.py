@@ -19,8 +19,9 @@ from parallel_cal.recordings.samples import READING
 
 PROBE = READING + "probe"
 NO_SIZE = (
-    "size: cannot_know: touches of a plate cannot tell the size: a printer too large by a "
-    "hundredth touches alike; a printed length that is measured tells it"
+    "size: cannot_know: touches of a plate cannot determine the size: a "
+    "printer that is 1 % too large gives the same touches. A measured "
+    "printed length determines it"
 )
 
 
@@ -41,8 +42,9 @@ def touches_in(dataset: Dataset, joints: Sequence[str]) -> Touches:
     touched = np.isfinite(height)
     if not touched.any():
         raise DatasetError(
-            f"{dataset.source}: no touch of a bed in it: expected readings of the sensor 'probe', "
-            "as `import rrf`, `klipper`, `marlin` and `linuxcnc` make them"
+            f"{dataset.source}: no touch of a bed in it: expected readings of the "
+            "sensor 'probe', as `import rrf`, `klipper`, `marlin` and `linuxcnc` "
+            "create them"
         )
     q = order_joints(dataset, joints).q
     return Touches(q[touched], height[touched], dataset.source, dataset.sha256)
@@ -113,7 +115,7 @@ def make_joint_samples(
     them the ends of what was printed."""
     files = ", ".join(map(str, paths))
     if not len(q):
-        raise DatasetError(f"{files}: no touches in there")
+        raise DatasetError(f"{files}: the files contain no touches")
     same = None if visits is None else np.unique(visits, axis=0, return_inverse=True)[1].ravel()
     conditions = {PROBE: np.array(height, float)}
     if len(printed.q):

@@ -154,13 +154,17 @@ def _chain(path: Path, joints: Sequence[Joint], start: str, end: str) -> list[Jo
             )
     leaves = sorted(links - {joint.parent for joint in joints})
     if not end and len(leaves) > 1:
-        raise DatasetError(f"{path}: the chain may end in {', '.join(leaves)}: say --to-link")
+        raise DatasetError(
+            f"{path}: the chain may end in {', '.join(leaves)}: choose one with --to-link"
+        )
     way, at = list[Joint](), end or leaves[0]
     while at != start and at in children and len(way) <= len(joints):
         way.append(children[at])
         at = children[at].parent
     if start and at != start:
-        raise DatasetError(f"{path}: no way from link '{start}' up to '{end or leaves[0]}'")
+        raise DatasetError(
+            f"{path}: link '{end or leaves[0]}' does not descend from link '{start}'"
+        )
     for joint in way:
         if joint.kind not in (*KINDS.values(), "R", "P"):
             kinds = "revolute, continuous, prismatic or fixed"
@@ -168,7 +172,7 @@ def _chain(path: Path, joints: Sequence[Joint], start: str, end: str) -> list[Jo
                 f"{path}: joint '{joint.name}': type '{joint.kind}', expected {kinds}"
             )
     if not way:
-        raise DatasetError(f"{path}: '{start}' and '{end}' are one link")
+        raise DatasetError(f"{path}: '{start}' and '{end}' are the same link")
     return way[::-1]
 
 

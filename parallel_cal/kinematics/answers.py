@@ -36,8 +36,8 @@ def _columns(model: Model, name: str) -> list[str]:
     if kind not in CONDITIONS or (joint and joint not in model.joints):
         per_joint = [f"{c}.JOINT" if spec[2] else c for c, spec in CONDITIONS.items()]
         raise ModelError(
-            f"no condition '{name}'; there are {', '.join(per_joint)}, "
-            f"with JOINT one of {', '.join(model.joints)}"
+            f"no condition '{name}'; there are {', '.join(per_joint)}, where JOINT is "
+            f"one of {', '.join(model.joints)}"
         )
     return [f"{kind}.{j}" for j in model.joints] if CONDITIONS[kind][2] and not joint else [name]
 
@@ -64,7 +64,7 @@ def inverse_covariances(model: Model, found: Solutions, at: Mapping[str, Any]) -
 
 def _with_covariance(model: Model) -> Kinematics:
     if model.covariance is None:
-        raise ModelError("the model file has no covariance: only an identified model knows it")
+        raise ModelError("the model file has no covariance: only an identified model has one")
     return Kinematics(model)
 
 

@@ -14,8 +14,8 @@ def joint_rows(model: Model, q: np.ndarray) -> np.ndarray:
     n = len(model.joints)
     if q.shape[1] != n:
         raise SolveError(
-            f"{q.shape[1]} joint values given, but {model.mechanism.name} has "
-            f"{n} joints: {', '.join(model.joints)}"
+            f"{q.shape[1]} joint values given, but {model.mechanism.name} has {n} "
+            f"joints: {', '.join(model.joints)}"
         )
     rows = np.empty((len(q), n + 12))
     rows[:] = model.mechanism.home.configuration
@@ -27,7 +27,7 @@ def pose_rows(model: Model, position: np.ndarray, rotation: np.ndarray | None) -
     """(N, nq + 12) configurations with the given poses and the joints at home."""
     r = np.atleast_2d(np.asarray(position, dtype=float))
     if r.shape[1] != 3:
-        raise SolveError(f"a position has 3 coordinates (m), {r.shape[1]} given")
+        raise SolveError(f"a position has 3 coordinates (m), but {r.shape[1]} are given")
     n = len(model.joints)
     rows = np.empty((len(r), n + 12))
     rows[:] = model.mechanism.home.configuration

@@ -97,15 +97,15 @@ def _load_solver(text: str, problem: str, every: bool) -> Callable[..., Solution
     name, _, given = (text or "newton").partition(":")
     if "." not in name and name not in list_plugins(SHELF):
         raise SolveError(
-            f"no solver '{name}'; there are {', '.join(list_plugins(SHELF))} (--solver help says "
-            "what for), or the Python path of your own"
+            f"no solver '{name}'; there are {', '.join(list_plugins(SHELF))} "
+            "(`--solver help` describes them), or the Python path of your own"
         )
     module = load_module(SHELF, name, SolveError)
     if not hasattr(module, "direct"):
-        raise SolveError(f"{name} is no solver: it has no direct(model, q, at)")
+        raise SolveError(f"{name} is not a solver: it has no function direct(model, q, at)")
     solve = getattr(module, f"{problem}_all" if every else problem, None)
     if solve is None and every:
-        raise SolveError(f"{name} finds one solution; --all needs another solver, newton")
+        raise SolveError(f"{name} finds one solution; --all needs another solver, such as newton")
     if solve is None:
         raise SolveError(f"{name} does not solve the {problem} problem; use newton")
     return partial(wrap_plugin_function(name, solve), **_options(solve, given))

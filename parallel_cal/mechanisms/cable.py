@@ -130,9 +130,11 @@ def _check(anchors: Sequence[Any], advantages: Sequence[float], spools: Sequence
         raise ModelError(f"advantages {list(advantages)}, expected numbers above 0")
     points = np.array(anchors, dtype=float)
     if np.linalg.norm(np.cross(*(points[1:3] - points[0]))) < 1e-6:
-        raise ModelError(f"the first 3 anchors {points[:3].tolist()} lie in one line")
+        raise ModelError(f"the first 3 anchors {points[:3].tolist()} are collinear")
     if not points.any(axis=1).all():
-        raise ModelError("an anchor at the origin, where readings are zero: its line has no length")
+        raise ModelError(
+            "an anchor is at the origin, where readings are zero: its line has no length"
+        )
 
 
 def _line(number: int, anchor: Sequence[float], advantage: float) -> list[Parameter]:

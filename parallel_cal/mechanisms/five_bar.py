@@ -49,7 +49,7 @@ class FiveBar(Mechanism):
 
     def __init__(self, switches: Sequence[float] = (180 * DEGREE, 0.0)):
         if len(switches) != 2:
-            raise ModelError(f"{len(switches)} switches given, expected one of each crank in rad")
+            raise ModelError(f"{len(switches)} switches given, expected one for each crank, in rad")
         self.switches = tuple(map(float, switches))
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:

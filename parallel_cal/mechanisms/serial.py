@@ -201,7 +201,7 @@ def _link(name: str, given: Mapping[str, Any], next_joint: str | None) -> Link:
     nominal = {key: numbers[key] for key in UNITS}
     free = given["free"] if "free" in given else _topology(name, given, next_joint)
     if not isinstance(free, list | tuple) or not set(free) <= set(UNITS):
-        raise ModelError(f"{name}: free {free!r}, expected a list of some of {list(UNITS)}")
+        raise ModelError(f"{name}: free is {free!r}, expected a list of some of {list(UNITS)}")
     _check_regular(name, free, nominal)
     return Link(name, joint, tuple(free), nominal, (numbers["low"], numbers["high"]))
 
@@ -209,7 +209,7 @@ def _link(name: str, given: Mapping[str, Any], next_joint: str | None) -> Link:
 def _number(name: str, key: str, value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, Real) or not isfinite(value):
         raise ModelError(
-            f"{name}: {key} {value!r}, expected a number in {UNITS.get(key, 'rad or m')}"
+            f"{name}: {key} is {value!r}, expected a number in {UNITS.get(key, 'rad or m')}"
         )
     return float(value)
 
@@ -218,7 +218,7 @@ def _topology(name: str, given: Mapping[str, Any], next_joint: str | None) -> tu
     key = (given.get("axes", "frame" if next_joint is None else None), next_joint)
     if key not in TOPOLOGY:
         known = ", ".join(axes for axes, joint in TOPOLOGY if joint == next_joint)
-        raise ModelError(f"{name}: axes '{key[0]}' to a joint {next_joint}, expected {known}")
+        raise ModelError(f"{name}: axes is '{key[0]}' for a joint {next_joint}, expected {known}")
     return TOPOLOGY[key]
 
 
@@ -227,13 +227,13 @@ def _check_regular(name: str, free: Sequence[str], nominal: Mapping[str, float])
     polar = {"theta", "a", "beta"} <= set(free) and "b" not in free
     if polar and abs(nominal["a"]) < 1e-6:
         raise ModelError(
-            f"{name}: Hayati's theta is undefined where both axes coincide (a = 0); "
-            "use axes: coincident or other free parameters"
+            f"{name}: Hayati's theta is undefined if both axes coincide (a = 0); use "
+            "axes: coincident or other free parameters"
         )
     if {"d", "a"} <= set(free) and "b" not in free and abs(np.sin(nominal["alpha"])) < 0.1:
         raise ModelError(f"{name}: DH's d is undefined for parallel axes; use axes: parallel")
     if {"theta", "alpha", "beta"} <= set(free) and abs(np.cos(nominal["alpha"])) < 0.1:
-        raise ModelError(f"{name}: theta and beta are one rotation at alpha = 90 degrees")
+        raise ModelError(f"{name}: theta and beta are the same rotation at alpha = 90 degrees")
 
 
 def _table(links: Sequence[Link], length: float, angle: float) -> ParameterTable:

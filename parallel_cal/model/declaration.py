@@ -21,7 +21,7 @@ SI = ("m", "rad", "s", "kg", "N", "K", "degC")
 def check(m: Mechanism) -> None:
     """ModelError for the first thing that is wrong, whatever the closure says."""
     if missing := [part for part in PARTS if not hasattr(m, part)]:
-        raise ModelError(f"the class has no {', '.join(missing)}")
+        raise ModelError(f"the class does not define {', '.join(missing)}")
     _coordinates(m)
     _counts(m)
     _units(m)
@@ -29,15 +29,19 @@ def check(m: Mechanism) -> None:
     if not np.isfinite(numbers).all():
         raise ModelError("nominal values, tolerances and home must be finite numbers")
     if not m.length > 0:
-        raise ModelError(f"length {m.length} m, by which it weighs angles; expected above 0")
+        raise ModelError(
+            f"length is {m.length} m, expected above 0 (it is the scale that weighs angles)"
+        )
 
 
 def _coordinates(m: Mechanism) -> None:
     if not set(m.controlled) <= set(m.moved):
         astray = [c for c in m.controls if c not in m.moves]
-        raise ModelError(f"controls {', '.join(astray)}, which it does not move")
+        raise ModelError(f"it controls {', '.join(astray)}, which it does not move")
     if len(m.controls) > len(m.joints):
-        raise ModelError(f"controls {' '.join(m.controls)} with joints {', '.join(m.joints)} only")
+        raise ModelError(
+            f"it controls {' '.join(m.controls)}, but has only the joints {', '.join(m.joints)}"
+        )
 
 
 def _counts(m: Mechanism) -> None:
@@ -54,7 +58,7 @@ def _counts(m: Mechanism) -> None:
 
 def _units(m: Mechanism) -> None:
     if not {*m.joint_units} <= {"rad", "m"}:
-        raise ModelError(f"joints in {', '.join(m.joint_units)}, expected rad or m")
+        raise ModelError(f"joint units are {', '.join(m.joint_units)}, expected rad or m")
     check_parameters(m.parameters)
 
 
@@ -62,7 +66,9 @@ def check_parameters(parameters: Iterable[Parameter]) -> None:
     """SI units and tolerances above 0, of a mechanism's or an effect's numbers (ModelError)."""
     for parameter in parameters:
         if not parameter.tolerance > 0:
-            raise ModelError(f"{parameter.name}: tolerance {parameter.tolerance}, expected above 0")
+            raise ModelError(
+                f"{parameter.name}: tolerance is {parameter.tolerance}, expected above 0"
+            )
         if foreign := {*re.findall("[A-Za-z]+", parameter.unit)} - {*SI}:
             expected = f"expected SI units ({', '.join(SI)})"
-            raise ModelError(f"{parameter.name} in {', '.join(foreign)}, {expected}")
+            raise ModelError(f"{parameter.name} has the unit {', '.join(foreign)}, {expected}")

@@ -138,7 +138,8 @@ class Effect(ABC):
             if need not in CONDITIONS:
                 known = ", ".join(CONDITIONS)
                 raise ModelError(
-                    f"{self.name} needs '{need}', which nobody records; there are {known}"
+                    f"{self.name} needs the condition '{need}', which is unknown; known "
+                    f"conditions: {known}"
                 )
             per_joint = CONDITIONS[need][2]
             columns += [f"{need}.{j}" for j in mechanism.joints] if per_joint else [need]

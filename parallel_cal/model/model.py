@@ -60,7 +60,9 @@ class Model:
             )
             object.__setattr__(self, "fixed", mask)
         if len(values) != len(self.table):
-            raise ModelError(f"{len(values)} values for {len(self.table)} parameters")
+            raise ModelError(
+                f"found {len(values)} values, expected {len(self.table)}, one for each parameter"
+            )
 
     def __repr__(self) -> str:
         effects = "".join(f" + {effect.name}" for effect in self.effects)
@@ -96,14 +98,14 @@ class Model:
             raise ModelError(f"the model already has the effect '{name}'")
         effect = load_effect(name)
         if reason := effect.applies(self.mechanism) or self._explain_unread(effect):
-            raise ModelError(f"'{name}' makes no sense for {self.mechanism.name}: {reason}")
+            raise ModelError(f"effect {name} does not apply to {self.mechanism.name}: {reason}")
         more = self.widen() if effect.widens else self.with_effects((*self.effects, effect))
         return more.with_settings(name, settings or {})
 
     def _explain_unread(self, effect: Effect) -> str:
         """Why an effect on a sensor's readings has none to act on; empty where it has."""
         lacking = effect.reads and not any(map(effect.acts_on, self.structure.channels))
-        return f"no sensor reads {' or '.join(effect.reads)}" if lacking else ""
+        return f"no sensor measures {' or '.join(effect.reads)}" if lacking else ""
 
     def with_settings(self, effect: str, settings: Mapping[str, float]) -> Model:
         """The model with some numbers of an effect, by short name, held at these values."""
@@ -141,7 +143,10 @@ class Model:
         steps = [step.get("step") for step in self.history if step.get("effect") == name]
         if steps[-1:] != ["add"]:
             return ""
-        return f": it became the mechanism {self.mechanism.name}, go back to the file from before"
+        return (
+            f": it was added by changing the mechanism to {self.mechanism.name}. To "
+            "undo it, go back to the model file from before"
+        )
 
     def with_effects(self, effects: tuple[Effect, ...]) -> Model:
         """The model with these effects; numbers that it has already keep value and mask."""

@@ -33,8 +33,8 @@ def require_allowed(path: str, error: type[ParallelCalError] = ModelError) -> No
     """An `error` for a module from outside the package where these are forbidden."""
     if not _own_allowed and not path.startswith("parallel_cal."):
         raise error(
-            f"{path}: modules from outside the package are not imported here; the node's parameter "
-            "allow_foreign_modules says otherwise"
+            f"{path}: modules from outside the package are not imported here; to "
+            "allow them, set the node's parameter allow_foreign_modules"
         )
 
 
@@ -96,8 +96,9 @@ def load_module(shelf: str, name: str, error: type[ParallelCalError] = ModelErro
             raise wrap_plugin_error(path, missing) from missing
         names = list_plugins(shelf)
         raise error(
-            f"no {shelf.split('.')[-1].rstrip('s')} '{name}': expected one of {', '.join(names)}, "
-            f"or the Python path of your own (my_pkg.my_file){format_suggestion(name, names)}"
+            f"no {shelf.split('.')[-1].rstrip('s')} '{name}': expected one of "
+            f"{', '.join(names)}, or the Python path of your own "
+            f"(my_pkg.my_file){format_suggestion(name, names)}"
         ) from None
     except Exception as raised:
         raise wrap_plugin_error(path, raised) from raised

@@ -78,11 +78,14 @@ class Structure:
     def _check_seen(self, seen: Any) -> Seen:
         """What an effect lets through, which must still be joints and a pose."""
         if not isinstance(seen, Seen):
-            raise ModelError(f"ideal gives a {type(seen).__name__}, expected what it saw, edited")
+            raise ModelError(
+                f"ideal returns a {type(seen).__name__}, expected the Seen that it was "
+                "given, with changes"
+            )
         found = [ca.SX(part).shape for part in (seen.q, seen.r, seen.R)]
         expected = [self.q.shape, (3, 1), (3, 3)]
         if found != expected:
-            raise ModelError(f"ideal gives q, r, R of shapes {found}, expected {expected}")
+            raise ModelError(f"ideal returns q, r, R of shapes {found}, expected {expected}")
         return seen
 
     @cached_property
@@ -109,11 +112,11 @@ class Structure:
             )
         inputs = ca.vertcat(self.configuration, self.v, self.a)
         if unknown := {str(s) for s in ca.symvar(phi)} - {str(s) for s in ca.symvar(inputs)}:
-            raise ModelError(f"{its} has free symbols {sorted(unknown)}")
+            raise ModelError(f"{its} has unknown symbols {sorted(unknown)}")
         home = [*self.mechanism.home.configuration, *self.table.nominal, *self.neutral]
         rows = np.array(ca.Function("home", [inputs], [phi])(home)).ravel()
         if bad := np.flatnonzero(~np.isfinite(rows)).tolist():
-            raise ModelError(f"{its} is no number in rows {bad} at home with nominal values")
+            raise ModelError(f"{its} is not finite in rows {bad} at home with nominal values")
         return phi
 
     @cached_property

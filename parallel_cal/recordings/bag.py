@@ -96,7 +96,7 @@ class _Bag:
         self.topics = tuple(sorted(counts, key=lambda t: t.name))
         if not self.reader.message_count:
             self.reader.close()
-            raise BagError(f"{self.path}: the bag holds no message. Was anything published?")
+            raise BagError(f"{self.path}: the bag contains no message. Was anything published?")
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -114,16 +114,17 @@ class _Bag:
             return files[0]
         if self.path.is_file() and self.path.suffix not in (".mcap", ".db3"):
             raise BagError(
-                f"{self.path}: not a rosbag2 recording; expected a bag directory, .mcap or .db3 "
-                "(convert a ROS 1 .bag with 'rosbags-convert')"
+                f"{self.path}: not a rosbag2 recording; expected a bag directory, .mcap "
+                "or .db3 (convert a ROS 1 .bag with 'rosbags-convert')"
             )
         return self.path
 
     def _no_metadata(self, files: list[Path]) -> str:
         if not files:
             return (
-                f"{self.path}: not a rosbag2 recording: it holds neither metadata.yaml nor a "
-                f"{', '.join(DATA_FILES)} file. Give the folder that 'ros2 bag record' wrote."
+                f"{self.path}: not a rosbag2 recording: it contains neither metadata.yaml "
+                f"nor a {', '.join(DATA_FILES)} file. Give the folder that 'ros2 bag "
+                "record' wrote."
             )
         return (
             f"{self.path}: no metadata.yaml; data files: {', '.join(f.name for f in files)}. "
@@ -142,8 +143,9 @@ class _Bag:
     def _damaged(self, error: Exception) -> BagError:
         why = str(error).rstrip(".") or type(error).__name__
         return BagError(
-            f"{self.path}: damaged or cut short ({why}). Recover it with 'mcap recover' or "
-            "'ros2 bag reindex', or record again and stop the recorder with Ctrl-C."
+            f"{self.path}: damaged or truncated ({why}). Recover it with 'mcap "
+            "recover' or 'ros2 bag reindex', or record again and stop the recorder "
+            "with Ctrl-C."
         )
 
 

@@ -121,7 +121,7 @@ def register_channels(path: str) -> None:
     except Exception as error:
         raise wrap_plugin_error(path, error) from error
     if not own:
-        raise BagError(f"{path} holds no Channel: give one a name there")
+        raise BagError(f"{path} defines no Channel: assign one to a name there")
     CHANNELS.update(own)
 
 

@@ -96,13 +96,13 @@ def _numbers(
     sieve = Sieve(raw, resolve_stamps(raw, stamps, notes), start)
     value = np.array([row[0] for row in raw.rows], float)
     if not np.isfinite(value).any():
-        notes.append(f"{raw.topic}: ignored, no finite value")
+        notes.append(f"{raw.topic}: ignored; it has no finite value")
         return None
     sieve.drop(~np.isfinite(value), "value is not finite")
     dropped += sieve.dropped
     time = sieve.time[sieve.keep]
     if time[0] > joints.time[-1] or (len(time) > 1 and time[-1] < joints.time[0]):
-        notes.append(f"{raw.topic}: ignored, its times do not overlap {joints.topic}'s")
+        notes.append(f"{raw.topic}: ignored; its times do not overlap the times of {joints.topic}")
         return None
     return ScalarStream(raw.topic, time, value[sieve.keep])
 
@@ -117,7 +117,7 @@ def _by_gauge(raws: Iterable[Raw]) -> dict[str, Raw]:
             name = f"{raw.topic} ({channel})"
             gauge = gauges.setdefault(channel, Raw(name, raw.type))
             if gauge.topic != name:
-                raise BagError(f"{name} comes as {gauge.topic}, too: give them different names")
+                raise BagError(f"{name} is also on {gauge.topic}: give the two different names")
             gauge.append(log, stamp, (value,))
     return gauges
 
@@ -143,6 +143,7 @@ def _require_overlap(joints: JointStream, pose: PoseStream, start: int) -> None:
         for s in (joints, pose)
     ]
     raise BagError(
-        f"the streams never overlap: {spans[0]}, {spans[1]}. Their clocks differ or one was off: "
-        "record both together, or read by log time (stamps='log')."
+        f"the streams never overlap: {spans[0]}, {spans[1]}. Their clocks differ, "
+        "or one device was off. Record both together, or read by log time "
+        "(stamps='log')."
     )

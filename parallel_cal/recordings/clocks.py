@@ -56,8 +56,10 @@ def align_clocks(recording: Recording) -> Recording:
     pose = dataclasses.replace(recording.pose, time=recording.pose.time - found.delay)
     late = "later" if found.delay > 0 else "earlier"
     note = (
-        f"{pose.topic} was stamped {abs(found.delay):.4f} s {late} than {recording.joints.topic} "
-        f"(+- {found.sigma:.2g} s, found from motion): two clocks, brought to that of the joints"
+        f"{pose.topic} was stamped {abs(found.delay):.4f} s {late} than "
+        f"{recording.joints.topic} (+- {found.sigma:.2g} s, estimated from "
+        "motion): the two clocks differ. The poses were moved to the joints' "
+        "clock"
     )
     return dataclasses.replace(recording, pose=pose, notes=(*recording.notes, note))
 

@@ -122,10 +122,10 @@ def read_column_map(path: Path) -> ColumnMap:
     except ValidationError as error:
         raise _invalid(document, error.errors(include_url=False)[0]) from None
     if found.orientation and found.angles:
-        raise document.error(("angles",), "orientation is given, too: take one of them out")
+        raise document.error(("angles",), "orientation is given as well: remove one of the two")
     if not (found.position or found.orientation or found.angles or found.readings):
         raise document.error(
-            (), "neither position nor orientation nor readings: say what was measured"
+            (), "neither position nor orientation nor readings: state what was measured"
         )
     for name in found.conditions:
         if name.split(".")[0] not in (*CONDITIONS, *list_channels("condition")):

@@ -80,8 +80,8 @@ class Columns:
             if not having:
                 has = "; ".join(", ".join(t.header) for t in self.tables)
                 raise DatasetError(
-                    f"{', '.join(f'{t.path}:1' for t in self.tables)}: no column {name}, which "
-                    f"{self.map} names; the table has {has}"
+                    f"{', '.join(f'{t.path}:1' for t in self.tables)}: no column {name}, "
+                    f"which {self.map} names; the table has {has}"
                 )
         return self
 
@@ -95,9 +95,9 @@ class Columns:
         unit = wanted.unit or split_unit(word)[1]
         if wanted.per_rev is not None and unit in LENGTHS:
             raise DatasetError(
-                f"{table.path}:1: column {word} is in {unit}, but {self.map} says per_rev "
-                f"{wanted.per_rev}, which is of an angle: give the motor's unit (unit: rev or "
-                "deg), or take per_rev out"
+                f"{table.path}:1: column {word} is in {unit}, but {self.map} has per_rev "
+                f"{wanted.per_rev}, which needs an angle: state the motor's unit (unit: "
+                "rev or deg), or remove per_rev"
             )
         return self.si([wanted.column], wanted.unit) * wanted.per_radian
 
@@ -119,12 +119,12 @@ class Columns:
         said = split_unit(word)[1]
         if unit is None and said is None:
             raise DatasetError(
-                f"{table.path}:1: column {word} names no unit; say so in {self.map} (unit: mm) "
-                f"or in the header ({word} [mm])"
+                f"{table.path}:1: column {word} has no unit; state it in {self.map} "
+                f"(unit: mm) or in the header ({word} [mm])"
             )
         if unit and said and unit != said:
             raise DatasetError(
-                f"{table.path}:1: column {word} is in {said}, {self.map} says {unit}"
+                f"{table.path}:1: column {word} is in {said}, but {self.map} states {unit}"
             )
         filled = [k for k, text in enumerate(table.texts(word)) if text or not gaps]
         values = np.full(len(table.rows), np.nan)
@@ -140,8 +140,8 @@ def _join_tables(tables: list[Table], join: Join | None) -> tuple[list[Table], l
         counts = {str(table.path): len(table.rows) for table in tables}
         if len({*counts.values()}) > 1:
             raise DatasetError(
-                f"{' and '.join(f'{n} rows in {p}' for p, n in counts.items())}: say in the column "
-                "map how they belong together (join: {by: COLUMN})"
+                f"{' and '.join(f'{n} rows in {p}' for p, n in counts.items())}: state in "
+                "the column map how they belong together (join: {by: COLUMN})"
             )
         return tables, []
     for table in tables:
@@ -151,7 +151,9 @@ def _join_tables(tables: list[Table], join: Join | None) -> tuple[list[Table], l
     partners = np.column_stack([_find_partners(one, table, join) for table in tables])
     kept = (partners >= 0).all(axis=1)
     if not kept.any():
-        raise DatasetError(f"no row of {one.path} has a partner by {join.by} in the other tables")
+        raise DatasetError(
+            f"no row of {one.path} has the same {join.by} as a row of the other tables"
+        )
     unpaired = [(one, np.flatnonzero(~kept).tolist())]
     if join.within is None:  # of a log, most rows belong to no sample
         for table, rows in zip(tables, partners[kept].T, strict=True):
@@ -159,7 +161,9 @@ def _join_tables(tables: list[Table], join: Join | None) -> tuple[list[Table], l
                 unpaired.append((table, sorted({*range(len(table.rows))} - {*rows.tolist()})))
     dropped = [
         Dropped(
-            0.0, "no partner", f"{table.path}:{table.lines[k]}: nothing else with its {join.by}"
+            0.0,
+            "no partner",
+            f"{table.path}:{table.lines[k]}: no other table has its {join.by}",
         )
         for table, rest in unpaired
         for k in rest
@@ -209,8 +213,8 @@ def _rotation(wanted: ColumnMap, found: Columns) -> np.ndarray | None:
     if (bad := np.flatnonzero(np.abs(length - 1) > 0.05)).size:
         table, _ = found._find_column(given[0])
         raise DatasetError(
-            f"{table.path}:{table.lines[bad[0]]}: {', '.join(given)} are no quaternion x y z w of "
-            "length 1"
+            f"{table.path}:{table.lines[bad[0]]}: {', '.join(given)} are not a "
+            "quaternion x y z w of length 1"
         )
     return quaternion_to_matrix(quaternions)
 

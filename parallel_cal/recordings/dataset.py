@@ -161,7 +161,7 @@ class Dataset:
         named = dataclasses.replace(
             self, conditions={**self.conditions, NUMBER: self.numbers.astype(float)}
         )
-        said = f"left out {why}: sample {', '.join(map(str, sorted(numbers)))}"
+        said = f"excluded {why}: sample {', '.join(map(str, sorted(numbers)))}"
         kept = named.select(~np.isin(self.numbers, list(numbers)))
         return dataclasses.replace(kept, warnings=(*self.warnings, said))
 

@@ -190,11 +190,13 @@ def _thin_conditions(dataset: Dataset) -> list[str]:
     """What the recording cannot tell because it never varied or was never repeated."""
     said = []
     if dataset.mode == "dwell" and len(np.unique(dataset.pose_id)) == len(dataset) > 1:
-        said.append("no pose was visited twice: noise cannot be told from missing effects")
+        said.append("no pose was visited twice: noise cannot be distinguished from missing effects")
     for name in dataset.joint_names:
         ways = set(dataset.conditions.get(f"direction.{name}", np.zeros(0)).tolist()) - {0.0}
         if len(ways) == 1:
-            said.append(f"{name} was always approached from one side: backlash cannot be seen")
+            said.append(
+                f"{name} was always approached from one side: backlash cannot be identified"
+            )
     return said
 
 

@@ -77,8 +77,8 @@ def _check_different(datasets: Sequence[Dataset]) -> None:
     for dataset in datasets:
         if dataset.sha256 and dataset.sha256 in known:
             raise DatasetError(
-                f"{dataset.source}: the same recording as {known[dataset.sha256]}; give it once, "
-                "or the result would look surer than it is"
+                f"{dataset.source}: the same recording as {known[dataset.sha256]}; give "
+                "it once, otherwise the uncertainties would be too small"
             )
         known[dataset.sha256] = dataset.source
 
@@ -90,7 +90,7 @@ def _check_alike(datasets: Sequence[Dataset], names: Sequence[str]) -> None:
             if not np.array_equal(one, two):
                 raise DatasetError(
                     f"{other.source}: {name} is {two}, but {one} in {datasets[0].source}; "
-                    "only recordings of one robot and one set-up can be taken together"
+                    "only recordings of one robot and one set-up can be joined"
                 )
 
 
@@ -140,7 +140,7 @@ def _list_missing_conditions(parts: Sequence[Dataset], shared: dict[str, Array])
     """A sentence for each part's conditions that the others do not have."""
     lost = [(d.source, [c for c in d.conditions if c not in shared]) for d in parts]
     return [
-        f"{', '.join(names)} of {source} is not used: not recorded in every session"
+        (f"{', '.join(names)} of {source} is not used: it was not recorded in every session")
         for source, names in lost
         if names
     ]

@@ -56,10 +56,11 @@ def _joint_names(raw: Raw, wanted: Sequence[str] | None, notes: list[str]) -> tu
         )
     if not any(set(names) <= set(present) for present in counts):
         raise BagError(
-            f"{raw.topic}: no message holds all the joints {', '.join(names)}; messages hold "
-            f"{'; '.join(', '.join(present) for present in counts)}. Publish them in one message."
+            f"{raw.topic}: no message contains all the joints {', '.join(names)}; the "
+            f"messages contain {'; '.join(', '.join(present) for present in counts)}. "
+            "Publish all joints in one message."
         )
     extra = [name for name in seen if name not in names]
     if extra:
-        notes.append(f"{raw.topic}: joints ignored: {', '.join(extra)}")
+        notes.append(f"{raw.topic}: ignored joints: {', '.join(extra)}")
     return names

@@ -180,8 +180,10 @@ def _joint_suspicions(dataset: Dataset) -> list[str]:
     """A sentence for each joint that does not look like radians or metres."""
     travel = np.ptp(dataset.q, axis=0)  # of at least one sample, see samples_of
     return [
-        f"{name} looks like degrees or millimetres: it travels {width:.4g}; expected rad or m "
-        "(fine if it turns endlessly)"
+        (
+            f"{name} looks like degrees or millimetres: its range is {width:.4g}; "
+            "expected rad or m (correct if the joint turns endlessly)"
+        )
         for name, width in zip(dataset.joint_names, travel, strict=True)
         if width > MAX_JOINT_TRAVEL_RAD
     ]
@@ -190,8 +192,10 @@ def _joint_suspicions(dataset: Dataset) -> list[str]:
 def _condition_suspicions(conditions: Mapping[str, Array]) -> list[str]:
     """A sentence for each condition that can hardly be in its unit."""
     return [
-        f"{name} does not look like {channel.unit}: it goes from {values.min():.4g} to "
-        f"{values.max():.4g}; expected {low:g} to {high:g}"
+        (
+            f"{name} does not look like {channel.unit}: it ranges from "
+            f"{values.min():.4g} to {values.max():.4g}; expected {low:g} to {high:g}"
+        )
         for name, channel in CHANNELS.items()
         for low, high in [channel.plausible]
         for values in [conditions.get(name, np.zeros(0))]
@@ -239,8 +243,8 @@ def order_joints(dataset: Dataset, joints: Sequence[str] | None) -> Dataset:
     if missing:
         raise DatasetError(
             f"{dataset.source}: joints expected: {', '.join(joints)}; in the samples: "
-            f"{', '.join(dataset.joint_names)}; not found: {', '.join(missing)}. Name them alike, "
-            "there or in the model file"
+            f"{', '.join(dataset.joint_names)}; not found: {', '.join(missing)}. Use "
+            "the same names in the samples and in the model file"
         )
     order = [dataset.joint_names.index(name) for name in joints]
     sigma = dataset.joint_sigma

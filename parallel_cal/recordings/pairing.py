@@ -15,8 +15,9 @@ def paired_samples(recording: Recording, options: SampleOptions, tolerance: Arra
     joints, pose = recording.joints, recording.pose
     if recording.constraint or recording.distances:
         raise UnfitError(
-            f"{recording.source}: a constraint or a distance belongs to a dwell, but mode is "
-            "'continuous': use mode='dwell', or leave their topics out (constraint= distance=)"
+            f"{recording.source}: a constraint or a distance belongs to a dwell, but "
+            "mode is 'continuous': use mode='dwell', or disable their topics "
+            "(constraint= distance=)"
         )
     found = Samples("continuous", [], tolerance, [])
     gap = max_gap(joints, options)
@@ -24,12 +25,15 @@ def paired_samples(recording: Recording, options: SampleOptions, tolerance: Arra
     if (~usable).any():
         first, count = float(pose.time[np.argmin(usable)]), int((~usable).sum())
         detail = f"{count} of {len(usable)} messages on {pose.topic}"
-        found.dropped.append(Dropped(first, "no joint readings around the pose", detail, count))
+        found.dropped.append(
+            Dropped(first, "no joint readings before and after the pose", detail, count)
+        )
     at = np.flatnonzero(usable)
     if not len(at):
         raise DatasetError(
-            f"{recording.source}: no message on {pose.topic} has two on {joints.topic} around it "
-            f"within {gap:.2g} s. Record both together, or set max_gap"
+            f"{recording.source}: no message on {pose.topic} has joint states on "
+            f"{joints.topic} within {gap:.2g} s before and after it. Record both "
+            "together, or set max_gap"
         )
     columns = _interpolate_joints(joints, pose.time[at])
     nowhere = np.full(len(joints.names), np.nan)

@@ -73,11 +73,13 @@ def drop_outliers(
     middle, worst = 0.5 * (dwell.start + dwell.end), stray.max(axis=0)
     size = f"by {1e3 * worst[:3].max():.3g} mm, {1e3 * worst[3:].max():.3g} mrad"
     if far.mean() > 0.2 or (~far).sum() < minimum:
-        detail = f"{pose.topic} strays {size} while the joints stand still; do their clocks agree?"
+        detail = (
+            f"{pose.topic} deviates {size} while the joints stand still; do their clocks agree?"
+        )
         dropped.append(Dropped(middle, "moving while measured", detail))
         return False
     first = float(pose.time[dwell.poses[far][0]])
-    detail = f"{pose.topic} strays {size} from the other readings of the dwell"
+    detail = f"{pose.topic} deviates {size} from the other readings of the dwell"
     dropped.append(Dropped(first, "pose reading is an outlier", detail, int(far.sum())))
     dwell.poses = dwell.poses[~far]
     return True

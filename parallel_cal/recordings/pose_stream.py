@@ -33,8 +33,9 @@ def clean_poses(
     _sieve_poses(sieve, position, quaternion, measured)
     if np.all(quaternion[measured[:, 3:].any(1)] == (0, 0, 0, 1)) and measured[:, 3:].any():
         notes.append(
-            f"{raw.topic}: every orientation is exactly identity; if the device measures "
-            "positions only, say so (measures=x,y,z, PointStamped, or variances above 1e3)"
+            f"{raw.topic}: every orientation is exactly the identity; if the device "
+            "measures positions only, state it (measures=x,y,z, PointStamped, or "
+            "variances above 1e3)"
         )
     covariance[~measured] = np.nan
     np.swapaxes(covariance, 1, 2)[~measured] = np.nan
@@ -76,8 +77,9 @@ def _without_impossible_correlations(covariance: Array, topic: str) -> list[str]
     alone = np.isnan(covariance[bad]) | np.eye(6, dtype=bool)
     covariance[bad] = np.where(alone, covariance[bad], 0.0)
     return [
-        f"{topic}: no covariance, as it has a negative eigenvalue, in {len(bad)} of "
-        f"{len(covariance)} messages, the first is message {bad[0]}: its variances alone are used"
+        f"{topic}: the covariance has a negative eigenvalue in {len(bad)} of "
+        f"{len(covariance)} messages (first: message {bad[0]}); only its "
+        "variances are used"
     ]
 
 
@@ -92,8 +94,8 @@ def _sieve_poses(sieve: Sieve, position: Array, quaternion: Array, measured: Boo
         axis=1,
     )
     hint = (
-        "If the device measures positions only, say so: measures=x,y,z, a PointStamped topic, "
-        "or orientation variances above 1e3."
+        "If the device measures positions only, state it: measures=x,y,z, a "
+        "PointStamped topic, or orientation variances above 1e3."
     )
     shown = np.hstack([position, quaternion])
     absurd = (np.abs(position) > MAX_PLAUSIBLE_READING).any(axis=1)

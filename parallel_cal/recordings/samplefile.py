@@ -52,8 +52,8 @@ def read_document(path: Path) -> dict[str, Any]:
         raise DatasetError(f"{path}: cannot read samples: {error.strerror}") from None
     except (ValueError, RecursionError) as error:
         raise DatasetError(
-            f"{path}: cannot read samples: {error}. The file seems cut off or damaged: save the "
-            "samples, or copy the file, again"
+            f"{path}: cannot read samples: {error}. The file seems truncated or "
+            "damaged: save the samples again, or copy the file again"
         ) from None
     version = document.get("parallel_cal_samples") if isinstance(document, dict) else None
     if version != FILE_VERSION:
@@ -71,7 +71,9 @@ def restore_field(name: str, document: Mapping[str, Any]) -> Any:
     except KeyError:
         raise DatasetError(f"the key '{name}' is missing") from None
     except (TypeError, ValueError, AttributeError, OverflowError):
-        raise DatasetError(f"{name} is not what a sample file holds there") from None
+        raise DatasetError(
+            f"{name} is not of the type and shape that a sample file needs"
+        ) from None
     if name in PER_SAMPLE:
         _check_column(name, value, len(document["time"]))
     if name == "conditions":
@@ -89,15 +91,19 @@ def _check_column(name: str, column: np.ndarray, n: int) -> None:
     flat = column.reshape(n, -1)
     if name not in NULLABLE_FIELDS and not np.isfinite(flat).all():
         i = int(np.argmin(np.isfinite(flat).all(axis=1)))
-        raise DatasetError(f"{name} of sample {i} holds null: expected numbers")
+        raise DatasetError(f"{name} of sample {i} is null: expected numbers")
     if name == "R" and n:
         off = np.abs(column @ np.swapaxes(column, 1, 2) - np.eye(3)).max(axis=(1, 2))
         mirrored = np.linalg.det(column) < 0
         bad = (off > MAX_ORTHOGONALITY_ERROR) | mirrored
         if bad.any():
             i = int(np.argmax(bad))
-            how = "mirrors: its determinant is -1" if mirrored[i] else "is not orthogonal"
-            raise DatasetError(f"R of sample {i} is no rotation, it {how}")
+            how = (
+                "it is a reflection: its determinant is -1"
+                if mirrored[i]
+                else "it is not orthogonal"
+            )
+            raise DatasetError(f"R of sample {i} is not a rotation: {how}")
 
 
 def _check_length(name: str, column: np.ndarray, n: int) -> None:

@@ -43,10 +43,11 @@ def _why_none(recording: Recording, options: SampleOptions, samples: Samples) ->
     said = "".join(f" {warning}." for warning in samples.warnings)
     return (
         f"{recording.source}: no usable dwell of at least {options.min_dwell} s "
-        f"(candidates dropped: {'; '.join(reasons) or 'none found'}; joints counted as still "
-        f"within {tolerance}). Let the robot stand at each pose, adjust min_dwell, trim_start, "
-        "trim_end or still_tolerance, read by log time if clocks differ (stamps='log'), or pair "
-        f"every pose with the moving joints: mode='continuous'.{said}"
+        f"(dropped candidates: {'; '.join(reasons) or 'none found'}; standstill "
+        f"tolerance of the joints: {tolerance}). Let the robot stand still at "
+        "each pose, adjust min_dwell, trim_start, trim_end or still_tolerance, "
+        "read by log time if clocks differ (stamps='log'), or pair every pose "
+        f"with the moving joints: mode='continuous'.{said}"
     )
 
 
@@ -84,7 +85,7 @@ def _select_latest_values(stream: ScalarStream, time: Array, warnings: list[str]
     index = np.searchsorted(stream.time, time, side="right") - 1
     if (index < 0).any():
         warnings.append(
-            f"{stream.topic}: {int((index < 0).sum())} samples lie before its first message and "
-            "take its value"
+            f"{stream.topic}: {int((index < 0).sum())} samples are earlier than its "
+            "first message and use that message's value"
         )
     return stream.value[index.clip(0)]

@@ -38,10 +38,12 @@ class Sieve:
         message = f"message {first}{shown}"
         if not self.keep.any():
             raise BagError(
-                f"{self.topic}: none of its {len(bad)} messages can be used; the last {count} "
-                f"were dropped because: {reason} ({message}). {hint}".rstrip()
+                (
+                    f"{self.topic}: none of its {len(bad)} messages can be used; the last "
+                    f"{count} were dropped because: {reason} ({message}). {hint}"
+                ).rstrip()
             )
-        detail = f"{self.topic}: {count} of {len(bad)} messages, the first is {message}"
+        detail = f"{self.topic}: {count} of {len(bad)} messages; the first is {message}"
         self.dropped.append(Dropped(float(self.time[first]), reason, detail, count))
 
     def _stamps(self, stamp: NDArray[np.int64]) -> None:
@@ -64,15 +66,16 @@ def resolve_stamps(raw: Raw, stamps: str, notes: list[str]) -> NDArray[np.int64]
     if not raw.stamp:
         why = f" ({raw.undecodable} cannot be decoded)" if raw.undecodable else ""
         raise BagError(
-            f"{raw.topic}: no usable message{why}. Record again with this topic; where messages "
-            "were compressed one by one, give the bag's folder with its metadata.yaml."
+            f"{raw.topic}: no usable message{why}. Record this topic again; if "
+            "messages were compressed one by one, give the bag's folder with its "
+            "metadata.yaml."
         )
     header, log = np.array(raw.stamp, np.int64), np.array(raw.log, np.int64)
     if stamps == "log":
         return log
     empty = header == 0
     if np.mean(empty) > 0.5:
-        notes.append(f"{raw.topic}: header stamps are zero; the time of recording is used instead")
+        notes.append(f"{raw.topic}: header stamps are zero; the log time is used instead")
         return log
     # a few zeros among real stamps repeat the time before them, and the sieve drops repeats
     last = np.maximum.accumulate(np.where(empty, int(np.argmin(empty)), np.arange(len(header))))

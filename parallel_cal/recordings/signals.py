@@ -41,7 +41,9 @@ def signals(
     session = dataset.conditions.get("session", np.zeros(len(dataset))).astype(int)
     path = paths[session[at]]
     if holds_samples(Path(path)):
-        raise DatasetError(f"{path}: holds samples, not the readings that they were made of")
+        raise DatasetError(
+            f"{path}: contains samples, not the raw readings from which they were made"
+        )
     recording = align_clocks(read_bag(path, options))
     of_it = np.flatnonzero(session == session[at])
     # In a later session time goes on from the one before.

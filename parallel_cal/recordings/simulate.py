@@ -219,8 +219,9 @@ def _targets(model: Model, n: int, rng: np.random.Generator) -> np.ndarray:
             return np.asarray(found[:n])
     low, high = model.mechanism.workspace.low, model.mechanism.workspace.high
     raise SolveError(
-        f"only {len(found)} of {MAX_DRAWS * n} poses between {low} and {high} (m, rad) are within "
-        "reach and joint limits; make the workspace in the model file smaller"
+        f"only {len(found)} of {MAX_DRAWS * n} poses between {low} and {high} (m, "
+        "rad) are within reach and joint limits; make the workspace in the model "
+        "file smaller"
     )
 
 

@@ -40,7 +40,7 @@ def standstill_samples(recording: Recording, options: SampleOptions, tolerance: 
     for dwell in dwells:
         if len(dwell.less):
             count, first = len(dwell.less), float(pose.time[dwell.less[0]])
-            reason = "measures less than the rest of its dwell"
+            reason = "measures fewer coordinates than the rest of its dwell"
             found.dropped.append(Dropped(first, reason, f"{count} messages of {pose.topic}", count))
         if drop_outliers(pose, dwell, limits, minimum, found.dropped):
             found.kept.append(_dwell_sample(joints, pose, dwell))
@@ -53,9 +53,9 @@ def _too_slow(joints: JointStream, options: SampleOptions) -> list[str]:
     if joints.period <= options.min_dwell:
         return []
     return [
-        f"{joints.topic}: one message in {joints.period:.2g} s; only standstills of "
-        f"{10 * joints.period:.2g} s "
-        "and more are sure to be seen. Publish faster, or stand longer"
+        f"{joints.topic}: one message per {joints.period:.2g} s; only standstills "
+        f"of {10 * joints.period:.2g} s or more are detected reliably. Publish "
+        "faster, or stand still longer"
     ]
 
 
@@ -65,7 +65,9 @@ def _min_pose_messages(windows: list[Dwell], options: SampleOptions, warnings: l
         return max(1, options.min_pose_messages)
     counts = [len(w.poses) for w in windows if len(w.poses)]
     if counts and np.median(counts) < 3:
-        warnings.append("most dwells have fewer than 3 pose messages; one is taken as enough")
+        warnings.append(
+            "most dwells have fewer than 3 pose messages; one message per dwell is accepted"
+        )
         return 1
     return 3
 
@@ -89,7 +91,10 @@ def _unusable(
     moved = np.abs(drift(readings))
     if (moved > 0.5 * tolerance).any():
         j = int(np.argmax(moved / tolerance))
-        return "moving while measured", f"{joints.names[j]} crept by {moved[j]:.2g} rad or m"
+        return (
+            "moving while measured",
+            f"{joints.names[j]} moved by {moved[j]:.2g} rad or m",
+        )
     if len(dwell.held) > 1:
         words = ", then ".join(f"'{word}'" for word in dwell.held)
         return "constraint changed", f"held by {words}"
@@ -153,5 +158,5 @@ def _report_lonely_poses(
         a, b = np.searchsorted(pose.time, [dwell.start, dwell.end])
         used[a:b] = True
     for i in np.flatnonzero(~used):
-        time, detail = float(pose.time[i]), f"message {i} of {pose.topic} falls in no dwell"
+        time, detail = float(pose.time[i]), f"message {i} of {pose.topic} is in no dwell"
         found.dropped.append(Dropped(time, "moving while measured", detail))

@@ -95,14 +95,14 @@ class Table:
         """Without rows that hold nothing; DatasetError where a cell is missing or a name twice."""
         kept = [k for k, row in enumerate(self.rows) if any(map(str.strip, row))]
         if not kept:
-            raise DatasetError(f"{self.path}: expected a header line and rows, found 1 lines")
+            raise DatasetError(f"{self.path}: expected a header line and rows, found only 1 line")
         if len(set(self.header)) < len(self.header):
             raise DatasetError(f"{self.path}:1: a column occurs twice in '{','.join(self.header)}'")
         for k in kept:
             if len(self.rows[k]) != len(self.header):
                 raise DatasetError(
-                    f"{self.path}:{self.lines[k]}: {len(self.rows[k])} cells, the header has "
-                    f"{len(self.header)}"
+                    f"{self.path}:{self.lines[k]}: {len(self.rows[k])} cells, but the header "
+                    f"has {len(self.header)}"
                 )
         return self.select(kept)
 
@@ -121,8 +121,9 @@ class Table:
         for name in names:
             for k in np.flatnonzero(~np.isfinite(self.column(name))):
                 raise DatasetError(
-                    f"{self.path}:{self.lines[k]}: column {name} holds '{self.texts(name)[k]}', "
-                    "expected a finite number: fill it in or take the line out"
+                    f"{self.path}:{self.lines[k]}: column {name} contains "
+                    f"'{self.texts(name)[k]}', expected a finite number: enter one or remove "
+                    "the line"
                 )
         return np.column_stack([self.column(name) for name in names])
 
@@ -133,9 +134,9 @@ def read_table(path: Path) -> Table:
     try:
         text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
-        raise DatasetError(f"{path}: {error.strerror}: the table cannot be read") from None
+        raise DatasetError(f"{path}: the table cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:
-        raise DatasetError(f"{path}: not a CSV table: not UTF-8, save it as UTF-8") from None
+        raise DatasetError(f"{path}: not a CSV table: not UTF-8. Save it as UTF-8") from None
     lines = text.splitlines(keepends=True)
     remarks = next((k for k, l in enumerate(lines) if l.strip() and l[0] != "#"), len(lines))
     first = lines[remarks] if remarks < len(lines) else ""
@@ -146,7 +147,7 @@ def read_table(path: Path) -> Table:
     except csv.Error as error:
         raise DatasetError(f"{path}: not a CSV table: {error}") from None
     if not found or not any(found[0][1]):
-        raise DatasetError(f"{path}:1: empty; expected a header line")
+        raise DatasetError(f"{path}:1: the file is empty; expected a header line")
     (_, header), *rows = found
     names = [name.strip() for name in header]
     decimal = "." if apart == "," else ","

@@ -48,7 +48,7 @@ def _pose(offer: _Offer, names: Mapping[str, str], needed: bool) -> TopicInfo | 
     pose = offer.find_named(names["measured_pose"], POSES)
     point = offer.find_named(names["measured_position"], POINTS + POSES)
     if pose and point:
-        offer.notes.append(f"{point.name} is ignored, poses are taken from {pose.name}")
+        offer.notes.append(f"{point.name} is ignored; poses are taken from {pose.name}")
     wanted = names["measured_position"]
     if wanted == "measured_position":
         wanted = names["measured_pose"]
@@ -62,8 +62,10 @@ def _pose(offer: _Offer, names: Mapping[str, str], needed: bool) -> TopicInfo | 
             "measured_pose",
             wanted,
             POSES + POINTS,
-            f"; or, without a pose device, record on '{names['constraint'] or 'constraint'}' "
-            f"({CHANNELS['constraint'].types[0]}) which plane or sphere holds the tip",
+            "; or, without a pose device, record on "
+            f"'{names['constraint'] or 'constraint'}' "
+            f"({CHANNELS['constraint'].types[0]}) which plane or sphere constrains "
+            "the tip",
         )
     )
 
@@ -81,8 +83,8 @@ class _Offer:
         fitting = [t for t in found if t.type in types]
         if found and not fitting:
             raise BagError(
-                f"topic {found[0].name} holds {found[0].type}; expected {' or '.join(types)}. "
-                f"Name another topic. {self.listing}"
+                f"topic {found[0].name} has type {found[0].type}; expected "
+                f"{' or '.join(types)}. Name another topic. {self.listing}"
             )
         return max(fitting, key=lambda t: t.count, default=None)
 
@@ -104,12 +106,15 @@ class _Offer:
         ]
         if len(others) == 1:
             only = others[0].name
-            self.notes.append(f"no topic '{name}'; {only} is used, the only one of its type")
+            self.notes.append(
+                f"no topic '{name}'; {only} is used because it is the only one of its type"
+            )
             return others[0]
         if others:
             self.notes.append(
-                f"no topic '{name}' and several of its type ({', '.join(t.name for t in others)}); "
-                f"none is used, name one as {channel}"
+                f"no topic '{name}' and several topics of its type "
+                f"({', '.join(t.name for t in others)}); none is used. Name one as "
+                f"{channel}"
             )
         return None
 
@@ -118,7 +123,7 @@ class _Offer:
         found = self.optional(channel, name, types, guess=True)
         if found is None:
             raise BagError(
-                f"no messages on topic '{name}' and not exactly one other topic of type "
+                f"no messages on topic '{name}', and not exactly one other topic of type "
                 f"{' or '.join(types)}. Name the topic as {channel}{hint}. {self.listing}"
             )
         return found

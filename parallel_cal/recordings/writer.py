@@ -78,7 +78,7 @@ def _write(
 ) -> None:
     """Whole or not at all; `wanted` is the folder or what of it takes the target's name."""
     if target.exists():
-        raise BagError(f"{target}: exists already; remove it or give another name")
+        raise BagError(f"{target}: already exists; remove it or give another name")
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=target.parent, prefix=".bag") as scratch:

@@ -44,8 +44,8 @@ class Certificate(Sensor):
             raise ModelError(f"certificate: no kind '{self.kind}'{known}")
         if self._accuracy is None or min(self._accuracy, self._scale or 1.0) <= 0:
             raise ModelError(
-                "certificate: expected a kind of device, or a volumetric_accuracy (m) and a scale "
-                "above 0"
+                "certificate: expected a kind of device, or a volumetric_accuracy (m) "
+                "and a scale, both above 0"
             )
 
     @property

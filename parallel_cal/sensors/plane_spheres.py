@@ -41,7 +41,8 @@ class PlaneSpheres(Sensor):
         if len(self.holes) != len(self.bars) or min(lengths) <= 0:
             raise ModelError(
                 f"plane_spheres: {len(self.holes)} holes and {len(self.bars)} bars, sigma "
-                f"{self.sigma} m, bars {self.bars} m; expected one bar a hole, all lengths positive"
+                f"{self.sigma} m, bars {self.bars} m; expected one bar for each hole and "
+                "positive lengths"
             )
 
     @property

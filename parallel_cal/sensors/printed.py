@@ -26,7 +26,7 @@ class Printed(Sensor):
 
     def __post_init__(self) -> None:
         if self.along not in ("x", "y", "xy"):
-            raise ModelError(f"printed: along {self.along!r}, expected x, y or xy")
+            raise ModelError(f"printed: along is {self.along!r}, expected x, y or xy")
 
     @property
     def channels(self) -> tuple[str, ...]:

@@ -83,6 +83,7 @@ def _check_reached(table: Table, model: Model, q: np.ndarray) -> None:
     found = Kinematics(model).direct(q)
     for k in np.flatnonzero(~found.ok):
         raise DatasetError(
-            f"{table.path}:{table.lines[k]}: this {model.mechanism.name} cannot stand with "
-            f"joints {', '.join(f'{v:.4g}' for v in q[k])} ({Status(found.status[k]).text})"
+            f"{table.path}:{table.lines[k]}: this {model.mechanism.name} cannot be "
+            f"assembled with joints {', '.join(f'{v:.4g}' for v in q[k])} "
+            f"({Status(found.status[k]).text})"
         )

@@ -175,8 +175,8 @@ def power(
         names = list_effects_to_test(model_of(question.model), question.also)
         if unknown := [name for name in effects if name not in names]:
             raise ModelError(
-                f"there is no effect '{unknown[0]}' to plant, or the model has it already; there "
-                f"are {', '.join(names)}"
+                f"effect '{unknown[0]}' does not exist, or the model already has it; "
+                f"available effects: {', '.join(names)}"
             )
         catalogue = [candidate(scene, name) for name in names]
         level = EFFECT_SIGNIFICANCE_LEVEL / max(sum(one.testable for one in catalogue), 1)
@@ -312,7 +312,7 @@ class _Sessions:
         path, self._inputs = folder / "sessions.jsonl", question.hash_inputs()
         file = open_locked(path)
         if file is None:
-            raise FleetError(f"{folder}: another study is being made into it")
+            raise FleetError(f"{folder}: another run is writing study results there")
         self._file, self.rows = file, dict[PlantedEffect, Row]()
         for row in json_lines(path, MAX_SESSIONS_BYTES):
             if row.get("inputs") == self._inputs:

@@ -168,7 +168,7 @@ def tolerances(
     drawn = find_varying_parameters(model)
     nominal = model.with_values(np.where(drawn, table.nominal, model.values)).robot()
     if not drawn.any():
-        raise FitError(f"{model.mechanism.name}: nothing in the model has a tolerance to stray by")
+        raise FitError(f"{model.mechanism.name}: no parameter of the model has a tolerance")
     report = progress or ignore_progress
     with single_threaded():
         pool = make_pool(nominal, poses, np.random.default_rng([seed, 0]), symmetric=False)
@@ -189,7 +189,9 @@ def tolerances(
         report("simulating robots", len(found) / len(calls))
     norms = np.concatenate([found[k] for k in range(len(calls))])
     if np.isnan(norms).all():
-        raise FitError(f"{model.mechanism.name}: no robot drawn from these tolerances can be moved")
+        raise FitError(
+            f"{model.mechanism.name}: no robot drawn from these tolerances can be assembled"
+        )
     return Tolerances(
         model,
         seed,

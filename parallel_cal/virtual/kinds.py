@@ -155,7 +155,7 @@ def hide(robot: str, words: Sequence[str], seed: int) -> tuple[list[str], list[E
     may = kinds_of(robot)
     for word in words:
         if word != HIDDEN and word not in may:
-            raise ValueError(f"effect {word}: a {robot} may have {', '.join(may)} or {HIDDEN}")
+            raise ValueError(f"effect {word}: a {robot} supports {', '.join(may)} or {HIDDEN}")
         left = [name for name in may if name not in (*names, *words)]
         names.append(str(rng.choice(left)) if word == HIDDEN else word)
     return names, [KINDS[name].make(MACHINES[robot], rng) for name in names]

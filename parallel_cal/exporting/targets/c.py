@@ -53,7 +53,7 @@ def files(model: Model, name: str = "", poses: int = 1000) -> dict[str, str]:
     names in them, the mechanism's where not given."""
     robot = name or re.sub(r"\W", "_", model.mechanism.name.split(".")[-1])
     if not re.fullmatch(r"[A-Za-z]\w*", robot):
-        raise ModelError(f"name={robot}: expected a name that C takes")
+        raise ModelError(f"name={robot}: expected a valid C identifier")
     if poses < 2:
         raise ModelError(f"poses={poses}: expected 2 or more")
     words = _words(model, robot)
@@ -194,7 +194,9 @@ def _c_function(function: ca.Function, inputs: list[str], outputs: list[str]) ->
         body = re.sub(rf"if \(res\[{i}\]!=0\) res\[{i}\]\[(\d+)\]=", rf"{name}[\1]=", body)
     body = re.sub(r"casadi_\w+", lambda word: HELPERS.get(word[0], word[0]), body)
     if strange := re.search(r"casadi_\w*|\b(arg|res|iw|w)\b", body):
-        raise ModelError(f"{function.name()}: '{strange[0]}' of its expression is not known in C")
+        raise ModelError(
+            f"{function.name()}: cannot translate '{strange[0]}' in its expression to C"
+        )
     taken = [f"const double *{name}" for name in inputs] + [f"double *{name}" for name in outputs]
     unused = "".join(f"  (void){name};\n" for name in inputs)
     return f"static void {function.name()}({', '.join(taken)})\n{{\n{body}{unused}}}\n"

@@ -63,8 +63,8 @@ def _remarks(model: Model, order: tuple[int, ...]) -> tuple[str, ...]:
         return ()
     drives = " and ".join(f"{stepper} drives {joint}" for stepper, joint in moved)
     return (
-        f"{drives}, as Klipper needs its steppers counter-clockwise seen from above: the pins in "
-        "these sections must be those of these joints",
+        f"{drives}. Klipper needs its steppers counter-clockwise seen from above: "
+        "the pins in these sections must be those of these joints",
     )
 
 

@@ -29,8 +29,8 @@ CLEARED = tuple(f"lineardeltakins.J{i}off" for i in range(3))  # the offsets of 
 HAL, INI = "machine.hal", "machine.ini"
 HEXAPOD = "genhexkins"
 SWITCHES = (
-    "HOME_OFFSET is of switches at the joints' upper limits in the model file: where yours are "
-    "elsewhere, make these limits so"
+    "HOME_OFFSET assumes switches at the joints' upper limits in the model "
+    "file: if yours are elsewhere, change these limits"
 )
 TOWERS, SHOULDERS = np.radians([90.0, 210.0, 330.0]), np.radians([270.0, 30.0, 150.0])
 ROTARY_PINS = {"platformradius": "R", "thighlength": "U", "shinlength": "L", "footradius": "E"}
@@ -41,7 +41,9 @@ def files(model: Model, name: str = "") -> dict[str, str]:
     made = c.files(model, name)
     robot = next(file for file in made if file.endswith(".h")).removesuffix(".h")
     if len(model.joints) > 9:
-        raise ModelError(f"{model.mechanism.name} has {len(model.joints)} joints, LinuxCNC 9")
+        raise ModelError(
+            f"{model.mechanism.name} has {len(model.joints)} joints, but LinuxCNC supports 9"
+        )
     m, tool = model.mechanism, resources(__package__).joinpath("_c", "kins.c")
     factors = [MM if unit == "m" else DEGREE for unit in m.joint_units]
     text = c.fill_template(

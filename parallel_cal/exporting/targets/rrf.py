@@ -106,7 +106,7 @@ def _five_bar(model: Model) -> Projection:
     if turns not in TURNS.values():
         raise ModelError(
             "rrf: no work mode for a left crank with the point to its left and a "
-            "right one with it to its right"
+            "right crank with the point to its right"
         )
 
     def machine(v: np.ndarray) -> Machine:
@@ -173,10 +173,13 @@ def _cable(model: Model) -> Projection:
     }
     remarks = []
     if lines.buildup == MIN_BUILDUP_M:
-        remarks.append(f"M666 Q is not below {MIN_BUILDUP_M / MM:g}, as the firmware divides by it")
+        remarks.append(
+            f"M666 Q must be at least {MIN_BUILDUP_M / MM:g}, because the firmware divides by it"
+        )
     if any(model.value(f"line{i}.offset") for i in rows):
         remarks.append(
-            "it has no number for the lines' offset, which is lost: fit --fix '*.offset'"
+            "it has no number for the offset of the lines, so the offset is lost: "
+            "fit --fix '*.offset'"
         )
     return Projection({FILE: settings}, found.frame, found.stops, tuple(remarks))
 

@@ -35,9 +35,9 @@ def files(
     if size**given > MAX_GRID_POINTS:
         fits = int(MAX_GRID_POINTS ** (1 / given))
         raise ModelError(
-            f"{given} axes at size={size} are {size**given} grid points, "
-            f"at most {MAX_GRID_POINTS}: "
-            f"give table:size={fits} or less, or another target, c for one"
+            f"{given} axes at size={size} are {size**given} grid points, at most "
+            f"{MAX_GRID_POINTS} are allowed: set table:size={fits} or less, or use "
+            "another target, such as c"
         )
     table = lookup_table.table_for(model, problem, None, size, order)
     m, n = model.mechanism, len(model.joints)

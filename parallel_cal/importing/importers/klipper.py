@@ -35,7 +35,7 @@ TOUCHES = "[delta_calibrate]"
 STEPPERS = [f"[stepper_{a}]" for a in "abc"]
 KINDS = "delta or rotary_delta"
 TOWERS, SHOULDERS = (210.0, 330.0, 90.0), (30.0, 150.0, 270.0)  # degrees, where nobody says
-UNUSED = "distances are not used: --option printed_x=[sent, measured] tells the size"
+UNUSED = "distances are not used: --option printed_x=[sent, measured] determines the size"
 
 
 def samples(
@@ -49,7 +49,7 @@ def samples(
     found, heights, warnings = [], [], []
     for name in ("height", "manual_height"):
         if name == "manual_height" and beside and f"{TOUCHES} manual_height0" in stated:
-            warnings.append("manual heights are the nozzle's, not those of the probe: not used")
+            warnings.append("manual heights are heights of the nozzle, not of the probe: not used")
             continue
         for k in count():
             if f"{TOUCHES} {name}{k}" not in stated:
@@ -118,7 +118,7 @@ def _steps(stated: Settings) -> Array:
             field = f"{stepper} rotation_distance"
             turn = stated.number(field, "mm a turn", low=1e-3) * MM
         full = stated.number(f"{stepper} full_steps_per_rotation", "steps", 200.0, 1)
-        micro = stated.number(f"{stepper} microsteps", "microsteps a step", low=1)
+        micro = stated.number(f"{stepper} microsteps", "microsteps per step", low=1)
         found.append(turn / (full * micro * _gear(stated, f"{stepper} gear_ratio")))
     return np.array(found)
 
@@ -161,15 +161,16 @@ def _angles(stated: Settings, defaults: Sequence[float]) -> Array:
     cure = "correct the angles"
     if are_counter_clockwise(-angles * DEGREE):
         cure = (
-            f"state the angle in {STEPPERS[1]} and {STEPPERS[2]}, "
-            "then exchange the names of these two sections everywhere"
+            f"set the angle in {STEPPERS[1]} and {STEPPERS[2]}, then exchange the "
+            "names of these two sections everywhere"
         )
     found = ", ".join(f"{angle:g}" for angle in angles)
     field = next(f"{s} angle" for s in reversed(STEPPERS) if f"{s} angle" in stated)
     raise stated.error(
         field,
-        f"steppers a, b, c counter-clockwise seen from above, but they are at {found} degrees: "
-        f"Klipper cannot find its nozzle with these; {cure}",
+        "steppers a, b, c counter-clockwise seen from above, but they are at "
+        f"{found} degrees: Klipper cannot compute the nozzle position with these "
+        f"angles; {cure}",
     )
 
 

@@ -39,7 +39,7 @@ def samples(
     """The touches of logs beside a .hal file, both in `unit`; `step` (m) of a motor or encoder."""
     logs = [path for path in paths if path.suffix not in (*CONFIGURATION, ".ini")]
     if unit not in ("m", "mm", "in"):
-        raise DatasetError(f"unit={unit}: expected mm, in or m, the program's unit")
+        raise DatasetError(f"unit={unit}: expected mm, in or m, the unit of the program")
     delta = towers(settings([path for path in paths if path not in logs]), unit)
     nozzle, places = [], []
     for path in logs:
@@ -59,7 +59,7 @@ def samples(
 
 def configured(paths: Sequence[Path]) -> ConfiguredRobot:
     """The machine as `setp lineardeltakins.R` and `.L` have it, in mm."""
-    remark = "lengths in the HAL file are taken for mm"
+    remark = "lengths in the HAL file are assumed to be in mm"
     return deltas.make_configured_robot(towers(settings(paths), "mm"), NO_PROBE, remarks=[remark])
 
 

@@ -46,7 +46,7 @@ POINT_ANGLES_DEG = {
 }  # degrees of G33's points
 Z_ONLY = np.array([0.0, 0.0, 1.0])  # G33 has the nozzle over its points, with O the probe
 STEPS = 80.0  # a mm, where M92 is not in the log
-MEANS = "G33's numbers are means of touches, but for P2 and P3: not used"
+MEANS = "G33's numbers are means of several touches, except for P2 and P3: not used"
 
 
 def samples(
@@ -82,7 +82,7 @@ def samples(
         expected = "'Bed X: Y: Z:' lines (G29 V4, G30) or the report of G33 P2 V3 or P3 V3"
         why = f"; {MEANS}" if skipped else ""
         raise DatasetError(f"{', '.join(map(str, paths))}: no touches, expected {expected}{why}")
-    step = [MM / stated.number(f"M92 {a}", "steps a mm", STEPS, low=1e-3) for a in "XYZ"]
+    step = [MM / stated.number(f"M92 {a}", "steps per mm", STEPS, low=1e-3) for a in "XYZ"]
     towers = _towers(stated)
     q, printed = np.array(found) + towers.end_stops, make_printed_ends(towers, printed_x, printed_y)
     means = [MEANS] if skipped else []

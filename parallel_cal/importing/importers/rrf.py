@@ -47,8 +47,9 @@ def samples(
     maps = [path for path in paths if path.suffix.lower() == ".csv"]
     if not maps or len(maps) == len(paths):
         raise DatasetError(
-            f"{', '.join(map(str, paths))}: expected height maps (.csv) and the configuration they "
-            "were probed with (config.g, config-override.g, in the order they are read)"
+            f"{', '.join(map(str, paths))}: expected height maps (.csv) and the "
+            "configuration that was active when they were probed (config.g, "
+            "config-override.g, in the order in which they are read)"
         )
     stated = settings([path for path in paths if path not in maps], CODES)
     delta, unit = read_delta(stated), _unit(stated)
@@ -59,7 +60,7 @@ def samples(
         points - tip(stated),
         [place for each in read for place in each[1]],
         paths,
-        [unit / stated.number(f"M92 {axis}", "steps a unit", STEPS, low=1e-3) for axis in "XYZ"],
+        [unit / stated.number(f"M92 {axis}", "steps per unit", STEPS, low=1e-3) for axis in "XYZ"],
         visits=points[:, :2],
         dropped=[gap for each in read for gap in each[2]],
         printed=make_printed_ends(delta, printed_x, printed_y),
@@ -72,7 +73,7 @@ def configured(paths: Sequence[Path]) -> ConfiguredRobot:
     if kind(stated) == 6:
         remarks = ["lines on spools of one radius and advantage share it"]
         if stated.number("M666 W", "kg", 0.0) > 0:
-            remarks.append("M666 W: what the firmware corrects of the lines' stretch is left out")
+            remarks.append("M666 W: the firmware's correction of the lines' stretch is not used")
         lines = read_hangprinter(stated)
         try:
             return ConfiguredRobot(lines.model(), tuple(remarks))
@@ -121,9 +122,7 @@ def read_map(path: Path) -> tuple[Array, list[SourceLine], list[Dropped]]:
                 where = f"{path}:{place.line}: column {k}, x {x:g} y {y:g} mm"
                 dropped.append(Dropped(0.0, "not probed", where))
                 continue
-            within = (
-                f"a height in mm within {MAX_HEIGHT_MM:g} of the bed, or 0 where none was probed"
-            )
+            within = f"a height in mm within {MAX_HEIGHT_MM:g} of the bed, or 0 if none was probed"
             height = place.number(f"column {k}", cell, within, -MAX_HEIGHT_MM, MAX_HEIGHT_MM)
             points.append((x, y, height))
             places.append(place)
@@ -223,9 +222,9 @@ def read_hangprinter(stated: Settings) -> Hangprinter:
 
     radii = each("R", "spool radii in mm") * MM
     gears = each("H", "teeth of the spools' gears") / each("L", "teeth of the motors' gears")
-    on_spool = stated.numbers("M666 O", "lines on each spool", n, 1.0, low=1.0)
+    on_spool = stated.numbers("M666 O", "number of lines on each spool", n, 1.0, low=1.0)
     if len({*on_spool}) > 1:
-        raise stated.error("M666 O", "as many lines on every spool")
+        raise stated.error("M666 O", "the same number of lines on every spool")
     buildup = stated.number("M666 Q", "the build-up in mm", low=0.0) * MM * on_spool[0]
     return Hangprinter(anchors * MM, radii, gears, each("U", "mechanical advantages"), buildup)
 

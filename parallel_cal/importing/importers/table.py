@@ -59,7 +59,10 @@ def samples(
     where = [_find_column(points, name) or "" for name in position]
     key = by or _find_common_column(points, logs, where)
     if not by and within is None and key.lower() in TIMES:
-        raise DatasetError(f"{paths[0]}: joined by {key}: say how near (--option within=SECONDS)")
+        raise DatasetError(
+            f"{paths[0]}: joined by {key}: state the largest time difference "
+            "(--option within=SECONDS)"
+        )
     columns = [w for log in logs for w in _joints(log, joints, [*where, key])]
     units = dict.fromkeys(where, unit) | dict.fromkeys(columns, joint_unit)
     tables = [_add_units(table, said, units, key, within) for table, said in read]
@@ -86,8 +89,8 @@ def _read_table(path: Path) -> tuple[Table, str]:
         header, first = _cells(line, apart), _cells(below, apart)
         if len(header) == len(first) > 1 and any(header) and not any(map(_is_number, header)):
             return _table(path, header, apart, rows[k + 1 :]), said
-    expected = "a header and rows of as many cells, apart by , ; or tabs"
-    raise DatasetError(f"{path}: no table in there, expected {expected}")
+    expected = "a header, and rows with as many cells, separated by , ; or tabs"
+    raise DatasetError(f"{path}: the file contains no table, expected {expected}")
 
 
 def _table(path: Path, header: list[str], apart: str, rows: Sequence[tuple[int, str]]) -> Table:
@@ -96,7 +99,7 @@ def _table(path: Path, header: list[str], apart: str, rows: Sequence[tuple[int, 
     body = [_cells(line, apart) for _, line in rows]
     for (number, _), cells in zip(rows, body, strict=True):
         if len(cells) != len(header):
-            found, expected = str(len(cells)), f"{len(header)} cells, as the header has"
+            found, expected = str(len(cells)), f"{len(header)} cells, like the header"
             raise SourceLine(path, number).error("the line's length", found, expected)
     numbers = [number for number, _ in rows]
     decimal = "." if apart == "," else ","
@@ -115,8 +118,8 @@ def _points(tables: Sequence[Table], position: Sequence[str]) -> Table:
     files = ", ".join(str(table.path) for table in tables)
     many = "none" if not found else f"{len(found)}"
     raise DatasetError(
-        f"{files}: {many} of the tables has the columns {', '.join(position)}; say which they are "
-        "(--option position=[X1, Y1, Z1])"
+        f"{files}: {many} of the tables has the columns {', '.join(position)}; "
+        "state which columns they are (--option position=[X1, Y1, Z1])"
     )
 
 
@@ -141,7 +144,8 @@ def _find_common_column(points: Table, logs: Sequence[Table], where: Sequence[st
     files = ", ".join(str(table.path) for table in (points, *logs))
     has = ", ".join(chosen) or "none"
     raise DatasetError(
-        f"{files}: columns that all have: {has}; say which joins them (--option by=...)"
+        f"{files}: columns that all tables have: {has}; state which one joins "
+        "them (--option by=...)"
     )
 
 

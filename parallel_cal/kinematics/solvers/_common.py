@@ -29,7 +29,7 @@ from parallel_cal.model.structure import Structure
 
 def check_step_count(steps: int) -> int:
     if steps < 1:
-        raise SolveError(f"{steps} steps asked for: expected 1 or more")
+        raise SolveError(f"{steps} steps requested: expected 1 or more")
     return steps
 
 
@@ -60,8 +60,8 @@ def parts(
     points (n, 3) and lengths (n,); SolveError where it has no such method."""
     if not hasattr(model.mechanism, method):
         raise SolveError(
-            f"mechanism {model.mechanism.name} has no method `{method}`, so its direct problem is "
-            f"not known to be one of {method}; use --solver newton"
+            f"mechanism {model.mechanism.name} has no method `{method}`, so its "
+            f"direct problem is not known to be one of {method}; use --solver newton"
         )
     given = joint_rows(model, q)[0]
     found = _parts(model.structure, method)(given, model.condition_rows(at, 1)[0], model.values)

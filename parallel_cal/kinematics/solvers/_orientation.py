@@ -125,8 +125,9 @@ def _first_roots(m: np.ndarray, k: np.ndarray, roots: Callable) -> tuple[np.ndar
     best = max(tried, key=lambda t: t[1])
     if best[1] < 1e-12:
         raise SolveError(
-            "the general orientation problem has no eighth-order polynomial here: its "
-            "conditions depend on each other, or leave each direction a single place"
+            "the general orientation problem has no eighth-order polynomial here: "
+            "its conditions depend on each other, or determine only one position for "
+            "each direction"
         )
     return best[0], best[2]
 

@@ -138,8 +138,9 @@ def _check_platform(C: Any, B: Any, L: Any) -> tuple[np.ndarray, np.ndarray, np.
     C, B, L = (np.asarray(a, dtype=float) for a in (C, B, L))
     if (C.shape, B.shape, L.shape) != ((6, 3), (6, 3), (6,)):
         raise SolveError(
-            f"a general pose problem has six base points (6, 3), platform points (6, 3) and "
-            f"lengths (6,); {C.shape}, {B.shape} and {L.shape} given"
+            "a general pose problem has six base points (6, 3), platform points (6, "
+            f"3) and lengths (6,); the given shapes are {C.shape}, {B.shape} and "
+            f"{L.shape}"
         )
     if not all(np.isfinite(a).all() for a in (C, B, L)):
         raise SolveError("a point or length of the general pose problem is not a finite number")

@@ -90,8 +90,8 @@ def inverse_function(s: Structure, half_steps: int) -> ca.Function:
     """The same for joints and orientation at a given position."""
     if set(s.mechanism.joint_units) != {"rad"}:
         raise SolveError(
-            f"the cascaded inverse problem needs joints that turn (eqs 6.36-6.37); those of "
-            f"{s.mechanism.name} slide: use --solver newton"
+            "the cascaded inverse problem needs revolute joints (eqs 6.36-6.37); "
+            f"those of {s.mechanism.name} are prismatic: use --solver newton"
         )
     q, R = ca.SX(ca.DM(s.mechanism.home.joints)), ca.SX.eye(3)
     for k in range(max(half_steps, 2)):
@@ -145,8 +145,9 @@ def _check_structure(s: Structure) -> Seen:
     spheres = all(c.sparsity().is_diag() for c in curvature[:3])
     if not (halves and spheres and all(c.is_zero() for c in curvature[3:])):
         raise SolveError(
-            f"the cascaded solver needs three closure rows that are spheres and three that give "
-            f"the orientation; {s.mechanism.name} is not like that: use --solver newton"
+            "the cascaded solver needs three closure rows that are spheres and three "
+            f"that determine the orientation; {s.mechanism.name} has not: use "
+            "--solver newton"
         )
     if not is_pose_unaffected(s):
         raise SolveError("an effect depends on the pose: use --solver newton for this model")

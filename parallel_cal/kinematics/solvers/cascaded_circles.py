@@ -125,7 +125,7 @@ def _check_structure(s: Structure) -> Any:
     """What the mechanism sees; SolveError unless it is an Argos with effects on geometry alone."""
     m = s.mechanism
     if not hasattr(m, "circles") or m.moves != POSE:
-        raise SolveError(f"cascaded_circles is for argos27, not {m.name}; use --solver newton")
+        raise SolveError(f"cascaded_circles is for argos27, not for {m.name}; use --solver newton")
     if s.effects:
-        raise SolveError("cascaded_circles knows no effects; use --solver newton")
+        raise SolveError("cascaded_circles supports no effects; use --solver newton")
     return s.seen

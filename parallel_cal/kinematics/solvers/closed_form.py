@@ -79,8 +79,8 @@ def _select_exact(
             off >= MAX_CLOSED_RESIDUAL_M
         ):  # else the formula holds for this model: the sample is out of reach
             raise SolveError(
-                f"closed_form is not exact for this {model.mechanism.name} and its effects "
-                f"(off by {off:.2g} m); there is newton"
+                f"closed_form is not exact for this {model.mechanism.name} and its "
+                f"effects (error {off:.2g} m); use newton"
             )
     every = problem in model.mechanism.closed_forms and len(exact) == len(solutions)
     return replace(solutions[exact], complete=every)

@@ -56,7 +56,7 @@ class Track:
             return f"the assembly mode is lost between points {self.lost - 1} and {self.lost}"
         if self.danger is not None:
             size = self.distance[self.danger]
-            return f"a singularity is near at point {self.danger} (distance {size:.2g})"
+            return f"a singularity is near point {self.danger} (distance {size:.2g})"
         return "the assembly mode is kept"
 
 

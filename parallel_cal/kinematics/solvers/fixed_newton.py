@@ -73,7 +73,7 @@ def newton_steps(
     x = begin if start == "mechanism" else s.configuration
     J = s.jacobian_configuration[:, columns] / ca.repmat(ca.DM(s.scale[columns]).T, s.phi.shape[0])
     if J.shape[0] != J.shape[1]:
-        raise SolveError(f"{s.mechanism.name}: more closure rows than unknowns; use newton")
+        raise SolveError(f"{s.mechanism.name} has more closure rows than unknowns; use newton")
     order, inputs = row_order(s, J), [s.configuration, s.a, s.v]
     phi, slope = dense("phi", inputs, [s.phi]), dense("slope", inputs, [J])
     solver = Elimination(slope(x, s.a, s.v), order)

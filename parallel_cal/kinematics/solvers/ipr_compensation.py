@@ -44,8 +44,9 @@ def inverse(
     """
     if model.structure.phi.shape[0] > len(model.mechanism.moved):
         raise SolveError(
-            f"ipr_compensation corrects joints through the pose; {model.mechanism.name} has more "
-            f"closure rows than freedoms: use --solver newton"
+            "ipr_compensation corrects joints through the pose, but "
+            f"{model.mechanism.name} has more closure rows than degrees of freedom: "
+            "use --solver newton"
         )
     nominal = _nominal(model).inverse(np.atleast_2d(position), rotation, at)  # (i)
     dX = pose_error(model, nominal, at)  # (ii)

@@ -98,9 +98,9 @@ def table_for(
         raise SolveError(f"order='{order}'; expected 'linear' or 'smooth'")
     least = 2 if order == "linear" else 4
     if size < least:
-        raise SolveError(f"size={size}; order='{order}' needs at least {least} points an axis")
+        raise SolveError(f"size={size}, but order='{order}' needs at least {least} points per axis")
     if any(np.ndim(v) for v in (at or {}).values()):
-        raise SolveError("a look-up table holds for one set of conditions; give single numbers")
+        raise SolveError("a look-up table is valid for one set of conditions; give single numbers")
     conditions = tuple(sorted((k, float(v)) for k, v in (at or {}).items()))
     return _build_table(model, problem, conditions, size, order)
 
@@ -120,8 +120,9 @@ def _build_table(
     failed = ~(_usable(wanted) & _usable(usual))
     if failed.any():
         raise SolveError(
-            f"the {problem} problem has no solution at {int(failed.sum())} of {len(points)} "
-            "points of the look-up table; make the model's workspace smaller"
+            f"the {problem} problem has no solution at {int(failed.sum())} of "
+            f"{len(points)} points of the look-up table; make the model's workspace "
+            "smaller"
         )
     shape = tuple(len(a) for a in axes)
     return LookUpTable(problem, axes, values.reshape(*shape, -1), order, nominal)

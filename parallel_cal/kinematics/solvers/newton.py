@@ -77,8 +77,8 @@ def inverse_all(
     pose, problem = Configuration.from_rows(given[0]), kinematics.inverse_problem
     if len(problem.columns) > model.structure.phi.shape[0]:
         raise SolveError(
-            f"{len(model.joints)} joints reach a pose in infinitely many ways; without --all the "
-            "answer is the one nearest to home"
+            f"{len(model.joints)} joints reach a pose in infinitely many ways; "
+            "without --all, the answer is the one nearest to home"
         )
     candidates = joint_candidates(model, pose.r, pose.R)
     return _Search(kinematics, problem, given, at)(candidates, starts)

@@ -83,6 +83,7 @@ def _circles(s: Structure) -> Single:
 
 def _unfit(s: Structure) -> SolveError:
     return SolveError(
-        f"the polynomial solver needs three closure rows u . R v = c that fix the orientation; "
-        f"{s.mechanism.name} is not like that: use --solver newton"
+        "the polynomial solver needs three closure rows u . R v = c that "
+        f"determine the orientation; {s.mechanism.name} has not: use --solver "
+        "newton"
     )

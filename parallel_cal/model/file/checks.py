@@ -34,23 +34,24 @@ def unit(document: Document, path: Path, parameter: Parameter, found: str) -> No
     """Files hold SI units only."""
     if found != parameter.unit:
         raise document.error(
-            (*path, "unit"), f"'{found}' found, expected '{parameter.unit}' (files hold SI units)"
+            (*path, "unit"),
+            f"found '{found}', expected '{parameter.unit}' (files contain SI units)",
         )
 
 
 def length(document: Document, path: Path, values: Sequence[object], n: int, what: str) -> None:
     """A list of the right length."""
     if len(values) != n:
-        raise document.error(path, f"{len(values)} values found, expected {n}, {what}")
+        raise document.error(path, f"found {len(values)} values, expected {n}, {what}")
 
 
 def joint(document: Document, name: str, expected: str, part: JointPart) -> None:
     """A joint's name, unit and limits."""
     path: Path = ("joints", name)
     if not name or any(c.isspace() or c == "." for c in name):
-        raise document.error(path, f"the name {name!r} may hold neither spaces nor dots")
+        raise document.error(path, f"the name {name!r} must not contain spaces or dots")
     if part.unit != expected:
-        raise document.error((*path, "unit"), f"'{part.unit}' found, expected '{expected}'")
+        raise document.error((*path, "unit"), f"found '{part.unit}', expected '{expected}'")
     limits = [v for v in (part.low, part.high) if v is not None]
     if len(limits) == 2 and limits[0] >= limits[1]:
         raise document.error((*path, "low"), f"{limits[0]} is not below high, {limits[1]}")
@@ -69,7 +70,7 @@ def gravity(document: Document, found: Sequence[float]) -> None:
     """A direction in {B} and m/s^2, not a bare direction or mm/s^2; zero is weightless."""
     size = math.hypot(*found)
     if size and not 1.5 < size < 25.0:  # m/s^2: from the Moon to Jupiter
-        text = f"{[*found]} is {size:.6g} m/s^2 long, expected about 9.81 (zero: weightless)"
+        text = f"{[*found]} has the length {size:.6g} m/s^2, expected about 9.81 (zero: weightless)"
         raise document.error(("gravity",), text)
 
 
@@ -148,13 +149,13 @@ def covariance(
     full = _triangle(document, part, table)
     variance = np.diag(full)
     if (variance < 0).any() or (full**2 > np.outer(variance, variance) * (1 + 1e-6)).any():
-        raise document.error(("covariance", "lower"), "no covariance: a correlation is above 1")
+        raise document.error(("covariance", "lower"), "not a covariance: a correlation is above 1")
     for parameter, sigma, own in zip(table, sigmas, np.sqrt(variance), strict=True):
         if sigma is not None and not math.isclose(sigma, own, rel_tol=1e-6):
             raise document.error(
                 ("covariance",),
-                f"sigma of {parameter.name} is {sigma}, the covariance says {own:.6g} "
-                f"{parameter.unit}; change both, or delete 'covariance'",
+                f"sigma of {parameter.name} is {sigma}, but the covariance gives "
+                f"{own:.6g} {parameter.unit}; change both, or delete 'covariance'",
             )
     return full
 

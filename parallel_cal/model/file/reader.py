@@ -78,8 +78,8 @@ class Reader:
         if version != VERSION or isinstance(version, bool):
             raise self._error(
                 ("parallel_cal",),
-                f"version {version!r} found, expected {VERSION}: written by another release; "
-                "update parallel_cal or make the file anew",
+                f"found version {version!r}, expected {VERSION}: the file was written by "
+                "another release; update parallel_cal or create the file again",
             )
 
     def _mechanism(self) -> Mechanism:
@@ -88,7 +88,7 @@ class Reader:
         name = entry.get("name") if isinstance(entry, dict) else entry
         if not isinstance(name, str) or not isinstance(options, dict):
             known = ", ".join(list_plugins("mechanisms"))
-            raise self._error(("mechanism",), f"{name!r} found, expected one of {known}")
+            raise self._error(("mechanism",), f"found {name!r}, expected one of {known}")
         try:
             return load_mechanism(name, **options)
         except ModelError as error:
@@ -126,7 +126,9 @@ class Reader:
             path, joints = ("home", "joints"), file.home.joints
             checks.length(self._document, path, joints, n, "one for each joint")
             if math.hypot(*file.home.quaternion) < 1e-9:
-                raise self._error(("home", "quaternion"), "all zeros, expected a rotation x y z w")
+                raise self._error(
+                    ("home", "quaternion"), "found all zeros, expected a rotation x y z w"
+                )
             mechanism.home = Home(*(tuple(v) for _, v in file.home))
         if file.workspace is not None:
             for key, values in file.workspace:
@@ -160,7 +162,7 @@ class Reader:
         if len(names) != len(own):
             raise self._error(("joints",), f"{len(names)} joints, {found}")
         if names != own and set(names) == set(own):
-            raise self._error(("joints",), f"joints in another order, {found}")
+            raise self._error(("joints",), f"joints are in another order: {found}")
         for (name, joint), unit in zip(file.joints.items(), mechanism.joint_units, strict=True):
             checks.joint(self._document, name, unit, joint)
         mechanism.joints = names

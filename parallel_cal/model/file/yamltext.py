@@ -61,7 +61,7 @@ def parse_yaml(text: str, name: str) -> Document:
         why = getattr(error, "problem", None) or str(error).replace("\n", " ")
         raise ModelFileError(f"{name}:{line}: not YAML: {why}") from None
     if root is None:
-        raise ModelFileError(f"{name}:1: the file is empty; make one with 'parallel-cal new'")
+        raise ModelFileError(f"{name}:1: the file is empty; create one with 'parallel-cal new'")
     lines: dict[Path, int] = {}
     return Document(name, _Builder(name, lines).value(root, ()), lines)
 
@@ -89,14 +89,16 @@ class _Builder:
         self._lines.setdefault(path, node.start_mark.line + 1)
         # An alias may contain itself; a model file has no use for one.
         if id(node) in self._seen or not node.tag.startswith("tag:yaml.org,2002:"):
-            raise self._error(path, "YAML aliases (*name) and own tags (!name) are not allowed")
+            raise self._error(path, "YAML aliases (*name) and custom tags (!name) are not allowed")
         self._seen.add(id(node))
         if node.id == "mapping":
             return dict(self._items(node, path))
         if node.id == "sequence":
             return [self.value(item, (*path, i)) for i, item in enumerate(node.value)]
         if len(node.value) > DIGITS and not node.style and WHOLE.fullmatch(node.value):
-            raise self._error(path, f"a whole number of {len(node.value)} digits is none")
+            raise self._error(
+                path, f"a whole number has {len(node.value)} digits, expected at most {DIGITS}"
+            )
         return _scalar(node)
 
     def _items(self, node: Any, path: Path) -> Iterator[tuple[str, Any]]:
@@ -108,7 +110,7 @@ class _Builder:
             if key.value in done:
                 first = self._lines[inside]
                 self._lines[inside] = key.start_mark.line + 1
-                raise self._error(inside, f"the key occurs twice, first in line {first}")
+                raise self._error(inside, f"the key occurs twice; it is first in line {first}")
             done.add(key.value)
             self._lines[inside] = key.start_mark.line + 1
             yield key.value, self.value(item, inside)
@@ -148,7 +150,7 @@ def flow(value: Any) -> str:
 
 def _float(value: float) -> str:
     if not math.isfinite(value):
-        raise ModelFileError(f"a model file cannot hold the number {value}")
+        raise ModelFileError(f"a model file cannot contain the number {value}")
     text = repr(value)
     # YAML 1.1 readers take `1e-05` for a word.
     return text.replace("e", ".0e") if "e" in text and "." not in text else text
