@@ -300,8 +300,8 @@ def test_numbers_that_an_override_had_are_those_that_the_bed_was_touched_with(tm
     done = export_into(model, "rrf", [file], touches, force=True)
     assert done.heights.before == pytest.approx(10e-6, abs=0.1e-6)
     assert done.remarks[-1] == (
-        f"{override} is read after {file} and still sets M665 L, M665 R, M665 H, which override the new numbers: remove "
-        "them there, or export --into that file as well"
+        f"{override} is read after {file} and still sets M665 L, M665 R, M665 H, "
+        "which override the new numbers: remove them there, or export --into that file as well"
     )
     both = export_into(model, "rrf", [file, override], touches, force=True)
     assert not [words for words in both.remarks if "is read after" in words]

@@ -168,7 +168,7 @@ WRONG = {
     "info bag --data channels=my_pkg.none": "my_pkg.none: ModuleNotFoundError: No module named 'my",
     "fit better.yaml bag --method my_pkg.nowhere": "no method 'my_pkg.nowhere': expected one of",
     "fit better.yaml bag --method my_pkg.bad": "my_pkg.bad: ZeroDivisionError: division by zero (b",
-    "direct better.yaml --joints 2 1 --solver my_pkg.my_plot": "my_pkg.my_plot is not a solver: it ",
+    "direct better.yaml --joints 2 1 --solver my_pkg.my_plot": "my_pkg.my_plot is not a solver: it",
     "direct better.yaml --joints 2 1 --solver my_pkg.bad": "my_pkg.bad: ZeroDivisionError: divisio",
     "direct better.yaml --joints 2 1 --solver my_pkg.nowhere": "no solver 'my_pkg.nowhere': expect",
     "direct better.yaml --joints 2 1 --all --solver my_pkg.my_solver": "my_pkg.my_solver finds one",

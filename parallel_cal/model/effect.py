@@ -1,4 +1,4 @@
-"""What an effect is: given what was measured, what does the ideal mechanism see?"""
+"""The base class of effects: from what was measured to what the ideal mechanism sees."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ CONDITIONS: dict[str, tuple[str, float, bool]] = {
 
 @dataclass(frozen=True)
 class Seen:
-    """What the closure is given: joints q, position r, rotation R, geometry p."""
+    """The inputs of the closure: joints q, position r, rotation R and geometry p."""
 
     q: Any
     r: Any
@@ -42,12 +42,46 @@ class Seen:
         return replace(self, r=r, R=R)
 
     def with_p(self, changes: Mapping[str, Any]) -> Seen:
-        """The same, some of the geometric parameters changed."""
+        """Return a copy with some geometric parameters changed."""
         return replace(self, p=self.p.replaced(changes))
 
 
 class Effect(ABC):
-    """One physical effect; subclass it in a file of its own, whose name is its name."""
+    """Base class of a physical effect.
+
+    Subclass it in a file of its own; the file name is the effect's name. Implement `parameters`
+    and `ideal`.
+
+    Attributes
+    ----------
+    needs : tuple of str
+        Conditions that it needs, of `CONDITIONS`. Default none.
+    reads : tuple of str
+        Patterns of the sensor channels on which it acts. Default none.
+    fixed : tuple of str
+        Patterns of its parameters that are given, not identified. Default none.
+    of_device : bool
+        Whether it is an error of the measuring device, which a robot's controller must not correct.
+        Default False.
+    widens : bool
+        Whether adding it replaces the mechanism by the next larger model. Default False.
+    refines : bool
+        Whether values between two settings of a scan exist. Default True.
+    physics : str
+        The cause, in one sentence.
+    remedy : str
+        What to do about it at the machine.
+    source : str
+        Typical sizes, and where they come from.
+    lookalikes : tuple of str
+        Effects whose residuals are similar. Default none.
+    separated_by : str
+        Measurements that distinguish it from its lookalikes.
+    family : str
+        In words, the group of effects that data rarely distinguish. Default empty.
+    told_from : dict of str
+        By lookalike, a measurement that distinguishes it better than `separated_by`. Default empty.
+    """
 
     needs: ClassVar[tuple[str, ...]] = ()
     reads: ClassVar[tuple[str, ...]] = ()  # patterns of sensors' channels that it acts on
@@ -65,21 +99,32 @@ class Effect(ABC):
 
     @abstractmethod
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
-        """Its numbers, named without the effect's own name (`joint2.sin`); 0 = no effect."""
+        """Return its parameters under short names (`joint2.sin`); 0 means no effect."""
 
     @abstractmethod
     def ideal(self, seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Seen:
-        """What the ideal mechanism sees; `e` its numbers, `at` the sample's conditions."""
+        """Return what the ideal mechanism sees.
+
+        Parameters
+        ----------
+        seen : Seen
+            What was measured, after the effects before this one.
+        e : Named
+            The effect's parameters.
+        at : Named
+            The conditions of the sample.
+        mechanism : Mechanism
+        """
 
     def at_sensor(self, r: Any, R: Any, s: Named, e: Named) -> tuple[Any, Any]:
-        """The pose of {P} in {B} at which an ideal sensor would show what this one shows.
+        """Return the pose of {P} in {B} at which an ideal sensor would show what this sensor shows.
 
-        `s` are the sensor's numbers, `e` its own; of the channels in `reads` only.
+        It is called for the channels in `reads` only. `s` are the sensor's parameters, `e` its own.
         """
         return r, R
 
     def acts_on(self, channel: str) -> bool:
-        """Whether it changes what a channel of a sensor reads."""
+        """Return whether it changes the reading of a sensor's channel."""
         return any(fnmatchcase(channel, pattern) for pattern in self.reads)
 
     def applies(self, mechanism: Mechanism) -> str:
@@ -89,23 +134,25 @@ class Effect(ABC):
     def scan(
         self, mechanism: Mechanism, recorded: Mapping[str, Any]
     ) -> Iterable[Mapping[str, float]]:
-        """Settings of its fixed numbers that a search tries where nobody knows them.
+        """Return settings of its fixed parameters that a search tries if they are unknown.
 
         `recorded` are the samples' conditions and joint readings by name, (N,) each.
         """
         return ({},)
 
     def multiples(self, setting: Mapping[str, float]) -> Iterable[Mapping[str, float]]:
-        """Settings that show the same as the best one of the scan, and are meant where they fit
-        as well: a wave's own frequency, not a half of it."""
+        """Return settings that show the same as the best setting of the scan.
+
+        One of them is preferred if it fits as well: a wave's own frequency, not half of it.
+        """
         return ()
 
     def period(self, setting: Mapping[str, float]) -> float | None:
-        """After how much of a joint's reading (rad or m) its pattern comes round, where it does."""
+        """Return the period of its pattern in a joint's reading (rad or m); None if it has none."""
         return None
 
     def absurd(self, e: Named, mechanism: Mechanism) -> str:
-        """Why its numbers cannot be together, though each of them may; empty where they can."""
+        """Return why its values contradict each other; empty if they do not."""
         return ""
 
     @property
@@ -113,11 +160,11 @@ class Effect(ABC):
         return type(self).__module__.removeprefix("parallel_cal.effects.")
 
     def fixed_patterns(self) -> list[str]:
-        """Patterns of its fixed numbers under their full names."""
+        """Return the patterns of its fixed parameters under their full names."""
         return [f"{self.name}.{pattern}" for pattern in self.fixed]
 
     def table(self, mechanism: Mechanism) -> ParameterTable:
-        """Its parameters under their full names (`encoder_eccentricity.joint2.sin`)."""
+        """Return its parameters under their full names (`encoder_eccentricity.joint2.sin`)."""
         try:
             own = self.parameters(mechanism)
         except Exception as error:
@@ -132,7 +179,7 @@ class Effect(ABC):
         )
 
     def conditions(self, mechanism: Mechanism) -> list[str]:
-        """The condition columns it needs: `direction` becomes one a joint."""
+        """Return the condition columns that it needs: `direction` becomes one for each joint."""
         columns: list[str] = []
         for need in self.needs:
             if need not in CONDITIONS:
@@ -147,7 +194,7 @@ class Effect(ABC):
 
 
 def _scale_by_gear(p: Parameter, gears: Mapping[str, float], mechanism: Mechanism) -> Parameter:
-    """What a joint may err by, as its reading shows it that is taken before the gear."""
+    """Return the parameter with its tolerance scaled to a reading taken before the gear."""
     joint = p.name.partition(".")[0]
     gear = gears.get(joint, 1.0)
     if gear == 1.0 or p.unit != mechanism.joint_units[mechanism.joints.index(joint)]:
@@ -156,12 +203,12 @@ def _scale_by_gear(p: Parameter, gears: Mapping[str, float], mechanism: Mechanis
 
 
 def parse_effects(text: str) -> list[tuple[str, dict[str, float]]]:
-    """One effect or several, joined by `+`."""
+    """Parse one or several effects, joined by `+`."""
     return [parse_effect(part) for part in re.split(r"\+(?=[A-Za-z_])", text)]  # none is 1e+3
 
 
 def parse_effect(text: str) -> tuple[str, dict[str, float]]:
-    """`NAME[:param=value,...]` -> name and its numbers; ModelError where it is not that."""
+    """Parse `NAME[:param=value,...]` into name and parameters; ModelError for other text."""
     name, _, numbers = text.partition(":")
     given: dict[str, float] = {}
     for item in filter(None, numbers.split(",")):

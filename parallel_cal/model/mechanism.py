@@ -1,4 +1,4 @@
-"""What a mechanism is: a parameter table and one closure phi(q, x, p) = 0."""
+"""The base class of mechanisms: a parameter table and one closure phi(q, x, p) = 0."""
 
 from __future__ import annotations
 
@@ -22,10 +22,19 @@ POSE = ("x", "y", "z", "rx", "ry", "rz")
 
 @dataclass(frozen=True)
 class Home:
-    """A configuration in the assembly mode that the robot works in.
+    """A configuration in the assembly mode in which the robot works.
 
-    Every choice between branches (elbow in or out, platform above or below) goes to the
-    solution nearest to it, so it belongs to the model file, not to a solver.
+    If a problem has several solutions (elbow in or out, platform above or below), the solution
+    nearest to home is chosen. So home belongs to the model file, not to a solver.
+
+    Parameters
+    ----------
+    joints : tuple of float
+        Joint readings, rad or m.
+    position : tuple of 3 float
+        Position of {P} in {B}, m. Default: the origin.
+    quaternion : tuple of 4 float
+        Orientation of {P} in {B}, x y z w. Default: no rotation.
     """
 
     joints: tuple[float, ...]
@@ -43,8 +52,10 @@ class Home:
 
 @dataclass(frozen=True)
 class Workspace:
-    """A box of controlled coordinates for sampling and planning: positions (m) and components of
-    the rotation vector (rad) in {B}, absolute."""
+    """A box of controlled coordinates, for sampling and planning.
+
+    `low` and `high` are absolute: positions (m) and components of the rotation vector (rad) in {B}.
+    """
 
     low: tuple[float, ...]
     high: tuple[float, ...]
@@ -52,7 +63,7 @@ class Workspace:
 
 @dataclass(frozen=True)
 class Box:
-    """A box in {B} that no part of the robot may enter: opposite corners, m."""
+    """A box in {B} that no part of the robot may enter, given by two opposite corners (m)."""
 
     low: tuple[float, float, float]
     high: tuple[float, float, float]
@@ -64,9 +75,48 @@ class Box:
 
 
 class Mechanism(ABC):
-    """A robot's geometry: parameters, joints, moved and controlled coordinates, closure.
+    """Base class of a robot's geometry.
 
-    Subclass it in a file of its own; the file's name is the mechanism's name.
+    Subclass it in a file of its own; the file name is the mechanism's name. Implement `closure`;
+    the other methods have defaults.
+
+    Attributes
+    ----------
+    joints : tuple of str
+        Names of the actuated joints.
+    joint_unit : str
+        Unit of all joint readings, `rad` or `m`. Default `rad`.
+    periodic : bool
+        Whether a full turn of a joint changes nothing (False for a spool). Default True.
+    moves : tuple of str
+        Coordinates that the platform moves, of x y z rx ry rz. Default: all six.
+    controls : tuple of str
+        Coordinates that the joints control. Default: all six.
+    parameters : ParameterTable
+    fixed : tuple of str
+        Patterns of parameters that are known, not identified. Default none.
+    home : Home
+    workspace : Workspace
+    joint_limits : tuple of (low, high)
+        rad or m, one pair for each joint.
+    joint_rates : tuple of (velocity, acceleration)
+        Limits of each joint, rad/s or m/s and per s^2; inf if unknown. Default: unknown.
+    keep_out : tuple of Box
+        Boxes that no part of the robot may enter. Default none.
+    joint_gearing : tuple of float
+        Reading divided by the joint angle behind the gear. Default: 1 for each joint.
+    closed_forms : tuple of str
+        The problems, of `direct` and `inverse`, whose candidates are all solutions. Default none.
+    length : float
+        Characteristic length that weighs angles against positions, m. Default 0.1.
+    gravity : tuple of 3 float
+        Gravity in {B}, m/s^2. Default (0, 0, -9.81).
+    bodies : dict
+        Patterns of the lengths that belong to one body, by body. Default none.
+    parts : tuple of str
+        Kinds of links whose centres of mass are known. Default none.
+    options : dict
+        Options that the model file passes to the class. Default none.
     """
 
     joints: tuple[str, ...]
@@ -91,24 +141,34 @@ class Mechanism(ABC):
 
     @abstractmethod
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
-        """phi(q, x, p): a CasADi column, zero where the mechanism closes, in m or rad.
+        """Return the closure phi(q, x, p), a CasADi column (m or rad) that is zero at a valid pose.
 
-        q (n_joints, 1), r (3, 1) position and R (3, 3) rotation of {P} in {B}.
+        Parameters
+        ----------
+        q : CasADi (n_joints, 1)
+            Joint readings, rad or m.
+        r : CasADi (3, 1)
+            Position of {P} in {B}, m.
+        R : CasADi (3, 3)
+            Rotation of {P} in {B}.
+        p : Named
+            Geometric parameters by name.
         """
 
     def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
-        """Poses near the solutions of the direct problem: [(r, R)]; home by default.
+        """Return poses [(r, R)] near the solutions of the direct problem; by default, home.
 
-        Exact where the documents give a closed form; else where Newton's method starts.
+        The poses are exact if the documents give a closed form. Otherwise Newton's method starts
+        there.
         """
         return [(ca.DM(self.home.position), ca.DM(quaternion_to_matrix(self.home.quaternion)))]
 
     def joint_candidates(self, r: Any, R: Any, p: Named) -> list[tuple[Any, ...]]:
-        """The same for the inverse problem: for each joint its possible values."""
+        """Return joint values near the solutions of the inverse problem; by default, home."""
         return [(joint,) for joint in self.home.joints]
 
     def start(self, q: Any, p: Named) -> tuple[Any, Any]:
-        """The candidate pose nearest to home: the robot's assembly mode."""
+        """Return the candidate pose nearest to home, which is in the robot's assembly mode."""
         position, rotation = Mechanism.candidates(self, q, p)[0]
 
         def apart(pose: tuple[Any, Any]) -> Any:
@@ -118,18 +178,18 @@ class Mechanism(ABC):
         return nearest(self.candidates(q, p), apart)
 
     def start_inverse(self, r: Any, R: Any, p: Named) -> Any:
-        """For each joint the candidate nearest to home."""
+        """Return the candidate nearest to home for each joint."""
         return self.nearest_home(self.joint_candidates(r, R, p))
 
     def nearest_home(self, candidates: list[tuple[Any, ...]]) -> Any:
-        """Of each joint's values the one nearest to home, angles compared on the circle."""
+        """Return for each joint the value nearest to home; angles are compared on the circle."""
         choices = zip(self.wrap_to_home(candidates), self.home.joints, strict=True)
         return ca.vertcat(
             *[nearest(c, partial(lambda h, q: ca.fabs(q - h), home)) for c, home in choices]
         )
 
     def wrap_to_home(self, candidates: list[tuple[Any, ...]]) -> list[tuple[Any, ...]]:
-        """Each joint's values, angles within half a turn of home."""
+        """Return each joint's values with angles moved to within half a turn of home."""
         if not self.periodic:
             return candidates
         choices = zip(candidates, self.joint_units, self.home.joints, strict=True)
@@ -139,24 +199,24 @@ class Mechanism(ABC):
         ]
 
     def rod_lengths(self, p: Named) -> list[Any]:
-        """Length of every rod that no motor drives, a pair's common one twice (m)."""
+        """Return the length (m) of every passive rod; a length that a pair shares occurs twice."""
         return []
 
     def centres(self, q: Any, r: Any, R: Any, p: Named) -> Mapping[str, list[Any]]:
-        """Of each kind in `parts` the links' centres of mass in {B}, (3, 1) m each."""
+        """Return centres of mass in {B}, (3, 1) m each, of the links of each kind in `parts`."""
         return {}
 
     def drawing(self, q: Any, r: Any, R: Any, p: Named) -> list[Line]:
-        """The lines of its picture at (q, r, R), points as CasADi columns of the same symbols."""
+        """Return the lines that draw the mechanism at (q, r, R), with points as CasADi columns."""
         return []
 
     def widen(self, values: Mapping[str, float]) -> tuple[str, dict[str, float]]:
-        """The larger model this one is a special case of, and its parameter values."""
+        """Return the larger model of which this one is a special case, and its parameter values."""
         raise ModelError(f"{self.name} is not a special case of a larger model")
 
     @property
     def joint_ranges(self) -> np.ndarray:
-        """How far each joint may go (nq,), rad or m; 2 pi where its limits are not known."""
+        """Range of each joint (nq,), rad or m; 2 pi if its limits are unknown."""
         low, high = np.array(self.joint_limits, dtype=float).reshape(-1, 2).T
         return np.where(np.isfinite(high - low), high - low, 2 * np.pi)
 
@@ -168,12 +228,12 @@ class Mechanism(ABC):
 
     @property
     def winds(self) -> tuple[float, ...]:
-        """m of line that a radian of each joint lets out; empty where none winds a line."""
+        """Line (m) that a radian of each joint lets out; empty if no joint winds a line."""
         return ()
 
     @property
     def joint_units(self) -> tuple[str, ...]:
-        """Each joint's unit, rad or m; a mechanism that has both overrides this."""
+        """Unit of each joint, rad or m; a mechanism with both overrides this."""
         return (self.joint_unit,) * len(self.joints)
 
     @property
@@ -186,24 +246,26 @@ class Mechanism(ABC):
 
     @property
     def passive(self) -> list[int]:
-        """Moved coordinates that follow by themselves (the Delta's orientation)."""
+        """Moved coordinates that are not controlled (the Delta's orientation)."""
         return [i for i in self.moved if i not in self.controlled]
 
     @property
     def joint_periods(self) -> np.ndarray:
-        """By how much each joint (nq,) may be off without a difference: 2 pi, or 0."""
+        """Period of each joint (nq,): 2 pi if a full turn changes nothing, else 0."""
         return 2 * np.pi * np.array([self.periodic and unit == "rad" for unit in self.joint_units])
 
     def poses(self, controlled: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Positions (n, 3) and rotations (n, 3, 3) that differ from home in what is controlled,
-        (n, n_controlled) as `Workspace` has it."""
+        """Return positions (n, 3) and rotations (n, 3, 3) for controlled coordinates.
+
+        `controlled` has the shape (n, n_controlled). The other coordinates are those of home.
+        """
         home = rotation_vector(quaternion_to_matrix(np.array(self.home.quaternion)))
         rows = np.tile([*self.home.position, *home], (len(controlled), 1))
         rows[:, self.controlled] = controlled
         return rows[:, :3], rotation_matrix(rows[:, 3:])
 
     def sample(self, n: int, rng: np.random.Generator) -> np.ndarray:
-        """n uniform draws of the controlled coordinates in the workspace, (n, n_controlled)."""
+        """Draw controlled coordinates (n, n_controlled) uniformly from the workspace."""
         low, high = np.array(self.workspace.low), np.array(self.workspace.high)
         return rng.uniform(low, high, size=(n, len(self.controls)))
 
@@ -219,8 +281,10 @@ def _wrap_angle_to_home(q: Any, home: float) -> Any:
 
 
 def nearest(candidates: Sequence[Any], distance: Callable[[Any], Any]) -> Any:
-    """The candidate of least distance, decided when the expression is evaluated; one that is NaN
-    is never nearer."""
+    """Return the candidate of least distance, chosen when the expression is evaluated.
+
+    A candidate whose distance is NaN is never chosen over another one.
+    """
     best = candidates[0]
     for other in candidates[1:]:
         closer = distance(other) < distance(best)
@@ -234,5 +298,5 @@ def nearest(candidates: Sequence[Any], distance: Callable[[Any], Any]) -> Any:
 def poses_in_workspace(
     mechanism: Mechanism, n: int, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Positions (n, 3) and rotations (n, 3, 3) drawn from the workspace."""
+    """Draw positions (n, 3) and rotations (n, 3, 3) from the workspace."""
     return mechanism.poses(mechanism.sample(n, rng))

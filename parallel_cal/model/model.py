@@ -20,9 +20,18 @@ from parallel_cal.model.structure import Structure, structure_of
 
 @dataclass(frozen=True)
 class Noise:
-    """Measurement noise, 1 sigma: joint readings (rad or m), position (m), orientation (rad).
+    """Standard deviation of the measurement noise (1 sigma).
 
-    `assumed`: nobody measured it; only the ratios count, as weights.
+    Parameters
+    ----------
+    joint : float, optional
+        Of joint readings, rad or m. Default: not stated.
+    position : float, optional
+        Of measured positions, m. Default: not stated.
+    orientation : float, optional
+        Of measured orientations, rad. Default: not stated.
+    assumed : bool
+        The values are assumed, not measured: only their ratios count, as weights. Default False.
     """
 
     joint: float | None = None
@@ -33,7 +42,39 @@ class Noise:
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """Mechanism, effects and numbers; immutable, so that it can be swapped while in use."""
+    """A mechanism, its effects and all parameter values.
+
+    A model is immutable, so it can be replaced while it is in use.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+    effects : tuple of Effect
+        In the order in which they act.
+    values : array (n,)
+        Values of all parameters in SI units, in the order of `table`: geometry, effects, sensors.
+    covariance : array (n, n), optional
+        Covariance of the values. None: the values are not identified. Default None.
+    fixed : array of bool (n,)
+        Which parameters a fit must not change. Default: those that mechanism, effects and sensors
+        mark as fixed.
+    noise : Noise
+        Measurement noise. Default: nothing stated.
+    history : tuple of dict
+        One entry for each step that changed the model. Default empty.
+    frames : dict of str
+        ROS names of the frames `base` ({B}) and `platform` ({P}).
+    sensors : tuple of Sensor
+        Measuring set-ups besides a pose device in {B}. Default none.
+    tolerances : dict of float
+        Tolerances of parameters of effects and sensors that differ from the catalogue, by full name
+        or shell pattern. Default none.
+
+    Raises
+    ------
+    ModelError
+        If the number of values is not the number of parameters.
+    """
 
     mechanism: Mechanism
     effects: tuple[Effect, ...]
@@ -92,8 +133,11 @@ class Model:
         return float(self.values[self.table.index_of(name)])
 
     def with_effect(self, name: str, settings: Mapping[str, float] | None = None) -> Model:
-        """The model with one more effect, at zero, behind those it has; `settings` are numbers
-        of it that are known, by short name (`{"ratio": 80.0}`)."""
+        """Return the model with one more effect, whose parameters are zero.
+
+        The new effect is the last one. `settings` are known parameters of it by short name, such as
+        `{"ratio": 80.0}`; they are fixed.
+        """
         if any(effect.name == name for effect in self.effects):
             raise ModelError(f"the model already has the effect '{name}'")
         effect = load_effect(name)
@@ -103,12 +147,12 @@ class Model:
         return more.with_settings(name, settings or {})
 
     def _explain_unread(self, effect: Effect) -> str:
-        """Why an effect on a sensor's readings has none to act on; empty where it has."""
+        """Return why the effect acts on no sensor of the model; empty if it acts on one."""
         lacking = effect.reads and not any(map(effect.acts_on, self.structure.channels))
         return f"no sensor measures {' or '.join(effect.reads)}" if lacking else ""
 
     def with_settings(self, effect: str, settings: Mapping[str, float]) -> Model:
-        """The model with some numbers of an effect, by short name, held at these values."""
+        """Return the model with some parameters of an effect, by short name, fixed at values."""
         values, fixed = self.values.copy(), self.fixed.copy()
         for key, value in settings.items():
             i = self.table.index_of(f"{effect}.{key}")
@@ -116,7 +160,7 @@ class Model:
         return replace(self, values=values, fixed=fixed)
 
     def robot(self) -> Model:
-        """The robot alone, as its controller needs it: effects of the measuring device at zero."""
+        """Return the model as the controller needs it: effects of the device are zero."""
         own = [f"{effect.name}.*" for effect in self.effects if effect.of_device]
         if not own:
             return self
@@ -124,13 +168,13 @@ class Model:
         return self.with_values(np.where(device, self.table.nominal, self.values), self.covariance)
 
     def find_contradiction(self) -> str:
-        """Why some effect's numbers cannot be together; empty where all can."""
+        """Return why the values of an effect contradict each other; empty if none do."""
         numbers = Named(self.table.names, self.values)
         words = (effect.absurd(numbers[effect.name], self.mechanism) for effect in self.effects)
         return next(filter(None, words), "")
 
     def without_effect(self, name: str) -> Model:
-        """The model without one of its effects."""
+        """Return the model without one of its effects."""
         kept = tuple(effect for effect in self.effects if effect.name != name)
         if len(kept) == len(self.effects):
             has = ", ".join(effect.name for effect in self.effects) or "none"
@@ -139,7 +183,7 @@ class Model:
         return self.with_effects(kept)
 
     def _built_in(self, name: str) -> str:
-        """Why an effect that was added cannot be found: it made the mechanism another one."""
+        """Return the reason if the effect was added by changing the mechanism, else ""."""
         steps = [step.get("step") for step in self.history if step.get("effect") == name]
         if steps[-1:] != ["add"]:
             return ""
@@ -149,7 +193,7 @@ class Model:
         )
 
     def with_effects(self, effects: tuple[Effect, ...]) -> Model:
-        """The model with these effects; numbers that it has already keep value and mask."""
+        """Return the model with these effects; existing parameters keep value and mask."""
         return self._with_parts(effects, self.sensors)
 
     def with_sensors(self, sensors: tuple[Sensor, ...]) -> Model:

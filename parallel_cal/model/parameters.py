@@ -1,4 +1,4 @@
-"""Named numbers with unit, nominal value and tolerance, and their one vector."""
+"""Named parameters with unit, nominal value and tolerance, and the vector of their values."""
 
 from __future__ import annotations
 
@@ -20,10 +20,24 @@ RANGE_MARGIN_SIGMAS = (
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number of a model: SI unit, nominal value, tolerance (1 sigma of a real robot).
+    """One parameter of a model.
 
-    `low` and `high` bound what is physically possible (a backlash is never negative); `label`
-    says in words that a mechanic understands what the name's last part is ("rod length").
+    Parameters
+    ----------
+    name : str
+        Full name, such as `chain1.Lb`.
+    unit : str
+        SI unit, such as `m`, `rad` or `1/K`.
+    nominal : float
+        Value in the drawing.
+    tolerance : float
+        Standard deviation of real robots around the nominal value, above 0.
+    group : str
+        `geometry`, `effect` or `sensor`. Default `geometry`.
+    low, high : float
+        Physical bounds (a backlash is never negative). Default: unbounded.
+    label : str
+        The last part of the name in plain words, such as `rod length`. Default empty.
     """
 
     name: str
@@ -36,14 +50,18 @@ class Parameter:
     label: str = ""
 
     def with_tolerance(self, tolerance: float) -> Parameter:
-        """The same for a robot that strays more, or less: its range grows with its tolerance."""
+        """Return the parameter with another tolerance; its bounds scale with the tolerance."""
         times = tolerance / self.tolerance
         low, high = (self.nominal + times * (v - self.nominal) for v in (self.low, self.high))
         return replace(self, tolerance=tolerance, low=low, high=high)
 
     def plausible_range(self, sigma: float = 0.0) -> tuple[float, float]:
-        """Ten tolerances around the nominal value, inside the physical bounds, and three of the
-        value's own `sigma` beyond: noise may push a play of zero below zero, but not far."""
+        """Return the lowest and the highest plausible value.
+
+        The range is ten tolerances around the nominal value, within the physical bounds, extended
+        by
+        three of the value's own `sigma`: noise may move a backlash of zero slightly below zero.
+        """
         reach, slack = (
             MAX_TOLERANCES * self.tolerance,
             RANGE_MARGIN_SIGMAS * sigma if sigma > 0 else 0.0,
@@ -84,8 +102,11 @@ class ParameterTable(Sequence[Parameter]):
 
     @cached_property
     def prior_sigma(self) -> np.ndarray:
-        """How far each is likely to be from nominal (1 sigma): its tolerance; of an effect's number
-        the range, within which no size is likelier than another, as a standard deviation."""
+        """Standard deviation (n,) of each parameter around its nominal value before any data.
+
+        For geometry this is the tolerance. For an effect it is the standard deviation of a uniform
+        distribution over the plausible range.
+        """
         return np.array(
             [
                 MAX_TOLERANCES / 3**0.5 * p.tolerance if p.group == "effect" else p.tolerance
@@ -94,13 +115,16 @@ class ParameterTable(Sequence[Parameter]):
         )
 
     def index_of(self, name: str) -> int:
-        """Position of a parameter in the vector; ModelError for an unknown name."""
+        """Return the position of a parameter in the vector; ModelError for an unknown name."""
         if name not in self._index:
             raise ModelError(f"no parameter '{name}'; the model has {', '.join(self.names)}")
         return self._index[name]
 
     def matching(self, patterns: Iterable[str]) -> np.ndarray:
-        """Mask of the parameters whose name matches a shell pattern; each must match one."""
+        """Return the mask (n,) of parameters whose name matches a shell pattern.
+
+        Raises ModelError if a pattern matches no parameter.
+        """
         mask = np.zeros(len(self), dtype=bool)
         for pattern in patterns:
             hits = np.array([fnmatch.fnmatchcase(name, pattern) for name in self.names], dtype=bool)
@@ -112,22 +136,24 @@ class ParameterTable(Sequence[Parameter]):
         return mask
 
     def vector(self, values: Mapping[str, float]) -> np.ndarray:
-        """The parameter vector: nominal values, overwritten by the given ones."""
+        """Return the parameter vector: nominal values, replaced by the given values."""
         vector = self.nominal.copy()
         for name, value in values.items():
             vector[self.index_of(name)] = value
         return vector
 
     def with_tolerances(self, tolerances: Mapping[str, float]) -> ParameterTable:
-        """The same parameters with other tolerances, and ranges, where given by name or shell
-        pattern; the last word counts."""
+        """Return the table with other tolerances and ranges, given by name or shell pattern.
+
+        If several patterns match a name, the last one counts.
+        """
         if not tolerances:
             return self
         own = {n: t for key, t in tolerances.items() for n in fnmatch.filter(self.names, key)}
         return ParameterTable(p.with_tolerance(own[p.name]) if p.name in own else p for p in self)
 
     def with_nominal(self, nominal: Mapping[str, float]) -> ParameterTable:
-        """The same parameters around other nominal values, where given."""
+        """Return the table with other nominal values where they are given."""
         return ParameterTable(replace(p, nominal=nominal.get(p.name, p.nominal)) for p in self)
 
     def mapping(self, vector: Sequence[float] | np.ndarray) -> dict[str, float]:

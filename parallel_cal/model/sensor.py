@@ -1,4 +1,4 @@
-"""What a sensor is: what it shows at a pose, with unknown numbers of its own."""
+"""The base class of sensors: what a sensor shows at a pose, and its own parameters."""
 
 from __future__ import annotations
 
@@ -14,11 +14,25 @@ from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 
 
 class Sensor(ABC):
-    """One measuring set-up (chapter 4); subclass it in a file of its own, whose name is its name.
+    """Base class of a measuring set-up (chapter 4).
 
-    A file is a frozen dataclass whose fields describe the set-up (nominal geometry, uncertainty).
-    It adds rows `readings(pose) - what was read` to the closure, and its numbers to the model's.
-    A channel that was not read in a sample is an unknown there, and projected out like one.
+    Subclass it in a file of its own, whose name is the sensor's name, as a frozen dataclass. The
+    fields of the dataclass are the options in the model file (nominal geometry, uncertainty).
+    A sensor adds the rows `readings(pose) - recorded reading` to the closure, and its parameters to
+    the model. If a sample has no reading of a channel, the reading is an unknown that is
+    eliminated.
+
+    Attributes
+    ----------
+    physics : str
+        What the set-up measures, in words.
+    source : str
+        Where the numbers come from.
+    fixed : tuple of str
+        Patterns of its own parameters that are known. Default none.
+    sigma : float, optional
+        Standard deviation of one reading, m. None: not stated; then `guessed_sigma` weighs the
+        readings, and a fit scales it by its residuals. Default 0.
     """
 
     physics: ClassVar[str]
@@ -31,32 +45,32 @@ class Sensor(ABC):
 
     @abstractmethod
     def parameters(self, mechanism: Mechanism) -> list[Parameter]:
-        """Its numbers, named without the sensor's own name (`hole1.x`)."""
+        """Return its parameters, named without the sensor's own name (`hole1.x`)."""
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """What it reads, one row each: the names in the recorded `constraint` topic."""
+        """Names of its channels, one row each; the recorded topic `constraint` uses these names."""
         return ()
 
     def readings(self, r: Any, R: Any, s: Named) -> Any:
-        """What every channel shows at the pose (r, R) of {P} in {B}: a column, m."""
+        """Return what each channel shows at the pose (r, R) of {P} in {B}: a column, m."""
         return ca.SX(0, 1)
 
     def pose(self, r: Any, R: Any, s: Named) -> tuple[Any, Any]:
-        """The pose of {P} in {B} where the pose device shows (r, R)."""
+        """Return the pose of {P} in {B} if the pose device shows (r, R)."""
         return r, R
 
     def shown(self, r: Any, R: Any, s: Named) -> tuple[Any, Any]:
-        """What the pose device shows where {P} is at (r, R) in {B}: the inverse of `pose`."""
+        """Return what the pose device shows if {P} is at (r, R) in {B}: the inverse of `pose`."""
         return r, R
 
     def tolerances(self, table: ParameterTable, mechanism: Mechanism) -> Mapping[str, float]:
-        """Tolerances of effects' numbers by full name, where the catalogue knows less."""
+        """Return tolerances of effects' parameters, by full name, that this sensor knows better."""
         return {}
 
     @property
     def weighing_sigma(self) -> float:
-        """The standard deviation (m) that its readings are weighed by, stated or guessed."""
+        """Standard deviation (m) by which its readings are weighed, stated or guessed."""
         return self.guessed_sigma if self.sigma is None else self.sigma
 
     @property
@@ -65,39 +79,39 @@ class Sensor(ABC):
 
     @property
     def options(self) -> dict[str, Any]:
-        """The fields that describe this set-up, without those at their defaults."""
+        """Fields that describe this set-up and differ from their defaults."""
         own = [(f.name, getattr(self, f.name), f.default) for f in fields(cast(Any, self))]
         return {name: value for name, value, default in own if value != default}
 
     def table(self, mechanism: Mechanism) -> ParameterTable:
-        """Its parameters under their full names (`plane_spheres.hole1.x`)."""
+        """Return its parameters under their full names (`plane_spheres.hole1.x`)."""
         return ParameterTable(
             replace(p, name=f"{self.name}.{p.name}", group="sensor")
             for p in self.parameters(mechanism)
         )
 
     def fixed_patterns(self) -> list[str]:
-        """Patterns of its fixed parameters under their full names."""
+        """Return the patterns of its fixed parameters under their full names."""
         return [f"{self.name}.{pattern}" for pattern in self.fixed]
 
 
 def apply_sensor_tolerances(
     sensors: Iterable[Sensor], table: ParameterTable, mechanism: Mechanism
 ) -> ParameterTable:
-    """An effect's table with the tolerances that sensors know better."""
+    """Return an effect's table with the tolerances that sensors know better."""
     for sensor in sensors:
         table = table.with_tolerances(sensor.tolerances(table, mechanism))
     return table
 
 
 def point_on_platform(r: Any, R: Any, s: Named, name: str = "tip") -> Any:
-    """Where a point of the platform, given in {P} by three parameters, is in {B}."""
+    """Return a point of the platform in {B}, given in {P} by three parameters."""
     return r + R @ s.vector(*[f"{name}.{axis}" for axis in "xyz"])
 
 
 def point_parameters(
     name: str, point: Sequence[float], tolerance: float, axes: str = "xyz"
 ) -> list[Parameter]:
-    """Coordinates of a point (m)."""
+    """Return the coordinates of a point as parameters (m)."""
     pairs = zip(axes, point, strict=True)
     return [Parameter(f"{name}.{axis}", "m", float(v), tolerance) for axis, v in pairs]

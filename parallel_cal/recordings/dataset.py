@@ -38,16 +38,47 @@ NUMBER = "number"  # the condition that keeps a sample's number where others wer
 
 @dataclass(frozen=True)
 class Dataset:
-    """N samples of a robot: raw joint readings and raw measured poses in SI, never FK output.
+    """N samples of a robot: raw joint readings and raw measured poses in SI units.
 
-    q (N, nq) rad or m; r (N, 3) m; R (N, 3, 3); `measured` (N, 6) marks x y z rx ry rz, rotations
-    about base-fixed axes; r and R hold 0 and identity where nothing is measured. `pose_cov`
-    (N, 6, 6) is the accuracy of a sample as the device states it, NaN where it does not;
-    `joint_sigma` (nq,) likewise or None. `scatter_q` (N, nq) and `scatter_pose` (N, 6) are the
-    standard deviations of single readings within a dwell, NaN where there was one. `conditions`
-    hold (N,) arrays: time, temperature, payload, direction.JOINT in -1 0 1, travel.JOINT (way
-    since the last reversal), velocity.JOINT; of several recordings also session, from 0.
-    Samples that revisit a pose share `pose_id`.
+    Samples that revisit a pose share `pose_id`. Poses are measured, never computed by forward
+    kinematics.
+
+    Attributes
+    ----------
+    joint_names : tuple of str
+    q : array (N, nq)
+        Joint readings, rad or m.
+    r : array (N, 3)
+        Measured positions, m; 0 where not measured.
+    R : array (N, 3, 3)
+        Measured rotations; the identity where not measured.
+    measured : array of bool (N, 6)
+        Which of x y z rx ry rz are measured; rotations are about axes fixed to the base.
+    pose_cov : array (N, 6, 6)
+        Covariance of the pose of a sample as the device states it; NaN where it does not.
+    joint_sigma : array (nq,), optional
+        Standard deviation of joint readings, rad or m; None if not stated.
+    time : array (N,)
+        s since the recording began.
+    duration : array (N,)
+        Length of the dwell, s.
+    scatter_q, scatter_pose : array (N, nq), (N, 6)
+        Standard deviations of single readings within a dwell; NaN where there was only one.
+    count_q, count_pose : array of int (N,)
+        Numbers of readings that were averaged.
+    conditions : dict of array (N,)
+        time, temperature, payload, direction.JOINT (-1, 0, 1), travel.JOINT (distance since the
+        last
+        reversal), velocity.JOINT; for several recordings also session, counted from 0.
+    pose_id : array of int (N,)
+        Number of the commanded pose.
+    mode : str
+        `dwell` or `continuous`.
+    dropped : tuple of Dropped
+        What was recorded and is not used.
+    warnings : tuple of str
+    source, sha256, frame : str
+        The recording, the hash of its data files, and the frame of the poses.
     """
 
     joint_names: tuple[str, ...]
@@ -94,9 +125,28 @@ class Dataset:
         pose_id: ArrayLike | None = None,
         **texts: Any,
     ) -> Dataset:
-        """A dataset of q (N, nq), r (N, 3), R (N, 3, 3) without a recording; R None: not measured.
+        """Create a dataset from arrays, without a recording.
 
-        `pose_cov` may be (6, 6) for all samples; replicates are looked for unless pose_id is given.
+        Parameters
+        ----------
+        joint_names : sequence of str
+        q : array (N, nq)
+            rad or m.
+        r : array (N, 3)
+            m.
+        R : array (N, 3, 3), optional
+            None: orientations are not measured.
+        measured : array of bool (N, 6) or (6,), optional
+            Default: what is given.
+        pose_cov : array (N, 6, 6) or (6, 6), optional
+            In m and rad. Default: not stated.
+        joint_sigma : float or array (nq,), optional
+            rad or m. Default: not stated.
+        conditions : dict of array (N,), optional
+        pose_id : array of int (N,), optional
+            Default: replicates are detected from q.
+        **texts
+            Other fields of Dataset, such as `source`.
         """
         q, r = np.array(q, float), np.array(r, float)
         n, nq = q.shape
@@ -133,7 +183,7 @@ class Dataset:
         return len(self.q)
 
     def select(self, which: ArrayLike) -> Dataset:
-        """The samples of a mask (N,) or of indices, in that order; `pose_id` stays."""
+        """Return the samples of a mask (N,) or of indices, in that order; `pose_id` is kept."""
         index = np.asarray(which)
         if index.dtype == bool and index.shape != (len(self),):
             raise DatasetError(f"mask of shape {index.shape}; expected ({len(self)},)")
@@ -144,13 +194,15 @@ class Dataset:
 
     @property
     def numbers(self) -> NDArray[np.int64]:
-        """Number (N,) by which each sample is named: its place before any was excluded."""
+        """Number (N,) of each sample: its position before any sample was excluded."""
         own = self.conditions.get(NUMBER)
         return np.arange(len(self)) if own is None else own.astype(np.int64)
 
     def excluding(self, numbers: Sequence[int], why: str = "on request") -> Dataset:
-        """Without some samples, the others keeping their numbers, with a word why; DatasetError
-        for a number that there is not."""
+        """Return the dataset without some samples; the others keep their numbers.
+
+        `why` is the reason, for the warning. DatasetError for an unknown number.
+        """
         if unknown := sorted(set(numbers) - set(self.numbers.tolist())):
             raise DatasetError(
                 f"{self.source}: no sample {unknown[0]} to exclude; there are {len(self)}, "
@@ -166,7 +218,7 @@ class Dataset:
         return dataclasses.replace(kept, warnings=(*self.warnings, said))
 
     def replicate_noise(self) -> ReplicateNoise:
-        """Scatter of revisited poses: the noise that no model of the pose alone can explain."""
+        """Return the scatter of revisited poses: noise that no model of the pose can explain."""
         return replicate_noise(self.pose_id, Configuration(self.q, self.r, self.R), self.measured)
 
     def folds(
@@ -183,18 +235,18 @@ class Dataset:
         return make_folds(groups, fraction, seed)
 
     def to_json(self, path: str | Path) -> None:
-        """Write the samples to a file, all or nothing; `from_json` gives back the same numbers."""
+        """Write the samples to a file atomically; `from_json` returns the same numbers."""
         document = {"parallel_cal_samples": FILE_VERSION, **to_json_value(self)}
         write_atomically(path, json.dumps(document, allow_nan=False))
 
     @classmethod
     def from_json(cls, path: str | Path) -> Dataset:
-        """Read a file of `to_json`; DatasetError naming the file and the key that is wrong."""
+        """Read a file of `to_json`; DatasetError names the file and the wrong key."""
         return cls.from_document(read_document(Path(path)), str(path))
 
     @classmethod
     def from_document(cls, document: Mapping[str, Any], name: str) -> Dataset:
-        """The samples of a file's document; DatasetError naming the file and the wrong key."""
+        """Return the samples of a document; DatasetError names the file and the wrong key."""
         try:
             return cls(**{f.name: restore_field(f.name, document) for f in dataclasses.fields(cls)})
         except DatasetError as error:

@@ -1,4 +1,4 @@
-"""How recordings are read and samples made of them."""
+"""Options of reading recordings and of making samples."""
 
 from __future__ import annotations
 
@@ -27,13 +27,36 @@ MIN_VALUES = {
 
 @dataclass(frozen=True)
 class SampleOptions:
-    """How samples are made. Times in s; `still_tolerance` and `joint_sigma` in joint units.
+    """Options of making samples.
 
-    mode: "dwell" (one sample per standstill), "continuous" (one per pose message), or "auto".
-    still_tolerance: how far a joint strays while standing still (default: from the data).
-    min_pose_messages: default 3, or 1 where the device gives fewer per dwell.
-    assume_units: accept positions that look like millimetres.
-    replicate_tolerance: joint distance between two visits of one pose (default: from the data).
+    Parameters
+    ----------
+    mode : str
+        `dwell` (one sample per standstill), `continuous` (one per pose message) or `auto`.
+        Default `auto`.
+    min_dwell : float
+        Shortest standstill that is a dwell, s. Default 0.3.
+    trim_start, trim_end : float
+        Time that is cut off at the start and the end of a dwell, s. Defaults 0.1 and 0.05.
+    still_tolerance : float or sequence of float, optional
+        How far a joint may deviate while it stands still, rad or m. Default: from the data.
+    min_joint_messages : int
+        Joint messages that a dwell needs. Default 3.
+    min_pose_messages : int, optional
+        Pose messages that a dwell needs. Default 3, or 1 if the device sends fewer per dwell.
+    max_gap : float, optional
+        Longest gap between joint messages around a pose, s. Default: from the data.
+    joint_sigma : float or sequence of float, optional
+        Standard deviation of joint readings, rad or m. Default: not stated.
+    assume_units : bool
+        Whether positions that look like millimetres are accepted. Default False.
+    replicate_tolerance : float, optional
+        Joint distance between two visits of one pose, rad or m. Default: from the data.
+
+    Raises
+    ------
+    DatasetError
+        If a value is outside its range.
     """
 
     mode: str = "auto"
@@ -65,13 +88,25 @@ def _is_number(value: object) -> bool:
 
 @dataclass(frozen=True)
 class ReadOptions(SampleOptions):
-    """How recordings are read, and samples made of them.
+    """Options of reading recordings and of making samples; see also SampleOptions.
 
-    topics: channel -> topic where it is not the channel's own name; "" switches a channel off.
-    joints: the model's joint names in its order (default: as recorded).
-    measures: the coordinates the device really measures (default: what the messages say).
-    stamps: "header" or "log".
-    exclude: numbers of samples to leave out.
+    Parameters
+    ----------
+    topics : dict of str
+        Topic of a channel if it differs from the channel's own name; "" switches the channel off.
+    joints : sequence of str, optional
+        The model's joint names in its order. Default: as recorded.
+    measures : sequence of str, optional
+        Coordinates that the device really measures. Default: as the messages state.
+    stamps : str
+        `header` or `log`: which time of a message counts. Default `header`.
+    exclude : sequence of int
+        Numbers of excluded samples. Default none.
+
+    Raises
+    ------
+    BagError
+        If a channel, a coordinate or `stamps` is unknown.
     """
 
     topics: Mapping[str, str] = field(default_factory=dict)
