@@ -14,16 +14,39 @@ if TYPE_CHECKING:  # the command line shows its help without numpy
 
 @dataclass(frozen=True)
 class FitOptions:
-    """What a fit may be asked.
+    """Options of a fit.
 
-    `free` and `fix` are name patterns (`chain1.*`) that change what the model file says; where
-    one set lies inside the other the narrower wins (`fix=["*"], free=["chain1.Lb"]`). `refit`
-    identifies these alone and keeps the others with the model's covariance (re-homing, warming
-    up: a few poses are enough). `hold_out` is the share of the poses left out in turn (0: none),
-    drawn by `seed`; `joint_sigma` (rad or m) replaces what recording and model file say. `prior`
-    is None (tolerances where the data tell less), True (throughout), False (nowhere) or a Prior;
-    `loss` one of scipy's (`huber`): samples that it mistrusts are named; `insist` takes an effect's
-    number that lies outside its range.
+    Parameters
+    ----------
+    method : str
+        Method of identification. Default `implicit`.
+    free, fix : sequence of str
+        Name patterns (`chain1.*`) of parameters to free or to fix, against the model file. If one
+        set is inside the other, the narrower one counts (`fix=["*"], free=["chain1.Lb"]`).
+        Default none.
+    refit : sequence of str
+        Name patterns of the only parameters to identify. The others keep the model's covariance
+        (after re-homing or warming up: a few poses are enough). Default none.
+    hold_out : float
+        Share of the poses that each fold of the cross-validation holds out, 0 (none) to 0.5.
+        Default 0.25.
+    joint_sigma : float, optional
+        Standard deviation of joint readings, rad or m. Default: from recording and model file.
+    prior : bool or Prior, optional
+        None: tolerances for what the data determine weakly; True: for all parameters; False: for
+        none; or a Prior. Default None.
+    loss : str
+        Loss function of scipy, such as `huber`. Samples with a low weight are named.
+        Default `linear`.
+    seed : int
+        Seed of the folds. Default 0.
+    insist : bool
+        Whether an effect's parameter outside its plausible range is accepted. Default False.
+
+    Raises
+    ------
+    FitError
+        If `hold_out` is negative.
     """
 
     method: str = "implicit"
@@ -38,7 +61,7 @@ class FitOptions:
     insist: bool = False
 
     def __post_init__(self) -> None:
-        """FitError for a share of the poses that is none; too large ones are refused later."""
+        """Raise FitError for a negative share; a share that is too large is refused later."""
         if not self.hold_out >= 0:
             raise FitError(f"hold_out {self.hold_out}: expected 0 (no check) to 0.5")
 

@@ -50,13 +50,31 @@ class PlanKeywords(TypedDict, total=False):
 
 @dataclass(frozen=True)
 class PlanOptions:
-    """What a plan may be asked.
+    """Options of a measurement plan.
 
-    `criterion` is `prediction` (mean pose variance over the workspace), `D`, `A`, `condition` or
-    `noise_amplification`; the last two by `annealing` only, else `exchange` is the default
-    `method`. `pool` is a number of draws, or given poses; `symmetric` chooses sets of three, a
-    third of a turn about z apart; `free`, `fix` and `prior` are those of a fit. FitError for a
-    criterion or method that is none.
+    Parameters
+    ----------
+    criterion : str
+        `prediction` (mean pose variance over the workspace), `D`, `A`, `condition` or
+        `noise_amplification`. Default `prediction`.
+    method : str
+        `exchange` or `annealing`; `condition` and `noise_amplification` need `annealing`.
+        Default: `exchange` if the criterion allows it.
+    pool : int or Solutions
+        Number of poses to draw, or the poses to choose from.
+    symmetric : bool
+        Whether poses are chosen in sets of three, 120 degrees about z apart. Default False.
+    free, fix : sequence of str
+        As in FitOptions. Default none.
+    prior : bool
+        As in FitOptions. Default False.
+    seed : int
+        Seed of the draws. Default 0.
+
+    Raises
+    ------
+    FitError
+        If the criterion or the method is unknown, or they do not fit together.
     """
 
     criterion: str = "prediction"
