@@ -218,8 +218,8 @@ def test_tables_are_joined_by_an_index_and_what_has_no_partner_is_said(two):
     np.testing.assert_allclose(data.r[:, 0] / data.q[:, 1], [1, 1])
     words = sorted(one.detail.rsplit("/", 1)[1] for one in data.dropped)
     assert words == [
-        "joints.csv:2: nothing else with its no",
-        "poses.csv:4: nothing else with its no",
+        "joints.csv:2: no other table has its no",
+        "poses.csv:4: no other table has its no",
     ]
 
 

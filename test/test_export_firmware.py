@@ -398,7 +398,7 @@ def test_a_linuxcnc_machine_has_its_numbers_in_two_files(tmp_path):
     hal.write_text(HAL)
     ini.write_text(INI)
     model = moved(configured([hal, ini]).model)
-    with pytest.raises(ModelError, match=r"machine.ini, too"):
+    with pytest.raises(ModelError, match=r"belong in machine.ini"):
         export_into(model, "linuxcnc", [hal])
     assert hal.read_text() == HAL
     done = export_into(model, "linuxcnc", [hal, ini])

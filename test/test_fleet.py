@@ -150,7 +150,7 @@ def test_the_folder_of_results_is_no_robot(folder):
 
 def test_results_go_into_a_folder_of_their_own(folder):
     (folder / "b" / "saved.json").touch()
-    for out, words in ((folder / "b", "recordings are in it"), (folder / "all.yaml", "is a file")):
+    for out, words in ((folder / "b", "contains recordings"), (folder / "all.yaml", "is a file")):
         with pytest.raises(FleetError, match=words):
             judge(folder, out, QUICK)
 

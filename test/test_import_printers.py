@@ -47,7 +47,7 @@ def test_a_printer_too_large_by_a_fiftieth_touches_alike(tmp_path):
         held = replace(model, fixed=model.fixed | model.table.matching(["*.Lb"]))
         misfits.append(fit(held, seen, hold_out=0).estimate.chi2_per_dof)
     assert np.ptp(misfits) < 0.05
-    assert "cannot tell the size" in seen.warnings[0]
+    assert "cannot determine the size" in seen.warnings[0]
 
 
 # 1/m: 0.1 mm at the rim; 0.2 degrees; 0.1 mm at the rim of a probe 25 mm beside the nozzle
@@ -134,7 +134,7 @@ def test_a_printed_length_that_cannot_be_is_said(tmp_path, given):
     files = [tmp_path / "seen.csv", tmp_path / "config.g"]
     with pytest.raises(ParallelCalError, match=r"printed_y=.*expected \[sent, measured\] in mm"):
         samples("rrf", files, printed_y=given)
-    with pytest.raises(ParallelCalError, match="printed: along 'z', expected x, y or xy"):
+    with pytest.raises(ParallelCalError, match="printed: along is 'z', expected x, y or xy"):
         load_sensor("printed", along="z")
 
 

@@ -184,7 +184,7 @@ def test_a_hangprinters_lines_are_those_of_its_firmware(files):
     with pytest.raises(ParallelCalError, match=r"M669 D is '2345', expected x:y:z of the anchor"):
         configured([path])
     path.write_text(path.read_text().replace("D2345", "D0:0:0"))
-    with pytest.raises(ParallelCalError, match=r"config.g:1: M669 A is .* anchor at the origin"):
+    with pytest.raises(ParallelCalError, match=r"config.g:1: M669 A is .* anchor is at the origin"):
         configured([path])
 
 
@@ -259,7 +259,7 @@ def test_the_commands_write_samples_and_a_model_that_can_be_read(files, tmp_path
     assert run("import", "rrf", heights, config, "-o", data, "--json")["samples"] == 4
     written = run("new", "--from", config, "-o", str(file), "--json")
     assert written["mechanism"] == "linear_delta"
-    assert "leans" in written["remarks"][0]
+    assert "inclinations" in written["remarks"][0]
     model = parse_model(file.read_text())
     assert model.mechanism.direction == pytest.approx(210 * DEGREE)
     compared = run("compare", str(file), data, "--json")
@@ -272,7 +272,7 @@ def test_the_commands_write_samples_and_a_model_that_can_be_read(files, tmp_path
         (("new", "-o", "a.yaml"), 2, "--from FILE"),
         (("new", "delta24", "--from", "c.g", "-o", "a.yaml"), 2, "--from FILE"),
         (("new", "--from", "c.stl", "-o", "a.yaml"), 1, "expected .cfg (klipper)"),
-        (("new", "--from", "c.urdf", "-o", "a.yaml"), 1, "; .urdf (new serial)"),
+        (("new", "--from", "c.urdf", "-o", "a.yaml"), 1, "; or .urdf (new serial)"),
         (("import", "rrrf", "c.g", "-o", "a.json"), 1, "no importer 'rrrf': expected one of"),
         (("import", "rrf", "c.g", "-o", "a.json"), 1, "expected height maps (.csv)"),
         (("import", "rrf", "c.g", "h.csv", "-o", "a.json"), 1, "c.g: cannot be read: No such file"),

@@ -136,10 +136,14 @@ def test_the_command_writes_samples(files, tmp_path):
 
 
 BROKEN = {
-    "word": (("-20,25", "-2O,25"), {}, "tracker.txt:6: column Y [mm] holds '-2O,25', expected a"),
+    "word": (
+        ("-20,25", "-2O,25"),
+        {},
+        "tracker.txt:6: column Y [mm] contains '-2O,25', expected a",
+    ),
     "cell": (("; 10; 250,125", "; 250,125"), {}, "tracker.txt:8: the line's length is '6', exp"),
     "no unit": (("Units: Millimeters", ""), {}, "tracker.txt:1: column X has no unit; state it"),
-    "no x": (("; X;", "; Xx;"), {}, "none of the tables has the columns x, y, z; say which"),
+    "no x": (("; X;", "; Xx;"), {}, "none of the tables has the columns x, y, z; state which"),
     "two x": (
         ("slide [mm]\tT", "X\tY\tZ\tT"),
         {},

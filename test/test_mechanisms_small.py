@@ -699,7 +699,7 @@ def test_wrong_cable_options_say_what_is_expected():
 
 @pytest.mark.parametrize("radius", [0, -0.11])
 def test_an_argos_without_size_is_refused(radius):
-    with pytest.raises(ModelError, match=f"argos27: length {float(radius)} m.*expected above 0"):
+    with pytest.raises(ModelError, match=f"argos27: length is {float(radius)} m.*expected above 0"):
         load_mechanism("argos27", radius=radius)
 
 

@@ -90,12 +90,12 @@ def test_loads_that_a_plan_gives_are_those_of_its_poses(tmp_path):
     ("text", "words"),
     [
         ("joint1\n0.3\n", r"plan\.csv:1: no column crank: the plan is not for this slider_crank"),
-        ("crank\n0.3\nmuch\n", r"plan\.csv:3: column crank holds 'much'"),
+        ("crank\n0.3\nmuch\n", r"plan\.csv:3: column crank contains 'much'"),
         (
             "crank\n0.3\n2.5\n",
             r"plan\.csv:3: this slider_crank cannot be assembled with joints 2.5",
         ),
-        ("crank,past.crank\n0.3,?\n", r"plan\.csv:2: column past.crank holds '\?'"),
+        ("crank,past.crank\n0.3,?\n", r"plan\.csv:2: column past.crank contains '\?'"),
     ],
 )
 def test_a_plan_that_cannot_be_driven_is_refused(tmp_path, text, words):
@@ -229,7 +229,9 @@ def test_a_study_ends_where_it_knows_goes_on_where_it_was_and_counts_false_alarm
 
 
 def test_what_cannot_be_planted_is_named(question, tmp_path):
-    with pytest.raises(ModelError, match=r"no effect 'rust' to plant.*there are backlash"):
+    with pytest.raises(
+        ModelError, match=r"effect 'rust' does not exist.*available effects: backlash"
+    ):
         power(question, ["rust"], 2, folder=tmp_path / "out")
 
 

@@ -1,4 +1,4 @@
-"""What the effects on the whole picture share: a base or device that shifts and turns."""
+"""Shared by effects of the whole scene: a base or device that shifts and rotates."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ def find_translation_axes(mechanism: Mechanism) -> list[str]:
 
 
 def find_rotation_axes(mechanism: Mechanism) -> list[str]:
-    """The axes about which turning the whole picture moves a coordinate that the platform has."""
+    """Return the axes about which a rotation of the scene moves a coordinate of the platform."""
     moves = mechanism.moves
     return [a for a in AXES if f"r{a}" in moves or {*AXES} - {a} <= {*moves}]
 
 
 def shift_and_turn(mechanism: Mechanism, v: Size, w: Size) -> list[Parameter]:
-    """v and w along and about axes of {B}, only what the platform feels."""
+    """Return the parameters v and w along and about axes of {B} that move the platform."""
     return [
         *_components("v", find_translation_axes(mechanism), *v),
         *_components("w", find_rotation_axes(mechanism), *w),
@@ -35,14 +35,14 @@ def shift_and_turn(mechanism: Mechanism, v: Size, w: Size) -> list[Parameter]:
 
 
 def undo_shift_and_turn(seen: Seen, e: Named, share: Any) -> Seen:
-    """The pose before it was turned by w * share, then shifted by v * share."""
+    """Return the pose before it was rotated by w * share and then shifted by v * share."""
     v, w = (vector(e, name) * share for name in "vw")
     turn = cayley(w)
     return seen.with_pose(turn.T @ (seen.r - v), turn.T @ seen.R)
 
 
 def vector(e: Named, name: str) -> Any:
-    """Three components, zero where there is no number."""
+    """Return three components; a component without a parameter is zero."""
     return ca.vertcat(*[e.get(f"{name}_{a}", 0) for a in AXES])
 
 

@@ -1,4 +1,4 @@
-"""What the effects on joint readings share: which joints they touch, and how."""
+"""Shared by effects on joint readings: which joints they change, and how."""
 
 from __future__ import annotations
 
@@ -16,21 +16,23 @@ WAVE = {"sin": "sine part", "cos": "cosine part"}  # of an error that comes roun
 
 
 def find_revolute_joints(mechanism: Mechanism) -> list[str]:
-    """The joints that turn: whatever comes round once a turn can only be theirs."""
+    """Return the revolute joints: only they can have an error that repeats once per turn."""
     joints = zip(mechanism.joints, mechanism.joint_units, strict=True)
     return [joint for joint, unit in joints if unit == "rad"]
 
 
 def needs_turning(mechanism: Mechanism) -> str:
-    """What `Effect.applies` answers for an effect of joints that turn."""
+    """Return why an effect of revolute joints does not apply; empty if it does."""
     return "" if find_revolute_joints(mechanism) else "it has no revolute joint"
 
 
 def sizes(
     mechanism: Mechanism, size: Mapping[str, tuple[float, ...]]
 ) -> list[tuple[str, str, tuple[float, ...]]]:
-    """Joint, unit, and what an error of it measures, `size` by unit; where a joint winds a line,
-    behind a gear and on a spool, what it does to the line counts."""
+    """Return joint, unit and size of an error for each joint; `size` gives the sizes by unit.
+
+    If a joint winds a line (behind a gear, on a spool), the size is that of the line in metres.
+    """
     joints = list(zip(mechanism.joints, mechanism.joint_units, strict=True))
     if not mechanism.winds:
         return [(joint, unit, size[unit]) for joint, unit in joints]
@@ -41,7 +43,7 @@ def sizes(
 def shift_joints(
     seen: Seen, mechanism: Mechanism, joints: Collection[str], error: Callable[[str, Any], Any]
 ) -> Seen:
-    """q + error(joint, q) for the joints named, the others as they are read."""
+    """Return q + error(joint, q) for the named joints; the others keep their reading."""
     rows = [
         seen.q[i] + error(joint, seen.q[i]) if joint in joints else seen.q[i]
         for i, joint in enumerate(mechanism.joints)
@@ -50,7 +52,7 @@ def shift_joints(
 
 
 class Harmonic(Effect):
-    """q_ideal = q + sin * sin(k q) + cos * cos(k q) for every joint that turns, k its `order`."""
+    """q_ideal = q + sin * sin(k q) + cos * cos(k q) for every revolute joint; k is its `order`."""
 
     separated_by = "poses over the whole range of every joint"
     family = SMOOTH

@@ -1,4 +1,4 @@
-"""Static loads: what weights do to joints and rods, by virtual work on the closure."""
+"""Static loads: the forces of weights on joints and rods, by virtual work on the closure."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ MIN_WEIGHT_FORCE = 1e-6  # Nm or N, under 1 kg: below it nothing is lifted
 
 
 def masses(mechanism: Mechanism) -> list[Parameter]:
-    """The known weights beside the payload, kg: the platform, and one part of each kind."""
+    """Return the known masses besides the payload (kg): the platform, and one part of each kind."""
     kinds = ("platform", *mechanism.parts)
     return [Parameter(f"mass.{kind}", "kg", 0.0, 100.0, low=0.0, high=1000.0) for kind in kinds]
 
 
 def joint_forces(seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Any:
-    """What the weights exert on each joint along its reading (n_joints, 1), Nm or N."""
+    """Return the force of the weights on each joint along its reading (n_joints, 1), Nm or N."""
     q = ca.SX.sym("q", len(mechanism.joints))
     return _forces(seen.with_q(q), q, seen.q, e, at, mechanism)
 
 
 def rod_forces(seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Any:
-    """The tension that the weights put each rod under (n_rods, 1), N; compression is negative."""
+    """Return the tension of each rod under the weights (n_rods, 1), N; compression is negative."""
     names, by_length = rods(mechanism)
     lengths = ca.SX.sym("l", len(names))
     loose = seen.with_p(dict(zip(names, ca.vertsplit(lengths), strict=True)))
@@ -38,7 +38,7 @@ def rod_forces(seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Any:
 
 
 def lengthen_rods(seen: Seen, mechanism: Mechanism, by: Any) -> Seen:
-    """The same with every rod longer by (n_rods, 1) m, as far as its parameters can say so."""
+    """Return the inputs with every rod longer by (n_rods, 1) m, as far as its parameters allow."""
     names, by_length = rods(mechanism)
     changes = ca.vertsplit(np.linalg.pinv(by_length) @ by)
     return seen.with_p({k: seen.p[k] + d for k, d in zip(names, changes, strict=True)})
@@ -46,7 +46,7 @@ def lengthen_rods(seen: Seen, mechanism: Mechanism, by: Any) -> Seen:
 
 @lru_cache(maxsize=64)
 def rods(mechanism: Mechanism) -> tuple[list[str], np.ndarray]:
-    """The parameters that the rods' lengths are made of, and d length / d parameter."""
+    """Return the parameters that determine the rods' lengths, and d length / d parameter."""
     names = mechanism.parameters.names
     p = ca.SX.sym("p", len(names))
     lengths = ca.vertcat(ca.SX(0, 1), *mechanism.rod_lengths(Named(names, p)))
@@ -56,13 +56,13 @@ def rods(mechanism: Mechanism) -> tuple[list[str], np.ndarray]:
 
 
 def find_loaded_joints(mechanism: Mechanism) -> list[str]:
-    """The joints that feel the weight of what the platform carries."""
+    """Return the joints that carry weight of the payload."""
     m = mechanism
     return [m.joints[i] for i in _find_loaded_indices(m, m.gravity, m.home, m.parameters)]
 
 
 def needs_weight(mechanism: Mechanism) -> str:
-    """What `Effect.applies` answers for an effect of the payload's weight."""
+    """Return why an effect of the payload's weight does not apply; empty if it does."""
     if len(mechanism.joints) > len(mechanism.moves):
         return (
             "it has more joints than degrees of freedom: statics alone does not determine the "
@@ -72,7 +72,7 @@ def needs_weight(mechanism: Mechanism) -> str:
 
 
 def needs_rods(mechanism: Mechanism) -> str:
-    """The same for an effect on rods between joints and platform."""
+    """Return why an effect on rods between joints and platform does not apply; empty if it does."""
     return needs_weight(mechanism) or (
         "" if rods(mechanism)[0] else "it has no rods in addition to its joints"
     )
@@ -82,9 +82,9 @@ def needs_rods(mechanism: Mechanism) -> str:
 def _find_loaded_indices(
     mechanism: Mechanism, gravity: tuple[float, ...], home: Home, table: ParameterTable
 ) -> list[int]:
-    """Found by weighing 1 kg on the nominal robot a little away from home.
+    """Find the loaded joints by applying 1 kg to the nominal robot a little away from home.
 
-    What a model file sets is in the arguments, so that an answer from before does not stay.
+    What a model file sets is passed as an argument, so that the cache stays valid.
     """
     n, kinds, p = len(home.joints), masses(mechanism), Named(table.names, ca.SX(table.nominal))
     q = ca.SX(home.joints + mechanism.length * np.arange(1, n + 1) / (10 * n))
@@ -96,7 +96,7 @@ def _find_loaded_indices(
 
 
 def _forces(loose: Seen, u: Any, given: Any, e: Named, at: Named, mechanism: Mechanism) -> Any:
-    """dU/du - (dphi/du)^T lambda with (dphi/dx)^T lambda = dU/dx, at u = given.
+    """Return dU/du - (dphi/du)^T lambda with (dphi/dx)^T lambda = dU/dx, at u = given.
 
     U is the work of the weights; the platform follows u so that phi stays zero.
     """
@@ -112,7 +112,7 @@ def _forces(loose: Seen, u: Any, given: Any, e: Named, at: Named, mechanism: Mec
 
 
 def _work(seen: Seen, e: Named, at: Named, mechanism: Mechanism) -> Any:
-    """What gravity has done on payload, platform and parts, J; the first two act at {P}."""
+    """Return the work of gravity on payload, platform and parts, J; the first two act at {P}."""
     mass, centres = e["mass"], mechanism.centres(seen.q, seen.r, seen.R, seen.p)
     moments = [mass[kind] * point for kind, points in centres.items() for point in points]
     return ca.dot(ca.DM(mechanism.gravity), sum(moments, (mass.platform + at[PAYLOAD]) * seen.r))

@@ -1,4 +1,4 @@
-"""What the effects on touches of a plate share: they are the sensor's, not the robot's."""
+"""Shared by effects on touches of a plate: errors of the sensor, not of the robot."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from parallel_cal.model.parameters import Named
 
 
 class Touch(Effect):
-    """An error of plate or tip, where a sensor reads how far they are apart."""
+    """An error of plate or tip, for sensors that measure the distance between them."""
 
     of_device = True
     reads: ClassVar[tuple[str, ...]] = ("probe", "plane")
@@ -20,5 +20,5 @@ class Touch(Effect):
 
 
 def explain_no_tilt(mechanism: Mechanism) -> str:
-    """What `Effect.applies` answers for an effect that only a platform that tilts can show."""
+    """Return why an effect that needs a tilting platform does not apply; empty if it does."""
     return "" if {"rx", "ry"} & {*mechanism.moves} else "the platform does not tilt"

@@ -1,4 +1,4 @@
-"""Play between encoder and arm: the arm lags behind, on the side it came from."""
+"""Backlash between encoder and arm: the arm lags behind on the side from which it came."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ SIZE = {"rad": (0.3e-3, 3e-3), "m": (20e-6, 0.2e-3)}  # tolerance and what no re
 
 
 class Backlash(Effect):
-    """q_ideal = q - width / 2 * direction for every joint, direction of the last motion."""
+    """q_ideal = q - width / 2 * direction for every joint; direction of the last motion."""
 
     needs = ("direction",)
     physics = "Backlash in a gear: the arm stops half the backlash short of the motor's encoder."

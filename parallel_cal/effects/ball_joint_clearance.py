@@ -1,4 +1,4 @@
-"""Play in ball joints: a pulled rod reaches further than a pushed one."""
+"""Clearance of ball joints: a rod in tension reaches further than a rod in compression."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ from parallel_cal.model.parameters import Named, Parameter
 
 
 class BallJointClearance(Effect):
-    """L_ideal = L + play * tanh(tension / force) for every rod, one play (m) for all.
+    """L_ideal = L + play * tanh(tension / force) for every rod, with one `play` (m) for all.
 
-    `play` is both joints' together from the middle to one side; `force` (N) is the tension that
-    seats them, known, not identified. Where every rod is always pulled (or pushed) well beyond
-    it, the play acts like the rods' lengths and cannot be seen.
+    `play` is the clearance of both joints of a rod, from the centre to one side. `force` (N) is
+    the tension that seats the joints; it is known, not identified. If every rod is always in
+    tension (or compression) well beyond `force`, the clearance cannot be distinguished from the rods'
+    lengths.
     """
 
     needs = ("payload",)

@@ -1,4 +1,4 @@
-"""A base that leans under the robot's own weight, which the platform carries from side to side."""
+"""A base that tilts under the robot's own weight, which the platform moves from side to side."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from parallel_cal.model.parameters import Named, Parameter
 class BaseCompliance(Effect):
     """r_shown = W r, R_shown = W R, W = exp(w), w_i = lean_i (r x g)_i / |g|.
 
-    r x g / |g| (m) is the lever arm at which the moving weight hangs on {B}; `lean` (rad/m) is that
-    weight times the base's compliance in turning about axis i. Where the weight changes, so does
-    the lean: that is `payload_sag`. Against its own base the robot stays right.
+    r x g / |g| (m) is the lever arm of the moving weight on {B}. `lean` (rad/m) is that weight
+    times the rotational compliance of the base about axis i. If the weight changes, the tilt
+    changes: that is `payload_sag`. Relative to its own base, the robot's poses are correct.
     """
 
     of_device = True
@@ -44,7 +44,7 @@ class BaseCompliance(Effect):
 
 
 def _find_leaning_axes(mechanism: Mechanism) -> list[str]:
-    """Axes about which moving the weight turns the base, where the platform feels that."""
+    """Return the axes about which the moving weight tilts the base and moves the platform."""
     ways = [np.eye(3)[AXES.index(a)] for a in find_translation_axes(mechanism)]
     levers = np.abs(np.cross(np.reshape(ways, (-1, 3)), mechanism.gravity)).sum(axis=0)
     return [

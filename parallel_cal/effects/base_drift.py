@@ -1,4 +1,4 @@
-"""Base or measuring device that creeps during the session: the whole picture moves with time."""
+"""A base or measuring device that moves slowly during the session."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from parallel_cal.model.parameters import Named, Parameter
 class BaseDrift(Effect):
     """r_shown = r + (v + w x r) t, R_shown = exp(w t) R, t (s) since the recording began.
 
-    v (m/s) and w (rad/s) of {B} as the device sees it, about axes of {B}; only what moves the
-    platform along or about a coordinate that it has.
+    v (m/s) and w (rad/s) are the motion of {B} as the device sees it, about axes of {B}. Only the
+    components that change a coordinate of the platform are parameters.
     """
 
     needs = ("time",)

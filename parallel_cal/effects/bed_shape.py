@@ -1,4 +1,4 @@
-"""A plate that is not flat: what is touched lies higher or lower than the plane through it."""
+"""A plate that is not flat: touched points are above or below its mean plane."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ SIZE = {2: ("1/m", 10e-3, 0.1), 3: ("1/m^2", 0.1, 1.0)}  # tolerance and what no
 class BedShape(Touch):
     """r_ideal = r - z * sum of h_ij x^i y^j over 2 <= i + j <= 3, (x, y) of the tip in {B}.
 
-    h_xx (1/m) to h_yyy (1/m^2): to a flat plate the tip would be nearer by what this one is higher.
-    A Delta whose radius or rods are wrong bends its own plane, too.
+    h_xx (1/m) to h_yyy (1/m^2): where this plate is higher than a flat plate, the tip is nearer to
+    it. Wrong radii or rods of a Delta curve its measured plane as well.
     """
 
     physics = (

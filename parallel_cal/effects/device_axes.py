@@ -1,4 +1,4 @@
-"""A measuring device whose axes are neither quite square nor quite to one scale."""
+"""A measuring device whose axes are not exactly square and not exactly to one scale."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ AXES = "xyz"
 
 
 class DeviceAxes(Effect):
-    """r_ideal = r + E r, E upper triangular: scale_i on the diagonal, square_ij (rad) beside it.
+    """r_ideal = r + E r, E upper triangular: scale_i on the diagonal, square_ij (rad) above it.
 
-    square_ij is how far the device's axis j leans towards i. The scale of the last axis is the
-    standard for the others: all scales together are no more than another metre, and lengths and
-    the gains of sliding joints take its place.
+    square_ij is the tilt of the device's axis j towards i. The scale of the last axis is the
+    standard for the others: a common scale of all axes cannot be distinguished from all lengths and
+    the gains of prismatic joints.
     """
 
     of_device = True

@@ -1,4 +1,4 @@
-"""A device or base that was knocked: from one moment on the whole picture is somewhere else."""
+"""A device or base that was bumped: from one moment on, all poses are shifted."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ MOMENTS = 20  # tried, with equally many samples between them
 
 
 class DeviceBump(Effect):
-    """From `time` (s) on r_shown = r + v + w x r, R_shown = exp(w) R; before it nothing.
+    """From `time` (s) on r_shown = r + v + w x r, R_shown = exp(w) R; before it, no change.
 
-    v (m) and w (rad) about axes of {B}. `time` counts as the samples' does: known from the
+    v (m) and w (rad) are about axes of {B}. `time` is on the clock of the samples: known from the
     logbook, or found by `scan`.
     """
 
@@ -43,7 +43,7 @@ class DeviceBump(Effect):
     def scan(
         self, mechanism: Mechanism, recorded: Mapping[str, Any]
     ) -> Iterator[Mapping[str, float]]:
-        """Moments between two samples, all over the session."""
+        """Return moments between two samples, spread over the session."""
         times = np.unique(recorded["time"])
         if len(times) < 2:
             return iter(())

@@ -1,4 +1,4 @@
-"""A measuring device whose space is bent: light that curves, slides that are not straight."""
+"""A measuring device whose space is distorted: refracted light, slides that are not straight."""
 
 from __future__ import annotations
 

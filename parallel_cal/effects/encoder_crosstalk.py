@@ -1,4 +1,4 @@
-"""Joints that are not independent: one's reading changes as its neighbour turns."""
+"""Joints that are not independent: a reading changes when the neighbouring joint moves."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class EncoderCrosstalk(Effect):
 
 
 def neighbours(mechanism: Mechanism) -> list[tuple[str, str]]:
-    """Pairs of a joint and one beside it, each once."""
+    """Return the pairs of a joint and its neighbour, each once."""
     joints = mechanism.joints
     beside = {k: (joints[k - 1], joints[(k + 1) % len(joints)]) for k in range(len(joints))}
     return list(dict.fromkeys((joints[k], j) for k, pair in beside.items() for j in pair))

@@ -1,4 +1,4 @@
-"""A spindle, belt or scale whose pitch is not what it says: an error that grows with travel."""
+"""A scale error: a spindle, belt or scale with a wrong pitch; the error grows with travel."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ SIZE = {"rad": (0.5e-3, 5e-3), "m": (0.1e-3, 1e-3)}  # tolerance and what no rea
 
 
 class EncoderGain(Effect):
-    """q_ideal = q + gain * q for every joint: where the reading is zero, it stays zero."""
+    """q_ideal = q + gain * q for every joint; a zero reading stays zero."""
 
     family = SMOOTH
     physics = (

@@ -15,10 +15,11 @@ ORDERS = range(3, 9)  # 1 and 2 have causes, and files, of their own; above, pol
 
 
 class EncoderHarmonic(Harmonic):
-    """q_ideal = q + sin * sin(order q) + cos * cos(order q) for every joint that turns (rad).
+    """q_ideal = q + sin * sin(order q) + cos * cos(order q) for every revolute joint (rad).
 
-    One whole `order` for all joints: given (the number of screws, of pole pairs), or found by
-    `scan`. A gear's ripple need not come round in a turn of the joint, and has overtones.
+    One integer `order` for all joints: known (the number of screws or pole pairs), or found by
+    `scan`. The ripple of a gear does not have to repeat once per turn of the joint, and it has
+    harmonics: that is `gear_transmission_error`.
     """
 
     fixed = ("order",)

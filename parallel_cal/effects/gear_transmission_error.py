@@ -1,4 +1,4 @@
-"""Teeth of a gear that are not all alike: a ripple at the gear's ratio and twice that."""
+"""Unequal gear teeth: a ripple at the gear's ratio and at twice the ratio."""
 
 from __future__ import annotations
 
@@ -82,10 +82,10 @@ class GearTransmissionError(Effect):
             yield {"ratio": float(ratio)}
 
     def multiples(self, setting: Mapping[str, float]) -> Iterator[Mapping[str, float]]:
-        """Twice the ratio: what comes once per input turn is the second harmonic of a half."""
+        """Return twice the ratio: an error once per input turn is its second harmonic."""
         if 2 * setting["ratio"] <= RATIOS[1]:
             yield {"ratio": 2 * setting["ratio"]}
 
     def period(self, setting: Mapping[str, float]) -> float:
-        """A turn of the gear's input."""
+        """Return one turn of the gear's input."""
         return 2 * np.pi / setting["ratio"]

@@ -19,8 +19,8 @@ WIDTH = {"rad": 20e-3, "m": 0.3e-3}  # of travel, until most of the lag has buil
 class Hysteresis(Effect):
     """q_ideal = q - lag * tanh(travel / width) for every joint, travel since its last reversal.
 
-    `width` is a number to be given, or found by `scan`: over ways much longer than it the lag
-    is that of a backlash of 2 lag.
+    `width` is known, or found by `scan`. For moves much longer than `width`, the lag cannot be
+    distinguished from a backlash of 2 lag.
     """
 
     needs = ("travel",)
@@ -56,7 +56,7 @@ class Hysteresis(Effect):
     def scan(
         self, mechanism: Mechanism, recorded: Mapping[str, Any]
     ) -> Iterator[Mapping[str, float]]:
-        """Widths in steps of a factor 3: nearer ones cannot be told apart by their shape."""
+        """Return widths in steps of a factor of 3: closer widths have nearly the same shape."""
         joints = list(zip(mechanism.joints, mechanism.joint_units, strict=True))
         for factor in (1, 1 / 3, 1 / 9):
             yield {f"{joint}.width": factor * WIDTH[unit] for joint, unit in joints}

@@ -1,4 +1,4 @@
-"""Drives that give way under load: shafts and gears twist, spindles are compressed."""
+"""Drives that deflect under load: shafts and gears twist, spindles are compressed."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ SIZE = {"rad": ("rad/(N m)", 1e-3, 1e-2), "m": ("m/N", 1e-6, 1e-5)}
 
 
 class JointCompliance(Effect):
-    """q_ideal = q + compliance * torque, the torque (Nm or N) that weight exerts on the joint.
+    """q_ideal = q + compliance * torque, the torque (Nm or N) of the weights on the joint.
 
-    The payload and `mass.platform` act at {P}'s origin; with phi(q, x, p) = 0 the torque is
-    -(dphi/dq)^T lambda, (dphi/dx)^T lambda = the weight's wrench; parts act on q and x.
+    The payload and `mass.platform` act at the origin of {P}. With phi(q, x, p) = 0 the torque is
+    -(dphi/dq)^T lambda, (dphi/dx)^T lambda = the wrench of the weights; parts act on q and x.
     """
 
     needs = ("payload",)

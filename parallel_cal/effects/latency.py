@@ -1,4 +1,4 @@
-"""Poses stamped later than they were taken: in motion the joints are already further on."""
+"""Poses stamped later than they were measured: in motion, the joints have moved on."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from parallel_cal.model.parameters import Named, Parameter
 
 
 class Latency(Effect):
-    """q_ideal = q - delay * velocity for every joint, one delay (s) for all.
+    """q_ideal = q - delay * velocity for every joint, with one delay (s) for all.
 
-    A pose stamped t was taken at t - delay; a negative delay says that the joints are late.
+    A pose stamped t was measured at t - delay; if the delay is negative, the joints are late.
     """
 
     needs = ("velocity",)

@@ -1,4 +1,4 @@
-"""Lines that give under load: the platform hangs lower than inextensible lines would hold it."""
+"""Lines that stretch under load: the platform is lower than with inextensible lines."""
 
 from __future__ import annotations
 

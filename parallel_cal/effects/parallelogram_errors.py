@@ -1,4 +1,4 @@
-"""Parallelograms that are none: the model in which the platform is not held parallel."""
+"""Imperfect parallelograms: the larger model, in which the platform may rotate."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from parallel_cal.model.shelf import load_mechanism
 
 
 class ParallelogramErrors(Effect):
-    """The next larger model in place of this one (24 -> 54: set P1, eq. 3.14), equal at first.
+    """The next larger model instead of this one (24 -> 54: set P1, eq. 3.14), at first equal to it.
 
-    It has no numbers of its own: those of the larger mechanism are what is added, and the way
-    back is the model file from before.
+    The effect has no parameters of its own: the larger mechanism has additional ones. To undo it,
+    go back to the model file from before.
     """
 
     widens = True

@@ -1,4 +1,4 @@
-"""A frame that gives way: robot and base together sag under what the platform carries."""
+"""A frame that deflects: robot and base sag under the payload."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from parallel_cal.model.parameters import Named, Parameter
 class PayloadSag(Effect):
     """r_shown = W r + settle * F, R_shown = W R, W = exp(tilt * (r x F)), F = payload * g.
 
-    `settle` (m/N): the frame sinks; `tilt` (rad/(N m)): it leans by the weight's moment about
-    {B}'s origin. Seen by a device that stands beside the frame, not on it.
+    `settle` (m/N): the frame sinks. `tilt` (rad/(N m)): it tilts by the moment of the weight about
+    the origin of {B}. The device sees this if it stands on the floor, not on the frame.
     """
 
     needs = ("payload",)

@@ -1,4 +1,4 @@
-"""A tip that is not where the model has it on the platform: tilting swings it up or down."""
+"""A tip at another point of the platform than in the model: tilting moves it up or down."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A length gauge that does not stand upright on the platform: it measures along a slant."""
+"""A length gauge that is not perpendicular to the platform: it measures along a tilted line."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from parallel_cal.model.sensor import point_on_platform
 
 
 class ProbeTilt(Touch):
-    """R_ideal = R exp(tilt), turned about the tip: tilt of the stem about x and y of {P}, rad.
+    """R_ideal = R exp(tilt) about the tip: tilt of the stem about x and y of {P}, rad.
 
-    For a gauge that is mounted on the platform (option of the sensor `probe`). Where the platform
-    does not tilt the way to the plate grows by tilt^2 / 2 only, which cannot be seen.
+    For a gauge that is mounted on the platform (option of the sensor `probe`). If the platform does
+    not tilt, the distance to the plate grows only by tilt^2 / 2, which cannot be identified.
     """
 
     reads = ("probe",)

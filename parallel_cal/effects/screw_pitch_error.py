@@ -19,8 +19,8 @@ LEADS = (1e-3, 25e-3)  # m, of spindles that drive robots
 class ScrewPitchError(Effect):
     """q_ideal = q + sin * sin(2 pi q / lead) + cos * cos(2 pi q / lead) + bend * q^2 (m).
 
-    For every joint that slides; one `lead` (m) for all, known from the screw's catalogue or found
-    by `scan`. A pitch that is wrong by the same share everywhere is `encoder_gain`.
+    For every prismatic joint, with one `lead` (m) for all: known from the screw's data sheet, or
+    found by `scan`. A pitch that is wrong by a constant factor is `encoder_gain`.
     """
 
     fixed = ("lead",)
@@ -65,7 +65,7 @@ class ScrewPitchError(Effect):
             yield {"lead": float(1 / turns)}
 
     def period(self, setting: Mapping[str, float]) -> float:
-        """The lead: a turn of the screw."""
+        """Return the lead: one turn of the screw."""
         return setting["lead"]
 
 

@@ -1,4 +1,4 @@
-"""Line winding on itself: a spool grows with the line it holds and shrinks as it lets it out."""
+"""Layers of line on a spool: its radius grows with the line that it holds."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A measured point that is not the platform's origin: it swings round as the platform turns."""
+"""A measured point that is not the platform's origin: it moves when the platform rotates."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ AXES = "xyz"
 class TargetOffset(Effect):
     """r_shown = r + R o: the device shows the point o (m) of {P} instead of its origin.
 
-    Points of the platform that are free parameters move along with o and hide it: keep them
-    fixed. An offset along the only axis that the platform turns about is a shift, not felt.
+    Free parameters for points of the platform cannot be distinguished from o: keep them fixed. An
+    offset along the only axis of rotation is a constant shift and has no effect.
     """
 
     of_device = True

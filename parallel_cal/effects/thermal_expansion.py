@@ -1,4 +1,4 @@
-"""Bodies that grow as they warm up."""
+"""Bodies that expand with temperature."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from parallel_cal.model.parameters import Named, Parameter
 
 
 class ThermalExpansion(Effect):
-    """L_ideal = L (1 + alpha (T - T0)) for every length of a body, alpha (1/K) one a body.
+    """L_ideal = L (1 + alpha (T - T0)) for every length of a body, with one alpha (1/K) per body.
 
-    T0 is `reference` (degC): at another one the lengths are others, nothing else.
+    T0 is `reference` (degC). Another T0 changes the lengths, and nothing else.
     """
 
     needs = ("temperature",)

@@ -1,4 +1,4 @@
-"""Joints that were homed anew between two recordings: their zeros are not where they were."""
+"""Joints that were homed again between two recordings: their zeros have shifted."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ SIZE = {"rad": (0.5e-3, 5e-3), "m": (50e-6, 0.5e-3)}  # tolerance and what homin
 
 
 class ZeroShift(Effect):
-    """q_ideal = q + sum of since_k over the sessions k = 1, 2, 3 that have begun, every joint.
+    """q_ideal = q + sum of since_k over the sessions k = 1, 2, 3 that have begun, for every joint.
 
-    `since1` shifts the second session and those after it. Free `since2` and `since3` where
-    there are a third and a fourth session: a shift that no sample feels cannot be identified.
+    `since1` shifts the second session and those after it. Free `since2` and `since3` if there are a
+    third and a fourth session: a shift that affects no sample cannot be identified.
     """
 
     needs = ("session",)

@@ -14,8 +14,10 @@ from parallel_cal.model.sensor import Sensor, point_on_platform, point_parameter
 
 @dataclass(frozen=True)
 class BallBar(Sensor):
-    """Distance (m) from `centre` in {B} to `tip` in {P}; the centre is found, as is the
-    bar's zero error where `offset` is freed."""
+    """Distance (m) from `centre` in {B} to `tip` in {P}.
+
+    The centre is identified. The zero error of the bar is identified if `offset` is free.
+    """
 
     centre: tuple[float, float, float]
     tip: tuple[float, float, float] = (0.0, 0.0, 0.0)

@@ -1,4 +1,4 @@
-"""What the pose device's certificate says: how far it may err, and what it may be blamed for."""
+"""The accuracy of the pose device from its certificate, as tolerances of its effects."""
 
 from __future__ import annotations
 
@@ -25,9 +25,20 @@ REFERENCE_ACCURACY_M = 20e-6  # m: the device that the catalogue's tolerances of
 
 @dataclass(frozen=True)
 class Certificate(Sensor):
-    """The `kind` of device (one of KINDS), or its own `volumetric_accuracy` (m, 1 sigma) and
-    `scale` (1): tolerances of `device_field`, `device_axes` and `base_drift` are what makes as
-    much of an error at the workspace's corner."""
+    """Accuracy of the pose device: its `kind`, or `volumetric_accuracy` and `scale`.
+
+    The tolerances of `device_field`, `device_axes` and `base_drift` are set so that each causes
+    this error at the corner of the workspace.
+
+    Parameters
+    ----------
+    kind : str
+        One of `KINDS`. Default: not stated.
+    volumetric_accuracy : float, optional
+        Standard deviation of a position, m. Default: that of the kind.
+    scale : float, optional
+        Standard deviation of the scale, 1. Default: that of the kind.
+    """
 
     kind: str = ""
     volumetric_accuracy: float | None = None

@@ -79,7 +79,7 @@ def _parameter(name: str) -> Parameter:
 
 
 def _frame(s: Named, name: str, position: Any, quaternion: Any) -> tuple[Any, Any]:
-    """Nominal frame, shifted and turned by what parameters there are; the rest is zero."""
+    """Return the nominal frame, shifted and rotated by its parameters; missing ones are zero."""
 
     def part(coordinates: tuple[str, ...]) -> Any:
         return ca.vertcat(*[s.get(f"{name}.{c}", 0) for c in coordinates])

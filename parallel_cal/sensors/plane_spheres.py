@@ -65,7 +65,7 @@ class PlaneSpheres(Sensor):
         return [*plane, *spheres, *point_parameters("tip", self.tip, 1 * MM)]
 
     def readings(self, r: Any, R: Any, s: Named) -> Any:
-        """Distance of the tip from the plane and from each sphere (m): 0 where it is tied."""
+        """Return the distance of the tip from the plane and each sphere (m); 0 if constrained."""
         turn = cayley(ca.vertcat(s["plane.rx"], s["plane.ry"], 0))
         local = turn.T @ (point_on_platform(r, R, s) - ca.vertcat(0, 0, s["plane.z"]))
         spheres = [

@@ -1,4 +1,4 @@
-"""A printed part that was measured: where its ends are along x and y."""
+"""A measured printed part: the positions of its ends along x and y."""
 
 from __future__ import annotations
 
@@ -15,8 +15,10 @@ from parallel_cal.model.sensor import Sensor
 
 @dataclass(frozen=True)
 class Printed(Sensor):
-    """How far {P} is `along` x, y or both (`xy`) of {B} from a part's middle, which is found: an
-    end lies half the measured length from it (m)."""
+    """Position of {P} `along` x, y or both (`xy`) of {B}, from the middle of a printed part (m).
+
+    The middle is identified: an end is half the measured length away from it.
+    """
 
     along: str = "x"
     sigma: float = 20e-6

@@ -15,10 +15,10 @@ from parallel_cal.model.sensor import Sensor, point_on_platform, point_parameter
 
 @dataclass(frozen=True)
 class Probe(Sensor):
-    """Height (m) of `tip` in {P} above the plate z = `height` of {B}, tilt and height unknown.
+    """Height (m) of `tip` in {P} above the plate z = `height` of {B}, whose pose is unknown.
 
-    Along the plate's normal, or where the gauge is `mounted` on the platform along z of {P}.
-    `sigma` (m) is what its readings scatter by, 1 sigma; None where nobody stated it.
+    The height is along the normal of the plate, or along z of {P} if the gauge is `mounted` on the
+    platform. `sigma` (m) is the standard deviation of a reading; None if not stated.
     """
 
     height: float
