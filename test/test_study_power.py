@@ -21,7 +21,7 @@ from parallel_cal.model.file.modelfile import dump_model, write_model
 from parallel_cal.model.model import Noise, new_model
 from parallel_cal.recordings.options import ReadOptions
 from parallel_cal.recordings.simulate import simulate, with_noise
-from parallel_cal.reporting.studies import format_power, power_page
+from parallel_cal.reporting.studies import format_power, power_page, power_remarks
 from parallel_cal.study import power as study
 from parallel_cal.study.planned_session import planned_session
 from parallel_cal.study.power import (
@@ -335,3 +335,18 @@ def test_robots_built_another_way_are_found_out_where_the_study_says_so(tmp_path
             found = diagnose(model, seen(seed, n_poses=40, n_replicates=8, effects=hidden))
             names = {n for name in found.effects for n in (name, *found.swaps.get(name, ()))}
             assert ("backlash" in names) is right
+
+
+def test_remarks_name_what_cannot_be_tested_but_not_what_does_not_apply():
+    found = study.Power(
+        Question("", seen(0, n_poses=8)),
+        (
+            Detectable("base_drift", "no time was recorded"),
+            Detectable("spool_buildup", "cannot occur: no cables", applies=False),
+        ),
+        0,
+        Counter(),
+    )
+    remarks = "\n".join(power_remarks(found))
+    assert "base_drift: no time was recorded" in remarks
+    assert "spool_buildup" not in remarks

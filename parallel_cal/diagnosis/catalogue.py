@@ -30,11 +30,12 @@ from parallel_cal.recordings.dataset import Dataset
 
 @dataclass(frozen=True)
 class Candidate:
-    """One effect on these data: its score, or why it cannot have one.
+    """One effect on these data: its score, or the reason why it has none.
 
     `settings` are its fixed numbers as scanned, `tried` how many were, `sigma` how uncertain those
-    are that were refined; `missing` conditions were not recorded, `reason` says what else stands
-    against it. `scene` is the one it was scored in: a larger model has one of its own.
+    are that were refined. `applies` is False if this robot's model cannot have the effect,
+    `missing` conditions were not recorded, `reason` says what else stands against it. `scene` is
+    the one it was scored in: a larger model has one of its own.
     """
 
     name: str
@@ -46,6 +47,7 @@ class Candidate:
     missing: tuple[str, ...] = ()
     reason: str = ""
     sigma: Mapping[str, float] = field(default_factory=dict)
+    applies: bool = True
 
     @property
     def testable(self) -> bool:
@@ -141,11 +143,11 @@ def candidate(scene: Scene, name: str) -> Candidate:
     """The score of one effect, the best of its settings where it has any to scan."""
     effect = load_effect(name)
     if reason := effect.applies(scene.model.mechanism):
-        return Candidate(name, effect, reason=f"does not apply: {reason}")
+        return Candidate(name, effect, reason=f"does not apply: {reason}", applies=False)
     try:
         plain = scene.model.with_effect(name)
     except ModelError as error:
-        return Candidate(name, effect, reason=str(error))
+        return Candidate(name, effect, reason=str(error), applies=False)
     if missing := find_missing_conditions(plain, scene.dataset):
         reason = f"cannot be tested: no {' and no '.join(missing)} recorded"
         return Candidate(name, effect, missing=missing, reason=reason)

@@ -254,7 +254,7 @@ def power_remarks(found: Power) -> Iterator[str]:
             f"large as predicted (median of {len(ratios)} effects)"
         )
     for one in found.effects:
-        if one.reason.startswith("cannot"):
+        if one.reason and one.applies:
             yield f"{one.effect}: {one.reason}"
         called = sum((Counter(size.called) for size in one.tried), Counter[str]())
         for name, n in called.items():

@@ -68,7 +68,8 @@ class SizeResult:
 class Detectable:
     """An effect at these poses: sizes (rms of its numbers, in tolerances) that a diagnosis should
     find in 50 % and 90 % of sessions by its first test alone, sizes tried; or why it cannot be
-    found. `number` is one of its numbers, with unit and tolerance."""
+    found (`applies` is False if the robot's model cannot have it). `number` is one of its numbers,
+    with unit and tolerance."""
 
     effect: str
     reason: str = ""
@@ -77,6 +78,7 @@ class Detectable:
     tolerance: float = 0.0
     predicted: tuple[float, float] = (np.nan, np.nan)
     tried: tuple[SizeResult, ...] = ()
+    applies: bool = True
 
     def smallest(self, share: float) -> SizeResult | None:
         """The smallest size tried that this share of sessions finds, and of all larger ones."""
@@ -265,7 +267,7 @@ def predict_detectability(question: Question, one: Candidate, level: float) -> D
     """Sizes at which the F test of an effect's columns off the geometry is passed at a level in 50
     and 90 % of sessions: it is noncentral F of lambda = |(1 - B B^T) J e|^2 for numbers e."""
     if not one.testable or one.scene is None or one.score is None:
-        return Detectable(one.name, one.reason)
+        return Detectable(one.name, one.reason, applies=one.applies)
     from scipy.stats import f, ncf
 
     model, scene, q = model_of(question.model), one.scene, one.score.q
