@@ -359,7 +359,9 @@ def test_a_tracker_s_frame_is_registered_as_on_the_command_line_and_it_is_said(f
     result = full.identified(model_file=full.fresh_model("away.yaml"), hold_out=0.25)
     assert result.success, result.message
     assert result.held_out_after < 35e-6
-    assert "where it stands is found from the samples" in " ".join(full.status.warnings)
+    assert "the transform between them is estimated from the samples" in " ".join(
+        full.status.warnings
+    )
     full.client.wait(
         lambda: any("'tracker' was registered to 'base'" in w for w in full.status.warnings),
         "the registration",

@@ -105,7 +105,9 @@ def test_a_function_of_the_library_solves_with_one_thread(call, data, solves):
     check_one_thread(solves)
 
 
-@pytest.mark.parametrize("part", ["field", "residual_profiles", "regions", "structure", "odd_samples"])
+@pytest.mark.parametrize(
+    "part", ["field", "residual_profiles", "regions", "structure", "odd_samples"]
+)
 def test_what_a_comparison_computes_when_it_is_asked_is_solved_with_one_thread(part, data, solves):
     compared = pc.compare(MODEL, data)
     solves.clear()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import time
 from collections import deque
 from contextlib import suppress
@@ -26,6 +25,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from parallel_cal.base.errors import ParallelCalError
+from parallel_cal.base.keyed_warning import KeyedWarning, warning_key
 from parallel_cal.campaign.cell import Sample
 from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.model.model import Model
@@ -343,8 +343,8 @@ class CalibrationNode(ManagedNode):
     def _warn(self) -> None:
         """Tell what was not told at the last look, in log and status."""
         before, self._warnings = self._warnings, self._suspicions()
-        known = {_without_numbers(text) for text in before}
-        new = [text for text in self._warnings if _without_numbers(text) not in known]
+        known = set(map(warning_key, before))
+        new = [text for text in self._warnings if warning_key(text) not in known]
         for text in new:
             self._event = text
             self.get_logger().warning(text)
@@ -381,11 +381,14 @@ class CalibrationNode(ManagedNode):
         said += self._collector.warnings()
         frame, base = self._collector.frame, self._base
         if frame and base and frame != base:
-            said.append(
-                f"the poses are in frame '{frame}', the model's base is '{base}': where it stands "
-                "is found from the samples, unless TF tells it"
+            words = (
+                f"the poses are in frame '{frame}', the model's base is '{base}': the transform "
+                "between them is estimated from the samples, unless TF provides it"
             )
-        return [*said, self._calibrator.registered] if self._calibrator.registered else said
+            said.append(KeyedWarning(words, "frame", f"{frame} {base}"))
+        if registered := self._calibrator.registered:
+            said.append(KeyedWarning(registered, "registration"))
+        return said
 
     def _refresh(self) -> None:
         self._process_messages()
@@ -513,11 +516,6 @@ class CalibrationNode(ManagedNode):
         self._campaigning.action.close()
         self._calibrator.close()
         super().destroy_node()
-
-
-def _without_numbers(text: str) -> str:
-    """The same warning with another count is not told again."""
-    return re.sub(r"[-+]?[0-9.]+", "#", text)
 
 
 def _modified(path: str) -> int | None:

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from statistics import median
 
+from parallel_cal.base.keyed_warning import KeyedWarning
 from parallel_cal.nodes.gate import (
     MAX_STAMP_JUMP_NS,
     MIN_AGREEING_MESSAGES,
@@ -130,16 +131,18 @@ class ClockAlignment:
         by = round(median(a for a in map(self._distance, held) if a is not None))
         by -= round(median(self._apart))
         self._moved += by
-        self.trouble = (
+        words = (
             f"{self._name}: its clock or that of the joints was set by {by * 1e-9:+.3f} s; its "
             f"stamps are moved by {-self._moved * 1e-9:+.3f} s"
         )
+        self.trouble = KeyedWarning(words, "clock set", self._name)
         return [self._release(one) for one in held]
 
     def _stray(self, n: int) -> None:
         if n:
             self.strays += n
-            self.trouble = (
+            words = (
                 f"{self._name}: {self.strays} messages dropped whose stamps are more than a second "
                 "nearer to those of the joints, or further off, than before"
             )
+            self.trouble = KeyedWarning(words, "stamps off the joints'", self._name)

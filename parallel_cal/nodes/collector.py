@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from parallel_cal.base.errors import DatasetError
+from parallel_cal.base.keyed_warning import KeyedWarning
 from parallel_cal.nodes.clock_alignment import ClockAlignment, JointClock
 from parallel_cal.nodes.gate import Gate, StampedMessage
 from parallel_cal.nodes.inbox import Inbox
@@ -138,11 +139,15 @@ class Collector:
         """Whatever makes the samples suspicious: a sentence each."""
         made = [inbox.dataset for inbox in self._inboxes if inbox.dataset is not None]
         said = [warning for dataset in made for warning in dataset.warnings]
-        left_out = Counter[str]()
+        dropped = Counter[str]()
         for dataset in made:
             for item in dataset.dropped:
-                left_out[item.reason] += item.count
-        said += [f"{n} dropped: {why}" for why, n in left_out.items() if n >= MIN_DROPS_TO_WARN]
+                dropped[item.reason] += item.count
+        said += [
+            KeyedWarning(f"{n} dropped: {why}", "dropped", why)
+            for why, n in dropped.items()
+            if n >= MIN_DROPS_TO_WARN
+        ]
         said += [inbox.misfit for inbox in self._inboxes if inbox.misfit]
         said += [watch.trouble for watch in self._watches if watch.trouble]
         return list(dict.fromkeys(said))

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from parallel_cal.base.keyed_warning import KeyedWarning
 from parallel_cal.nodes.sources import Source, Sources
 
 MAX_STAMP_JUMP_NS = (
@@ -23,6 +24,10 @@ PUBLISHER_TIMEOUT_NS = (
 MIXED_PUBLISHERS_HOLD_NS = (
     2_000_000_000  # ns after the last sign of two publishers in which nothing is taken
 )
+# Why messages are dropped.
+TWO_PUBLISHERS = "two publishers speak at once"
+NO_NEIGHBOUR = "fits neither what came before nor what came after"
+STAMP_JUMP = "stamp jump"
 
 
 @dataclass(frozen=True)
@@ -71,9 +76,9 @@ class Gate:
             return self._release(held) if self._has_agreement(last) else ()
         if held and said.source is not held[-1].source:
             self._mixed = log
-            self._stray(held, "two publishers speak at once")
+            self._stray(held, TWO_PUBLISHERS)
         else:
-            self._stray(held, "fits neither what came before nor what came after")
+            self._stray(held, NO_NEIGHBOUR)
         self._held = [said]
         return ()
 
@@ -92,13 +97,13 @@ class Gate:
         held = self._held
         if held and said.source is not held[-1].source:
             self._mixed = said.log
-            self._stray(held, "two publishers speak at once")
+            self._stray(held, TWO_PUBLISHERS)
             held = []
         elif held and _near(said, held[-1]):
-            self._stray(held[:-1], "fits neither what came before nor what came after")
+            self._stray(held[:-1], NO_NEIGHBOUR)
             return self._release([held[-1], said])
         elif held and said.stamp < held[-1].stamp:
-            self._stray(held, "fits neither what came before nor what came after")
+            self._stray(held, NO_NEIGHBOUR)
             held = []
         self._held = [*held, said]
         return self._release(self._held) if len(self._held) >= MIN_AGREEING_MESSAGES else ()
@@ -115,23 +120,24 @@ class Gate:
     def _release(self, said: list[StampedMessage]) -> Sequence[StampedMessage]:
         self._last, self._held = said[-1], []
         if self._mixed is not None and said[-1].log - self._mixed < MIXED_PUBLISHERS_HOLD_NS:
-            self._stray(said, "two publishers speak at once")
+            self._stray(said, TWO_PUBLISHERS)
             return ()
         return said
 
     def _drop_held(self, last: StampedMessage, now: int) -> None:
         if self._held[0].source is not last.source:
             self._mixed = now
-            self._stray(self._held, "two publishers speak at once")
+            self._stray(self._held, TWO_PUBLISHERS)
         else:
             off = (self._held[0].stamp - last.stamp) * 1e-9
-            self._stray(self._held, f"stamped {off:+.1f} s from those around it")
+            self._stray(self._held, STAMP_JUMP, f"stamped {off:+.1f} s from those around it")
         self._held = []
 
-    def _stray(self, said: Sequence[StampedMessage], why: str) -> None:
+    def _stray(self, said: Sequence[StampedMessage], kind: str, why: str = "") -> None:
         if said:
             self.strays += len(said)
-            self.trouble = f"{self._name}: {self.strays} messages dropped, the last {why}"
+            words = f"{self._name}: {self.strays} messages dropped, the last {why or kind}"
+            self.trouble = KeyedWarning(words, kind, self._name)
 
 
 def _near(one: StampedMessage, other: StampedMessage) -> bool:

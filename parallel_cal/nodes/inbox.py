@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from parallel_cal.base.errors import BagError, DatasetError, ParallelCalError, UnfitError
+from parallel_cal.base.keyed_warning import KeyedWarning
 from parallel_cal.recordings.channels import CHANNELS, list_channels
 from parallel_cal.recordings.cleaning import assemble
 from parallel_cal.recordings.clocks import align_clocks
@@ -111,7 +112,8 @@ class Inbox:
             self._adopt(dataset_from_recording(recording, options), recording.start_ns)
         except ParallelCalError as error:
             self.trouble = str(error)
-            self.misfit = self.trouble if isinstance(error, BagError | UnfitError) else ""
+            if isinstance(error, BagError | UnfitError):
+                self.misfit = KeyedWarning(self.trouble, "unusable messages", type(error).__name__)
         except Exception as error:  # a fault of ours must not end the collecting
             self.trouble = f"internal error: {error!r}"
 

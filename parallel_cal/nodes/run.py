@@ -26,6 +26,7 @@ from rclpy.node import Node
 from rclpy.task import Task
 
 from parallel_cal.base.errors import ParallelCalError
+from parallel_cal.base.keyed_warning import KeyedWarning
 from parallel_cal.base.threads import single_threaded
 
 T = TypeVar("T")
@@ -131,18 +132,21 @@ def foreign_publishers(node: Node) -> list[str]:
         for publisher in node.get_publishers_info_by_topic(listening.topic_name)
     }
     return [
-        f"{t} is published as {is_}, expected {be}" for t, is_, be in sorted(found) if is_ != be
+        KeyedWarning(f"{t} is published as {is_}, expected {be}", "foreign type", f"{t} {is_}")
+        for t, is_, be in sorted(found)
+        if is_ != be
     ]
 
 
 def rival_publishers(node: Node, topics: Iterable[str]) -> list[str]:
     """Topics that more than one node publishes on: nobody can say whose numbers are right."""
-    told = []
+    told = list[str]()
     for topic in map(node.resolve_topic_name, topics):
         found = node.get_publishers_info_by_topic(topic)
         names = ", ".join(sorted(f"{p.node_namespace.rstrip('/')}/{p.node_name}" for p in found))
         if len(found) > 1:
-            told.append(f"{topic} has {len(found)} publishers: {names}")
+            words = f"{topic} has {len(found)} publishers: {names}"
+            told.append(KeyedWarning(words, "several publishers", f"{topic} {names}"))
     return told
 
 

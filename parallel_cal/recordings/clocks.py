@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from parallel_cal.base.keyed_warning import KeyedWarning
 from parallel_cal.base.rotation import rotation_vector
 from parallel_cal.recordings.dwells import jitter, noise_span
 from parallel_cal.recordings.recording import Array, Bools, JointStream, PoseStream, Recording
@@ -61,7 +62,8 @@ def align_clocks(recording: Recording) -> Recording:
         "motion): the two clocks differ. The poses were moved to the joints' "
         "clock"
     )
-    return dataclasses.replace(recording, pose=pose, notes=(*recording.notes, note))
+    warning = KeyedWarning(note, "two clocks", pose.topic)
+    return dataclasses.replace(recording, pose=pose, notes=(*recording.notes, warning))
 
 
 def clock_offset(joints: JointStream, pose: PoseStream) -> Offset | None:

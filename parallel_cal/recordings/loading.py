@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from parallel_cal.base.errors import DatasetError, UnfitError
+from parallel_cal.base.keyed_warning import KeyedWarning
 from parallel_cal.base.progress import Progress
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.model.configuration import Configuration
@@ -170,19 +171,22 @@ def _position_suspicions(dataset: Dataset) -> list[str]:
     distance = np.linalg.norm(dataset.r, axis=1)[dataset.measured[:, :3].any(axis=1)]
     if not len(distance) or np.median(distance) <= MAX_POSITION_M:
         return []
-    return [
+    text = (
         f"the measured position looks like millimetres: median |r| = {np.median(distance):.4g}; "
         "expected metres. Publish metres (REP-103)"
-    ]
+    )
+    return [KeyedWarning(text, "unit", "measured position")]
 
 
 def _joint_suspicions(dataset: Dataset) -> list[str]:
     """A sentence for each joint that does not look like radians or metres."""
     travel = np.ptp(dataset.q, axis=0)  # of at least one sample, see samples_of
     return [
-        (
+        KeyedWarning(
             f"{name} looks like degrees or millimetres: its range is {width:.4g}; "
-            "expected rad or m (correct if the joint turns endlessly)"
+            "expected rad or m (correct if the joint turns endlessly)",
+            "unit",
+            name,
         )
         for name, width in zip(dataset.joint_names, travel, strict=True)
         if width > MAX_JOINT_TRAVEL_RAD
@@ -192,9 +196,11 @@ def _joint_suspicions(dataset: Dataset) -> list[str]:
 def _condition_suspicions(conditions: Mapping[str, Array]) -> list[str]:
     """A sentence for each condition that can hardly be in its unit."""
     return [
-        (
-            f"{name} does not look like {channel.unit}: it ranges from "
-            f"{values.min():.4g} to {values.max():.4g}; expected {low:g} to {high:g}"
+        KeyedWarning(
+            f"{name} does not look like {channel.unit}: it ranges from {values.min():.4g} to "
+            f"{values.max():.4g}; expected {low:g} to {high:g}",
+            "unit",
+            name,
         )
         for name, channel in CHANNELS.items()
         for low, high in [channel.plausible]

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from parallel_cal.base.errors import DatasetError
+from parallel_cal.base.keyed_warning import KeyedWarning
 from parallel_cal.recordings.channels import CHANNELS
 from parallel_cal.recordings.dwells import approach, still_tolerance
 from parallel_cal.recordings.options import SampleOptions
@@ -84,8 +85,9 @@ def _select_latest_values(stream: ScalarStream, time: Array, warnings: list[str]
     """The last value before each time; the first value, with a warning, before any."""
     index = np.searchsorted(stream.time, time, side="right") - 1
     if (index < 0).any():
-        warnings.append(
-            f"{stream.topic}: {int((index < 0).sum())} samples are earlier than its "
-            "first message and use that message's value"
+        text = (
+            f"{stream.topic}: {int((index < 0).sum())} samples are earlier than its first "
+            "message and use that message's value"
         )
+        warnings.append(KeyedWarning(text, "samples before first message", stream.topic))
     return stream.value[index.clip(0)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from parallel_cal.base.keyed_warning import KeyedWarning
 from parallel_cal.base.rotation import rotation_vector
 from parallel_cal.recordings.dwells import drift, still_intervals
 from parallel_cal.recordings.options import SampleOptions
@@ -52,11 +53,12 @@ def _too_slow(joints: JointStream, options: SampleOptions) -> list[str]:
     """A sentence if the readings come so rarely that short standstills look like motion."""
     if joints.period <= options.min_dwell:
         return []
-    return [
-        f"{joints.topic}: one message per {joints.period:.2g} s; only standstills "
-        f"of {10 * joints.period:.2g} s or more are detected reliably. Publish "
-        "faster, or stand still longer"
-    ]
+    text = (
+        f"{joints.topic}: one message per {joints.period:.2g} s; only standstills of "
+        f"{10 * joints.period:.2g} s or more are detected reliably. Publish faster, or stand still "
+        "longer"
+    )
+    return [KeyedWarning(text, "slow joint states", joints.topic)]
 
 
 def _min_pose_messages(windows: list[Dwell], options: SampleOptions, warnings: list[str]) -> int:
