@@ -284,9 +284,15 @@ def test_everything_is_a_session_that_the_workbench_opens(calibrated):
 def test_a_person_is_asked_for_the_load_that_the_robot_cannot_put_on_itself(tmp_path):
     cell = SimulatedCell("delta", 5, ["shaft_twist"])
     goal = Goal(60, payload=1.0)
-    one = Campaign(tmp_path, TEXT, goal, cell)
+    said = []
+    one = Campaign(tmp_path, TEXT, goal, cell, said.append)
     outcome = one.run()
-    assert cell.asked == ["bring payload to 1 kg (it is 0)", "bring payload to 0 kg (it is 1)"]
+    asked = [question for status in said for question in status.questions]
+    assert [(q.condition, q.value, q.unit) for q in asked] == [
+        ("payload", 1.0, "kg"),
+        ("payload", 0.0, "kg"),
+    ]
+    assert cell.asked == ["change payload from 0 to 1 kg", "change payload from 1 to 0 kg"]
     assert outcome.verdict == "explained"
     assert one.judgements[-1].effects == ("joint_compliance",)
 

@@ -64,3 +64,29 @@ def test_the_status_codes_are_the_documented_ones():
 
     names = "CONVERGED UNREACHABLE SINGULAR OUTSIDE_LIMITS NOT_CONVERGED INVALID_INPUT".split()
     assert [getattr(Solution, name) for name in names] == [0, 1, 2, 3, 4, 5]
+
+
+def test_a_status_carries_the_purpose_of_a_pose_and_typed_questions():
+    from parallel_cal_msgs.action import Calibrate
+    from parallel_cal_msgs.msg import CalibrationStatus, Question
+
+    asked = Question(condition="payload", value=2.0, present=0.0, unit="kg")
+    for message in (CalibrationStatus, Calibrate.Feedback):
+        status = message(state="asking", purpose="", questions=[asked])
+        assert there_and_back(status) == status
+        assert status.questions[0].value == 2.0
+
+
+def test_the_feedback_has_the_fields_that_a_campaign_tells_in_this_order():
+    from parallel_cal_msgs.action import Calibrate
+
+    fields = list(Calibrate.Feedback.get_fields_and_field_types())
+    assert fields == [
+        "state",
+        "reason",
+        "poses",
+        "error_unseen",
+        "verdict",
+        "purpose",
+        "questions",
+    ]

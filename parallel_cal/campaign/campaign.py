@@ -22,7 +22,14 @@ import numpy as np
 from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.base.files import MEGABYTE, append_lines, json_lines, open_locked
-from parallel_cal.campaign.cell import AbortRequested, Cell, Control, PauseRequested, Sample
+from parallel_cal.campaign.cell import (
+    AbortRequested,
+    Cell,
+    Control,
+    PauseRequested,
+    Question,
+    Sample,
+)
 from parallel_cal.campaign.checking import Checker, ImplausibleSample
 from parallel_cal.campaign.judging import (
     Conclusion,
@@ -83,14 +90,19 @@ class Goal:
 
 @dataclass(frozen=True)
 class Status:
-    """What is going on: one of STATES, why, how many samples there are, how far the best model is
-    off at unseen poses (m or rad, NaN while unknown), and the last verdict."""
+    """What the campaign is doing: one of STATES, the reason, the number of samples, the rms error
+    of the best model at the validation poses (m or rad, NaN while unknown) and the last verdict.
+
+    `purpose` is what the present pose is measured for (moving and sampling), `questions` are the
+    conditions that a person is asked to change (asking)."""
 
     state: str
     reason: str
     samples: int
     unseen: float
     verdict: str
+    purpose: str = ""
+    questions: tuple[Question, ...] = ()
 
 
 STATES = "planning moving sampling judging asking paused stopped done".split()
@@ -300,7 +312,9 @@ class Campaign:
     def _reasons(self) -> str:
         return "; ".join(dict.fromkeys(self.left_out.values()))
 
-    def _report_status(self, state: str, reason: str) -> None:
+    def _report_status(
+        self, state: str, reason: str, purpose: str = "", questions: tuple[Question, ...] = ()
+    ) -> None:
         last = self.judgements[-1] if self.judgements else None
         self._status = Status(
             state,
@@ -308,6 +322,8 @@ class Campaign:
             len(self.samples),
             last.validation_error if last else np.nan,
             last.verdict if last else "",
+            purpose,
+            questions,
         )
         self._tell(self._status)
 
@@ -341,13 +357,13 @@ class Campaign:
         """Go to a target and take its sample; WayError where no way may be driven."""
         stops = [np.array(q) for q in (*target.via, target.joints)]
         way = self._plan_path(self._get_current_joints(), stops)
-        self._report_status("moving", why)
+        self._report_status("moving", why, target.purpose)
         self._cell.move(
             plan_trajectory(way, self._guard.model.mechanism), self.control.check_interrupted
         )
         self._checker.check_arrived(self._cell.joints(), stops[-1])
         self._sent = stops[-1]
-        self._report_status("sampling", why)
+        self._report_status("sampling", why, target.purpose)
         return self._cell.sample(self.control.check_interrupted)
 
     def _get_current_joints(self) -> np.ndarray:
@@ -390,22 +406,19 @@ class Campaign:
         return self._guard.plan_path(here, stops)
 
     def _request_conditions(self, conditions: Mapping[str, float]) -> None:
-        """Ask a person for what is not so yet."""
+        """Ask a person to change the conditions that are not yet as wanted."""
         known = self._last.conditions if self._last else {}
-        other = {
-            name: value
+        questions = tuple(
+            Question(name, value, float(known[name][0]), ADJUSTABLE_CONDITIONS[name][1])
             for name, value in conditions.items()
             if name in known and abs(float(known[name][0]) - value) > ADJUSTABLE_CONDITIONS[name][0]
-        }
-        if not other:
-            return
-        words = "; ".join(
-            f"bring {name} to {value:.3g} {ADJUSTABLE_CONDITIONS[name][1]} "
-            f"(it is {known[name][0]:.3g})"
-            for name, value in other.items()
         )
-        self._report_status("asking", f"{words}, then continue")
-        self._cell.ask(words, other, self.control.check_interrupted)
+        if not questions:
+            return
+        words = "; ".join(map(str, questions))
+        self._report_status("asking", f"{words}, then continue", questions=questions)
+        wanted = {question.condition: question.value for question in questions}
+        self._cell.ask(words, wanted, self.control.check_interrupted)
         self._checker.mark_conditions_changed()
 
     # ------------------------------------------------------------------ what it comes to

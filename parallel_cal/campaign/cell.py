@@ -36,6 +36,19 @@ class Sample:
     start_ns: int = 0
 
 
+@dataclass(frozen=True)
+class Question:
+    """A condition that a person is asked to change: its present value, and the value wanted."""
+
+    condition: str
+    value: float
+    present: float
+    unit: str
+
+    def __str__(self) -> str:
+        return f"change {self.condition} from {self.present:.3g} to {self.value:.3g} {self.unit}"
+
+
 class Cell(Protocol):
     """A robot with its controller, and a device that measures its poses.
 

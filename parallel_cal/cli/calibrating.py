@@ -77,7 +77,7 @@ def calibrate(
             if status.state == "asking":
                 if cell is not None:
                     console.note("the virtual robot's owner does so at once")
-                    calibration.set_requested_conditions(status.reason)
+                    calibration.set_requested_conditions(status.questions)
                 elif sys.stdin.isatty():
                     console.note("press Enter when it is done")
                     while not asked and not select.select([sys.stdin], [], [], 0.1)[0]:

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import os
-import re
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
+from action_msgs.msg import GoalStatus
 from parallel_cal_msgs.action import Calibrate
-from parallel_cal_msgs.msg import CalibrationStatus
+from parallel_cal_msgs.msg import CalibrationStatus, Question
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
@@ -30,7 +30,6 @@ CELL = "virtual_cell_node"
 # s
 STOP_TIMEOUT_S = 30.0
 RESULT_TIMEOUT_S = 600.0
-CONDITION_REQUEST = re.compile(r"bring (\w+) to (\S+)")
 
 Hear = Callable[[Any], None]  # Calibrate.Feedback
 
@@ -53,6 +52,7 @@ class Calibration:
         self._model_file, self._namespace = model_file.resolve(), namespace
         self._simulated, self._folder = simulated, (folder or model_file.parent).resolve()
         self._interrupted, self._processes = interrupted, list[Process]()
+        self.cancelled = False  # whether the last run was cancelled
 
     def __enter__(self) -> Calibration:
         with ExitStack() as self._open:
@@ -125,7 +125,9 @@ class Calibration:
             if self._interrupted():
                 handle.cancel_goal_async()
                 self.client.wait(future.done, "the robot to stop", STOP_TIMEOUT_S)
-        return future.result().result
+        answer = future.result()
+        self.cancelled = answer.status == GoalStatus.STATUS_CANCELED
+        return answer.result
 
     @property
     def hidden(self) -> list[str]:
@@ -142,11 +144,11 @@ class Calibration:
         """Say that what was asked for is done."""
         self.client.call(Trigger, f"{CALIBRATION}/continue")
 
-    def set_requested_conditions(self, words: str) -> None:
-        """Do in the simulated cell what a person is asked for, and say so."""
+    def set_requested_conditions(self, questions: Iterable[Question]) -> None:
+        """Set the conditions of the simulated cell that a person is asked to change; confirm."""
         changes = [
-            Parameter(name, value=float(value)).to_parameter_msg()
-            for name, value in CONDITION_REQUEST.findall(words)
+            Parameter(question.condition, value=question.value).to_parameter_msg()
+            for question in questions
         ]
         self.client.call(SetParameters, f"{CELL}/set_parameters", parameters=changes)
         self.confirm_done()

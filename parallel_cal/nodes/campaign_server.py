@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from parallel_cal_msgs.action import Calibrate
-from parallel_cal_msgs.msg import CalibrationStatus
+from parallel_cal_msgs.msg import CalibrationStatus, Question
 from rclpy.callback_groups import CallbackGroup
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
@@ -176,7 +176,15 @@ class CampaignServer:
         def told(status: Status) -> None:
             with suppress(Exception):  # a context that ends is no reason to leave a robot moving
                 self._publish_status(status, folder)
-                tell(*vars(status).values())
+                tell(
+                    status.state,
+                    status.reason,
+                    status.samples,
+                    status.unseen,
+                    status.verdict,
+                    status.purpose,
+                    _question_messages(status),
+                )
 
         campaign = Campaign(folder, text, wanted, cell, told, work, control)
         try:
@@ -194,6 +202,8 @@ class CampaignServer:
             error_unseen=status.unseen,
             verdict=status.verdict,
             folder=str(folder),
+            purpose=status.purpose,
+            questions=_question_messages(status),
         )
         self._told.publish(self._status)
 
@@ -230,6 +240,10 @@ class CampaignServer:
             do(control, cell)
         response.message = words if response.success else "no robot is calibrating itself"
         return response
+
+
+def _question_messages(status: Status) -> list[Question]:
+    return [Question(**vars(question)) for question in status.questions]
 
 
 def _box(numbers: list[float]) -> Box:

@@ -94,10 +94,10 @@ def _run_campaign(calibration: Calibration, story: Story) -> dict[str, Any]:
     def hear(status: Any) -> None:
         story.on_status(status)
         if status.state == "asking":
-            calibration.set_requested_conditions(status.reason)
+            calibration.set_requested_conditions(status.questions)
 
     result = calibration.run(hear, MINUTES, poses=POSES, payload=PAYLOAD)
-    if not result.json and not result.message.startswith("aborted"):
+    if not result.json and not calibration.cancelled:
         raise ParallelCalError(result.message or "nothing was measured")
     document: dict[str, Any] = json_format.loads(result.json or "{}")
     return document | {"message": result.message, "hash": result.hash}

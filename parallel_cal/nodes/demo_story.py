@@ -19,7 +19,7 @@ class Story:
         # progress is for those who look on, and never part of the answer
         self._out = Console(quiet=silent, highlight=False, soft_wrap=True)
         self._status = Console(stderr=True, quiet=silent or not sys.stderr.isatty()).status("")
-        self._verdict, self._purpose = "", ""
+        self._verdict, self._purposes = "", set[str]()
 
     def __enter__(self) -> None:
         self._say("[bold]A Delta robot misses its targets. It finds out by itself why.[/]")
@@ -37,11 +37,9 @@ class Story:
 
     def on_status(self, status: Any) -> None:
         """A word of the node that calibrates."""
-        if status.state == "moving":
-            what = status.reason.partition(", ")[2]
-            if what.startswith("to ") and what != self._purpose:
-                self._line("measures", what)
-                self._purpose = what
+        if status.state == "moving" and status.purpose not in self._purposes:
+            self._line("measures", status.purpose)
+            self._purposes.add(status.purpose)
         elif status.state == "asking":
             self._line("asks", f"{status.reason} [dim](done by the demo)[/]")
         if status.verdict and not math.isnan(status.error_unseen):
