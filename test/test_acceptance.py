@@ -24,7 +24,9 @@ from parallel_cal.session.steps import add, fitted
 from parallel_cal.virtual import robot as vr
 
 FACES = ("command line", "node")
-NOTHING = "no pose was left out, so nothing proves that the new model is better"
+NOTHING = (
+    "no pose was held out: without a validation error nothing proves that the new model is better"
+)
 
 
 @pytest.fixture(scope="module")
@@ -171,7 +173,9 @@ def test_too_few_poses_to_leave_some_out_prove_nothing():
     """Three poses give 18 equations for the 14 numbers of a chain; two of them give 12."""
     few, true = measured(0, n_poses=3, n_replicates=0), new_model("delta54", vr.TABLE_5_18)
     others = ["chain2.*", "chain3.*"]
-    with pytest.raises(FitError, match="too few poses to leave some out, so nothing proves"):
+    with pytest.raises(
+        FitError, match="too few poses to hold some out: without a validation error nothing proves"
+    ):
         fitted(true, few, fix=others)
     step = fitted(true, few, force=True, fix=others)
     assert step.document()["acceptance"]["judged"] is False

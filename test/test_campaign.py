@@ -100,7 +100,7 @@ def test_samples_that_no_fit_can_weigh_are_told_after_the_first(tmp_path):
     text = dump_model(replace(DELTA, noise=Noise(None, DELTA.noise.position, None)))
     cell = Unsure()
     outcome = Campaign(tmp_path, text, Goal(), cell, work=work).run()
-    assert "no figure for the joints' noise" in outcome.message
+    assert "the noise of the joint readings is not known" in outcome.message
     assert len(cell.sent) == 1
 
 

@@ -43,7 +43,7 @@ def test_where_nothing_is_hidden_it_says_stop_looking_and_proposes_nothing(seed)
     found = diagnose(MODEL, clean(seed))
     assert found.verdict.word == "at_noise"
     assert found.effects == ()
-    assert "stop looking" in found.verdict.summary
+    assert "no further effect is needed" in found.verdict.summary
 
 
 @pytest.mark.parametrize(("there", "refits"), [(True, 2), (False, 1)])

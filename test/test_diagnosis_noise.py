@@ -30,7 +30,7 @@ def found_in(data):
 def test_noise_twice_as_large_as_stated_is_noise():
     found = found_in(noisy(vb.twice, 0))
     assert found.verdict.word == "at_noise"
-    assert "noise is 2.0 times what is stated" in found.verdict.summary
+    assert "the noise is 2.0 times the stated noise" in found.verdict.summary
     assert found.noise.misstated == pytest.approx(2.0, abs=0.2)
     assert found.base.fitted.estimate.chi2_per_dof > 3
 

@@ -76,7 +76,9 @@ def test_a_tracker_s_frame_is_registered_by_the_samples_as_the_command_line_does
     shown = transform_dataset(own, STANDS, "tracker")
     there, said = to_base_frame(shown, model, lambda target, source: None, 1e-4)
     assert there is shown
-    assert said.startswith("frame 'tracker' was registered to 'base' (another frame): ")
+    assert said.startswith(
+        "frame 'tracker' was registered to 'base' (the poses are in another frame): "
+    )
     numbers = said.split("): ")[1].split(" m, rotation ")
     np.testing.assert_allclose(np.array(numbers[0].split(), float), [-2, 1, -3], atol=2e-3)
     turned = np.array(numbers[1].split(" deg")[0].split(), float)
@@ -89,7 +91,7 @@ def test_poses_of_the_right_name_in_the_wrong_place_are_registered_too():
     wrong = transform_dataset(load_dataset(ROOT / "bags" / "delta_clean"), STANDS, "base")
     there, said = to_base_frame(wrong, model, lambda target, source: None, 1e-4)
     assert there is wrong
-    assert "registered to 'base' (in its own, nothing fitted)" in said
+    assert "registered to 'base' (the poses did not fit without it)" in said
 
 
 def test_transforms_come_from_tf2_with_their_age(monkeypatch):

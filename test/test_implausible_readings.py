@@ -69,10 +69,10 @@ def delta(change=lambda q: q):
 @pytest.mark.parametrize(
     ("scale", "words"),
     [
-        (1e3, "By the measured poses they are in mm: say so in the column map (unit: mm"),
-        (1e2, "they are in cm: say so in the column map (unit: cm"),
-        (1e6, "they are in um: "),
-        (1 / 0.0254, "they are in in: "),
+        (1e3, "By the measured poses the readings are in mm: state it in the column map (unit: mm"),
+        (1e2, "the readings are in cm: state it in the column map (unit: cm"),
+        (1e6, "the readings are in um: "),
+        (1 / 0.0254, "the readings are in in: "),
         (1 / 0.012, "revolutions (column map: unit: rev, per_rev: 12 mm), its radians (per_rev"),
         (-4096 / 0.005, "encoder counts"),
     ],
@@ -92,24 +92,26 @@ def test_legs_in_another_unit_are_refused_with_joint_values_limits_and_cure(scal
 
 
 def test_angles_in_degrees_are_refused_though_whole_turns_change_nothing():
-    with pytest.raises(FitError, match=r"joint\d reads .* rad, .*they are in deg: say so"):
+    with pytest.raises(
+        FitError, match=r"joint\d reads .* rad, .*the readings are in deg: state it"
+    ):
         observe(*delta(np.degrees))
 
 
 def test_the_unit_is_guessed_from_the_limits_where_no_pose_tells():
     data = legs(1e3)
     unseen = replace(data, measured=np.zeros_like(data.measured))
-    with pytest.raises(FitError, match="In mm they would be near the limits: say so"):
+    with pytest.raises(FitError, match="In mm the readings would be near the limits: state it"):
         observe(stewart(), unseen)
     counts = replace(unseen, q=1e9 * data.q)
-    with pytest.raises(FitError, match="Are they in mm or cm or um, a motor's revolutions"):
+    with pytest.raises(FitError, match="Are the readings in mm or cm or um, a motor's revolutions"):
         observe(stewart(), counts)
 
 
 def test_nothing_is_fitted_to_such_readings_through_any_door(tmp_path):
     model, data, file = stewart(), legs(1e3), str(tmp_path / "m.yaml")
     write_model(model, file)
-    refused = "they are in mm"
+    refused = "the readings are in mm"
     for identify in (fit, diagnose, lambda m, d: add(m, "thermal_expansion", d)):
         with pytest.raises(FitError, match=refused):
             identify(model, data)
@@ -119,7 +121,9 @@ def test_nothing_is_fitted_to_such_readings_through_any_door(tmp_path):
 
 @pytest.mark.wide
 def test_a_comparison_shows_such_readings_and_warns():
-    [said] = [w for w in compare(stewart(), legs(1e3)).dataset.warnings if "they are in mm" in w]
+    [said] = [
+        w for w in compare(stewart(), legs(1e3)).dataset.warnings if "the readings are in mm" in w
+    ]
     assert "leg" in said
     assert not any("limits" in w for w in compare(stewart(), legs()).dataset.warnings)
 

@@ -83,10 +83,10 @@ def test_what_hides_is_named_in_nine_of_ten_printers(tmp_path, hidden, names, se
 def test_what_a_bed_cannot_tell_is_one_line(tmp_path):
     model, seen, _ = touched(tmp_path, vp.drawn(3), 3)
     result = fit(model, seen, hold_out=0)
-    said = [w for w in result.warnings if "the data cannot tell" in w]
+    said = [w for w in result.warnings if "the data do not determine" in w]
     assert len(said) == 1
     unseen = result.document()["unidentifiable"]
-    assert f"the data cannot tell {len(unseen)} combinations of D_x, D_y, D_z, " in said[0]
+    assert f"the data do not determine {len(unseen)} combinations of D_x, D_y, D_z, " in said[0]
     assert " of chain 1, 2, 3 and " in said[0]
     assert "of plate of probe: along them the model keeps what it had" in said[0]
 

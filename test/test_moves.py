@@ -45,5 +45,5 @@ def test_the_command_says_it_before_the_model_is_used(fitted, run_cli, tmp_path)
 
     write_model(fitted[0].model, tmp_path / "fit.yaml")
     shown = run_cli("add", tmp_path / "fit.yaml", "backlash", BAG)
-    assert "moves your robot by 18 um where it was measured" in shown
+    assert "moves the platform by 18 um rms at the measured poses" in shown
     json.loads(run_cli("fit", tmp_path / "fit.yaml", BAG, "--json", "--hold-out", "0"))

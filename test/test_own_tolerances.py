@@ -120,7 +120,7 @@ def test_who_insists_gets_a_number_outside_its_range_and_a_file_that_can_be_read
     with pytest.raises(FitError, match=r"^backlash.joint1.width would have to be"):
         fitted(model, data, hold_out=0)
     step = fitted(model, data, True, hold_out=0, insist=True)
-    said = [w for w in step.warnings if w.endswith("taken all the same")]
+    said = [w for w in step.warnings if w.endswith("accepted because you insisted")]
     assert len(said) == 3
     write_model(step.model, tmp_path / "belt.yaml")
     again = read_model(tmp_path / "belt.yaml")
@@ -164,14 +164,14 @@ def test_no_joint_turns_back_while_its_drive_winds_up_unless_somebody_insists():
     with pytest.raises(FitError, match=r"joint1.lag would have to be 0.002.* while its drive goes"):
         fit(model, data, hold_out=0)
     warnings = fit(model, data, hold_out=0, insist=True).warnings
-    assert [w for w in warnings if w.endswith("goes on: taken all the same")]
+    assert [w for w in warnings if w.endswith("goes on: accepted because you insisted")]
     gentle = new_model("delta54").with_effect("hysteresis")
     assert not fit(gentle, data, hold_out=0).model.find_contradiction()
 
 
 def test_no_insistence_makes_sense_of_an_absurd_arm():
     data = measured(0)
-    with pytest.raises(FitError, match=r"chain1.La_x went to"):
+    with pytest.raises(FitError, match=r"chain1.La_x was identified as"):
         fit(new_model("delta54"), replace(data, r=1.1 * data.r), hold_out=0, insist=True)
 
 

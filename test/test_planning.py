@@ -248,12 +248,15 @@ def test_expected_errors_are_what_many_identifications_show():
     ("arguments", "words"),
     [
         ({"n": 5}, "5 poses give 30 equations, but 42 parameters are free: plan at least 7"),
-        ({"n": 7, "pool": 100}, "7 poses see only 39 of the 42 directions.*: plan more"),
-        ({"n": 60, "pool": 50}, "60 poses wanted, but only 50 candidates"),
+        ({"n": 7, "pool": 100}, "7 poses determine only 39 of the 42 directions.*: plan more"),
+        ({"n": 60, "pool": 50}, "60 poses requested, but only 50 candidates"),
         ({"n": 10, "criterion": "magic"}, "no criterion 'magic'; there are D, A, prediction"),
         ({"n": 10, "method": "magic"}, "no method 'magic'; there are exchange, annealing"),
         ({"n": 10, "criterion": "condition", "method": "exchange"}, "needs the method annealing"),
-        ({"n": 10, "symmetric": True}, "10 poses are no symmetric sets of 3: plan 9 or 12"),
+        (
+            {"n": 10, "symmetric": True},
+            "10 poses are not a multiple of 3, the size of a symmetric set: plan 9 or 12",
+        ),
     ],
 )
 def test_degenerate_plans_are_clear_errors(arguments, words):

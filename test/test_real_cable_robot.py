@@ -139,7 +139,7 @@ def test_assumed_noise_claims_nothing_but_proportions(model, dataset):
     assert set(document["noise_floor"]) == set(document["before"])
     assert set(document["noise_floor"].values()) == {None}
     assert document["chi2_band"] == [None, None]
-    assert sum("noise: assumed" in w for w in document["warnings"]) == 1
+    assert sum("the noise is assumed" in w for w in document["warnings"]) == 1
     assert not any("chi2/dof" in w for w in document["warnings"])
     # Without tolerances, which do not grow with the noise that is found.
     found = fit(model, dataset, hold_out=0, prior=False)

@@ -163,7 +163,7 @@ def test_the_plot_shows_every_sample(folder, ran):
 
 
 WRONG = {
-    "fit better.yaml bag --method my_pkg.my_solver": "my_pkg.my_solver is no method: it has no est",
+    "fit better.yaml bag --method my_pkg.my_solver": "my_pkg.my_solver is not a method: it has",
     "info bag --data channels=my_pkg.my_plot": "my_pkg.my_plot defines no Channel: assign",
     "info bag --data channels=my_pkg.none": "my_pkg.none: ModuleNotFoundError: No module named 'my",
     "fit better.yaml bag --method my_pkg.nowhere": "no method 'my_pkg.nowhere': expected one of",

@@ -52,7 +52,7 @@ def test_a_delta_before_a_tracker_that_stands_anywhere_is_as_good_as_before_its_
     where = found.registration
     assert np.abs(np.array(where.position) - SHIFT).max() < 5e-3
     assert np.abs(np.array(where.target_position)).max() < 1e-3
-    assert "does not turn enough to tell" in where.description
+    assert "does not turn enough to determine it" in where.description
 
 
 def test_a_target_that_is_stated_is_where_it_is_stated():

@@ -46,14 +46,16 @@ def test_what_the_device_may_have_made_is_not_called_explained(refracted):
     robots = [name for name in found.effects if name not in ("device_field", "device_axes")]
     assert found.verdict.word != "explained"
     assert list(found.robot_or_device) == robots
-    assert all(f"{name} may be the measuring device's" in found.verdict.summary for name in robots)
+    assert all(
+        f"the measuring device may cause {name}:" in found.verdict.summary for name in robots
+    )
 
 
 def test_and_it_is_not_added_unless_somebody_insists(refracted):
-    with pytest.raises(FitError, match="may be the measuring device's"):
+    with pytest.raises(FitError, match="the measuring device may cause"):
         add(new_model("delta54"), "encoder_eccentricity", refracted)
     step = add(new_model("delta54"), "encoder_eccentricity", refracted, force=True)
-    assert "may be the measuring device's" in step.model.history[-1]["forced"]
+    assert "the measuring device may cause" in step.model.history[-1]["forced"]
 
 
 @pytest.mark.wide
@@ -67,7 +69,7 @@ def test_a_dent_in_the_devices_field_teaches_the_robot_nothing(seed):
     assert list(found.robot_or_device) == robots
     assert found.verdict.word == "partly_explained"
     for name in robots:
-        with pytest.raises(FitError, match=f"{name} may be the measuring device's"):
+        with pytest.raises(FitError, match=f"the measuring device may cause {name}:"):
             add(new_model("delta54"), name, dented)
 
 
@@ -231,7 +233,7 @@ def test_a_lookalike_of_what_fits_better_but_is_out_of_range_explains_nothing():
     )
     found = diagnose(new_model("delta54"), data, effects=["encoder_gain", "encoder_eccentricity"])
     assert found.verdict.word == "partly_explained"
-    assert "encoder_gain would explain it better, but" in found.verdict.summary
+    assert "encoder_gain would explain the error better, but" in found.verdict.summary
 
 
 def test_the_cost_of_a_number_is_its_misfit_and_its_square_in_tolerances():
@@ -252,7 +254,9 @@ def test_a_device_effect_that_another_outdoes_is_not_added():
     day = vf.session(201)
     stand = sized(vb.DEVICE["yielding stand"], 2e-5, 1.2, day, vf.FINE, 3)
     yielding = dataset(vf.samples(day, [stand], vf.FINE, 0), vf.FINE)
-    with pytest.raises(FitError, match="device_field explains clearly better what 'device_axes'"):
+    with pytest.raises(
+        FitError, match="device_field explains the error clearly better than 'device_axes'"
+    ):
         add(new_model("delta54"), "device_axes", yielding)
 
 

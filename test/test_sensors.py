@@ -169,7 +169,7 @@ def test_a_forgotten_plane_an_unknown_hole_and_too_few_poses_are_clear_errors():
     spheres = {k: v for k, v in data.conditions.items() if k != "reading.plane"}
     tied = np.isfinite(spheres["reading.sphere1"]) | np.isfinite(spheres["reading.sphere2"])
     channels = {k.removeprefix("reading."): v[tied] for k, v in spheres.items() if "sphere" in k}
-    with pytest.raises(FitError, match=r"nothing was measured with plane, .*recorded: sphere1"):
+    with pytest.raises(FitError, match=r"no measurement with plane, .*recorded: sphere1"):
         fit(model, blind(data.q[tied], 1e-4, channels))
     one_hole = new_model("delta24", sensors=[plate_sensor(vs.Plate(holes=PLATE.holes[:1]))])
     with pytest.raises(FitError, match=r"readings of sphere2, but .* have plane, sphere1"):

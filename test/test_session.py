@@ -177,7 +177,7 @@ def test_a_broken_session_file_is_named_with_its_key(session, change, words):
 def test_a_folder_without_a_session_and_one_with_are_told(session, tmp_path):
     with pytest.raises(SessionError, match="no session here"):
         Session(tmp_path)
-    with pytest.raises(SessionError, match="holds a session already"):
+    with pytest.raises(SessionError, match="already holds a session"):
         Session.new(session.folder, read_model(MODEL), [BAG])
     with pytest.raises(BagError):
         Session.new(tmp_path / "new", read_model(MODEL), [tmp_path / "none"])
@@ -294,7 +294,7 @@ def test_a_model_that_is_worse_than_the_one_in_use_is_refused_with_both_errors(s
     with pytest.raises(SaveRefused) as refused:
         session.save(in_use)
     words = str(refused.value)
-    assert "the model in use errs by 32.5 um" in words
+    assert "the model in use has an error of 32.5 um" in words
     assert "this model by 37 um" in words
     assert words.count("at held-out poses") == 2
     assert "worse by a factor of 1.07 (position and orientation together)" in words
@@ -317,7 +317,7 @@ def test_a_worse_model_is_written_where_the_owner_insists_and_the_history_keeps_
     assert entry["in_use"]["hash"] == model_hash(better) == found.in_use_hash
     assert in_use.with_name("robot.yaml.previous").read_text() == better
     again = Session(session.folder)
-    assert again.state.step == "save to robot.yaml, insisted"
+    assert again.state.step == "save to robot.yaml, forced"
     assert model_hash(again.model) == model_hash(in_use.read_text())  # the robot uses this state's
     assert again.state.errors == again.history()[-2].errors
     assert again.save(in_use).is_in_use  # nothing to ask, and nothing to write
@@ -330,7 +330,7 @@ def test_a_better_model_is_written_without_a_question_and_both_errors_are_told(s
     found = session.save(file)
     assert not found.objections
     assert "errs by 606 um" in found.comparison
-    assert "at samples that no fit of it used, this model by 37 um" in found.comparison
+    assert "at samples that none of its fits used, this model of 37 um" in found.comparison
     assert "better by a factor of" in found.comparison
     assert read_model(file).history[-1]["step"] == "fit"
     assert Session(session.folder).state == session.state
@@ -341,7 +341,9 @@ def test_a_model_in_use_that_other_samples_made_is_judged_as_it_is(session, in_u
     live = Session.new(tmp_path / "live", read_model(MODEL), [], fitting=FitOptions(hold_out=0.5))
     live.take(dataclasses.replace(session.samples, sha256="of the collection").to_json)
     live.fit()
-    with pytest.raises(SaveRefused, match="at samples that a fit of it may have used") as refused:
+    with pytest.raises(
+        SaveRefused, match="at samples that one of its fits may have used"
+    ) as refused:
         live.save(in_use)
     errors = refused.value.replacement
     assert errors.in_use_errors.position_rms < errors.errors.position_rms
@@ -382,7 +384,7 @@ def test_a_model_whose_samples_are_gone_is_written_only_where_the_owner_insists(
     shutil.rmtree(bag)
     shutil.copy(MODEL, tmp_path / "robot.yaml")
     again = Session(session.folder)
-    with pytest.raises(SaveRefused, match="there are no samples to judge both by"):
+    with pytest.raises(SaveRefused, match="there are no samples to compare them on"):
         again.save(tmp_path / "robot.yaml")
     again.save(tmp_path / "robot.yaml", insist=lambda replacement: True)
     assert read_model(tmp_path / "robot.yaml").history[-1]["step"] == "save"
@@ -426,7 +428,7 @@ def test_a_file_that_is_exchanged_while_it_is_compared_is_not_overwritten(sessio
         in_use.write_text("mechanism: another\n")
         return True
 
-    with pytest.raises(SessionError, match="was changed while it was compared"):
+    with pytest.raises(SessionError, match="changed during the comparison"):
         session.save(in_use, insist=exchange)
     assert in_use.read_text() == "mechanism: another\n"
     assert Session(session.folder).state.step == "fit"

@@ -274,7 +274,7 @@ def test_a_plane_that_was_not_recorded_is_named(robot, plate_model, run, tmp_pat
     session = ts.session(readings[kept])
     path = bag_of(tmp_path, bw.joint_states(session), ts.ties_of(session, ties[kept]))
     said = run("fit", plate_model, path, "--json")
-    assert "nothing was measured with plane, which the model's sensors expect" in said
+    assert "no measurement with plane, which the model's sensors expect" in said
     assert "recorded: sphere1, sphere2" in said
 
 
@@ -288,7 +288,7 @@ def test_an_unknown_constraint_names_the_channels_of_the_model(plate_model, run,
 def test_a_model_with_sensors_refuses_poses_alone(plate_model, run, tmp_path):
     path = bag_of(tmp_path, bw.joint_states(moves()), bw.poses(moves()))
     said = run("fit", plate_model, path, "--json")
-    assert "nothing was measured with plane, sphere1, sphere2" in said
+    assert "no measurement with plane, sphere1, sphere2" in said
     assert "(recorded: no reading)" in said
 
 
@@ -332,7 +332,9 @@ def test_a_plan_for_the_device_says_that_it_does_not_count_the_probe(run, tmp_pa
     model.write_text(text.replace(unknown, known))
     options = ("--poses", "20", "--pool", "60", "--fix", "probe.*", "--json")
     document = run("plan", model, *options)
-    assert document["warnings"] == ["planned for the pose device alone, as if probe read nothing"]
+    assert document["warnings"] == [
+        "planned for the pose device only: readings of probe are ignored"
+    ]
 
 
 @pytest.mark.parametrize(

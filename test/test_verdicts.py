@@ -85,8 +85,12 @@ def test_and_so_far_off_the_robot_is_there():
 
 @pytest.mark.wide
 def test_stop_looking_is_said_of_the_region_that_was_measured():
-    assert "stop looking inside x -" in diagnose(MODEL, within(0.06, 1)).verdict.summary
-    assert "stop looking inside" not in diagnose(MODEL, within(0.12, 1)).verdict.summary
+    assert (
+        "no further effect is needed inside x -" in diagnose(MODEL, within(0.06, 1)).verdict.summary
+    )
+    assert (
+        "no further effect is needed inside" not in diagnose(MODEL, within(0.12, 1)).verdict.summary
+    )
 
 
 @pytest.mark.wide
@@ -94,8 +98,8 @@ def test_what_parameters_add_to_the_noise_is_said_and_what_more_poses_would_brin
     day = vf.session(2, n_poses=20, n_replicates=6)
     found = diagnose(MODEL, dataset(vf.samples(day, [], vr.THESIS_NOISE, 2), vr.THESIS_NOISE))
     assert found.verdict.word == "at_noise"
-    assert "um are noise, the rest is the parameters' own uncertainty" in found.verdict.summary
-    assert "twice as many poses would bring about" in found.verdict.summary
+    assert "um of it are noise, the rest is model uncertainty" in found.verdict.summary
+    assert "twice as many poses would reduce it to about" in found.verdict.summary
 
 
 # --------------------------------------------------------------------------- what it may name

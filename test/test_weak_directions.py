@@ -45,7 +45,7 @@ def test_positions_alone_identify_the_whole_delta(seed):
 
 def test_it_is_said_in_one_line_and_in_the_document():
     result = fit(ALL, only("x y z", measured(0)), hold_out=0)
-    said = [w for w in result.warnings if w.startswith("tolerances stand in as priors")]
+    said = [w for w in result.warnings if w.startswith("the tolerances determine")]
     document = result.document()
     assert len(said) == 1
     assert f"{len(document['weak'])} combinations" in said[0]

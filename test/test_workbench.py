@@ -59,7 +59,7 @@ def test_a_bench_takes_steps_beside_and_shows_what_came_out(folder):
     bench.cancel()
     until(lambda: not bench.busy, "the end")
     assert bench.message == "cancelled; the session is as it was"
-    assert bench.session.state.step == "save to model.yaml, insisted"
+    assert bench.session.state.step == "save to model.yaml, forced"
     again = Bench(folder)  # what was looked at is kept
     assert not again.busy
     assert again.view == bench.view
@@ -176,8 +176,8 @@ def test_the_whole_loop_on_the_page(browser, tmp_path):
         other.locator("#verdict").get_by_text("one effect missing").wait_for()
 
         page.get_by_role("button", name="add backlash").click()
-        page.locator("#verdict").get_by_text("down to their noise").wait_for()
-        other.locator("#verdict").get_by_text("down to their noise").wait_for()
+        page.locator("#verdict").get_by_text("down to the noise").wait_for()
+        other.locator("#verdict").get_by_text("down to the noise").wait_for()
         assert page.locator("header").inner_text() != fitted
         assert "backlash" in page.locator("#budget").inner_text()
         page.get_by_role("button", name="Save", exact=True).click()
@@ -440,7 +440,7 @@ def test_the_server_writes_over_a_better_model_only_what_the_owner_confirmed(fol
 
     save()
     first = bench.question
-    assert "the model in use errs by 32.5 um" in first.words
+    assert "the model in use has an error of 32.5 um" in first.words
     assert "this model by 37 um" in first.words
     save("yes")  # no page's click, but a request that knows of none
     assert bench.question == first
@@ -457,7 +457,7 @@ def test_the_server_writes_over_a_better_model_only_what_the_owner_confirmed(fol
     assert bench.message.startswith(f"written: {output}")
     assert not read_model(output).effects
     assert "this model is worse" in read_model(output).history[-1]["forced"]
-    assert bench.session.state.step == "save to robot.yaml, insisted"
+    assert bench.session.state.step == "save to robot.yaml, forced"
     assert bench.view["verdict"]["colour"] == "amber"  # as it was: nothing to look at anew
     assert Bench(folder, output).view == bench.view
 
@@ -486,6 +486,6 @@ def test_the_page_asks_before_it_overwrites_a_better_model(browser, folder, tmp_
         page.get_by_role("button", name="Write it all the same", exact=True).click()
         page.locator("#message").get_by_text("written").wait_for()
         assert not read_model(output).effects
-        page.get_by_role("cell", name="save to robot.yaml, insisted").wait_for()
+        page.get_by_role("cell", name="save to robot.yaml, forced").wait_for()
     finally:
         served.end()

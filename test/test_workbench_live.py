@@ -54,7 +54,7 @@ def test_the_loop_on_nodes_that_the_workbench_starts(tmp_path):
             page.get_by_role("button", name="Fit", exact=True).click()
             page.locator("#verdict").get_by_text("one effect missing: backlash").wait_for()
             page.get_by_role("button", name="add backlash").click()
-            page.locator("#verdict").get_by_text("down to their noise").wait_for()
+            page.locator("#verdict").get_by_text("down to the noise").wait_for()
             page.locator("#served").get_by_text("another model than this state").wait_for()
             page.get_by_role("button", name="Save", exact=True).click()
             page.locator("#served").get_by_text("(backlash)").wait_for()

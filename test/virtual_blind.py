@@ -100,7 +100,7 @@ def growing(n: int, r: Array, rng: np.random.Generator) -> Array:
 
 NOISE = {"stated half": twice, "correlated": correlated, "grows outwards": growing}
 CALLED = {
-    "stated half": "times what is stated",
+    "stated half": "times the stated noise",
     "correlated": "correlated over",
     "grows outwards": "larger far from the centre",
 }

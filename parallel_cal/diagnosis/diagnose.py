@@ -289,7 +289,7 @@ def _diagnose_trusted(
                 better,
             )
         )
-        report("weighing the observations", 0.8)
+        report("computing the weights of the observations", 0.8)
         rivals = {c.name: swaps.get(c.name, []) for c in best.chosen}
         return Diagnosis(
             model=model,
@@ -325,7 +325,7 @@ def find_better_lookalikes(best: Trial, search: Search, catalogue: _Catalogue) -
         one = next(c for c in ranked if c.name == name)
         for other in (c for c in ranked if is_clearly_better(c, one)):
             if reason := search.fit(*others.chosen, Chosen.of(other)).reason:
-                found[other.name] = f"{other.name} would explain it better, but {reason}"
+                found[other.name] = f"{other.name} would explain the error better, but {reason}"
     return list(found.values())
 
 
@@ -358,7 +358,7 @@ def _search_effects(search: Search, catalogue: _Catalogue) -> tuple[Trial, dict[
         return best, against
     catalogue.wandering = False
     best, against = found()
-    words = f"cannot be told from what wanders: noise is correlated over {shape.memory:.2g} s"
+    words = f"indistinguishable from drift: the noise is correlated over {shape.memory:.2g} s"
     return best, against | {c.name: words for c in wandering}
 
 

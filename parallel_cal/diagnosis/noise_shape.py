@@ -36,12 +36,12 @@ class NoiseShape:
 
     @property
     def remarks(self) -> list[str]:
-        """What a person should know of it; nothing where it is white."""
+        """Remarks about noise that is not white; empty if it is."""
         words = []
         if self.correlated:
-            words.append(f"noise is correlated over {self.memory:.2g} s")
+            words.append(f"the noise is correlated over {self.memory:.2g} s")
         if self.grows_from_centre:
-            words.append(f"noise is {self.growth:.1f} times larger far from the centre")
+            words.append(f"the noise is {self.growth:.1f} times larger far from the centre")
         return words
 
     @classmethod

@@ -1,4 +1,4 @@
-"""Where a verdict holds: the region that was measured, and what errors may be beyond it."""
+"""Describe the measured region, where a verdict holds, and the model uncertainty beyond it."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from parallel_cal.planning.posepool import make_pool
 
 @dataclass(frozen=True)
 class Region:
-    """The box (m) of the positions measured, and rms position errors (m) that the parameters' own
-    uncertainty makes inside it and in the rest of the workspace."""
+    """The box (m) of the measured positions, and the model uncertainty (rms position error in m)
+    inside it and in the rest of the workspace."""
 
     low: np.ndarray
     high: np.ndarray
@@ -25,7 +25,7 @@ class Region:
 
     @classmethod
     def of(cls, result: FitResult) -> Region | None:
-        """None where the whole workspace was measured, or the robot does not control positions."""
+        """None if the whole workspace was measured, or the robot does not control positions."""
         model, axes = result.model, [k for k in result.model.mechanism.controlled if k < 3]
         covariance, n = model.covariance, len(model.joints)
         seen = result.observations.x[:, n : n + 3]
@@ -51,12 +51,12 @@ class Region:
 
     @property
     def description(self) -> str:
-        """` inside x -20..20, ... mm; ...`"""
+        """`inside x -20..20, ... mm; the model uncertainty is ...`, after a space."""
         box = ", ".join(
             f"{axis} {1e3 * low:.0f}..{1e3 * high:.0f}"
             for axis, low, high in zip("xyz", self.low, self.high, strict=True)
         )
         return (
-            f" inside {box} mm; in the rest of the workspace the parameters' uncertainty alone "
-            f"makes {1e6 * self.beyond:.0f} um, {1e6 * self.inside:.0f} inside"
+            f" inside {box} mm; the model uncertainty is {1e6 * self.inside:.0f} um inside and "
+            f"{1e6 * self.beyond:.0f} um in the rest of the workspace"
         )

@@ -118,7 +118,10 @@ class Search:
         ):
             return after, reason
         if (size := _compute_oversize_ratio(before.fitted, after.result)) > 1:
-            return after, f"its numbers would be {size:.0f} times their usual size for little gain"
+            return (
+                after,
+                f"its coefficients would be {size:.0f} times their usual size for little gain",
+            )
         return after, ""
 
     def is_suspected(self, before: Trial, one: Candidate) -> bool:
@@ -235,10 +238,10 @@ def _describe_held_out_objection(before: Trial, after: Trial) -> str:
 def _describe_chance_objection(before: Trial, after: Trial, one: Candidate) -> str:
     """What says that a refit is chance."""
     if _is_superfluous_effect(before, after):
-        return "explains nothing of what is left"
+        return "explains nothing of the remaining error"
     p = one.shuffled_p
     if p is not None and p > (1 + MAX_EQUAL_SHUFFLES) / (SHUFFLES + 1):
-        return "explains no more than its own condition shuffled between poses"
+        return "explains no more than with its condition shuffled between poses"
     return ""
 
 

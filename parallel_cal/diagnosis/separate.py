@@ -291,11 +291,11 @@ def _separation(
     how = []
     if outside := int((~find_inside_poses(model, ordered.poses)).sum()):
         how.append(
-            f"{outside} of the planned poses outside the model file's workspace, as far as joint "
-            "limits and singularities allow: see first that nothing is in the way"
+            f"{outside} of the planned poses are outside the model file's workspace, inside joint "
+            "limits and away from singularities: check first that the robot collides with nothing"
         )
     if ordered.approach is not None:
-        how.append("every planned pose come to by way of its two stops: past it, and back")
+        how.append("Reach each planned pose through its two waypoints: overshoot, then return.")
     if depends_on_time(model):
         how.append(course.describe(blocks, "temperature" in model.conditions))
     pair = (doubt.effect, doubt.rival)

@@ -1,4 +1,7 @@
-"""The verdict in one word and one sentence, from numbers that do not come from the fit alone."""
+"""Judge a diagnosis in one word and one sentence.
+
+The numbers come from held-out poses and stated or measured noise, not from the fit alone.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,7 @@ from parallel_cal.identification.fit_warnings import format_distinctly
 from parallel_cal.identification.methods.implicit import Estimate
 from parallel_cal.model.shelf import load_effect
 
-# The words that say: the model lacks what the data show.
+# Verdicts that find the model incomplete.
 AMBER_VERDICTS = ("explained", "partly_explained", "unexplained")
 
 
@@ -41,13 +44,13 @@ class Verdict:
 
 @dataclass(frozen=True)
 class Findings:
-    """What a verdict is about: a search that began at `base` and ended at `best`.
+    """What a verdict judges: a search that started at `base` and ended at `best`.
 
-    `chi2_before` is chi2/dof of the base, on the rows of the best; `structure` and `held` (as in
-    Field) are what the best leaves; `swaps` the effects that fit as well as one chosen; `refused`
-    why those that are no chance could not be identified; `robot_or_device` those that an error of
-    the device explains as well; `outdone` what would explain it better than one chosen, and why it
-    was refused.
+    `chi2_before` is chi2/dof of the base, on the rows of the best. `structure` and `held` (as in
+    Field) describe the residuals of the best. `swaps` lists by chosen effect those that fit as
+    well. `refused` says why significant effects could not be identified. `robot_or_device` lists
+    effects that an error of the device explains as well. `outdone` lists refused effects that
+    would explain the error better than a chosen one, with the reason.
     """
 
     base: Trial
@@ -68,7 +71,7 @@ class Findings:
 
     @property
     def share(self) -> float | None:
-        """Share of the variance beyond the noise that is explained."""
+        """Share of the variance above the noise floor that the chosen effects remove."""
         return share_explained(
             self.chi2_before, self.final_estimate.chi2_per_dof, self.noise.variance
         )
@@ -82,8 +85,8 @@ class Findings:
 
     @property
     def was_inside_band(self) -> bool:
-        """Whether the base's residuals were inside their band, and what fits better could be told
-        from it by little, or lowers errors by little: nothing had to be explained."""
+        """Whether the base needed no effect: its chi2/dof was inside the band, and the better
+        fit is either not significant or lowers the validation error only a little."""
         from scipy.special import chdtrc
 
         before, after = self.base.fitted.estimate, self.final_estimate
@@ -108,38 +111,38 @@ def format_effect_names(names: Sequence[str]) -> str:
 
 def share_explained(before: float, after: float, noise: float | None) -> float | None:
     """1 - (s_after^2 - sigma^2) / (s_before^2 - sigma^2), of chi2/dof; None without a noise
-    figure, or where nothing was to be explained."""
+    figure, or if `before` is not above the noise."""
     if noise is None or before <= noise:
         return None
     return min(1.0, 1 - (after - noise) / (before - noise))
 
 
 def judge(found: Findings) -> Verdict:
-    """The verdict; what stands against a whole explanation is said with it."""
+    """Judge the findings; list what keeps them from being the whole explanation."""
     after, share, names = found.final_estimate, found.share, found.names
     judgement = acceptance(found.best.fitted, found.base.fitted)
     now = f"error {judgement.basis} {format_errors(judgement.after)}"
     errors = judgement.description if found.best.chosen else now
     if after.dof < MIN_DOF:
-        words = f"{after.dof} degrees of freedom are too few to judge by: measure more poses"
+        words = f"{after.dof} degrees of freedom are too few for a verdict: measure more poses"
         return Verdict("cannot_know", words)
     if found.best.chosen and not judgement.judged:
-        words = f"{names} fits better ({errors}), but cannot be judged at unseen poses"
+        words = f"{names} fits better ({errors}), but has no validation error"
         return Verdict("cannot_know", f"{words}: {judgement.against}", share)
     if found.noise.variance is None:
-        helps = f"{names} helps" if names else "nothing in the catalogue helps"
-        rest = " and structure remains" if found.structure.has_structure else ""
+        helps = f"{names} helps" if names else "no effect of the catalogue helps"
+        rest = " and the residuals still have structure" if found.structure.has_structure else ""
         return Verdict(
             "cannot_know",
-            f"{helps} ({errors}){rest}; whether that is all cannot be known without a noise "
-            "figure: state noise in the model file, or visit poses again",
+            f"{helps} ({errors}){rest}; without a noise figure it is not known whether the "
+            "explanation is complete: state noise in the model file, or visit poses again",
             share,
         )
     if found.held > MAX_HELD_COORDINATE_SIGMAS:
         return Verdict(
             "unexplained",
-            "what was measured of the pose includes coordinates that the model holds at one value; "
-            f"they move by {found.held:.0f} sigmas ({errors}): use a larger model",
+            "the measured pose includes coordinates that the model holds at one value; they vary "
+            f"by {found.held:.0f} sigmas ({errors}): use a larger model",
             share,
         )
     if not found.best.chosen:
@@ -153,45 +156,53 @@ def judge(found: Findings) -> Verdict:
         )
         but = "".join(f"; but {words}" for words in against)
         words = (
-            f"the residuals are inside their noise without any effect (chi2/dof {chi2}, at most "
-            f"{high}), yet {names} shows in them ({errors}): add it if that counts{but}"
+            f"the residuals are within the noise without any effect (chi2/dof {chi2}, at most "
+            f"{high}); {names} is significant all the same ({errors}): add it if this gain "
+            f"matters to you{but}"
         )
         return Verdict("at_noise", f"{words}{_noise(found)}", share, against)
     if not against:
-        told = share is not None and share >= MIN_EXPLAINED_SHARE  # else the excess was mostly luck
-        part = f", {share:.0%} of what exceeded the noise" if told else ""
-        verb = "together explain" if several else "explains"
-        words = f"{names} {verb} the rest{part}: {errors}{_noise(found)}"
+        if share is not None and share >= MIN_EXPLAINED_SHARE:
+            verb = "together account" if several else "accounts"
+            part = f"{verb} for {100 * share:.0f} % of the error above the noise floor"
+        else:  # the excess was mostly chance: its share means nothing
+            part = f"{'together explain' if several else 'explains'} the remaining error"
+        words = f"{names} {part}: {errors}{_noise(found)}"
         return Verdict("explained", words, share)
-    words = f"{names} {'are' if several else 'is'} part of it ({errors}), but {'; '.join(against)}"
+    verb = "explain" if several else "explains"
+    words = f"{names} {verb} part of the error ({errors}), but {'; '.join(against)}"
     return Verdict("partly_explained", words, share, against)
 
 
 def _list_objections(found: Findings) -> list[str]:
-    """What keeps found effects from being the whole explanation."""
+    """List what keeps the found effects from being the whole explanation."""
     against, chi2, share = [], found.final_estimate.chi2_per_dof, found.share
     high, structure = found.noise.band(found.final_estimate.dof)[1], found.structure
-    # A small excess is mostly the luck of the draw: its share says nothing within two sigmas.
+    # Within two sigmas a small excess is mostly chance: its share means nothing.
     noise = found.noise.variance or 0.0
-    beyond_luck = chi2 > noise * (1 + MAX_EXCESS_SIGMAS * (2 / found.final_estimate.dof) ** 0.5)
-    if share is not None and share < MIN_EXPLAINED_SHARE and beyond_luck:
-        against.append(f"only {max(share, 0):.0%} of the variance beyond the noise is explained")
+    beyond_chance = chi2 > noise * (1 + MAX_EXCESS_SIGMAS * (2 / found.final_estimate.dof) ** 0.5)
+    if share is not None and share < MIN_EXPLAINED_SHARE and beyond_chance:
+        against.append(
+            f"that is only {100 * max(share, 0):.0f} % of the error above the noise floor"
+        )
     if chi2 > high:
         shown = format_distinctly([chi2, high])
         against.append(f"chi2/dof {shown[0]} is still above {shown[1]}")
     against += [robot_or_device(name) for name in found.robot_or_device]
     against += found.outdone
     if structure.has_structure:
-        against.append(f"structure remains (p = {structure.p_value:.1g}{_size(structure)})")
+        against.append(
+            f"the residuals still have structure (p = {structure.p_value:.1g}{_size(structure)})"
+        )
     return against
 
 
 def robot_or_device(name: str) -> str:
-    """What is said of an effect that the device may have made, and what tells."""
+    """Say that the device may cause an effect's error, and which measurement decides."""
     return (
-        f"{name} may be the measuring device's, whose usual errors explain as much (measure the "
-        "same poses with the device turned or moved aside, with a second one, or an artefact of "
-        "known length; or say in the model file what its certificate promises)"
+        f"the measuring device may cause {name}: its usual errors explain as much (measure the "
+        "same poses with the device turned or moved aside, measure them with a second device, "
+        "measure an artefact of known length, or state the device's certificate in the model file)"
     )
 
 
@@ -199,54 +210,55 @@ def _nothing_found(found: Findings, errors: str) -> Verdict:
     chi2, high = found.final_estimate.chi2_per_dof, found.noise.band(found.final_estimate.dof)[1]
     noise = _noise(found)
     if chi2 <= high:
-        words = f"the model explains the measurements down to their noise ({errors})"
+        words = f"the model explains the measurements down to the noise ({errors})"
         region = Region.of(found.best.fitted)
-        advice = f"stop looking{region.description if region else ''}{_uncertainty(found)}"
+        where = region.description if region else ""
+        advice = f"no further effect is needed{where}{_uncertainty(found)}"
         if found.refused:
             advice = f"yet {found.refused[0]}"
         elif found.structure.has_structure:
-            advice += ". Neighbouring residuals are alike, though: look at the map"
+            advice += ". But neighbouring residuals are similar: look at the map"
         return Verdict("at_noise", f"{words}: {advice}{noise or '.'}")
-    nothing = "nothing in the catalogue explains it"
+    nothing = "no effect of the catalogue explains it"
     if found.refused:
-        nothing = f"nothing plausible explains it: {found.refused[0]}"
+        nothing = f"no plausible effect explains it: {found.refused[0]}"
     return Verdict(
         "unexplained",
         f"chi2/dof {' is above '.join(format_distinctly([chi2, high]))}, but {nothing}"
-        f"{_size(found.structure, '; a smooth part of it')} ({errors}){noise}",
+        f"{_size(found.structure, '; smooth part')} ({errors}){noise}",
     )
 
 
 def _noise(found: Findings) -> str:
-    """What is to be known of the noise where it is not white, or not as stated."""
+    """Describe the noise if it is not white, or not as stated."""
     words = list(found.shape.remarks)
     if found.noise.misstated is not None:
-        words.insert(0, f"noise is {found.noise.misstated:.1f} times what is stated")
-    return f". What is left shows that {' and '.join(words)}" if words else ""
+        words.insert(0, f"the noise is {found.noise.misstated:.1f} times the stated noise")
+    return f". By the residuals, {' and '.join(words)}" if words else ""
 
 
 def _uncertainty(found: Findings) -> str:
-    """What of the error at poses left out is neither model nor noise."""
+    """Describe the part of the validation error that the model uncertainty makes."""
     result = found.best.fitted
     for kind, factor, unit in UNITS:
         error, stated = result.held_out.summary.rms(kind), result.noise_floor.rms(kind)
         floor = (stated or 0.0) * (found.noise.misstated or 1.0)
         if error is not None and floor and error > MAX_ERROR_TO_NOISE_RATIO * floor:
-            # What parameters add in squares falls as their number of observations rises.
+            # The variance that parameters add falls with the number of observations.
             twice = (floor**2 + (error**2 - floor**2) / 2) ** 0.5
             return (
-                f"; {floor * factor:.3g} {unit} are noise, the rest is the parameters' own "
-                f"uncertainty: twice as many poses would bring about {twice * factor:.3g} {unit}"
+                f"; {floor * factor:.3g} {unit} of it are noise, the rest is model uncertainty: "
+                f"twice as many poses would reduce it to about {twice * factor:.3g} {unit}"
             )
     return ""
 
 
 def _describe_noise_floor(found: Findings) -> str:
-    """What noise alone makes of the errors at poses left out, where it is as stated."""
+    """Format the noise floor of the validation error, if the noise is as stated."""
     floor = found.best.fitted.noise_floor
     if found.noise.misstated is not None or not floor.is_known:
         return ""
-    return f"; noise alone {format_errors(floor)}"
+    return f"; noise floor {format_errors(floor)}"
 
 
 def _size(structure: LackOfFit, before: str = ",") -> str:

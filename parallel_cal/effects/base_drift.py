@@ -28,7 +28,7 @@ class BaseDrift(Effect):
     source = "tens of um in a session of some hours, up to 0.1 um/s while warming up"
     lookalikes = ("thermal_expansion", "zero_shift", "device_bump")
     told_from: ClassVar[Mapping[str, str]] = {
-        "thermal_expansion": "measurements of the cold robot, then warm from work, then cold again"
+        "thermal_expansion": "Measure the robot cold, then warm from its own work, then cold again."
     }
     separated_by = (
         "a temperature that is not monotone in time, and the first poses measured again at the end"

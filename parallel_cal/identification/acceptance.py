@@ -1,7 +1,7 @@
-"""May a new model replace the old one? One rule for command line, node and search.
+"""Decide whether a new model may replace the old one, by one rule for all callers.
 
-What counts are errors at poses that the fits did not see. Where no pose was left out nothing is
-proven, however well the samples used are met: a larger model always meets them better.
+The rule compares validation errors. Without held-out poses nothing is proven, however small the
+in-sample error is: a larger model always lowers it.
 """
 
 from __future__ import annotations
@@ -17,17 +17,16 @@ from parallel_cal.identification.prediction_errors import Errors, Summary, held_
 from parallel_cal.identification.units import UNITS
 
 IN_SAMPLE = (
-    "the model was fitted on these samples before, so its error here is in-sample; at held-out "
-    "poses it is judged with its numbers identified anew without these poses"
+    "the model was fitted to these samples before, so its own error is in-sample; for the error at "
+    "held-out poses its parameters were identified again without these poses"
 )
 
 
 @dataclass(frozen=True)
 class Acceptance:
-    """Errors before and after, at poses left out (`judged`), else at the samples used.
+    """Errors before and after: at held-out poses if `judged`, else at the samples used.
 
-    `against` says in one sentence why the new model must not replace the old one; it is empty
-    where it may.
+    `against` says in one sentence why the new model must not replace the old one; empty if it may.
     """
 
     before: Summary
@@ -37,12 +36,12 @@ class Acceptance:
 
     @property
     def description(self) -> str:
-        """`error at poses left out 37.6 to 32.2 um, 0.457 to 0.457 arcmin`."""
+        """`error at held-out poses 37.6 to 32.2 um, 0.457 to 0.457 arcmin`."""
         return f"error {self.basis} {format_errors(self.after, self.before)}"
 
     @property
     def basis(self) -> str:
-        return "at poses left out" if self.judged else "at the samples used"
+        return "at held-out poses" if self.judged else "at the samples used"
 
     def document(self) -> dict[str, Any]:
         return {"accepted": not self.against, "judged": self.judged, "against": self.against}
@@ -51,12 +50,11 @@ class Acceptance:
 def acceptance(
     new: FitResult, old: FitResult | None = None, change: str = "", rise: float = 0.0
 ) -> Acceptance:
-    """Whether the error at poses left out falls, by more than its own uncertainty.
+    """Judge whether the validation error falls by more than its own uncertainty.
 
-    `old` is the identification of the same samples that the new model must beat: without the
-    effect added, or with the one removed; without it, the model before `new`. `change` names what
-    was changed (" with 'backlash'"). A share `rise` above 0 is for what makes a model smaller: its
-    error may be larger by so much.
+    `old` is the fit of the same samples that the new model must beat: without the added effect, or
+    with the removed one. By default it is the model before `new`. `change` names the change
+    (" with 'backlash'"). A `rise` above 0 is for a smaller model: its error may rise by this share.
     """
     before, after = (new.held_out_before if old is None else old.held_out), new.held_out
     squares = np.array([_squared(new, before), _squared(new, after)])
@@ -77,26 +75,26 @@ def acceptance(
         then,
         now,
         True,
-        f"the error at poses left out {'rises' if rise else verb}{change} "
+        f"the error at held-out poses {'rises' if rise else verb}{change} "
         f"({format_errors(now, then)}{factor}){known_already}",
     )
 
 
 def _describe_missing_proof(new: FitResult) -> str:
-    why = "too few poses to leave some out" if new.options.hold_out else "no pose was left out"
-    return f"{why}, so nothing proves that the new model is better"
+    why = "too few poses to hold some out" if new.options.hold_out else "no pose was held out"
+    return f"{why}: without a validation error nothing proves that the new model is better"
 
 
 def _falls_significantly(fall: np.ndarray, known: np.ndarray, group: np.ndarray) -> bool:
-    """Whether squared errors fall by more than their mean's own uncertainty, poses taken as a
-    whole: a fall that half of the poses contradict is luck."""
+    """Whether squared errors fall by more than the uncertainty of their mean, pose by pose: a
+    fall that half of the poses contradict is chance."""
     by_pose = np.bincount(group[known], fall[known])
     return bool(by_pose.mean() > by_pose.std() / np.sqrt(len(by_pose)))
 
 
 def _squared(result: FitResult, found: Errors) -> np.ndarray:
-    """Squared error (N,): of the pose in units of the device's noise; where none was measured, of
-    what sensors read, or of the joints."""
+    """Squared error (N,) of the pose in units of the device's noise; if no pose was measured, of
+    the readings of sensors, or of the joints."""
     n = len(result.model.joints)
     variance = np.diagonal(result.observations.S, axis1=1, axis2=2)
     parts = [
@@ -112,7 +110,7 @@ def _squared(result: FitResult, found: Errors) -> np.ndarray:
 
 
 def format_errors(after: Summary, before: Summary | None = None) -> str:
-    """Rms errors as a person reads them, with what they were before."""
+    """Format rms errors, `before` to `after`."""
     parts = []
     for kind, factor, unit in UNITS:
         now, then = after.rms(kind), before.rms(kind) if before else None

@@ -22,7 +22,10 @@ def chosen_parameters(model: Model, options: FitOptions) -> tuple[np.ndarray, bo
     if not options.refit:
         return free_mask(model, options.free, options.fix), False
     if options.free or options.fix:
-        raise FitError("refit names all that is identified: give it no free or fix patterns")
+        raise FitError(
+            "refit already names all parameters to identify: do not combine it with "
+            "free or fix patterns"
+        )
     return model.table.matching(options.refit), True
 
 
@@ -33,19 +36,19 @@ def free_mask(model: Model, free: Iterable[str], fix: Iterable[str]) -> np.ndarr
     both, only_freed, only_fixed = freed & fixed, freed & ~fixed, fixed & ~freed
     if both.any() and only_freed.any() == only_fixed.any():
         names = [n for n, b in zip(model.table.names, both, strict=True) if b]
-        raise FitError(f"{', '.join(names)}: both freed and fixed; say which")
+        raise FitError(f"{', '.join(names)}: free and fix both match; remove one of the patterns")
     free_is_narrower = both.any() and not only_freed.any()
     mask = (own & ~fixed) | freed if free_is_narrower else (own | freed) & ~fixed
     if not mask.any():
-        raise FitError("no parameter is left free; give --free a pattern or fix fewer")
+        raise FitError("no parameter is free: give --free a pattern, or fix fewer")
     return np.asarray(mask)
 
 
 def explain_too_few_poses(
     model: Model, observations: Observations, free: np.ndarray, prior: bool | Prior | None
 ) -> str:
-    """What is said where poses are too few, or all of them the same; empty where they are enough.
-    With a prior one equation is enough."""
+    """Explain that there are too few different poses; empty if there are enough. With a prior one
+    equation is enough."""
     poses, first = np.unique(observations.group, return_index=True)
     n = len(model.joints)
     moved = [n + i for i in model.mechanism.moved]
@@ -59,22 +62,21 @@ def explain_too_few_poses(
     return (
         f"{len(poses)} different poses give {carried} equations, but {int(free.sum())} "
         f"parameters are free: measure at least {-(-int(free.sum()) // most)} different "
-        "poses (better twice as many), fix parameters, or let tolerances tell (--prior)"
+        "poses (better twice as many), fix parameters, or use the tolerances as a prior (--prior)"
     )
 
 
 def check_plausible(
     model: Model, estimate: Estimate, free: np.ndarray, insist: bool = False
 ) -> tuple[Model, list[str]]:
-    """A small residual bought with an absurd parameter is a failed fit, not a good one; absurd is
-    what lies more than three of its own sigmas outside its range.
+    """Refuse a fit with an implausible parameter: more than three sigmas outside its range.
 
-    The sigmas are those that a model file states, as its reader applies the same rule: what passes
-    here can be written and read again. `estimate.sigma` is infinite where the data cannot see a
-    parameter, and would let any number pass.
+    The sigmas are those that a model file states. Its reader applies the same rule, so a model
+    that passes here can be written and read again. `estimate.sigma` is infinite for a parameter
+    that the data do not determine, and would let any value pass.
 
-    Where somebody insists, an effect's or a sensor's number is let be, and said: the model then has
-    it with a tolerance that allows it. FitError for all others.
+    If the caller insists, a parameter of an effect or a sensor is accepted with a warning, and its
+    tolerance is raised to allow it. All others raise FitError.
     """
     words, tolerances = [], dict(model.tolerances)
     stated_sigma = np.sqrt(np.maximum(np.diag(estimate.covariance), 0.0))
@@ -83,22 +85,22 @@ def check_plausible(
         value = float(model.values[i])
         if not free[i] or low <= value <= high:
             continue
-        said, (least, most) = _implausible(p, value, estimate.chi2_per_dof), p.plausible_range()
+        message, (least, most) = _implausible(p, value, estimate.chi2_per_dof), p.plausible_range()
         bound = least if value < low else most
         if not insist or p.group not in ("effect", "sensor") or bound == p.nominal:
-            raise FitError(said)
+            raise FitError(message)
         tolerances[p.name] = 1.2 * p.tolerance * (value - p.nominal) / (bound - p.nominal)
-        words.append(f"{said}: taken all the same")
+        words.append(f"{message}: accepted because you insisted")
     if why := model.with_values(_nearest(model, estimate, free)).find_contradiction():
         if not insist:
             raise FitError(why)
-        words.append(f"{why}: taken all the same")
+        words.append(f"{why}: accepted because you insisted")
     return replace(model, tolerances=tolerances), words
 
 
 def check_joint_errors(model: Model, found: Errors) -> None:
-    """FitError where a joint's errors are as large as its range: such a model says nothing of the
-    robot, whatever it improves, so that nobody can insist."""
+    """Raise FitError if a joint's errors are as large as its range, even if the caller insists:
+    such a model does not describe the robot."""
     m = model.mechanism
     for i, (low, high) in enumerate(m.joint_limits):
         error = found.joint[:, i]
@@ -127,8 +129,9 @@ def _implausible(p: Parameter, value: float, chi2_per_dof: float) -> str:
         plausible = f"({low:.6g} to {high:.6g})"
         return f"{p.name} would have to be {shown}, which is not plausible {plausible}"
     return (
-        f"{p.name} went to {shown}, {(value - p.nominal) / p.tolerance:+.1f} tolerances from its "
+        f"{p.name} was identified as {shown}, "
+        f"{(value - p.nominal) / p.tolerance:+.1f} tolerances from its "
         f"nominal {p.nominal:.6g} (plausible {low:.6g} to {high:.6g}; chi2/dof "
-        f"{chi2_per_dof:.3g}): check units and mechanism, fix the parameter, use priors, or "
-        "correct nominal and tolerance in the model file"
+        f"{chi2_per_dof:.3g}): check units and mechanism, fix the parameter, use priors, "
+        "or correct nominal and tolerance in the model file"
     )

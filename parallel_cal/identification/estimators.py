@@ -32,14 +32,16 @@ def load_method(name: str) -> Callable[..., Estimate]:
     a Python path."""
     function = getattr(load_module(SHELF, name, FitError), "estimate", None)
     if function is None:
-        raise FitError(f"{name} is no method: it has no estimate(model, observations, free, prior)")
+        raise FitError(
+            f"{name} is not a method: it has no estimate(model, observations, free, prior)"
+        )
     return wrap_plugin_function(name, function)
 
 
 def check_convergent_method(method: str, wanted: str) -> None:
-    """FitError for a method that does not weigh samples by their noise, or does so only once."""
+    """Raise FitError for a method that does not weight samples by their noise until convergence."""
     if method not in CONVERGENT_METHODS:
         raise FitError(
-            f"{wanted} needs a method that weighs samples until it settles, and '{method}' does "
-            f"not; use {' or '.join(CONVERGENT_METHODS)}"
+            f"{wanted} needs an iterative method that weights samples, and '{method}' is not one: "
+            f"use {' or '.join(CONVERGENT_METHODS)}"
         )

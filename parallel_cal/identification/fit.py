@@ -379,7 +379,11 @@ def fit_registered(
         dataset=dataset,
         warnings=(
             *dataset.warnings,
-            *([f"{observations.doubts}: taken all the same"] if observations.doubts else ()),
+            *(
+                [f"{observations.doubts}: accepted because you insisted"]
+                if observations.doubts
+                else ()
+            ),
             *insisted,
             *list_parameter_warnings(fitted, estimate, mask),
             *on_priors(fitted, estimate),
@@ -405,7 +409,7 @@ def _cross_validate(folds: Folds, judged: Judged, like: Errors, report: Progress
     """Errors at every pose of fits that left it out; NaN where leaving out is not possible."""
     parts = like.blank().parts()
     for k, (train, test) in enumerate(folds):
-        report("leaving poses out", 0.2 + 0.8 * k / len(folds))
+        report("fitting without held-out poses", 0.2 + 0.8 * k / len(folds))
         if (unseen := judged(train, test)) is not None:
             for name, array in unseen.parts().items():
                 parts[name][test] = array

@@ -1,4 +1,4 @@
-"""What is to be doubted about a fit, in words."""
+"""Warn of what is doubtful about a fit."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from parallel_cal.recordings.dataset import Dataset
 
 
 def list_parameter_warnings(model: Model, estimate: Estimate, free: np.ndarray) -> list[str]:
-    """Parameters that went far, combinations that the data cannot tell."""
+    """List parameters that moved far, and combinations that the data do not determine."""
     table = model.table
     moved = (model.values - table.nominal) / table.tolerance
     words = [
@@ -32,21 +32,24 @@ def list_parameter_warnings(model: Model, estimate: Estimate, free: np.ndarray) 
         for i, p in enumerate(table)
         if free[i] and abs(moved[i]) > MAX_MOVED_TOLERANCES
     ]
-    unseen = estimate.spectrum.unidentifiable
-    if len(unseen) > MAX_NAMED_DIRECTIONS:
-        part_of = {name for direction in unseen for name in direction}
+    unidentifiable = estimate.spectrum.unidentifiable
+    if len(unidentifiable) > MAX_NAMED_DIRECTIONS:
+        part_of = {name for direction in unidentifiable for name in direction}
         together = parameters_in_words((n for n in table.names if n in part_of), table)
         words.append(
-            f"the data cannot tell {len(unseen)} combinations of {together}: along them the model "
-            "keeps what it had"
+            f"the data do not determine {len(unidentifiable)} combinations of "
+            f"{together}: they keep "
+            "the values that the model had"
         )
     else:
-        words += [f"the data cannot tell {direction_in_words(c, table)}" for c in unseen]
+        words += [
+            f"the data do not determine {direction_in_words(c, table)}" for c in unidentifiable
+        ]
     return words
 
 
 def on_priors(model: Model, estimate: Estimate) -> list[str]:
-    """Combinations that the data hardly tell, and tolerances do."""
+    """List weak directions, which the tolerances determine as priors."""
     weak = estimate.spectrum.weak
     if not (estimate.spectrum.held and weak):
         return []
@@ -55,26 +58,27 @@ def on_priors(model: Model, estimate: Estimate) -> list[str]:
     ]
     more = f"; and {len(weak) - len(named)} more" if len(weak) > len(named) else ""
     return [
-        f"tolerances stand in as priors for what the data tell less of, {len(weak)} "
-        f"combination{'s' * (len(weak) > 1)}: {'; '.join(named)}{more}"
+        f"the tolerances determine {len(weak)} combination{'s' * (len(weak) > 1)} of parameters as "
+        f"priors, because the data determine them less well: {'; '.join(named)}{more}"
     ]
 
 
 def list_noise_warnings(estimate: Estimate, observations: Observations) -> list[str]:
-    """Residuals beside the noise that was stated."""
+    """Compare the residuals with the stated noise."""
     if observations.noise_assumed:
         return [
-            "noise: assumed, so its proportions alone count: sigmas are from the residuals, and "
-            "whether more than noise is left cannot be known"
+            "the noise is assumed: only its proportions are used, sigmas come from "
+            "the residuals, and "
+            "it is not known whether the residuals exceed the noise"
         ]
     low, high = chi2_band(estimate.dof)
     if estimate.dof > 0 and not low <= estimate.chi2_per_dof <= high:
         size = "larger" if estimate.chi2_per_dof > high else "smaller"
         guessed = [kind for kind, source in observations.noise_from.items() if source == SCATTER]
         noise = "the stated noise"
-        if guessed:  # a robot that comes back shows more than its jitter at rest
+        if guessed:  # a robot that returns to a pose shows more than its jitter at rest
             which = " and ".join(guessed)
-            noise = f"the jitter within dwells, taken for the {which} noise that nobody stated"
+            noise = f"the jitter within dwells, used as the {which} noise because none is stated"
         shown = format_distinctly([estimate.chi2_per_dof, low, high])
         return [
             f"chi2/dof {shown[0]} is outside {shown[1]}..{shown[2]}: the residuals are {size} than "
@@ -95,7 +99,7 @@ def format_distinctly(values: Sequence[float]) -> list[str]:
 def list_held_coordinate_warnings(
     model: Model, after: Summary, noise: Callable[[], Summary]
 ) -> list[str]:
-    """What was measured to move, but the model holds at one value: chi2 does not see it."""
+    """List measured coordinates that vary although the model holds them: chi2 ignores them."""
     words = []
     for kind, part in (("position", range(3)), ("orientation", range(3, 6))):
         error = after.rms(kind)
@@ -104,15 +108,16 @@ def list_held_coordinate_warnings(
         floor = noise().rms(kind)
         if floor is not None and error > MAX_HELD_ERROR_TO_NOISE_RATIO * floor:
             words.append(
-                f"the {kind} is off by {error / floor:.0f} times its noise, but "
-                f"{model.mechanism.name} holds it at one value: a larger model may explain it"
+                f"the {kind} error is {error / floor:.0f} times its noise, but "
+                f"{model.mechanism.name} holds the {kind} at one value: a larger "
+                f"model may explain it"
             )
     return words
 
 
 @dataclass(frozen=True)
 class DownWeightedSample:
-    """A sample that a robust loss mistrusts: its number, when it was, and its weight."""
+    """A sample that a robust loss down-weights: its number, time (s) and weight."""
 
     sample: int
     time: float
@@ -122,7 +127,7 @@ class DownWeightedSample:
 def find_down_weighted_samples(
     estimate: Estimate, dataset: Dataset
 ) -> tuple[DownWeightedSample, ...]:
-    """Samples that a robust loss gave less than half their weight, least trusted first."""
+    """Find samples that a robust loss gave less than half their weight, smallest weight first."""
     if estimate.weight is None:
         return ()
     order = np.argsort(estimate.weight, kind="stable")
@@ -136,7 +141,7 @@ def find_down_weighted_samples(
 
 
 def list_sample_warnings(estimate: Estimate, dataset: Dataset, loss: str) -> list[str]:
-    """Samples that a robust loss mistrusts."""
+    """List samples that a robust loss down-weights."""
     words = [
         f"{d.sample} ({d.time:.1f} s, weight {d.weight:.2g})"
         for d in find_down_weighted_samples(estimate, dataset)
@@ -145,7 +150,8 @@ def list_sample_warnings(estimate: Estimate, dataset: Dataset, loss: str) -> lis
 
 
 def chi2_band(dof: int) -> tuple[float, float]:
-    """Where chi2/dof lies in 99 % of fits with a complete model (Wilson-Hilferty)."""
+    """Compute the band that holds chi2/dof of 99 % of fits with a complete model
+    (Wilson-Hilferty)."""
     if dof <= 0:
         return (0.0, float("inf"))
     a = 2 / (9 * dof)
@@ -156,5 +162,5 @@ def chi2_band(dof: int) -> tuple[float, float]:
 
 
 def finite_or_none(value: float) -> float | None:
-    """A number as documents hold it: None where it is not known."""
+    """Convert a number for a document: None if it is not finite."""
     return float(value) if np.isfinite(value) else None

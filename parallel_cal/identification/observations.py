@@ -17,7 +17,7 @@ from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.samples import READING
 
 ASSUMED = "assumed"  # whose a noise figure is that nobody measured
-GUESS = "(nobody knows? your guess, with noise.assumed: true)"
+GUESS = "(if you do not know it: state a guess and noise.assumed: true)"
 SCATTER = "scatter within dwells"  # where noise comes from that nobody stated
 
 
@@ -95,7 +95,7 @@ def _joint_order(model: Model, dataset: Dataset) -> list[int]:
     missing = [j for j in model.joints if j not in dataset.joint_names]
     if missing:
         raise FitError(
-            f"{dataset.source}: no joint {', '.join(missing)}; it has "
+            f"{dataset.source}: joint {', '.join(missing)} is missing; recorded are "
             f"{', '.join(dataset.joint_names)}. Rename the joints in the model file"
         )
     return [dataset.joint_names.index(j) for j in model.joints]
@@ -127,7 +127,8 @@ def _joint_sigma(
     scatter = _pool_scatter(dataset.scatter_q[:, order])
     if not (scatter > 0).all():
         raise FitError(
-            f"{dataset.source or 'samples'}: no figure for the joints' noise; give --joint-sigma "
+            f"{dataset.source or 'samples'}: the noise of the joint readings is not "
+            f"known; give --joint-sigma "
             f"(rad or m) or noise.joint in the model file {GUESS}"
         )
     return scatter, SCATTER
@@ -167,9 +168,9 @@ def _check_definite(covariance: np.ndarray, dataset: Dataset) -> None:
     least = np.linalg.eigvalsh(correlation)[:, 0]
     for i in np.flatnonzero((skew > 1e-6) | (least < -1e-6)):
         raise FitError(
-            f"{dataset.source}: sample {dataset.numbers[i]}: the pose's recorded covariance is not "
-            "symmetric, or says that a combination of coordinates has a negative variance; "
-            "correct what the device's driver fills in, or leave all but the diagonal at zero"
+            f"{dataset.source}: sample {dataset.numbers[i]}: the recorded pose covariance is not "
+            "symmetric, or gives a combination of coordinates a negative variance; correct the "
+            "device's driver, or set all but the diagonal to zero"
         )
 
 
@@ -182,7 +183,7 @@ def _fallback_pose_sigma(
     sigma = np.where(np.isfinite(given), given, _pool_scatter(dataset.scatter_pose))
     if not (sigma[wanted] > 0).all():
         raise FitError(
-            f"{dataset.source}: no figure for the device's noise; record a covariance or give "
+            f"{dataset.source}: the noise of the device is not known; record a covariance, or give "
             f"noise.position (m) and noise.orientation (rad) in the model file {GUESS}"
         )
     source = _get_noise_source(model) if np.isfinite(given[wanted]).any() else SCATTER
@@ -207,9 +208,9 @@ def _readings(model: Model, dataset: Dataset) -> np.ndarray:
     channels, read = model.structure.channels, _list_read_channels(dataset)
     if missing := [c for c in channels if c not in read]:
         raise FitError(
-            f"{dataset.source}: nothing was measured with {', '.join(missing)}, which the model's "
-            f"sensors expect (recorded: {', '.join(read) or 'no reading'}); measure it, or take "
-            "it out of the model"
+            f"{dataset.source}: no measurement with {', '.join(missing)}, which the model's "
+            f"sensors expect (recorded: {', '.join(read) or 'no reading'}); measure it, or "
+            "remove the sensor from the model"
         )
     if strange := [c for c in read if c not in channels]:
         raise FitError(

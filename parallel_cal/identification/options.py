@@ -63,7 +63,7 @@ class FitOptions:
     def __post_init__(self) -> None:
         """Raise FitError for a negative share; a share that is too large is refused later."""
         if not self.hold_out >= 0:
-            raise FitError(f"hold_out {self.hold_out}: expected 0 (no check) to 0.5")
+            raise FitError(f"hold_out {self.hold_out}: expected 0 (no validation) to 0.5")
 
 
 class FitKeywords(TypedDict, total=False):

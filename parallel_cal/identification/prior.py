@@ -32,7 +32,9 @@ class Prior:
         tolerance. FitError for a model without covariance.
         """
         if model.covariance is None:
-            raise FitError("the model has no covariance to start from: identify it first")
+            raise FitError(
+                "the model has no covariance to use as a prior: identify the model first"
+            )
         scale = np.outer(model.table.tolerance, model.table.tolerance)
         size, directions = np.linalg.eigh(model.covariance / scale)
         unseen = directions[:, size < UNSEEN * size[-1]]
@@ -105,6 +107,6 @@ def _inverse(covariance: np.ndarray) -> np.ndarray:
         factor = np.linalg.inv(np.linalg.cholesky(covariance))
     except np.linalg.LinAlgError:
         raise FitError(
-            "the prior's covariance is singular: fix the parameters that it knows exactly"
+            "the covariance of the prior is singular: fix the parameters that it knows exactly"
         ) from None
     return np.asarray(factor.T @ factor)

@@ -1,7 +1,7 @@
-"""Joint readings that no robot of a model's kind shows: most often their unit is another one.
+"""Refuse joint readings that no robot of the model's kind shows; most often their unit is wrong.
 
-Real robots are read beyond their nominal limits, from wrong zeros and after whole turns, so only
-readings that span a joint's range several times, or lie many ranges away, are refused.
+Real robots show readings beyond their nominal limits, from wrong zeros and after whole turns. Only
+readings that span a joint's range several times, or are many ranges away from it, are refused.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ SHOWN_IN = {"m": ("mm", 1e3), "rad": ("deg", 180 / np.pi)}
 def doubt_readings(
     model: Model, x: np.ndarray, measured: np.ndarray, a: np.ndarray, source: str
 ) -> str:
-    """Why the joint readings cannot be of such a robot, and what may be the cure; empty where they
-    can. `x`, `measured` and `a` are as observations have them."""
+    """Explain why the joint readings are impossible, and how to mend them; empty if they are
+    possible. `x`, `measured` and `a` are as in Observations."""
     m, q = model.mechanism, x[:, : len(model.joints)]
     excess = _excess(m, q)
     if not excess.any():
@@ -37,19 +37,20 @@ def doubt_readings(
     worst = int(np.argmax(excess))
     name, unit, (low, high) = m.joints[worst], m.joint_units[worst], m.joint_limits[worst]
     others = [joint for joint, e in zip(m.joints, excess, strict=True) if e and joint != name]
-    also = f" (as do the readings of {', '.join(others)})" if others else ""
+    also = f" (likewise the readings of {', '.join(others)})" if others else ""
     return (
         f"{source or 'samples'}: joint {name} reads {q[:, worst].min():.4g} to "
         f"{q[:, worst].max():.4g} {unit}, its limits are {low:.4g} to {high:.4g} {unit}: the "
-        f"readings span, or lie away by, {excess[worst]:.3g} times its range{also}. "
-        f"{_guess(model, x, measured, a, worst)}. If the joint does go there, state its limits in "
+        f"span or the distance of the readings is {excess[worst]:.3g} times its range{also}. "
+        f"{_guess(model, x, measured, a, worst)}. If the joint does move there, state "
+        f"its limits in "
         "the model file (low, high)"
     )
 
 
 def _excess(m: Mechanism, q: np.ndarray) -> np.ndarray:
-    """How many ranges (nq,) the readings (N, nq) of joints span, or lie away, whose readings cannot
-    be true; 0 of all others."""
+    """Number of ranges (nq,) that impossible readings (N, nq) span or are away; 0 for possible
+    ones."""
     excess = np.zeros(q.shape[1])
     tail = (1 - MOST_READINGS) / 2
     for i, ((low, high), turn) in enumerate(zip(m.joint_limits, m.joint_periods, strict=True)):
@@ -79,18 +80,20 @@ def _arc(angles: np.ndarray, turn: float) -> float:
 
 
 def _guess(model: Model, x: np.ndarray, measured: np.ndarray, a: np.ndarray, i: int) -> str:
-    """What the readings of joint i may be in, and how to say so."""
+    """Guess the unit of the readings of joint i, and say how to state it."""
     unit, read = model.mechanism.joint_units[i], x[:, i]
-    cure = "say so in the column map (unit: {}; see docs/import_csv.md), or publish them in {}"
+    cure = "state it in the column map (unit: {}; see docs/import_csv.md), or publish them in {}"
     if scale := _scale(model, x, measured, a, i):
         units = LENGTHS if unit == "m" else ANGLES
         nearest = min(units, key=lambda name: abs(np.log(abs(scale) / units[name])))
         if abs(np.log(abs(scale) / units[nearest])) < SAME_UNIT:
-            return f"By the measured poses they are in {nearest}: {cure.format(nearest, unit)}"
+            return (
+                f"By the measured poses the readings are in {nearest}: {cure.format(nearest, unit)}"
+            )
         shown, factor = SHOWN_IN[unit]
         one, turn = f"{scale * factor:.4g} {shown}", f"{2 * np.pi * scale * factor:.4g} {shown}"
         return (
-            f"By the measured poses one unit of them is {one}, so that they may be a motor's "
+            f"By the measured poses one unit of the readings is {one}. They may be a motor's "
             f"revolutions (column map: unit: rev, per_rev: {one}), its radians (per_rev: {turn}), "
             f"or encoder counts: see docs/import_csv.md, or publish them in {unit}"
         )
@@ -99,10 +102,10 @@ def _guess(model: Model, x: np.ndarray, measured: np.ndarray, a: np.ndarray, i: 
     for name in USUAL_UNITS[unit]:
         there = read * (LENGTHS | ANGLES)[name]
         if low - margin <= there.min() and there.max() <= high + margin:
-            return f"In {name} they would be near the limits: {cure.format(name, unit)}"
+            return f"In {name} the readings would be near the limits: {cure.format(name, unit)}"
     other = " or ".join(USUAL_UNITS[unit])
     return (
-        f"Are they in {other}, a motor's revolutions or encoder counts? Then "
+        f"Are the readings in {other}, a motor's revolutions or encoder counts? Then "
         f"{cure.format('..., per_rev: ...', unit)}"
     )
 
@@ -110,8 +113,8 @@ def _guess(model: Model, x: np.ndarray, measured: np.ndarray, a: np.ndarray, i: 
 def _scale(
     model: Model, x: np.ndarray, measured: np.ndarray, a: np.ndarray, i: int
 ) -> float | None:
-    """How far joint i goes by the measured poses (m or rad) where its reading grows by one; None
-    where these do not tell, as those in an unknown frame."""
+    """Motion of joint i by the measured poses (m or rad) per unit of its reading; None if the
+    poses do not determine it, for example in an unknown frame."""
     n = len(model.joints)
     controlled = [n + k for k in model.mechanism.controlled]
     given = np.flatnonzero(measured[:, controlled].all(axis=1))

@@ -31,7 +31,7 @@ def add_consider_covariance(
     if model.covariance is None:
         raise FitError(
             "a partial re-calibration keeps the other parameters with their covariance, but the "
-            "model has none: identify all of it first, or fix the others instead"
+            "model has none: identify all parameters first, or fix the others instead"
         )
     before = np.asarray(model.covariance)
     others = ~free & (np.diag(before) > 0)

@@ -89,8 +89,8 @@ class Registration:
         target = " ".join(f"{1e3 * v:.2f}" for v in self.target_position)
         also = f", rotation {turned[1]} deg" if turned[1] != "0.000 0.000 0.000" else ""
         if not self.told:
-            also += " (assumed: the platform does not turn enough to tell; where it sits elsewhere "
-            also += "by more than 2 mm say so, as target_position of the sensor device_frame)"
+            also += " (assumed: the platform does not turn enough to determine it; if it is off by "
+            also += "more than 2 mm, state it as target_position of the sensor device_frame)"
         return (
             f"frame '{self.frame}' was registered to '{self.base}' ({self.why}): "
             f"{' '.join(f'{v:.5f}' for v in self.position)} m, rotation {turned[0]} deg; "
@@ -125,7 +125,7 @@ def register_device(
     if not (elsewhere or there.is_explained_by(found)):
         return model, None
     placed = _with_frames(model, found)
-    why = "another frame" if elsewhere else "in its own, nothing fitted"
+    why = "the poses are in another frame" if elsewhere else "the poses did not fit without it"
     told = there.tilts or not (there.turns and there.placed.any())
     return placed, _registration(placed, frame, why, told)
 

@@ -85,7 +85,7 @@ class View:
         words = []
         for parts in seen.unidentifiable:
             them = "it" if len(parts) == 1 else "one of them"
-            words.append(f"no pose tells {direction_in_words(parts, table)}: keep {them} fixed")
+            words.append(f"no pose determines {direction_in_words(parts, table)}: fix {them}")
         return words
 
     def _spectrum(self, rows: np.ndarray) -> Spectrum:

@@ -251,7 +251,7 @@ def plan(
 
     def report(fraction: float) -> None:
         if progress:
-            progress("choosing poses", fraction)
+            progress("selecting poses", fraction)
 
     if isinstance(options.pool, Solutions):
         pool = given_pool(model, options.pool, rng)
@@ -314,14 +314,14 @@ def _measured(model: Model) -> np.ndarray:
     given = [noise.position is not None, noise.orientation is not None]
     if channels and not any(given):
         raise FitError(
-            f"a plan chooses poses for a pose device; the model's set-up reads "
+            f"a plan needs a device that measures poses; the model's sensors read "
             f"{', '.join(channels)} instead: spread the tip along the rim of the plate and of "
-            "each sphere, or take the sensors out of the model file and state noise.position"
+            "each sphere, or remove the sensors from the model file and state noise.position"
         )
     if noise.joint is None or not any(given):
         missing = "noise.joint" if noise.joint is None else "noise.position or noise.orientation"
         raise FitError(
-            f"the model states no {missing}: a plan weighs measurements by their noise; give "
+            f"the model states no {missing}: a plan weights measurements by their noise; state "
             "noise (1 sigma, rad or m) in the model file"
         )
     return np.array([True] * len(model.joints) + [given[0]] * 3 + [given[1]] * 3)
@@ -329,7 +329,9 @@ def _measured(model: Model) -> np.ndarray:
 
 def _list_sensor_warnings(model: Model) -> list[str]:
     channels = ", ".join(model.structure.channels)
-    return [f"planned for the pose device alone, as if {channels} read nothing"] * bool(channels)
+    return [f"planned for the pose device only: readings of {channels} are ignored"] * bool(
+        channels
+    )
 
 
 def equations_per_pose(model: Model) -> int:
@@ -337,7 +339,10 @@ def equations_per_pose(model: Model) -> int:
     moved = [len(model.joints) + i for i in model.mechanism.moved]
     each = model.structure.phi.shape[0] - int((~_measured(model)[moved]).sum())
     if each <= 0:
-        raise FitError("what is measured gives no equation: state the noise of what else is")
+        raise FitError(
+            "the measured coordinates give no equation: state the noise of the "
+            "others that you measure"
+        )
     return each
 
 
@@ -356,8 +361,8 @@ def _check_seeing(expected: Expectation, rank: int, prior: bool) -> None:
     seen = expected.indices
     if seen.rank < rank and not prior:
         raise FitError(
-            f"{seen.poses} poses see only {seen.rank} of the {rank} directions of the parameters "
-            "that the workspace shows: plan more, fix parameters, or use priors"
+            f"{seen.poses} poses determine only {seen.rank} of the {rank} directions of the "
+            "parameters that the workspace determines: plan more, fix parameters, or use priors"
         )
 
 
@@ -365,12 +370,13 @@ def _number_of_groups(n: int, pool: Pool) -> int:
     size = pool.groups.shape[1]
     if n % size:
         raise FitError(
-            f"{n} poses are no symmetric sets of {size}: plan {n // size * size or size}"
+            f"{n} poses are not a multiple of {size}, the size of a symmetric set: "
+            f"plan {n // size * size or size}"
             f" or {n // size * size + size}"
         )
     if n > len(pool.poses):
         raise FitError(
-            f"{n} poses wanted, but only {len(pool.poses)} candidates are reachable, inside the "
+            f"{n} poses requested, but only {len(pool.poses)} candidates are reachable, inside the "
             "limits and away from singularities: take a larger pool"
         )
     return n // size

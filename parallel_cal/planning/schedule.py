@@ -43,11 +43,14 @@ class Schedule:
         """How to bring it about, poses (n,) in these blocks; `warm`: temperature matters."""
         first, then, last = np.bincount(blocks, minlength=BLOCKS)
         low, high = self.temperature[:2]
-        stay = "device and joint zeros left as they are"
+        stay = "Leave device and joint zeros unchanged."
         if not warm:
             wait = (self.begin[1] - self.begin[0]) / 60
-            return f"{first}, {then} and {last} poses, {wait:.0f} min from one to the next, {stay}"
+            return (
+                f"Measure blocks of {first}, {then} and {last} poses; start each {wait:.0f} min "
+                f"after the one before. {stay}"
+            )
         return (
-            f"{first} poses at {low:.0f} degC, {then} once the robot has worked itself up to "
-            f"{high:.0f} degC, {last} when it has cooled again, {stay}"
+            f"Measure {first} poses at {low:.0f} degC, {then} after the robot has warmed up to "
+            f"{high:.0f} degC by its own work, and {last} after it has cooled again. {stay}"
         )

@@ -28,12 +28,12 @@ from parallel_cal.reporting.readable import (
 )
 from parallel_cal.session.steps import Step
 
-# that a person reads
+# Limits on what one screen shows.
 MAX_CANDIDATES = 8
 MAX_SAMPLES = 10
 MAX_PATTERNS = 5
-MIN_SHOWN_P_VALUE = 1e-99  # p-value: what is below says no more
-PATTERN_SIGNIFICANCE_LEVEL = 0.05  # of what errors go with
+MIN_SHOWN_P_VALUE = 1e-99  # a smaller p-value adds no information
+PATTERN_SIGNIFICANCE_LEVEL = 0.05  # below it a pattern of the errors is shown
 
 
 @singledispatch
@@ -62,42 +62,44 @@ def show(result: Any) -> str:
     94 samples
     """
     kind = type(result).__name__
-    raise TypeError(f"show takes what fit, add, remove, compare or diagnose gives, not {kind}")
+    raise TypeError(
+        f"show: got {kind}, expected the result of fit, add, remove, compare or diagnose"
+    )
 
 
 @show.register
 def format_step(step: Step) -> str:
-    """A step's identification; an effect added is held against the same fit without it."""
+    """Format a step's fit; the fit without an added effect is its reference."""
     shown = format_fit(step.result, step.rival if step.name == "add" else None)
     if step.platform_shift is None:
         return shown
     measured, anywhere, worth = (
-        format_fixed(way, 1e6, 0)
-        for way in (
+        format_fixed(distance, 1e6, 0)
+        for distance in (
             step.platform_shift.measured,
             step.platform_shift.workspace,
             step.platform_shift.shown,
         )
     )
     return (
-        f"{shown}\nmoves your robot by {measured} um where it was measured, {anywhere} um over its "
-        f"workspace; the errors at poses left out show {worth} um"
+        f"{shown}\nthe change moves the platform by {measured} um rms at the measured poses and by "
+        f"{anywhere} um rms over the workspace; the validation error shows {worth} um of it"
     )
 
 
 @show.register
 def format_fit(result: FitResult, without: FitResult | None = None) -> str:
-    """An identification; `without` is that of the same data without an effect added."""
+    """Format a fit; `without` is the fit of the same samples without the added effect."""
     rival = result.held_out_before if without is None else without.held_out
     judged = {
         "before": result.before.summary,
         "after": result.after.summary,
-        "left out, before" if without is None else "left out, without it": rival.summary,
-        "left out, after": result.held_out.summary,
+        "held-out, before" if without is None else "held-out, without it": rival.summary,
+        "held-out, after": result.held_out.summary,
     }
-    rows, told = [], find_given_parameters(result.model)
+    rows, given = [], find_given_parameters(result.model)
     for name, p in result.parameters().items():
-        if not p.fixed or name in told:
+        if not p.fixed or name in given:
             value, unit = in_unit(p.value, p.unit)
             change, sigma = (in_unit(v, p.unit)[0] for v in (p.value - p.nominal, p.sigma))
             rows.append((name, value, change, sigma, unit))
@@ -114,8 +116,10 @@ def format_fit(result: FitResult, without: FitResult | None = None) -> str:
 
 
 def budget_lines(result: FitResult) -> Iterator[str]:
-    """What the drawing's error is made of, and ISO 9283's figures with the identified model; of
-    positions where they were measured."""
+    """Format the error budget of the drawing and the ISO 9283 figures of the identified model.
+
+    Both are for positions if positions were measured.
+    """
     for budget in result.budgets[:1]:
         unit, factor = ascii_unit(budget.kind)
         rows = [
@@ -127,14 +131,14 @@ def budget_lines(result: FitResult) -> Iterator[str]:
             )
             for part in budget.parts
         ]
-        total = f"{budget.kind} error of {format_fixed(budget.total, factor)} {unit}, of it"
+        total = f"{budget.kind} error of {format_fixed(budget.total, factor)} {unit}: parts"
         yield columns((total, "share", "by itself", "unit"), rows)
     yield from map(iso_line, result.iso_9283[:1])
 
 
 def iso_line(figures: Iso9283) -> str:
     unit, factor = ascii_unit(figures.kind)
-    again = "no pose was visited again, hence no repeatability"
+    again = "repeatability RP not known: no pose was visited twice"
     if figures.repeatability is not None:
         again = (
             f"repeatability RP {format_fixed(figures.repeatability, factor)} {unit} "
@@ -150,7 +154,7 @@ def ascii_unit(kind: str) -> tuple[str, float]:
 
 
 def find_given_parameters(model: Model) -> set[str]:
-    """What effects were given, or a search has found: gear ratios, masses."""
+    """Find fixed parameters of effects that the owner gave or a search found: ratios, masses."""
     table = model.table
     known = [
         table.matching(effect.fixed_patterns())
@@ -162,15 +166,17 @@ def find_given_parameters(model: Model) -> set[str]:
 
 
 def errors_table(judged: Mapping[str, Summary], noise: Summary, model: Model) -> str:
-    """Mean and rms errors of what was measured, one column for each of before, after, ... (as
-    table 5.15), beside those of noise alone where somebody knows the noise; that of the closure's
-    rows, too, where they are redundant."""
-    judged = {**judged, "noise alone": noise} if noise.is_known else dict(judged)
+    """Format mean and rms errors, one column each of before, after, ... (as table 5.15).
+
+    The noise floor is one more column if the noise is known. A redundant closure adds the rms of
+    its rows.
+    """
+    judged = {**judged, "noise floor": noise} if noise.is_known else dict(judged)
     joint_units = dict(zip(model.joints, model.mechanism.joint_units, strict=True))
     rows = []
     for kind in ("position", "orientation", "reading", "joint"):
-        wound = kind == "joint" and not model.mechanism.periodic  # winches turn many times
-        name, factor = (value_unit if wound and "rad" in joint_units.values() else error_unit)(
+        winds = kind == "joint" and not model.mechanism.periodic  # winches turn many times
+        name, factor = (value_unit if winds and "rad" in joint_units.values() else error_unit)(
             unit_of(kind, joint_units)
         )
         if any(e.mean(kind) is not None for e in judged.values()):
@@ -185,7 +191,7 @@ def errors_table(judged: Mapping[str, Summary], noise: Summary, model: Model) ->
 
 @show.register
 def format_comparison(comparison: Comparison) -> str:
-    """Errors, the worst samples, what the errors go with, and odd samples."""
+    """Format errors, the worst samples, patterns of the errors, and odd samples."""
     return "\n".join(
         [
             f"{len(comparison.observations)} samples",
@@ -218,17 +224,17 @@ def _worst(comparison: Comparison) -> str:
 
 
 def _format_patterns(comparison: Comparison) -> Iterator[str]:
-    """What the errors go with, beyond chance, and whether neighbours err alike."""
+    """Format significant patterns of the errors, the worst region and odd samples."""
     rows = [
         (a.name, format_fixed(a.strength, 1, 1), f"{a.p_value:.2g}")
         for a in comparison.residual_profiles[:MAX_PATTERNS]
         if a.p_value < PATTERN_SIGNIFICANCE_LEVEL
     ]
     if rows:
-        yield "errors go with:"
+        yield "errors correlate with:"
         yield columns(("along", "largest mean [sigma]", "p"), rows)
     else:
-        yield "errors go with nothing recorded, beyond chance"
+        yield "errors correlate with no recorded quantity"
     worst = comparison.regions[0]
     yield (
         f"worst region: {worst.region}, "
@@ -242,10 +248,10 @@ def _format_patterns(comparison: Comparison) -> Iterator[str]:
 
 @show.register
 def format_diagnosis(diagnosis: Diagnosis) -> str:
-    """The verdict, errors at poses left out, the candidates, and what to measure next."""
+    """Format the verdict, validation errors, the candidates, and what to measure next."""
     judged = {
-        "left out, as it is": diagnosis.base.fitted.held_out.summary,
-        "left out, with it": diagnosis.best.fitted.held_out.summary,
+        "held-out, as it is": diagnosis.base.fitted.held_out.summary,
+        "held-out, with it": diagnosis.best.fitted.held_out.summary,
     }
     return "\n".join(
         [
@@ -260,15 +266,15 @@ def format_diagnosis(diagnosis: Diagnosis) -> str:
 
 def _candidates(entries: tuple[Entry, ...]) -> Iterator[str]:
     tested = [entry for entry in entries if entry.p_adjusted is not None][:MAX_CANDIDATES]
-    header = ("effect", "p", "left out", "explains", "first pick", "not geometry", "confused with")
+    header = ("effect", "p", "held-out", "explains", "first pick", "not geometry", "confused with")
     yield columns(header, [_candidate(entry) for entry in tested])
     for entry in tested:
         for key, sigma in entry.candidate.sigma.items():
             best = entry.candidate.settings[key]
             yield f"{entry.name}: {key} {best:.4g} +- {sigma:.2g} fits best"
     for entry in entries:
-        told = entry in tested or entry.candidate.score is not None
-        if entry.candidate.missing or (entry.reason and told):
+        was_scored = entry in tested or entry.candidate.score is not None
+        if entry.candidate.missing or (entry.reason and was_scored):
             yield f"{entry.name}: {entry.reason}"
 
 
@@ -289,7 +295,7 @@ def _odd(diagnosis: Diagnosis) -> Iterator[str]:
         yield (
             f"{one.label}: sample {one.sample} at {format_fixed_vector(one.place, 1e3, 1)} mm, "
             f"{one.time:.1f} s, {one.sigmas:.1f} sigmas, Cook's "
-            f"distance {one.cooks_distance:.2f} (--data exclude={one.sample} leaves it out)"
+            f"distance {one.cooks_distance:.2f} (--data exclude={one.sample} excludes it)"
         )
 
 
@@ -298,6 +304,7 @@ def _next(diagnosis: Diagnosis) -> Iterator[str]:
         yield f"measure next: {advice}"
     if plan := diagnosis.measure_next.plan:
         yield (
-            f"{len(plan.poses)} planned poses (--json) would tell {' from '.join(plan.separates)} "
-            f"by {plan.sigmas.then:.1f} sigmas; now {plan.sigmas.now:.1f}"
+            f"{len(plan.poses)} planned poses (--json) would separate "
+            f"{' from '.join(plan.separates)} "
+            f"by {plan.sigmas.then:.1f} sigmas; the present samples do by {plan.sigmas.now:.1f}"
         )

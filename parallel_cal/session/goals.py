@@ -105,9 +105,9 @@ def _make_outcome(request: Request, step: Step) -> Outcome:
     means = tuple(_or_nan(kind.summary.position_mean) for kind in kinds)
     text = readable_text(step.model, request.output_file)
     if reason and not request.force:
-        message = f"{reason}; nothing was written (force writes it all the same)"
+        message = f"{reason}; nothing was written (use force to write it anyway)"
         return Outcome(False, message, step.document(), text, means)
-    although = f" by force although {reason}" if reason else ""
+    although = f" (forced although {reason})" if reason else ""
     message = f"{step.acceptance.description}; written to {request.output_file}{although}"
     return Outcome(True, message, step.document(), text, means)
 
@@ -125,12 +125,12 @@ def undo_write(path: str) -> str:
     is none, or it can no longer be read."""
     before = path + BACKUP_SUFFIX
     if not Path(before).exists():
-        raise ModelFileError(f"{path}: nothing to undo, there is no {before}")
+        raise ModelFileError(f"{path}: nothing to undo: {before} does not exist")
     text, now = model_text(before), model_text(path)
     parse_model(text, before)
     write_text(path, text)
     write_text(before, now)
-    return f"{path}: {model_hash(text)[:12]} again, was {model_hash(now)[:12]}"
+    return f"{path}: restored {model_hash(text)[:12]}, replaced {model_hash(now)[:12]}"
 
 
 def examine(

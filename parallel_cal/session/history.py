@@ -131,7 +131,7 @@ class History:
         """One step back; SessionError at the beginning."""
         with self._lock_record() as record:
             if record.state.parent is None:
-                raise SessionError("nothing to undo: this is where the session began")
+                raise SessionError("nothing to undo: this is the first state of the session")
             ahead = [*record.forward.get(record.branch, ()), record.state.number]
             self._move(record, record.state.parent, ahead)
         return self.state
@@ -151,7 +151,7 @@ class History:
             raise SessionError("a branch needs a name")
         with self._lock_record() as record:
             if name in record.branches:
-                raise SessionError(f"there is a branch '{name}' already; switch to it")
+                raise SessionError(f"branch '{name}' already exists; switch to it")
             branches = {**record.branches, name: record.state.number}
             self._write(record.model_copy(update={"branches": branches, "branch": name}))
         return self.state
@@ -204,7 +204,7 @@ class History:
             record = Record.model_validate_json(read_text(file))
         except OSError as error:
             raise SessionError(
-                f"{self.folder}: no session here ({error.strerror}); begin one with "
+                f"{self.folder}: no session here ({error.strerror}); create one with "
                 "parallel-cal session new"
             ) from None
         except ValidationError as error:

@@ -43,9 +43,9 @@ from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.session.history import SessionError, State
 
 HELD_OUT = "at held-out poses"
-UNSEEN = "at samples that no fit of it used"
-PERHAPS_USED = "at samples that a fit of it may have used"
-USED = "at the samples that it was fitted to"
+UNSEEN = "at samples that none of its fits used"
+PERHAPS_USED = "at samples that one of its fits may have used"
+USED = "at the samples of its fit"
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ def compare_with_model_in_use(
     own = model_hash(model)
     objections = list[str]()
     if not state.errors:
-        objections.append("this model was not identified on this session's samples: Fit does that")
+        objections.append("this model was not identified on this session's samples: run Fit first")
     if state.against:
         objections.append(state.against)
     if state.verdict.partition(":")[0] in AMBER_VERDICTS:
@@ -149,7 +149,7 @@ def compare_with_model_in_use(
                 f"{file} is a {in_use.mechanism.name}, this model is a {model.mechanism.name}"
             )
         if dataset is None:
-            raise SessionError("there are no samples to judge both by")
+            raise SessionError("there are no samples to compare them on")
         last = bool(dataset.sha256) and _fitted_datasets(in_use)[-1:] == [dataset.sha256]
         other = _Judged.of(in_use, dataset, options, fitted_to_these=last)
     except ParallelCalError as error:
@@ -180,15 +180,17 @@ def write_for_robot(model: Model, replacement: Replacement, insisted: bool) -> M
     file = replacement.file
     if (now := _hash_of(file)) != replacement.in_use_hash:
         raise SessionError(
-            f"{file} was changed while it was compared: its sha256 is {now[:12] or 'unknown'}, "
+            f"{file} changed during the comparison: its sha256 is {now[:12] or 'unknown'}, "
             f"expected {replacement.in_use_hash[:12] or 'no file'}; save again to compare with "
-            "what is there now"
+            "the present file"
         )
     if file.is_file() and not _is_text(file):
         try:
             shutil.copyfile(file, f"{file}{BACKUP_SUFFIX}")
         except OSError as error:
-            raise ModelFileError(f"{file}: cannot be laid aside: {error.strerror}") from None
+            raise ModelFileError(
+                f"{file}: cannot write the backup {file}{BACKUP_SUFFIX}: {error.strerror}"
+            ) from None
         write_model(model, file)
     else:
         replace_model(model, file)
@@ -261,9 +263,9 @@ def _at_common_samples(one: Errors, other: Errors) -> tuple[Summary, Summary]:
 def _comparison(
     old: Summary, old_where: str, new: Summary, new_where: str, ratio: float | None
 ) -> str:
-    """`the model in use errs by 37 um at ..., this model by 114 um at ...: it is worse ...`"""
+    """`the model in use has an error of 37 um at ..., this model of 114 um at ...: ...`"""
     if ratio is None:
-        verdict = "which of them is better is not known"
+        verdict = "it is not known which one is better"
     elif abs(ratio - 1) <= MAX_NEGLIGIBLE_ERROR_RISE:
         verdict = "they are equally good"
     else:
@@ -273,6 +275,6 @@ def _comparison(
         if new.position_rms and new.orientation_rms:
             verdict += " (position and orientation together)"
     return (
-        f"on the same samples the model in use errs by {format_errors(old)} {old_where}, "
-        f"this model by {format_errors(new)} {new_where}: {verdict}"
+        f"on the same samples the model in use has an error of {format_errors(old)} {old_where}, "
+        f"this model of {format_errors(new)} {new_where}: {verdict}"
     )

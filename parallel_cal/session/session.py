@@ -31,7 +31,7 @@ from parallel_cal.session.saving import (
 )
 from parallel_cal.session.steps import Step, add, fitted, remove
 
-CHANGED = "the session was changed meanwhile: look at it and try again"
+CHANGED = "the session changed in the meantime: look at it and try again"
 JUDGED = ("before", "errors", "noise", "against", "verdict")  # what a state knows of its model
 
 
@@ -61,7 +61,9 @@ class Session(History):
         """
         target = Path(folder)
         if (target / FILE).exists():
-            raise SessionError(f"{target}: holds a session already; open it or name another folder")
+            raise SessionError(
+                f"{target}: already holds a session; open it, or name another folder"
+            )
         paths = [str(Path(path).resolve()) for path in recordings]
         if paths:  # better said now than at the first step
             load_sessions(paths, reading, joints=model.joints)
@@ -93,7 +95,7 @@ class Session(History):
     def samples(self) -> Dataset:
         """All samples, those that are excluded here, too; SessionError where there are none yet."""
         if not (paths := tuple(self.recordings)):
-            raise SessionError(f"{self.folder}: no samples yet; take some first")
+            raise SessionError(f"{self.folder}: no samples yet; record samples first")
         if paths not in self._samples:
             joints = self._model(self.record.states[0]).joints
             options = ReadOptions(**self.record.reading)
@@ -131,7 +133,7 @@ class Session(History):
         """Leave samples out, each with a reason, and identify anew."""
         known = {int(n) for n in self.samples.numbers}
         if unknown := sorted(set(samples) - known):
-            raise SessionError(f"no sample {unknown[0]}; there are {len(known)}")
+            raise SessionError(f"no sample {unknown[0]}; the session has {len(known)} samples")
         excluded = {**self.state.excluded, **samples}
         return self._refit(f"exclude {_format_numbers(samples)}", progress, excluded=excluded)
 
@@ -222,7 +224,7 @@ class Session(History):
         written = write_for_robot(self.model, found, insist(found))
         if written is not self.model:
             kept = {name: getattr(at, name) for name in JUDGED}
-            self._append_state(f"save to {file.name}, insisted", written, **kept)
+            self._append_state(f"save to {file.name}, forced", written, **kept)
         return found
 
     # ------------------------------------------------------------------ on disk

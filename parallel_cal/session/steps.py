@@ -147,7 +147,7 @@ def add(
     asked = parse_effects(effect)
     base = fit(model, dataset, **options)
     for name, _ in asked:
-        model.with_effect(name)  # a wrong name is better said before a search
+        model.with_effect(name)  # report a wrong name before a search
     scene = Scene.of(base.model, base.dataset, base.observations, base.free)
     # From where the base began, so that a device's frame lies where it was found there.
     more, extended = list[Candidate](), base.start
@@ -160,31 +160,31 @@ def add(
     found = acceptance(result, base, f" with '{name}'")
     if not found.against:
         chance = is_superfluous(base.estimate, result.estimate)
-        words = f"what '{name}' explains of what is left may be chance"
+        words = f"the improvement by '{name}' may be chance"
         doubts = (_explain_doubt(scene, one) for one in more)
         found = replace(found, against=words if chance else next(filter(None, doubts), ""))
     return _step("add", result, _check_proven(found, force), base, name)
 
 
 def _beside(result: FitResult, rival: FitResult) -> FitResult:
-    """A fit with another effect, held against the model that its rival was given."""
+    """Compare a fit with another effect with the model that its rival started from."""
     given = replace(rival.given, known_held_out=rival.held_out_before)
     return replace(result, given=given, registration=rival.registration)
 
 
 def _explain_doubt(scene: Scene, one: Candidate) -> str:
-    """Why an effect that lowers the error may yet be the wrong one: the device may have made it,
-    or the device does another thing; empty where neither is likely."""
+    """Explain why an effect that lowers the error may be wrong: the device may cause it, or an
+    effect of the device explains it better; empty if neither is likely."""
     device = _device(scene)
     if find_doubtful_effects(scene, [one], device):
         return robot_or_device(one.name)
     better = [c.name for c in device if is_clearly_better(c, one)]
-    words = f"{' and '.join(better)} explains clearly better what '{one.name}' does"
-    return f"{words} (diagnose says more)" if better else ""
+    words = f"{' and '.join(better)} explains the error clearly better than '{one.name}'"
+    return f"{words} (see diagnose)" if better else ""
 
 
 def _device(scene: Scene) -> list[Candidate]:
-    """What the measuring device may do."""
+    """Score the effects of the measuring device."""
     names = [n for n in list_effects_to_test(scene.model) if load_effect(n).of_device]
     return [candidate(scene, name) for name in names]
 
@@ -231,11 +231,11 @@ def remove(
     >>> pc.remove(with_backlash, "backlash", data)
     Traceback (most recent call last):
     ...
-    parallel_cal.session.steps.Unproven: ...
+    parallel_cal.session.steps.UnprovenStepError: ...
     >>> pc.remove(with_backlash, "backlash", data, force=True).model.effects
     ()
     """
-    model.without_effect(effect)  # a wrong name is better said before a fit
+    model.without_effect(effect)  # report a wrong name before a fit
     with_it = fit(model, dataset, **options)
     result = _beside(fit(with_it.start.without_effect(effect), with_it.dataset, **options), with_it)
     found = acceptance(result, with_it, f" without '{effect}'", MAX_NEGLIGIBLE_ERROR_RISE)
@@ -243,15 +243,15 @@ def remove(
 
 
 class UnprovenStepError(FitError):
-    """What speaks `against` a step on which nobody insisted."""
+    """A step was refused because of `against`, and the caller did not force it."""
 
     def __init__(self, against: str) -> None:
-        super().__init__(f"{against}; nothing was written. --force to write it all the same")
+        super().__init__(f"{against}; nothing was written. Use --force to write it anyway")
         self.against = against
 
 
 def _check_proven(found: Acceptance, force: bool) -> Acceptance:
-    """The same; FitError where something speaks against the new model, and nobody insists."""
+    """Return `found`; UnprovenStepError if it has an objection and the caller does not force."""
     if found.against and not force:
         raise UnprovenStepError(found.against)
     return found
@@ -264,7 +264,7 @@ def _step(
     rival: FitResult | None = None,
     effect: str | None = None,
 ) -> Step:
-    """The step's model with one more entry in its history: no date, so that it is repeatable."""
+    """Make the step; its model's history gets one more entry, without a date to be repeatable."""
     entry: dict[str, Any] = {"step": name}
     if effect is not None:
         entry["effect"] = effect
@@ -279,7 +279,7 @@ def _step(
 
 
 def _unusual(result: FitResult) -> dict[str, Any]:
-    """What was not plain least squares of all free parameters on all samples."""
+    """Collect what differs from least squares of all free parameters on all samples."""
     loss = result.options.loss if result.options.loss != "linear" else None
     samples = [doubted.sample for doubted in result.down_weighted]
     how: dict[str, Any] = {
