@@ -1,4 +1,4 @@
-"""The catalogue as a model sees it: which effects these data can test, and how they score."""
+"""Score the effects of the catalogue that the present samples can test."""
 
 from __future__ import annotations
 

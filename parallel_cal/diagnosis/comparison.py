@@ -1,4 +1,4 @@
-"""A model beside measurements: errors a sample, and where it fails."""
+"""Compare a model with measurements: the errors of each sample, and where the model fails."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from parallel_cal.recordings.residuals import Residuals
 
 @dataclass(frozen=True)
 class Comparison(ShownInNotebook):
-    """A model beside measurements: errors a sample, and what noise alone would show."""
+    """A model compared with measurements: the errors of each sample, and the noise floor."""
 
     model: Model
     dataset: Dataset
@@ -90,20 +90,21 @@ class Comparison(ShownInNotebook):
 
     @property
     def place(self) -> np.ndarray:
-        """(N, 3) m: as measured, else where the model puts the platform."""
+        """(N, 3) m: the measured position, or else the predicted one."""
         n = len(self.model.joints)
         return np.where(np.isnan(self.position), self.scene.x[:, n : n + 3], self.position)
 
     @cached_property
     def worst_first(self) -> np.ndarray:
-        """Indices (N,) of the samples, by the error of the pose; where none was measured by that
-        of readings."""
+        """Indices (N,) of the samples by their pose error, or by their reading error if no pose was
+        measured."""
         kinds = [self.errors.norms(kind) for kind in ("position", "orientation", "reading")]
         norms = next((n for n in kinds if np.isfinite(n).any()), kinds[0])
         return np.argsort(-np.nan_to_num(norms, nan=-1.0), kind="stable")
 
     def residuals(self, numbers: np.ndarray, stamps: np.ndarray) -> Residuals:
-        """As messages tell them, of samples with these numbers and stamps (ns), each (N,)."""
+        """Residuals as messages hold them, of samples with these numbers and stamps (ns), each
+        (N,)."""
         field, errors = self.field, self.errors
         seen, reached = (Configuration.from_rows(x) for x in (self.observations.x, self.scene.x))
         unsolved = np.isfinite(self.position).all(axis=1) & np.isnan(errors.position).any(axis=1)

@@ -1,9 +1,10 @@
-"""Robot or device? What an error of the measuring device could imitate of a robot's effects.
+"""Robot or device? Find effects of the robot that an error of the measuring device could imitate.
 
-Residuals tell what is missing, not on which side of the measurement. What decides is how much each
-side may plausibly do: a tolerance bounds an effect of the robot, and the device's certificate (the
-tolerances of its effects) an error of the device. A device that does worse is betrayed by the form
-of its error: a smooth field of place that makes the data as likely as the robot's effects do.
+Residuals show what is missing, but not on which side of the measurement. The plausible size of each
+side decides: a tolerance bounds an effect of the robot, and the device's certificate (the
+tolerances of its effects) bounds an error of the device. A device that is worse than its
+certificate shows by the form of its error: a smooth field over the workspace makes the data as
+likely as the robot's effects do.
 """
 
 from __future__ import annotations
@@ -28,8 +29,7 @@ from parallel_cal.identification.linearisation import Linearisation
 def find_doubtful_effects(
     scene: Scene, chosen: Sequence[Candidate], ranked: Sequence[Candidate]
 ) -> list[str]:
-    """Names of the robot's effects among `chosen` that may be the device's: by the size of what
-    they do, or by its form."""
+    """Names of the robot's effects among `chosen` that the device may cause, by size or by form."""
     return list(
         dict.fromkeys(
             [
@@ -43,11 +43,11 @@ def find_doubtful_effects(
 def find_device_lookalikes(
     scene: Scene, chosen: Sequence[Candidate], ranked: Sequence[Candidate]
 ) -> list[str]:
-    """Names of the robot's effects among `chosen` that the device could as well have made.
+    """Names of the robot's effects among `chosen` that the device could cause as well.
 
-    With all that the device may do in place of the effect, misfit and price (see `cost`) rise by
-    less than five sigmas. What the device does in the course of time is told apart by other means:
-    shuffled conditions, swaps.
+    With the device's effects in place of the robot's effect, misfit and price (see `cost`) rise by
+    less than five sigmas. Errors of the device that change with time are tested elsewhere: shuffled
+    conditions, exchange of lookalikes.
     """
     device = [
         c
@@ -73,7 +73,8 @@ def find_device_lookalikes(
 
 def cost(scene: Scene, B: np.ndarray) -> float:
     """min over e of |r - B e|^2 + |e|^2: misfit of the residual r (n,) by columns B (n, k) in
-    tolerances, off the geometry, and what numbers e cost that stray as far."""
+    tolerances, without the part that the geometry absorbs, plus the price of large coefficients e.
+    """
     B = scene.project_off_geometry(B)
     along = B.T @ scene.residual
     return float(
@@ -83,7 +84,7 @@ def cost(scene: Scene, B: np.ndarray) -> float:
 
 
 def _chi2_per_dof(scene: Scene, B: np.ndarray) -> float:
-    """Of what columns B (n, k) leave of the residual."""
+    """chi2/dof that columns B (n, k) leave of the residual."""
     B = scene.project_off_geometry(B)
     numbers, _, rank, _ = np.linalg.lstsq(B, scene.residual)
     left = scene.residual - B @ numbers
@@ -107,10 +108,10 @@ def _columns(scene: Scene, shared: Scene, one: Candidate) -> np.ndarray:
 
 
 def find_position_only_effects(scene: Scene, chosen: Sequence[Candidate]) -> list[str]:
-    """Names of the robot's effects among `chosen` that say no more than where the platform was.
+    """Names of the robot's effects among `chosen` that describe only a field of position.
 
-    With a smooth field of place instead, the data are likelier than with the effects alone, and
-    with both nearly no more. A bend that effects describe in fewer numbers stays the robot's.
+    The data are likelier with a smooth field of position than with the effects, and hardly likelier
+    with both. An error that effects describe with fewer parameters stays with the robot.
     """
     own = [c for c in chosen if not c.effect.of_device and c.scene is scene]
     shared = _shared_scene(scene, chosen)
@@ -182,7 +183,7 @@ def _smooth_fields(scene: Scene) -> Iterator[np.ndarray]:
 
 
 def _select_centres(places: np.ndarray) -> list[int]:
-    """Indices of places (N, 3), each the furthest from those before it."""
+    """Indices of places (N, 3), each the one furthest from those before it."""
     chosen = [int(np.argmin(np.sum((places - places.mean(axis=0)) ** 2, axis=1)))]
     away = np.sum((places - places[chosen[0]]) ** 2, axis=1)
     while len(chosen) < CENTRES and away.max() > 0:

@@ -1,4 +1,4 @@
-"""What is missing in a model: effects ranked by observations, a verdict, what to measure next."""
+"""Find what a model lacks: ranked effects, a verdict, and what to measure next."""
 
 from __future__ import annotations
 
@@ -58,9 +58,9 @@ if TYPE_CHECKING:
 class Diagnosis(ShownInNotebook):
     """A diagnosis with the inputs that made it.
 
-    `base` is the model identified without further effects, `best` with those chosen; `ranked` the
-    candidates of the base, best first; `structure`, `field` and `odd_samples` are what `best`
-    leaves, and `suspected` the effects that are no chance beside it, and not proven yet.
+    `base` is the model identified without further effects, `best` the one with the chosen effects.
+    `ranked` are the candidates of the base, best first. `structure`, `field` and `odd_samples`
+    describe the residuals of `best`. `suspected` are significant effects that are not proven yet.
     """
 
     model: Model
@@ -96,17 +96,17 @@ class Diagnosis(ShownInNotebook):
 
     @property
     def additions(self) -> tuple[str, ...]:
-        """The same as `add` takes them, with the settings that were found; joined by `+` all at
+        """The effects with their settings as `add` takes them; joined by `+` they are added at
         once."""
         return tuple(c.text for c in self.best.chosen)
 
     @property
     def band(self) -> tuple[float, float]:
-        """Where chi2/dof of the base lies if it is complete; infinite where nobody knows."""
+        """Band of chi2/dof for a complete base; infinite if the noise is not known."""
         return self.noise.band(self.base.fitted.estimate.dof)
 
     def document(self) -> dict[str, Any]:
-        """The JSON document of `parallel-cal diagnose`; all values SI, None where not known."""
+        """The JSON document of `parallel-cal diagnose`; SI, None for unknown values."""
         base, best = self.base.fitted, self.best.fitted
         document = {
             "verdict": self.verdict.word,
@@ -241,7 +241,7 @@ def _diagnose_trusted(
     registration: Registration | None,
     report: Progress,
 ) -> Diagnosis:
-    """The diagnosis of samples that are all believed."""
+    """Diagnose samples without excluding any."""
     dataset = given.dataset
 
     def refit(extended: Model, insist: bool) -> FitResult:
@@ -314,8 +314,8 @@ def _diagnose_trusted(
 
 
 def find_better_lookalikes(best: Trial, search: Search, catalogue: _Catalogue) -> list[str]:
-    """Lookalikes that, beside the others chosen, fit clearly better than one of them, and why they
-    were refused: a name that is wrong, or a range that is."""
+    """Explain which refused lookalikes would fit clearly better than a chosen effect, and why they
+    were refused: then the name or a plausible range is wrong."""
     found: dict[str, str] = {}
     for name in best.names:
         others = search.fit(*(c for c in best.chosen if c.name != name))
@@ -330,10 +330,10 @@ def find_better_lookalikes(best: Trial, search: Search, catalogue: _Catalogue) -
 
 
 def _search_effects(search: Search, catalogue: _Catalogue) -> tuple[Trial, dict[str, str]]:
-    """The effects that explain most, and what stands against others.
+    """Find the effects that explain most, and the objections to the others.
 
-    Where neighbours in time stay alike, noise wanders, and what goes with time or temperature is
-    not told from it: named is then what does neither.
+    If neighbours in time are similar, the noise drifts, and effects of time or temperature cannot
+    be distinguished from it. The search then names only effects that depend on neither.
     """
     base = search.fit()
 
@@ -363,7 +363,7 @@ def _search_effects(search: Search, catalogue: _Catalogue) -> tuple[Trial, dict[
 
 
 class _Catalogue:
-    """The effects to test beside each trial, scored once."""
+    """The effects to test with each trial, scored once."""
 
     def __init__(self, names: list[str], report: Progress):
         self._names, self._report = names, report
@@ -371,7 +371,7 @@ class _Catalogue:
         self._ranked: dict[tuple[Chosen, ...], list[Candidate]] = {}
 
     def rank(self, trial: Trial) -> list[Candidate]:
-        """The catalogue without what the trial has, best first; the untestable last."""
+        """Candidates that the trial does not contain, best first, untestable ones last."""
         if trial.chosen not in self._ranked:
             taken, scored = {c.name for c in trial.chosen}, []
             for k, name in enumerate(n for n in self._names if n not in taken):
@@ -381,7 +381,7 @@ class _Catalogue:
         return self._ranked[trial.chosen]
 
     def select_significant(self, trial: Trial) -> list[Candidate]:
-        """Those that are no chance, corrected for how many were looked at; the best few."""
+        """Select the best significant candidates, corrected for the number of tests."""
         tested = [
             c for c in self.rank(trial) if c.testable and (self.wandering or not c.varies_slowly)
         ]

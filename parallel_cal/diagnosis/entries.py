@@ -1,4 +1,4 @@
-"""The rows of a diagnosis: what speaks for each candidate, and what against it."""
+"""Make the rows of a diagnosis: the evidence for and against each candidate."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ from parallel_cal.identification.prediction_errors import Summary
 
 @dataclass(frozen=True)
 class SingleEffectFit:
-    """What identifying a candidate alone says: errors at poses left out without it and with it,
-    `ratio` after over before, chi2/dof, the share of what exceeds the noise, and its numbers."""
+    """Fit with one candidate: validation errors without and with it, `ratio` with over without,
+    chi2/dof, the share of the error above the noise floor that it removes, and its parameters."""
 
     before: Summary
     after: Summary
@@ -44,12 +44,12 @@ class SingleEffectFit:
 
 @dataclass(frozen=True)
 class Entry:
-    """A candidate with its rank (from 1) and what else is known of it.
+    """A candidate with its rank (from 1) and its evidence.
 
-    `confused_with` are those that the data cannot tell from it, `p_adjusted` its p-value for
-    having looked at all, `first_picks` the share of resamples in which it scores best (both None
-    where it cannot be tested), `reason` what stands against it, `alone` a refit of the
-    best, as far as their own p-values are no chance.
+    `confused_with` are its lookalikes in these data. `p_adjusted` is its p-value corrected for the
+    number of tests, `first_picks` the share of resamples in which it scores best; both are None if
+    it cannot be tested. `reason` is the objection to it. `alone` is a refit, made for the best
+    significant candidates.
     """
 
     candidate: Candidate
@@ -114,7 +114,7 @@ def entries(
     noise: NoiseLevel,
     against: Mapping[str, str],
 ) -> tuple[Entry, ...]:
-    """One entry a candidate: observations for the testable, a reason for the others."""
+    """Make one entry for each candidate: evidence if it is testable, else a reason."""
     tested = [c for c in ranked if c.testable]
     raised = holm(np.array([c.p_value for c in tested]))
     adjusted = dict(zip([c.name for c in tested], raised.tolist(), strict=True))
@@ -167,7 +167,7 @@ def chi2_before(base: Trial, after: Trial, ranked: Sequence[Candidate]) -> float
 
 
 def _is_new_parameter(name: str, before: FitResult, after: FitResult) -> bool:
-    """Whether a parameter is one that the base has not, or does not identify."""
+    """Whether the base does not have or does not identify a parameter."""
     old, table = before.model.table, after.model.table
     if name not in old.names:
         return True
@@ -175,7 +175,8 @@ def _is_new_parameter(name: str, before: FitResult, after: FitResult) -> bool:
 
 
 def are_confused(one: Candidate, other: Candidate) -> bool:
-    """Whether the data cannot tell two effects: off the geometry they act in one direction."""
+    """Whether the data cannot distinguish two effects: without the part that the geometry absorbs,
+    both act in one direction."""
     if one.score is None or other.score is None or not (one.testable and other.testable):
         return False
     if one.scene is not other.scene:  # a larger model's rows are others
@@ -184,12 +185,12 @@ def are_confused(one: Candidate, other: Candidate) -> bool:
 
 
 def is_clearly_better(other: Candidate, one: Candidate) -> bool:
-    """Whether another effect explains clearly better what one does."""
+    """Whether `other` explains the error clearly better than `one`."""
     return other.log_p < one.log_p - MIN_SEPARATION_SIGMAS**2 / 2 and are_confused(one, other)
 
 
 def rivals_of(best: Trial, ranked: Sequence[Candidate]) -> dict[str, list[Candidate]]:
-    """For each chosen effect the candidates that the data confuse it with, all not chosen."""
+    """For each chosen effect, the candidates that the data cannot distinguish from it."""
     taken = {c.name for c in best.chosen}
     return {
         one.name: [c for c in ranked if c.name not in taken and are_confused(one, c)]
@@ -222,15 +223,15 @@ class RandomGroup:
 
 @dataclass(frozen=True)
 class NegativeControl:
-    """What no effect is: random columns, and by effect how often copies of its own condition,
-    shuffled between samples, score as well as the condition itself."""
+    """Control with no physical effect: random columns, and by effect how often copies of its
+    condition, shuffled between samples, score as well as the condition itself."""
 
     random_group: RandomGroup
     shuffled: Mapping[str, float]
 
 
 def negative_control(scene: Scene, ranked: Sequence[Candidate]) -> NegativeControl:
-    """Six random columns on the rows that tell something, and the shuffled conditions."""
+    """Score six random columns on the informative rows, and the shuffled conditions."""
     draw = np.random.default_rng(0).standard_normal((len(scene.x), scene.rows, 6))
     random = score(scene, (scene.whitener @ draw).reshape(-1, 6))
     better = sum(c.score is not None and c.log_p < random.log_p for c in ranked)

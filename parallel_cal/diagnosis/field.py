@@ -1,4 +1,4 @@
-"""Residuals as a field over the workspace: in SI, and in noise units."""
+"""Compute residuals as a field over the workspace, in SI and in noise units."""
 
 from __future__ import annotations
 

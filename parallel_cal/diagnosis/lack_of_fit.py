@@ -1,4 +1,4 @@
-"""Is anything left, and what does it look like: tests of structure, and a smooth map of it."""
+"""Test residuals for structure, and map their smooth part."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from parallel_cal.recordings.replicates import average_groups
 
 @dataclass(frozen=True)
 class LackOfFit:
-    """p-values of neighbours alike (`moran`) and of too few changes of sign (`runs`), by what the
-    samples are ordered by; `map` a smooth picture of the residuals, which explains nothing."""
+    """p-values of similar neighbours (`moran`) and of too few changes of sign (`runs`), by the
+    order of the samples; `map` describes the smooth part of the residuals, without a cause."""
 
     moran: dict[str, tuple[float, float]]
     runs: dict[str, float]
@@ -34,7 +34,7 @@ class LackOfFit:
 
     @property
     def p_value(self) -> float:
-        """Of the most striking one, corrected for how many there are."""
+        """The smallest p-value, corrected for the number of tests."""
         return bonferroni_minimum([p for _, p in self.moran.values()] + list(self.runs.values()))
 
     @property
@@ -55,8 +55,8 @@ class LackOfFit:
 class SmoothMap:
     """A smooth field fitted to the position (or orientation) residuals over the workspace.
 
-    length (m or rad) over which it changes; size: rms of the smooth part (m, or rad); share of
-    the residuals' variance that it predicts at poses left out; places (M, 3), field (M, 3).
+    length (m or rad) over which it changes; size: rms of the smooth part (m or rad); share of the
+    variance at held-out poses that it predicts; places (M, 3), field (M, 3).
     """
 
     kind: str
@@ -91,7 +91,7 @@ def lack_of_fit(scene: Scene, field: Field) -> LackOfFit:
 
 
 def iterate_sample_orders(scene: Scene) -> Iterator[tuple[str, np.ndarray]]:
-    """Sample orders worth a look: by time, each joint, and each condition that varies."""
+    """Iterate over sample orders to test: by time, each joint, and each varying condition."""
     for name, values in regressors(scene):
         if not name.startswith("direction.") and len(np.unique(values)) > LEVELS:
             yield name, np.argsort(values, kind="stable")
@@ -110,8 +110,8 @@ def regressors(scene: Scene) -> Iterator[tuple[str, np.ndarray]]:
 
 
 def find_varying_coordinates(scene: Scene) -> np.ndarray:
-    """Which of joints and x, y, z (nq + 3,) vary by more than residuals do: touches on a plate are
-    all at one height, and the height predicted there is the residual once more."""
+    """Mask (nq + 3,) of the joints and x, y, z that vary by more than the residuals. Touches on a
+    plate are all at one height, and the predicted height there is the residual again."""
     n, varied = len(scene.model.joints), np.ptp(scene.x[:, : len(scene.model.joints) + 3], axis=0)
     if np.isfinite(scene.reading_residuals).any():
         scatter = np.nanstd(scene.reading_residuals)
@@ -120,10 +120,10 @@ def find_varying_coordinates(scene: Scene) -> np.ndarray:
 
 
 def smooth_map(scene: Scene, field: Field) -> SmoothMap:
-    """Kriging with the length scale that predicts left-out poses best.
+    """Fit a Gaussian process with the length scale that predicts held-out poses best.
 
-    f = K (K + s^2 I)^-1 e with K = exp(-d^2 / 2 l^2); leaving one pose out costs one division:
-    e_i - f_-i = (A e)_i / A_ii with A = (K + s^2 I)^-1.
+    f = K (K + s^2 I)^-1 e with K = exp(-d^2 / 2 l^2). Holding one pose out costs one division: e_i
+    - f_-i = (A e)_i / A_ii with A = (K + s^2 I)^-1.
     """
     n = len(scene.model.joints)
     position, group = field.kind == "position", scene.observations.group
@@ -152,7 +152,7 @@ def smooth_map(scene: Scene, field: Field) -> SmoothMap:
 def _cross_validate(
     apart: np.ndarray, e: np.ndarray, length: float, noise: float
 ) -> tuple[float, float, np.ndarray]:
-    """(share of variance predicted at poses left out, length, smoothed field)."""
+    """(share of the variance predicted at held-out poses, length, smoothed field)."""
     K = np.exp(-apart / (2 * length**2))
     A = np.linalg.inv(K + noise * np.eye(len(K)))
     unseen = (A @ e) / np.diag(A)[:, None]

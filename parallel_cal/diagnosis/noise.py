@@ -1,4 +1,4 @@
-"""The noise that a diagnosis judges by: stated, or seen where poses were visited again."""
+"""Estimate the noise that a diagnosis judges by: stated, or measured by replicates."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ STATED = ("option", "dataset", "model file")
 
 @dataclass(frozen=True)
 class PureError:
-    """Mean square of the visits of one pose about their mean, in units of the observations'
-    variance, and its degrees of freedom; None without replicates.
+    """Mean square of replicates about their mean, in units of the observations' variance, and its
+    degrees of freedom; None without replicates.
 
-    What goes with other circumstances of a visit (direction, payload, temperature, time) is no
-    error of the measurement: as much of it as is linear is taken out.
+    The part that depends linearly on the conditions of a visit (direction, payload, temperature,
+    time) is not measurement noise and is removed.
     """
 
     variance: float | None
@@ -30,7 +30,7 @@ class PureError:
 
     @property
     def contradicts_stated_noise(self) -> bool:
-        """Whether replicates are no luck of the stated noise."""
+        """Whether replicates differ significantly from the stated noise."""
         from scipy.special import chdtr, chdtrc
 
         if self.variance is None or self.dof < MIN_REPLICATE_DOF:
@@ -43,7 +43,8 @@ class PureError:
 
     @classmethod
     def of(cls, scene: Scene, field: Field) -> PureError:
-        """Of replicates; without a pose nothing tells them from neighbours."""
+        """Estimate from replicates; without a measured pose they cannot be distinguished from
+        neighbours."""
         if scene.dataset.mode == "continuous" or not field.measured.any():
             return cls(None, 0)
         z, group = field.noise_units, scene.observations.group
@@ -72,11 +73,11 @@ def _collect_visit_conditions(scene: Scene) -> np.ndarray:
 
 @dataclass(frozen=True)
 class NoiseLevel:
-    """The noise to judge by, which must not come from the fit itself.
+    """The noise that a diagnosis judges by, which must not come from the fit.
 
-    `variance` in units of the observations' noise, None where nobody knows; `dof` how well it is
-    known, None where it is stated; `source` in words; `pure_error` what replicates alone say;
-    `misstated`: how many times the stated noise that is, where they contradict it.
+    `variance` is in units of the observations' noise, None if unknown; `dof` are its degrees of
+    freedom, None if it is stated; `source` says where it comes from; `pure_error` is the estimate
+    from replicates; `misstated` is the ratio to the stated noise if replicates contradict it.
     """
 
     variance: float | None
@@ -87,11 +88,11 @@ class NoiseLevel:
 
     @classmethod
     def of(cls, scene: Scene, field: Field, structured: bool) -> NoiseLevel:
-        """Stated noise counts, unless replicates contradict it; where it was only guessed from
-        jitter, they take its place.
+        """Use the stated noise unless replicates contradict it; use replicates instead of a guess
+        from jitter.
 
-        A smaller noise than stated is always believed. A larger one only where the residuals show
-        no structure: what moves between two visits of a pose would pass for noise.
+        A smaller noise than stated is always accepted. A larger one is accepted only if the
+        residuals show no structure: motion between two visits of a pose would pass for noise.
         """
         seen = PureError.of(scene, field)
         sources = set(scene.observations.noise_from.values())
@@ -107,7 +108,7 @@ class NoiseLevel:
         return cls(None, None, f"unknown ({', '.join(sorted(sources))})", seen)
 
     def band(self, dof: int) -> tuple[float, float]:
-        """Where chi2/dof lies in 99 % of complete models; infinite where the noise is unknown."""
+        """Band that holds chi2/dof of 99 % of complete models; infinite if the noise is unknown."""
         from scipy.special import fdtri
 
         if self.variance is None or dof <= 0:

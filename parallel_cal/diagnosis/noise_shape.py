@@ -1,4 +1,4 @@
-"""What noise is like that is not white: correlated in time, or larger in some places."""
+"""Test whether noise is white: uncorrelated in time, and equal over the workspace."""
 
 from __future__ import annotations
 
@@ -46,7 +46,8 @@ class NoiseShape:
 
     @classmethod
     def of(cls, scene: Scene, field: Field) -> NoiseShape:
-        """Of what a model leaves of a session; a moving robot's neighbours are alike anyway."""
+        """Test what a model leaves of a session. Consecutive samples of a moving robot are similar
+        anyway."""
         n = len(scene.model.joints)
         if scene.dataset.mode == "continuous":
             return cls(0.0, 1.0, 0.0, 1.0, 1.0)

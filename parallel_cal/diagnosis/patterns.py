@@ -1,4 +1,4 @@
-"""Where a model fails: residuals along everything recorded, odd samples by name."""
+"""Find where a model fails: residuals along every recorded quantity, and odd samples."""
 
 from __future__ import annotations
 
@@ -126,10 +126,10 @@ class OddSample:
 
 
 def odd_samples(scene: Scene, field: Field) -> tuple[OddSample, ...]:
-    """Outliers and influential samples, furthest off first.
+    """Find outliers and influential samples, largest residual first.
 
-    An outlier's squared residual in noise units, the typical one taken for the noise, would
-    occur once in a thousand data sets; Cook's D above 1 moves the estimate by about its sigma.
+    The typical residual serves as the noise. An outlier's squared residual would occur once in a
+    thousand data sets. A Cook's distance above 1 moves the estimate by about its sigma.
     """
     from scipy.special import chdtrc
 

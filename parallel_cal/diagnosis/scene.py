@@ -1,4 +1,4 @@
-"""A fitted model and its data, linearised where the model puts the platform: what is left."""
+"""Linearise a fitted model at its predicted poses; the scene holds its residuals."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from parallel_cal.recordings.dataset import Dataset
 
 @dataclass(frozen=True)
 class Scene:
-    """What every candidate is held against, in noise units.
+    """The residuals that candidates are scored on, in noise units.
 
-    residual (n,) and basis (n, rank) of the geometry's columns, rows of a sample together;
-    x (N, nq+12) the configurations predicted from the joints. Regressors are taken there, never
+    residual (n,) and basis (n, rank) of the geometry's columns, with the rows of a sample together;
+    x (N, nq+12) the configurations predicted from the joints. Regressors are evaluated there, never
     at the measured pose: a noisy measurement would explain its own error. `whitener` (N, rows,
-    rows) turns rows of the closure into noise units, free of what was not measured;
-    `informative` (N,) is how many independent ones that leaves of each sample.
+    rows) turns rows of the closure into noise units, without unmeasured coordinates; `informative`
+    (N,) is the number of independent rows that remain for each sample.
     """
 
     model: Model
@@ -42,7 +42,7 @@ class Scene:
     def of(
         cls, model: Model, dataset: Dataset, observations: Observations, free: np.ndarray
     ) -> Scene:
-        """The scene of a fitted model; the residual is what its free parameters leave."""
+        """Make the scene of a fitted model; the residual is what its free parameters leave."""
         x = predict_configurations(model, observations)
         linearise = Linearisation(model, observations, free, True)
         system, T = linearise(model.values, x), linearise.whiteners(model.values, x)
@@ -92,7 +92,7 @@ class Scene:
         return np.asarray(self.whitener @ linearise.blocks(self.model.values, self.x)[1])
 
     def project_off_geometry(self, columns: np.ndarray) -> np.ndarray:
-        """What of some columns (n, k) no change of the free parameters imitates."""
+        """Remove from columns (n, k) the part that the free parameters can imitate."""
         return np.asarray(columns - self.basis @ (self.basis.T @ columns))
 
     @property

@@ -1,4 +1,4 @@
-"""How much of the residual an effect would take away, before anything is refitted."""
+"""Score how much of the residual an effect would remove, before anything is refitted."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Which effects together: forward by score, judged by leaving poses out, backward, swaps."""
+"""Search for a set of effects: forward by score, backward, and by exchange, judged at held-out
+poses."""
 
 from __future__ import annotations
 
@@ -47,14 +48,14 @@ class Chosen:
 
     @property
     def text(self) -> str:
-        """As `add` takes it."""
+        """The effect as `add` takes it."""
         numbers = (f"{key}={float(value)!r}" for key, value in self.fixed)
         return ":".join(filter(None, [self.name, ",".join(numbers)]))
 
 
 @dataclass(frozen=True)
 class Trial:
-    """A model identified anew with some effects, or why that failed."""
+    """A refit of the model with some effects, or the reason why it failed."""
 
     chosen: tuple[Chosen, ...]
     result: FitResult | None
@@ -66,7 +67,7 @@ class Trial:
 
     @property
     def fitted(self) -> FitResult:
-        """The identification; FitError where it failed."""
+        """The refit; FitError if it failed."""
         if self.result is None:
             raise FitError(self.reason)
         return self.result
@@ -89,8 +90,8 @@ class Search:
         self._known: dict[tuple[tuple[Chosen, ...], bool], Trial] = {}
 
     def fit(self, *chosen: Chosen, insist: bool = False) -> Trial:
-        """The baseline with these effects, identified on all poses and judged on those left out;
-        where one insists, with numbers that no such robot has, too."""
+        """Fit the baseline with these effects on all poses and judge it at held-out poses; with
+        `insist`, implausible parameters are accepted."""
         if insist and (plain := self.fit(*chosen)).result is not None:
             return plain
         if (chosen, insist) not in self._known:
@@ -109,7 +110,7 @@ class Search:
         return Trial(chosen, result)
 
     def try_adding(self, before: Trial, one: Candidate) -> tuple[Trial, str]:
-        """The refit with one more effect, and what stands against it (empty: nothing)."""
+        """Refit with one more effect; return the trial and the objection to it (empty: none)."""
         after = self.fit(*before.chosen, Chosen.of(one))
         if after.result is None:
             return after, after.reason
@@ -125,7 +126,8 @@ class Search:
         return after, ""
 
     def is_suspected(self, before: Trial, one: Candidate) -> bool:
-        """Whether one more effect is no chance, and only not proven yet: more poses tell."""
+        """Whether one more effect is significant but not proven yet, so that more poses would
+        decide."""
         after = self.fit(*before.chosen, Chosen.of(one))
         if after.result is None or _describe_chance_objection(before, after, one):
             return False
@@ -135,7 +137,7 @@ class Search:
         )
 
     def forward(self, start: Trial, rank: Rank) -> tuple[Trial, dict[str, str]]:
-        """Effects added one by one while one is significant and nothing stands against it."""
+        """Add effects one by one while one is significant and has no objection."""
         trial: Trial = start
         against: dict[str, str] = {}
         while len(trial.chosen) < MAX_EFFECTS:
@@ -153,8 +155,8 @@ class Search:
         return trial, against
 
     def _try_pairs(self, before: Trial, rank: Rank) -> Trial | None:
-        """The best two effects of which one alone would need numbers that no such robot has: these
-        may be the other's, or half its lookalike's. None where no two stand."""
+        """Find the best pair of effects of which one alone would need implausible parameters: the
+        error may belong to the other, or half to a lookalike. None if no pair passes."""
         found, ranked = [], rank(before)
         for one in ranked:
             alone = (*before.chosen, Chosen.of(one))
@@ -177,7 +179,7 @@ class Search:
         return min(found, key=lambda both: both.fitted.estimate.chi2_per_dof, default=None)
 
     def backward(self, trial: Trial) -> Trial:
-        """Effects taken out again that those added later have made superfluous."""
+        """Remove effects that later ones have made superfluous."""
         for one in trial.chosen:
             if len(trial.chosen) < 2:
                 break
@@ -187,8 +189,8 @@ class Search:
         return trial
 
     def rescan_settings(self, trial: Trial, rank: Rank) -> Trial:
-        """The same effects, each with the settings that fit best beside the others: what was not
-        known yet when they were scanned had a part in them."""
+        """Scan the settings again with all chosen effects: the first scan did not know the later
+        ones."""
         for name in trial.names if len(trial.chosen) > 1 else ():
             place = trial.names.index(name)
             *before, one = trial.chosen[: place + 1]
@@ -203,8 +205,8 @@ class Search:
         return trial
 
     def exchange_rivals(self, trial: Trial, rivals: Rivals) -> Trial:
-        """With one effect exchanged for a rival that explains clearly more in its place, the best
-        of these; the same where none does."""
+        """Exchange one effect for a rival that explains clearly more; the same trial if there is
+        none."""
         clear = [
             other
             for *_, other in self._iterate_swaps(trial, rivals)
@@ -213,7 +215,7 @@ class Search:
         return min(clear, key=lambda other: other.fitted.estimate.chi2_per_dof, default=trial)
 
     def swaps(self, trial: Trial, rivals: Rivals) -> dict[str, list[str]]:
-        """For each chosen effect those of its rivals that tell as good a story in its place."""
+        """For each chosen effect, the rivals that explain the data as well in its place."""
         found: dict[str, list[str]] = {}
         for name, rival, other in self._iterate_swaps(trial, rivals):
             if _is_as_good(trial, other):
@@ -221,7 +223,8 @@ class Search:
         return found
 
     def _iterate_swaps(self, trial: Trial, rivals: Rivals) -> Iterator[tuple[str, str, Trial]]:
-        """Each chosen effect, each of its rivals, and the trial with the one for the other."""
+        """Iterate over chosen effects, their rivals, and the trials with the one in place of the
+        other."""
         for i, one in enumerate(trial.chosen):
             for other in rivals.get(one.name, []):
                 swapped = (*trial.chosen[:i], Chosen.of(other), *trial.chosen[i + 1 :])
@@ -229,14 +232,14 @@ class Search:
 
 
 def _describe_held_out_objection(before: Trial, after: Trial) -> str:
-    """What errors at poses left out say against a refit; empty where none were left out: then the
-    verdict says that nothing is proven."""
+    """Objection to a refit by its validation error; empty without held-out poses, because the
+    verdict then says that nothing is proven."""
     judgement = acceptance(after.fitted, before.fitted)
     return judgement.against if judgement.judged else ""
 
 
 def _describe_chance_objection(before: Trial, after: Trial, one: Candidate) -> str:
-    """What says that a refit is chance."""
+    """Objection that a refit is chance."""
     if _is_superfluous_effect(before, after):
         return "explains nothing of the remaining error"
     p = one.shuffled_p
@@ -246,8 +249,8 @@ def _describe_chance_objection(before: Trial, after: Trial, one: Candidate) -> s
 
 
 def _compute_oversize_ratio(before: FitResult, after: FitResult) -> float:
-    """Rms of the new numbers in tolerances, where all effects' squares rise by more than the fall
-    of chi2 is worth; else 0."""
+    """Rms of the new parameters in tolerances if the squares of all effects rise by more than the
+    fall of chi2; else 0."""
     known = set(before.model.table.names)
     new = np.array([name not in known for name in after.model.table.names])
     were, squares = _sizes(before), _sizes(after)
@@ -292,14 +295,14 @@ def ratio_of(before: Trial, after: Trial) -> float | None:
 
 
 def _is_superfluous_effect(without: Trial, trial: Trial) -> bool:
-    """Whether an effect explains nothing significant beside the others."""
+    """Whether an effect explains nothing significant next to the others."""
     if without.result is None or trial.result is None:
         return False
     return is_superfluous(without.result.estimate, trial.result.estimate)
 
 
 def is_superfluous(less: Estimate, more: Estimate) -> bool:
-    """Whether what some parameters more explain may be chance, by an F test."""
+    """Whether the improvement by additional parameters may be chance, by an F test."""
     q = less.dof - more.dof
     if q <= 0 or more.dof <= 0:
         return False

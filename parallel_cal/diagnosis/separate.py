@@ -1,4 +1,4 @@
-"""What to measure next: poses and circumstances that tell the surviving explanations apart."""
+"""Plan what to measure next: poses and conditions that separate the remaining explanations."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ Allowed = Callable[[np.ndarray], np.ndarray]  # joints (n, nq) -> mask (n,)
 
 @dataclass(frozen=True)
 class PlannedPose:
-    """A pose to measure: position (3,) m, quaternion x y z w, joints (nq,), where to go before it,
-    and by name the conditions that it is measured under then."""
+    """A pose to measure: position (3,) m, quaternion x y z w, joints (nq,), the waypoints before
+    it, and the conditions during its measurement by name."""
 
     position: np.ndarray
     quaternion: np.ndarray
@@ -45,7 +45,7 @@ class PlannedPose:
 
 @dataclass(frozen=True)
 class Sigmas:
-    """By how many sigmas two effects differ: by the data so far, and with the planned poses."""
+    """By how many sigmas two effects differ: in the present samples, and with the planned poses."""
 
     now: float
     then: float
@@ -53,8 +53,8 @@ class Sigmas:
 
 @dataclass(frozen=True)
 class Separation:
-    """Poses in the order to measure them that tell the first of two effects from the second, and
-    in words how their conditions come about."""
+    """Planned poses, in order, that separate the first of two effects from the second, and
+    instructions."""
 
     separates: tuple[str, str]
     sigmas: Sigmas
@@ -64,7 +64,7 @@ class Separation:
 
 @dataclass(frozen=True)
 class NextMeasurement:
-    """What would settle a diagnosis: by effect the conditions to record, advice, planned poses."""
+    """What to measure next: conditions to record by effect, advice, and planned poses."""
 
     record: Mapping[str, tuple[str, ...]]
     advice: tuple[str, ...]
@@ -74,8 +74,8 @@ class NextMeasurement:
 def next_measurement(
     best: Trial, rivals: Mapping[str, list[str]], ranked: Sequence[Candidate], seed: int = 0
 ) -> NextMeasurement:
-    """What to measure where `rivals` of each chosen effect fit as well; the poses tell the first
-    of the chosen from the rival that is hardest to tell from it."""
+    """Plan what to measure if `rivals` of a chosen effect fit as well. The poses separate the pair
+    that the present samples separate least."""
     record = {c.name: c.missing for c in ranked if c.missing}
     hardest = next(iter(rank_rival_pairs(best, rivals, ranked)), None)
     plan = (
@@ -89,7 +89,7 @@ def next_measurement(
 def rank_rival_pairs(
     best: Trial, rivals: Mapping[str, Sequence[str]], ranked: Sequence[Candidate]
 ) -> list[RivalPair]:
-    """Each chosen effect beside each of its rivals, those first that are hardest to tell apart."""
+    """Pairs of a chosen effect and a rival, those first that are hardest to separate."""
     by_name = {c.name: c for c in ranked}
     found = [
         doubt
@@ -102,8 +102,8 @@ def rank_rival_pairs(
 
 
 def list_rival_variants(rival: Candidate, dataset: Dataset) -> list[Chosen]:
-    """A rival in each of its settings, where a few are all there are: one that is beaten in the
-    best of them may come back in another. Else in the best."""
+    """A rival in each of its settings if there are only a few, because a setting that is not the
+    best may explain the new poses; else only in the best setting."""
     if rival.tried > MAX_RIVAL_SETTINGS:
         return [Chosen.of(rival)]
     scene = rival.scene
@@ -114,18 +114,18 @@ def list_rival_variants(rival: Candidate, dataset: Dataset) -> list[Chosen]:
 
 
 def explain_separation(name: str, other: str) -> str:
-    """What tells two effects apart: what either says of this pair, else what the first says."""
+    """Say what separates two effects: advice for this pair, else for the first effect."""
     one, another = load_effect(name), load_effect(other)
     return one.told_from.get(other) or another.told_from.get(name) or one.separated_by
 
 
 @dataclass(frozen=True)
 class RivalPair:
-    """An effect as identified beside a rival: a model of both, and the information (k, k) of the
-    data so far about geometry, rival and the amplitude of the effect's whole signal, which is last.
+    """An identified effect and a rival: a model with both, and the information (k, k) of the
+    present samples about geometry, rival and, last, the amplitude of the effect's whole signal.
 
-    With Z the columns of geometry and rival, and a the signal, the two differ by
-    sqrt(a.a - a.Z (Z.Z)^-1 Z.a) sigmas: one over the sigma of a's amplitude.
+    With Z the columns of geometry and rival, and a the signal, the two differ by sqrt(a.a - a.Z
+    (Z.Z)^-1 Z.a) sigmas: one over the sigma of a's amplitude.
     """
 
     effect: str
@@ -136,7 +136,7 @@ class RivalPair:
 
     @classmethod
     def of(cls, best: Trial, effect: str, rival: Chosen) -> RivalPair | None:
-        """None where the rival is a larger model, or would have to be what cannot be."""
+        """None if the rival is a larger model, or would need contradictory parameters."""
         fitted = best.fitted
         try:
             model = fitted.model.with_effect(rival.name, rival.settings)
@@ -158,8 +158,7 @@ class RivalPair:
 
     @property
     def imitating_model(self) -> Model:
-        """The model with those of geometry and rival that look most like the effect, which is
-        not there."""
+        """The model without the effect whose geometry and rival imitate it best."""
         I, free = self.information, ~np.asarray(self.model.fixed)
         own = np.array([n.startswith(f"{self.effect}.") for n in self.model.table.names])
         values = np.where(own, self.model.table.nominal, self.model.values)
@@ -169,11 +168,11 @@ class RivalPair:
 
     @property
     def current_sigmas(self) -> float:
-        """Sigmas by which the data so far tell the two apart."""
+        """Sigmas by which the present samples separate the two."""
         return _sigmas(self.information)
 
     def replace_by_signal(self, J: np.ndarray) -> np.ndarray:
-        """Columns in tolerances, those of the effect replaced by their sum at the identified
+        """Columns in tolerances; those of the effect are replaced by their sum at the identified
         values."""
         model, free = self.model, ~np.asarray(self.model.fixed)
         names = [n for n, f in zip(model.table.names, free, strict=True) if f]
@@ -183,7 +182,8 @@ class RivalPair:
         return np.concatenate([scaled[:, :, ~own], (J @ values)[:, :, None]], axis=2)
 
     def make_selection_problem(self, pool: Pool, a: np.ndarray) -> SelectionProblem:
-        """What poses under conditions a would add; the planner lowers the amplitude's sigma."""
+        """Information that poses under conditions a would add; the planner lowers the amplitude's
+        sigma."""
         free, size = ~np.asarray(self.model.fixed), len(self.information)
         rows = white_blocks(self.model, free, self.measured, pool.poses, a)
         amplitude = np.diag(np.arange(size) == size - 1).astype(float)
@@ -207,11 +207,13 @@ def plan_separation(
     payloads: Sequence[float] = (),
     least: np.ndarray | float = 0.0,
 ) -> Separation | None:
-    """As few poses of some `sizes` as settle a doubt, in the workspace where they can, else as far
-    as joint limits and singularities let the robot go; the best there are where none settles it.
-    With one of some `payloads` (kg), where none are given with none or twice the heaviest so far.
-    The last way to a pose is `least` (nq,) long. None where no pose can be reached, or is
-    `allowed`."""
+    """Plan as few poses of some `sizes` as separate a pair.
+
+    Poses are in the workspace if that is enough, else as far as joint limits and singularities
+    allow; if no plan is enough, the best one is returned. Payloads are some of `payloads` (kg), by
+    default none or twice the heaviest one recorded. The last approach to a pose has at least the
+    length `least` (nq,). None if no pose is reachable and `allowed`.
+    """
     plans = []
     for reach in reaches:
         rng = np.random.default_rng(seed)
@@ -243,9 +245,12 @@ def plan_refinement(
     least: np.ndarray | float = 0.0,
     reach: float = 1.0,
 ) -> Pool:
-    """n poses that, beside the data so far, tell most of all that a model and `suspects` beside it
-    have free (D-optimality), `under` these conditions and else those measured under last; the last
-    way to each is `least` (nq,) long."""
+    """Plan n poses that determine the free parameters of the model and of `suspects` best
+    (D-optimality), in addition to the present samples.
+
+    Conditions are those `under`, else the last measured ones. The last approach to each pose has at
+    least the length `least` (nq,).
+    """
     fitted, model = best.fitted, best.fitted.model
     for one in suspects:
         model = model.with_effect(one.name, one.settings)
@@ -275,7 +280,8 @@ def _separation(
     block: np.ndarray,
     chosen: np.ndarray,
 ) -> Separation:
-    """The chosen poses of a pool in the order to measure them: block by block, loads together."""
+    """Order the chosen poses of a pool for the measurement: block by block, equal payloads
+    together."""
     model = doubt.model
     load = a[:, [name == "payload" for name in model.conditions]].sum(axis=1)
     order = chosen[np.lexsort([load[chosen], block[chosen]])]
@@ -303,7 +309,7 @@ def _separation(
 
 
 def depends_on_time(model: Model) -> bool:
-    """Whether it matters to a model when a pose is measured."""
+    """Whether the predictions of a model depend on when a pose is measured."""
     return bool({"time", "temperature"} & set(model.conditions))
 
 
@@ -316,8 +322,8 @@ def plan_conditions(
     rng: np.random.Generator,
     payloads: Sequence[float] = (),
 ) -> np.ndarray:
-    """(n, n_conditions) that a user can bring about, poses (n,) in blocks of a course: what the
-    approach does to the joints, with and without a load, at rest or as fast as recorded."""
+    """Conditions (n, n_conditions) that a user can produce, for poses (n,) in blocks of a schedule:
+    approaches, with and without payload, at rest or as fast as recorded."""
     a = pool.a.copy()
     if pool.approach is not None:
         speeds = [so_far[c] for c in so_far if c.startswith("velocity.")]
@@ -345,7 +351,7 @@ def schedule_conditions(
 
 
 def typical_noise(model: Model, observations: Observations) -> Noise:
-    """Typical noise of the data, for a planner that wants one figure a kind."""
+    """Typical noise of the data, for a planner that needs one value of each kind."""
     n = len(model.joints)
     variance = np.median(np.diagonal(observations.S, axis1=1, axis2=2), axis=0)
     ever: np.ndarray = np.any(observations.measured, axis=0)

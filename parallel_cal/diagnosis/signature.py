@@ -1,4 +1,4 @@
-"""What a candidate would leave in the residuals, beside what is there: along what tells most."""
+"""Compute the pattern that a candidate predicts, to compare it with the residuals."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ class Components:
 
     @classmethod
     def of(cls, names: Sequence[str], A: np.ndarray) -> Components:
-        """Of whitened rows A (N, rows, k) by a unit of each quantity; what no sample tells is left
-        out."""
+        """Estimate from whitened rows A (N, rows, k) per unit of each quantity; quantities that no
+        sample determines are omitted."""
         inverse = np.linalg.pinv(A, rcond=1e-6)
         share = np.einsum("ikr,irk->ik", inverse, A)
         sigma = np.where(
@@ -68,9 +68,9 @@ def compute_measured_components(scene: Scene) -> Components:
 
 @dataclass(frozen=True)
 class Panel:
-    """A component's residual (N,) in its sigmas along what tells most, `at` (N,) in SI units, and
-    the candidate's `pattern` (N,) in it; a pattern that comes round is laid into one `period`.
-    Samples that do not tell it are left out; `sample` (N,) numbers the others."""
+    """A component's residual (N,) in its sigmas over the most informative quantity, `at` (N,) in SI
+    units, and the candidate's `pattern` (N,); a periodic pattern is folded into one `period`.
+    Samples without information are not in it; `sample` (N,) numbers the others."""
 
     component: str
     abscissa: str
@@ -83,8 +83,8 @@ class Panel:
 
 @dataclass(frozen=True)
 class Signature:
-    """A candidate's pattern: that part of the residuals which it explains and no geometry does,
-    U U^T r; `joints` (N, k) of the joints that the data tell (rad or m), and the telling panels."""
+    """A candidate's pattern: the part of the residuals that it explains and the geometry cannot, U
+    U^T r; `joints` (N, k) of the joints that the data determine (rad or m), and the panels."""
 
     effect: str
     joints: np.ndarray
@@ -92,7 +92,7 @@ class Signature:
 
 
 def signature(one: Candidate) -> Signature:
-    """The pattern of a candidate that could be tested."""
+    """Compute the pattern of a candidate that could be tested."""
     scene, score = one.scene, one.score
     if scene is None or score is None:
         raise ValueError(f"{one.name} could not be tested: {one.reason}")
@@ -126,7 +126,7 @@ def compute_overlay_pattern(panel: Panel, other: Candidate) -> np.ndarray:
 def _panels(
     one: Candidate, scene: Scene, of_joints: Components, found: np.ndarray
 ) -> Iterator[Panel]:
-    """One for each joint with numbers or conditions of its own, else what follows one most."""
+    """One panel for each joint with parameters or conditions of the effect, else the best one."""
     mechanism, known = scene.model.mechanism, dict(regressors(scene))
     conditions = one.effect.conditions(mechanism)
     own = {p.name.split(".")[0] for p in one.effect.parameters(mechanism)}
@@ -157,7 +157,7 @@ def _panels(
 def _panel(
     one: Candidate, shown: Components, found: np.ndarray, component: str, abscissa: str
 ) -> Iterator[Panel]:
-    """Nothing where the abscissa never changes."""
+    """None if the abscissa never changes."""
     scene, k = one.scene, shown.names.index(component)
     assert scene is not None
     values = dict(regressors(scene)).get(abscissa)

@@ -1,4 +1,4 @@
-"""Every number that decides something in a diagnosis, with its meaning."""
+"""Limits that decide in a diagnosis, each with its meaning."""
 
 from math import log
 

@@ -15,8 +15,8 @@ class BallJointClearance(Effect):
 
     `play` is the clearance of both joints of a rod, from the centre to one side. `force` (N) is
     the tension that seats the joints; it is known, not identified. If every rod is always in
-    tension (or compression) well beyond `force`, the clearance cannot be distinguished from the rods'
-    lengths.
+    tension (or compression) well beyond `force`, the clearance cannot be distinguished from the
+    rods' lengths.
     """
 
     needs = ("payload",)

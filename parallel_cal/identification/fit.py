@@ -289,7 +289,8 @@ def fit(
     -------
     FitResult
         `model` is the identified one. `after` holds its errors at the samples, `held_out` those at
-        held-out poses, `noise_floor` the noise floor. `parameters()` lists every estimate with its sigma.
+        held-out poses, `noise_floor` the noise floor. `parameters()` lists every estimate with its
+        sigma.
 
     Raises
     ------

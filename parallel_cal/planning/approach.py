@@ -1,8 +1,8 @@
-"""How to come to a pose so that every joint arrives from a known side, over a known way.
+"""Plan approaches, so that every joint arrives from a known side over a known distance.
 
-Play, wind-up and lag depend on how a joint came. The robot goes past the pose, turns back at a
-place as far on its other side, and comes to it from there: whatever it did before, every joint has
-last turned back at that place.
+Backlash, hysteresis and latency depend on how a joint arrived. The robot overshoots the pose,
+reverses at a place as far on its other side, and arrives from there. Every joint then has its last
+reversal at that place, whatever the robot did before.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ MIN_APPROACH_SIGMAS = 5.0  # sigmas of a joint's reading: a shorter way has no s
 
 @dataclass(frozen=True)
 class Waypoint:
-    """A place on the way to a pose: position (3,) m, joints (nq,)."""
+    """A place on the path to a pose: position (3,) m, joints (nq,)."""
 
     position: np.ndarray
     joints: np.ndarray
@@ -32,8 +32,8 @@ class Waypoint:
 
 @dataclass(frozen=True)
 class Approaches:
-    """For each of N poses where the robot goes past it and where it turns back, the joints' ways
-    (N, nq) from there, and whether all that can be driven (N,)."""
+    """For each of N poses, where the robot overshoots and where it reverses, the joint travels (N,
+    nq) from there to the pose, and whether all of it can be driven (N,)."""
 
     past: Solutions
     turn: Solutions
@@ -44,20 +44,20 @@ class Approaches:
         return Approaches(self.past[rows], self.turn[rows], self.ways[rows], self.ok[rows])
 
     def waypoints(self, i: int) -> tuple[Waypoint, Waypoint]:
-        """Where the robot goes before pose i, in that order."""
+        """Waypoints before pose i, in order."""
         past, turn = (Waypoint(s.position[i], s.joints[i]) for s in (self.past, self.turn))
         return past, turn
 
 
 def needs_approach(model: Model) -> bool:
-    """Whether it matters to a model how its joints came."""
+    """Whether the predictions of a model depend on how its joints arrived."""
     return any(name.startswith(KINDS) for name in model.conditions)
 
 
 def approaches(
     model: Model, poses: Solutions, rng: np.random.Generator, reach: float = 1.0
 ) -> Approaches:
-    """Approaches along random lines, each of any length of STEPS that can be driven in the
+    """Make approaches along random lines, each with a length of STEPS that can be driven in the
     workspace (`reach` times as large)."""
     m, robot, n = model.mechanism, Kinematics(model, quick=True), len(poses)
     low, high = np.array(m.workspace.low), np.array(m.workspace.high)
@@ -78,14 +78,14 @@ def approaches(
 
 
 def controlled_coordinates(model: Model, poses: Solutions) -> np.ndarray:
-    """The coordinates (N, n_controlled) of poses that the robot controls, as `Workspace` has it."""
+    """The coordinates (N, n_controlled) of poses that the robot controls, as in `Workspace`."""
     coordinates = np.concatenate([poses.position, rotation_vector(poses.rotation)], axis=1)
     return np.asarray(coordinates[:, model.mechanism.controlled])
 
 
 def fill(a: np.ndarray, model: Model, ways: np.ndarray, speed: np.ndarray | float = 0.0) -> None:
-    """Into conditions a (N, n_conditions) what ways (N, nq) mean: direction, travel, and velocity
-    where the fastest joint moves at `speed` (N,) on them."""
+    """Fill conditions a (N, n_conditions) for joint travels (N, nq): direction, travel, and
+    velocity if the fastest joint moves at `speed` (N,)."""
     each = {
         "direction": np.sign(ways),
         "travel": ways,

@@ -1,4 +1,4 @@
-"""What a set of poses would tell about the parameters, known before anything is measured."""
+"""Predict how well a set of poses would determine the parameters, before any measurement."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ VAGUE_INFORMATION = 1e-4
 
 @dataclass(frozen=True)
 class Expectation:
-    """What an identification from a set of poses would be worth, if model and noise are right.
+    """Expected result of an identification from a set of poses, if model and noise are right.
 
-    sigma (n_free,) of the free parameters in their units, infinite where not identifiable;
-    rms errors of the pose at unseen places from the parameters' errors alone (m, rad); pose
-    (m) is both together, angles times the mechanism's length.
+    sigma (n_free,) of the free parameters in their units, infinite if not identifiable; rms model
+    uncertainty of the pose at validation poses (m, rad); pose (m) combines both, with angles times
+    the mechanism's length.
     """
 
     indices: Indices
@@ -39,7 +39,7 @@ class Expectation:
 
 
 class View:
-    """A pool and unseen poses, linearised: what every set of poses would tell."""
+    """A pool and validation poses, linearised: the information of every subset."""
 
     def __init__(self, sought: EstimationProblem, measured: np.ndarray, pool: Pool, unseen: Pool):
         self._sought, self._pool = sought, pool
@@ -61,7 +61,7 @@ class View:
         return SelectionProblem(blocks, before, weight, criterion, self.rank)
 
     def expectation(self, rows: np.ndarray) -> Expectation:
-        """Of the fit's own covariance: no vague knowledge in it."""
+        """Expectation from the covariance of the fit, without the weak prior."""
         seen = self._spectrum(rows)
         counted = indices(
             self._scaled[rows].reshape(-1, self._scaled.shape[2]), len(rows), self.rank
@@ -78,7 +78,7 @@ class View:
         return Expectation(counted, sigma, *errors)
 
     def warnings(self) -> list[str]:
-        """Directions that no pose of the pool can see, in words."""
+        """List directions that no pose of the pool determines."""
         if self._sought.prior:
             return []
         seen, table = self._spectrum(np.arange(len(self._A))), self._sought.model.table

@@ -1,4 +1,4 @@
-"""How well measurements see the parameters, in one number each (5.3.9)."""
+"""Observability indices: how well measurements determine the parameters (5.3.9)."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Indices:
     parameter_rms: float
 
     def document(self) -> dict[str, float | int | None]:
-        """As JSON has it: None where an index is infinite."""
+        """Indices for JSON: None if an index is infinite."""
         return {k: v if np.isfinite(v) else None for k, v in vars(self).items()}
 
 

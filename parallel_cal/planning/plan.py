@@ -1,4 +1,4 @@
-"""Which poses to measure: n of many candidates, chosen before anything is measured (5.3.9)."""
+"""Select which poses to measure: n of many candidates, before any measurement (5.3.9)."""
 
 from __future__ import annotations
 
@@ -96,16 +96,16 @@ class PlanOptions:
 
     @property
     def chosen_method(self) -> str:
-        """The method, by default the one that suits the criterion."""
+        """The method; by default the one for the criterion."""
         return self.method or ("exchange" if self.criterion in LINEAR else "annealing")
 
 
 @dataclass(frozen=True)
 class Plan:
-    """The poses to measure, with the inputs that made the choice.
+    """The poses to measure, with the inputs of the selection.
 
-    `approach` says how to come to them, None where that is all the same; `random` is the median
-    of 21 random sets of the same size out of the same pool.
+    `approach` says how to reach them, None if that does not matter; `random` is the median of 21
+    random sets of the same size from the same pool.
     """
 
     model: Model
@@ -130,7 +130,7 @@ class Plan:
         return [n for n, f in zip(self.model.table.names, self.free, strict=True) if f]
 
     def document(self) -> dict[str, Any]:
-        """The JSON document of `parallel-cal plan`; SI, None where not known."""
+        """The JSON document of `parallel-cal plan`; SI, None for unknown values."""
         return {
             "poses": [self._pose(i) for i in range(len(self))],
             "criterion": self.options.criterion,
@@ -145,8 +145,8 @@ class Plan:
         }
 
     def table(self) -> tuple[list[str], np.ndarray]:
-        """Names of columns, and a row a pose: where (m, quaternion), joints (rad, m), conditions,
-        and the joints of the stops on the way where it matters how a pose is come to."""
+        """Names of columns, and one row for each pose: place (m, quaternion), joints (rad, m),
+        conditions, and the joints at the waypoints if the approach matters."""
         stops = {} if (way := self.approach) is None else {"past": way.past, "turn": way.turn}
         joints = self.model.joints
         named = [f"{stop}.{joint}" for stop in stops for joint in joints]
@@ -288,9 +288,8 @@ def plan(
 
 @single_threaded()
 def expected_at(model: Model, q: np.ndarray) -> Expectation:
-    """What an identification would be worth from poses at given joints q (N, nq), under neutral
-    conditions. FitError where they cannot carry the free parameters, or there is no noise
-    figure."""
+    """Expected result of an identification from poses at joints q (N, nq), under neutral
+    conditions. FitError if they are too few for the free parameters, or the noise is not known."""
     measured, free = _measured(model), free_mask(model, (), ())
     _check_enough(model, len(q), free)
     rng = np.random.default_rng(0)
@@ -309,7 +308,7 @@ def expected_at(model: Model, q: np.ndarray) -> Expectation:
 
 
 def _measured(model: Model) -> np.ndarray:
-    """Mask (nq + 6,): joints, and what the device has a noise figure for."""
+    """Mask (nq + 6,) of the joints and the coordinates whose noise the device states."""
     noise, channels = model.noise, model.structure.channels
     given = [noise.position is not None, noise.orientation is not None]
     if channels and not any(given):
@@ -335,7 +334,7 @@ def _list_sensor_warnings(model: Model) -> list[str]:
 
 
 def equations_per_pose(model: Model) -> int:
-    """How many equations a measured pose gives; FitError for none, or without a noise figure."""
+    """Number of equations of a measured pose; FitError if none, or if the noise is not known."""
     moved = [len(model.joints) + i for i in model.mechanism.moved]
     each = model.structure.phi.shape[0] - int((~_measured(model)[moved]).sum())
     if each <= 0:
@@ -357,7 +356,7 @@ def _check_enough(model: Model, n: int, free: np.ndarray) -> None:
 
 
 def _check_seeing(expected: Expectation, rank: int, prior: bool) -> None:
-    """Equations enough, but not of every kind: even the best set would not be identified."""
+    """Raise FitError if even the best set does not determine every direction."""
     seen = expected.indices
     if seen.rank < rank and not prior:
         raise FitError(
@@ -385,7 +384,7 @@ def _number_of_groups(n: int, pool: Pool) -> int:
 def _typical(
     view: View, problem: SelectionProblem, groups: int, rng: np.random.Generator
 ) -> Expectation:
-    """The median of random sets by the criterion."""
+    """The median of random sets, by the criterion."""
     sets = [rng.permutation(len(problem.blocks))[:groups] for _ in range(RANDOM_SETS)]
     costs = [problem.cost(problem.information(s)) for s in sets]
     middle = sets[int(np.argsort(costs)[RANDOM_SETS // 2])]

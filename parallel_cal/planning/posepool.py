@@ -1,5 +1,5 @@
-"""Poses that a robot could measure: in the workspace, inside limits, away from singularities; and
-how it comes to them, where that matters."""
+"""Draw poses that a robot can measure: in the workspace, inside joint limits, away from
+singularities, with an approach if the model needs one."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ FOLD = 3
 
 @dataclass(frozen=True)
 class Pool:
-    """K groups of poses that are chosen together: one pose each, or a symmetric set.
+    """K groups of poses that are selected together: one pose each, or a symmetric set.
 
-    groups (K, size) indexes poses; a (N, n_conditions) is what each is measured under; `approach`
-    how the robot comes to it, None where that is all the same.
+    groups (K, size) indexes poses; a (N, n_conditions) are the conditions of each pose; `approach`
+    says how the robot reaches it, None if that does not matter.
     """
 
     poses: Solutions
@@ -45,7 +45,7 @@ class Pool:
         return Pool(self.poses[index], np.arange(len(index))[:, None], self.a[index], approach)
 
     def lengthen_approach(self, model: Model, least: np.ndarray | float) -> Pool:
-        """The same come to over ways of at least so much (nq,), on the same side."""
+        """The pool with approaches of at least this length (nq,), from the same side."""
         if self.approach is None:
             return self
         ways = self.approach.ways
@@ -57,8 +57,8 @@ class Pool:
 def make_pool(
     model: Model, n: int, rng: np.random.Generator, symmetric: bool, reach: float = 1.0
 ) -> Pool:
-    """About n poses drawn in the workspace, or in a box so many times as large (`reach`), those
-    kept that may be measured at."""
+    """Draw about n poses in the workspace, or in a box `reach` times as large; keep the usable
+    ones."""
     m = model.mechanism
     middle = np.add(m.workspace.low, m.workspace.high) / 2
     r, R = m.poses(middle + reach * (m.sample(n, rng) - middle))
@@ -83,7 +83,7 @@ def make_pool(
 
 
 def given_pool(model: Model, poses: Solutions, rng: np.random.Generator) -> Pool:
-    """The usable ones of given poses."""
+    """Keep the usable ones of given poses."""
     kept = poses[np.flatnonzero(find_usable_poses(model, poses))]
     approach = approaches(model, kept, rng) if needs_approach(model) else None
     if approach is not None:
@@ -93,7 +93,7 @@ def given_pool(model: Model, poses: Solutions, rng: np.random.Generator) -> Pool
 
 
 def _pool(model: Model, poses: Solutions, groups: np.ndarray, approach: Approaches | None) -> Pool:
-    """Under neutral conditions, but for what the approach brings about."""
+    """Make a pool under neutral conditions, except for those that the approach causes."""
     a = model.condition_rows(None, len(poses))
     if approach is not None:
         fill(a, model, approach.ways)

@@ -1,4 +1,4 @@
-"""How a session that is still to come goes on: blocks of poses, cold, warm and cold again."""
+"""Schedule the next session: blocks of poses, cold, warm and cold again."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ DEFAULT_POSE_TIME_S = 60.0  # s a pose, if nobody saw it
 
 @dataclass(frozen=True)
 class Schedule:
-    """Blocks of poses after a recording: when each begins (B,) s, how warm it is (B,) degC,
-    and how long a pose takes (s).
+    """Blocks of poses after a recording: start (B,) s and temperature (B,) degC of each block, and
+    the time for a pose (s).
 
-    Temperature rises and falls again while time goes on: neither stands for the other.
+    The temperature rises and falls again, so that it does not correlate with time.
     """
 
     begin: np.ndarray
@@ -27,8 +27,8 @@ class Schedule:
 
     @classmethod
     def after(cls, recorded: Mapping[str, np.ndarray], poses: int) -> Schedule:
-        """Between the temperatures recorded, as fast as they changed; `poses` are to be fitted
-        in."""
+        """Schedule between the recorded temperatures, at the recorded rate; each block has room for
+        `poses` poses."""
         time = np.sort(np.asarray(recorded.get("time", [0.0])))
         air = np.asarray(recorded.get("temperature", [20.0]))
         lasted = float(time[-1] - time[0])
@@ -40,7 +40,7 @@ class Schedule:
         return cls(begin, np.array([low, high, low]), step)
 
     def describe(self, blocks: np.ndarray, warm: bool) -> str:
-        """How to bring it about, poses (n,) in these blocks; `warm`: temperature matters."""
+        """Describe how to do it, for poses (n,) in these blocks; `warm`: temperature matters."""
         first, then, last = np.bincount(blocks, minlength=BLOCKS)
         low, high = self.temperature[:2]
         stay = "Leave device and joint zeros unchanged."

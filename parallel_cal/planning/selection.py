@@ -24,8 +24,8 @@ Report = Callable[[float], None]
 
 @dataclass(frozen=True)
 class SelectionProblem:
-    """Blocks (K, rows, p), information known beforehand (p, p), weight W (p, p), criterion;
-    `rank`: the directions that count in a spectral criterion."""
+    """Blocks (K, rows, p), prior information (p, p), weight W (p, p), criterion; `rank`: the number
+    of directions in a spectral criterion."""
 
     blocks: np.ndarray
     before: np.ndarray

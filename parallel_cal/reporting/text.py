@@ -1,4 +1,4 @@
-"""Results as a terminal shows them: tables and sentences, every number with its unit."""
+"""Format results for a terminal: tables and sentences, every number with its unit."""
 
 from __future__ import annotations
 
