@@ -62,7 +62,7 @@ def answer(clean, identified, tmp_path):
 
 
 def by_hand(result, *, before, after):
-    """A result whose errors at poses left out point along x and have the given sizes."""
+    """A result whose errors at held-out poses point along x and have the given sizes."""
     n = len(result.observations)
 
     def errors(sizes):
@@ -79,13 +79,13 @@ def test_a_fall_that_all_poses_share_is_accepted_and_named(identified):
     found = acceptance(by_hand(identified, before=[4e-5], after=[3e-5]))
     assert found.judged
     assert not found.against
-    assert found.description == "error at poses left out 40 to 30 um"
+    assert found.description == "error at held-out poses 40 to 30 um"
 
 
 def test_a_rise_is_refused_with_its_factor(identified):
     found = acceptance(by_hand(identified, before=[4e-5], after=[5e-5]), change=" with 'x'")
     assert found.against == (
-        "the error at poses left out does not fall with 'x' (40 to 50 um; factor 1.250)"
+        "the error at held-out poses does not fall with 'x' (40 to 50 um; factor 1.250)"
     )
 
 
@@ -117,7 +117,7 @@ def test_a_removal_may_cost_a_hundredth_and_no_more(identified):
 def test_a_fit_that_does_not_lower_the_error_at_poses_left_out_is_not_written(face, answer):
     done, words, output = answer(face)
     assert not done
-    assert "the error at poses left out does not fall (" in words
+    assert "the error at held-out poses does not fall (" in words
     assert "nothing was written" in words
     assert not output.exists()
     assert answer(face, force=True)[0]
@@ -197,7 +197,7 @@ def first(recorded):
 @pytest.mark.wide
 def test_a_model_fitted_twice_is_as_good_as_before_and_not_worse(first, recorded):
     """Its own error at samples that it was fitted on is no error of poses that were held out."""
-    with pytest.raises(FitError, match="the model was fitted on these samples before"):
+    with pytest.raises(FitError, match="the model was fitted to these samples before"):
         fitted(first.model, recorded)
     second = fitted(first.model, recorded, force=True)
     told = second.document()

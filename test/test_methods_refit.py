@@ -107,9 +107,9 @@ def test_the_sigma_of_refitted_parameters_is_their_spread_over_draws(draws):
 
 
 def test_a_model_never_identified_cannot_be_refitted():
-    with pytest.raises(FitError, match="the model has none: identify all of it first"):
+    with pytest.raises(FitError, match="the model has none: identify all parameters first"):
         fit(new_model("delta54"), few(0), refit=[OFFSETS])
-    with pytest.raises(FitError, match="give it no free or fix patterns"):
+    with pytest.raises(FitError, match="do not combine it with free or fix"):
         fit(new_model("delta54"), few(0), refit=[OFFSETS], fix=["chain1.*"])
 
 

@@ -130,7 +130,7 @@ def test_people_see_the_closure_error_of_a_robot_with_more_lines_than_freedoms(s
     assert run("compare", MODEL, samples) == 0
     shown = capsys.readouterr().out
     assert re.search(r"closure, rms of its rows +7234\.15  um", shown)
-    assert "noise alone" not in shown
+    assert "noise floor" not in shown
 
 
 def test_assumed_noise_claims_nothing_but_proportions(model, dataset):
@@ -153,9 +153,13 @@ def test_assumed_noise_claims_nothing_but_proportions(model, dataset):
 
 def test_nobody_knows_the_noise_so_it_must_be_stated_or_assumed(model, dataset):
     silent = replace(model, noise=Noise())
-    with pytest.raises(FitError, match=r"joints' noise; .*your guess, with noise.assumed: true"):
+    with pytest.raises(
+        FitError, match=r"joint readings is not known; .*state a guess and noise.assumed: true"
+    ):
         observe(silent, dataset)
-    with pytest.raises(FitError, match=r"device's noise; .*your guess, with noise.assumed: true"):
+    with pytest.raises(
+        FitError, match=r"the device is not known; .*state a guess and noise.assumed: true"
+    ):
         observe(silent, dataset, joint_sigma=0.35)
     assert observe(model, dataset).noise_assumed
     stated = replace(model, noise=replace(model.noise, assumed=False))

@@ -73,14 +73,14 @@ def test_a_session_of_a_fitted_file_says_that_its_samples_are_known(session, tmp
     assert seen["tiles"][0]["where"] == "at the samples that the model was fitted on"
     state = again.fit()
     assert state.before == state.errors == pytest.approx(session.state.errors)
-    assert "the model was fitted on these samples before" in state.against
+    assert "the model was fitted to these samples before" in state.against
 
 
 def test_undo_and_redo_walk_along_the_branch(session):
     fit = session.state
     assert session.undo().step == "begin"
     assert "fit" not in [entry["step"] for entry in session.model.history]
-    with pytest.raises(SessionError, match="this is where the session began"):
+    with pytest.raises(SessionError, match="this is the first state of the session"):
         session.undo()
     assert session.redo() == fit
     with pytest.raises(SessionError, match="nothing to redo"):
@@ -135,7 +135,7 @@ def test_another_program_finds_the_same_session_and_changes_are_seen(session):
 def test_a_step_of_a_session_that_was_changed_meanwhile_is_refused(session):
     other = Session(session.folder)
     session.undo()
-    with pytest.raises(SessionError, match="changed meanwhile"):
+    with pytest.raises(SessionError, match="changed in the meantime"):
         other.fit()
     assert Session(session.folder).state.step == "begin"
 
@@ -295,7 +295,7 @@ def test_a_model_that_is_worse_than_the_one_in_use_is_refused_with_both_errors(s
         session.save(in_use)
     words = str(refused.value)
     assert "the model in use has an error of 32.5 um" in words
-    assert "this model by 37 um" in words
+    assert "this model of 37 um" in words
     assert words.count("at held-out poses") == 2
     assert "worse by a factor of 1.07 (position and orientation together)" in words
     assert in_use.read_text() == before
@@ -329,7 +329,7 @@ def test_a_better_model_is_written_without_a_question_and_both_errors_are_told(s
     shutil.copy(MODEL, file)
     found = session.save(file)
     assert not found.objections
-    assert "errs by 606 um" in found.comparison
+    assert "has an error of 606 um" in found.comparison
     assert "at samples that none of its fits used, this model of 37 um" in found.comparison
     assert "better by a factor of" in found.comparison
     assert read_model(file).history[-1]["step"] == "fit"
@@ -361,7 +361,7 @@ def test_an_amber_model_is_written_only_where_the_owner_insists(session, tmp_pat
 
 def test_what_the_data_cannot_tell_is_asked_before_it_is_written(session, tmp_path):
     session.choose(free=["*"])
-    with pytest.raises(SaveRefused, match="the data cannot tell platform bar's half length"):
+    with pytest.raises(SaveRefused, match="the data do not determine platform bar's half length"):
         session.save(tmp_path / "robot.yaml")
     assert not (tmp_path / "robot.yaml").exists()
 

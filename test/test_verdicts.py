@@ -113,14 +113,14 @@ def test_what_was_inside_its_noise_already_is_not_explained():
     assert found.base.fitted.estimate.chi2_per_dof < found.band[1]
     assert found.effects == ("backlash",)
     assert found.verdict.word == "at_noise"
-    assert "add it if that counts" in found.verdict.summary
+    assert "add it if this gain matters to you" in found.verdict.summary
 
 
 @pytest.mark.wide
 def test_what_is_left_beside_the_noise_can_be_read_off():
     data = measured(0, effects=[vr.Backlash((3e-4, 2.5e-4, 2e-4))], n_poses=110)
     summary = diagnose(MODEL, data, effects=["backlash"]).verdict.summary
-    assert "; noise alone 2" in summary or "; noise alone 3" in summary
+    assert "; noise floor 2" in summary or "; noise floor 3" in summary
 
 
 def test_the_order_of_samples_is_no_time():

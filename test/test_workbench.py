@@ -441,7 +441,7 @@ def test_the_server_writes_over_a_better_model_only_what_the_owner_confirmed(fol
     save()
     first = bench.question
     assert "the model in use has an error of 32.5 um" in first.words
-    assert "this model by 37 um" in first.words
+    assert "this model of 37 um" in first.words
     save("yes")  # no page's click, but a request that knows of none
     assert bench.question == first
     assert output.read_text() == better
