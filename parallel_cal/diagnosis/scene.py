@@ -124,7 +124,7 @@ def columns(
         J = scene.seen_jacobian[:, :, moved] @ by_number.reshape(n, len(which), -1).transpose(
             0, 2, 1
         )
-    else:  # another closure, or a reading that changes beside it
+    else:  # another closure, or a reading that changes with it
         by_v = s.columns(tuple(which.tolist()))(scene.x, a, extended.values)[0]
         J = scene.whitener @ by_v.reshape(n, len(which), scene.rows).transpose(0, 2, 1)
     return np.asarray(J.reshape(len(scene.residual), -1) * extended.table.tolerance[new])

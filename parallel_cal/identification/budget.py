@@ -1,4 +1,4 @@
-"""The error budget: what geometry, each effect and noise contribute; and ISO 9283's figures."""
+"""Error budget: contributions of geometry, each effect and noise; and the figures of ISO 9283."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ KINDS = {"position": slice(0, 3), "orientation": slice(3, 6)}
 
 @dataclass(frozen=True)
 class Part:
-    """One line of a budget: what it takes of the total, and its own rms (None: no vector of its
-    own), m or rad."""
+    """One line of a budget: its contribution to the total, and its own rms (None if it has no
+    vector), m or rad."""
 
     name: str
     contribution: float
@@ -31,11 +31,11 @@ class Part:
 
 @dataclass(frozen=True)
 class Budget:
-    """The error of the drawing's robot, rms, and what it is made of.
+    """The rms error of the drawing's robot, and its parts.
 
-    With e = measured minus nominal pose = sum of d_k, part k contributes mean(d_k . e) / rms(e):
-    contributions sum to rms(e) and may be negative where parts make up for each other. The last
-    two share what the model leaves: `noise` as it is stated, and the `rest`.
+    With e = measured minus nominal pose = sum of d_k, part k contributes mean(d_k . e) / rms(e).
+    Contributions sum to rms(e) and may be negative if parts compensate each other. The last two
+    share what the model leaves: `noise` as stated, and the `rest`.
     """
 
     kind: str
@@ -45,7 +45,7 @@ class Budget:
 
 @single_threaded()
 def budgets(model: Model, observations: Observations, noise: Summary) -> tuple[Budget, ...]:
-    """A budget of each kind of error that was measured."""
+    """Make a budget for each kind of error that was measured."""
     n = len(model.joints)
     groups = dict(_groups(model))
     values = model.values.copy()
@@ -69,7 +69,7 @@ def budgets(model: Model, observations: Observations, noise: Summary) -> tuple[B
 
 
 def _groups(model: Model) -> Iterator[tuple[str, np.ndarray]]:
-    """What is budgeted, and which of the model's numbers (n_p,) it has; set-ups have none of it."""
+    """The parts of the budget, and the parameters (n_p,) of each; sensors have no part."""
     yield "geometry", np.isin(model.table.names, model.mechanism.parameters.names)
     for effect in model.effects:
         which = model.table.matching([f"{effect.name}.*"])
@@ -98,12 +98,12 @@ def _rms(vectors: np.ndarray) -> float:
 
 @dataclass(frozen=True)
 class Iso9283:
-    """Pose accuracy and repeatability of a robot that is commanded by the model (ISO 9283, 7.2).
+    """Pose accuracy and repeatability of a robot that the model commands (ISO 9283, 7.2).
 
-    accuracy: distance of a pose's barycentre from where the model puts it, mean and largest over
-    the poses; repeatability: mean distance from the barycentre plus three of its standard
-    deviations, pooled over `poses` visited again, `visits` in all; None where none was. The
-    device's own noise is in both.
+    accuracy: distance of a pose's barycentre from the predicted one, mean and largest over the
+    poses. repeatability: mean distance from the barycentre plus three of its standard deviations,
+    pooled over `poses` with several visits, `visits` in all; None if no pose was visited twice.
+    Both contain the noise of the device.
     """
 
     kind: str
@@ -115,8 +115,8 @@ class Iso9283:
 
 
 def iso_9283(errors: Errors, observations: Observations) -> tuple[Iso9283, ...]:
-    """Of each kind of error that was measured; what arrived at a pose is what was measured there,
-    whatever it was commanded by."""
+    """Figures for each kind of error that was measured; the measured pose counts as the attained
+    pose."""
     return tuple(
         _figures(kind, getattr(errors, kind)[known], observations.group[known])
         for kind in KINDS

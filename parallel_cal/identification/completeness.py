@@ -1,4 +1,4 @@
-"""How many parameters a complete model has (eqs 3.1-3.4), and whether a mechanism has them."""
+"""Count the parameters of a complete model (eqs 3.1-3.4), and check a mechanism for them."""
 
 from __future__ import annotations
 
@@ -54,17 +54,18 @@ class Completeness:
     coordinates: int
 
     def is_complete(self, frames: int = 2) -> bool:
-        """Whether nothing is missing, with `frames` of {B} and {P} arbitrarily located (F)."""
+        """Whether no parameter is missing if `frames` of {B} and {P} are arbitrary (F)."""
         return self.rank == self.needed - self.coordinates * (2 - frames)
 
     @property
     def redundant(self) -> int:
-        """Parameters too many."""
+        """Number of superfluous parameters."""
         return self.parameters - self.rank
 
     @property
     def frames(self) -> int | None:
-        """With how many of {B} and {P} arbitrarily located nothing is missing (None: something)."""
+        """How many of {B} and {P} may be arbitrarily located without a missing parameter (None:
+        none)."""
         return next((F for F in (2, 1, 0) if self.is_complete(F)), None)
 
     @property
@@ -89,8 +90,8 @@ def compute_completeness(
 ) -> Completeness:
     """Rank of the identification Jacobian d phi / dp over poses that close exactly.
 
-    The robot is drawn `spread` tolerances around nominal: at the nominal robot some parameters
-    are felt nowhere (a Delta's platform does not tilt). `without` names parameters to leave out.
+    The robot is drawn `spread` tolerances around nominal: at the nominal robot some parameters have
+    no effect (a Delta's platform does not tilt). `without` names parameters to omit.
     """
     rng = np.random.default_rng(seed)
     table = mechanism.parameters

@@ -1,4 +1,4 @@
-"""Which method identifies, and how: by its name, with a prior, with a robust loss."""
+"""Select the identification method by name, with a prior and a robust loss."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ SHELF = "identification.methods"
 
 
 def estimator(method: str, prior: bool | Prior | None = False, loss: str = "linear") -> Estimator:
-    """How to get an estimate from (model, observations, free); FitError where it makes no sense."""
+    """Make the estimator (model, observations, free) -> estimate; FitError if the options
+    contradict."""
     chosen = partial(load_method(method), prior=prior)
     if loss == "linear":
         return chosen

@@ -1,4 +1,4 @@
-"""What a recording alone says of parameters, without the tolerances that helped to identify."""
+"""Evidence of one recording about parameters, without the tolerances that served as priors."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from parallel_cal.identification.thresholds import RELATIVE_RANK
 class Evidence:
     """A likelihood of parameters p (n,), SI: log L = g.d - d.A.d / 2 with d = p - `centre`.
 
-    `information` is A (n, n), `pull` g (n,). A direction that the data do not see has no
-    information, which a covariance could not say.
+    `information` is A (n, n), `pull` g (n,). A direction that the data do not determine has no
+    information, which a covariance could not express.
     """
 
     names: tuple[str, ...]
@@ -27,8 +27,7 @@ class Evidence:
 
     @classmethod
     def of(cls, result: FitResult) -> Evidence:
-        """That of an identification; where its residuals are larger than the noise, as much less
-        (Birge's ratio)."""
+        """Evidence of a fit; residuals larger than the noise reduce it (Birge's ratio)."""
         model, found, free = result.model, result.estimate.spectrum, result.free
         table, chi2 = model.table, result.estimate.chi2_per_dof
         scale = (table.prior_sigma if found.held else table.tolerance)[free]
@@ -50,24 +49,24 @@ class Evidence:
         )
 
     def __add__(self, other: Evidence) -> Evidence:
-        """Both together: of the same parameters, about the same numbers."""
+        """Combine two likelihoods of the same parameters about the same centre."""
         information = self.information + other.information
         return replace(self, information=information, pull=self.pull + other.pull)
 
     @classmethod
     def uninformative(cls, names: Sequence[str]) -> Evidence:
-        """What is known before anything was measured."""
+        """Evidence before any measurement."""
         n = len(names)
         return cls(tuple(names), np.zeros(n), np.zeros((n, n)), np.zeros(n))
 
     @classmethod
     def from_document(cls, document: Mapping[str, Any]) -> Evidence:
-        """That which `documents.plain` made a document of."""
+        """Evidence from a document that `documents.plain` made."""
         numbers = (np.array(document[key]) for key in ("centre", "information", "pull"))
         return cls(tuple(document["names"]), *numbers)
 
     def marginalise(self, names: Iterable[str]) -> Evidence:
-        """That of some parameters, of those that it has, while the others may be anything."""
+        """Evidence of some of its parameters; the others are unknown."""
         wanted = set(names)
         asked = np.array([name in wanted for name in self.names], dtype=bool)
         A, g, others = self.information, self.pull, ~asked
@@ -86,8 +85,8 @@ class Evidence:
         )
 
     def recentre(self, names: Sequence[str], centre: np.ndarray, scale: np.ndarray) -> Evidence:
-        """The same of the parameters `names` (n,) about `centre` (n,) in units of `scale` (n,);
-        nothing is known of those that it has not."""
+        """Evidence of the parameters `names` (n,) about `centre` (n,) in units of `scale` (n,);
+        without information about parameters that it does not contain."""
         own, n = self.marginalise(names), len(names)
         at = [names.index(name) for name in own.names]
         information, pull = np.zeros((n, n)), np.zeros(n)

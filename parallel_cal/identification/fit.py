@@ -1,4 +1,4 @@
-"""Identification: a model and a dataset in, a better model and how far to trust it out."""
+"""Identify the parameters of a model from samples, with their uncertainty and validation error."""
 
 from __future__ import annotations
 
@@ -58,11 +58,11 @@ Judged = Callable[[np.ndarray, np.ndarray], Errors | None]
 
 @dataclass(frozen=True)
 class FitResult(ShownInNotebook):
-    """An identification with the inputs that made it.
+    """An identification with its inputs.
 
-    `held_out` errors come from fits that did not see the pose they are judged at; the
-    estimates themselves use all samples. `given` is the model that it is compared with, `start`
-    the one that it started from: the same, but for a device's frame that is identified, too.
+    `held_out` errors come from fits that did not use the pose at which they are judged; the
+    estimate itself uses all samples. `given` is the model that it is compared with. `start` is the
+    model that it started from; the two differ only if the frame of a device is identified too.
     """
 
     model: Model
@@ -87,13 +87,13 @@ class FitResult(ShownInNotebook):
 
     @property
     def refitted_parameters(self) -> tuple[str, ...]:
-        """Parameters that a partial re-calibration identified; none where it was no partial one."""
+        """Parameters that a partial re-calibration identified; empty for a full fit."""
         names = np.array(self.model.table.names)[self.free] if self.options.refit else ()
         return tuple(str(name) for name in names)
 
     @property
     def before(self) -> Errors:
-        """Errors of the model as it was given: what `compare` shows of it."""
+        """Errors of the given model, as `compare` shows them."""
         return self.given.errors
 
     @property
@@ -102,15 +102,15 @@ class FitResult(ShownInNotebook):
 
     @cached_property
     def noise_floor(self) -> Summary:
-        """What a perfect model of this robot would show."""
+        """Errors that a perfect model of this robot would show."""
         return noise_floor(self.model, self.observations)
 
     @cached_property
     def held_out_before(self) -> Errors:
-        """Errors of the model as it was given at the poses that `held_out` judges, NaN at others.
+        """Errors of the given model at the poses that `held_out` judges, NaN at others.
 
-        They are out of sample as those are: a device's frame is registered by the other poses, and
-        numbers that were fitted to these samples are identified anew without the held-out ones.
+        They are out of sample too: the frame of a device is registered by the other poses, and
+        parameters that were fitted to these samples are identified again without the held-out ones.
         """
         if self.given.known_held_out is not None:
             found = self.given.known_held_out
@@ -121,10 +121,12 @@ class FitResult(ShownInNotebook):
         return found.only_at(self.held_out.judged)
 
     def _refitted_without_held_out(self) -> Errors:
-        """Errors at held-out poses of the given model where it was fitted to these samples before:
-        those of its numbers that are identified here, too, are identified in the same folds, by the
-        method and the loss of its last fit; the others keep their values on both sides. NaN where
-        they cannot be identified."""
+        """Validation errors of a given model that was fitted to these samples before.
+
+        Those of its parameters that this fit identifies are identified again in the same folds, by
+        the method and the loss of its last fit; the others keep their values on both sides. NaN if
+        they cannot be identified.
+        """
         start, last = self.given.model, self.given.fits_of_these_samples[-1]
         own, here = _names(start, ~np.asarray(start.fixed)), _names(self.model, self.free)
         how = {"method": last.get("method", "implicit"), "loss": last.get("loss", "linear")}
@@ -143,7 +145,7 @@ class FitResult(ShownInNotebook):
 
     @cached_property
     def budgets(self) -> tuple[Budget, ...]:
-        """What geometry, each effect and noise contribute to the drawing's error."""
+        """Contributions of geometry, each effect and noise to the error of the drawing."""
         return budgets(self.model, self.observations, self.noise_floor)
 
     @cached_property
@@ -157,7 +159,7 @@ class FitResult(ShownInNotebook):
         return find_down_weighted_samples(self.estimate, self.dataset)
 
     def document(self) -> dict[str, Any]:
-        """The JSON document of `parallel-cal fit`; all values SI, None where not known."""
+        """The JSON document of `parallel-cal fit`; SI, None for unknown values."""
         before, after = self.before.summary, self.after.summary
         held_before, held_after = self.held_out_before.summary, self.held_out.summary
         return {
@@ -193,13 +195,13 @@ class FitResult(ShownInNotebook):
         }
 
     def _priors(self) -> str:
-        """Of what the tolerances (or an earlier result) were taken as known."""
+        """Which parameters have a prior: 'all', 'weak' or 'none'."""
         if self.options.prior:
             return "all"
         return "weak" if self.estimate.spectrum.held else "none"
 
     def _band(self) -> list[float | None]:
-        """Where chi2/dof of a complete model lies; nowhere where nobody knows the noise."""
+        """Band of chi2/dof for a complete model; None if the noise is not known."""
         assumed = self.observations.noise_assumed
         return [None, None] if assumed else list(chi2_band(self.estimate.dof))
 
@@ -216,8 +218,7 @@ class FitResult(ShownInNotebook):
 
 @dataclass(frozen=True)
 class ParameterEstimate:
-    """A parameter as identified, SI; `sigma` None where it is not known; moved from nominal, in
-    tolerances."""
+    """An identified parameter, SI; `sigma` is None if unknown; `moved` is in tolerances."""
 
     value: float
     sigma: float | None
@@ -329,8 +330,8 @@ def fit_registered(
     progress: Progress | None = None,
     given: GivenModel | None = None,
 ) -> FitResult:
-    """The same for a model that says where its device stands; `given` is what it is compared with,
-    the model itself where it is None."""
+    """Fit a model that describes where its device stands; `given` is the model to compare with, by
+    default the model itself."""
     given = given or GivenModel(model, model, dataset, options.joint_sigma, options.insist)
     report = progress or ignore_progress
     mask, partial = chosen_parameters(model, options)
@@ -342,11 +343,12 @@ def fit_registered(
         raise FitError(words)
 
     def judged(train: np.ndarray, test: np.ndarray) -> Errors | None:
-        """Errors at poses that the fit did not see; None where the others are too few."""
+        """Errors at poses that the fit did not use; None if the others are too few."""
         kept = observations.select(train)
         if explain_too_few_poses(model, kept, mask, options.prior):
             return None
-        # From where all poses led it is not far, unless only those left out tell of a direction.
+        # Start at the fit to all poses: the solution is near, unless only held-out poses determine
+        # a direction.
         # There the closure is linearised already; a method of one's own may know no such thing.
         system = estimate.system if options.method == "implicit" else None
         begin = system and system.select(train)
@@ -407,7 +409,7 @@ def _names(model: Model, mask: np.ndarray) -> set[str]:
 
 
 def _cross_validate(folds: Folds, judged: Judged, like: Errors, report: Progress) -> Errors:
-    """Errors at every pose of fits that left it out; NaN where leaving out is not possible."""
+    """Errors at every pose, of a fit that held it out; NaN if that is not possible."""
     parts = like.blank().parts()
     for k, (train, test) in enumerate(folds):
         report("fitting without held-out poses", 0.2 + 0.8 * k / len(folds))
@@ -418,8 +420,8 @@ def _cross_validate(folds: Folds, judged: Judged, like: Errors, report: Progress
 
 
 def scale_covariance(estimate: Estimate) -> Estimate:
-    """The same with sigmas from the residuals, covariance * chi2/dof: all that can be said where
-    only the proportions of the noise were given."""
+    """The estimate with covariance * chi2/dof: sigmas from the residuals, because only the
+    proportions of the noise are known."""
     if estimate.dof <= 0:
         return estimate
     return replace(estimate, covariance=estimate.covariance * estimate.chi2_per_dof)

@@ -1,8 +1,8 @@
-"""The model as it was given, before anything is identified: what `compare` shows and fits beat.
+"""The given model before identification: `compare` shows its errors, and a fit must beat them.
 
-Where nobody has said where the pose device stands, its frame and target are registered, and nothing
-else is changed. At held-out poses they are registered by the other poses alone, so that an error
-there is as much out of sample as that of the fit beside it.
+If the model does not state where the pose device stands, its frame and target are registered and
+nothing else is changed. At held-out poses they are registered by the other poses only, so that
+these errors are as much out of sample as those of the fit.
 """
 
 from __future__ import annotations
@@ -25,10 +25,11 @@ Folds = list[tuple[np.ndarray, np.ndarray]]  # indices of the training and of th
 
 @dataclass(frozen=True)
 class GivenModel:
-    """A model and the samples that it is judged by.
+    """A given model and the samples that judge it.
 
-    `unregistered` is the model as it came, `model` the one whose errors count. `known_held_out` are
-    its errors at held-out poses where another fit of the same samples has found them.
+    `unregistered` is the model as it was given, `model` the registered one whose errors count.
+    `known_held_out` are its errors at held-out poses if another fit of the same samples has
+    computed them.
     """
 
     unregistered: Model
@@ -57,12 +58,12 @@ class GivenModel:
 
     @cached_property
     def errors(self) -> Errors:
-        """At all samples."""
+        """Errors at all samples."""
         return errors(self.model, self.observations)
 
     def errors_at_held_out(self, folds: Folds) -> Errors:
-        """At all samples, each one registered by the samples of the folds that do not hold it;
-        NaN where these are too few to register the device."""
+        """Errors at all samples, each registered by the folds that do not contain it; NaN if these
+        are too few to register the device."""
         if self.registration is None:
             return self.errors
         parts = self.errors.blank().parts()
@@ -81,7 +82,7 @@ class GivenModel:
 
 
 def fits_of(model: Model, dataset: Dataset) -> Iterator[Mapping[str, Any]]:
-    """Steps of a model's history that used these samples, as their sha256 tells."""
+    """Steps of a model's history that used these samples, recognised by their sha256."""
     for entry in model.history:
         data = entry.get("dataset")
         sha256 = data.get("sha256") if isinstance(data, Mapping) else None

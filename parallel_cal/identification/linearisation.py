@@ -22,9 +22,7 @@ BLOCK = 1024  # samples at a time: what is in work then stays in the processor's
 MIN_SAMPLES_TO_COMPILE = (
     50_000  # samples from which compiled code pays, even where the cache does not hold it yet
 )
-MAX_JACOBIAN_BYTES = (
-    1 << 28
-)  # bytes of a Jacobian; a larger one is computed anew where it is wanted
+MAX_JACOBIAN_BYTES = 1 << 28  # bytes of a Jacobian; a larger one is computed again when needed
 
 Adjust = Callable[[np.ndarray], np.ndarray]
 
@@ -45,11 +43,11 @@ class System:
         return float(np.vdot(self.residual, self.residual))
 
     def chi2_of(self, other: System) -> float:
-        """Another point's chi2, to be held against this one's."""
+        """chi2 of another point, comparable with the one of this point."""
         return other.chi2
 
     def select(self, index: np.ndarray) -> System | None:
-        """The same of some samples; None where linearising them anew is less work."""
+        """The system of some samples; None if linearising them again is cheaper."""
         return System(
             self.residual[index],
             self.jacobian[index],
@@ -79,7 +77,7 @@ class System:
 
 
 class Streamed(System):
-    """A system of very many samples, whose Jacobian `parts` give some samples at a time."""
+    """A system of very many samples, whose Jacobian `parts` yield some samples at a time."""
 
     def __init__(
         self,
@@ -133,8 +131,8 @@ class Linearisation:
         self._complete = not (self._unknown.any() or self._unread.any())
 
     def start(self) -> np.ndarray:
-        """The measured configurations; coordinates that were not measured, and orientations of
-        which nothing was, are the model's own."""
+        """The measured configurations; unmeasured coordinates, and orientations without any
+        measured part, are the model's."""
         x, n = self._observations.x.copy(), self._n
         unplaced, unturned = self._unknown[:, n : n + 3], self._unknown[:, n + 3 :].all(axis=1)
         blind = np.flatnonzero(unplaced.any(axis=1) | unturned)
@@ -168,7 +166,7 @@ class Linearisation:
     def _streamed(
         self, values: np.ndarray, x: np.ndarray, residual: np.ndarray, informative: np.ndarray
     ) -> Streamed:
-        """The same; of the Jacobian only some samples are there at a time."""
+        """The system with only a part of the Jacobian in memory at a time."""
         work = np.empty((BLOCK, self._rows, self._n_free))
 
         def filled() -> Iterator[tuple[slice, np.ndarray, Adjust]]:
@@ -259,8 +257,8 @@ class Linearisation:
     def _projection(
         self, K: np.ndarray, C: np.ndarray, part: slice
     ) -> tuple[np.ndarray | None, Callable[..., np.ndarray]]:
-        """Projectors (N, rows, rows) onto what unmeasured coordinates, and channels not read,
-        cannot explain, and the change of all coordinates; None where all was measured."""
+        """Projectors (N, rows, rows) onto the part that unmeasured coordinates and unread channels
+        cannot explain, and the change of all coordinates; None if all was measured."""
         if self._complete:
             return None, lambda *_: np.empty(0)
         unknown, own = self._unknown[part], np.eye(self._rows) * self._unread[part, None, :]
@@ -290,7 +288,7 @@ class Linearisation:
 
 
 def _parts(x: np.ndarray) -> Iterator[slice]:
-    """Some samples at a time."""
+    """Yield some samples at a time."""
     return (slice(begin, begin + BLOCK) for begin in range(0, len(x), BLOCK))
 
 

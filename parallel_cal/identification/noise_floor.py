@@ -1,4 +1,4 @@
-"""What a perfect model of a robot would show: measurement noise alone."""
+"""Noise floor: the errors that a perfect model of a robot would show."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from parallel_cal.model.model import Model
 
 @single_threaded()
 def noise_floor(model: Model, observations: Observations, seed: int = 0) -> Summary:
-    """The errors a perfect model of this robot would show: measurement noise alone.
+    """Errors that a perfect model of this robot would show with the same measurement noise.
 
-    Joint noise reaches the pose and what sensors show there through the direct problem, pose
-    noise the joints through the inverse; means of norms by 64 draws a sample with a fixed seed.
-    None where the noise was only assumed.
+    Joint noise propagates to the pose and the sensors through forward kinematics, pose noise to the
+    joints through inverse kinematics. Means of norms come from 64 draws for each sample with a
+    fixed seed. None if the noise is only assumed.
     """
     if observations.noise_assumed:
         return Summary()

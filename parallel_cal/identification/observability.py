@@ -1,4 +1,4 @@
-"""What the data can see: rank, unidentifiable combinations by name, covariance."""
+"""Observability: rank, unidentifiable combinations by name, covariance."""
 
 from __future__ import annotations
 
@@ -23,9 +23,11 @@ BLOCK = 2048
 
 @dataclass(frozen=True)
 class Spectrum:
-    """Singular values of the whitened Jacobian with columns in tolerances: a value s means
-    that moving one tolerance along that direction (a row of `directions`) moves the residuals by
-    s sigmas; `held` says whether the tolerances were known along the weak ones."""
+    """Singular values of the whitened Jacobian with columns in tolerances.
+
+    A motion of one tolerance along a direction with value s (a row of `directions`) moves the
+    residuals by s sigmas. `held` says whether tolerances were priors along the weak directions.
+    """
 
     singular_values: np.ndarray
     directions: np.ndarray
@@ -48,12 +50,12 @@ def spectrum(
 ) -> Spectrum:
     """Rank and covariance of the free parameters from a whitened Jacobian (n, n_free).
 
-    `lost` marks parameters that take part in an unidentifiable direction: their sigma is
-    infinite, the covariance holds only what the data sees (enough to predict poses like the
-    measured ones). Weak directions are seen, but worse than the tolerance knows, which limits
-    them where it was the prior along them (`held`: the residuals' variance, 1 where the noise is
-    known, 0 where nothing was held). `variance`, that of the residuals in noise units, is what a
-    prior of all weighs.
+    `lost` marks parameters in an unidentifiable direction. Their sigma is infinite; the covariance
+    contains only what the data determine, which is enough to predict poses like the measured ones.
+    The data determine weak directions less well than the tolerances, which limit them if they were
+    the prior there (`held`: the variance of the residuals, 1 if the noise is known, 0 without a
+    prior). `variance`, that of the residuals in noise units, is the weight of a prior on all
+    parameters.
     """
     tolerance = (table.prior_sigma if held else table.tolerance)[free]
     names = [name for name, is_free in zip(table.names, free, strict=True) if is_free]
@@ -85,12 +87,12 @@ def spectrum(
 def directions_in_words(
     directions: Iterable[Mapping[str, float]], table: ParameterTable
 ) -> list[dict[str, Any]]:
-    """Directions as documents hold them: in words, and by their parameters."""
+    """Directions for documents: in words, and by their parameters."""
     return [{"text": direction_in_words(d, table), "parameters": d} for d in directions]
 
 
 def combination(direction: np.ndarray, names: list[str]) -> dict[str, float]:
-    """The parameters that make up a direction, largest first, in tolerances."""
+    """The parameters of a direction, largest first, in tolerances."""
     size = np.abs(direction) / max(np.abs(direction).max(), 1e-300)
     order = np.argsort(-size, kind="stable")
     sign = np.sign(direction[order[0]]) if len(order) else 1.0

@@ -1,4 +1,4 @@
-"""A dataset as the methods see it: measured configurations with their covariance."""
+"""A dataset for the methods: measured configurations with their covariance."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.samples import READING
 
-ASSUMED = "assumed"  # whose a noise figure is that nobody measured
+ASSUMED = "assumed"  # source of a noise that was not measured
 GUESS = "(if you do not know it: state a guess and noise.assumed: true)"
-SCATTER = "scatter within dwells"  # where noise comes from that nobody stated
+SCATTER = "scatter within dwells"  # source of a noise that is not stated
 
 
 @dataclass(frozen=True)
 class Observations:
     """N measured samples of one mechanism.
 
-    x (N, nq+12) configurations (q, r, R9); S (N, nq+6, nq+6) covariance of (q, r, w);
-    measured (N, nq+6) mask; a (N, n_conditions); group (N,) equal for replicates;
-    reading (N, n_channels) of the model's sensors (m), NaN where not read; `noise_from` says
-    for joint and pose whose figure S is, and for readings where nobody stated theirs; `doubts`
-    why no such robot shows the joint readings, where somebody insisted on them.
+    x (N, nq+12) configurations (q, r, R9); S (N, nq+6, nq+6) covariance of (q, r, w); measured (N,
+    nq+6) mask; a (N, n_conditions); group (N,) equal for replicates; reading (N, n_channels) of the
+    model's sensors (m), NaN if not read. `noise_from` names the source of S for joints and pose,
+    and of the readings' noise if it is not stated. `doubts` explains why the joint readings are
+    implausible, if the caller insisted on them.
     """
 
     x: np.ndarray
@@ -46,7 +46,7 @@ class Observations:
 
     @property
     def noise_assumed(self) -> bool:
-        """Whether nobody measured the noise: S weighs, but chi2 and sigma prove nothing."""
+        """Whether the noise is only assumed: S gives weights, but chi2 and sigma prove nothing."""
         return ASSUMED in self.noise_from.values()
 
     def select(self, index: np.ndarray) -> Observations:
@@ -65,9 +65,9 @@ def blocks(dataset: Dataset) -> np.ndarray:
 def observe(
     model: Model, dataset: Dataset, joint_sigma: float | None = None, insist: bool = False
 ) -> Observations:
-    """What a dataset says of a model: joints in its order, noise from option, recording or file.
+    """Make observations for a model: joints in its order, noise from option, recording or file.
 
-    FitError for joint readings that no such robot shows, unless somebody insists.
+    FitError for joint readings that no such robot shows, unless the caller insists.
     """
     order, reading = _joint_order(model, dataset), _readings(model, dataset)
     x = Configuration(dataset.q[:, order], dataset.r, dataset.R).rows
@@ -115,7 +115,7 @@ def _fill_unmeasured(x: np.ndarray, measured: np.ndarray, home: np.ndarray, n: i
 def _joint_sigma(
     model: Model, dataset: Dataset, given: float | None, order: list[int]
 ) -> tuple[np.ndarray, str]:
-    """Joint noise (nq,), and where it comes from: option, dataset, model file, scatter."""
+    """Joint noise (nq,), and its source: option, dataset, model file, scatter."""
     if given is not None:
         if not 0 < given < np.inf:
             raise FitError(f"joint sigma {given} rad: expected a positive number")
@@ -139,14 +139,15 @@ def _get_noise_source(model: Model) -> str:
 
 
 def _pool_scatter(scatter: np.ndarray) -> np.ndarray:
-    """Root mean square of each column where it is known, else NaN."""
+    """Root mean square of the known values of each column, else NaN."""
     known = np.isfinite(scatter)
     total = np.sum(np.where(known, scatter, 0.0) ** 2, axis=0)
     return np.sqrt(np.where(known.any(axis=0), total / np.maximum(known.sum(axis=0), 1), np.nan))
 
 
 def _pose_covariance(model: Model, dataset: Dataset) -> tuple[np.ndarray, str]:
-    """(N, 6, 6): the device's own, else the model file's, else the scatter within dwells."""
+    """Covariance (N, 6, 6) and its source: the device, the model file, or the scatter within
+    dwells."""
     covariance = np.nan_to_num(np.array(dataset.pose_cov, dtype=float))
     lacking = ~(np.diagonal(covariance, axis1=1, axis2=2) > 0)
     wanted = np.any(lacking & dataset.measured, axis=0)
@@ -160,7 +161,7 @@ def _pose_covariance(model: Model, dataset: Dataset) -> tuple[np.ndarray, str]:
 
 
 def _check_definite(covariance: np.ndarray, dataset: Dataset) -> None:
-    """FitError for a matrix that no noise can have."""
+    """Raise FitError for a matrix that is no covariance."""
     sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
     seen = dataset.measured[:, :, None] & dataset.measured[:, None, :]
     correlation = np.where(seen, covariance / (sigma[:, :, None] * sigma[:, None, :]), np.eye(6))
@@ -177,7 +178,7 @@ def _check_definite(covariance: np.ndarray, dataset: Dataset) -> None:
 def _fallback_pose_sigma(
     model: Model, dataset: Dataset, wanted: np.ndarray
 ) -> tuple[np.ndarray, str]:
-    """Sigma (6,) where the device states none, and whose it is; 1 where nothing is wanted."""
+    """Sigma (6,) where the device states none, and its source; 1 where none is needed."""
     noise = model.noise
     given = np.repeat([noise.position or np.nan, noise.orientation or np.nan], 3)
     sigma = np.where(np.isfinite(given), given, _pool_scatter(dataset.scatter_pose))
@@ -191,7 +192,7 @@ def _fallback_pose_sigma(
 
 
 def conditions(model: Model, dataset: Dataset) -> np.ndarray:
-    """(N, n_conditions) as recorded; FitError where one that the effects need was not."""
+    """Recorded conditions (N, n_conditions); FitError if one that the effects need is missing."""
     missing = [c for c in model.conditions if c not in dataset.conditions]
     if missing:
         names = ", ".join(effect.name for effect in model.effects if effect.needs)
@@ -204,7 +205,7 @@ def conditions(model: Model, dataset: Dataset) -> np.ndarray:
 
 
 def _readings(model: Model, dataset: Dataset) -> np.ndarray:
-    """(N, n_channels): the dataset's columns `reading.CHANNEL`, NaN where not read."""
+    """(N, n_channels): the dataset's columns `reading.CHANNEL`, NaN if not read."""
     channels, read = model.structure.channels, _list_read_channels(dataset)
     if missing := [c for c in channels if c not in read]:
         raise FitError(

@@ -1,4 +1,4 @@
-"""How a model is identified: what a caller may choose."""
+"""Options of an identification."""
 
 from __future__ import annotations
 

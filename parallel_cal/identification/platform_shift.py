@@ -1,4 +1,4 @@
-"""How far one identification moves the robot beside another: what its controller will feel."""
+"""How far the platform moves from one identification to another at the same joints."""
 
 from __future__ import annotations
 
@@ -16,9 +16,11 @@ from parallel_cal.model.mechanism import poses_in_workspace
 
 @dataclass(frozen=True)
 class PlatformShift:
-    """Rms way (m) of the platform from one model to another at the same joints: where it was
-    `measured`, and over the `workspace` with nothing acting; `shown`: what the errors at poses
-    left out say that it was worth, the root of the fall of their squares. None where not known."""
+    """Rms distance (m) of the platform between two models at the same joints.
+
+    `measured` is at the measured poses, `workspace` over the workspace under neutral conditions.
+    `shown` is the root of the fall of the squared validation errors. None if not known.
+    """
 
     measured: float
     workspace: float | None
@@ -27,7 +29,8 @@ class PlatformShift:
 
 @single_threaded()
 def compute_platform_shift(before: FitResult, after: FitResult) -> PlatformShift:
-    """How far the robot (not the device) moves with another identification of the same samples."""
+    """Compute how far the robot (not the device) moves with another identification of the same
+    samples."""
     old, new = before.model.robot(), after.model.robot()
     joints = after.observations.x[:, : len(old.joints)]
     reached = [
@@ -46,7 +49,7 @@ def compute_platform_shift(before: FitResult, after: FitResult) -> PlatformShift
 
 
 def _compute_rms_distance(one: Solutions, other: Solutions) -> float | None:
-    """Rms distance (m) of the poses that both have."""
+    """Rms distance (m) of the poses that both models reach."""
     both = one.solved & other.solved
     off = np.linalg.norm(one.position[both] - other.position[both], axis=1)
     return float(np.sqrt(np.mean(off**2))) if len(off) else None

@@ -1,4 +1,4 @@
-"""How well an identified model knows where the platform is, all over its workspace."""
+"""Model uncertainty of the platform's position over the workspace."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ POSES_PER_AXIS = 7  # poses from one end of the workspace to the other
 
 @dataclass(frozen=True)
 class PositionUncertainty:
-    """Where the platform may be, (M, 3) m in {B}, and the covariance (M, 3, 3) of its position as
-    the identified parameters leave it; `across` names the coordinates that were varied."""
+    """Platform positions (M, 3) m in {B}, and the covariance (M, 3, 3) that follows from the
+    identified parameters; `across` names the coordinates that were varied."""
 
     places: np.ndarray
     covariance: np.ndarray
@@ -24,8 +24,8 @@ class PositionUncertainty:
 
     @classmethod
     def of(cls, model: Model) -> PositionUncertainty | None:
-        """Three grids through the middle of the workspace, at right angles; None where the model
-        was not identified or controls fewer than two coordinates of a position."""
+        """Three grids through the middle of the workspace, at right angles; None if the model was
+        not identified or controls fewer than two coordinates of a position."""
         mechanism, robot = model.mechanism, model.robot()
         axes = [k for k in range(3) if POSE[k] in mechanism.controls]
         if model.covariance is None or len(axes) < 2:

@@ -1,4 +1,4 @@
-"""How wrong a model is on measured samples: position, orientation and joint errors."""
+"""Errors of a model at measured samples: position, orientation and joint errors."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ ERRORS = ("position", "orientation", "joint", "reading")
 
 @dataclass(frozen=True)
 class Summary:
-    """Mean and rms of the norms of each kind of error (table 5.15), SI, None where not measured;
-    the rms of the closure's rows, with more of these than freedoms, is the one that weighs all."""
+    """Mean and rms of the norms of each kind of error (table 5.15), SI, None if not measured; the
+    rms of the closure's rows combines all kinds if the closure is redundant."""
 
     position_mean: float | None = None
     position_rms: float | None = None
@@ -59,10 +59,12 @@ class Summary:
 
 @dataclass(frozen=True)
 class Errors:
-    """Measured minus predicted (table 5.9): position (N, 3) m, orientation (N, 3) rad about
-    base axes from the direct problem, joint (N, nq) from the inverse, reading (N, n_channels) m
-    of the sensors beside the pose device from the direct problem; closure (N, n_rows) m at what
-    was measured; NaN where not known."""
+    """Measured minus predicted (table 5.9).
+
+    position (N, 3) m and orientation (N, 3) rad about base axes from forward kinematics; joint (N,
+    nq) from inverse kinematics; reading (N, n_channels) m of the other sensors from forward
+    kinematics; closure (N, n_rows) m at the measured values; NaN if not known.
+    """
 
     position: np.ndarray
     orientation: np.ndarray
@@ -71,7 +73,7 @@ class Errors:
     closure: np.ndarray
 
     def norms(self, kind: str) -> np.ndarray:
-        """(N,) norms over what is known of a sample, NaN where nothing is."""
+        """Norms (N,) over the known components of a sample, NaN if none is known."""
         part = getattr(self, kind)
         known = np.isfinite(part)
         norms = np.linalg.norm(np.where(known, part, 0.0), axis=1)
@@ -81,16 +83,16 @@ class Errors:
         return Errors(**{name: array[index] for name, array in self.parts().items()})
 
     def blank(self) -> Errors:
-        """The same samples, nothing known of them."""
+        """Errors of the same samples, all unknown."""
         return Errors(**{name: np.full_like(a, np.nan) for name, a in self.parts().items()})
 
     def only_at(self, samples: np.ndarray) -> Errors:
-        """The same at a mask (N,) of the samples, NaN at the others."""
+        """Errors at a mask (N,) of the samples, NaN at the others."""
         return Errors(**{name: where_known(samples, a) for name, a in self.parts().items()})
 
     @property
     def judged(self) -> np.ndarray:
-        """(N,) whether an error of the pose or of a reading is known of a sample."""
+        """Mask (N,) of samples with a known error of the pose or of a reading."""
         kinds = ("position", "orientation", "reading")
         return np.asarray(np.any([np.isfinite(self.norms(kind)) for kind in kinds], axis=0))
 
@@ -111,7 +113,7 @@ class Errors:
         return Summary(**entries, closure_rms=closure)
 
     def document(self) -> dict[str, float | None]:
-        """`summary` as documents hold it."""
+        """The `summary` for a document."""
         return self.summary.document()
 
 
@@ -146,8 +148,8 @@ def errors(model: Model, observations: Observations) -> Errors:
 def _compute_joint_errors(
     kinematics: Kinematics, observations: Observations, reached: Solutions, pose: Solutions
 ) -> np.ndarray:
-    """Read minus predicted joints (N, nq) where all that the robot controls was measured; `pose`
-    is what the device would show of the poses `reached`."""
+    """Read minus predicted joints (N, nq) if all controlled coordinates were measured; `pose` is
+    what the device would show of the poses `reached`."""
     model, n = kinematics.model, len(kinematics.model.joints)
     m, apart = model.mechanism, np.full((len(observations), n), np.nan)
     controlled = [n + i for i in m.controlled]
@@ -173,8 +175,8 @@ def _remove_full_turns(mechanism: Mechanism, difference: np.ndarray) -> np.ndarr
 
 
 def _closure(model: Model, observations: Observations) -> np.ndarray:
-    """Rows of the closure (N, n_rows) at measured joints and pose; NaN where a coordinate that
-    the mechanism moves was not measured."""
+    """Rows of the closure (N, n_rows) at measured joints and pose; NaN if a coordinate that the
+    mechanism moves was not measured."""
     phi = model.structure.residuals(observations.x, observations.a, model.values)[0]
     return where_known(
         find_fully_measured_samples(model, observations), phi[:, : model.structure.phi.shape[0]]
@@ -196,8 +198,8 @@ def _compute_reading_errors(
 
 
 def find_judgeable_samples(mechanism: Mechanism, measured: np.ndarray, part: range) -> np.ndarray:
-    """Samples (N,) whose position (or orientation) can be judged: every coordinate of it that
-    the mechanism moves was measured; where it moves none, all three were."""
+    """Samples (N,) whose position (or orientation) can be judged: every coordinate of it that the
+    mechanism moves was measured; if it moves none, all three were."""
     moved = [i for i in part if i in mechanism.moved]
     return np.asarray(measured[:, moved or list(part)].all(axis=1))
 
@@ -216,8 +218,8 @@ def improvement(before: Summary, after: Summary) -> dict[str, float | None]:
 
 
 def held_out_ratio(before: Summary, after: Summary) -> float | None:
-    """Error after over before, the geometric mean of what was measured of the pose; where
-    nothing was, of what other sensors read, or of the joints."""
+    """Error after over before, the geometric mean over the measured parts of the pose; without a
+    pose, of the other sensors' readings, or of the joints."""
 
     def ratios(*kinds: str) -> list[float]:
         pairs = [(before.rms(kind), after.rms(kind)) for kind in kinds]

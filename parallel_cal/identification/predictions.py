@@ -1,4 +1,4 @@
-"""What a model predicts that the device would show at the measured joints."""
+"""Predict what the device shows at the measured joints."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ def condition_columns(model: Model, observations: Observations) -> dict[str, Any
 
 
 def predict_configurations(model: Model, observations: Observations) -> np.ndarray:
-    """Configurations (N, nq+12) with the pose as the model predicts it from the joints, shown as
-    the device shows it; where that cannot be solved, as measured."""
+    """Configurations (N, nq+12) with the predicted pose as the device shows it; the measured pose
+    if forward kinematics has no solution."""
     n = len(model.joints)
     joints = observations.x[:, :n]
     pose = apply_pose_device(
@@ -37,8 +37,7 @@ def predict_configurations(model: Model, observations: Observations) -> np.ndarr
 
 
 def reading_residuals(model: Model, observations: Observations, x: np.ndarray) -> np.ndarray:
-    """What sensors read minus what they would at x (N, nq+12): (N, n_channels) m, NaN where
-    nothing was read."""
+    """Sensor readings minus predictions at x (N, nq+12): (N, n_channels) m, NaN if not read."""
     if not model.structure.channels:
         return np.empty((len(observations), 0))
     rows = model.structure.residuals(x, observations.a, model.values)[0]

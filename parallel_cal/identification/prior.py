@@ -1,4 +1,4 @@
-"""What is known of the parameters before the data speak."""
+"""Priors: knowledge about parameters besides the data."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ class Prior:
 
     @staticmethod
     def from_model(model: Model) -> Prior:
-        """What an earlier identification left in the model: its values and covariance.
+        """The values and covariance of an earlier identification.
 
-        What that one did not identify, parameters and combinations alike, is known to within
-        tolerance. FitError for a model without covariance.
+        What it did not identify, parameters and combinations alike, has its tolerance as prior.
+        FitError for a model without covariance.
         """
         if model.covariance is None:
             raise FitError(
@@ -43,8 +43,8 @@ class Prior:
 
 @dataclass(frozen=True)
 class Knowledge:
-    """A prior as the free parameters feel it, in tolerances: d^T information d with d the
-    distance from `mean` (n_free,), all of it by `tolerance` (n_free,); `free` is the mask."""
+    """A prior of the free parameters, in tolerances: d^T information d with d the distance from
+    `mean` (n_free,), all divided by `tolerance` (n_free,); `free` is the mask."""
 
     tolerance: np.ndarray
     free: np.ndarray
@@ -55,8 +55,8 @@ class Knowledge:
     def of(
         cls, prior: bool | Prior, table: ParameterTable, free: np.ndarray, weight: float = 1.0
     ) -> Knowledge:
-        """All that a prior says, `weight` the residuals' variance in noise units; nothing without
-        one."""
+        """The knowledge of a prior, `weight` the variance of the residuals in noise units; none
+        without a prior."""
         known = Prior.from_tolerances(table) if isinstance(prior, bool) else prior
         tolerance = table.tolerance[free]
         scaled = known.covariance[np.ix_(free, free)] / np.outer(tolerance, tolerance)
@@ -73,8 +73,8 @@ class Knowledge:
         free: np.ndarray,
         weight: float = 1.0,
     ) -> Knowledge:
-        """The tolerances along some directions (k, n_free) alone: along `weak` ones around the
-        nominal values, along `unseen` ones around `start` (n,), as no data moved them."""
+        """The tolerances along some directions (k, n_free) only: along `weak` ones around the
+        nominal values, along `unseen` ones around `start` (n,), because no data moved them."""
         tolerance, nominal = model.table.tolerance[free], model.table.nominal[free]
         likely = model.table.prior_sigma[free]
         away = (start[free] - nominal) / likely
@@ -83,7 +83,7 @@ class Knowledge:
         return cls(tolerance, free, mean, weight * held.T @ held)
 
     def is_close_to(self, other: Knowledge) -> bool:
-        """Whether another one knows as much along directions that are nearly the same."""
+        """Whether another knowledge is as strong along nearly the same directions."""
         size = max(float(np.abs(self.information).max(initial=0.0)), 1e-300)
         return bool(
             np.abs(other.information - self.information).max(initial=0.0)
@@ -95,7 +95,7 @@ class Knowledge:
         return np.asarray(self.information @ self._distance(values))
 
     def cost(self, values: np.ndarray) -> float:
-        """What the parameters (n,) add to chi2."""
+        """The contribution of the parameters (n,) to chi2."""
         return float(self._distance(values) @ self.gradient(values))
 
     def _distance(self, values: np.ndarray) -> np.ndarray:

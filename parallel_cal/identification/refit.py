@@ -1,7 +1,7 @@
-"""Partial re-calibration: a few parameters from a few poses, the others kept as they are.
+"""Partial re-calibration: identify a few parameters from a few poses, hold the others.
 
-After re-homing or warming up, most of a robot is what it was. Schmidt's consider parameters:
-the others keep value and covariance, and their uncertainty becomes part of the result.
+After re-homing or warming up, most of a robot is unchanged. The others are Schmidt's consider
+parameters: they keep value and covariance, and their uncertainty enters the result.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from parallel_cal.model.model import Model
 def add_consider_covariance(
     model: Model, observations: Observations, free: np.ndarray, found: Estimate
 ) -> Estimate:
-    """The estimate with the model's own covariance of the parameters that were kept.
+    """Add the model's covariance of the held parameters to the estimate.
 
-    dp = G do with G = -P_pp J_p^T J_o: an error do of the others moves the refitted ones, so
-    their covariance is P_pp + G P_oo G^T, and G P_oo that between them. A full update would
-    move the others, too, by next to nothing when the new poses are few, and would let them
-    take a share of a change that is not theirs. FitError for a model without covariance.
+    dp = G do with G = -P_pp J_p^T J_o: an error do of the held parameters moves the refitted ones,
+    so their covariance is P_pp + G P_oo G^T, and G P_oo the one between them. A full update would
+    move the held parameters too, by next to nothing with few new poses, and would let them take a
+    share of a change that is not theirs. FitError for a model without covariance.
     """
     if model.covariance is None:
         raise FitError(

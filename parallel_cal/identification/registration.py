@@ -1,8 +1,8 @@
-"""Where a pose device stands and where its target sits, when nobody has said: found from poses.
+"""Estimate from poses where a pose device stands and where its target sits.
 
-Measured and predicted poses differ by the frames alone: r + R t = F r' + f, R T = F R'. A linear
-start and a descent over rotations find them (Kabsch's problem with an unknown target; AX = YB);
-what the robot itself errs by stays.
+Measured and predicted poses differ by the frames: r + R t = F r' + f, R T = F R'. A linear start
+and a descent over rotations find them (Kabsch's problem with an unknown target; AX = YB). The
+errors of the robot remain.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from parallel_cal.recordings.dataset import Dataset
 
 SENSOR = "device_frame"
 STEPS = 60
-TOLERANCE_SAMPLE_SIZE = 24  # poses that tell what tolerances allow, in the middle
+TOLERANCE_SAMPLE_SIZE = 24  # poses for the median error that tolerances explain
 Array = np.ndarray
 
 
@@ -66,10 +66,10 @@ IDENTITY_FRAMES = Frames(np.zeros(3), np.eye(3), np.zeros(3), np.eye(3))
 
 @dataclass(frozen=True)
 class Registration:
-    """How a device's frame was found to lie in the base, and its target in the platform.
+    """Where the frame of a device is in the base, and its target on the platform.
 
-    `why` says what it was looked for, `told` whether the platform turned enough to tell where the
-    target sits; positions in m, quaternions x y z w.
+    `why` is the reason for the registration. `told` is whether the platform turned enough to
+    determine the target. Positions in m, quaternions x y z w.
     """
 
     frame: str
@@ -109,10 +109,10 @@ def _degrees(quaternion: tuple[float, ...]) -> str:
 def register_device(
     model: Model, dataset: Dataset, joint_sigma: float | None = None, insist: bool = False
 ) -> tuple[Model, Registration | None]:
-    """The model with the sensor `device_frame` where the poses come in a frame that is not its
-    base, or lie so far off that only frames explain it; the same model where neither is so.
+    """Add the sensor `device_frame` to the model if the poses are in a frame that is not its base,
+    or so far off that only frames explain it; else return the same model.
 
-    Joint readings that no such robot shows are a FitError, unless somebody insists.
+    FitError for joint readings that no such robot shows, unless the caller insists.
     """
     frame, base = dataset.frame or "device", model.frames["base"]
     described = _device(model) is not None
@@ -131,7 +131,7 @@ def register_device(
 
 
 def registered_by(model: Model, observations: Observations) -> Model | None:
-    """The model with the frames that these samples show, None where they are too few to tell."""
+    """The model with the frames that these samples determine, None if they are too few."""
     there = _Poses.of(model, observations)
     return None if there is None else _with_frames(model, there.frames())
 
@@ -139,10 +139,10 @@ def registered_by(model: Model, observations: Observations) -> Model | None:
 def prepared_for_fit(
     model: Model, registration: Registration | None, dataset: Dataset, options: FitOptions
 ) -> tuple[Model, Registration | None]:
-    """A registered model as a fit starts from it: the robot's free numbers share in the fit of the
-    frames, and those numbers of the frames stay free that the robot's do not already say.
+    """A registered model as the start of a fit: the frames are fitted together with the robot, and
+    those of their parameters are free that are independent of the robot's.
 
-    A model that was not registered stays as it is.
+    A model that was not registered is unchanged.
     """
     if registration is None:
         return model, None
@@ -154,7 +154,7 @@ def prepared_for_fit(
 
 
 def add_registration_warning(dataset: Dataset, registration: Registration | None) -> Dataset:
-    """The dataset with a word on where its poses were found to lie."""
+    """The dataset with a warning that says where the device was registered."""
     if registration is None:
         return dataset
     return replace(dataset, warnings=(*dataset.warnings, registration.description))
@@ -162,10 +162,12 @@ def add_registration_warning(dataset: Dataset, registration: Registration | None
 
 @dataclass(frozen=True)
 class _Poses:
-    """Poses as predicted in {B} and as the device shows them; `placed` and `turned` (N,) say
-    which positions and orientations were measured, `turns` whether the platform can turn, `tilts`
-    whether it turned further than its tolerances let it: else no pose tells where on it the target
-    sits. Lengths of an angle are `length` times it."""
+    """Predicted poses in {B} and poses as the device shows them.
+
+    `placed` and `turned` (N,) mark measured positions and orientations. `turns` is whether the
+    platform can turn, `tilts` whether it turned further than its tolerances explain: otherwise no
+    pose determines where the target sits. Angles are multiplied by `length`.
+    """
 
     r: Array
     R: Array
@@ -181,7 +183,7 @@ class _Poses:
 
     @classmethod
     def of(cls, model: Model, observations: Observations) -> _Poses | None:
-        """None where too little was measured, or the model moves nothing of it."""
+        """None if too little was measured, or the model moves nothing that was measured."""
         n, m = len(model.joints), model.mechanism
         seen = Configuration.from_rows(observations.x)
         reached = Kinematics(model).direct(seen.q, condition_columns(model, observations))
@@ -228,8 +230,8 @@ class _Poses:
         )
 
     def frames(self) -> Frames:
-        """Those that bring measured and predicted poses nearest to each other, the odd tenth of
-        them left out of the last word."""
+        """The frames that minimise the distance of measured and predicted poses; the last step
+        ignores the worst tenth."""
         everything = np.ones(len(self.r), dtype=bool)
         ends = [self._descend(start, everything) for start in self._starts()]
         best = min(ends, key=lambda end: float(np.median(self._sizes(end))))
@@ -238,8 +240,7 @@ class _Poses:
 
     @property
     def is_off(self) -> bool:
-        """Whether positions, or orientations, are further off than the robot's tolerances let
-        them be."""
+        """Whether positions or orientations are further off than the robot's tolerances explain."""
         return bool(
             (
                 self._compute_median_errors(self.now) > MIN_UNREGISTERED_ERROR_RATIO * self.expected
@@ -247,7 +248,7 @@ class _Poses:
         )
 
     def is_explained_by(self, found: Frames) -> bool:
-        """Whether frames explain most of that."""
+        """Whether frames explain most of the error."""
         before, after = self._compute_median_errors(self.now), self._compute_median_errors(found)
         off = before > MIN_UNREGISTERED_ERROR_RATIO * self.expected
         return bool((off & (before > MIN_EXPLAINED_ERROR_RATIO * after)).any())
@@ -274,7 +275,7 @@ class _Poses:
         return np.nan_to_num(np.hstack([place, turn]))
 
     def _descend(self, frames: Frames, used: Array) -> Frames:
-        """Gauss-Newton over the frames; what no pose tells stays as it is."""
+        """Gauss-Newton over the frames; directions that no pose determines stay unchanged."""
         for _ in range(STEPS):
             residual = self._residual(frames)[used].ravel()
             J = self._jacobian(frames)[used].reshape(len(residual), 12)
@@ -297,7 +298,7 @@ class _Poses:
         return J
 
     def _starts(self) -> list[Frames]:
-        """From positions, the target where the model has it and anywhere; from orientations."""
+        """From positions, with the target as in the model and anywhere; from orientations."""
         starts = [self.now]
         if self.placed.sum() >= 3:
             starts.append(self._from_positions(self.now.t))
@@ -360,7 +361,7 @@ def _cross(v: Array) -> Array:
 
 
 def _with_frames(model: Model, frames: Frames) -> Model:
-    """The model whose sensor `device_frame` has these frames as nominal ones."""
+    """The model whose sensor `device_frame` has these frames as nominal values."""
     now: Any = _device(model) or load_sensor(SENSOR)
     sensor = replace(
         now,
@@ -383,19 +384,19 @@ def _tuple(values: Array) -> Any:
 
 
 def _device(model: Model) -> Any:
-    """The sensor that says where the pose device stands; None where the model has none."""
+    """The sensor that describes where the pose device stands; None if the model has none."""
     known = [sensor for sensor in model.sensors if sensor.name == SENSOR]
     return known[0] if known else None
 
 
 def _numbers(model: Model) -> Array:
-    """Mask of that sensor's numbers."""
+    """Mask of the parameters of that sensor."""
     return np.array([name.startswith(f"{SENSOR}.") for name in model.table.names])
 
 
 def _fit_frames(model: Model, observations: Observations, options: FitOptions) -> Model:
-    """The frames where the robot is nearest to nominal; free are those of their numbers that what
-    is free of the robot does not say already."""
+    """The frames with the robot nearest to nominal; free are those of their parameters that are
+    independent of the free parameters of the robot."""
     own = _numbers(model)
     if options.refit:
         free = model.table.matching(options.refit) | own
@@ -423,7 +424,7 @@ def _fit_frames(model: Model, observations: Observations, options: FitOptions) -
 
 
 def _frames_of(model: Model) -> Frames:
-    """The frames that a model's sensor says, those of the base and the platform without one."""
+    """The frames of a model's sensor, or those of the base and the platform without one."""
     device = _device(model)
     if device is None:
         return IDENTITY_FRAMES

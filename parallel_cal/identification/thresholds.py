@@ -1,56 +1,58 @@
-"""Every number that decides something in an identification, with its meaning."""
+"""Limits that decide in an identification, each with its meaning."""
 
-# What is said of a result
-MAX_MOVED_TOLERANCES = 5.0  # tolerances: a parameter that moved further deserves a word
-MAX_HELD_ERROR_TO_NOISE_RATIO = 3.0  # of the noise: what the model holds at one value does move
+# Warnings about a result
+MAX_MOVED_TOLERANCES = 5.0  # tolerances: a warning names a parameter that moved further
+MAX_HELD_ERROR_TO_NOISE_RATIO = (
+    3.0  # of the noise: above, a coordinate that the model holds does move
+)
 MIN_TRUSTED_WEIGHT = 0.5  # a sample that a robust loss gives less weight than this is named
 MIN_NAMED_SHARE = 0.1  # of a direction's largest part: smaller ones are not named
-MAX_NAMED_DIRECTIONS = 6  # unseen directions that are named one by one; more are one sentence
-MAX_NAMED_WEAK_DIRECTIONS = 2  # weak directions, the weakest: a document has them all
+MAX_NAMED_DIRECTIONS = 6  # unidentifiable directions to name one by one; more are one sentence
+MAX_NAMED_WEAK_DIRECTIONS = 2  # weakest directions to name: a document has all of them
 MAX_NEGLIGIBLE_ERROR_RISE = (
-    0.01  # of the error at poses left out: what the removal of an effect may cost
+    0.01  # of the validation error: the removal of an effect may cost so much
 )
 BLOCKS = 40  # stretches into which a continuous motion is cut, as if each were a pose
 
 # Joint readings that no such robot shows
-MOST_READINGS = 0.8  # of a joint's readings: a few wild ones say nothing about their unit
-MAX_SPAN = 3.0  # of a joint's range: limits are stated wrongly, but not by so much
+MOST_READINGS = 0.8  # of a joint's readings: a few outliers say nothing about their unit
+MAX_SPAN = 3.0  # of a joint's range: wrong limits are not wrong by so much
 MAX_DISTANCE = 10.0  # of a joint's range: no zero is so far off
 MAX_ARC = 1.5  # of a joint's range: what readings span at most without whole turns
 MIN_CORRELATION = 0.9  # of readings and inverse solutions, for their ratio to be a unit
 SAME_UNIT = 0.05  # in the logarithm: by so much a ratio may differ from a unit's
 
-# What the data can see
+# What the data determine
 RELATIVE_RANK = 1e-6  # of the largest singular value, columns in units of tolerance
-MIN_LOST_SHARE = 1e-6  # squared share of a parameter in directions that the data cannot see
+MIN_LOST_SHARE = 1e-6  # squared share of a parameter in unidentifiable directions
 MIN_SIGMAS_PER_TOLERANCE = (
-    1.0  # sigmas that a tolerance moves the residuals by: less, and tolerances know better
+    1.0  # sigmas that one tolerance moves the residuals by: below, the direction is weak
 )
-UNSEEN = 1e-13  # of the largest variance: directions below it were not seen by that fit
+UNSEEN = 1e-13  # of the largest variance: that fit did not determine directions below it
 # smallest singular value, as a share of the best sample's:
 MIN_DIRECT_SINGULAR_VALUE_RATIO = 0.2
 MIN_INVERSE_SINGULAR_VALUE_RATIO = 1e-4
-# samples nearer to a singularity are left out; at direct ones two branches meet (5.3.4)
+# samples nearer to a singularity are omitted; at direct ones two branches meet (5.3.4)
 
-# When a search has arrived
+# Convergence
 CONVERGED_STEP = 1e-8  # tolerances: smaller steps change nothing a person can measure
 CONVERGED_GAIN = (
-    1e-9  # of chi2: steps that promise less have arrived, however long (weak directions)
+    1e-9  # of chi2: a step that promises less ends the search, however long (weak directions)
 )
-UNSEEN_GAIN = 1e-6  # of chi2: what a step may leave at most that nobody looks at
-# of chi2: what so many steps gain where nothing is left to gain
+UNSEEN_GAIN = 1e-6  # of chi2: largest remaining gain of an estimate that is used only internally
+# of chi2: if so many steps gain less, the search ends
 STALLED_GAIN = 1e-6
 STALLED_ITERATIONS = 10
-MAX_DIRECTION_CHANGE = 1e-4  # rad: by so much directions may turn that tolerances were held along
-MAX_DIRECTION_CHOICES = 8  # of these directions, each where the last ones led to
+MAX_DIRECTION_CHANGE = 1e-4  # rad: change of the weak directions below which the priors are final
+MAX_DIRECTION_CHOICES = 8  # repeated choices of these directions
 FACTOR_STEP = 1e-9  # tolerances: of parameters that follow from linear factors
 NEWTON_STEP = 1e-12  # m: of the coordinates that the closure is solved for
-VARIANCE_STEPS = 20  # in which an unknown noise and what tolerances hold settle together
+VARIANCE_STEPS = 20  # iterations for an unknown noise and the weak directions together
 WEIGHT_STEP = 1e-6  # of a sample's weight under a robust loss
 
 # What is counted with exact numbers: factors of a closure, parameters of a complete model
-DRAWS = 400  # random configurations and parameters in which factors are told apart
-MIN_COLUMN_REMAINDER = 1e-9  # of a unit column: what the factors before it leave
+DRAWS = 400  # random configurations and parameters that distinguish factors
+MIN_COLUMN_REMAINDER = 1e-9  # of a unit column: remainder after the factors before it
 MIN_INDEPENDENT_SINGULAR_VALUE = (
     1e-11  # of the largest singular value, every column brought to length 1
 )
@@ -58,12 +60,14 @@ MAX_CLOSED_RESIDUAL_M = 1e-11  # m: residual of a pose that counts as consistent
 PART_OF_TRAVEL = 0.15  # of each joint's range, to both sides of home
 FRAME_UNIT = 1e-3  # m, and rad at the mechanism's length: what a frame's error is counted in
 
-# Where a device stands that nobody has described
-# times what tolerances let poses be off, and times what is then left
+# Registration of a device
+# times the pose error that tolerances explain, and times the error after registration
 MIN_UNREGISTERED_ERROR_RATIO = 3.0
 MIN_EXPLAINED_ERROR_RATIO = 10.0
-OUTLIER_DISTANCE_RATIO = 6.0  # times the usual distance: such poses have no say in it
-LSTSQ_RANK_TOLERANCE = 1e-9  # of the largest singular value: below, no pose tells
+OUTLIER_DISTANCE_RATIO = 6.0  # times the usual distance: such poses are ignored
+LSTSQ_RANK_TOLERANCE = (
+    1e-9  # of the largest singular value: below, no pose determines the direction
+)
 MIN_FRAME_COLUMN_REMAINDER = (
-    1e-4  # of a unit column: what a frame's number says that the robot's do not
+    1e-4  # of a unit column: part of a frame's parameter that is independent of the robot's
 )

@@ -17,9 +17,9 @@ from parallel_cal.kinematics.solutions import Solutions
 from parallel_cal.model.model import Model
 
 KINDS = ("direction", "travel", "velocity")  # conditions that an approach brings about
-STEPS = (1 / 4, 1 / 32, 1 / 256, 1 / 1024)  # of the workspace: from long ways to a mrad
+STEPS = (1 / 4, 1 / 32, 1 / 256, 1 / 1024)  # of the workspace: from long distances to a mrad
 POSE_TOLERANCE = 1e-6  # m and rad
-MIN_APPROACH_SIGMAS = 5.0  # sigmas of a joint's reading: a shorter way has no sign
+MIN_APPROACH_SIGMAS = 5.0  # sigmas of a joint's reading: a shorter travel has no certain sign
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ def approaches(
     reverses = ways * (turn.joints - past.joints) < 0
     told = np.abs(ways) > MIN_APPROACH_SIGMAS * (model.noise.joint or 0.0)
     ok = past.ok & turn.ok & inside & (reverses & told).all(axis=1)
-    # One at random of those that can be driven; where none can, it is marked as such.
+    # Select one of the drivable approaches at random; `ok` is false if there is none.
     rows = np.argmax(ok.reshape(-1, n) * rng.uniform(0.5, 1, (len(STEPS), n)), axis=0) * n
     return Approaches(past, turn, ways, ok)[rows + np.arange(n)]
 

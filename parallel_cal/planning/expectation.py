@@ -129,7 +129,7 @@ def as_observations(
     sigma = [noise.joint or 0.0] * n + [noise.position or 0.0] * 3 + [noise.orientation or 0.0] * 3
     S = np.broadcast_to(np.diag(np.square(sigma)), (len(x), n + 6, n + 6))
     mask = np.broadcast_to(measured, (len(x), n + 6))
-    # Sensors beside the pose device are not planned with: their poses are bound to something.
+    # Plans ignore sensors other than the pose device: contact constrains their poses.
     unread = np.full((len(x), len(model.structure.channels)), np.nan)
     source = {"joint": "model file", "pose": "model file"}
     return Observations(x, S, mask, a, np.arange(len(x)), unread, source)

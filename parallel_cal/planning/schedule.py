@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 BLOCKS = 3
-MIN_WARMING_K = 4.0  # K at least between cold and warm: less is hardly felt
-DEFAULT_WAIT_S = 1800.0  # s, in which an idle robot cools or a busy one warms up, if nobody saw it
-DEFAULT_POSE_TIME_S = 60.0  # s a pose, if nobody saw it
+MIN_WARMING_K = 4.0  # K at least between cold and warm: less changes too little
+DEFAULT_WAIT_S = 1800.0  # s in which an idle robot cools or a busy one warms up, if not recorded
+DEFAULT_POSE_TIME_S = 60.0  # s for a pose, if not recorded
 
 
 @dataclass(frozen=True)

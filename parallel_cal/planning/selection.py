@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-LINEAR = ("D", "A", "prediction")  # those that a small update of the inverse tells
+LINEAR = ("D", "A", "prediction")  # criteria that a small update of the inverse gives
 SPECTRAL = ("condition", "noise_amplification")
 CRITERIA = (*LINEAR, *SPECTRAL)
 MAX_SWEEPS = 20
@@ -69,7 +69,7 @@ def _sweep(problem: SelectionProblem, chosen: list[int]) -> bool:
     changed = False
     for i, old in enumerate(list(chosen)):
         others = chosen[:i] + chosen[i + 1 :]
-        # From all the rest anew: an inverse updated a thousand times drifts.
+        # Recompute from all the others: an inverse updated a thousand times drifts.
         V = np.linalg.inv(problem.information(np.array(others, dtype=int)))
         gains = _gains(problem, V, others)
         best = int(np.argmax(gains))

@@ -1,1 +1,1 @@
-"""A calibration as it goes on: its steps, each judged before it is taken."""
+"""A calibration session: its steps, each judged before it is committed."""

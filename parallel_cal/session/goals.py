@@ -1,7 +1,7 @@
-"""Goals of the calibration node, ROS-free: identify and write the better model, or diagnose.
+"""Goals of the calibration node, without ROS: identify and write the better model, or diagnose.
 
-What takes long is a function of its own that writes nothing, and what it returns can be pickled: it
-may be done in another process.
+The long computations are functions that write nothing and return picklable values, so that they can
+run in another process.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ Tell = Callable[[str, float, float], None]  # stage, fraction, mean position err
 
 @dataclass(frozen=True)
 class Request:
-    """What to identify and how, with one more `effect` if one is named, and where the better model
-    goes; `force` writes one that is not proven better, too."""
+    """What to identify and how, with one more `effect` if one is named, and the output file;
+    `force` writes a model that is not proven better, too."""
 
     model_file: str
     output_file: str
@@ -49,9 +49,9 @@ class Request:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of it: a sentence, a document, the new model or the best one found as the `text` of
-    a model file, and its hash and path once that is written. `means` are mean position errors in m:
-    before, after, and both at poses left out; NaN where not known."""
+    """Outcome of a goal: a sentence, a document, the new or best model as the `text` of a model
+    file, and its hash and path once it is written. `means` are mean position errors in m: before,
+    after, and both at held-out poses; NaN if not known."""
 
     success: bool
     message: str
@@ -99,7 +99,7 @@ def _or_nan(value: float | None) -> float:
 
 
 def _make_outcome(request: Request, step: Step) -> Outcome:
-    """What is said of the step once it is written, or why it is not."""
+    """Make the outcome of a step: what will be written, or why nothing is."""
     reason, found = step.acceptance.against, step.result
     kinds = (found.before, found.after, found.held_out_before, found.held_out)
     means = tuple(_or_nan(kind.summary.position_mean) for kind in kinds)
@@ -113,7 +113,7 @@ def _make_outcome(request: Request, step: Step) -> Outcome:
 
 
 def write_proposal(request: Request, outcome: Outcome) -> Outcome:
-    """Write the model that was proposed, and keep the file before; what was refused stays so."""
+    """Write the proposed model and keep the previous file; a refused one stays refused."""
     if not outcome.success:
         return outcome
     replace_text(request.output_file, outcome.text)
@@ -121,8 +121,8 @@ def write_proposal(request: Request, outcome: Outcome) -> Outcome:
 
 
 def undo_write(path: str) -> str:
-    """Exchange a model file with the one that it replaced; a sentence. ModelFileError where there
-    is none, or it can no longer be read."""
+    """Exchange a model file with the one that it replaced; return a sentence. ModelFileError if
+    there is none, or it is no longer readable."""
     before = path + BACKUP_SUFFIX
     if not Path(before).exists():
         raise ModelFileError(f"{path}: nothing to undo: {before} does not exist")
@@ -144,7 +144,7 @@ def examine(
 
     def report(stage: str, fraction: float) -> None:
         nonlocal done
-        done = max(done, fraction)  # a search that begins anew does not take anything back
+        done = max(done, fraction)  # a search that starts again must not lower the progress
         tell(stage, done)
 
     try:

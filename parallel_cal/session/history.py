@@ -1,7 +1,7 @@
-"""What a session keeps in its folder: its states as a tree, with undo, redo and branches.
+"""The folder of a session: its states as a tree, with undo, redo and branches.
 
-The folder holds `session.json`, replaced whole at every change, and each state's model file; a
-state is never altered. Whoever opens the folder later, after a crash, too, finds the last state.
+The folder contains `session.json`, replaced as a whole at every change, and the model file of each
+state. A state is never altered. The last state is there after a crash, too.
 """
 
 from __future__ import annotations
@@ -33,11 +33,12 @@ class _Part(BaseModel):
 
 
 class State(_Part):
-    """A model and the samples it is judged by; `errors` are those at poses left out, `before` those
-    of the step's start, `noise` what a perfect model would show: summaries, empty where unknown.
+    """A model and the samples that judge it.
 
-    `taken` is a file of samples taken since the session began, `fitting` what is identified
-    otherwise than at its beginning; both hold until changed, as `excluded` does.
+    `errors` are the errors at held-out poses, `before` those of the step's start, `noise` the noise
+    floor: summaries, empty if unknown. `taken` is a file of samples recorded since the session
+    began, `fitting` the options that differ from those of the session; both persist until changed,
+    as `excluded` does.
     """
 
     number: int
@@ -59,7 +60,7 @@ class State(_Part):
 
 
 class Record(_Part):
-    """What session.json holds. `forward` are the states that were undone, the last one last."""
+    """Contents of session.json. `forward` are the undone states, the last one last."""
 
     parallel_cal_session: int = VERSION
     recordings: Sequence[str]
@@ -76,10 +77,10 @@ class Record(_Part):
 
 
 class History:
-    """A folder with a calibration in it, without the mathematics: light to open and to follow."""
+    """The folder of a calibration, without the mathematics: cheap to open and to follow."""
 
     def __init__(self, folder: str | Path):
-        """Open a session; SessionError where the folder holds none, or one that cannot be read."""
+        """Open a session; SessionError if the folder has none, or an unreadable one."""
         self.folder = Path(folder)
         self.record = self._read()
 
@@ -91,7 +92,7 @@ class History:
 
     @property
     def recordings(self) -> list[str]:
-        """Those that the session began with, and the file of what was taken since."""
+        """The recordings of the session, and the file of samples recorded since."""
         taken = [str(self.folder / self.state.taken)] if self.state.taken else []
         return [*self.record.recordings, *taken]
 
@@ -109,7 +110,7 @@ class History:
         return found[::-1]
 
     def compared(self, branches: Sequence[str] = ()) -> dict[str, State]:
-        """The last state of several branches (all where none is named)."""
+        """The last state of several branches (by default all)."""
         names = branches or list(self.record.branches)
         return {name: self.record.states[self._head(name)] for name in names}
 
@@ -125,10 +126,10 @@ class History:
             "can_redo": bool(self.record.forward.get(self.record.branch)),
         }
 
-    # ------------------------------------------------------------------ back, forth and beside
+    # ------------------------------------------------------------------ undo, redo and branches
 
     def undo(self) -> State:
-        """One step back; SessionError at the beginning."""
+        """Go one step back; SessionError at the first state."""
         with self._lock_record() as record:
             if record.state.parent is None:
                 raise SessionError("nothing to undo: this is the first state of the session")
@@ -137,7 +138,7 @@ class History:
         return self.state
 
     def redo(self) -> State:
-        """Once more what was undone last; SessionError where nothing was."""
+        """Repeat the step that was undone last; SessionError if there is none."""
         with self._lock_record() as record:
             undone = record.forward.get(record.branch)
             if not undone:
@@ -146,7 +147,7 @@ class History:
         return self.state
 
     def start_branch(self, name: str) -> State:
-        """A new branch that begins at this state, to try something beside."""
+        """Start a new branch at this state."""
         if not name.strip():
             raise SessionError("a branch needs a name")
         with self._lock_record() as record:
@@ -157,7 +158,7 @@ class History:
         return self.state
 
     def switch(self, branch: str) -> State:
-        """Go on with another branch."""
+        """Continue with another branch."""
         with self._lock_record() as record:
             self._head(branch)
             self._write(record.model_copy(update={"branch": branch}))
@@ -186,14 +187,14 @@ class History:
 
     @contextmanager
     def _lock_record(self) -> Iterator[Record]:
-        """The record as it is on disk now; nobody else changes it meanwhile."""
+        """Lock and read the record on disk."""
         with (self.folder / LOCK).open("w") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
             self.record = self._read()
             yield self.record
 
     def refresh(self) -> bool:
-        """Take up what others have changed; whether they have."""
+        """Read changes by others; return whether there were any."""
         record = self._read()
         changed, self.record = record != self.record, record
         return changed
@@ -223,7 +224,7 @@ class History:
 
 
 def format_first_error(errors: Mapping[str, float | None]) -> str:
-    """Errors in words, of the first kind that is known: `30 um`, `0.43 arcmin`."""
+    """Format the first known kind of error: `30 um`, `0.43 arcmin`."""
     for kind, factor, unit in UNITS:
         if (value := errors.get(f"{kind}_rms")) is not None:
             return f"{value * factor:.3g} {unit}"

@@ -1,7 +1,7 @@
-"""A session's model beside the model in use, on the same samples, before it takes its place.
+"""Compare a session's model with the model in use, on the same samples, before replacing it.
 
-The file that a save overwrites is what a robot uses. A worse model, or one that is in doubt, is
-written only where the owner insists after reading both errors.
+A robot uses the file that a save overwrites. A worse or doubtful model is written only if the owner
+insists after reading both errors.
 """
 
 from __future__ import annotations
@@ -50,12 +50,12 @@ USED = "at the samples of its fit"
 
 @dataclass(frozen=True)
 class Replacement:
-    """What is known before a model takes the place of the model in a file.
+    """A model that is about to replace the model in a file.
 
-    `comparison` is a sentence with the errors of both, empty where they cannot be compared;
-    `objections` are the reasons to ask the owner first, none where the model may be written.
-    `in_use_hash` is empty where there is no file that can be read; `errors` and `in_use_errors`
-    are summaries at the same samples, None where not known.
+    `comparison` is a sentence with the errors of both, empty if they cannot be compared.
+    `objections` are the reasons to ask the owner first, empty if the model may be written.
+    `in_use_hash` is empty if there is no readable file. `errors` and `in_use_errors` are summaries
+    at the same samples, None if not known.
     """
 
     file: Path
@@ -68,7 +68,7 @@ class Replacement:
 
     @property
     def key(self) -> str:
-        """Names both models and what was found: a confirmation counts for nothing else."""
+        """Identifies both models and the findings: a confirmation is valid for nothing else."""
         return model_hash("\n".join((self.model_hash, self.in_use_hash, *self.reasons)))
 
     @property
@@ -79,11 +79,11 @@ class Replacement:
 
     @property
     def is_in_use(self) -> bool:
-        """Whether the file holds this very model."""
+        """Whether the file contains this very model."""
         return self.model_hash == self.in_use_hash
 
     def document(self) -> dict[str, Any]:
-        """What `parallel-cal session save --json` says of it; errors are SI."""
+        """The part of `parallel-cal session save --json` about it; errors are SI."""
         known = (self.errors, self.in_use_errors)
         this, in_use = (None if e is None else e.document() for e in known)
         return {
@@ -101,7 +101,7 @@ class Replacement:
 
 
 class SaveRefused(SessionError):
-    """A model was not written, because the owner has to confirm the `replacement` first."""
+    """A model was not written, because the owner must confirm the `replacement` first."""
 
     def __init__(self, replacement: Replacement):
         super().__init__(f"{'; '.join(replacement.reasons)}; {replacement.file} was not written")
@@ -117,7 +117,7 @@ def compare_with_model_in_use(
 ) -> Replacement:
     """Compare a session's model, that of `state`, with the model in `file` on the same samples.
 
-    Whatever keeps them from being compared is an objection, not an error.
+    A reason why they cannot be compared is an objection, not an error.
     """
     own = model_hash(model)
     objections = list[str]()
@@ -165,11 +165,11 @@ def compare_with_model_in_use(
 
 
 def write_for_robot(model: Model, replacement: Replacement, insisted: bool) -> Model:
-    """Write the model to the replacement's file in one step and keep the file before beside it;
-    the model as written, with an entry in its history where the owner `insisted`.
+    """Write the model to the replacement's file atomically and back up the previous file.
 
-    SaveRefused where there are objections and nobody insists; SessionError where the file has
-    changed since it was compared.
+    Return the model as written; its history has an entry if the owner `insisted`. SaveRefused if
+    there are objections and the owner does not insist; SessionError if the file has changed since
+    the comparison.
     """
     if replacement.is_in_use:
         return model
@@ -198,7 +198,7 @@ def write_for_robot(model: Model, replacement: Replacement, insisted: bool) -> M
 
 
 def _hash_of(file: Path) -> str:
-    """sha256 (hex) of a file's content, "" where there is none that can be read."""
+    """sha256 (hex) of a file, "" if it is not readable."""
     try:
         return model_hash(file.read_bytes()) if file.is_file() else ""
     except OSError:
@@ -215,8 +215,8 @@ def _is_text(file: Path) -> bool:
 
 @dataclass(frozen=True)
 class _Judged:
-    """A model's errors at samples, `where` these come from as far as its fits go, and `doubts`
-    about parameters that a fit to these samples leaves."""
+    """Errors of a model at samples, `where` these samples come from, and `doubts` about its
+    parameters."""
 
     errors: Errors
     where: str
@@ -226,8 +226,8 @@ class _Judged:
     def of(
         cls, model: Model, dataset: Dataset, options: FitOptions, fitted_to_these: bool
     ) -> _Judged:
-        """Errors at held-out poses where the model was fitted to just these samples, else those of
-        the model as it is: a fit of its own to few samples would make a good model look bad."""
+        """Errors at held-out poses if the model was fitted to exactly these samples, else those of
+        the unchanged model: a fit to few samples would make a good model look bad."""
         if not fitted_to_these:
             placed, _ = register_device(model, dataset, options.joint_sigma)
             found = errors(placed, observe(placed, dataset, options.joint_sigma))
@@ -250,7 +250,7 @@ def _fitted_datasets(model: Model) -> list[str]:
 
 
 def _at_common_samples(one: Errors, other: Errors) -> tuple[Summary, Summary]:
-    """Summaries over the samples at which both are known, kind by kind."""
+    """Summaries over the samples at which both are known, for each kind."""
     mine, theirs = one.parts(), other.parts()
     for kind in ERRORS:
         a, b = mine[kind], theirs[kind]

@@ -1,4 +1,4 @@
-"""A calibration as it goes on: steps that identify, judge and keep a model, in a folder."""
+"""A calibration session in a folder: steps that identify, judge and store a model."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ JUDGED = ("before", "errors", "noise", "against", "verdict")  # what a state kno
 
 
 class Session(History):
-    """A folder with a calibration in it. Every change is on disk before its method returns."""
+    """The folder of a calibration. Every change is on disk before its method returns."""
 
     def __init__(self, folder: str | Path):
-        """Open a session; SessionError where the folder holds none, or one that cannot be read."""
+        """Open a session; SessionError if the folder has none, or an unreadable one."""
         super().__init__(folder)
         self._samples: dict[tuple[str, ...], Dataset] = {}
         self._models: dict[str, Model] = {}  # by file, as they are kept: with what they compiled
@@ -93,7 +93,7 @@ class Session(History):
 
     @property
     def samples(self) -> Dataset:
-        """All samples, those that are excluded here, too; SessionError where there are none yet."""
+        """All samples, including excluded ones; SessionError if there are none yet."""
         if not (paths := tuple(self.recordings)):
             raise SessionError(f"{self.folder}: no samples yet; record samples first")
         if paths not in self._samples:
@@ -104,7 +104,7 @@ class Session(History):
 
     @property
     def dataset(self) -> Dataset:
-        """The samples that count here."""
+        """The samples that are not excluded."""
         return self._select_counted(self.state.excluded)
 
     def _select_counted(self, excluded: Collection[int]) -> Dataset:
@@ -113,24 +113,24 @@ class Session(History):
     # ------------------------------------------------------------------ steps
 
     def fit(self, progress: Progress | None = None) -> State:
-        """Identify the model's free parameters; what speaks against the result is in the state."""
+        """Identify the free parameters; objections to the result are in the state."""
         return self._refit("fit", progress)
 
     def add(self, effect: str, progress: Progress | None = None, force: bool = False) -> State:
-        """Add an effect and identify anew; FitError where the errors at poses left out do not fall,
-        and nobody insists."""
+        """Add an effect and fit again; FitError if the validation error does not fall, unless
+        forced."""
         step = add(self.model, effect, self.dataset, force, options=self.options, progress=progress)
         return self._commit(f"add {effect}", step)
 
     def remove(self, effect: str, progress: Progress | None = None, force: bool = False) -> State:
-        """Remove an effect and identify anew; FitError where that costs accuracy."""
+        """Remove an effect and fit again; FitError if that costs accuracy, unless forced."""
         step = remove(
             self.model, effect, self.dataset, force, options=self.options, progress=progress
         )
         return self._commit(f"remove {effect}", step)
 
     def exclude(self, samples: Mapping[int, str], progress: Progress | None = None) -> State:
-        """Leave samples out, each with a reason, and identify anew."""
+        """Exclude samples, each with a reason, and fit again."""
         known = {int(n) for n in self.samples.numbers}
         if unknown := sorted(set(samples) - known):
             raise SessionError(f"no sample {unknown[0]}; the session has {len(known)} samples")
@@ -138,14 +138,14 @@ class Session(History):
         return self._refit(f"exclude {_format_numbers(samples)}", progress, excluded=excluded)
 
     def include(self, samples: Sequence[int], progress: Progress | None = None) -> State:
-        """Take samples back that were excluded, and identify anew."""
+        """Include excluded samples again, and fit again."""
         if missing := [n for n in samples if n not in self.state.excluded]:
             raise SessionError(f"sample {missing[0]} is not excluded")
         kept = {n: why for n, why in self.state.excluded.items() if n not in samples}
         return self._refit(f"include {_format_numbers(samples)}", progress, excluded=kept)
 
     def choose(self, progress: Progress | None = None, **options: Any) -> State:
-        """Identify anew, from here on with other options of a fit: free, fix, prior, loss, ..."""
+        """Fit again with other options from here on: free, fix, prior, loss, ..."""
         fitting = {**self.state.fitting, **{key: to_json_value(v) for key, v in options.items()}}
         words = ", ".join(f"{key} {_format_value(value)}" for key, value in options.items())
         return self._refit(words, progress, fitting=fitting)
@@ -163,8 +163,8 @@ class Session(History):
         return self._commit(words, step, **changes)
 
     def take(self, write: Callable[[Path], None]) -> State:
-        """Samples measured since the session began, in a file of its own that `write` makes: those
-        that were taken before, and what came since. The model stays as it is."""
+        """Store samples that `write` makes: those recorded since the session began. The model is
+        unchanged."""
         file = self.folder / "samples" / f"{uuid4().hex}.json"
         file.parent.mkdir(exist_ok=True)
         write(file)
@@ -179,7 +179,7 @@ class Session(History):
         return self._append_state(f"take {len(data)} samples", None, **changes)
 
     def diagnose(self, progress: Progress | None = None, **options: Any) -> Diagnosis:
-        """What is missing in the model of this state; its verdict is kept with the state."""
+        """Diagnose the model of this state; the verdict is stored with the state."""
         at = self.state
         how: dict[str, Any] = {"options": self.options, "progress": progress} | options
         found = diagnose(self.model, self.dataset, **how)
@@ -187,12 +187,12 @@ class Session(History):
         return found
 
     def signals(self, sample: int) -> Signals:
-        """The readings that a sample was made of; DatasetError where they were not kept."""
+        """The raw readings of a sample; DatasetError if they were not stored."""
         reading = ReadOptions(**self.record.reading)
         return signals(self.samples, sample, self.recordings, reading)
 
     def plan(self, poses: int, progress: Progress | None = None) -> Path:
-        """Poses to measure next for what is free here: a CSV of m, quaternions and joints."""
+        """Plan poses for the free parameters of this state: a CSV of m, quaternions and joints."""
         asked = self.options
         found = plan(
             with_noise(self.model), poses, progress=progress, free=asked.free, fix=asked.fix
@@ -208,11 +208,11 @@ class Session(History):
         insist: Callable[[Replacement], bool] = lambda replacement: False,
         progress: Progress | None = None,
     ) -> Replacement:
-        """Write this state's model for the robot, over the model in use; what was compared.
+        """Write this state's model for the robot over the model in use; return the comparison.
 
-        SaveRefused where the model in use is better, or something speaks against this one, and the
-        owner does not `insist`. Where the owner does, that is in the model's history, and the
-        model as written is a new state.
+        SaveRefused if the model in use is better, or there is an objection, and the owner does not
+        `insist`. If the owner insists, the model's history says so, and the written model is a new
+        state.
         """
         if progress:
             progress("comparing with the model in use", 0.0)
@@ -230,7 +230,7 @@ class Session(History):
     # ------------------------------------------------------------------ on disk
 
     def _commit(self, words: str, step: Step, **changes: Any) -> State:
-        """A step as the branch's last state, with its errors."""
+        """Append a step as the last state of the branch, with its errors."""
         judged = {
             "before": to_json_value(step.errors_to_beat.document()),
             "errors": to_json_value(step.result.held_out.summary.document()),
@@ -240,8 +240,8 @@ class Session(History):
         return self._append_state(words, step.model, **{**judged, **changes})
 
     def _append_state(self, words: str, model: Model | None, **changes: Any) -> State:
-        """A new last state of the branch, written with its model (None: the one there is); what
-        holds until changed stays as it was, unless `changes` names it."""
+        """Append a state to the branch with its model (None: unchanged); other fields persist
+        unless `changes` names them."""
         start = self.state
         with self._lock_record() as record:
             if record.state != start:
@@ -260,7 +260,7 @@ class Session(History):
 
 
 def _collect_changes(options: Any, usual: Any) -> dict[str, Any]:
-    """What differs from the usual, as JSON has it."""
+    """Options that differ from the defaults, for JSON."""
     given = {field.name: getattr(options, field.name) for field in dataclasses.fields(options)}
     return {key: to_json_value(v) for key, v in given.items() if v != getattr(usual, key)}
 

@@ -1,4 +1,4 @@
-"""Steps of a calibration with their gate and their entry in the model file's history."""
+"""Steps of a calibration, with their acceptance and their entry in the model's history."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 
 class StepKeywords(FitKeywords, total=False):
-    """What `fit` takes beside model and samples."""
+    """Keyword arguments of `fit` besides model and samples."""
 
     options: FitOptions | None
     progress: Progress | None
@@ -41,9 +41,9 @@ class StepKeywords(FitKeywords, total=False):
 
 @dataclass(frozen=True)
 class Step(ShownInNotebook):
-    """What a step (`fit`, `add`, `remove`) leaves: the model to be written, with the step in its
-    history, and whether it may replace the old one. `rival` is the identification of the same
-    samples that an effect is held against: without the one added, with the one removed."""
+    """Outcome of a step (`fit`, `add`, `remove`): the model to write, with the step in its history,
+    and whether it may replace the old one. `rival` is the fit of the same samples without the added
+    effect, or with the removed one."""
 
     name: str
     model: Model
@@ -56,26 +56,25 @@ class Step(ShownInNotebook):
 
     @property
     def errors_to_beat(self) -> Summary:
-        """Errors at poses left out that the step had to beat: its rival's, else those of the model
-        as it came."""
+        """Validation errors that the step had to beat: of its rival, else of the given model."""
         rival = self.rival.held_out if self.rival else self.result.held_out_before
         return rival.summary
 
     @cached_property
     def platform_shift(self) -> PlatformShift | None:
-        """How far the step moves the robot beside its rival; None for a step without one."""
+        """How far the step moves the platform compared with its rival; None without a rival."""
         return compute_platform_shift(self.rival, self.result) if self.rival is not None else None
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """The fit's, and what speaks against the new model where it was taken by force."""
+        """Warnings of the fit, and the objection to the new model if it was forced."""
         against = self.acceptance.against
         if not against:
             return self.result.warnings
         return (*(words for words in self.result.warnings if words not in against), against)
 
     def document(self) -> dict[str, Any]:
-        """The result's, with the errors of what the step had to beat."""
+        """The result's document, with the errors that the step had to beat."""
         document = self.result.document() | {"acceptance": self.acceptance.document()}
         if self.rival is not None:
             key = {"add": "held_out_without_effect", "remove": "held_out_with_effect"}[self.name]
@@ -88,8 +87,8 @@ class Step(ShownInNotebook):
 def fitted(
     model: Model, dataset: Dataset, force: bool = False, **options: Unpack[StepKeywords]
 ) -> Step:
-    """Identify the model's free parameters; options as in `identification.fit`. FitError when
-    that does not help at poses left out."""
+    """Identify the free parameters; options as in `identification.fit`. FitError if the validation
+    error does not fall."""
     result = fit(model, dataset, **options)
     if result.given.fits_of_these_samples:
         result = replace(result, warnings=(*result.warnings, IN_SAMPLE))
