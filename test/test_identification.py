@@ -327,7 +327,9 @@ def test_missing_joints_conditions_methods_and_noise_are_clear_errors():
     with pytest.raises(FitError, match=r"no method 'magic': expected one of .*implicit"):
         fit(model, data, method="magic")
     renamed = Dataset.from_arrays(("a", "b", "c"), data.q, data.r, data.R, pose_cov=data.pose_cov)
-    with pytest.raises(FitError, match="no joint joint1, joint2, joint3; it has a, b, c"):
+    with pytest.raises(
+        FitError, match="joint joint1, joint2, joint3 is missing; recorded are a, b, c"
+    ):
         fit(model, renamed)
     bare = Dataset.from_arrays(JOINTS, data.q, data.r, data.R, pose_cov=data.pose_cov)
     with pytest.raises(

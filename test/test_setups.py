@@ -359,4 +359,4 @@ def test_every_sensor_is_listed_with_its_options(run):
 
 def test_planning_poses_is_refused_where_no_device_measures_them(plate_model, run):
     said = run("plan", plate_model, "--poses", "20", "--json")
-    assert "the model's set-up reads plane, sphere1, sphere2 instead" in said
+    assert "the model's sensors read plane, sphere1, sphere2 instead" in said
