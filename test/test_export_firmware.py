@@ -526,8 +526,8 @@ def test_the_command_line_tells_what_is_lost(tmp_path, capsys):
     with pytest.raises(SystemExit):
         main(command)
     said = capsys.readouterr().out
-    assert "lost by the firmware's fewer numbers: mean " in said
-    assert "with the numbers it had: mean " in said
+    assert "error that the firmware's simpler model leaves: mean " in said
+    assert "error with the previous numbers: mean " in said
     assert read_model(tmp_path / "m.yaml").mechanism.name == "linear_delta"
     with pytest.raises(SystemExit) as ended:
         main(command[:4])

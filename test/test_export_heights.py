@@ -383,4 +383,4 @@ def test_a_model_that_was_never_fitted_warns_that_no_heights_were_compared(
     stated = run("new", "--from", "config.g", "--sensor", probe, "-o", "printer.yaml")
     assert "the probe's noise is not stated" not in stated.out
     err = run("export", "printer.yaml", "--to", "rrf", "--into", "config.g").err
-    assert "the heights of the bed were not compared: printer.yaml was not fitted on touches" in err
+    assert "the heights of the bed were not compared: printer.yaml was not fitted to touches" in err

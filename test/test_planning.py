@@ -334,7 +334,7 @@ def test_plan_shows_people_units_and_both_columns(capsys, tmp_path):
     whole = tmp_path / "plan.yaml"
     code, out, _ = command(capsys, "plan", NOMINAL, "--poses", 9, "--pool", 100, "-o", whole)
     assert code == 0
-    for word in ("x [m]", "joint1 [rad]", "planned", "random", "um", "known worst"):
+    for word in ("x [m]", "joint1 [rad]", "planned", "random", "um", "least certain parameters"):
         assert word in out
     from parallel_cal.model.file.yamltext import parse_yaml
 

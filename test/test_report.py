@@ -429,7 +429,7 @@ def test_the_written_document_is_the_printed_one(files, capsys):
 def test_wrong_targets_are_refused_before_anything_is_computed(files, capsys):
     inputs = (files / "no.yaml", files / "samples.json")
     assert run(*inputs, "-o", files / "nowhere/r.html") == 1
-    assert "there is no folder" in capsys.readouterr().err
+    assert "does not exist" in capsys.readouterr().err
     assert run(*inputs, "-o", files / "r.pdf") == 1
     assert "ends in .html (page) or .json (document)" in capsys.readouterr().err
     assert run(*inputs) == 2

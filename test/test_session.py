@@ -244,13 +244,13 @@ def test_the_command_line_takes_the_same_steps_and_remembers_options(session, ru
     folder = tmp_path / "mine"
     run_cli("session", "new", folder, MODEL, BAG, "--hold-out", "0.5", "--fix", "chain1.Lb")
     shown = run_cli("session", "fit", folder)
-    assert shown.startswith("fit: error at poses left out 606 um to ")
+    assert shown.startswith("fit: validation error 606 um to ")
     assert Session(folder).options.fix == ["chain1.Lb"]
     run_cli("session", "branch", folder, "beside")
     run_cli("session", "exclude", folder, 3, 4, "--reason", "bumped")
     shown = run_cli("session", "show", folder)
-    assert "exclude 3, 4: error at poses left out" in shown
-    assert "; 2 samples left out" in shown
+    assert "exclude 3, 4: validation error" in shown
+    assert "; 2 excluded samples" in shown
     assert "* beside  exclude 3, 4" in shown
     run_cli("session", "include", folder, 3)
     run_cli("session", "undo", folder)
@@ -441,7 +441,7 @@ def test_the_command_line_refuses_a_worse_model_unless_forced(session, in_use, r
     assert ended.value.code == 1
     said = capsys.readouterr().err
     assert "this model is worse" in said
-    assert "--force to write it all the same" in said
+    assert "--force writes it anyway" in said
     assert in_use.read_text() == before
     document = json.loads(
         run_cli("session", "save", session.folder, "-o", in_use, "--force", "--json")

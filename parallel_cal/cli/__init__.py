@@ -1,1 +1,1 @@
-"""What the commands of `parallel-cal` do, and how people and programs see their answers."""
+"""The commands of `parallel-cal` and their output for people and programs."""

@@ -1,4 +1,4 @@
-"""Arguments that several commands share, each declared once with the words of its help."""
+"""Arguments that several commands share, with their help texts."""
 
 from __future__ import annotations
 
@@ -14,72 +14,81 @@ from parallel_cal.identification.options import FitOptions
 ModelFile = Annotated[Path, typer.Argument(metavar="MODEL.yaml", help="model file")]
 Bags = Annotated[
     list[Path],
-    typer.Argument(help="rosbag2 folders or files, or saved samples (.json); several: sessions"),
+    typer.Argument(help="rosbag2 folders or files, or saved samples (.json); each is one session"),
 ]
 Out = Annotated[Path, typer.Option("-o", "--output", help="file to write")]
 OptionalOut = Annotated[
-    Path | None, typer.Option("-o", "--output", help="model file to write; none: only show")
+    Path | None, typer.Option("-o", "--output", help="model file to write [default: none]")
 ]
-Json = Annotated[bool, typer.Option("--json", help="one JSON document on stdout")]
+Json = Annotated[bool, typer.Option("--json", help="print one JSON document")]
 Data = Annotated[
     list[str] | None,
     typer.Option(
-        "--data", help="how to read the recording, KEY=VALUE (measured_pose=/tracker, exclude=3,17)"
+        "--data",
+        help="option for reading the recording, KEY=VALUE (measured_pose=/tracker, exclude=3,17)",
     ),
 ]
 EffectName = Annotated[
     str,
     typer.Argument(
-        metavar="EFFECT", help="NAME, NAME:ratio=80 or NAME+NAME, see 'parallel-cal effects'"
+        metavar="EFFECT", help="NAME, NAME:ratio=80 or NAME+NAME; 'parallel-cal effects' lists them"
     ),
 ]
 Force = Annotated[
-    bool, typer.Option("--force", help="write in spite of held-out errors and ranges")
+    bool,
+    typer.Option("--force", help="write even if validation errors or parameter ranges object"),
 ]
 Tested = Annotated[
     list[str] | None, typer.Option(help="test only this effect (repeat for several)")
 ]
-Also = Annotated[list[str] | None, typer.Option(help="test your own effect, too: its Python path")]
+Also = Annotated[
+    list[str] | None, typer.Option(help="also test your own effect, given by its Python path")
+]
 Scheduler = Annotated[
     str | None,
-    typer.Option(metavar="tcp://HOST:PORT", help="a Dask cluster's, in place of this machine"),
+    typer.Option(
+        metavar="tcp://HOST:PORT", help="address of a Dask cluster [default: use this machine]"
+    ),
 ]
 Workers = Annotated[
-    int | None, typer.Option(min=1, help="processes on this machine [default: its cores]")
+    int | None, typer.Option(min=1, help="processes on this machine [default: one per core]")
 ]
 Method = Annotated[str, typer.Option(help="identification method")]
 HoldOut = Annotated[
     float,
     typer.Option(
-        min=0.0, max=0.5, help="share of poses left out in turn; 0.001: each pose alone, 0: none"
+        min=0.0,
+        max=0.5,
+        help="share of poses held out in each fold; 0.001: one pose at a time, 0: none",
     ),
 ]
 JointSigma = Annotated[
-    float | None, typer.Option(min=0.0, help="noise of joint readings, 1 sigma (rad or m)")
+    float | None, typer.Option(min=0.0, help="noise of the joint readings, 1 sigma (rad or m)")
 ]
 Free = Annotated[
     list[str] | None,
-    typer.Option(help="free parameters like PATTERN, too (narrower than --fix wins)"),
+    typer.Option(help="free parameters that match PATTERN; the narrower of --free and --fix wins"),
 ]
-Fix = Annotated[list[str] | None, typer.Option(help="keep parameters like PATTERN fixed")]
+Fix = Annotated[list[str] | None, typer.Option(help="fix parameters that match PATTERN")]
 Prior = Annotated[
     bool,
     typer.Option(
-        "--prior", help="use tolerances as priors throughout, not only where the data tell less"
+        "--prior",
+        help="use tolerances as priors of all parameters, not only of weakly determined ones",
     ),
 ]
 Loss = Annotated[
-    str, typer.Option(help="linear, or robust to bad samples: huber, soft_l1, cauchy, arctan")
+    str, typer.Option(help="linear, or robust to outliers: huber, soft_l1, cauchy, arctan")
 ]
 
 
 def patterns(given: list[str] | None) -> tuple[str, ...]:
-    """`--fix 'chain1.* chain2.Lb'`, with spaces or commas, as patterns."""
+    """Split `--fix 'chain1.* chain2.Lb'` at spaces and commas."""
     return tuple(word for text in given or [] for word in text.replace(",", " ").split())
 
 
 def with_options(command: Callable[..., None]) -> Callable[..., None]:
-    """A command whose argument `options`, a FitOptions, people give as options."""
+    """Replace a command's argument `options` (FitOptions) by one command-line option per field."""
 
     def with_all(
         *,
@@ -101,9 +110,10 @@ def with_options(command: Callable[..., None]) -> Callable[..., None]:
         )
         command(**others, options=options)
 
-    *these, _ = signature(with_all, eval_str=True).parameters.values()
+    *fields, _ = signature(with_all, eval_str=True).parameters.values()
     own = signature(command, eval_str=True).parameters
-    shown = [each for p in own.values() for each in (these if p.name == "options" else [p])]
+    shown = [each for p in own.values() for each in (fields if p.name == "options" else [p])]
     with_all.__name__, with_all.__doc__ = command.__name__, command.__doc__
-    with_all.__signature__ = Signature(shown)  # type: ignore[attr-defined]  # what typer reads
+    # Typer reads the signature from this attribute.
+    with_all.__signature__ = Signature(shown)  # type: ignore[attr-defined]
     return with_all

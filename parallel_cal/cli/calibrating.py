@@ -1,4 +1,4 @@
-"""The robot calibrates itself, through running nodes or simulated ones."""
+"""The command that runs a campaign, through running nodes or a virtual cell."""
 
 from __future__ import annotations
 
@@ -19,47 +19,60 @@ from parallel_cal.reporting import console
 
 def calibrate(
     model: Annotated[Path, typer.Argument(help="model file (YAML) of the robot")],
-    poses: Annotated[int, typer.Option(min=1, help="to be measured at most")] = 80,
-    minutes: Annotated[float, typer.Option(min=0.1, help="that it may take at most")] = 60.0,
+    poses: Annotated[int, typer.Option(min=1, help="maximum number of poses")] = 80,
+    minutes: Annotated[float, typer.Option(min=0.1, help="maximum duration")] = 60.0,
     enough: Annotated[
-        float, typer.Option(min=0, help="rms error at unseen poses, m or rad; 0: a verdict")
+        float,
+        typer.Option(
+            min=0, help="stop at this rms validation error (m or rad); 0: stop at a verdict"
+        ),
     ] = 0.0,
     effects: Annotated[
-        list[str] | None, typer.Option("--effect", help="may be looked for; none: all")
+        list[str] | None,
+        typer.Option("--effect", help="test only this effect (repeat) [default: all]"),
     ] = None,
     keep_out: Annotated[
-        list[str] | None, typer.Option(help="box 'x y z x y z' (m) that nothing may enter")
+        list[str] | None, typer.Option(help="box 'x y z x y z' (m) that the robot must not enter")
     ] = None,
     payload: Annotated[
-        float, typer.Option(min=0, help="kg that you may be asked to put on; 0: none")
+        float,
+        typer.Option(min=0, help="available payload (kg) that you can mount on request; 0: none"),
     ] = 0.0,
     warmer: Annotated[
-        float, typer.Option(min=0, help="K by which you may be asked to warm it up; 0: none")
+        float,
+        typer.Option(min=0, help="K by which you can warm the robot up on request; 0: do not ask"),
     ] = 0.0,
     reach: Annotated[
         float,
-        typer.Option(min=1, help="workspaces in size to use where poses in it do not tell enough"),
+        typer.Option(
+            min=1,
+            help="factor by which poses may exceed the workspace if poses inside do not suffice",
+        ),
     ] = 1.0,
     afresh: Annotated[
-        bool, typer.Option("--afresh", help="begin anew, though one was ended too early")
+        bool, typer.Option("--afresh", help="start again instead of resuming an unfinished one")
     ] = False,
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="the better model; none: the same file")
+        Path | None,
+        typer.Option("-o", "--output", help="file for the better model [default: MODEL]"),
     ] = None,
-    namespace: Annotated[str, typer.Option(help="of the nodes")] = "",
+    namespace: Annotated[str, typer.Option(help="namespace of the nodes")] = "",
     simulated: Annotated[
-        str, typer.Option(help="robot, or robot:effect,effect, of a virtual cell; see docs/cell.md")
+        str,
+        typer.Option(
+            help="use a virtual cell: its robot, or robot:effect,effect; see docs/cell.md"
+        ),
     ] = "",
     as_json: Json = False,
 ) -> None:
-    """Let the robot measure itself until it is known what its model lacks. Ctrl-C stops it; the
-    same command goes on."""
+    """Let the robot calibrate itself until the verdict stands. Ctrl-C stops it; run the same
+    command again to resume."""
     try:
         from parallel_cal.nodes.calibrate import Calibration
     except ImportError as error:
         raise ParallelCalError(
-            f"ROS 2 is missing ({error}): source its setup.bash, or install the extra 'ros' and "
-            "msg_defs"
+            f"ROS 2 was not found ({error}): source its setup.bash, or install the extra 'ros' "
+            "and msg_defs"
         ) from None
     asked: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
@@ -76,10 +89,10 @@ def calibrate(
             print_status(status, last)
             if status.state == "asking":
                 if cell is not None:
-                    console.note("the virtual robot's owner does so at once")
+                    console.note("the virtual cell does this at once")
                     calibration.set_requested_conditions(status.questions)
                 elif sys.stdin.isatty():
-                    console.note("press Enter when it is done")
+                    console.note("press Enter when you have done this")
                     while not asked and not select.select([sys.stdin], [], [], 0.1)[0]:
                         pass
                     if not asked:
@@ -107,25 +120,27 @@ def calibrate(
         if result.hash:
             console.say(f"written to {output or model}: sha256 {result.hash[:12]}")
         if robot and not asked:
-            console.say(f"it had: {', '.join(calibration.hidden) or 'nothing hidden'}")
+            console.say(f"hidden effects: {', '.join(calibration.hidden) or 'none'}")
     if not result.success:
         raise typer.Exit(1)
 
 
 def _box(text: str) -> list[float]:
-    """Six numbers; what is wrong with them in words."""
+    """Parse the six numbers of `--keep-out`."""
     try:
         numbers = [float(word) for word in text.replace(",", " ").split()]
     except ValueError:
         numbers = []
     if len(numbers) != 6:
-        raise ParallelCalError(f"--keep-out '{text}': expected six numbers 'x y z x y z' in m")
+        raise ParallelCalError(f"--keep-out '{text}': expected six numbers 'x y z x y z' (m)")
     return numbers
 
 
 def print_status(status: Any, last: list[str]) -> None:
-    """A line for every pose and every change of state, on stderr."""
-    error = "" if math.isnan(status.error_unseen) else f", {1e6 * status.error_unseen:.0f} um off"
+    """Print a line on stderr for every pose and every change of state."""
+    error = ""
+    if not math.isnan(status.error_unseen):
+        error = f", validation error {1e6 * status.error_unseen:.0f} um"
     line = f"{status.state}: {status.reason} ({status.poses} poses{error})"
     if line != last[0] and status.state not in ("sampling", "done", "stopped"):
         console.note(line)

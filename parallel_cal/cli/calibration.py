@@ -1,4 +1,4 @@
-"""Comparing, identifying, adding and removing effects."""
+"""Commands that compare, fit, and add or remove effects."""
 
 from __future__ import annotations
 
@@ -43,19 +43,19 @@ def fit(
     refit: Annotated[
         list[str] | None,
         typer.Option(
-            help="identify parameters like PATTERN alone, keep the rest with its covariance"
+            help="fit only parameters that match PATTERN; keep the others and their covariance"
         ),
     ] = None,
     data: Data = None,
     as_json: Json = False,
 ) -> None:
-    """Identify the model's free parameters; show errors before, after and at poses left out,
-    where they must fall for the model to be written."""
+    """Identify the free parameters and show the errors. The model is written if the validation
+    error falls."""
     from parallel_cal.session.steps import fitted
 
     asked = replace(options, method=method, refit=patterns(refit), insist=force)
     start, dataset = read_model_and_data(model, bags, data)
-    force = force or output is None  # where nothing is written nothing is refused
+    force = force or output is None  # without an output there is nothing to refuse
     step = fitted(start, dataset, force, options=asked, progress=console.progress)
     _finish(step, bags, output, as_json)
 
@@ -73,7 +73,7 @@ def add(
     data: Data = None,
     as_json: Json = False,
 ) -> None:
-    """Add an effect and identify anew; refused when the error at poses left out does not fall."""
+    """Add an effect and fit again. The model is written if the validation error falls."""
     from parallel_cal.session.steps import add
 
     start, dataset = read_model_and_data(model, bags, data)
@@ -95,7 +95,7 @@ def remove(
     data: Data = None,
     as_json: Json = False,
 ) -> None:
-    """Remove an effect and identify anew; refused when the error at poses left out rises."""
+    """Remove an effect and fit again. The model is written unless the validation error rises."""
     from parallel_cal.session.steps import remove
 
     start, dataset = read_model_and_data(model, bags, data)
@@ -115,7 +115,7 @@ def read_model_and_data(
 
 
 def _finish(step: Step, bags: list[Path], output: Path | None, as_json: bool) -> None:
-    """Write the model, then say what came out: a file that cannot be written is no success."""
+    """Write the model, then print the result, so that a failed write prints no success."""
     from parallel_cal.model.file.modelfile import model_hash, replace_model
 
     written = {}
@@ -135,8 +135,10 @@ def _finish(step: Step, bags: list[Path], output: Path | None, as_json: bool) ->
 
 
 def _with_files(model: Model, bags: list[Path]) -> Model:
-    """With the names of the recordings in the last step of its history, for who needs them again
-    (`export` judges a printer's bed by its touches)."""
+    """Record the paths of the recordings in the last step of the model's history.
+
+    `export` uses them to find the touches of a printer's bed again.
+    """
     *earlier, last = model.history
     dataset = last["dataset"] | {"files": [path.as_posix() for path in bags]}
     return replace(model, history=(*earlier, last | {"dataset": dataset}))
@@ -149,7 +151,7 @@ def compare(
     data: Data = None,
     as_json: Json = False,
 ) -> None:
-    """Errors of a model at every sample of a recording, worst first; fits nothing."""
+    """Show the errors of a model at every sample of a recording, worst first, without a fit."""
     from parallel_cal.diagnosis import comparison
 
     judged, dataset = read_model_and_data(model, bags, data)

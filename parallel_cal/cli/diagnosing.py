@@ -1,4 +1,4 @@
-"""What is missing: the diagnosis for people and programs."""
+"""The command that diagnoses a model."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def diagnose(
     data: Data = None,
     as_json: Json = False,
 ) -> None:
-    """Say which physical effect the model lacks, how sure that is, and what to measure next."""
+    """Find the physical effect that the model lacks, its certainty, and what to measure next."""
     from parallel_cal.diagnosis import diagnose as diagnosis
 
     judged, dataset = read_model_and_data(model, bags, data)

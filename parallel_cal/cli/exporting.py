@@ -1,4 +1,4 @@
-"""What others read: the model for controllers, residuals for ROS tools."""
+"""Commands that export the model for controllers and residuals for ROS tools."""
 
 from __future__ import annotations
 
@@ -26,29 +26,30 @@ def export(
         typer.Option(
             "--to",
             metavar="TARGET[:option=value,...]",
-            help="c, klipper, rrf, ... or your own's Python path",
+            help="c, klipper, rrf, ... or the Python path of your own target",
         ),
     ],
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="folder to write into")
+        Path | None, typer.Option("-o", "--output", help="folder to write to")
     ] = None,
     into: Annotated[
         list[Path] | None,
-        typer.Option(help="edit the numbers in the controller's own file instead (repeat)"),
+        typer.Option(help="edit the numbers in this file of the controller instead (repeat)"),
     ] = None,
     touches: Annotated[
         list[Path] | None,
         typer.Option(
-            help="samples (.json) of the bed, to judge the firmware's heights by (repeat) "
-            "[default: those that the model was fitted on]"
+            help="samples (.json) of the bed, for checking the firmware's heights (repeat) "
+            "[default: those that the model was fitted to]"
         ),
     ] = None,
     force: Annotated[
-        bool, typer.Option("--force", help="write numbers that make heights at the touches worse")
+        bool,
+        typer.Option("--force", help="write even if the height error at the touches increases"),
     ] = False,
     as_json: Json = False,
 ) -> None:
-    """Write the calibrated model for a controller: the robot alone, its effects in it."""
+    """Write the calibrated model for a controller: the robot with its effects."""
     from parallel_cal.exporting import export as exporting
     from parallel_cal.model.file.modelfile import read_model
 
@@ -71,9 +72,9 @@ def export(
         return console.emit({"target": to, "files": files} | (document if done.loss else {}))
     console.say(f"written: {', '.join(files)}")
     if done.loss:
-        console.say(f"lost by the firmware's fewer numbers: {_format_loss(done.loss)}")
+        console.say(f"error that the firmware's simpler model leaves: {_format_loss(done.loss)}")
     if done.before:
-        console.say(f"with the numbers it had: {_format_loss(done.before)}")
+        console.say(f"error with the previous numbers: {_format_loss(done.before)}")
     if done.heights:
         console.say(_heights(done.heights))
     for remark in done.remarks:
@@ -81,9 +82,11 @@ def export(
 
 
 def _touches(model: Model, file: Path, given: list[Path], into: bool) -> Touches | None:
-    """The touches that are given, else those that the model was fitted on where their files still
-    are: as its history names them, from this folder or from the model's. None without any, which
-    is said where numbers are replaced."""
+    """Load the given touches, or those that the model was fitted to if their files still exist.
+
+    The history of the model names these files, relative to the working folder or to the model's
+    folder. Without touches the result is None, with a warning if numbers are to be replaced.
+    """
     from parallel_cal.exporting.heights import why_not
     from parallel_cal.importing.touch_samples import touches_in
     from parallel_cal.recordings.loading import load_sessions
@@ -96,7 +99,7 @@ def _touches(model: Model, file: Path, given: list[Path], into: bool) -> Touches
     if not steps:
         console.warn(
             [
-                f"the heights of the bed were not compared: {file} was not fitted on touches. Give "
+                f"the heights of the bed were not compared: {file} was not fitted to touches. Give "
                 "samples of the bed: --touches TOUCHES.json"
             ]
         )
@@ -113,39 +116,39 @@ def _touches(model: Model, file: Path, given: list[Path], into: bool) -> Touches
                 return touches_in(dataset, model.joints)
     console.warn(
         [
-            f"whether the bed gets better is not known: the touches that {file} was fitted on "
-            f"({last.get('source')}) are not here; give their samples: --touches TOUCHES.json"
+            f"the effect on the bed was not checked: the touches that {file} was fitted to "
+            f"({last.get('source')}) were not found; give their samples: --touches TOUCHES.json"
         ]
     )
     return None
 
 
 def _heights(heights: BedHeights) -> str:
-    """`height at 109 touches by the firmware's formula, rms: 595.2 -> 17.1 um`."""
+    """Format `rms height error at 109 touches by the firmware's formula: 595.2 -> 17.1 um`."""
     before = "" if heights.before is None else f"{1e6 * heights.before:.1f} -> "
     return (
-        f"height at {heights.touches} touches by the firmware's formula, rms: "
+        f"rms height error at {heights.touches} touches by the firmware's formula: "
         f"{before}{1e6 * heights.after:.1f} um"
     )
 
 
 def _format_loss(loss: Mapping[str, Any]) -> str:
-    """`mean 12.3 um, max 40.1 um at x 42 y -42 z 0 mm (2000 poses)`."""
+    """Format `mean 12.3 um, max 40.1 um at x 42 y -42 z 0 mm (2000 poses)`."""
     units = {"position": ("um", 1e6), "orientation": ("urad", 1e6)}
-    said = []
-    for kind, (unit, many) in units.items():
+    parts = []
+    for kind, (unit, factor) in units.items():
         if f"{kind}_mean" in loss:
-            mean, most = (f"{many * loss[f'{kind}_{of}']:.1f} {unit}" for of in ("mean", "max"))
+            mean, most = (f"{factor * loss[f'{kind}_{of}']:.1f} {unit}" for of in ("mean", "max"))
             worst = zip("xyz", 1e3 * loss[f"{kind}_worst_at"], strict=True)
             at = " ".join(f"{axis} {value:.0f}" for axis, value in worst)
-            said.append(f"mean {mean}, max {most} at {at} mm")
+            parts.append(f"mean {mean}, max {most} at {at} mm")
     if "line_mean" in loss:
-        said.append(
+        parts.append(
             f"lines mean {1e6 * loss['line_mean']:.1f}, max {1e6 * loss['line_max']:.1f} um"
         )
-    said = said or ["no pose is reached"]
-    beyond = f", {loss['not_reached']} beyond its reach" if loss["not_reached"] else ""
-    return f"{'; '.join(said)} ({loss['poses']} poses{beyond})"
+    parts = parts or ["no pose is reachable"]
+    beyond = f", {loss['not_reached']} not reachable" if loss["not_reached"] else ""
+    return f"{'; '.join(parts)} ({loss['poses']} poses{beyond})"
 
 
 def export_residuals(
@@ -153,13 +156,13 @@ def export_residuals(
     bag: Annotated[Path, typer.Argument(help="rosbag2 folder or file, or saved samples (.json)")],
     output: Annotated[Path, typer.Option("-o", "--output", help="MCAP file to write")],
     arrow_scale: Annotated[
-        float, typer.Option(min=0.0, help="length of arrows over the residuals'")
+        float, typer.Option(min=0.0, help="magnification of the arrows")
     ] = 100.0,
     joint_sigma: JointSigma = None,
     data: Data = None,
     as_json: Json = False,
 ) -> None:
-    """Write residuals as an MCAP for RViz, Foxglove and PlotJuggler, at the samples' times."""
+    """Write the residuals at the times of the samples as MCAP for RViz, Foxglove, PlotJuggler."""
     from parallel_cal.diagnosis.comparison import compare
     from parallel_cal.model.file.modelfile import read_model
     from parallel_cal.recordings.loading import load_stamped
@@ -175,4 +178,4 @@ def export_residuals(
     if as_json:
         topics = {ROOT + name: kind for name, kind in TOPICS.items()}
         return console.emit({"output": str(output), "samples": len(dataset), "topics": topics})
-    console.say(f"written: {output}, residuals of {len(dataset)} samples below {ROOT}")
+    console.say(f"written: {output}, residuals of {len(dataset)} samples, topics under {ROOT}")

@@ -1,4 +1,4 @@
-"""A fleet of robots: every recording judged, on this machine or on a cluster."""
+"""The command that judges every recording of a fleet, on this machine or on a cluster."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ def fleet(
         Path,
         typer.Argument(
             metavar="FOLDER|LIST.csv",
-            help="a folder for each robot with model and recordings, or a list: robot, model, "
-            "recording, and time where they do not say it",
+            help="a folder with one folder per robot (model and recordings), or a list with the "
+            "columns robot, model, recording and, if the recordings lack it, time",
         ),
     ],
     *,
@@ -36,7 +36,7 @@ def fleet(
     data: Data = None,
     as_json: Json = False,
 ) -> None:
-    """Fit and diagnose every recording of every robot; a command that was ended goes on."""
+    """Fit and diagnose every recording of every robot. An interrupted command can be resumed."""
     from parallel_cal.fleet.fleet import judge
     from parallel_cal.fleet.jobs import FleetOptions
     from parallel_cal.reporting.fleet_page import robot_page, write_fleet_page

@@ -1,4 +1,4 @@
-"""Samples of what a machine's controller or a measuring device stored."""
+"""The command that imports the files of a controller or of a measuring device."""
 
 from __future__ import annotations
 
@@ -15,16 +15,18 @@ from parallel_cal.reporting import console
 
 def import_(
     kind: Annotated[
-        str, typer.Argument(help="rrf, klipper, marlin, linuxcnc, table or your own's path")
+        str, typer.Argument(help="rrf, klipper, marlin, linuxcnc, table or the path of yours")
     ],
-    files: Annotated[list[Path], typer.Argument(help="what the controller stored, and its setup")],
+    files: Annotated[
+        list[Path], typer.Argument(help="files of the controller, and its configuration")
+    ],
     output: Annotated[Path, typer.Option("-o", "--output", help="samples to write (.json)")],
     option: Annotated[
         list[str] | None, typer.Option(metavar="KEY=VALUE", help="option of the importer")
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Make samples of what a controller stored, or of a tracker's table and a log of joints."""
+    """Make samples from a controller's files, or from a tracker's table and a joint log."""
     from parallel_cal.importing.controller_files import samples
     from parallel_cal.recordings.info import info_of
 

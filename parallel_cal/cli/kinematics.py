@@ -1,4 +1,4 @@
-"""The direct and inverse problem, one at a time or a table of them."""
+"""Commands for forward and inverse kinematics, for one problem or for a table."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 At = Annotated[
     list[str] | None, typer.Option("--at", help="conditions, NAME=VALUE (temperature=25)")
 ]
-Every = Annotated[bool, typer.Option("--all", help="all solutions, not only the home branch")]
+Every = Annotated[bool, typer.Option("--all", help="show all solutions, not only the home branch")]
 Covariance = Annotated[
-    bool, typer.Option("--covariance", help="with the uncertainty carried from the fit")
+    bool, typer.Option("--covariance", help="also show the model uncertainty of the answer")
 ]
 
 
@@ -34,7 +34,7 @@ def _describe_solvers(solver: str) -> str:
     if solver == "help":
         from parallel_cal.kinematics.solving import solvers
 
-        console.table(("solver", "what for"), list(solvers().items()))
+        console.table(("solver", "purpose"), list(solvers().items()))
         raise typer.Exit
     return solver
 
@@ -42,19 +42,21 @@ def _describe_solvers(solver: str) -> str:
 Solver = Annotated[
     str,
     typer.Option(
-        help="NAME[:option=value,...] instead of newton; help: which there are and what for",
+        help="solver, NAME[:option=value,...], instead of newton; 'help' lists the solvers",
         callback=_describe_solvers,
         is_eager=True,
         show_default=False,
     ),
 ]
-Input = Annotated[Path | None, typer.Option("--input", help="CSV table of many problems")]
+Input = Annotated[Path | None, typer.Option("--input", help="CSV table of problems")]
 Output = Annotated[Path | None, typer.Option("--output", help="CSV table of the answers")]
 
 
 def direct(
     model: ModelFile,
-    joints: Annotated[str | None, typer.Option(metavar="A B C", help="joints (rad or m)")] = None,
+    joints: Annotated[
+        str | None, typer.Option(metavar="A B C", help="joint readings (rad or m)")
+    ] = None,
     at: At = None,
     every: Every = False,
     solver: Solver = "",
@@ -63,7 +65,7 @@ def direct(
     output: Output = None,
     as_json: Json = False,
 ) -> None:
-    """Pose for given joints (forward kinematics)."""
+    """Compute the pose for given joint readings (forward kinematics)."""
     q = _numbers(joints, "--joints")
     _check_one_input(q, table, "--joints", output, every or covariance)
     import numpy as np
@@ -98,7 +100,7 @@ def inverse(
     output: Output = None,
     as_json: Json = False,
 ) -> None:
-    """Joints for a given pose (inverse kinematics)."""
+    """Compute the joint readings for a given pose (inverse kinematics)."""
     place = _numbers(position, "--position", 3)
     quaternion = _numbers(orientation, "--orientation", 4)
     _check_one_input(place or quaternion, table, "--position", output, every or covariance)
@@ -119,7 +121,7 @@ def inverse(
 
 
 def _numbers(text: str | None, option: str, n: int | None = None) -> list[float] | None:
-    """`0.1 -0.2` or `0.1,-0.2` as numbers; wrong usage where it is not that."""
+    """Parse `0.1 -0.2` or `0.1,-0.2`; raise BadParameter for anything else."""
     if text is None:
         return None
     try:
@@ -137,9 +139,9 @@ def _check_one_input(
     if (values is None) == (table is None):
         raise typer.BadParameter(f"give either {option} or --input")
     if table is not None and more:
-        raise typer.BadParameter("--all and --covariance are for one problem, not for --input")
+        raise typer.BadParameter("--all and --covariance cannot be combined with --input")
     if table is None and output is not None:
-        raise typer.BadParameter("--output goes with --input; one problem's answer is printed")
+        raise typer.BadParameter("--output needs --input; the answer to one problem is printed")
 
 
 def _read_robot_and_conditions(path: Path, at: list[str] | None) -> tuple[Model, dict[str, float]]:
@@ -155,12 +157,15 @@ def _read_robot_and_conditions(path: Path, at: list[str] | None) -> tuple[Model,
 
 
 def _warn_of_unused(model: Model, given: dict[str, list[float] | None]) -> None:
-    """A Delta's orientation, for example, follows from its position."""
+    """Warn of given coordinates that the mechanism does not control.
+
+    The orientation of a Delta, for example, follows from its position.
+    """
     from parallel_cal.model.mechanism import POSE
 
     axes = {"position": {*POSE[:3]}, "orientation": {*POSE[3:]}}
     console.warn(
-        f"{model.mechanism.name} does not control its {kind}: the given one is not used"
+        f"{model.mechanism.name} does not control its {kind}: the given {kind} is ignored"
         for kind, values in given.items()
         if values is not None and not axes[kind] & {*model.mechanism.controls}
     )

@@ -1,4 +1,4 @@
-"""The command line `parallel-cal`: its commands, each declared in the file that does it."""
+"""The command line `parallel-cal` and its commands."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from parallel_cal import __version__
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.reporting import console
 
-# where a command lives: a module of this folder, and its function where that is called otherwise
+# The module of each command in this folder, and its function if the name differs.
 COMMANDS = {
     "new": "models",
     "mechanisms": "models",
@@ -64,15 +64,17 @@ def _options(
 
 
 def application(words: Sequence[str]) -> typer.Typer:
-    """The command that the first word names, or where it names none all of them: to declare those
-    that are not meant would double the start-up time."""
+    """Declare the command that the first word names, or all commands if it names none.
+
+    Declaring all of them doubles the start-up time.
+    """
     app = typer.Typer(
         no_args_is_help=True,
         add_completion=False,
-        rich_markup_mode=None,  # rich would double it, too
+        rich_markup_mode=None,  # rich would double the start-up time, too
         pretty_exceptions_enable=False,
         help="Kinematic calibration of parallel robots: compare the model with measurements, see "
-        "where it fails, add the missing effect, watch the error fall. All values are SI.",
+        "where it fails, add the missing effect, check the error. All values are SI.",
     )
     app.callback()(_options)
     for name in words[:1] if words and words[0] in COMMANDS else COMMANDS:
@@ -88,7 +90,10 @@ def application(words: Sequence[str]) -> typer.Typer:
 
 
 def join_option_values(arguments: Sequence[str]) -> list[str]:
-    """`--joints 0.1 -0.2` as `--joints=0.1 -0.2`: an option cannot take any number of values."""
+    """Join `--joints 0.1 -0.2` to `--joints=0.1 -0.2`.
+
+    An option of Typer cannot take a variable number of values.
+    """
     out: list[str] = []
     taking = None
     for argument in arguments:
@@ -101,7 +106,7 @@ def join_option_values(arguments: Sequence[str]) -> list[str]:
 
 
 def _split_conditions(words: list[str]) -> list[str]:
-    """`--at=a=1 b=2` as two options."""
+    """Split `--at=a=1 b=2` into two options."""
     out: list[str] = []
     for word in words:
         if word.startswith("--at=") and " " in word:
@@ -127,7 +132,7 @@ _VALUE_CHECKS = {
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Entry point: exit 0 ok, 1 one clear line, 2 wrong usage."""
+    """Run a command; exit with 0 on success, 1 on an error (one line), 2 on wrong usage."""
     given = join_option_values(sys.argv[1:] if arguments is None else arguments)
     try:
         application(given)(args=given, prog_name="parallel-cal")

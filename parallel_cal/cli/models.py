@@ -1,4 +1,4 @@
-"""Making a model file, and listing what there is to make one of."""
+"""Commands that make a model file and list mechanisms, effects and sensors."""
 
 from __future__ import annotations
 
@@ -30,31 +30,37 @@ def new(
     output: Out,
     mechanism: Annotated[
         str | None,
-        typer.Argument(help="see 'parallel-cal mechanisms'; with --from none, or serial of a URDF"),
+        typer.Argument(
+            help="'parallel-cal mechanisms' lists them; none with --from, or serial for a URDF"
+        ),
     ] = None,
     configuration: Annotated[
         list[Path] | None,
         typer.Option(
             "--from",
             metavar="FILE",
-            help="a controller's setup: config.g, printer.cfg, ...; a URDF",
+            help="configuration of a controller (config.g, printer.cfg, ...), or a URDF",
         ),
     ] = None,
-    from_link: Annotated[str, typer.Option(help="of a URDF: link to begin at, its root")] = "",
-    to_link: Annotated[str, typer.Option(help="of a URDF: link to end at, its only leaf")] = "",
+    from_link: Annotated[str, typer.Option(help="first link of the URDF [default: its root]")] = "",
+    to_link: Annotated[
+        str, typer.Option(help="last link of the URDF [default: its only leaf]")
+    ] = "",
     option: Option = None,
     sensor: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME: {KEY: VALUE}", help="measuring set-up, 'probe: {height: 0.3}'"),
+        typer.Option(
+            metavar="NAME: {KEY: VALUE}", help="measuring set-up, such as 'probe: {height: 0.3}'"
+        ),
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Write a model file with a mechanism's nominal values, or as a controller is set up."""
+    """Write a model file with a mechanism's nominal values or a controller's configuration."""
     from parallel_cal.importing.deltas import PROBE_NOISE_UNKNOWN
     from parallel_cal.model.file.modelfile import model_hash, replace_model
 
     if output.exists():
-        raise ParallelCalError(f"{output}: exists already; remove it or give another name")
+        raise ParallelCalError(f"{output}: file exists already; remove it or give another name")
     of_urdf = mechanism == "serial" and configuration is not None and len(configuration) == 1
     if not of_urdf and (
         (mechanism is None) == (not configuration)
@@ -89,7 +95,7 @@ def _make_model(
     options: list[str] | None,
     configuration: list[Path] | None,
 ) -> tuple[Model, str, tuple[str, ...]]:
-    """The model, where its numbers are from, and what was not said there."""
+    """Return the model, the origin of its numbers, and remarks on what the origin lacks."""
     from parallel_cal.model.model import new_model
 
     if mechanism is not None:
@@ -108,7 +114,7 @@ def _mechanism(name: str, options: list[str]) -> Mechanism:
 
 
 def parse_options(options: list[str] | None) -> dict[str, Any]:
-    """`--option KEY=VALUE`, the value as in a model file (YAML)."""
+    """Parse `--option KEY=VALUE`, with the value as in a model file (YAML)."""
     from parallel_cal.model.file.yamltext import parse_yaml
 
     given: dict[str, Any] = {}
@@ -121,7 +127,7 @@ def parse_options(options: list[str] | None) -> dict[str, Any]:
 
 
 def _with_set_ups(model: Model, items: list[str]) -> Model:
-    """With these sensors, those that a controller's setup describes keeping what is not given."""
+    """Add the sensors; options that are not given keep the values of the controller's set-up."""
     own = {sensor.name: sensor for sensor in model.sensors}
     for item in items:
         changed = _sensor(item, {name: one.options for name, one in own.items()})
@@ -130,8 +136,10 @@ def _with_set_ups(model: Model, items: list[str]) -> Model:
 
 
 def _sensor(item: str, known: Mapping[str, Mapping[str, Any]]) -> Sensor:
-    """`probe: {height: 0.3}`: a sensor and its options as in a model file (YAML), beside those that
-    are `known` of one with this name."""
+    """Parse `probe: {height: 0.3}`: a sensor and its options as in a model file (YAML).
+
+    Options that are not given have the values in `known`, by the name of the sensor.
+    """
     from parallel_cal.model.file.sensoroptions import read_sensor
     from parallel_cal.model.file.yamltext import parse_yaml
 
@@ -145,17 +153,17 @@ def _sensor(item: str, known: Mapping[str, Mapping[str, Any]]) -> Sensor:
 
 
 def mechanisms(
-    name: Annotated[str | None, typer.Argument(help="one of them, or your own's path")] = None,
+    name: Annotated[str | None, typer.Argument(help="a mechanism, or the path of your own")] = None,
     option: Option = None,
     as_json: Json = False,
 ) -> None:
-    """List the mechanisms, or one's parameters and whether they describe every such robot."""
+    """List the mechanisms, or the parameters of one and whether its model is complete."""
     if name is not None:
         return _print_mechanism(name, option or [], as_json)
     rows = _rows("mechanisms", _mechanism_row)
     if as_json:
         return console.emit({"mechanisms": rows})
-    header = ("mechanism", "joints", "parameters", "moves", "controls", "what")
+    header = ("mechanism", "joints", "parameters", "moves", "controls", "description")
     console.table(
         header,
         [
@@ -173,7 +181,7 @@ def mechanisms(
 
 
 def _print_mechanism(name: str, options: list[str], as_json: bool) -> None:
-    """Its numbers, and how many of those that a complete model has are among them (eq. 3.3)."""
+    """Print its parameters, and how many of those of a complete model they are (eq. 3.3)."""
     from parallel_cal.identification.completeness import compute_completeness
     from parallel_cal.reporting.readable import in_unit
 
@@ -194,8 +202,10 @@ def _print_mechanism(name: str, options: list[str], as_json: bool) -> None:
 
 
 def _rows(shelf: str, row: Callable[[str], dict[str, Any]]) -> list[dict[str, Any]]:
-    """A row for each file on a shelf, made anew only after a file that they follow from changed:
-    to build what is on it takes longer than all the rest."""
+    """Make a row for each file on a shelf.
+
+    The rows are cached until a source file changes, because building them takes longest.
+    """
 
     def rows() -> list[dict[str, Any]]:
         from parallel_cal.model.shelf import list_plugins
@@ -213,7 +223,7 @@ def _mechanism_row(name: str) -> dict[str, Any]:
 
     cls: Any = load_class("mechanisms", name, Mechanism)
     options = options_of(cls)
-    # One that cannot be built without options says so instead.
+    # A mechanism that needs options cannot be built here.
     return _row(name, cls, None if any("=" not in option for option in options) else cls())
 
 
@@ -237,17 +247,17 @@ def _sentence(doc: str | None) -> str:
 
 
 def effects(as_json: Json = False) -> None:
-    """List the physical effects: what they are, what they need, what they resemble."""
+    """List the physical effects with the conditions they need and their lookalikes."""
     rows = _rows("effects", _effect_row)
     if as_json:
         return console.emit({"effects": rows})
     console.table(
-        ("effect", "needs", "what"),
+        ("effect", "needs", "description"),
         [(r["name"], " ".join(r["needs"]) or "-", r["physics"]) for r in rows],
     )
     console.say("")
     console.table(
-        ("effect", "resembles", "told apart by"),
+        ("effect", "resembles", "distinguished by"),
         [
             (r["name"], ", ".join(r["lookalikes"]), r["separated_by"])
             for r in rows
@@ -273,12 +283,12 @@ def _effect_row(name: str) -> dict[str, Any]:
 
 
 def sensors(as_json: Json = False) -> None:
-    """List the measuring set-ups beside the pose device: what they are, their options."""
+    """List the measuring set-ups other than the pose device, with their options."""
     rows = _rows("sensors", _sensor_row)
     if as_json:
         return console.emit({"sensors": rows})
     console.table(
-        ("sensor", "options", "what"),
+        ("sensor", "options", "description"),
         [(r["name"], _strip_defaults(r["options"]), r["physics"]) for r in rows],
     )
 

@@ -1,4 +1,4 @@
-"""Which poses to measure next."""
+"""The command that plans the poses to measure."""
 
 from __future__ import annotations
 
@@ -21,27 +21,30 @@ ARCMIN = 60 * 180 / math.pi
 
 def plan(
     model: ModelFile,
-    poses: Annotated[int, typer.Option(min=1, help="how many to measure")],
+    poses: Annotated[int, typer.Option(min=1, help="number of poses to measure")],
     criterion: Annotated[
         str, typer.Option(help="prediction, D, A, condition or noise_amplification")
     ] = "prediction",
     method: Annotated[
-        str, typer.Option(help="exchange or annealing; none: what suits the criterion")
+        str, typer.Option(help="exchange or annealing [default: the one for the criterion]")
     ] = "",
-    pool: Annotated[int, typer.Option(min=1, help="candidates drawn in the workspace")] = 1000,
+    pool: Annotated[
+        int, typer.Option(min=1, help="number of candidate poses in the workspace")
+    ] = 1000,
     symmetric: Annotated[
-        bool, typer.Option("--symmetric", help="sets of three, a third of a turn about z apart")
+        bool, typer.Option("--symmetric", help="choose triples of poses, 120 deg apart about z")
     ] = False,
     free: Free = None,
     fix: Fix = None,
     prior: Prior = False,
-    seed: Annotated[int, typer.Option(min=0, help="of the candidates")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="seed of the candidates")] = 0,
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="poses as .csv, or the whole as .yaml")
+        Path | None,
+        typer.Option("-o", "--output", help="file for the poses (.csv) or the whole plan (.yaml)"),
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Choose the poses to measure: what they will tell, beside random ones."""
+    """Choose the poses to measure and compare their expected errors with those of random poses."""
     from parallel_cal.base.files import write_atomically
     from parallel_cal.model.file.modelfile import read_model
     from parallel_cal.planning import plan as planning
@@ -50,7 +53,9 @@ def plan(
     own = read_model(model)
     known = with_noise(own)
     if known.noise != own.noise and not own.structure.channels:
-        console.note(f"{model} states no noise of joints or device: typical instruments are taken")
+        console.note(
+            f"{model} states no noise of the joints or the device: typical values are assumed"
+        )
     found = planning.plan(
         known,
         poses,
@@ -78,7 +83,7 @@ def plan(
 
 
 def format_plan(found: Plan, suffix: str) -> str:
-    """The poses as CSV (m, rad), or with everything else as YAML or JSON, by the file's name."""
+    """Format the poses as CSV (m, rad), or the whole plan as YAML or JSON, by the file suffix."""
     import json
 
     if suffix.lower() in (".yaml", ".yml", ".json"):
@@ -115,7 +120,7 @@ def _show(found: Plan, document: dict[str, Any]) -> None:
     ]
     expected = (document["expected"], document["random"]["expected"])
     rows += [
-        ["expected position error at unseen poses, rms [um]", *_numbers(expected, "position", 1e6)],
+        ["expected position error, rms [um]", *_numbers(expected, "position", 1e6)],
         ["expected orientation error, rms [arcmin]", *_numbers(expected, "orientation", ARCMIN)],
     ]
     console.table(("", "planned", "random"), rows)
@@ -123,16 +128,16 @@ def _show(found: Plan, document: dict[str, Any]) -> None:
 
 
 def _show_parameters(found: Plan, parameters: dict[str, dict[str, Any]], worst: int = 5) -> None:
-    """The parameters that will be known worst, in tolerances."""
+    """Print the parameters with the largest expected sigma in tolerances."""
     from parallel_cal.model.words import describe
 
     sigmas = {k: v["sigma_tolerances"] for k, v in parameters.items()}
     order = sorted(sigmas, key=lambda k: -(math.inf if sigmas[k] is None else sigmas[k]))
-    told = [
+    shown = [
         f"{describe(name, found.model.table)} ({name}) {_format_short(sigmas[name])}"
         for name in order[:worst]
     ]
-    console.say(f"known worst, sigma in tolerances: {'; '.join(told)}")
+    console.say(f"least certain parameters, sigma in tolerances: {'; '.join(shown)}")
 
 
 def _numbers(columns: tuple[dict[str, Any], ...], kind: str, factor: float) -> list[str]:

@@ -1,4 +1,4 @@
-"""Recordings: looking at one, making one of a table or up, playing one back."""
+"""Commands that show, import, simulate and replay recordings."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ def info(
     data: Data = None,
     as_json: Json = False,
 ) -> None:
-    """Show what a recording holds: topics, samples, what was dropped and why, noise."""
-    from parallel_cal.recordings import info as looking
+    """Show a recording: its topics, samples, dropped messages with reasons, and noise."""
+    from parallel_cal.recordings import info as recording_info
 
-    show_info(looking.info(bag, data_options(data), console.progress), as_json)
+    show_info(recording_info.info(bag, data_options(data), console.progress), as_json)
 
 
 def show_info(document: dict[str, Any], as_json: bool) -> None:
@@ -42,13 +42,15 @@ def show_info(document: dict[str, Any], as_json: bool) -> None:
 def import_csv(
     tables: Annotated[
         list[Path],
-        typer.Argument(metavar="TABLE.csv...", help="one sample a line; several are joined"),
+        typer.Argument(
+            metavar="TABLE.csv...", help="tables with one sample a line; several are joined"
+        ),
     ],
     output: Annotated[Path, typer.Option("-o", "--output", help="samples to write (.json)")],
-    columns: Annotated[Path, typer.Option(help="column map: which column is what (YAML)")],
+    columns: Annotated[Path, typer.Option(help="file that maps columns to quantities (YAML)")],
     as_json: Json = False,
 ) -> None:
-    """Make samples of a table, or of several joined, for every command that takes a recording."""
+    """Make samples from one table, or from several joined ones. Every command accepts them."""
     from parallel_cal.recordings import csv_import
     from parallel_cal.recordings.info import info_of
 
@@ -66,16 +68,18 @@ def simulate(
     effect: Annotated[
         list[str] | None, typer.Option(metavar="NAME[:PARAM=VALUE,...]", help="hidden effect")
     ] = None,
-    poses: Annotated[int, typer.Option(min=1, help="different poses")] = 74,
-    seed: Annotated[int, typer.Option(min=0, help="of poses and noise")] = 0,
-    replicates: Annotated[int, typer.Option(min=0, help="poses that are visited again")] = 0,
-    noise_off: Annotated[bool, typer.Option("--noise-off", help="perfect instruments")] = False,
-    storage: Annotated[str, typer.Option(help="mcap or sqlite3")] = "mcap",
+    poses: Annotated[int, typer.Option(min=1, help="number of different poses")] = 74,
+    seed: Annotated[int, typer.Option(min=0, help="seed of poses and noise")] = 0,
+    replicates: Annotated[int, typer.Option(min=0, help="number of poses visited twice")] = 0,
+    noise_off: Annotated[bool, typer.Option("--noise-off", help="simulate without noise")] = False,
+    storage: Annotated[str, typer.Option(help="format of the recording, mcap or sqlite3")] = "mcap",
     as_json: Json = False,
 ) -> None:
-    """Record a robot that does not exist: the model, some hidden effects, noise."""
+    """Write the recording of a virtual robot: the model with hidden effects and noise."""
     if replicates > poses:
-        raise typer.BadParameter(f"{replicates} replicates of {poses} poses")
+        raise typer.BadParameter(
+            f"--replicates {replicates}: expected at most the number of poses, {poses}"
+        )
     from parallel_cal.model.file.modelfile import read_model
     from parallel_cal.recordings import simulate as simulation
     from parallel_cal.recordings.writer import write_bag
@@ -88,23 +92,24 @@ def simulate(
     if robot.noise.joint is None:
         console.note(
             f"{model} states no joint noise: {stated.joint:.3g} {robot.mechanism.joint_unit} "
-            f"is taken; identify with --joint-sigma {stated.joint:.3g}"
+            f"is assumed; fit with --joint-sigma {stated.joint:.3g}"
         )
     write_bag(session, output, storage)
     document = simulation.document(session, poses, replicates)
     if as_json:
         return console.emit({"bag": str(output), "seed": seed, **document})
     console.say(
-        f"{output}: {poses} poses, {replicates} of them twice, {document['duration']:.0f} s; "
+        f"{output}: {poses} poses, {replicates} of them visited twice, "
+        f"{document['duration']:.0f} s; "
         f"effects: {', '.join(document['effects']) or 'none'}"
     )
 
 
 def replay(
     bag: Annotated[Path, typer.Argument(help="rosbag2 folder or file")],
-    rate: Annotated[float, typer.Option(min=0.001, help="times real time")] = 1.0,
+    rate: Annotated[float, typer.Option(min=0.001, help="speed as a multiple of real time")] = 1.0,
 ) -> None:
-    """Publish a recording on its topics, as the robot and the device did (needs ROS 2)."""
+    """Publish a recording on its topics, as the robot and the device did. Needs ROS 2."""
     import json
     import subprocess
 
@@ -113,10 +118,10 @@ def replay(
     missing = [m for m in ("rclpy", "parallel_cal.nodes.replay_node") if find_spec(m) is None]
     if missing:
         raise ParallelCalError(
-            f"replay needs ROS 2 ({missing[0]} is missing): source your ROS installation, or "
+            f"replay needs ROS 2 ({missing[0]} was not found): source your ROS installation, or "
             "pip install 'parallel_cal[ros]'"
         )
-    list_topics(bag)  # a bad recording is better said before the node starts
+    list_topics(bag)  # report a bad recording before the node starts
     code = "from parallel_cal.nodes.replay_node import main; main()"
     # JSON is YAML: a path that looks like a number stays a string.
     parameters = [f"bag:={json.dumps(str(bag))}", f"rate:={rate!r}"]
@@ -125,9 +130,9 @@ def replay(
 
 
 def data_options(items: list[str] | None) -> ReadOptions:
-    """`--data KEY=VALUE` as options: a channel's topic, measures, stamps, mode, ...
+    """Parse `--data KEY=VALUE`: the topic of a channel, measures, stamps, mode, ...
 
-    `channels` are Python paths of channels of one's own, before their topics are named.
+    `channels` lists the Python paths of your own channels, before their topics are named.
     """
     from parallel_cal.recordings.channels import CHANNELS, register_channels
     from parallel_cal.recordings.options import ReadOptions
@@ -159,7 +164,7 @@ def _sample_numbers(text: str) -> list[int]:
         return [int(word) for word in text.split(",")]
     except ValueError:
         raise ParallelCalError(
-            f"--data exclude={text}: expected numbers of samples, such as exclude=3,17"
+            f"--data exclude={text}: expected sample numbers, such as exclude=3,17"
         ) from None
 
 

@@ -1,4 +1,4 @@
-"""The report: a page for people, a document for programs."""
+"""The command that writes the report as a page or as a document."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def report(
     ] = None,
     against: Annotated[
         Path | None,
-        typer.Option(metavar="OTHER.yaml", help="another model, side by side on the same data"),
+        typer.Option(metavar="OTHER.yaml", help="another model, for comparison on the same data"),
     ] = None,
     effect: Tested = None,
     also: Also = None,
@@ -46,11 +46,11 @@ def report(
     data: Data = None,
     as_json: Json = False,
 ) -> None:
-    """Write the diagnosis as one page to read offline: errors, arrows, observations, parameters."""
+    """Write the diagnosis as one offline page: errors, residuals, effects, parameters."""
     if output is None and not as_json:
-        raise typer.BadParameter("give -o R.html (or .json), or --json")
+        raise typer.BadParameter("expected -o R.html (or .json), or --json")
     if output is not None:
-        _check_writable(output)  # before seconds are spent
+        _check_writable(output)  # before the diagnosis, which takes seconds
     from parallel_cal.base.files import write_atomically
     from parallel_cal.model.file.modelfile import read_model
     from parallel_cal.reporting import report as reports
@@ -84,7 +84,9 @@ def _check_writable(output: Path) -> None:
             f"{output}: expected a name that ends in .html (page) or .json (document)"
         )
     if not output.parent.is_dir():
-        raise ParallelCalError(f"{output}: there is no folder {output.parent}; make it first")
+        raise ParallelCalError(
+            f"{output}: the folder {output.parent} does not exist; create it first"
+        )
 
 
 def _text(made: Report, suffix: str) -> str:

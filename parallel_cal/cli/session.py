@@ -1,4 +1,4 @@
-"""A calibration that is kept in a folder: options are given once, steps can be undone."""
+"""Commands of a workbench session: a calibration in a folder, whose steps can be undone."""
 
 from __future__ import annotations
 
@@ -32,10 +32,11 @@ if TYPE_CHECKING:
 app = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode=None,
-    help="A calibration kept in a folder: steps, undo and redo, branches, samples left out.",
+    help="Work with a calibration kept in a folder: steps, undo and redo, branches, excluded "
+    "samples.",
 )
 Folder = Annotated[Path, typer.Argument(metavar="FOLDER", help="the session's folder")]
-Samples = Annotated[list[int], typer.Argument(metavar="SAMPLE...", help="their numbers")]
+Samples = Annotated[list[int], typer.Argument(metavar="SAMPLE...", help="numbers of the samples")]
 
 
 def _open(folder: Path) -> Session:
@@ -56,13 +57,12 @@ def _print_state(session: Session, state: State, as_json: bool) -> None:
 def _line(state: State) -> str:
     from parallel_cal.session.history import format_first_error
 
-    left_out = "" if not state.excluded else f"; {len(state.excluded)} samples left out"
+    n = len(state.excluded)
+    excluded = f"; {n} excluded sample{'' if n == 1 else 's'}" if n else ""
     if not state.errors:
-        return f"{state.step}{left_out}"
+        return f"{state.step}{excluded}"
     before, after, noise = map(format_first_error, (state.before, state.errors, state.noise))
-    return (
-        f"{state.step}: error at poses left out {before} to {after}, noise alone {noise}{left_out}"
-    )
+    return f"{state.step}: validation error {before} to {after}, noise floor {noise}{excluded}"
 
 
 @with_options
@@ -76,7 +76,7 @@ def new(
     data: Data = None,
     as_json: Json = False,
 ) -> None:
-    """Begin a session with a model and recordings; the options hold for every step."""
+    """Start a session with a model and recordings. The options apply to every step."""
     from dataclasses import replace
 
     from parallel_cal.model.file.modelfile import read_model
@@ -87,11 +87,13 @@ def new(
     session = Session.new(folder, read_model(model), bags, reading=reading, fitting=asked)
     if as_json:
         return console.emit(session.document())
-    console.say(f"{folder}: {len(session.samples)} samples; parallel-cal session fit {folder}")
+    console.say(
+        f"{folder}: {len(session.samples)} samples; next: parallel-cal session fit {folder}"
+    )
 
 
 def show(folder: Folder, as_json: Json = False) -> None:
-    """The steps of the branch, and the branches beside it."""
+    """Show the steps of the current branch, and all branches."""
     from parallel_cal.session.history import History, format_first_error
 
     session = History(folder)
@@ -107,11 +109,11 @@ def show(folder: Folder, as_json: Json = False) -> None:
             (("* " if name == here else "  ") + name, state.step, format_first_error(state.errors))
             for name, state in session.compared().items()
         ]
-        console.table(("branch", "last step", "left out"), rows)
+        console.table(("branch", "last step", "validation error"), rows)
 
 
 def fit(folder: Folder, free: Free = None, fix: Fix = None, as_json: Json = False) -> None:
-    """Identify the model's free parameters; what is freed or fixed here holds from here on."""
+    """Identify the free parameters. --free and --fix also apply to the steps that follow."""
     session = _open(folder)
     asked = {"free": free, "fix": fix}
     changed = {key: patterns(given) for key, given in asked.items() if given is not None}
@@ -122,10 +124,10 @@ def fit(folder: Folder, free: Free = None, fix: Fix = None, as_json: Json = Fals
 
 def plan(
     folder: Folder,
-    poses: Annotated[int, typer.Option(min=1, help="how many to measure")] = 20,
+    poses: Annotated[int, typer.Option(min=1, help="number of poses to measure")] = 20,
     as_json: Json = False,
 ) -> None:
-    """Choose poses to measure next, as a CSV in the session's folder."""
+    """Choose the poses to measure next and write them to a CSV file in the session's folder."""
     file = _open(folder).plan(poses, console.progress)
     console.progress("", 1.0)
     if as_json:
@@ -134,19 +136,19 @@ def plan(
 
 
 def add(folder: Folder, effect: EffectName, force: Force = False, as_json: Json = False) -> None:
-    """Add an effect; refused when the error at poses left out does not fall."""
+    """Add an effect and fit again. The step is refused unless the validation error falls."""
     session = _open(folder)
     _print_state(session, session.add(effect, console.progress, force), as_json)
 
 
 def remove(folder: Folder, effect: EffectName, force: Force = False, as_json: Json = False) -> None:
-    """Remove an effect; refused when the error at poses left out rises."""
+    """Remove an effect and fit again. The step is refused if the validation error rises."""
     session = _open(folder)
     _print_state(session, session.remove(effect, console.progress, force), as_json)
 
 
 def diagnose(folder: Folder, as_json: Json = False) -> None:
-    """What is missing in the model; the verdict is kept with the state."""
+    """Diagnose the model. The session keeps the verdict."""
     session = _open(folder)
     found = session.diagnose(console.progress)
     console.progress("", 1.0)
@@ -160,10 +162,10 @@ def diagnose(folder: Folder, as_json: Json = False) -> None:
 def exclude(
     folder: Folder,
     samples: Samples,
-    reason: Annotated[str, typer.Option(help="why they do not count")] = "",
+    reason: Annotated[str, typer.Option(help="reason for the exclusion")] = "",
     as_json: Json = False,
 ) -> None:
-    """Leave samples out, with a reason, and identify anew."""
+    """Exclude samples, with a reason, and fit again."""
     session = _open(folder)
     _print_state(
         session, session.exclude(dict.fromkeys(samples, reason), console.progress), as_json
@@ -171,46 +173,46 @@ def exclude(
 
 
 def include(folder: Folder, samples: Samples, as_json: Json = False) -> None:
-    """Take back samples that were left out, and identify anew."""
+    """Include excluded samples again, and fit again."""
     session = _open(folder)
     _print_state(session, session.include(samples, console.progress), as_json)
 
 
 def undo(folder: Folder, as_json: Json = False) -> None:
-    """One step back."""
+    """Undo the last step."""
     session = _open(folder)
     _print_state(session, session.undo(), as_json)
 
 
 def redo(folder: Folder, as_json: Json = False) -> None:
-    """Take the step again that was undone last."""
+    """Redo the step that was undone last."""
     session = _open(folder)
     _print_state(session, session.redo(), as_json)
 
 
 def branch(
     folder: Folder,
-    name: Annotated[str, typer.Argument(help="of the new branch")],
+    name: Annotated[str, typer.Argument(help="name of the new branch")],
     as_json: Json = False,
 ) -> None:
-    """Begin a branch here, to try something beside."""
+    """Start a branch at this step, to try an alternative."""
     session = _open(folder)
     _print_state(session, session.start_branch(name), as_json)
 
 
 def switch(
     folder: Folder,
-    name: Annotated[str, typer.Argument(help="of the branch to go on with")],
+    name: Annotated[str, typer.Argument(help="name of the branch")],
     as_json: Json = False,
 ) -> None:
-    """Go on with another branch."""
+    """Switch to another branch."""
     session = _open(folder)
     _print_state(session, session.switch(name), as_json)
 
 
 def save(folder: Folder, output: Out, force: Force = False, as_json: Json = False) -> None:
-    """Write the model of the last step for the robot, unless the model in the file is better or
-    something speaks against this one."""
+    """Write the model of the last step, unless the model in the file is better or a check
+    objects."""
     from parallel_cal.base.errors import ParallelCalError
     from parallel_cal.model.file.modelfile import model_hash
     from parallel_cal.session.saving import SaveRefused
@@ -219,14 +221,14 @@ def save(folder: Folder, output: Out, force: Force = False, as_json: Json = Fals
     try:
         found = session.save(output, lambda _: force, console.progress)
     except SaveRefused as refused:
-        raise ParallelCalError(f"{refused}; --force to write it all the same") from None
+        raise ParallelCalError(f"{refused}; --force writes it anyway") from None
     console.progress("", 1.0)
     console.warn(found.objections)
     sha256 = model_hash(session.model)
     if as_json:
         written = {"output": str(output), "hash": sha256}
         return console.emit(written | found.document())
-    words = f"{output} holds this model already" if found.is_in_use else f"written: {output}"
+    words = f"{output} contains this model already" if found.is_in_use else f"written: {output}"
     console.say(f"{words} (sha256 {sha256[:12]})")
     if found.comparison:
         console.say(found.comparison)

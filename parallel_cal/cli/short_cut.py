@@ -1,4 +1,4 @@
-"""The short-cut set-up: a Delta from loops of its own arms and rods."""
+"""The command for the short-cut set-up: identify a Delta from loops of its own arms and rods."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ def short_cut(
     data: Data = None,
     as_json: Json = False,
 ) -> None:
-    """Identify a Delta without a device, from loops of two of its arms and one of its rods.
+    """Identify a Delta without a measuring device, from loops of two arms and one rod.
 
-    The topic `constraint` names the loop that is tied: 12:21:11 is the second ball of arm 1 tied to
-    the first of arm 2 by the first rod of chain 1. Angles do not see the size: --fix what was
-    measured, such as chain1.Lb chain1.dLb.
+    The topic `constraint` names the loop: in 12:21:11, the first rod of chain 1 connects the
+    second ball of arm 1 to the first ball of arm 2. Angles do not determine the size: --fix
+    lengths that you measured, such as chain1.Lb chain1.dLb.
     """
     from parallel_cal.model.file.modelfile import model_hash, replace_model
     from parallel_cal.short_cut import identify
@@ -61,7 +61,7 @@ def _show(document: dict[str, Any]) -> None:
         f"{document['rank']} of {document['free']} free parameters identified, chi2/dof "
         f"{format_fixed(document['chi2_per_dof'])}; rms error of each loop's second arm:"
     )
-    header = ("loop", "samples", "seen of 9", "before [arcmin]", "after [arcmin]")
+    header = ("loop", "samples", "rank of 9", "before [arcmin]", "after [arcmin]")
     rows = [
         (
             k["loop"],

@@ -1,4 +1,4 @@
-"""To see it work: the demonstration and the benchmarks."""
+"""Commands that run the demonstration and the benchmarks."""
 
 from __future__ import annotations
 
@@ -15,32 +15,41 @@ from parallel_cal.reporting import console
 
 
 def demo(
-    effect: Annotated[str, typer.Option(help="what it hides; none: drawn")] = "",
-    seed: Annotated[int | None, typer.Option(help="draws how it is built; none: drawn")] = None,
+    effect: Annotated[str, typer.Option(help="hidden effect [default: drawn at random]")] = "",
+    seed: Annotated[
+        int | None, typer.Option(help="seed of the robot's parameters [default: random]")
+    ] = None,
     as_json: Json = False,
 ) -> None:
-    """Let a virtual robot calibrate itself from beginning to end (needs ROS 2)."""
+    """Let a virtual robot calibrate itself from beginning to end. Needs ROS 2."""
     try:
         module = import_module("parallel_cal.nodes.demo")
     except ModuleNotFoundError as error:
-        raise ParallelCalError(f"the demonstration needs {error.name}") from None
+        raise ParallelCalError(
+            f"the demonstration needs ROS 2 ({error.name} was not found): source your ROS "
+            "installation, or pip install 'parallel_cal[ros]'"
+        ) from None
     sys.exit(module.main(json=as_json, effect=effect, seed=seed))
 
 
 def bench(
-    names: Annotated[list[str] | None, typer.Argument(help="which ones; none: all")] = None,
+    names: Annotated[
+        list[str] | None, typer.Argument(help="names of benchmarks [default: all]")
+    ] = None,
 ) -> None:
-    """Run the measurements of speed and accuracy in bench/ (needs the repository)."""
+    """Run the benchmarks of speed and accuracy in bench/. Needs the repository."""
     import subprocess
 
     folder = Path(__file__).resolve().parents[2] / "bench"
     files = sorted(folder.glob("*.py"))
     scripts = {f.stem: f for f in files if "__main__" in f.read_text(encoding="utf-8")}
     if not scripts:
-        raise ParallelCalError(f"{folder}: no benchmarks; they come with the repository")
+        raise ParallelCalError(f"{folder}: no benchmarks found; clone the repository to run them")
     unknown = [name for name in names or [] if name not in scripts]
     if unknown:
-        raise ParallelCalError(f"no benchmark {', '.join(unknown)}; there are {', '.join(scripts)}")
+        raise ParallelCalError(
+            f"unknown benchmark {', '.join(unknown)}; expected one of {', '.join(scripts)}"
+        )
     for name in names or scripts:
         console.note(f"{name} ...")
         done = subprocess.run([sys.executable, str(scripts[name])], check=False)

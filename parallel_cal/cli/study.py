@@ -1,4 +1,4 @@
-"""What a design, and a plan, are worth before anything is built or measured."""
+"""Commands that predict the accuracy of a design and the power of a measurement plan."""
 
 from __future__ import annotations
 
@@ -27,29 +27,31 @@ if TYPE_CHECKING:
 app = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode=None,
-    help="What a design, and a plan of poses, are worth: by virtual robots.",
+    help="Predict the accuracy of a design, and what a measurement plan can detect, by simulation.",
 )
-Seed = Annotated[int, typer.Option(min=0, help="of all that is drawn")]
+Seed = Annotated[int, typer.Option(min=0, help="seed of all random numbers")]
 
 
 @app.command()
 def tolerance(
     model: ModelFile,
-    robots: Annotated[int, typer.Option(min=2, help="how many are drawn")] = 200,
-    poses: Annotated[int, typer.Option(min=1, help="in the workspace, each robot's")] = 200,
+    robots: Annotated[int, typer.Option(min=2, help="number of random robots")] = 200,
+    poses: Annotated[int, typer.Option(min=1, help="number of poses per robot")] = 200,
     at: At = None,
     plan: Annotated[
         Path | None,
-        typer.Option(metavar="PLAN.csv", help="say what a calibration at its poses would leave"),
+        typer.Option(
+            metavar="PLAN.csv", help="also predict the error after calibration at its poses"
+        ),
     ] = None,
     seed: Seed = 0,
     scheduler: Scheduler = None,
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="folder for page and numbers")
+        Path | None, typer.Option("-o", "--output", help="folder for the page and the numbers")
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Say what accuracy a design will have, and which tolerance costs most."""
+    """Predict the accuracy of a design, and find the tolerance that contributes most."""
     from parallel_cal.kinematics.answers import parse_conditions
     from parallel_cal.model.file.modelfile import read_model
     from parallel_cal.reporting.studies import format_tolerances, tolerances_page
@@ -81,29 +83,31 @@ def tolerance(
 def power(
     plan: Annotated[
         Path,
-        typer.Argument(metavar="PLAN", help="poses that 'plan' wrote (.csv), or a recording's"),
+        typer.Argument(metavar="PLAN", help="poses written by 'plan' (.csv), or a recording"),
     ],
     model: ModelFile,
     *,
     effect: Annotated[
-        list[str] | None, typer.Option(help="plant only this effect (repeat for several)")
+        list[str] | None, typer.Option(help="simulate only this effect (repeat for several)")
     ] = None,
     also: Also = None,
     pace: Annotated[
-        float, typer.Option(min=0.1, help="s from one pose of a plan to the next")
+        float, typer.Option(min=0.1, help="time between two poses of a plan (s)")
     ] = 1.5,
-    sessions: Annotated[int, typer.Option(min=2, help="with an effect of each size")] = 10,
+    sessions: Annotated[int, typer.Option(min=2, help="number of sessions for each size")] = 10,
     seed: Seed = 0,
     scheduler: Scheduler = None,
     workers: Workers = None,
     options: FitOptions,
     data: Data = None,
     output: Annotated[
-        Path, typer.Option("-o", "--output", help="folder for sessions, page and numbers")
+        Path,
+        typer.Option("-o", "--output", help="folder for the sessions, the page and the numbers"),
     ] = Path("power"),
     as_json: Json = False,
 ) -> None:
-    """Say which effects of which size a session would find; a command that was ended goes on."""
+    """Predict which effects, from which size on, a session can detect. An interrupted command
+    can be resumed."""
     from parallel_cal.model.file.modelfile import dump_model
     from parallel_cal.reporting.studies import format_power, power_page
     from parallel_cal.study import power as studies
@@ -135,14 +139,16 @@ def power(
 
 
 def _with_noise(path: Path) -> Model:
-    """The model, with typical instruments' noise where it states none, which is said."""
+    """Read the model; if it states no noise, assume typical values and print a note."""
     from parallel_cal.model.file.modelfile import read_model
     from parallel_cal.recordings.simulate import with_noise
 
     own = read_model(path)
     known = with_noise(own)
     if known.noise != own.noise:
-        console.note(f"{path} states no noise of joints or device: typical instruments are taken")
+        console.note(
+            f"{path} states no noise of the joints or the device: typical values are assumed"
+        )
     return known
 
 

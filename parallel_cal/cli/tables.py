@@ -1,4 +1,4 @@
-"""Many direct or inverse problems at once: a CSV table in, a CSV table out."""
+"""Forward and inverse kinematics of the rows of a CSV table."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ QUATERNION = ("qx", "qy", "qz", "qw")
 
 
 def _check_columns(table: Table, wanted: Sequence[str], optional: Sequence[str]) -> Table:
-    """SolveError where the table has not the wanted columns, or others than the optional ones."""
+    """Raise SolveError if wanted columns are missing, or others than the optional ones exist."""
     known, header = {*wanted, *optional}, table.header
     if not {*wanted} <= {*header} <= known or len(set(header)) < len(header):
         also = f" (and may have {', '.join(optional)})" if optional else ""
@@ -36,12 +36,15 @@ def _check_columns(table: Table, wanted: Sequence[str], optional: Sequence[str])
 
 
 def _columns(table: Table, names: Sequence[str]) -> np.ndarray:
-    """(N, len(names)), NaN where a cell is no number: its row gets a status, others go on."""
+    """Return the columns (N, len(names)), NaN for cells that are not numbers.
+
+    A row with such a cell gets a status; the other rows are solved.
+    """
     return np.column_stack([table.column(name) for name in names])
 
 
 def direct_table(model: Model, path: Path, at: Conditions, solver: str) -> tuple[str, Solutions]:
-    """Poses for a table of joints: the CSV text and the solutions."""
+    """Solve a table of joint readings; return the CSV text and the solutions."""
     table = _check_columns(read_table(path), model.joints, model.conditions)
     q = _columns(table, model.joints)
     conditions = _conditions(model, table, at)
@@ -55,7 +58,7 @@ def direct_table(model: Model, path: Path, at: Conditions, solver: str) -> tuple
 
 
 def inverse_table(model: Model, path: Path, at: Conditions, solver: str) -> tuple[str, Solutions]:
-    """Joints for a table of poses: the CSV text and the solutions."""
+    """Solve a table of poses; return the CSV text and the solutions."""
     table = _pose_table(model, path)
     n = len(table.rows)
     r = np.tile(model.mechanism.home.position, (n, 1))
@@ -73,7 +76,7 @@ def inverse_table(model: Model, path: Path, at: Conditions, solver: str) -> tupl
 
 
 def _pose_table(model: Model, path: Path) -> Table:
-    """A table of positions, orientations or both, as its header and the mechanism have it."""
+    """Read positions, orientations or both, according to the header and the mechanism."""
     table = read_table(path)
     header = {*table.header}
     turned = bool(header & {*QUATERNION}) or not {*model.mechanism.controls} & {*POSITION}
@@ -83,7 +86,7 @@ def _pose_table(model: Model, path: Path) -> Table:
 
 
 def _find_finite_rows(numbers: np.ndarray, conditions: Conditions) -> np.ndarray:
-    """Rows (n,) that hold numbers only."""
+    """Return a mask (n,) of the rows that contain numbers only."""
     good = np.isfinite(numbers).all(axis=1)
     for column in conditions.values():
         good = good & np.isfinite(column)
@@ -91,7 +94,7 @@ def _find_finite_rows(numbers: np.ndarray, conditions: Conditions) -> np.ndarray
 
 
 def _make_invalid_solutions(model: Model, good: np.ndarray) -> Solutions:
-    """An answer for every row, all of them still invalid."""
+    """Make an invalid solution for every row."""
     n = len(good)
     return Solutions(
         np.full((n, len(model.joints)), np.nan),
@@ -115,7 +118,7 @@ def _rotations(table: Table) -> np.ndarray:
 
 
 def _conditions(model: Model, table: Table, at: Conditions) -> dict[str, np.ndarray]:
-    """Those of the command line, overruled by columns of the table."""
+    """Return the conditions; columns of the table override those of the command line."""
     columns = {k: table.column(k) for k in table.header if k in model.conditions}
     return {**{name: np.array(value) for name, value in at.items()}, **columns}
 
@@ -127,7 +130,7 @@ def _select_rows(conditions: Conditions, good: np.ndarray) -> dict[str, np.ndarr
 
 
 def _text(table: Table, names: Sequence[str], values: np.ndarray, found: Solutions) -> str:
-    """The given cells, the answer, residual (m) and status; a bad row keeps its cells."""
+    """Format the given cells, the solution, its residual (m) and status; bad rows keep cells."""
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow([*table.header, *names, "residual", "status"])
@@ -142,5 +145,5 @@ def _text(table: Table, names: Sequence[str], values: np.ndarray, found: Solutio
 
 
 def counts(found: Solutions) -> dict[str, int]:
-    """How many rows have each status, most frequent first."""
+    """Count the rows with each status, most frequent first."""
     return dict(Counter(status_text(s) for s in found.status).most_common())

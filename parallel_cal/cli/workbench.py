@@ -1,4 +1,4 @@
-"""The live page on a session."""
+"""The command that serves the live page of a session."""
 
 from __future__ import annotations
 
@@ -22,42 +22,45 @@ if TYPE_CHECKING:
 def workbench(
     model: Annotated[
         Path | None,
-        typer.Argument(metavar="MODEL.yaml", help="model file, or a session's folder"),
+        typer.Argument(metavar="MODEL.yaml", help="model file, or the folder of a session"),
     ] = None,
     bags: Annotated[
-        list[Path] | None, typer.Argument(help="recordings, for a new session; several: sessions")
+        list[Path] | None, typer.Argument(help="recordings for a new session of the workbench")
     ] = None,
     *,
     ros: Annotated[
-        bool, typer.Option("--ros", help="beside the running nodes; none: start both on MODEL.yaml")
+        bool,
+        typer.Option("--ros", help="use the running nodes; if none run, start both on MODEL.yaml"),
     ] = False,
-    namespace: Annotated[str, typer.Option(help="of the nodes, with --ros")] = "",
+    namespace: Annotated[str, typer.Option(help="namespace of the nodes, with --ros")] = "",
     session: Annotated[
-        Path | None, typer.Option(help="the session's folder [default: MODEL.session]")
+        Path | None, typer.Option(help="folder of the session [default: MODEL.session]")
     ] = None,
     output: Annotated[
         Path | None,
         typer.Option(
             "-o",
             "--output",
-            help="what Save writes [default: the nodes' model file; without --ros: model.yaml in "
-            "the session's folder]",
+            help="file that Save writes [default: the model file of the nodes; without --ros: "
+            "model.yaml in the session's folder]",
         ),
     ] = None,
-    host: Annotated[str, typer.Option(help="address to listen at")] = "127.0.0.1",
-    port: Annotated[int, typer.Option(help="port to listen at")] = 8080,
-    token: Annotated[str, typer.Option(help="needed with --host: who has it may come in")] = "",
+    host: Annotated[str, typer.Option(help="address on which the server listens")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(help="port on which the server listens")] = 8080,
+    token: Annotated[str, typer.Option(help="secret that visitors need; required by --host")] = "",
     browser: Annotated[bool, typer.Option("--open/--no-open", help="open a browser")] = True,
     options: FitOptions,
     data: Data = None,
 ) -> None:
-    """Open the live page: see where the model fails, add what is missing, watch the error fall."""
+    """Open the live page: see where the model fails, add the missing effect, check the error."""
     if find_spec("nicegui") is None:
         raise ParallelCalError("the workbench needs NiceGUI: pip install 'parallel_cal[workbench]'")
     from parallel_cal.workbench.server import LOOPBACK, serve
 
     if host not in LOOPBACK and not token:
-        raise ParallelCalError(f"--host {host}: others can come in; give a --token that they need")
+        raise ParallelCalError(
+            f"--host {host}: other computers can connect; give a --token that they must know"
+        )
     watch = _watch(namespace) if ros else None
     try:
         served = Path(watch.model_file()) if watch and watch.model_file() else None
@@ -71,7 +74,7 @@ def workbench(
         if watch and not served:
             _start(watch, folder, output)
         address = f"http://{host}:{port}/" + (f"?token={token}" if token else "")
-        console.note(f"{folder}: {address} (Ctrl-C ends it; the session stays)")
+        console.note(f"{folder}: {address} (Ctrl-C stops the server; the session is kept)")
         serve(folder, output, watch, host=host, port=port, token=token, show=browser)
     finally:
         if watch:
@@ -87,7 +90,8 @@ def _watch(namespace: str) -> Watch:
 
 
 def _start(watch: Watch, folder: Path, model_file: Path) -> None:
-    """Both nodes on the file that Save writes: the session's model, where there is none yet."""
+    """Start both nodes on the file that Save writes; if it is missing, write the session's model
+    to it."""
     from parallel_cal.model.file.modelfile import write_model
     from parallel_cal.session.session import Session
 
@@ -105,20 +109,22 @@ def _prepare_session(
     data: list[str] | None,
     ros: bool,
 ) -> None:
-    """A session in the folder: the one that is there, else a new one."""
+    """Use the session in the folder, or start a new one."""
     from parallel_cal.session.history import FILE, History
 
     if (folder / FILE).exists():
         known = History(folder).record.recordings
         if others := [bag for bag in bags if str(bag.resolve()) not in known]:
             raise ParallelCalError(
-                f"{folder}: a session on {', '.join(known) or 'live samples'}, not on {others[0]}; "
-                "name another --session"
+                f"{folder}: this session uses {', '.join(known) or 'live samples'}, not "
+                f"{others[0]}; choose another folder by --session"
             )
-        console.note(f"going on with the session in {folder}, with its own options")
+        console.note(f"resuming the session in {folder} with its own options")
         return
     if model.is_dir():
-        raise ParallelCalError(f"{model}: no session in this folder; give a model file and BAG")
+        raise ParallelCalError(
+            f"{model}: no session in this folder; give a model file and a recording"
+        )
     if not (bags or ros):
         raise ParallelCalError(f"{folder}: a new session needs at least one recording, or --ros")
     from parallel_cal.model.file.modelfile import read_model

@@ -1,4 +1,4 @@
-"""Everything that is printed: documents and tables on stdout, notes on stderr."""
+"""Output of the commands: documents and tables on stdout, notes on stderr."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from parallel_cal.base.documents import to_json_value
 from parallel_cal.base.progress import Progress
 from parallel_cal.reporting.readable import columns
 
-STOPPED = "stopped; what is done is kept, and the same command goes on from there"
+STOPPED = "stopped; the finished work is kept; run the same command again to resume"
 
 
 def emit(document: Any) -> None:
-    """One JSON document on stdout."""
+    """Write one JSON document to stdout."""
     sys.stdout.write(json.dumps(to_json_value(document), allow_nan=False) + "\n")
 
 
 def say(text: str) -> None:
-    """A line of the answer for people, on stdout."""
+    """Write a line of the answer to stdout."""
     sys.stdout.write(text + "\n")
 
 
 def note(text: str) -> None:
-    """A line beside the answer: progress, warnings; on stderr."""
+    """Write a line that is not part of the answer, such as a warning, to stderr."""
     sys.stderr.write(text + "\n")
 
 
@@ -37,17 +37,17 @@ def warn(warnings: Iterable[str]) -> None:
 
 
 def error(text: str) -> None:
-    """One line, whatever the text."""
+    """Write an error as one line."""
     note("error: " + " ".join(text.split()))
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
-    """A short table without frames; numbers to the right."""
+    """Write a short table without frames, with numbers aligned to the right."""
     say(columns(header, rows))
 
 
 def progress(stage: str, fraction: float) -> None:
-    """A line on stderr that overwrites itself, where somebody looks at it."""
+    """Write a line that overwrites itself to stderr if it is a terminal."""
     if sys.stderr.isatty():
         text = f"{stage} {100 * fraction:.0f} %" if fraction < 1 else ""
         sys.stderr.write(f"\r\x1b[2K{text}")
