@@ -97,7 +97,7 @@ def _on_the_page(folder: Path) -> list[Row]:
             again = []
             for _ in range(REPEATS):
                 _step(page, "Undo", "not identified yet")
-                again.append(_step(page, "Fit", "looking for what is missing"))
+                again.append(_step(page, "Fit", "running the diagnosis"))
                 page.locator("#verdict").get_by_text(FOUND).wait_for()
                 _rest(page)
             rows.append(Row("re-fit, and every view drawn anew", median(again)))

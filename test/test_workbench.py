@@ -58,7 +58,7 @@ def test_a_bench_takes_steps_beside_and_shows_what_came_out(folder):
     until(lambda: bench.stage not in ("", "starting"), "its first word")
     bench.cancel()
     until(lambda: not bench.busy, "the end")
-    assert bench.message == "cancelled; the session is as it was"
+    assert bench.message == "cancelled; the session is unchanged"
     assert bench.session.state.step == "save to model.yaml, forced"
     again = Bench(folder)  # what was looked at is kept
     assert not again.busy
@@ -186,14 +186,14 @@ def test_the_whole_loop_on_the_page(browser, tmp_path):
 
         page.get_by_role("button", name="Undo", exact=True).click()
         page.locator("#verdict").get_by_text("one effect missing").wait_for()
-        page.get_by_label("new branch from here").fill("careful")
+        page.get_by_label("name of new branch").fill("careful")
         page.get_by_role("button", name="Branch", exact=True).click()
         page.get_by_role("cell", name="careful").wait_for()
         page.get_by_role("checkbox").nth(1).click()
         page.locator("#marked").get_by_text("1 sample marked").wait_for()
         page.get_by_label("reason").fill("bumped")
         page.get_by_role("button", name="Exclude", exact=True).click()
-        page.get_by_text("is left out: bumped").wait_for()
+        page.get_by_text("is excluded: bumped").wait_for()
         assert asked_for == {f"127.0.0.1:{served.port}"}  # nothing leaves the machine
 
         served.end(signal.SIGKILL)
@@ -202,13 +202,13 @@ def test_the_whole_loop_on_the_page(browser, tmp_path):
         assert list(session.state.excluded.values()) == ["bumped"]
         served = Served(MODEL, BAG, "--session", folder, "-o", output)
         page.goto(served.url)
-        page.get_by_text("is left out: bumped").wait_for()
+        page.get_by_text("is excluded: bumped").wait_for()
         page.get_by_role("button", name="Fit", exact=True).click()
         page.get_by_role("button", name="Cancel", exact=True).click()
         page.locator("#message").get_by_text("cancelled").wait_for()
         last, said = Session(folder).state, page.locator("#message").inner_text()
         # The fit is quicker than a click may be: what is said of it is true.
-        assert (last.number == session.state.number) == ("the session is as it was" in said)
+        assert (last.number == session.state.number) == ("the session is unchanged" in said)
         assert session.state.number in (last.number, last.parent)
     finally:
         served.end()
@@ -239,7 +239,7 @@ def test_everything_else_on_the_page_and_no_serious_fault_of_access(browser, tmp
         page.goto(served.url)
         page.locator("#verdict").get_by_text("one effect missing: backlash").wait_for()
         assert "AP" in page.locator("#iso").inner_text()
-        page.get_by_text("its pattern").first.click()
+        page.get_by_text("Show pattern").first.click()
         page.get_by_role("figure", name="backlash: residual of joint1 against").wait_for()
         for name, words in (("sides", "from three sides"), ("uncertainty", "1-sigma ellipses")):
             page.get_by_role("tab", name=name).click()
@@ -256,13 +256,13 @@ def test_everything_else_on_the_page_and_no_serious_fault_of_access(browser, tmp
         page.get_by_role("button", name="Plan", exact=True).click()
         page.get_by_role("figure", name="planned poses").wait_for()
         with page.expect_download() as download:
-            page.get_by_role("button", name="CSV", exact=True).click()
+            page.get_by_role("button", name="Download CSV", exact=True).click()
         assert len(Path(download.value.path()).read_text().splitlines()) == 9
 
         before = Session(folder).state
         row = page.get_by_role("row").filter(has_text="chain1.Lb")
         row.get_by_role("checkbox").click()
-        page.get_by_role("button", name="Hold marked", exact=True).click()
+        page.get_by_role("button", name="Fix marked", exact=True).click()
         until(lambda: Session(folder).state != before, "the parameter held")
         assert "chain1.Lb" in Session(folder).options.fix
         number = Session(folder).state.number
@@ -271,7 +271,7 @@ def test_everything_else_on_the_page_and_no_serious_fault_of_access(browser, tmp
         page.locator("#stage").wait_for(state="hidden")  # the page is drawn anew until then
         time.sleep(1)
         page.get_by_role("button", name="Compare", exact=True).click()
-        page.get_by_text("Branches side by side").wait_for()
+        page.get_by_text("Compare branches").wait_for()
         page.get_by_role("figure", name="residuals of beside").wait_for()
         page.get_by_role("figure", name="residuals of main").wait_for()
         page.keyboard.press("Escape")
@@ -447,7 +447,7 @@ def test_the_server_writes_over_a_better_model_only_what_the_owner_confirmed(fol
     assert output.read_text() == better
     bench.keep_model_in_use()
     assert bench.question is None
-    assert "is as it was" in bench.message
+    assert "is unchanged" in bench.message
     output.write_text(better + "# written by a campaign meanwhile\n")
     save(first.key)
     assert bench.question.key != first.key
@@ -483,7 +483,7 @@ def test_the_page_asks_before_it_overwrites_a_better_model(browser, folder, tmp_
         page.locator("#message").get_by_text("not saved").wait_for()
         assert output.read_text() == better
         page.get_by_role("button", name="Save", exact=True).click()
-        page.get_by_role("button", name="Write it all the same", exact=True).click()
+        page.get_by_role("button", name="Write anyway", exact=True).click()
         page.locator("#message").get_by_text("written").wait_for()
         assert not read_model(output).effects
         page.get_by_role("cell", name="save to robot.yaml, forced").wait_for()

@@ -1,4 +1,4 @@
-"""A session with its long work beside it: one step at a time, with progress, cancelled at once."""
+"""A session with a worker process: one step at a time, with progress; a step can be cancelled."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from parallel_cal.session.history import History
 if TYPE_CHECKING:
     from parallel_cal.session.session import Session
 
-# Methods of a session that take their time.
+# Methods of a session that take long.
 STEPS = ("fit", "add", "remove", "exclude", "include", "choose", "plan")
 
 
@@ -41,7 +41,7 @@ class Live(Protocol):
 
 @dataclass(frozen=True)
 class Question:
-    """What the owner has to confirm before a model is saved; `key` names just that."""
+    """A question that the owner must confirm before a model is saved; `key` identifies it."""
 
     words: str
     key: str
@@ -49,22 +49,25 @@ class Question:
 
 @dataclass(frozen=True)
 class Done:
-    """What came out of work in the worker: a `message`, and a `question` to the owner."""
+    """The result of work in the worker: a `message`, and a `question` to the owner."""
 
     message: str
     question: Question | None = None
 
 
 class Bench:
-    """What all windows on a session share; `version` rises whenever something to be seen changes.
+    """The state that all windows of a session share; `version` rises with every visible change.
 
-    A step is done in a process of its own and is on disk when it is done: ended early, it leaves
-    the session as it was.
+    A step runs in another process and is on disk when it is complete. A cancelled step leaves the
+    session unchanged.
     """
 
     def __init__(self, folder: Path, output: Path | None = None, live: Live | None = None):
-        """`output` is the only file outside the folder that is written: the robot's model; `live`
-        are the nodes at the robot."""
+        """Open a session.
+
+        `output` is the robot's model file, the only file outside the folder that is written.
+        `live` are the nodes at the robot.
+        """
         self.session, self.output = History(folder), output or folder / "model.yaml"
         self.live = live
         self.version, self.seen = 0, 0
@@ -77,26 +80,28 @@ class Bench:
         self._update_view()
 
     def close(self) -> None:
-        """End whatever is under way, and what was started for it."""
+        """End the worker and the connection to the nodes."""
         self._worker.end()
         if self.live is not None:
             self.live.close()
 
     def begin(self, step: str, *given: Any, **options: Any) -> None:
-        """Take a step of the session, then look at what came out; nothing while one goes on."""
+        """Start a step of the session and then compute its view; do nothing while a step runs."""
         self._begin(_work, step, given, options)
 
     def save(self, confirmed: str = "") -> None:
-        """Compare the present model with the one in `output`, and write it there where it is
-        better; where it is not, that is the `question`, and only its key as `confirmed` writes
-        it. A key of another question counts for nothing: it is asked anew."""
+        """Compare the present model with the one in `output`, and write it if it is better.
+
+        Otherwise ask the `question`. Only its key as `confirmed` writes the model; the key of
+        another question leads to a new question.
+        """
         self._begin(_save, self.output, confirmed)
 
     def keep_model_in_use(self) -> None:
-        """The owner's other answer to the question: nothing is written."""
+        """Answer the question with no: write nothing."""
         if self.question is not None:
             self.question = None
-            self.message, self.failed = f"not saved: {self.output} is as it was", False
+            self.message, self.failed = f"not saved: {self.output} is unchanged", False
             self._mark_changed()
 
     def _begin(self, function: Callable[..., Done], *given: Any) -> None:
@@ -109,18 +114,18 @@ class Bench:
         Thread(target=self._run_in_worker, args=(function, *given), daemon=True).start()
 
     def cancel(self) -> None:
-        """End the step that is under way; the session stays as it was."""
+        """Cancel the step that is running; the session stays unchanged."""
         self._cancelled = True
 
     def take(self) -> None:
-        """Take what calibration_node has collected into the session."""
+        """Take the samples that calibration_node has collected into the session."""
         from parallel_cal.session.session import Session
 
         if self.live is not None:
             self._run_step(partial(Session(self.session.folder).take, self.live.save_samples))
 
     def run_now(self, step: str, *given: Any) -> None:
-        """A step that takes no time: undo, redo, start_branch, switch."""
+        """Run a step that takes no time: undo, redo, start_branch, switch."""
         self._run_step(partial(getattr(self.session, step), *given))
 
     def _run_step(self, step: Callable[[], object]) -> None:
@@ -134,19 +139,19 @@ class Bench:
 
     @property
     def planned(self) -> Path | None:
-        """The poses to measure next, where some were planned for this state."""
+        """The file of the poses to measure next, if some were planned for this state."""
         file = self.session.folder / "plans" / f"{self.session.state.number}.csv"
         return file if file.exists() else None
 
     @property
     def hash(self) -> str:
-        """sha256 (hex) of the present model, as the nodes tell it."""
+        """sha256 (hex) of the present model, as the nodes report it."""
         from parallel_cal.model.file.modelfile import model_hash
 
         return model_hash(read_text(self.session.folder / self.session.state.model))
 
     def follow(self) -> None:
-        """Take up what another program has done in the session's folder."""
+        """Show what another program changed in the session's folder."""
         if not self.busy and self._refresh_session():
             self._update_view()
 
@@ -169,17 +174,17 @@ class Bench:
             before = -1
         self._refresh_session()
         if before == self.session.state.number:
-            self.message += "; the session is as it was"
-        elif before >= 0:  # the step was done, only the look at what it left was not
-            self.message += f"; {self.session.state.step} is done, what it leaves is not looked at"
-        # Where the look was ended what could be seen at once stays.
+            self.message += "; the session is unchanged"
+        elif before >= 0:  # the step was completed, only its diagnosis was not
+            self.message += f"; {self.session.state.step} was kept, the diagnosis was not completed"
+        # If the diagnosis was cancelled, the preliminary view stays.
         found = load_view(self.session)
         self.view, self.seen = (self.view if found is None else found), self.seen + 1
         self.busy = False
         self._mark_changed()
 
     def _on_progress(self, stage: str, fraction: float, view: dict[str, Any] | None = None) -> None:
-        """How far the step is, and what can be seen before all of it is."""
+        """Show the progress of the step, and its preliminary view."""
         self.stage, self.fraction = stage, fraction
         if view is not None:
             self._refresh_session()
@@ -187,7 +192,7 @@ class Bench:
         self._mark_changed()
 
     def _refresh_session(self) -> bool:
-        """Whether the session on disk is another one now; one that is gone is said, once."""
+        """Return whether the session on disk changed; report once if it is missing."""
         try:
             return self.session.refresh()
         except ParallelCalError as error:
@@ -196,8 +201,8 @@ class Bench:
             return changed
 
     def _update_view(self) -> None:
-        """Show the present state: what is kept of it, else look at it anew."""
-        self.question = None  # it was about the state before
+        """Show the stored view of the present state, or begin to compute it."""
+        self.question = None  # it was about the previous state
         self.view, self.seen = load_view(self.session), self.seen + 1
         self._mark_changed()
         if self.view is None:
@@ -207,11 +212,11 @@ class Bench:
         self.version += 1
 
 
-VIEW_VERSION = 7  # of what is kept of a view: another one is looked at anew
+VIEW_VERSION = 8  # of the stored views; a view of another version is computed again
 
 
 def view_path(session: History, state: int | None = None) -> Path:
-    """Where a state's view is kept; a state never changes, and so neither does its view."""
+    """Return the file of a state's view. A state never changes, so its view does not either."""
     number = session.state.number if state is None else state
     return session.folder / "views" / f"{number}.json"
 
@@ -225,13 +230,13 @@ def load_view(session: History, state: int | None = None) -> dict[str, Any] | No
 
 
 def _import_views() -> None:
-    """What a worker has at hand before it is asked."""
+    """Import in the worker, before its first task, what takes long to import."""
     import parallel_cal.workbench.views  # noqa: F401
 
 
 @cache
 def _open_session(folder: Path) -> Session:
-    """The worker's own session, with the samples that it has read."""
+    """Open the worker's own session once, so that it reads the samples only once."""
     from parallel_cal.session.session import Session
 
     return Session(folder)
@@ -244,8 +249,7 @@ def _work(
     options: Mapping[str, Any],
     tell: Callable[..., None],
 ) -> Done:
-    """In the worker: one step of the session in `folder`, then its view, kept in a file; a word
-    on what came out."""
+    """Run one step of the session in `folder` and write its view to a file (in the worker)."""
     from parallel_cal.workbench.views import glance, view
 
     session = _open_session(folder)
@@ -254,7 +258,7 @@ def _work(
     if step in STEPS:
         done = getattr(session, step)(*given, progress=tell, **options)
     if load_view(session) is None:
-        tell("looking for what is missing", 0.0, glance(session))
+        tell("running the diagnosis", 0.0, glance(session))
         shown = view(session, tell)
         file = view_path(session)
         file.parent.mkdir(exist_ok=True)
@@ -263,8 +267,7 @@ def _work(
 
 
 def _save(folder: Path, output: Path, confirmed: str, tell: Callable[..., None]) -> Done:
-    """In the worker: write the present model to `output`, or the question that has to be confirmed
-    first."""
+    """Write the present model to `output`, or return the question to confirm (in the worker)."""
     from parallel_cal.session.saving import SaveRefused
 
     session = _open_session(folder)
@@ -274,10 +277,10 @@ def _save(folder: Path, output: Path, confirmed: str, tell: Callable[..., None])
         found = session.save(output, lambda replacement: replacement.key == confirmed, tell)
     except SaveRefused as refused:
         asked = refused.replacement
-        words = f"{'; '.join(asked.reasons)}. Write it to {output} all the same?"
+        words = f"{'; '.join(asked.reasons)}. Write this model to {output} anyway?"
         return Done("", Question(words, asked.key))
     if before.exists() and view_path(session) != before:  # the same numbers under another state
         shutil.copyfile(before, view_path(session))
     if found.is_in_use:
-        return Done(f"{output} holds this model already")
+        return Done(f"{output} contains this model already")
     return Done("; ".join(filter(None, (f"written: {output}", found.comparison))))

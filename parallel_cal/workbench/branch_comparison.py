@@ -1,4 +1,4 @@
-"""Branches side by side: their errors, and their residuals in one scale, seen from one side."""
+"""The comparison of branches: their errors, and their residuals in one scale and one view."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class BranchComparison:
         views = {name: load_view(session, state.number) or {} for name, state in states.items()}
         fields = {name: v["arrows"]["field"] for name, v in views.items() if v.get("arrows")}
         with ui.dialog(value=True).props("maximized") as dialog, ui.card():
-            ui.label("Branches side by side").classes("text-lg font-bold")
+            ui.label("Compare branches").classes("text-lg font-bold")
             rows = [
                 {
                     "branch": name,
@@ -41,9 +41,9 @@ class BranchComparison:
                 [
                     ("branch", "branch"),
                     ("step", "last step"),
-                    ("after", "left out"),
-                    ("noise", "noise alone"),
-                    ("out", "samples left out"),
+                    ("after", "validation error"),
+                    ("noise", "noise floor"),
+                    ("out", "excluded samples"),
                     ("verdict", "verdict"),
                 ],
                 rows,
@@ -52,11 +52,14 @@ class BranchComparison:
             with ui.row().classes("w-full no-wrap max-lg:flex-wrap"):
                 self.plots = self._plots(fields) if fields else []
             for name in sorted(set(states) - set(fields)):
-                ui.label(f"{name}: its last state was not looked at yet; switch to it first")
+                ui.label(
+                    f"{name}: no residuals to show: its last state was not diagnosed. Switch to "
+                    "this branch first."
+                )
             ui.button("Close", on_click=dialog.close).props("dense outline")
 
     def _plots(self, fields: dict[str, Any]) -> list[Any]:
-        """The residuals of each branch: lengths and axes are those of all."""
+        """Draw the residuals of each branch with a common scale and common axes."""
         places, vectors = (
             {k: np.array(f[key], dtype=float).reshape(-1, 3) for k, f in fields.items()}
             for key in ("places", "vectors")
@@ -73,7 +76,7 @@ class BranchComparison:
             for axis, both in zip(("xaxis", "yaxis", "zaxis"), ends.tolist(), strict=True):
                 scene[axis] = scene.get(axis, {}) | {"range": both}
             with ui.column().classes("flex-1 min-w-0 gap-0"):
-                ui.label(f"{name}: residuals drawn {scale:g} times as long as they are")
+                ui.label(f"{name}: residuals, magnified {scale:g} times")
                 layout = figure["layout"] | {"scene": scene}
                 plot = draw_figure(figure | {"layout": layout}, f"residuals of {name}")
                 plot.on("plotly_relayout", partial(self._turn, plot))
@@ -81,7 +84,7 @@ class BranchComparison:
         return plots
 
     def _turn(self, turned: Any, event: Any) -> None:
-        """Turn the others as one was turned; their own word of it is no news."""
+        """Turn the other plots like the one that was turned; ignore the events that this causes."""
         camera = (event.args or {}).get("scene.camera")
         if camera is None or camera == self.camera:
             return

@@ -1,4 +1,4 @@
-"""The robot calibrates itself: begun, watched, paused and stopped on the page."""
+"""The parts of the page that start, show, pause and stop a campaign."""
 
 from __future__ import annotations
 
@@ -18,8 +18,10 @@ INACTIVE_STATES = ("", "stopped", "done")
 
 
 class CampaignBar:
-    """What the robot does by itself, with Pause and STOP: in the header, so that nobody has to
-    scroll for them while the robot moves."""
+    """The state of the campaign, with Pause and STOP.
+
+    It is in the header, so that both buttons are in view while the robot moves.
+    """
 
     def __init__(self, live: Live):
         self.live = live
@@ -32,29 +34,29 @@ class CampaignBar:
             self.steers = {
                 word: self._button(name, word)
                 for word, name in (
-                    ("continue", "It is done, go on"),
+                    ("continue", "Continue"),
                     ("resume", "Resume"),
                     ("pause", "Pause"),
                     ("stop", "STOP"),
                 )
             }
             self.steers["stop"].props("color=negative unelevated").tooltip(
-                "end the campaign: the robot is stopped on its path"
+                "end the campaign and stop the robot on its path"
             )
 
     def show(self, told: dict[str, Any]) -> None:
-        """What is known of the campaign now, as `nodes.steering` tells."""
+        """Show the campaign's status, as `nodes.steering` reports it."""
         state = told["state"]
-        going = state not in INACTIVE_STATES
+        running = state not in INACTIVE_STATES
         for word, seen in (
             ("resume", state == "paused"),
             ("pause", state != "paused"),
             ("continue", state == "asking"),
         ):
             self.steers[word].set_visibility(seen)
-        self.steers["pause"].set_enabled(going and state != "asking")
-        # Where nothing was heard of a campaign there may be one all the same.
-        self.steers["stop"].set_enabled(going or not state)
+        self.steers["pause"].set_enabled(running and state != "asking")
+        # A campaign may run although its status was not received yet.
+        self.steers["stop"].set_enabled(running or not state)
         self.words.set_text(_describe_status(told))
         self.asked.set_text(told["reason"] if state == "asking" else "")
         self.asked.set_visibility(state == "asking")
@@ -65,35 +67,37 @@ class CampaignBar:
 
 
 class CampaignCard:
-    """Begins a campaign, and shows how its error falls."""
+    """Starts a campaign and shows its validation error over the poses."""
 
     def __init__(self, live: Live):
         self.live, self._curve = live, list[Any]()
-        with card("The robot calibrates itself"):
+        with card("Automatic calibration"):
             with ui.row().classes("items-center"):
                 self.poses, self.minutes, self.payload = (
                     ui.number(words, value=value, min=least).props("dense").classes("w-40")
                     for words, value, least in (
-                        ("poses at most", 80, 1),
-                        ("minutes at most", 60, 1),
-                        ("kg that can be put on", 0, 0),
+                        ("maximum poses", 80, 1),
+                        ("maximum minutes", 60, 1),
+                        ("available payload [kg]", 0, 0),
                     )
                 )
                 self.begin = ui.button("Calibrate", on_click=self._begin).props("dense")
-            self.going = ui.label("It is at it: Pause and STOP are at the top of the page.")
+            self.running = ui.label(
+                "The campaign is running. Pause and STOP are at the top of the page."
+            )
             figure = make_chart(
-                {"title": {"text": "poses measured"}, "rangemode": "tozero"},
-                "error [µm]",
+                {"title": {"text": "measured poses"}, "rangemode": "tozero"},
+                "validation error [µm]",
                 mode="lines+markers",
                 marker={"color": MEASURED, "size": 6},
             )
-            self.chart = draw_figure(figure, "error at poses that no fit saw, over poses")
+            self.chart = draw_figure(figure, "validation error over the measured poses")
 
     def show(self, told: dict[str, Any]) -> None:
-        """What is known of it now, as `nodes.steering` tells."""
-        at_rest = told["state"] in INACTIVE_STATES
-        self.begin.set_visibility(at_rest)
-        self.going.set_visibility(not at_rest)
+        """Show the campaign's status, as `nodes.steering` reports it."""
+        inactive = told["state"] in INACTIVE_STATES
+        self.begin.set_visibility(inactive)
+        self.running.set_visibility(not inactive)
         self.chart.set_visibility(bool(told["curve"]))
         if told["curve"] != self._curve:
             self._curve = told["curve"]
@@ -116,14 +120,16 @@ def _try(ask: Callable[[], None]) -> None:
 
 
 def _describe_status(told: dict[str, Any]) -> str:
-    """One line: what it does, how far it is."""
+    """Describe the state of the campaign and its progress in one line."""
     if not told["state"]:
-        return "nothing is known of it yet"
+        return "no status received yet"
     words = f"{told['state']}: {told['reason']}"
     if told["poses"]:
         words += f"; {told['poses']} poses"
     if not math.isnan(told["error_unseen"]):
-        words += f", {1e6 * told['error_unseen']:.0f} µm off at poses that no fit saw"
+        words += f", validation error {1e6 * told['error_unseen']:.0f} µm"
     if told["state"] in INACTIVE_STATES and told["answer"]:
-        words = f"{told['state']}: {told['answer']}; Take samples, then Fit, show it here"
+        words = (
+            f"{told['state']}: {told['answer']}; press Take samples, then Fit, to see the result"
+        )
     return words

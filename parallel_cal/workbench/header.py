@@ -1,4 +1,4 @@
-"""What is always in view: the verdict, the errors, what they are made of, and the steps."""
+"""The header, always in view: the verdict, the errors, their budget, and the steps."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ NOTHING = {"colour": "grey", "words": "no samples in this session yet"}
 
 
 class Header:
-    """Drawn once: a button that is drawn anew under the mouse loses the click."""
+    """The header; drawn once, because a button that is redrawn under the mouse loses the click."""
 
     def __init__(self, bench: Bench):
         self.bench = bench
-        self._key = ""  # of the question that is shown
+        self._key = ""  # key of the question that is shown
         self.campaign: CampaignBar | None = None
         header = ui.header().classes("shadow")
         with header, ui.column().classes("w-full no-wrap gap-1"):
@@ -28,7 +28,7 @@ class Header:
                 header.classes("at-robot")
                 header.on("vue:mounted", js_handler="() => followHeaderHeight()")
                 self.campaign = CampaignBar(bench.live)
-            # What does not fit a small window scrolls beneath the robot's STOP, not with it.
+            # In a small window these details scroll, and STOP stays in view above them.
             with ui.column().classes("w-full no-wrap gap-1 header-details"):
                 self._draw_details()
 
@@ -39,7 +39,7 @@ class Header:
             self.question.style(f"color: {COLOURS['amber']}")
             with ui.row().classes("gap-2"):
                 self._button("Keep the model in use", bench.keep_model_in_use)
-                self._button("Write it all the same", self._confirm)
+                self._button("Write anyway", self._confirm)
         with ui.row().classes("w-full no-wrap items-start"):
             self.verdict = ui.label().classes("grow text-base leading-tight font-bold")
             self.verdict.props("id=verdict role=status aria-live=polite")
@@ -63,11 +63,11 @@ class Header:
         return ui.button(name, on_click=step).props("dense outline")
 
     def _confirm(self) -> None:
-        """Confirm the question as this window shows it, whatever another one is asked by now."""
+        """Confirm the question that this window shows, even if a newer one exists."""
         self.bench.save(self._key)
 
     def show(self, afresh: bool) -> None:
-        """How things are; the numbers only where the view is another one."""
+        """Show the state; redraw the numbers only if the view changed."""
         bench, record = self.bench, self.bench.session.record
         if afresh:
             self._numbers(bench.view or {})
@@ -108,7 +108,7 @@ def _tile(tile: dict[str, Any]) -> None:
         ui.label(tile["name"]).classes("text-xs").style("opacity: 0.75")
         for one in tile["values"]:
             ui.label(f"{one['value']} {one['unit']}").classes("text-lg leading-tight").tooltip(
-                f"{one['kind']}, rms {tile['where']}"
+                f"{one['kind']}: {tile['where']}, rms"
             )
 
 
@@ -116,7 +116,7 @@ def _budget(parts: list[dict[str, Any]]) -> None:
     if not parts:
         return
     with ui.column().classes("gap-0"):
-        ui.label("error budget: by itself, and share of the whole").classes("text-xs").style(
+        ui.label("error budget: rms of each part, and its share").classes("text-xs").style(
             "opacity: 0.75"
         )
         words = [
@@ -132,5 +132,5 @@ def _iso(words: list[str]) -> None:
         with ui.column().classes("gap-0"):
             ui.label("ISO 9283").classes("text-xs").style("opacity: 0.75")
             ui.label(" · ".join(words)).props("id=iso").tooltip(
-                "pose accuracy AP and repeatability RP, the device's noise included"
+                "pose accuracy AP and repeatability RP, including the noise of the device"
             )

@@ -1,4 +1,4 @@
-"""The nodes at the robot: their streams, the samples as they come, the model that they serve."""
+"""The part of the page for a robot: topics of the nodes, arriving samples, model in use."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from parallel_cal.workbench.bench import Bench, Live
 from parallel_cal.workbench.campaign_card import CampaignBar, CampaignCard
 from parallel_cal.workbench.widgets import COLOURS, card, draw_figure, make_chart, table
 
-POLL_INTERVAL_S = 1.0  # s between two looks at the nodes
+POLL_INTERVAL_S = 1.0  # s between two polls of the nodes
 ERROR_WINDOW_S = 60  # s of errors that are shown
-MARKS = {"ok": "✓", "warn": "!", "error": "✗", "stale": "?"}  # colour alone tells nothing
+MARKS = {"ok": "✓", "warn": "!", "error": "✗", "stale": "?"}  # readable without colours
 COLUMNS = {
     "level": "",
     "node": "node",
-    "what": "what",
+    "what": "stream",
     "rate": "rate [Hz]",
     "received": "received",
     "lost": "lost",
-    "late": "p99 [ms]",
-    "said": "says",
+    "late": "delay, p99 [ms]",
+    "said": "message",
 }
 
 
 class LiveCard:
-    """Looked at again and again, drawn once: what is new is put into what is there."""
+    """The card Live; drawn once and then updated in place."""
 
     def __init__(self, bench: Bench, live: Live, bar: CampaignBar | None):
         """`bar` is the campaign's part of the header."""
@@ -42,18 +42,18 @@ class LiveCard:
                 self.samples = ui.label().props("id=collected aria-live=polite")
                 self.take = ui.button("Take samples", on_click=self._take).props("dense")
                 with self.take:
-                    ui.tooltip("use what calibration_node has collected in this session")
+                    ui.tooltip("add the samples that calibration_node has collected to the session")
             self.warnings = ui.label().classes("text-sm").style(f"color: {COLOURS['amber']}")
             self.streams = table([*COLUMNS.items()], [], "name").props("aria-label=streams")
             figure = make_chart(
-                {"title": {"text": "s ago"}, "range": [-ERROR_WINDOW_S, 0]},
+                {"title": {"text": "time [s]"}, "range": [-ERROR_WINDOW_S, 0]},
                 "error [µm]",
                 mode="markers",
                 marker={"color": MEASURED, "size": 4},
             )
             self.error = ui.label().classes("text-sm").props("id=live-error")
-            self.chart = draw_figure(figure, "error of the poses measured, over time")
-            self.dropped = ui.expansion("nothing was dropped").classes("w-full")
+            self.chart = draw_figure(figure, "error of the measured poses over time")
+            self.dropped = ui.expansion("no dropped messages").classes("w-full")
         self.campaign = CampaignCard(live)
         self._said: list[Any] = []
         ui.timer(POLL_INTERVAL_S, self._update)
@@ -88,11 +88,11 @@ class LiveCard:
 
     def _describe_served_model(self, model: dict[str, Any]) -> str:
         if not model.get("hash"):
-            return f"no model is served: {model.get('reason') or 'nobody has said so yet'}"
+            return f"no model in use: {model.get('reason') or 'no status received yet'}"
         same = model["hash"] == self.bench.hash
         when = datetime.fromtimestamp(model["since"]).strftime("%H:%M:%S")
         effects = f" ({', '.join(model['effects'])})" if model["effects"] else ""
-        is_this = "the model of this state" if same else "another model than this state's"
+        is_this = "the model of this state" if same else "another model than that of this state"
         failed = "" if model["ok"] else f"; the last attempt failed: {model['reason']}"
         return f"the robot uses {model['hash'][:12]}{effects} since {when}: {is_this}{failed}"
 
@@ -101,10 +101,10 @@ class LiveCard:
         trace = self.chart.figure["data"][0]
         trace["x"], trace["y"] = [round(t, 2) for t, _ in shown], [round(e, 1) for _, e in shown]
         if not shown:
-            self.error.set_text("no pose is measured and predicted at once")
+            self.error.set_text("no error: no pose was both measured and predicted")
         else:
             mean = sum(e for _, e in shown) / len(shown)
-            self.error.set_text(f"measured minus predicted, in the last minute: mean {mean:.0f} µm")
+            self.error.set_text(f"position error in the last minute: mean {mean:.0f} µm")
         self.chart.set_visibility(bool(shown))
         if shown:
             self.chart.update()
@@ -113,7 +113,8 @@ class LiveCard:
         if dropped == self._said:
             return
         self._said = dropped
-        self.dropped.set_text(f"{sum(one['count'] for one in dropped)} dropped")
+        count = sum(one["count"] for one in dropped)
+        self.dropped.set_text(f"{count} dropped message{'' if count == 1 else 's'}")
         self.dropped.clear()
         with self.dropped:
             for one in dropped[-50:]:

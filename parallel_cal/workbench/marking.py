@@ -1,4 +1,4 @@
-"""Samples that are marked in one view are marked in every one."""
+"""Marked samples: a sample that is marked in one view is marked in all."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from nicegui import ui
 from parallel_cal.reporting.colours import PATTERN
 from parallel_cal.workbench.widgets import draw_figure
 
-# As Plotly marks what is chosen in a view itself, here in every view: its 'restyle' draws each of
-# them anew, which takes twenty times as long.
+# Marks samples in every view as Plotly marks its own selection. Its 'restyle' redraws each view,
+# which takes twenty times as long.
 SCRIPT = """<script>
 function markSamples(numbers) {
   const marked = new Set(numbers);
@@ -37,19 +37,19 @@ class Marking:
     """The numbers of the samples that are marked in this window."""
 
     def __init__(self, told: Callable[[set[int]], None]):
-        """`told` hears which are marked whenever that changes."""
+        """Call `told` with the marked samples whenever they change."""
         self.numbers, self.told, self._views = set[int](), told, list[Any]()
 
     def mark(self, numbers: set[int]) -> None:
         self.numbers = numbers
         self._views = [view for view in self._views if not view.is_deleted]
         for view in self._views:
-            self._put(view.figure)  # for whoever draws it anew
+            self._put(view.figure)  # a redraw then shows the marks, too
         ui.run_javascript(f"markSamples({sorted(numbers)})")
         self.told(numbers)
 
     def markable(self, figure: dict[str, Any]) -> dict[str, Any]:
-        """A figure whose points can be marked where they carry samples' numbers."""
+        """Make the points of a figure markable if they carry sample numbers."""
         figure = {
             "data": [t | MARKED_STYLE if "customdata" in t else t for t in figure["data"]],
             "layout": figure["layout"] | {"dragmode": "select"},
@@ -59,7 +59,7 @@ class Marking:
         return figure
 
     def follow(self, view: Any) -> None:
-        """Mark what is chosen in a view, and in it what is chosen in another."""
+        """Synchronise the selection in a view with the marked samples."""
         view.on("plotly_selected", lambda e: self._brush(e.args), js_handler=SELECTION_HANDLER)
         view.on("plotly_deselect", self._forget)
         self._views.append(view)
@@ -73,7 +73,7 @@ class Marking:
 
     def _brush(self, chosen: list[int | None]) -> None:
         numbers = {int(n) for n in chosen if n is not None}
-        if numbers and numbers != self.numbers:  # drawing a view anew says what is marked, too
+        if numbers and numbers != self.numbers:  # a redraw sends its selection, too
             self.mark(numbers)
 
     def _forget(self) -> None:
@@ -82,10 +82,10 @@ class Marking:
 
 
 class FigureSlot:
-    """Where one figure after the other is shown, and nothing while there is none."""
+    """A place for one figure at a time; hidden if there is none."""
 
     def __init__(self, marking: Marking | None = None):
-        """`marking`: of flat views, whose samples can be marked."""
+        """`marking` belongs to flat views, whose samples can be marked."""
         self._marking, self._view = marking, None
         self._column = ui.column().classes("flex-1 min-w-0 w-full gap-0")
 

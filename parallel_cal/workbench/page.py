@@ -1,4 +1,4 @@
-"""The page: drawn with NiceGUI from a bench's view, drawn anew whenever the bench changes."""
+"""The page, drawn with NiceGUI from a bench's view, and redrawn whenever the bench changes."""
 
 from __future__ import annotations
 
@@ -28,19 +28,19 @@ from parallel_cal.workbench.widgets import (
 )
 
 EMPTY = (
-    "Looking at the measurements: this takes a few seconds.",
-    "No samples yet. Move the robot from pose to pose, hold it still at each for a second, "
-    "and take the samples as soon as there are twenty or more.",
+    "Reading the measurements. This takes a few seconds.",
+    "No samples yet. Move the robot from pose to pose and hold it still at each for a second. "
+    "Press Take samples when there are twenty or more.",
 )
-PRIORS = {None: "where the data tell less", True: "throughout", False: "nowhere"}
+PRIORS = {None: "of weakly determined parameters", True: "of all parameters", False: "none"}
 PLACE, TURN = ("x", "y", "z"), ("qx", "qy", "qz", "qw")  # columns of planned poses
-# s between looks at the bench, and at the disk for what others did there
+# Seconds between checks of the bench, and of the disk for changes by other programs.
 POLL_INTERVAL_S = 0.05
 REFRESH_INTERVAL_S = 0.3
 
 
 def build(bench: Bench) -> None:
-    """Every window that is opened on this server shows the bench."""
+    """Show the bench in every window that is opened on this server."""
 
     @ui.page("/", title=f"parallel-cal · {bench.session.folder.name}")
     def _index() -> None:
@@ -53,8 +53,8 @@ class Window:
     def __init__(self, bench: Bench):
         self.bench, self.version, self.seen = bench, -1, -1
         self.marking = Marking(self._show_marked)
-        self.opened = set[str]()  # what is unfolded, and stays so
-        ui.dark_mode(None)  # as the browser has it
+        self.opened = set[str]()  # keys of the expansions that stay open
+        ui.dark_mode(None)  # use the setting of the browser
         ui.colors(primary=MEASURED)
         ui.add_head_html(HEAD + HEADER_HEIGHT + SCRIPT)
         ui.add_css(CSS)
@@ -65,7 +65,7 @@ class Window:
             with ui.column().classes("w-full") as self.top:
                 self.failing = ResidualsCard(self.marking)
             self.body = ui.column().classes("w-full gap-4")
-        self.layer = ui.element()  # dialogs stay while the body is drawn anew
+        self.layer = ui.element()  # dialogs stay while the body is redrawn
         self._draw()
         ui.timer(POLL_INTERVAL_S, self._poll)
         ui.timer(REFRESH_INTERVAL_S, bench.follow)
@@ -79,7 +79,7 @@ class Window:
         self.version, self.seen = self.bench.version, self.bench.seen
         self.header.show(afresh)
         if not afresh:
-            return  # while a step is under way only its progress changes
+            return  # while a step runs, only its progress changes
         self.marking.numbers = set()
         self.body.clear()
         view = self.bench.view or {}
@@ -102,7 +102,7 @@ class Window:
     def _missing(self, view: dict[str, Any]) -> None:
         with card("What is missing"):
             if not view["candidates"]:
-                ui.label("No effect was tested yet: press Fit.")
+                ui.label("No effect has been tested. Press Fit.")
             if both := view["together"]:
                 add = ui.button(
                     f"Add {both['names']}", on_click=partial(self.bench.begin, "add", both["text"])
@@ -123,12 +123,15 @@ class Window:
                         if one["found"] and one["remedy"]:
                             ui.label(f"At the machine: {one['remedy']}.").classes("text-sm")
                         if one["pattern"]:
-                            self._unfolded("its pattern", one["name"], partial(self._pattern, one))
+                            self._unfolded("Show pattern", one["name"], partial(self._pattern, one))
                     with ui.column().classes("gap-0 items-end min-w-40"):
                         ui.label(one["fall"] or "not refitted")
-                        ui.label(f"explains {one['explains']} · p {one['p']}").classes("text-xs")
+                        ui.label(f"accounts for {one['explains']} · p {one['p']}").classes(
+                            "text-xs"
+                        )
             if view["untested"]:
-                with ui.expansion(f"{len(view['untested'])} could not be tested"):
+                n = len(view["untested"])
+                with ui.expansion(f"{n} effect{'' if n == 1 else 's'} not tested"):
                     for one in view["untested"]:
                         ui.label(f"{one['name']}: {one['why']}").style("opacity: 0.7")
 
@@ -136,16 +139,16 @@ class Window:
         FigureSlot(self.marking).show(one["pattern"]["figure"], one["pattern"]["words"])
 
     def _unfolded(self, title: str, key: str, draw: Callable[[], None]) -> None:
-        """Something that is drawn once somebody wants to see it, and then stays open."""
+        """Make an expansion that is drawn when it is first opened, and then stays open."""
         shown = ui.expansion(title).classes("w-full").props("dense")
 
-        def look() -> None:
+        def toggle() -> None:
             if shown.value and not shown.default_slot.children:
                 with shown:
                     draw()
             self.opened = self.opened | {key} if shown.value else self.opened - {key}
 
-        shown.on_value_change(look)
+        shown.on_value_change(toggle)
         shown.set_value(key in self.opened)
 
     # ------------------------------------------------------------------ history
@@ -166,9 +169,9 @@ class Window:
             table(
                 [
                     ("step", "step"),
-                    ("before", "left out, before"),
-                    ("after", "after"),
-                    ("out", "samples left out"),
+                    ("before", "validation error before"),
+                    ("after", "validation error after"),
+                    ("out", "excluded samples"),
                     ("verdict", "verdict"),
                 ],
                 rows,
@@ -181,14 +184,14 @@ class Window:
                     label="branch",
                     on_change=lambda e: bench.run_now("switch", e.value),
                 ).classes("w-48").set_enabled(not bench.busy)
-                name = ui.input("new branch from here").classes("w-48")
+                name = ui.input("name of new branch").classes("w-48")
                 ui.button(
                     "Branch", on_click=lambda: bench.run_now("start_branch", name.value or "")
                 ).props("dense outline")
                 if len(session.record.branches) > 1:
                     ui.button("Compare", on_click=self._compare).props("dense outline")
             if len(session.record.branches) > 1:
-                beside = [
+                branches = [
                     {
                         "branch": k,
                         "step": s.step,
@@ -201,16 +204,16 @@ class Window:
                     [
                         ("branch", "branch"),
                         ("step", "last step"),
-                        ("after", "left out"),
-                        ("out", "samples left out"),
+                        ("after", "validation error"),
+                        ("out", "excluded samples"),
                     ],
-                    beside,
+                    branches,
                     "branches",
                 )
 
     def _compare(self) -> None:
         from parallel_cal.workbench.branch_comparison import (
-            BranchComparison,  # NumPy, only for this
+            BranchComparison,  # imports NumPy, which nothing else here needs
         )
 
         with self.layer:
@@ -227,7 +230,7 @@ class Window:
                     ("time", "time [s]"),
                     ("error", "error [µm]"),
                     ("sigmas", "residual [sigmas]"),
-                    ("odd", "odd"),
+                    ("odd", "outlier"),
                 ],
                 view["samples"],
                 "sample",
@@ -242,15 +245,14 @@ class Window:
                 why = ui.input("reason").classes("w-64")
                 ui.button("Exclude", on_click=lambda: self._exclude(why.value)).props("dense")
                 ui.button("Open", on_click=self._open).props("dense outline").tooltip(
-                    "the readings that the first marked sample was made of"
+                    "show the readings that the first marked sample averages"
                 )
-            left_out = bench.session.state.excluded
-            for number, reason in left_out.items():
+            for number, reason in bench.session.state.excluded.items():
                 with ui.row().classes("items-center"):
-                    ui.label(f"sample {number} is left out: {reason or 'no reason given'}")
-                    ui.button(
-                        "Take back", on_click=partial(bench.begin, "include", [number])
-                    ).props("dense flat")
+                    ui.label(f"sample {number} is excluded: {reason or 'no reason given'}")
+                    ui.button("Include", on_click=partial(bench.begin, "include", [number])).props(
+                        "dense flat"
+                    )
 
     def _show_marked(self, numbers: set[int]) -> None:
         self.table.selected = [row for row in self.table.rows if row["sample"] in numbers]
@@ -260,21 +262,22 @@ class Window:
 
     def _exclude(self, why: str | None) -> None:
         if not self.marking.numbers:
-            self.count.set_text("no sample marked: mark some in a view or in the table first")
+            self.count.set_text("no sample marked: mark samples in a view or in the table first")
             return
         self.bench.begin("exclude", dict.fromkeys(sorted(self.marking.numbers), why or ""))
 
     async def _open(self) -> None:
-        """Show the readings that a sample was made of."""
+        """Show the readings that a sample averages."""
         if not self.marking.numbers:
             self.count.set_text("no sample marked: mark one in a view or in the table first")
             return
-        from parallel_cal.workbench.readings import signals  # NumPy, only for this
+        # This module imports NumPy, which nothing else here needs.
+        from parallel_cal.workbench.readings import signals
 
         sample = min(self.marking.numbers)
         shown = await run.cpu_bound(signals, self.bench.session.folder, sample) or {}
         with self.layer, ui.dialog(value=True) as dialog, ui.card().classes("w-full max-w-4xl"):
-            ui.label(f"Sample {sample}: its readings, less their means").classes("font-bold")
+            ui.label(f"Sample {sample}: readings minus their means").classes("font-bold")
             ui.label(shown.get("words", ""))
             if figure := shown.get("figure"):
                 draw_figure(figure, f"readings of sample {sample}")
@@ -288,7 +291,7 @@ class Window:
             rows = table(
                 [
                     ("name", "parameter"),
-                    ("what", "what it is"),
+                    ("what", "description"),
                     ("value", "value"),
                     ("sigma", "sigma"),
                     ("unit", "unit"),
@@ -300,7 +303,7 @@ class Window:
                 pagination=12,
             )
             with ui.row().classes("items-center"):
-                for words, fix in (("Hold marked", True), ("Free marked", False)):
+                for words, fix in (("Fix marked", True), ("Free marked", False)):
                     chosen = partial(self._choose, rows, fix)
                     ui.button(words, on_click=chosen).props("dense").set_enabled(not bench.busy)
                 ui.select(
@@ -311,18 +314,18 @@ class Window:
                 ).classes("w-64").set_enabled(not bench.busy)
             if view["drawing"]:
                 self._unfolded(
-                    "where they are",
+                    "Show in the mechanism",
                     "drawing",
-                    partial(draw_figure, view["drawing"], "the mechanism"),
+                    partial(draw_figure, view["drawing"], "drawing of the mechanism"),
                 )
             for line in view["cannot_tell"]:
-                ui.label(f"The data cannot tell {line}.").classes("text-sm")
+                ui.label(f"The data do not determine {line}.").classes("text-sm")
 
     def _choose(self, rows: Any, fix: bool) -> None:
-        """Hold marked parameters at their values, or identify them, from here on."""
+        """Fix the marked parameters at their values, or free them, for all later steps."""
         names = [row["name"] for row in rows.selected]
         if not names:
-            return ui.notify("mark parameters in the table first")
+            return ui.notify("no parameter marked: mark parameters in the table first")
         asked = self.bench.session.options
         kept = {
             key: [n for n in patterns if n not in names]
@@ -342,7 +345,9 @@ class Window:
                     "Plan", on_click=lambda: bench.begin("plan", int(count.value or 20))
                 ).props("dense").set_enabled(not bench.busy)
                 if planned := bench.planned:
-                    ui.button("CSV", on_click=lambda: ui.download(planned)).props("dense outline")
+                    ui.button("Download CSV", on_click=lambda: ui.download(planned)).props(
+                        "dense outline"
+                    )
             if planned:
                 rows = list(csv.DictReader(planned.open()))
                 if bench.live is not None:
@@ -350,19 +355,19 @@ class Window:
                 self._draw_planned(rows, view)
 
     def _send(self, live: Live, rows: list[dict[str, str]]) -> None:
-        """One planned pose after the other, sent to the robot by a click each."""
+        """Let a click send the next planned pose to the robot."""
         with ui.row().classes("items-center"):
             at = ui.number("pose", value=1, min=1, max=len(rows), precision=0).classes("w-24")
-            said = ui.label().props("id=sent aria-live=polite")
+            answer = ui.label().props("id=sent aria-live=polite")
 
             async def send() -> None:
                 k = int(at.value or 1)
                 pose = [[float(rows[k - 1][key]) for key in keys] for keys in (PLACE, TURN)]
                 try:
-                    said.set_text(f"pose {k}: {await run.io_bound(live.send, *pose)}")
+                    answer.set_text(f"pose {k}: {await run.io_bound(live.send, *pose)}")
                     at.set_value(min(k + 1, len(rows)))
                 except ParallelCalError as error:
-                    said.set_text(str(error))
+                    answer.set_text(str(error))
 
             ui.button("Send to the robot", on_click=send).props("dense")
 
@@ -383,10 +388,10 @@ class Window:
         ]
         axes = {f"{k}axis": {"title": {"text": f"{k} [mm]"}} for k in "xyz"}
         layout = {"height": 380, "margin": FIGURE_MARGIN, "scene": axes}
-        draw_figure({"data": traces, "layout": layout}, "planned poses among those measured")
+        draw_figure({"data": traces, "layout": layout}, "planned and measured poses")
 
 
 def _describe_lookalikes(one: dict[str, Any]) -> str:
-    """What a candidate is taken for, and what tells it from that."""
-    words = [f"looks like {one['lookalikes']}"] if one["lookalikes"] else []
-    return "; ".join(words + ([f"told apart by {one['apart']}"] if one["apart"] else []))
+    """Name the lookalikes of a candidate and the measurement that distinguishes them."""
+    words = [f"resembles {one['lookalikes']}"] if one["lookalikes"] else []
+    return "; ".join(words + ([f"distinguished by {one['apart']}"] if one["apart"] else []))

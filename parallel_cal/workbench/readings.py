@@ -1,4 +1,4 @@
-"""What one sample was made of, as a picture: computed beside the page's process."""
+"""The readings that one sample averages, as a figure; computed in another process."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from parallel_cal.reporting.colours import QUIET
 
 
 def signals(folder: Path, sample: int) -> dict[str, Any]:
-    """A figure of the readings that a sample was made of; a sentence where they were not kept."""
-    from parallel_cal.session.session import Session  # in the process beside
+    """Draw the readings that a sample averages; return a sentence if they were not recorded."""
+    from parallel_cal.session.session import Session  # imported in the worker process only
 
     try:
         found = Session(folder).signals(sample)

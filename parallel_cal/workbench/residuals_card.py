@@ -1,4 +1,4 @@
-"""Where the model fails: residuals in space, by joint, and against what they may go with."""
+"""Where the model fails: residuals in space, by joint, and against recorded quantities."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from parallel_cal.workbench.marking import FigureSlot, Marking
 from parallel_cal.workbench.widgets import FIGURE_MARGIN, card
 
 HINT = (
-    "Drag a box in a flat view (box or lasso tool): the same samples are marked in all flat views. "
-    "Arrows have the colour of their direction."
+    "Drag a box or a lasso in a flat view to mark samples. They are then marked in all flat views. "
+    "The colour of an arrow shows its direction."
 )
-LIKELY = "99 % of means if nothing depends on it"
+LIKELY = "99 % band of the mean without dependence"
 RMS = "rms residual [sigmas] over the workspace"
 
 
 class ResidualsCard:
-    """A card that is drawn once: the next view is put into what is there, as it was looked at."""
+    """The card Where it fails; drawn once and then updated, so that its settings stay."""
 
     def __init__(self, marking: Marking):
         self.view: dict[str, Any] = {}
@@ -46,7 +46,7 @@ class ResidualsCard:
         arrows, residuals = view["arrows"], view["residuals"]
         self.space.set_visibility(arrows is not None)
         if arrows is not None:
-            self.scale.set_text(f"Residuals, drawn {arrows['scale']:g} times as long as they are")
+            self.scale.set_text(f"Residuals, magnified {arrows['scale']:g} times")
             self.arrows.show(arrows["figure"], "residual arrows in space")
         self._map(residuals)
         self._pictures()
@@ -62,15 +62,15 @@ class ResidualsCard:
         self.map.show(_make_flat_figure([self._samples(x, y, marker)], across, up, RMS), RMS)
 
     def _pictures(self) -> None:
-        """One at a time; the one that was looked at stays."""
+        """Make the tabs; the selected one stays selected."""
         names = [one["name"] for one in self.view["pictures"]]
-        looked_at = self.tabs.value if self.tabs.value in names else next(iter(names), None)
+        selected = self.tabs.value if self.tabs.value in names else next(iter(names), None)
         if names != [tab.props["name"] for tab in self.tabs]:
             self.tabs.clear()
             with self.tabs:
                 for name in names:
                     ui.tab(name)
-        self.tabs.set_value(looked_at)
+        self.tabs.set_value(selected)
         self._turn()
 
     def _turn(self) -> None:
@@ -79,12 +79,12 @@ class ResidualsCard:
         self.picture.show(*((chosen[0]["figure"], chosen[0]["words"]) if chosen else (None,)))
 
     def _draw_profile(self) -> None:
-        """The chosen component of the residuals against what it may go with."""
+        """Draw the chosen component of the residuals against the chosen quantity."""
         residuals, name = self.view["residuals"], self.component.value
         along = residuals["along"].get(self.along.value)
-        told = along is not None and name in residuals["components"]
-        self.asked.set_visibility(told)
-        if not told:
+        usable = along is not None and name in residuals["components"]
+        self.asked.set_visibility(usable)
+        if not usable:
             return self.course.show(None)
         k = residuals["components"].index(name)
         marker = {"color": residuals["colours"][k], "size": 7, "opacity": 0.6}
@@ -95,7 +95,7 @@ class ResidualsCard:
         self.course.show(figure, title)
 
     def _samples(self, x: Any, y: Any, marker: dict[str, Any]) -> dict[str, Any]:
-        """A point of every sample, in the samples' order."""
+        """Make a trace with one point per sample, in the order of the samples."""
         numbers = [s["sample"] for s in self.view["samples"]]
         return {
             "type": "scatter",
@@ -110,7 +110,7 @@ class ResidualsCard:
 
 
 def _offer(select: Any, names: list[str]) -> None:
-    """What can be chosen now; what was chosen stays where it can."""
+    """Set the choices of a menu; the present choice stays if it is still possible."""
     chosen = select.value if select.value in names else next(iter(names), None)
     select.set_options(names, value=chosen)
 
@@ -127,7 +127,7 @@ def _make_flat_figure(
 
 
 def _means(along: dict[str, Any], component: int) -> list[dict[str, Any]]:
-    """The rolling mean of a component, or one a level, over the band of 99 % about none."""
+    """Draw the rolling mean of a component, or its mean per level, over the 99 % band at zero."""
     at, band = along["at"], along["band"]
     mean = {"x": at, "y": [row[component] for row in along["means"]], "name": "mean"}
     if along["rolls"]:

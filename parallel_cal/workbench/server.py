@@ -1,4 +1,4 @@
-"""The server: this machine's own unless a token is given, closed to pages of other origins."""
+"""The server: local unless a token is given, and closed to pages of other origins."""
 
 from __future__ import annotations
 
@@ -9,16 +9,15 @@ from urllib.parse import parse_qs, urlsplit
 
 from parallel_cal.workbench.bench import Bench, Live
 
-RECONNECT_TIMEOUT_S = (
-    60.0  # s a window may be silent: drawing in space without a graphics card takes seconds
-)
+# A window may be silent this long: drawing in 3D without a graphics card takes seconds.
+RECONNECT_TIMEOUT_S = 60.0
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 
 
 class Guard:
-    """ASGI: refuses a Host or an Origin that is not this server's, and who lacks the token.
+    """An ASGI filter: refuse a foreign Host or Origin, and requests without the token.
 
-    The token comes once as `?token=...`, which sets a cookie, so that it need not stay in the bar.
+    The token comes once as `?token=...`. A cookie then keeps it, so that it can leave the URL.
     """
 
     def __init__(self, app: Any, hosts: tuple[str, ...], token: str = ""):
@@ -32,9 +31,11 @@ class Guard:
         if not self._is_known_host(f"//{headers.get('host', '')}") or (
             "origin" in headers and not self._is_known_host(headers["origin"])
         ):
-            return await self._refuse(scope, send, b"foreign Host or Origin")
+            return await self._refuse(
+                scope, send, b"foreign Host or Origin: use the printed address"
+            )
         if self.token and not self._is_allowed(asked, headers.get("cookie", "")):
-            return await self._refuse(scope, send, b"a token is needed: open the link printed")
+            return await self._refuse(scope, send, b"token missing or wrong: open the printed link")
 
         async def with_cookie(message: Any) -> None:
             if message["type"] == "http.response.start" and self.token and asked:
@@ -69,15 +70,18 @@ def serve(
     token: str = "",
     show: bool = True,
 ) -> None:
-    """Serve the session in `folder` until the process is ended; Save writes `output`, `live` are
-    the nodes at the robot."""
+    """Serve the session in `folder` until the process ends.
+
+    Save writes `output`; `live` are the nodes at the robot.
+    """
     bench = Bench(folder, output, live)  # its worker starts while NiceGUI is imported
     from nicegui import app, run, ui
 
     from parallel_cal.workbench.page import build
 
     run.process_pool_start_method = "spawn"  # forks of a process with threads may hang
-    app.on_shutdown(bench.close)  # the server ends its process by the signal that ended it
+    # The server ends its process by the signal that it received, so `finally` would not run.
+    app.on_shutdown(bench.close)
     build(bench)
     app.add_middleware(Guard, hosts=(*LOOPBACK, host), token=token)
     ui.run(

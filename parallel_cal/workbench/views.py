@@ -1,4 +1,4 @@
-"""What the page shows of a session's state, as plain data: computed beside the page's process."""
+"""The views of a session's state as plain data, computed in the worker process."""
 
 from __future__ import annotations
 
@@ -48,28 +48,28 @@ AMBER, GREEN, GREY = "amber", "green", "grey"
 
 
 def glance(session: Session) -> View | None:
-    """What can be seen at once of a model that was identified, before it is diagnosed."""
+    """Make the preliminary view of a fitted model, before its diagnosis."""
     state = session.state
     if not (session.recordings and state.errors):
         return None
     shown = _make_comparison_view(
         compare(session.model, session.dataset, session.options.joint_sigma)
     )
-    tiles = [("before", state.before), ("now", state.errors), ("noise alone", state.noise)]
+    tiles = [("before", state.before), ("now", state.errors), ("noise floor", state.noise)]
     summaries = [(name, Summary(**known)) for name, known in tiles if known]
     kinds = [k for k in ("position", "orientation", "reading") if summaries[0][1].rms(k)]
     return shown | {
-        "verdict": {"colour": GREY, "words": f"{state.step}: looking for what is missing"},
+        "verdict": {"colour": GREY, "words": f"{state.step}: running the diagnosis"},
         "tiles": [_tile(name, summary, kinds) for name, summary in summaries],
         "advice": [],
     }
 
 
 def view(session: Session, progress: Progress) -> View:
-    """Everything the page shows of the session's present state.
+    """Make the view of the session's present state.
 
-    A model that was never identified on these samples is only compared with them; any other one is
-    diagnosed, and its verdict kept with the state. Without samples there is nothing to see yet.
+    A model that was not fitted to these samples is only compared with them. Any other model is
+    diagnosed, and the state records its verdict. Without samples the view is empty.
     """
     if not session.recordings:
         return {}
@@ -89,10 +89,10 @@ def view(session: Session, progress: Progress) -> View:
 def _make_comparison_view(found: Comparison) -> View:
     kinds = [k for k in ("position", "orientation", "reading") if found.errors.summary.rms(k)]
     in_sample = any(fits_of(found.model, found.dataset))
-    where = "at the samples that the model was fitted on" if in_sample else "at all samples"
+    where = "in-sample error" if in_sample else "error at all samples"
     tiles = [_tile("now", found.errors.summary, kinds, where)]
     if found.noise.is_known:
-        tiles.append(_tile("noise alone", found.noise, kinds, where))
+        tiles.append(_tile("noise floor", found.noise, kinds, where))
     residuals = contents.Residuals.of(found.scene, found.field)
     return {
         "verdict": {"colour": GREY, "words": _compared_words(found)},
@@ -116,7 +116,7 @@ def _make_comparison_view(found: Comparison) -> View:
         "together": None,
         "untested": [],
         "parameters": [],
-        "advice": ["Fit: identify the geometry first, then see what is left."],
+        "advice": ["Press Fit: identify the geometry first, then look at the remaining error."],
         "cannot_tell": [],
     }
 
@@ -124,25 +124,25 @@ def _make_comparison_view(found: Comparison) -> View:
 def _compared_words(found: Comparison) -> str:
     if any(fits_of(found.model, found.dataset)):
         return (
-            "compared with the measurements that it was fitted on: its error here is in-sample; "
-            "Fit judges it at poses left out"
+            "The model is compared with the measurements that it was fitted to: its error is "
+            "in-sample. Press Fit for the validation error."
         )
     if any(entry.get("step") == "fit" for entry in found.model.history):
-        return "compared with the measurements; Fit judges it at poses left out"
-    return "compared with the measurements; not identified yet"
+        return "The model is compared with the measurements. Press Fit for the validation error."
+    return "The model is compared with the measurements. It is not fitted yet: press Fit."
 
 
 def _make_report_view(found: Report) -> View:
     diagnosis, errors = found.diagnosis, found.errors
-    now = diagnosis.base.fitted  # the model of this state; what was found is only proposed
+    now = diagnosis.base.fitted  # the model of this state; the effects found are only proposed
     identified = contents.parameters(now)
     tiles = [_tile("before", errors.before, errors.kinds), _tile("now", errors.now, errors.kinds)]
     if errors.found is not None:
-        tiles.append(
-            _tile(f"if {' and '.join(diagnosis.effects)} is added", errors.found, errors.kinds)
-        )
+        verb = "are" if len(diagnosis.effects) > 1 else "is"
+        name = f"if {' and '.join(diagnosis.effects)} {verb} added"
+        tiles.append(_tile(name, errors.found, errors.kinds))
     if errors.noise.is_known:
-        tiles.append(_tile("noise alone", errors.noise, errors.kinds))
+        tiles.append(_tile("noise floor", errors.noise, errors.kinds))
     judged = {one.sample: one for one in found.samples}
     return {
         "verdict": _verdict(found),
@@ -174,7 +174,7 @@ def _make_report_view(found: Report) -> View:
 
 
 def _verdict(found: Report) -> View:
-    """Green only where the loaded model lacks nothing that the data show."""
+    """Describe the verdict; it is green only if the data show no missing effect."""
     verdict, effects = found.diagnosis.verdict, found.diagnosis.effects
     if verdict.word == "at_noise":
         return {"colour": GREEN, "words": verdict.summary}
@@ -187,9 +187,7 @@ def _verdict(found: Report) -> View:
     }
 
 
-def _tile(
-    name: str, e: Summary, kinds: list[str], where: str = "at poses left out of the fit"
-) -> View:
+def _tile(name: str, e: Summary, kinds: list[str], where: str = "validation error") -> View:
     values = []
     for kind in kinds:
         unit, factor = error_unit(unit_of(kind, {}))
@@ -198,7 +196,7 @@ def _tile(
 
 
 def _budget(budgets: Sequence[Budget]) -> Iterator[View]:
-    """Parts of the first kind of error, the largest by itself first."""
+    """List the parts of the first kind of error, the one with the largest rms first."""
     for budget in budgets[:1]:
         unit, factor = error_unit(unit_of(budget.kind, {}))
         for part in sorted(budget.parts, key=lambda p: -(p.alone or 0.0)):
@@ -232,7 +230,7 @@ def _arrows(residuals: contents.Residuals) -> View | None:
 
 
 def _first(found: Report) -> Signature | None:
-    """The pattern of the first effect that is missing."""
+    """Return the pattern of the first effect that was found."""
     entries = {e.name: e for e in found.diagnosis.entries}
     chosen = [entries[name] for name in found.diagnosis.effects if name in entries]
     return next((signature(e.candidate) for e in chosen if e.candidate.score), None)
@@ -241,24 +239,24 @@ def _first(found: Report) -> Signature | None:
 def _pictures(
     residuals: contents.Residuals, scene: Scene, laid: Signature | None
 ) -> Iterator[View]:
-    """Figures to choose from, each with its name and what it shows."""
+    """Make the figures of the tabs, each with a name and a description."""
     own = contents.JointResiduals.of(scene)
-    over = f"; the pattern of {laid.effect} laid over" if laid else ""
-    words = "each joint's reading minus what the measured pose asks for"
+    over = f", with the pattern of {laid.effect}" if laid else ""
+    words = "encoder reading minus inverse kinematics of the measured pose"
     if own.joints:
         yield _picture(
             "joints", f"{words}, against the reading{over}", joint_panels.flat_panels(own, laid)
         )
-        if bent := joint_panels.polar_panels(own, laid):
-            yield _picture("joints, round", f"{words}, round the reading{over}", bent)
+        if polar := joint_panels.polar_panels(own, laid):
+            yield _picture("joints, round", f"{words}, as a polar plot{over}", polar)
     if residuals.kind is not None:
         flat, scale = maps.residuals(
             residuals.place, [residuals.now], residuals.kind, residuals.sample
         )
-        yield _picture("sides", f"residuals from three sides, {scale:g} times as long", flat)
+        yield _picture("sides", f"residuals from three sides, magnified {scale:g} times", flat)
     if (spread := maps.PositionUncertainty.of(scene.model)) is not None:
         known, scale = maps.workspace(spread)
-        words = f"what the model itself leaves open: 1-sigma ellipses, {scale:g} times as large"
+        words = f"model uncertainty: 1-sigma ellipses, magnified {scale:g} times"
         yield _picture("uncertainty", words, known)
 
 
@@ -267,8 +265,8 @@ def _picture(name: str, words: str, figure: Spec) -> View:
 
 
 def _residuals(residuals: contents.Residuals, striking: Sequence[ResidualProfile]) -> View:
-    """Residuals in sigmas (N, k) by component, and what they may go with (N,), most striking
-    first; what does not vary tells nothing."""
+    """Return residuals in sigmas (N, k) by component, and the quantities (N,) that they may depend
+    on, the strongest dependence first. Quantities that do not vary are omitted."""
     along = {}
     for one in residuals.select_informative(striking):
         values = residuals.regressors[one.name]
@@ -290,13 +288,13 @@ def _residuals(residuals: contents.Residuals, striking: Sequence[ResidualProfile
             "place": np.round(
                 (1.0 if residuals.kind == "orientation" else 1e3) * residuals.place, 4
             ),
-            "where": "platform's axis, {}" if residuals.kind == "orientation" else "{} [mm]",
+            "where": "platform axis, {}" if residuals.kind == "orientation" else "{} [mm]",
         }
     )
 
 
 def _combine_effects(diagnosis: Diagnosis) -> View | None:
-    """Several effects that were found, to be added at once: one alone may not stand."""
+    """Offer several found effects together, because one alone may be refused."""
     if len(diagnosis.effects) < 2:
         return None
     return {"names": " and ".join(diagnosis.effects), "text": "+".join(diagnosis.additions)}
@@ -326,7 +324,7 @@ def _candidate(entry: Entry, found: Report) -> View:
 
 
 def _pattern(entry: Entry, model: Model) -> View | None:
-    """What it would leave, laid over what is there; None where it could not be tested."""
+    """Draw the candidate's pattern over the residuals; None if it was not tested."""
     if entry.candidate.score is None:
         return None
     laid, mechanism = signature(entry.candidate), model.mechanism
@@ -354,7 +352,7 @@ def _parameter(name: str, p: contents.DescribedParameter) -> View:
         "name": name,
         "what": p.words,
         "value": value,
-        "sigma": "given" if p.fixed else (sigma or "-"),
+        "sigma": "fixed" if p.fixed else (sigma or "-"),
         "unit": unit,
         "moved": _round(p.moved_tolerances, 2),
     }

@@ -1,4 +1,4 @@
-"""Colours and the pieces that every part of the page is made of."""
+"""Colours and widgets that all parts of the page use."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ body:has(.q-header.at-robot) .q-dialog__inner > div { max-height: 100% }
 .body--dark .q-header { background: #1d1d1d; color: #e6edf3 }
 .body--dark .q-btn--outline, .body--dark .q-btn--flat { --q-primary: #7fc0f0 }
 """
-# A dialog begins beneath the header at a robot, so that STOP stays within reach.
+# At a robot a dialog begins below the header, so that STOP stays within reach.
 HEADER_HEIGHT = """<script>
 function followHeaderHeight() {
   const header = document.querySelector(".q-header");
@@ -38,7 +38,7 @@ function followHeaderHeight() {
   new ResizeObserver(tell).observe(header);
 }
 </script>"""
-# Plotly is fetched while the measurements are looked at, not once there is something to draw.
+# Fetch Plotly while the measurements are read, before there is something to draw.
 HEAD = """<script>document.documentElement.lang = "en"</script>
 <script type="module">import("nicegui-plotly").catch(() => undefined)</script>"""
 CHECKBOX = '<q-checkbox dense v-model="props.selected" :aria-label="{words}" />'
@@ -46,7 +46,7 @@ FIGURE_MARGIN = {"t": 24, "r": 12, "l": 52, "b": 44}
 
 
 def card(title: str) -> Any:
-    """A region of the page with its heading."""
+    """Make a region of the page with its heading."""
     made = ui.card().classes("w-full").props(f'role=region aria-label="{title}"')
     with made:
         ui.label(title).classes("text-lg font-bold").props("role=heading aria-level=2")
@@ -54,7 +54,7 @@ def card(title: str) -> Any:
 
 
 def table(columns: list[tuple[str, str]], rows: list[dict[str, Any]], key: str, **how: Any) -> Any:
-    """A table of (field, heading) columns, sortable by each."""
+    """Make a table of (field, heading) columns, sortable by each."""
     shown = [
         {"name": field, "label": label, "field": field, "align": "left", "sortable": True}
         for field, label in columns
@@ -67,7 +67,7 @@ def table(columns: list[tuple[str, str]], rows: list[dict[str, Any]], key: str, 
 
 
 def make_chart(across: dict[str, Any], up: str, **look: Any) -> dict[str, Any]:
-    """A low figure of one trace that is yet without points, over an axis, from zero up."""
+    """Make a low figure with one empty trace; its vertical axis begins at zero."""
     return {
         "data": [{"type": "scatter", "x": [], "y": [], **look}],
         "layout": {
@@ -81,9 +81,11 @@ def make_chart(across: dict[str, Any], up: str, **look: Any) -> dict[str, Any]:
 
 
 def draw_figure(figure: dict[str, Any], words: str, before: Any = None) -> Any:
-    """A figure in the page's colours, with words for whoever does not see it; in the stead of the
-    one `before` it takes a tenth of the time."""
-    kept = {"uirevision": words}  # what a person has zoomed or turned
+    """Draw a figure in the page's colours, with a description for screen readers.
+
+    Updating the figure `before` takes a tenth of the time of a new one.
+    """
+    kept = {"uirevision": words}  # keeps zoom and camera
     figure = figure | {"layout": figure["layout"] | FIGURE_LAYOUT | kept}
     if before is None:
         before = ui.plotly(figure).classes("w-full")
