@@ -700,7 +700,9 @@ def test_look_prints_when_and_what_was_dropped(tmp_path):
     console = Console(width=200)
     with console.capture() as shown:
         print_info(info(bag), console)
-    told = "dropped 1: joint reading is not finite; at 0.51 s: joint_states: 1 of 741 messages"
+    told = (
+        "dropped 1: joint reading is not finite; first at 0.51 s: joint_states: 1 of 741 messages"
+    )
     assert told in shown.get()
 
 

@@ -107,7 +107,7 @@ def test_an_effect_of_one_robot_is_its_fault_where_its_numbers_stand_apart():
     (effect,) = found.effects
     assert (effect.kind, effect.robots) == ("fault", ("r4", "r5"))
     assert [(d.robot, d.name) for d in effect.deviations] == [("r4", "backlash.joint2.width")]
-    assert "backlash: of r4: its own fault" in effect_in_words(effect)
+    assert "backlash: only in r4: a fault of this robot" in effect_in_words(effect)
     (doubted,) = findings(workshop(15, r5=usual), DRAWING).effects
     assert doubted.kind == "doubtful"
     assert next_robot(DRAWING, found).effects == ()
@@ -153,7 +153,7 @@ def test_of_a_robot_whose_recordings_contradict_each_other_the_last_counts(when)
     assert (apart.robot, apart.name) == ("r7", "chain2.Lb")
     assert apart.size == pytest.approx(1e-3, abs=4 * apart.sigma)
     assert found.drifts == ()
-    assert "only the last one counts" in change_in_words(one, "1 mm")
+    assert "only the last recording is used" in change_in_words(one, "1 mm")
 
 
 def test_recordings_in_which_other_effects_were_found_are_no_contradiction():
@@ -187,7 +187,7 @@ def test_an_effect_of_many_but_not_most_is_perhaps_a_batchs():
     (effect,) = findings(workshop(15, **changed), DRAWING).effects
     assert effect.kind == "doubtful"
     assert "6 of 15 robots" in effect_in_words(effect)
-    assert "a batch's?" in effect_in_words(effect)
+    assert "check what these robots share" in effect_in_words(effect)
 
 
 def test_a_spread_that_the_data_do_not_show_is_zero():

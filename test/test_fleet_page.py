@@ -54,7 +54,7 @@ def test_the_page_has_every_robot_and_why_a_recording_failed(folder):
     assert 'href="reports/a%2520%253Cb%253E.html"' in robots
     assert robots.count("href=") == 1
     assert "cut &lt;short&gt;" in part(text, "failed")
-    assert "backlash: in 4 of 4 robots" in part(text, "together")
+    assert "backlash: in 4 of 4 robots" in part(text, "findings")
     assert "failed: z y: cut <short>" in format_fleet(fleet)
 
 

@@ -54,7 +54,7 @@ def test_a_panel_a_joint_shows_each_sample_at_its_reading_with_its_number(found)
 
 
 def test_a_gears_ripple_is_laid_over_as_the_wave_that_it_is(found, gear):
-    laid = trace(joint_panels.flat_panels(found, gear), "this effect's pattern", mark="x3")
+    laid = trace(joint_panels.flat_panels(found, gear), "pattern of the effect", mark="x3")
     assert laid["mode"] == "lines"
     q, drawn = np.radians(laid["x"]), 1e-3 * np.array(laid["y"])
     turned = RATIO * q + PHASE[2]
@@ -69,7 +69,7 @@ def test_play_is_laid_over_as_points_since_neighbours_differ():
     result = fit(new_model("delta54"), data, hold_out=0)
     scene = Scene.of(result.model, data, result.observations, result.free)
     one = signature(candidate(scene, "backlash"))
-    laid = trace(joint_panels.flat_panels(JointResiduals.of(scene), one), "this effect's pattern")
+    laid = trace(joint_panels.flat_panels(JointResiduals.of(scene), one), "pattern of the effect")
     assert laid["mode"] == "markers"
 
 

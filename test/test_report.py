@@ -29,12 +29,12 @@ SECTIONS = [
     "numbers",
     "history",
     "error-budget",
-    "what-is-left-in-space",
-    "what-is-left-along-everything",
+    "residuals-in-space",
+    "residuals-against-quantities",
     "which-effect-is-missing",
     "what-to-measure-next",
     "parameters",
-    "what-the-data-cannot-tell",
+    "what-the-data-do-not-determine",
     "unexplained-structure",
     "samples",
     "provenance",
@@ -291,7 +291,7 @@ def test_a_robot_without_any_missing_effect_has_a_page_too():
     document, text = shown(new_model("delta54"), measured(1))
     assert document["diagnosis"]["verdict"] == "at_noise"
     assert document["errors"]["found"] is None
-    assert "at the noise" in section(text, "verdict")
+    assert "at the noise floor" in section(text, "verdict")
     assert 'class="switch"' not in text
     assert "two-models" not in text
 
@@ -303,13 +303,13 @@ def test_orientations_alone_are_shown_at_the_platform_axis():
     np.testing.assert_allclose(np.linalg.norm(document["residuals"]["place"], axis=1), 1.0)
     assert "<span>arcmin</span>" in section(text, "numbers")
     assert "<span>µm</span>" not in section(text, "numbers")
-    assert "unit sphere" in section(text, "what-is-left-in-space")
+    assert "unit sphere" in section(text, "residuals-in-space")
 
 
 def test_what_the_data_cannot_tell_is_said_in_words_and_correlations_by_name(data):
     positions = replace(data, measured=np.tile([True] * 3 + [False] * 3, (len(data), 1)))
     document, text = shown(new_model("delta24"), positions, effects=["zero_shift"], free=["*.D_z"])
-    said = section(text, "what-the-data-cannot-tell")
+    said = section(text, "what-the-data-do-not-determine")
     row = document["correlated"][0]
     assert abs(row["value"]) > 0.98
     assert f"{' and '.join(row['parameters'])}: {row['value']:.4f}" in said
@@ -337,7 +337,7 @@ def test_a_set_up_without_any_pose_says_that_there_is_nothing_in_space():
     data = tied(plate, *plate.session(vs.random_delta(0), 25, 0))
     document, text = shown(new_model("delta24", sensors=[sensor]), data)
     assert document["residuals"]["kind"] is None
-    assert "No pose was measured" in section(text, "what-is-left-in-space")
+    assert "No pose was measured" in section(text, "residuals-in-space")
     assert "<em>reading</em>" in section(text, "numbers")
     assert "no smooth map" in section(text, "unexplained-structure")
 

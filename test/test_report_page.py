@@ -24,12 +24,12 @@ DRAWS = ["--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader"]
 PARTS = {  # those of the page that fold, in their order
     "History",
     "Error budget",
-    "What is left, in space",
-    "What is left, along everything",
+    "Residuals in space",
+    "Residuals against quantities",
     "Which effect is missing",
     "What to measure next",
     "Parameters",
-    "What the data cannot tell",
+    "What the data do not determine",
     "Unexplained structure",
     "Samples",
     "Provenance",
@@ -92,12 +92,12 @@ def test_the_furthest_mean_is_that_which_leaves_the_band_furthest():
 
 def test_velocities_of_a_robot_at_rest_are_left_out(made, text):
     assert "velocity.joint1" in made.residuals.regressors
-    assert "velocity.joint1" not in part(text, "what-is-left-along-everything")
+    assert "velocity.joint1" not in part(text, "residuals-against-quantities")
 
 
 def test_parameters_are_said_to_be_those_with_the_effects_found(made, text):
     assert list(made.diagnosis.effects) == ["backlash"]
-    assert "Of the model with backlash added: " in text
+    assert "Model with backlash added: " in text
 
 
 def test_every_free_parameter_has_its_value_sigma_and_unit(made, text):
@@ -153,7 +153,9 @@ def test_a_verdict_of_something_missing_is_not_green(text):
 
 def test_patterns_joints_maps_and_the_mechanism_are_drawn_by_the_same_code(made, text):
     titles = json.dumps([f["layout"] for f in figures(text)], ensure_ascii=False)
-    assert "joint1 came falling (−1), growing (+1)" in titles  # backlash over the direction
+    assert (
+        "approach direction of joint1: falling −1, rising +1" in titles
+    )  # backlash over the direction
     assert "joint1 residual [mrad]" in titles
     assert "plan: x [mm]" in titles
     kinds = [{t.get("name") for t in f["data"]} for f in figures(text)]
@@ -235,7 +237,7 @@ def test_the_switch_changes_every_view_at_once(opened):
         "[...document.querySelectorAll('.plot')].filter(p => p.data).flatMap(p => p.data)"
         ".filter(t => t.meta !== undefined).map(t => [t.meta, t.visible])"
     )
-    window.locator("#what-is-left-along-everything .plot").first.scroll_into_view_if_needed()
+    window.locator("#residuals-against-quantities .plot").first.scroll_into_view_if_needed()
     window.wait_for_timeout(800)
     before = window.evaluate(read)
     assert {meta for meta, _ in before} == {0, 1}

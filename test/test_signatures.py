@@ -148,9 +148,9 @@ def test_the_figure_shows_measured_means_and_pattern_in_sigmas(ripple):
     names = [trace["name"] for trace in drawn["data"] if trace["showlegend"]]
     assert names == [
         "measured",
-        "99 % of means if nothing depends on it",
+        "99 % band of the mean without dependence",
         "measured, mean",
-        "this effect's pattern",
+        "pattern of the effect",
     ]
     layout = drawn["layout"]
     assert layout["xaxis"]["title"]["text"] == "joint1, within 4.50 deg [deg]"

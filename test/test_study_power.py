@@ -215,8 +215,8 @@ def test_a_study_ends_where_it_knows_goes_on_where_it_was_and_counts_false_alarm
     assert found.sessions == len(asked) == len(set(asked))
     assert max(Counter((one.effect, one.size) for one in asked).values()) == 8
     assert "false alarms in 8 sessions without any effect: base_drift in 1" in format_power(found)
-    assert "backlash is called base_drift in 4 of 16 sessions" in format_power(found)
-    assert "What 24 poses of slider_crank tell" in power_page(found)
+    assert "backlash is mistaken for base_drift in 4 of 16 sessions" in format_power(found)
+    assert "Effects that 24 poses of slider_crank detect" in power_page(found)
     lines = (tmp_path / "out" / "sessions.jsonl").read_text().splitlines()
     cut = "\n".join([*lines[:-3], lines[-3][:20]])  # a crash in the middle of a line
     (tmp_path / "out" / "sessions.jsonl").write_text(cut)
@@ -312,7 +312,7 @@ def test_the_command_gives_page_numbers_and_clear_errors(question, tmp_path, cap
     assert [one["effect"] for one in document["effects"]] == ["device_bump"]
     assert document["effects"][0]["unit"] == "m"
     assert json.loads((tmp_path / "out" / "power.json").read_text()) == document
-    assert 'id="what-is-found"' in (tmp_path / "out" / "power.html").read_text()
+    assert 'id="detectable-effects"' in (tmp_path / "out" / "power.html").read_text()
     with pytest.raises(SystemExit) as ended:
         cli.main([*words[:2], str(tmp_path / "no.csv"), words[3]])
     assert ended.value.code == 1

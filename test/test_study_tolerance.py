@@ -45,8 +45,8 @@ def test_a_cranks_budget_is_that_worked_by_hand():
     assert not found.differs("position")
     first, *others = remarks(found)
     assert first == (
-        "encoder offset (q0), 1.00 deg, costs most: 98 % of the squared position error; held to "
-        "half of it, 2291.2 um would be 1180.9"
+        "encoder offset (q0), 1.00 deg, contributes most: 98 % of the squared position error; half "
+        "the tolerance would reduce the error from 2291.2 to 1180.9 um"
     )
     assert not others
 
@@ -88,7 +88,7 @@ def test_tolerances_too_large_for_the_budget_are_said():
     )
     found = tolerances(new_model(model.mechanism), robots=300, poses=2)
     assert found.differs("position")
-    assert any("times what the budget says" in text for text in remarks(found))
+    assert any("times those of the budget" in text for text in remarks(found))
     assert found.document()["errors"]["position"]["linear_differs"]
 
 

@@ -1,1 +1,1 @@
-"""What a report is made of: the parts of its document, their figures and tables, the page."""
+"""Reports and pages: the parts of the documents, their figures, tables and texts."""

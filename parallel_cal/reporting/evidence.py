@@ -1,4 +1,4 @@
-"""Which effect is missing and how sure that is; what to measure to be surer."""
+"""The parts of the report on candidates, the certainty of the verdict, and what to measure next."""
 
 from __future__ import annotations
 
@@ -33,45 +33,46 @@ from parallel_cal.reporting.readable import (
 )
 from parallel_cal.reporting.report import Report
 
-ESTIMATES = 4  # numbers of an effect; gears have a dozen
-PATTERNS = 4  # that are drawn
+ESTIMATES = 4  # parameters of an effect that are shown; gears have a dozen
+PATTERNS = 4  # candidates whose patterns are drawn
 
 
 def candidates(report: Report, plot: Plot) -> str:
-    """The catalogue, best first; below what these data cannot test, and why."""
+    """Render the catalogue, best candidate first, then the effects that were not tested."""
     found = report.diagnosis
     tested = [entry for entry in found.entries if entry.p_adjusted is not None]
     rest = [(entry.name, entry.reason) for entry in found.entries if entry.p_adjusted is None]
     control = found.negative_control.random_group
     note = (
-        "Effects are scored off the geometry; the best are refitted, where they are no chance by "
-        "themselves; p for having looked at all of them. Negative control: random columns would "
-        f"come out as number {control.rank} (p = {probability(control.p_value)})."
+        "Each effect is scored by the part of its pattern that the geometry cannot absorb. The "
+        "best significant effects are refitted. The p-values account for the number of tests. "
+        f"Negative control: a random group of columns would have rank {control.rank} "
+        f"(p = {probability(control.p_value)})."
     )
-    told = [f"{name} fits no better than {', '.join(o)}" for name, o in found.swaps.items()]
-    told += [f"Against it: {text}" for text in found.verdict.against]
+    remarks = [f"{name} fits no better than {', '.join(o)}." for name, o in found.swaps.items()]
+    remarks += [f"Objection: {text}" for text in found.verdict.against]
     first = [e for e in tested if e.name in found.effects or e.rank <= MAX_REFITTED_CANDIDATES]
     later = [e for e in tested if e not in first]
-    shown = _tested(report, first) if first else paragraph("None could be tested.", "none")
+    shown = _tested(report, first) if first else paragraph("No effect could be tested.", "none")
     shown += _patterns(first, report, plot)
     if later:
-        shown += folded(f"{len(later)} more were tested and fit no better", _tested(report, later))
+        shown += folded(f"{len(later)} more effects fit no better", _tested(report, later))
     if rest:
-        listed = table(("effect", "why not"), rest, "evidence")
+        listed = table(("effect", "reason"), rest, "evidence")
         shown += folded(f"Not tested: {len(rest)}", listed)
-    return paragraph(note, "note") + items(told) + shown
+    return paragraph(note, "note") + items(remarks) + shown
 
 
 def _patterns(rows: Sequence[Entry], report: Report, plot: Plot) -> str:
-    """The patterns of the first laid over the residuals, in turn."""
+    """Draw the patterns of the first candidates over the residuals, in tabs."""
     mechanism, pages = report.diagnosis.model.mechanism, {}
     for entry in rows[:PATTERNS]:
         drawn = signature(entry.candidate)
         if drawn.panels:
             pages[entry.name] = plot(signatures.figure(drawn, mechanism))
     note = (
-        "What each would leave, laid over the residuals of the model as it is: where the dashed "
-        "line follows the blue one and both leave the band, the effect fits."
+        "The pattern of each candidate over the residuals of the present model. An effect fits if "
+        "the dashed line follows the blue one and both leave the band."
     )
     return paragraph(note, "note") + tabs(pages) if pages else ""
 
@@ -82,11 +83,11 @@ def _tested(report: Report, rows: Sequence[Entry]) -> str:
     header = (
         "effect",
         "p (Holm)",
-        f"left-out {kind} rms",
-        "explains",
-        "picked first",
+        f"validation error, {kind} rms",
+        "accounts for",
+        "first pick",
         "not geometry",
-        "cannot be told from",
+        "lookalikes",
     )
     found = report.diagnosis.effects
     return table(
@@ -96,8 +97,8 @@ def _tested(report: Report, rows: Sequence[Entry]) -> str:
 
 def _row(entry: Entry, kind: str, unit: str, found: bool) -> list[Cell]:
     alone, effect = entry.alone, entry.candidate.effect
-    # What stands against it, and what would tell it from its lookalikes.
-    apart = f"told apart by {effect.separated_by}" if effect.separated_by else ""
+    # The objections, and the measurement that distinguishes it from its lookalikes.
+    apart = f"distinguished by {effect.separated_by}" if effect.separated_by else ""
     cure = f" At the machine: {effect.remedy}." if found and effect.remedy else ""
     return [
         Cell(f"{entry.rank}. {entry.name}", effect.physics + cure, mark="found" if found else ""),
@@ -114,14 +115,14 @@ def _row(entry: Entry, kind: str, unit: str, found: bool) -> list[Cell]:
 
 
 def _fall(alone: SingleEffectFit, kind: str, unit: str) -> str:
-    """`37.6 → 32.2 µm`."""
+    """Format `37.6 → 32.2 µm`."""
     name, factor = error_unit(unit)
     sides = (number(e.rms(kind), factor) for e in (alone.before, alone.after))
     return " → ".join(sides) + f" {name}"
 
 
 def _estimates(parameters: Mapping[str, ParameterEstimate]) -> str:
-    """The effect's own numbers with their sigma, the surest first."""
+    """Format the parameters of the effect with their sigma, the most certain first."""
     free = [(name, p) for name, p in parameters.items() if not p.fixed]
     free.sort(key=lambda item: -abs(item[1].value) / (item[1].sigma or math.inf))
     words = [_estimate(name, p) for name, p in free[:ESTIMATES]]
@@ -137,28 +138,28 @@ def _estimate(name: str, p: ParameterEstimate) -> str:
 
 
 def measure_next(report: Report) -> str:
-    """Advice, conditions to record, and the planned poses."""
+    """Render the advice, the conditions to record, and the planned poses."""
     following = report.diagnosis.measure_next
-    told = [sentence(text) for text in following.advice]
-    lacking: dict[str, list[str]] = {}
+    advice = [sentence(text) for text in following.advice]
+    missing: dict[str, list[str]] = {}
     for effect, conditions in following.record.items():
-        lacking.setdefault(" and ".join(conditions), []).append(effect)
-    told += [f"Record {what}, to test {', '.join(e)}." for what, e in lacking.items()]
+        missing.setdefault(" and ".join(conditions), []).append(effect)
+    advice += [f"Record {what}, to test {', '.join(e)}." for what, e in missing.items()]
     plan = following.plan
     if not plan:
-        return items(told) or paragraph("Nothing is left to be told apart.", "none")
+        return items(advice) or paragraph("There are no effects left to distinguish.", "none")
     now, then = (number(sigmas, 1.0, 2) for sigmas in (plan.sigmas.now, plan.sigmas.then))
     words = (
-        f"{len(plan.poses)} planned poses would tell {' from '.join(plan.separates)} by "
-        f"{then} sigmas; the data so far do by {now}."
+        f"{len(plan.poses)} planned poses would distinguish {' from '.join(plan.separates)} by "
+        f"{then} sigmas. The present data distinguish them by {now} sigmas."
     )
-    return items(told) + paragraph(words) + _poses(plan.poses, report.provenance.joint_units)
+    return items(advice) + paragraph(words) + _poses(plan.poses, report.provenance.joint_units)
 
 
 def _poses(poses: Sequence[PlannedPose], units: Mapping[str, str]) -> str:
-    """The poses to measure, each under its circumstances."""
+    """Render the poses to measure, with their waypoints and conditions."""
     joints = [f"{name} [{value_unit(unit)[0]}]" for name, unit in units.items()]
-    stops = ["past it [mm]", "and back to [mm]"] if poses[0].by_way_of else []
+    stops = ["waypoint 1 [mm]", "waypoint 2 [mm]"] if poses[0].by_way_of else []
     conditions = list(poses[0].conditions)
     rows = [
         [

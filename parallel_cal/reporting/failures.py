@@ -1,4 +1,4 @@
-"""Where the model fails: in space, along everything recorded, in the samples, in a picture."""
+"""The parts of the report on residuals: in space, against quantities, by sample, smooth map."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ from parallel_cal.reporting.readable import (
 )
 from parallel_cal.reporting.report import Report
 
-MAX_SAMPLE_ROWS = 400  # samples of a table, worst first
-MAX_OPEN_PANELS = 8  # panels that are open
+MAX_SAMPLE_ROWS = 400  # rows of the table of samples, worst first
+MAX_OPEN_PANELS = 8  # panels that are not folded
 PROFILE_NOTE = (
-    "Residuals in sigmas of the noise: grey every one, coloured their rolling mean, the band where "
-    "99 % of such means lie if nothing depends on it. Of many windows a few leave the band by "
-    "chance. Most striking first, of the model as it is; what says nothing is left out (velocities "
-    "of a robot at rest)."
+    "Residuals in sigmas of the noise. Grey: every sample. Coloured: the rolling mean. The band "
+    "contains 99 % of such means if the residuals do not depend on the quantity; of many windows "
+    "a few leave it by chance. The strongest dependence of the present model comes first. "
+    "Quantities that did not vary, such as velocities at rest, are not shown."
 )
 SWITCH = (
-    '<p class="switch"><button type="button" value="0" aria-pressed="true">as it is</button>'
+    '<p class="switch"><button type="button" value="0" aria-pressed="true">present model</button>'
     '<button type="button" value="1" aria-pressed="false">with the effects found</button></p>'
 )
 COLOURS = "Colour is direction: red +x, green-yellow +y, cyan -x, violet -y; light up, dark down."
 
 
 def in_space(report: Report, plot: Plot) -> str:
-    """Residual arrows in space and from three sides, errors by octant, the model's own sigma."""
+    """Render residual arrows in space and in projections, errors by octant, model uncertainty."""
     left = report.residuals
     if left.kind is None:
         return paragraph("No pose was measured: there are no residuals in space.", "none")
@@ -49,25 +49,26 @@ def in_space(report: Report, plot: Plot) -> str:
     legend = _legend(left.kind, scale, len(left.sample))
     pages = {
         "in space": legend + plot(figure),
-        "plan, front, side": paragraph(f"Drawn {same:g} times as long as they are.", "note")
+        "plan, front, side": paragraph(f"Residuals, magnified {same:g} times.", "note")
         + plot(flat),
     }
     if report.spread is not None:
         ellipses, wide = maps.workspace(report.spread)
         note = (
-            "How well the identified model knows where the platform is: 1 σ ellipses, drawn "
-            f"{wide:g} times as large as they are, and by colour. No residual is in them."
+            "Model uncertainty of the position: 1 σ ellipses, magnified "
+            f"{wide:g} times, and 1 σ as colour. They follow from the covariance of the "
+            "parameters, not from the residuals."
         )
-        pages["the model's 1 σ over the workspace"] = paragraph(note, "note") + plot(ellipses)
+        pages["model uncertainty"] = paragraph(note, "note") + plot(ellipses)
     return (SWITCH if left.found is not None else "") + tabs(pages) + _regions(report.regions)
 
 
 def _legend(kind: str, scale: float, count: int) -> str:
-    """What the arrows are, their scale, and the wheel of directions."""
+    """Explain the arrows, their scale, and the colours of directions."""
     what = (
-        f"Measured minus predicted position, drawn {scale:g} times as long as it is."
+        f"Measured minus predicted position, magnified {scale:g} times."
         if kind == "position"
-        else "Rotation from predicted to measured orientation (a vector about the base's axes), at "
+        else "Rotation from predicted to measured orientation (rotation vector in {B}), at "
         f"the platform's z axis on the unit sphere; 1 rad is drawn {scale:g} long."
     )
     if count > spaces.MAX_ARROWS:
@@ -77,7 +78,7 @@ def _legend(kind: str, scale: float, count: int) -> str:
 
 
 def _regions(rows: Sequence[Region]) -> str:
-    """RMS errors of the workspace's octants, worst first."""
+    """Render the rms errors of the workspace's octants, worst first."""
     if not rows:
         return ""
     listed = table(
@@ -96,14 +97,14 @@ def _regions(rows: Sequence[Region]) -> str:
 
 
 def along_everything(report: Report, plot: Plot) -> str:
-    """Joints against their own readings; small multiples of joints, place, time, conditions."""
+    """Render residuals against joints, position, time and conditions, and each joint's own."""
     drawn = [
         f"<figure><figcaption><b>{escape(name)}</b> {escape(words)}</figcaption>"
         f"{plot(figure)}</figure>"
         for name, words, figure in multiples(report.along, report.residuals, report.along_found)
     ]
     if not drawn:
-        return paragraph("Nothing varied that residuals could depend on.", "none")
+        return paragraph("No recorded quantity varied.", "none")
     key = "".join(
         f'<span class="key"><i style="background:{colour(name)}"></i>{escape(name)}</span>'
         for name in report.residuals.components
@@ -115,13 +116,13 @@ def along_everything(report: Report, plot: Plot) -> str:
         f'<p class="note">{key}</p><div class="grid">{first}</div>',
     ]
     if rest:
-        title = f"{len(drawn) - MAX_OPEN_PANELS} more, less striking"
+        title = f"{len(drawn) - MAX_OPEN_PANELS} more quantities"
         parts.append(folded(title, f'<div class="grid">{rest}</div>'))
     return "".join(parts) + _joints(report, plot)
 
 
 def _joints(report: Report, plot: Plot) -> str:
-    """Each joint's own residual against its own reading, with the pattern of what was found."""
+    """Render each joint's residual against its reading, with the pattern of an effect found."""
     found = report.joints
     if not found.joints:
         return ""
@@ -129,50 +130,55 @@ def _joints(report: Report, plot: Plot) -> str:
     patterns = (signature(one) for one in taken if one.score is not None)
     own = [s for s in patterns if any(p.component in found.joints for p in s.panels)]
     candidate = own[0] if own else None
-    laid = f", the pattern of {candidate.effect} laid over" if candidate else ""
-    pages = {"over the reading": plot(joint_panels.flat_panels(found, candidate))}
-    if (bent := joint_panels.polar_panels(found, candidate)) is not None:
-        pages["round the reading"] = plot(bent)
-    words = f"Measured joint minus inverse of the measured pose, model as it is{laid}."
-    title = "<h3>Each joint's own residual</h3>"
+    pattern = f", with the pattern of {candidate.effect}" if candidate else ""
+    pages = {"linear": plot(joint_panels.flat_panels(found, candidate))}
+    if (polar := joint_panels.polar_panels(found, candidate)) is not None:
+        pages["polar"] = plot(polar)
+    words = (
+        "Encoder reading minus inverse kinematics of the measured pose, present model, against "
+        f"the reading{pattern}."
+    )
+    title = "<h3>Residual of each joint</h3>"
     return title + paragraph(words, "note") + tabs(pages)
 
 
 def structure(report: Report, plot: Plot) -> str:
-    """Tests of what is left, and the smooth map, labelled as what it is."""
+    """Render the tests of the remaining residuals, and the smooth map."""
     found = report.diagnosis.structure
     p = probability(found.p_value)
     known = paragraph(
-        f"Neighbours err alike, or signs change too seldom (p = {p})."
+        f"Neighbouring residuals are similar, or their signs change too seldom (p = {p})."
         if found.has_structure
-        else f"No structure is left that neighbours or runs would show (p = {p})."
+        else f"The residuals show no structure, neither of neighbours nor of signs (p = {p})."
     )
     drawn = spaces.smooth_map(found.map)
     if drawn is None:
-        return known + paragraph("There is no smooth map that predicts poses left out.", "none")
+        return known + paragraph(
+            "There is no smooth map: none predicts the residuals at held-out poses.", "none"
+        )
     figure, scale = drawn
     return known + paragraph(_caption(found.map, scale), "caution") + plot(figure)
 
 
 def _caption(found: SmoothMap, scale: float) -> str:
     position = found.kind == "position"
-    over = f"{found.length * 1e3:.3g} mm" if position else "the joints"
+    over = f"correlated over {found.length * 1e3:.3g} mm" if position else "over the joints"
     return (
-        "A picture, not physics: the smooth part of what is left, "
-        f"{with_unit(found.size, 'm' if position else 'rad')} rms over {over}; it predicts "
-        f"{percent(found.share)} of the variance at poses left out. Arrows are drawn "
-        f"{scale:g} times as long as they are."
+        "A picture, not a physical model: the smooth part of the residuals, "
+        f"{with_unit(found.size, 'm' if position else 'rad')} rms, "
+        f"{over}. It predicts {percent(found.share)} of the variance at held-out poses. Arrows are "
+        f"magnified {scale:g} times."
     )
 
 
 def samples(report: Report) -> str:
-    """Samples, worst first; sorted anew by a click on a column's head."""
+    """Render the samples, worst first; a click on a column header sorts them."""
     rows = report.samples
-    note = f"{len(rows)} samples, worst first; errors at a fit that left the pose out."
+    note = f"{len(rows)} samples, worst first, with their validation errors."
     if len(rows) > MAX_SAMPLE_ROWS:
-        note += f" The worst {MAX_SAMPLE_ROWS} are shown, all are in the JSON document."
+        note += f" The worst {MAX_SAMPLE_ROWS} are shown; all are in the JSON document."
     odd = [f"{row.sample} ({row.odd})" for row in rows if row.odd]
-    note += f" Odd: {', '.join(odd)}." if odd else " No sample is odd."
+    note += f" Odd samples: {', '.join(odd)}." if odd else " There are no odd samples."
     return paragraph(note, "note") + _samples(report)
 
 

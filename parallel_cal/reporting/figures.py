@@ -1,4 +1,4 @@
-"""The flat figures of a report as Plotly specifications: plain data, drawn by the page."""
+"""The 2D figures of a report as Plotly specifications, which the page draws."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MAX_MOVED_TOLERANCES = 5.0  # tolerances
 
 
 def select_evenly(n: int, most: int) -> np.ndarray:
-    """Indices of at most so many of n, evenly spread: more make a page heavy and show nothing."""
+    """Choose a limited number of indices of n, evenly spread, to keep the page small."""
     return np.unique(np.linspace(0, n - 1, min(n, most)).astype(int))
 
 
@@ -68,7 +68,7 @@ def circles(
     unit: str,
     columns: int = 3,
 ) -> Spec:
-    """Polar small multiples as one figure: radii from -size to size, nothing in the middle."""
+    """Draw polar small multiples as one figure with radii from -size to size."""
     rows, wide = -(-len(panels) // columns), min(columns, len(panels))
     data: list[Spec] = []
     layout: Spec = {"annotations": []}
@@ -122,17 +122,17 @@ def circles(
 
 
 def round_values(values: np.ndarray) -> list[float]:
-    """Five digits: a picture needs no more, and a page is smaller."""
+    """Round to five digits: a figure needs no more, and the page is smaller."""
     return [float(f"{v:.5g}") for v in values.tolist()]
 
 
 def round_with_gaps(values: np.ndarray) -> list[float | None]:
-    """The same for a line that is broken where a number is not known."""
+    """Round like `round_values`; an unknown number becomes None, a gap in the line."""
     return [float(f"{v:.5g}") if math.isfinite(v) else None for v in values.ravel().tolist()]
 
 
 def history(rows: Sequence[Mapping[str, Any]], floor: Summary, kind: str, si: str) -> Spec:
-    """Errors of a kind at poses left out, step by step, with the floor of the noise."""
+    """Draw the validation errors of a kind, step by step, with the noise floor."""
     unit, factor = error_unit(si)
     values = [row["error"].rms(kind) for row in rows]
     shown = [None if v is None else v * factor for v in values]
@@ -180,7 +180,7 @@ def _steps(rows: Sequence[Mapping[str, Any]], values: Sequence[float | None]) ->
 
 
 def _log_axis(values: Sequence[float | None], title: str) -> Spec:
-    """Logarithmic, ticks at 1, 2, 5 times powers of ten."""
+    """Make a logarithmic axis with ticks at 1, 2, 5 times powers of ten."""
     known = [v for v in values if v]
     low, high = np.log10(min(known) * 0.6), np.log10(max(known) * 1.6)
     powers = 10.0 ** np.arange(np.floor(low), np.ceil(high) + 1)
@@ -201,13 +201,13 @@ def _floor_label(noise: float) -> Spec:
         "xanchor": "left",
         "y": float(np.log10(noise)),
         "yanchor": "top",
-        "text": f"noise alone: {number(noise)}",
+        "text": f"noise floor: {number(noise)}",
         "showarrow": False,
     }
 
 
 def parameter_bars(parameters: Mapping[str, DescribedParameter]) -> Spec:
-    """How far every free parameter moved from nominal, in tolerances, with 1 sigma."""
+    """Draw how far every free parameter moved from nominal, in tolerances, with 1 sigma."""
     rows = [(name, p) for name, p in parameters.items() if not p.fixed][::-1]
     sigma = [p.sigma_tolerances or 0.0 for _, p in rows]
     bars = {

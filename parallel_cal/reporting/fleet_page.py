@@ -1,4 +1,4 @@
-"""A fleet as one page: robots by error, by what they lack, over time; a robot opens its report."""
+"""The page of a fleet: robots by error, over time, missing effects; each robot has a report."""
 
 from __future__ import annotations
 
@@ -35,46 +35,46 @@ from parallel_cal.reporting.readable import (
 )
 from parallel_cal.reporting.report import report_of
 
-LIBRARY = "plotly.min.js"  # beside the robots' reports, which share it
-WHEN = {"before": "as given", "identified": "identified", "after": "with effects found"}
+LIBRARY = "plotly.min.js"  # next to the robots' reports, which share it
+WHEN = {"before": "before", "identified": "fitted", "after": "with effects found"}
 
 
 def robot_page(found: Diagnosis) -> str:
-    """A robot's own report."""
+    """Render the report of one robot."""
     return page(report_of(found, vars(found.base.fitted.options)), LIBRARY)
 
 
 def write_fleet_page(fleet: Fleet, folder: Path) -> None:
-    """`fleet.html` into a fleet's folder, and what the robots' reports share."""
+    """Write `fleet.html` and the library that the robots' reports share."""
     pages = {unquote(path.stem) for path in (folder / "reports").glob("*.html")}
     write_atomically(folder / "reports" / LIBRARY, plotly())
     write_atomically(folder / "fleet.html", fleet_page(fleet, pages))
 
 
 def fleet_page(fleet: Fleet, reports: Collection[str]) -> str:
-    """The fleet's page; `reports` are the robots that have a page of their own in `reports/`."""
+    """Render the page of a fleet; `reports` are the robots that have a page in `reports/`."""
     drawn, found = PageBuilder(), fleet.findings
     robots, failed = len({row["robot"] for row in fleet.rows}), fleet.failed
     title = f"{robots} robots, {len(fleet.rows)} recordings"
     parts = [
         section("Verdicts", paragraph(sentence(verdicts_in_words(fleet)), "verdict")),
-        section("Together", _render_findings(found)),
+        section("Findings", _render_findings(found)),
         section("Robots by error", _by_error(fleet, drawn.plot) + _robots(fleet, reports)),
         section("Robots over time", _over_time(fleet, drawn.plot)),
-        section("What robots lack", _render_effects(fleet, drawn.plot)),
-        section("The workshop beside the drawing", _spreads(found, drawn.plot)),
+        section("Missing effects", _render_effects(fleet, drawn.plot)),
+        section("Fleet compared with the drawing", _spreads(found, drawn.plot)),
         section("Failed", _failed(failed), f"{len(failed)}", closed=not failed),
     ]
     return drawn.page_of(title, parts)
 
 
 def _render_findings(found: Findings | None) -> str:
-    """Whose each effect is, who stands apart, who changes."""
+    """Render the effects of the fleet, its outliers and its changes."""
     if found is None:
-        return paragraph("Fewer than four robots: nothing is said of them together.", "none")
-    said = [*together_in_words(found, _plus_minus)]
-    said += [f"{robot}: of another kind than {found.mechanism}" for robot in found.others]
-    return items(said) or paragraph("No robot stands apart, and none changes.", "none")
+        return paragraph("Fewer than four robots: no findings on the fleet as a whole.", "none")
+    findings = [*together_in_words(found, _plus_minus)]
+    findings += [f"{robot}: another mechanism than {found.mechanism}" for robot in found.others]
+    return items(findings) or paragraph("No robot is an outlier, and none changes.", "none")
 
 
 def _plus_minus(value: float, sigma: float, unit: str) -> str:
@@ -83,14 +83,14 @@ def _plus_minus(value: float, sigma: float, unit: str) -> str:
 
 
 def _last(fleet: Fleet) -> list[Row]:
-    """Each robot's last recording, the worst first."""
+    """Return the last recording of each robot, the worst first."""
     last = [own[-1] for own in sort_recordings(fleet.judged).values()]
     key = f"{kind_of(fleet)}_rms"
     return sorted(last, key=lambda row: -(row["after"][key] or 0.0))
 
 
 def _by_error(fleet: Fleet, plot: Plot) -> str:
-    """Errors of each robot's last recording, as given, identified, with the effects found."""
+    """Draw the errors of each robot's last recording: before, fitted, with the effects found."""
     kind, rows = kind_of(fleet), _last(fleet)
     if kind is None:
         return paragraph("No pose was measured.", "none")
@@ -108,7 +108,7 @@ def _by_error(fleet: Fleet, plot: Plot) -> str:
         }
         for when, name in WHEN.items()
     ]
-    note = "Of each robot's last recording, at poses left out of the fit; worst first."
+    note = "Validation error of each robot's last recording, worst first."
     layout = {
         "height": 320,
         "showlegend": True,
@@ -149,12 +149,12 @@ def _robots(fleet: Fleet, reports: Collection[str]) -> str:
         for row in _last(fleet)
         for name in [row["robot"]]
     ]
-    header = ("robot", "recordings", "verdict", "effects", *WHEN.values(), "apart", "changes")
+    header = ("robot", "recordings", "verdict", "effects", *WHEN.values(), "outliers", "changes")
     return table(header, rows, "sortable", WHEN["after"])
 
 
 def _names(told: Iterable[Deviation | Drift | Change]) -> dict[str, list[str]]:
-    """By robot the parameters that are told of it."""
+    """Group the names of the parameters by robot."""
     names: dict[str, list[str]] = {}
     for one in told:
         names.setdefault(one.robot, []).append(one.name)
@@ -162,16 +162,16 @@ def _names(told: Iterable[Deviation | Drift | Change]) -> dict[str, list[str]]:
 
 
 def report_name(robot: str) -> str:
-    """Where a robot's report lies, from the fleet's page."""
+    """Return the path of a robot's report, relative to the fleet's page."""
     return f"reports/{quote(quote(robot, safe=''))}.html"
 
 
 def _over_time(fleet: Fleet, plot: Plot) -> str:
-    """What each recording left, by when it was made; robots that change in colour."""
+    """Draw the error of each recording over time, with changing robots in colour."""
     kind = kind_of(fleet)
     rows = [row for row in fleet.judged if row["time"] is not None]
     if kind is None or len({row["time"] for row in rows}) < 2:
-        return paragraph("No recording says when it was made, or all are of one day.", "none")
+        return paragraph("The recordings have no times, or only one.", "none")
     unit, factor = error_unit(KINDS[kind])
     found = fleet.findings
     changing = set(_names((*found.drifts, *found.changed))) if found else set()
@@ -194,17 +194,17 @@ def _over_time(fleet: Fleet, plot: Plot) -> str:
     layout = {
         "height": 300,
         "showlegend": False,
-        "yaxis": {"title": {"text": f"{kind} error as given, rms [{unit}]"}},
+        "yaxis": {"title": {"text": f"{kind} error before, rms [{unit}]"}},
     }
-    said = f"In colour: {', '.join(sorted(changing))}." if changing else "No robot changes."
-    return paragraph(said, "note") + plot({"data": traces, "layout": layout})
+    note = f"In colour: {', '.join(sorted(changing))}." if changing else "No robot changes."
+    return paragraph(note, "note") + plot({"data": traces, "layout": layout})
 
 
 def _render_effects(fleet: Fleet, plot: Plot) -> str:
-    """How many robots have each effect, and the fleet's figures of its numbers."""
+    """Render how many robots have each effect, and the statistics of its parameters."""
     found = fleet.findings
     if found is None or not found.effects:
-        return paragraph("No effect was named in most recordings of any robot.", "none")
+        return paragraph("No effect was found in most recordings of any robot.", "none")
     upwards = found.effects[::-1]
     bars = {
         "type": "bar",
@@ -217,7 +217,7 @@ def _render_effects(fleet: Fleet, plot: Plot) -> str:
     }
     layout = {
         "height": 90 + 30 * len(upwards),
-        "xaxis": {"title": {"text": "robots"}, "range": [0, len(found.robots)]},
+        "xaxis": {"title": {"text": "number of robots"}, "range": [0, len(found.robots)]},
         "yaxis": {"dtick": 1},
         "bargap": 0.4,
     }
@@ -234,14 +234,14 @@ def _render_effects(fleet: Fleet, plot: Plot) -> str:
                     f"{number(one.low, factor)} … {number(one.high, factor)} {name}",
                 )
             )
-    shown = table(("number", "mean", "spread", "95 %"), rows)
+    shown = table(("parameter", "mean", "spread", "95 %"), rows)
     return plot({"data": [bars], "layout": layout}) + shown
 
 
 def _spreads(found: Findings | None, plot: Plot) -> str:
-    """The tolerance that production holds, as a share of the drawing's."""
+    """Draw the fleet's spread and mean of each parameter, in tolerances of the drawing."""
     if found is None:
-        return paragraph("Fewer than four robots: nothing is said of them together.", "none")
+        return paragraph("Fewer than four robots: no findings on the fleet as a whole.", "none")
     rows = found.parameters[::-1]
     share = [one.spread / one.tolerance for one in rows]
     traces: list[Spec] = [
@@ -264,7 +264,7 @@ def _spreads(found: Findings | None, plot: Plot) -> str:
         {
             "type": "scatter",
             "mode": "markers",
-            "name": "mean from the drawing, 1 σ",
+            "name": "mean minus nominal, 1 σ",
             "y": [escape(one.name) for one in rows],
             "x": [(one.mean - one.nominal) / one.tolerance for one in rows],
             "error_x": {
@@ -280,18 +280,18 @@ def _spreads(found: Findings | None, plot: Plot) -> str:
         "showlegend": True,
         "legend": LEGEND,
         "margin": {"t": 40},
-        "xaxis": {"title": {"text": "in tolerances of the drawing (1)"}},
+        "xaxis": {"title": {"text": "tolerances of the drawing"}},
         "yaxis": {"dtick": 1, "tickfont": {"size": 10}},
     }
     note = (
-        "next_robot.yaml has these means and spreads as nominal values and tolerances: by --prior "
-        "the next robot is identified from fewer poses."
+        "next_robot.yaml contains these means and spreads as nominal values and tolerances. With "
+        "--prior, the next robot needs fewer poses."
     )
     return paragraph(note, "note") + plot({"data": traces, "layout": layout})
 
 
 def _failed(rows: Sequence[Row]) -> str:
-    told = [(row["robot"], row["recording"], row["reason"]) for row in rows]
-    if not told:
+    failures = [(row["robot"], row["recording"], row["reason"]) for row in rows]
+    if not failures:
         return paragraph("Every recording was judged.", "none")
-    return table(("robot", "recording", "why"), told)
+    return table(("robot", "recording", "reason"), failures)

@@ -1,4 +1,4 @@
-"""A fleet as a terminal shows it."""
+"""The results of a fleet as text."""
 
 from __future__ import annotations
 
@@ -12,14 +12,13 @@ from parallel_cal.reporting.readable import ARCMIN, columns, format_fixed, in_un
 
 UNITS = {"position": ("um", 1e6), "reading": ("um", 1e6), "orientation": ("arcmin", ARCMIN)}
 DAY = 86400.0
-# recordings that a person reads
-MAX_WORST_RECORDINGS = 10
+MAX_WORST_RECORDINGS = 10  # recordings that are listed
 MAX_NAMED_ROBOTS = 5
-MAX_FAULT_SHARE = 0.25  # of the robots: more are nobody's own fault
+MAX_FAULT_SHARE = 0.25  # share of the robots above which an effect is no fault of single robots
 
 
 def format_fleet(fleet: Fleet) -> str:
-    """Verdicts, the worst recordings, and those that failed."""
+    """Format the verdicts, the worst recordings, the findings and the failures."""
     return "\n".join([*_verdicts(fleet), *_worst(fleet), *_format_findings(fleet), *_failed(fleet)])
 
 
@@ -31,26 +30,28 @@ def _verdicts(fleet: Fleet) -> Iterator[str]:
 
 
 def verdicts_in_words(fleet: Fleet) -> str:
-    """How many recordings have each verdict."""
+    """Count the recordings with each verdict."""
     verdicts = Counter(row["verdict"] for row in fleet.judged)
-    return ", ".join(f"{word}: {n}" for word, n in verdicts.most_common()) or "nothing was judged"
+    return (
+        ", ".join(f"{word}: {n}" for word, n in verdicts.most_common()) or "no recording was judged"
+    )
 
 
 def kind_of(fleet: Fleet) -> str | None:
-    """What a fleet's errors are given in: positions, where they were measured."""
+    """Return the kind of error of the fleet: position if it was measured."""
     return next(
         (kind for kind in UNITS if any(row["after"][f"{kind}_rms"] for row in fleet.judged)), None
     )
 
 
 def _worst(fleet: Fleet) -> Iterator[str]:
-    """Those with the largest error that is left."""
+    """List the recordings with the largest remaining error."""
     kind = kind_of(fleet)
     if kind is None:
         return
     (unit, factor), key = UNITS[kind], f"{kind}_rms"
     worst = sorted(fleet.judged, key=lambda row: -(row["after"][key] or 0.0))[:MAX_WORST_RECORDINGS]
-    header = ("robot", "recording", f"{kind} error [{unit}]", "identified", "with effects")
+    header = ("robot", "recording", f"{kind} error [{unit}]", "fitted", "with effects")
     yield columns(
         (*header, "effects"),
         [
@@ -66,15 +67,15 @@ def _worst(fleet: Fleet) -> Iterator[str]:
 
 
 def _format_findings(fleet: Fleet) -> Iterator[str]:
-    """What only many robots tell."""
+    """Format the findings that need many robots."""
     found = fleet.findings
     if found is None:
-        yield "fewer than four robots: nothing is said of them together"
+        yield "fewer than four robots: no findings on the fleet as a whole"
         return
     for robot in found.others:
-        yield f"{robot}: of another kind than the others, which are {found.mechanism}"
+        yield f"{robot}: another mechanism than the other robots ({found.mechanism})"
     yield from together_in_words(found, _with_sigma)
-    header = ("parameter", "drawing's mean", "fleet's", "sigma", "drawing's spread", "fleet's")
+    header = ("parameter", "nominal", "fleet mean", "sigma", "tolerance", "fleet spread")
     rows = [
         (
             one.name,
@@ -89,41 +90,48 @@ def _format_findings(fleet: Fleet) -> Iterator[str]:
 
 
 def together_in_words(found: Findings, told: Callable[[float, float, str], str]) -> Iterator[str]:
-    """Whose each effect is, who stands apart, who changes; values, sigmas and units as `told`."""
+    """Describe the effects, the outliers and the changes; `told` formats value, sigma and unit."""
     yield from map(effect_in_words, found.effects)
     for one in found.outlying:
-        yield f"{one.robot}: {one.name} is off by {told(one.size, one.sigma, one.unit)}"
+        yield (
+            f"{one.robot}: {one.name} is an outlier: it deviates by "
+            f"{told(one.size, one.sigma, one.unit)}"
+        )
     for drift in found.drifts:
         rate = told(DAY * drift.rate, DAY * drift.sigma, drift.unit)
-        yield f"{drift.robot}: {drift.name} changes by {rate} a day"
+        yield f"{drift.robot}: {drift.name} drifts by {rate} per day"
     for change in found.changed:
         yield change_in_words(change, told(change.size, change.sigma, change.unit))
 
 
 def change_in_words(one: Change, size: str) -> str:
-    """What of a robot's recordings contradicts each other, and what follows."""
+    """Describe a contradiction between recordings of a robot and its consequence."""
     return (
-        f"{one.robot}: its recordings contradict each other, most in {one.name}: by {size} from "
-        f"{one.before} to {one.after}; only the last one counts"
+        f"{one.robot}: its recordings contradict each other, most in {one.name}, by {size} "
+        f"between {one.before} and {one.after}; only the last recording is used"
     )
 
 
 def effect_in_words(effect: EffectOfFleet) -> str:
-    """Whose an effect is."""
+    """Describe how many robots have an effect, and the likely origin."""
     apart = dict.fromkeys(one.robot for one in effect.deviations)
     robots = list(apart) if effect.kind == "fault" else list(effect.robots)
     few = ", ".join(robots[:MAX_NAMED_ROBOTS]) + (", ..." if len(robots) > MAX_NAMED_ROBOTS else "")
     share = f"{len(effect.robots)} of {effect.of} robots"
-    alike = "whose numbers do not stand apart from the others'"
+    doubt = f"found in {few}, but its parameters are no outliers there"
     if len(robots) > effect.of * MAX_FAULT_SHARE:
-        alike = f"{share}: too many for one robot's fault, too few for the design's; a batch's?"
-    said = {
-        "design": f"in {share}, and in all alike: the design's or the workshop's",
-        "each": f"in {share}, though not proven to be of one size and sign in all",
-        "fault": f"of {few}: {'its' if len(robots) == 1 else 'their'} own fault",
-        "doubtful": f"named in {few}, {alike}",
+        doubt = (
+            f"found in {share} ({few}): neither a single fault nor the whole design; check what "
+            "these robots share (batch, supplier, date)"
+        )
+    faulty = "this robot" if len(robots) == 1 else "these robots"
+    description = {
+        "design": f"in {share}, with similar parameters: caused by the design or the workshop",
+        "each": f"in {share}, but not proven to have one size and sign in all",
+        "fault": f"only in {few}: a fault of {faulty}",
+        "doubtful": doubt,
     }[effect.kind]
-    return f"{effect.name}: {said}"
+    return f"{effect.name}: {description}"
 
 
 def _with_sigma(value: float, sigma: float, unit: str) -> str:

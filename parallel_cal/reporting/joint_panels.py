@@ -1,4 +1,4 @@
-"""Each joint's own residual against its own reading, straight and round: ripples are plain."""
+"""The residual of each joint against its reading, as linear and polar panels."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ SECTOR_MARGIN_DEG = 5.0  # deg of a sector beside what was measured
 
 
 def flat_panels(found: JointResiduals, candidate: Signature | None = None) -> Spec:
-    """A panel a joint, measured joint minus inverse of the measured pose over the joint's reading;
-    a candidate's pattern laid over."""
+    """Draw one panel per joint: encoder reading minus inverse kinematics of the measured pose,
+    against the reading, with the pattern of a candidate."""
     panels, axes, size = [], [], _size(found)
     for k, joint in enumerate(found.joints):
         unit, factor = value_unit(found.units[k])
@@ -40,8 +40,8 @@ def flat_panels(found: JointResiduals, candidate: Signature | None = None) -> Sp
 
 
 def polar_panels(found: JointResiduals, candidate: Signature | None = None) -> Spec | None:
-    """The same round the reading, outwards where the joint reads too much; None where no joint
-    turns."""
+    """Draw the same panels in polar form, outwards where the encoder reads too much; None if no
+    joint turns."""
     turning = [k for k, unit in enumerate(found.units) if unit == "rad"]
     if not turning:
         return None
@@ -112,7 +112,7 @@ def _mean(found: JointResiduals, k: int, factor: float, small: float) -> Spec:
     means = compute_mean_profile("", found.readings[told, k], found.errors[told, k, None])
     return {
         "mode": "lines",
-        "name": "measured, mean",
+        "name": "mean of the measured",
         "x": round_values(means.at * factor),
         "y": round_values(means.mean[:, 0] * small),
         "line": {"color": MEASURED, "width": 2},
@@ -139,7 +139,7 @@ def _pattern(
     is_line = period is not None or np.mean(np.diff(y) ** 2) < MAX_LINE_ROUGHNESS * np.var(y)
     return {
         "mode": "lines" if is_line else "markers",
-        "name": "this effect's pattern",
+        "name": "pattern of the effect",
         "x": round_values(x * factor),
         "y": round_values(y * small),
         "hoverinfo": "skip",

@@ -1,4 +1,4 @@
-"""Flat maps, plan, front and side: residual arrows, and how well the model knows its workspace."""
+"""2D maps in plan, front and side view: residual arrows and model uncertainty."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def workspace(found: PositionUncertainty) -> tuple[Spec, float]:
 
 
 def _three(panels: list[list[Spec]], views: list[tuple[int, int]], unit: str) -> Spec:
-    """Panels with equal axes, as on a drawing."""
+    """Arrange panels with equal axes, as on a drawing."""
     names = {axes: name for name, axes in VIEWS.items()}
     axes = [(f"{names[a, b]}: {'xyz'[a]}{unit}", f"{'xyz'[b]}{unit}") for a, b in views]
     drawn = side_by_side(panels, axes, [])
@@ -134,7 +134,7 @@ def _ellipses(
     factor: float,
     axes: tuple[int, int],
 ) -> Spec:
-    """The 1-sigma ellipses of two coordinates about each place, magnified alike."""
+    """Draw the 1-sigma ellipses of two coordinates at each place, on one scale."""
     two = covariance[np.ix_(range(len(places)), axes, axes)]
     sizes, directions = np.linalg.eigh(two)
     half = directions * np.sqrt(np.maximum(sizes, 0.0))[:, None, :]
@@ -161,7 +161,7 @@ def _bar(
     axes: tuple[int, int],
     kind: str,
 ) -> Spec:
-    """A length to compare arrows with, below the picture's left end."""
+    """Draw a length to compare arrows with, below the left end of the figure."""
     size = typical(field)
     low = factor * (places.min(axis=0) - 0.12 * np.ptp(places, axis=0))
     x, y = low[axes[0]], low[axes[1]]

@@ -1,4 +1,4 @@
-"""Pieces of HTML; whatever comes from a file is escaped."""
+"""Pieces of HTML; all texts are escaped."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Plot = Callable[[Mapping[str, Any]], str]  # keeps a figure for the page, return
 
 @dataclass(frozen=True)
 class Cell:
-    """A cell's text, a smaller line under it, the number it is sorted by, and where it leads."""
+    """A cell's text, a smaller line under it, its sort key, and its link."""
 
     text: str
     under: str = ""
@@ -35,7 +35,7 @@ class Cell:
             wide = 50 * min(abs(self.bar), 1.0)
             left = 50.0 if self.bar > 0 else 50.0 - wide
             bar = f'<i class="bar"><i style="left:{left:.0f}%;width:{wide:.0f}%"></i></i>'
-        under = f"<small>{escape(self.under)}</small>" if self.under else ""
+        under = f"<small>{escape(write_micro(self.under))}</small>" if self.under else ""
         text = escape(self.text)
         text = f'<a href="{escape(self.link)}">{text}</a>' if self.link else text
         return f"<td{label}{key}{mark}>{text}{bar}{under}</td>"
@@ -47,7 +47,7 @@ def table(
     kind: str = "",
     sorted_by: str = "",
 ) -> str:
-    """A table in a box that scrolls by itself; `sorted_by` is the column that falls."""
+    """Make a table in a box that scrolls; `sorted_by` is the column with descending values."""
     head = "".join(
         f'<th scope="col"{SORTED if name == sorted_by else ""}>{escape(name)}</th>'
         for name in header
@@ -64,16 +64,16 @@ def table(
 
 
 def section(title: str, content: str, about: str = "", closed: bool = False) -> str:
-    """A part of the page that folds; `about` says beside its title what is in it."""
+    """Make a part of the page that folds; `about` is a remark next to its title."""
     name = "-".join(title.lower().replace(",", "").split())
-    said = f"<span>{escape(about)}</span>" if about else ""
-    head = f"<summary><h2>{escape(title)}</h2>{said}</summary>"
+    remark = f"<span>{escape(about)}</span>" if about else ""
+    head = f"<summary><h2>{escape(title)}</h2>{remark}</summary>"
     folded = f"<details{'' if closed else ' open'}>{head}{content}</details>"
     return f'<section id="{name}">{folded}</section>'
 
 
 def tabs(pages: Mapping[str, str]) -> str:
-    """Pages that take turns in one place, by title; one alone needs no tabs."""
+    """Make tabs from pages by title; a single page needs no tabs."""
     if len(pages) < 2:
         return "".join(pages.values())
     buttons = "".join(
@@ -89,18 +89,18 @@ def tabs(pages: Mapping[str, str]) -> str:
 
 
 def folded(title: str, content: str) -> str:
-    """What is there for those who want it."""
+    """Make a closed part that a click opens."""
     return f"<details><summary>{escape(title)}</summary>{content}</details>"
 
 
 def paragraph(text: str, kind: str = "") -> str:
     mark = f' class="{kind}"' if kind else ""
-    return f"<p{mark}>{escape(text)}</p>"
+    return f"<p{mark}>{escape(write_micro(text))}</p>"
 
 
 def items(texts: Iterable[str]) -> str:
-    """A list; nothing where there are no texts."""
-    listed = "".join(f"<li>{escape(text)}</li>" for text in texts)
+    """Make a list; an empty string if there are no texts."""
+    listed = "".join(f"<li>{escape(write_micro(text))}</li>" for text in texts)
     return f"<ul>{listed}</ul>" if listed else ""
 
 
@@ -109,10 +109,16 @@ def facts(rows: Mapping[str, str]) -> str:
     return f'<dl class="facts">{listed}</dl>'
 
 
+def write_micro(text: str) -> str:
+    """Write um as µm: the library's messages are ASCII, a page is not."""
+    return re.sub(r"(?<=\d) um\b", " µm", text)
+
+
 def micro(text: str) -> str:
-    """A sentence of the library's, in ASCII, with its um as µm and a full stop."""
-    return re.sub(r"(?<=\d) um\b", " µm", text.rstrip(".")) + "."
+    """Write um as µm, and end with a full stop."""
+    return write_micro(text.rstrip(".")) + "."
 
 
 def sentence(text: str) -> str:
+    """Make a sentence of a message: capital letter, µm, full stop."""
     return text[:1].upper() + micro(text[1:])

@@ -1,4 +1,4 @@
-"""Small multiples: the residuals along everything that was recorded."""
+"""Small multiples: the residuals against each recorded quantity."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from parallel_cal.reporting.contents import Residuals
 from parallel_cal.reporting.figures import Spec, round_values, select_evenly
 from parallel_cal.reporting.readable import value_unit
 
-# Okabe and Ito's palette: told apart by the colour-blind, on light and dark grounds
+# The palette of Okabe and Ito: distinguishable by the colour-blind, on light and dark grounds.
 COMPONENTS = {
     "x": "#0072b2",
     "y": "#d55e00",
@@ -38,7 +38,7 @@ def multiples(
 
 
 def peak(entry: ResidualProfile) -> str:
-    """The largest mean in the sigmas of the axis, beside what chance leaves."""
+    """Describe the largest mean in sigmas and in multiples of the band of chance."""
     size = np.abs(entry.mean) / entry.band[:, None]
     at = np.unravel_index(int(np.argmax(size)), size.shape)
     return f"mean up to {abs(entry.mean[at]):.1f} σ, {size[at]:.1f} × the band"
@@ -47,7 +47,7 @@ def peak(entry: ResidualProfile) -> str:
 def _make_switched_panel(
     entry: ResidualProfile, found: Residuals, better: ResidualProfile | None
 ) -> Spec:
-    """A panel as it is, hidden behind it what it is with the effects found, on one scale."""
+    """Draw a panel of the present model and, hidden, of the effects found, on one scale."""
     drawn = _panel(entry, found, found.noise_units)
     shown = [trace | {"meta": 0} for trace in drawn["data"]]
     if better is not None and found.noise_units_found is not None:
@@ -57,7 +57,7 @@ def _make_switched_panel(
 
 
 def _panel(entry: ResidualProfile, found: Residuals, z: np.ndarray) -> Spec:
-    """Points, the mean of each component, and the 99 % band about zero."""
+    """Draw the points, the mean of each component, and the 99 % band about zero."""
     unit, factor = value_unit(found.units[entry.name])
     values, at = found.regressors[entry.name] * factor, entry.at * factor
     band = entry.band
@@ -81,7 +81,7 @@ def _panel(entry: ResidualProfile, found: Residuals, z: np.ndarray) -> Spec:
 
 
 def _points(values: np.ndarray, z: np.ndarray, width: float) -> Spec:
-    """Every residual, thinned out evenly where there are many; spread where they would coincide."""
+    """Draw the residuals: if there are many, a part of them; jittered if they would coincide."""
     kept = select_evenly(len(values), MAX_POINTS // max(z.shape[1], 1))
     x = np.repeat(values[kept], z.shape[1])
     spread = width * np.random.default_rng(0).uniform(-1, 1, len(x))
@@ -120,7 +120,7 @@ def _rolling_traces(
 def _level_traces(
     at: np.ndarray, band: np.ndarray, means: np.ndarray, names: Sequence[str]
 ) -> list[Spec]:
-    """A mean for each level and component beside each other, each with its own band."""
+    """Draw a mean with its band for each level and component, side by side."""
     step = float(np.min(np.diff(at), initial=np.inf)) if len(at) > 1 else 1.0
     apart = 0.5 * step * (np.arange(len(names)) / max(len(names) - 1, 1) - 0.5)
     bars = {"array": round_values(band), "color": QUIET, "thickness": 6, "width": 0}
@@ -146,6 +146,6 @@ def _mean(name: str, at: np.ndarray, mean: np.ndarray) -> Spec:
 
 
 def colour(name: str) -> str:
-    """Of a pose component, or of an equation by its number."""
+    """Return the colour of a pose component, or of an equation by its number."""
     palette = list(COMPONENTS.values())
     return COMPONENTS.get(name) or palette[int(name.split()[-1]) % len(palette)]

@@ -1,4 +1,4 @@
-"""What is read first: the verdict, the big numbers, how the error fell."""
+"""The first parts of the report: the verdict, the main numbers, the error budget, the history."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from parallel_cal.reporting.readable import error_unit, number, unit_of, with_un
 from parallel_cal.reporting.report import Report
 
 LABELS = {
-    "at_noise": "at the noise",
+    "at_noise": "at the noise floor",
     "explained": "explained",
     "partly_explained": "partly explained",
     "unexplained": "unexplained",
@@ -22,7 +22,7 @@ LABELS = {
 
 
 def verdict(report: Report) -> str:
-    """The badge and the sentence."""
+    """Render the verdict as a badge and a sentence."""
     found = report.diagnosis.verdict
     badge = f'<span class="badge {escape(found.word)}">{escape(LABELS[found.word])}</span>'
     words = f'<p class="verdict">{badge} {escape(micro(found.summary))}</p>'
@@ -30,7 +30,7 @@ def verdict(report: Report) -> str:
 
 
 def numbers(report: Report) -> str:
-    """Error before, now, with the effects found, and of noise alone: big, with units."""
+    """Render the errors before, now and with the effects found, and the noise floor, as tiles."""
     errors, units = report.errors, report.provenance.joint_units
     tiles = [
         _tile("before calibration", errors.before, errors.kinds, units),
@@ -40,8 +40,8 @@ def numbers(report: Report) -> str:
         effects = " and ".join(report.diagnosis.effects)
         tiles.append(_tile(f"with {effects}", errors.found, errors.kinds, units, "found"))
     if errors.noise.is_known:
-        tiles.append(_tile("noise alone", errors.noise, errors.kinds, units))
-    note = paragraph("RMS of the error's norm at poses left out of the fit.", "note")
+        tiles.append(_tile("noise floor", errors.noise, errors.kinds, units))
+    note = paragraph("Validation error: rms of the error's norm at held-out poses.", "note")
     return f'<section id="numbers"><div class="tiles">{"".join(tiles)}</div>{note}</section>'
 
 
@@ -59,12 +59,13 @@ def _value(e: Summary, kind: str, si: str) -> str:
 
 
 def budget(report: Report) -> str:
-    """What the drawing's error is made of, and ISO 9283's figures."""
+    """Render the error budget of the nominal model, and the figures of ISO 9283."""
     if not report.budget:
-        return paragraph("No pose was measured whose error could be shared out.", "none")
+        return paragraph("There is no error budget: no pose was measured.", "none")
     note = (
-        "Shares add up to the rms error of the robot as it is drawn: what of it points along the "
-        "whole. By itself: the rms of the part, which others may make up for."
+        "The shares add up to the rms error of the nominal model. The share of a part is its "
+        "component along the total error. Alone: the rms of the part by itself, which other parts "
+        "may compensate."
     )
     tables = [_shares(b) for b in report.budget]
     figures = [_iso(i) for i in report.iso_9283]
@@ -75,7 +76,7 @@ def budget(report: Report) -> str:
 def _shares(b: Budget) -> str:
     si = unit_of(b.kind, {})
     rows = [(p.name, with_unit(p.contribution, si), with_unit(p.alone, si)) for p in b.parts]
-    return table((f"{b.kind}, {with_unit(b.total, si)}", "share", "by itself"), rows)
+    return table((f"{b.kind}, {with_unit(b.total, si)}", "share", "alone"), rows)
 
 
 def _iso(i: Iso9283) -> tuple[str, ...]:
@@ -85,15 +86,15 @@ def _iso(i: Iso9283) -> tuple[str, ...]:
 
 
 def history(report: Report, plot: Plot) -> str:
-    """The falling error, a chart for each kind."""
+    """Render the validation error step by step, a chart for each kind."""
     rows, errors, units = report.history, report.errors, report.provenance.joint_units
     charts = [
         figures.history(rows, errors.noise, kind, unit_of(kind, units)) for kind in errors.kinds
     ]
     if not charts:
-        return paragraph("No error can be given: nothing was measured that tells.", "none")
-    note = "Error at poses left out, step by step; on average it cannot fall below the noise."
+        return paragraph("There is no error to show: no suitable quantity was measured.", "none")
+    note = "Validation error of each step. On average it cannot fall below the noise floor."
     if len({row["sha256"] for row in rows}) > 1:
-        note += " The steps were judged on different data: point at one to see which."
+        note += " The steps were judged on different data. Point at a step to see its data."
     drawn = "".join(f"<div>{plot(chart)}</div>" for chart in charts)
     return paragraph(note, "note") + f'<div class="pair">{drawn}</div>'

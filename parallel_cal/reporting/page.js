@@ -2,7 +2,7 @@
 const figures = JSON.parse(document.getElementById("figures").textContent);
 const dark = window.matchMedia("(prefers-color-scheme: dark)");
 
-// Plotly knows no CSS: the page's colours reach it as a template.
+// Plotly does not read CSS: the page's colours reach it as a template.
 function template() {
   const style = getComputedStyle(document.documentElement);
   const colour = (name) => style.getPropertyValue(name).trim();
@@ -22,14 +22,14 @@ function template() {
   };
 }
 
-// A picture in space is as wide as the page; its axes' numbers need some room beside it.
+// A 3D figure is as wide as the page; the numbers of its axes need some room.
 function stepBack(layout, width) {
   const eye = layout.scene.camera.eye;
   for (const axis of "xyz") eye[axis] *= 1.15;
   layout.height = width;
 }
 
-// Panels beside each other would be too small on a narrow page: they stand under each other.
+// On a narrow page, panels side by side would be too small: stack them.
 function stack(layout) {
   const names = Object.keys(layout).filter((name) => /^(xaxis|polar)\d*$/.test(name));
   const n = names.length, each = layout.height > 300 ? 320 : 230;
@@ -47,7 +47,7 @@ function stack(layout) {
 
 const options = { responsive: true, displaylogo: false, displayModeBar: false };
 const places = document.querySelectorAll(".plot"), NARROW = 560;
-let shown = "0"; // which of the traces that take turns
+let shown = "0"; // the group of traces that the switch shows
 function visible(trace) {
   return trace.meta === undefined || String(trace.meta) === shown;
 }
@@ -62,11 +62,11 @@ function draw(place) {
 }
 // On a narrow page the verdict, the arrows and what is missing come first; the rest unfolds.
 if (innerWidth < NARROW) {
-  for (const name of ["history", "error-budget", "what-is-left-along-everything"]) {
+  for (const name of ["history", "error-budget", "residuals-against-quantities"]) {
     for (const part of document.querySelectorAll(`#${name} > details`)) part.open = false;
   }
 }
-// What is folded away or behind a tab has no width: it is drawn when it is first seen.
+// A folded or hidden part has no width: draw its figures when they are first visible.
 const unseen = new IntersectionObserver((entries) => {
   for (const { isIntersecting, target } of entries) {
     if (!isIntersecting) continue;
@@ -79,7 +79,7 @@ dark.addEventListener("change", () => {
   for (const place of places) if (place.data) Plotly.relayout(place, { template: template() });
 });
 
-// Traces that take turns do so in every view at once.
+// The switch acts on every view at once.
 const switches = document.querySelectorAll(".switch button");
 for (const button of switches) {
   button.addEventListener("click", () => {
@@ -101,7 +101,7 @@ for (const list of document.querySelectorAll("[role=tablist]")) {
   });
 }
 
-// The contents; a part that is gone to opens.
+// The contents; a click opens the section.
 const contents = document.querySelector("nav");
 for (const title of document.querySelectorAll("section h2")) {
   const link = document.createElement("a"), part = title.closest("section");
@@ -111,7 +111,7 @@ for (const title of document.querySelectorAll("section h2")) {
   contents.append(link);
 }
 
-// Paper folds nothing.
+// In print nothing is folded.
 window.addEventListener("beforeprint", () => {
   for (const part of document.querySelectorAll("details")) part.open = true;
   for (const panel of document.querySelectorAll("[role=tabpanel]")) panel.hidden = false;

@@ -1,4 +1,4 @@
-"""Results as figures for a notebook, the same that a report has."""
+"""Figures of results for a notebook; the report has the same."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def figure(result: Any) -> Figure:
     True
     """
     kind = type(result).__name__
-    raise TypeError(f"figure takes what fit, compare or diagnose gives, not {kind}")
+    raise TypeError(f"figure: expected the result of fit, compare or diagnose, found {kind}")
 
 
 def _make_figure(spec: figures.Spec) -> Figure:
@@ -59,7 +59,7 @@ def _make_figure(spec: figures.Spec) -> Figure:
 def _(comparison: Comparison) -> Any:
     field, kind = comparison.field, comparison.field.kind
     if kind is None:
-        raise ParallelCalError("no pose was measured: there are no residuals in space")
+        raise ParallelCalError("no residuals in space to draw: no pose was measured")
     places, numbers = contents.places(comparison.scene, kind), comparison.dataset.numbers
     return _make_figure(spaces.residual_arrows(places, [field.vectors], kind, numbers)[0])
 
@@ -68,7 +68,7 @@ def _(comparison: Comparison) -> Any:
 def _(diagnosis: Diagnosis) -> Any:
     errors, mechanism = contents.HeldOutErrors.of(diagnosis), diagnosis.model.mechanism
     if not errors.kinds:
-        raise ParallelCalError("no error can be given: nothing was measured that tells")
+        raise ParallelCalError("no error to draw: no suitable quantity was measured")
     unit = unit_of(errors.kinds[0], dict(zip(mechanism.joints, mechanism.joint_units, strict=True)))
     rows = contents.history(diagnosis, errors)
     return _make_figure(figures.history(rows, errors.noise, errors.kinds[0], unit))

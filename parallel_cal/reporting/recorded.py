@@ -1,4 +1,4 @@
-"""What a recording holds, as short tables for people; `recordings.info` makes the document."""
+"""The contents of a recording as short tables; `recordings.info` makes the document."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ def print_info(document: dict[str, Any], console: Console) -> None:
 
 
 def _print_dropped(document: dict[str, Any], console: Console) -> None:
-    """How many were dropped for each reason, and the first of them."""
+    """Print the number of dropped messages for each reason, and the first of them."""
     for reason, count in document["dropped"].items():
         first = next(d for d in document["dropped_list"] if d["reason"] == reason)
-        told = f"  dropped {count}: {reason}; at {first['time']:.2f} s: {first['detail']}"
-        console.print(_escaped(told), highlight=False)
+        line = f"  dropped {count}: {reason}; first at {first['time']:.2f} s: {first['detail']}"
+        console.print(_escaped(line), highlight=False)
 
 
 def _escaped(text: str) -> str:
@@ -44,7 +44,7 @@ def _escaped(text: str) -> str:
 
 
 def _topic_table(document: dict[str, Any]) -> Any:
-    """Topics with type, count, rate and the channel each serves."""
+    """Make the table of topics with type, count, rate and channel."""
     from rich.table import Table
 
     table = Table("topic", "type", "messages", "rate", "used for", box=None, pad_edge=False)
@@ -56,7 +56,7 @@ def _topic_table(document: dict[str, Any]) -> Any:
 
 
 def _joint_table(document: dict[str, Any]) -> Any:
-    """Joints with their range; a joint's kind is unknown here, so both readings are given."""
+    """Make the table of joints and their ranges, also in degrees: a joint's type is unknown."""
     from rich.table import Table
 
     table = Table("joint", "from", "to", "(if revolute)", box=None, pad_edge=False)
@@ -74,7 +74,7 @@ def _sample_sentence(document: dict[str, Any]) -> str:
     read = ", ".join(f"{name} ({count})" for name, count in document["readings"].items())
     return (
         f"{document['samples']} samples ({document['mode'] or 'none'}) of {document['poses']} "
-        f"poses; {again['poses']} poses visited again ({again['samples']} samples); "
+        f"poses; replicates: {again['samples']} samples of {again['poses']} poses; "
         f"measured: {'; '.join(filter(None, (pose, read))) or 'nothing'}"
     )
 
@@ -88,7 +88,7 @@ def _print_conditions(conditions: dict[str, dict[str, float]], console: Console)
 
 
 def _print_noise(document: dict[str, Any], console: Console) -> None:
-    """Scatter of position in um, of orientation in arcmin, of joints in their own unit."""
+    """Print the noise of position (um), orientation (arcmin) and joints (mrad or mm)."""
     for kind, noise in document["noise"].items():
         pose = noise["pose"]
         parts = []

@@ -1,4 +1,4 @@
-"""The sections of a report in the order they are read: verdict first."""
+"""The sections of a report in their order, the verdict first."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from parallel_cal.reporting.report import Report
 
 
 def body(report: Report, plot: Plot) -> str:
-    """Everything below the page's head; sections without data say so."""
+    """Render all sections; a section without data says so."""
     free = sum(not p.fixed for p in report.parameters.values())
     worst_first = f"{len(report.samples)}, worst first"
     parts = [
@@ -16,12 +16,12 @@ def body(report: Report, plot: Plot) -> str:
         overview.numbers(report),
         section("History", overview.history(report, plot)),
         section("Error budget", overview.budget(report)),
-        section("What is left, in space", failures.in_space(report, plot)),
-        section("What is left, along everything", failures.along_everything(report, plot)),
+        section("Residuals in space", failures.in_space(report, plot)),
+        section("Residuals against quantities", failures.along_everything(report, plot)),
         section("Which effect is missing", evidence.candidates(report, plot)),
         section("What to measure next", evidence.measure_next(report)),
         section("Parameters", identified.parameters(report, plot), f"{free} free", closed=True),
-        section("What the data cannot tell", identified.combinations(report), closed=True),
+        section("What the data do not determine", identified.combinations(report), closed=True),
         section("Unexplained structure", failures.structure(report, plot), closed=True),
         section("Samples", failures.samples(report), worst_first, closed=True),
         section("Provenance", identified.provenance(report), closed=True),

@@ -1,4 +1,4 @@
-"""The pattern that a candidate would leave, laid over what is measured, in sigmas."""
+"""The pattern of a candidate over the measured residuals, in sigmas."""
 
 from __future__ import annotations
 
@@ -37,21 +37,22 @@ def figure(found: Signature, mechanism: Mechanism) -> Spec:
 
 
 def describe_signature(found: Signature, mechanism: Mechanism) -> str:
-    """What the picture shows, for those who do not see it."""
-    told = (f"{p.component} against {_across(p, mechanism)}" for p in found.panels)
-    return f"{found.effect}: residual of {', '.join(told)}, in sigmas, its pattern laid over"
+    """Describe the figure for screen readers."""
+    panels = (f"{p.component} against {_across(p, mechanism)}" for p in found.panels)
+    return f"{found.effect}: residual of {', '.join(panels)}, in sigmas, with its pattern"
 
 
 def _across(panel: Panel, mechanism: Mechanism) -> str:
     unit, factor = value_unit(unit_along(mechanism, panel.abscissa))
     if panel.abscissa.startswith("direction."):
-        return f"{panel.abscissa.partition('.')[2]} came falling (−1), growing (+1)"
+        joint = panel.abscissa.partition(".")[2]
+        return f"approach direction of {joint}: falling −1, rising +1"
     within = f", within {number(panel.period, factor)} {unit}" if panel.period else ""
     return f"{panel.abscissa}{within}" + (f" [{unit}]" if unit else "")
 
 
 def _traces(panel: Panel, mechanism: Mechanism) -> Iterator[Spec]:
-    """Points, band, and the two means."""
+    """Draw the points, the band and the two means."""
     factor = value_unit(unit_along(mechanism, panel.abscissa))[1]
     at, both = panel.at, np.column_stack([panel.residual, panel.pattern])
     means = compute_mean_profile(panel.abscissa, at, both)
@@ -75,7 +76,7 @@ def _traces(panel: Panel, mechanism: Mechanism) -> Iterator[Spec]:
     yield {
         "type": "scatter",
         "mode": "lines",
-        "name": "99 % of means if nothing depends on it",
+        "name": "99 % band of the mean without dependence",
         "x": round_with_gaps(across),
         "y": round_with_gaps(up),
         "fill": "toself",
@@ -86,7 +87,7 @@ def _traces(panel: Panel, mechanism: Mechanism) -> Iterator[Spec]:
     blue, orange = {"color": MEASURED, "width": 2}, {"color": PATTERN, "width": 3, "dash": "dash"}
     for name, mean, look in (
         ("measured, mean", means.mean[:, 0], blue),
-        ("this effect's pattern", means.mean[:, 1], orange),
+        ("pattern of the effect", means.mean[:, 1], orange),
     ):
         across, up = _strokes(x, mean, wide) if few else (x, mean)  # where nothing rolls
         yield {

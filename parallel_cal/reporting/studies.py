@@ -1,4 +1,4 @@
-"""Studies as a terminal and a page show them."""
+"""The results of studies as text and as pages."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ from parallel_cal.study.power import HALF, MOSTLY, Detectable, Power
 from parallel_cal.study.tolerance import Share, Tolerances
 
 UNITS = {"position": ("um", 1e6, 1), "orientation": ("arcmin", ARCMIN, 2)}
-ERRORS = ("rms", "95 %", "largest", "rms that 95 % of robots keep", "rms by the budget")
-PARAMETER_COLUMNS = ("parameters", "tolerance", "unit", "numbers")
+ERRORS = ("rms", "95 %", "largest", "rms of 95 % of robots", "rms of the budget")
+PARAMETER_COLUMNS = ("parameters", "tolerance", "unit", "count")
 SIZES = ("predicted 50 %", "90 %", "found 50 %", "90 %")
-MIN_MISNAMED_SHARE = 0.2  # of an effect's sessions: a wrong name that deserves a word
-MIN_BUDGET_SHARE = 1e-3  # share of a budget that nobody reads
+MIN_MISNAMED_SHARE = 0.2  # share of an effect's sessions from which a wrong name is reported
+MIN_BUDGET_SHARE = 1e-3  # smaller shares of the budget are not shown
 
 
 def format_tolerances(found: Tolerances) -> str:
-    """Errors, budget, what costs most."""
+    """Format the errors, the budget and the remarks."""
     robots, poses = found.errors[found.kind].shape
     errors = [
         (f"{k} error [{UNITS[k][0]}]", *(_format_error(v, k) for v in _figures(found, k)))
@@ -65,14 +65,14 @@ def format_tolerances(found: Tolerances) -> str:
         [
             f"{robots} robots, {poses} poses each",
             columns(("", *ERRORS), errors),
-            columns((*PARAMETER_COLUMNS, *header, "all, were it halved"), rows),
+            columns((*PARAMETER_COLUMNS, *header, "total if halved"), rows),
             *remarks(found),
         ]
     )
 
 
 def _figures(found: Tolerances, kind: str) -> list[float]:
-    """What ERRORS names."""
+    """Return the figures that ERRORS names."""
     return [*found.summary(kind).values(), found.linear[kind]]
 
 
@@ -90,49 +90,52 @@ def _share(found: Tolerances, one: Share, kind: str) -> float:
 
 
 def _tolerance(one: Share) -> tuple[str, str]:
-    """One number, or the range where they differ, and its unit."""
+    """Format one number, or a range if the tolerances differ, and its unit."""
     unit, factor = value_unit(one.unit)
     low, high = (number(v, factor) for v in one.tolerance)
     return (low if low == high else f"{low}..{high}"), unit
 
 
 def remarks(found: Tolerances) -> Iterator[str]:
-    """What costs most, where the budget does not hold, what calibration leaves."""
+    """Name the largest contribution, limits of the budget, and the error after calibration."""
     one, kind = found.budget[0], found.kind
     what = f"{one.label} ({one.name})" if one.label else one.name
     whole, halved = (_format_error(v, kind) for v in (found.linear[kind], one.halved[kind]))
     yield (
-        f"{what}, {' '.join(_tolerance(one))}, costs most: "
-        f"{format_fixed(_share(found, one, kind), 100, 0)} % of the squared {kind} error; "
-        f"held to half of it, {whole} {UNITS[kind][0]} would be {halved}"
+        f"{what}, {' '.join(_tolerance(one))}, contributes most: "
+        f"{format_fixed(_share(found, one, kind), 100, 0)} % of the squared {kind} error; half "
+        f"the tolerance would reduce the error from {whole} to {halved} {UNITS[kind][0]}"
     )
     for kind in found.errors:
         if found.differs(kind):
             ratio = found.summary(kind)["rms"] / found.linear[kind]
             yield (
-                f"the {kind} errors of the robots drawn are {ratio:.2f} times what the budget "
-                "says: tolerances are so large that errors are not proportional to them"
+                f"the {kind} errors of the random robots are {ratio:.2f} times those of the "
+                "budget: the tolerances are so large that the errors are not proportional to them"
             )
     if found.unreached:
-        yield f"{found.unreached} poses were out of a drawn robot's reach, and are not counted"
+        yield f"{found.unreached} poses were out of reach of a random robot and are not counted"
     if found.calibrated:
         left = vars(found.calibrated)
-        told = [f"{_format_error(left[f'{k}_rms'], k)} {UNITS[k][0]}" for k in found.errors]
-        yield f"calibrated at the {found.planned} poses of the plan, it keeps {', '.join(told)}"
+        shown = [f"{_format_error(left[f'{k}_rms'], k)} {UNITS[k][0]}" for k in found.errors]
+        yield (
+            f"error after a calibration at the {found.planned} poses of the plan: "
+            f"{', '.join(shown)}"
+        )
 
 
 def tolerances_page(found: Tolerances) -> str:
-    """The page of a tolerance study: what costs most, the budget as bars, robots as they spread."""
+    """Make the page of a tolerance study: remarks, the budget as bars, the spread of the robots."""
     drawn, (robots, poses) = PageBuilder(), found.errors[found.kind].shape
-    said = "".join(paragraph(sentence(text), "verdict") for text in remarks(found))
+    summary = "".join(paragraph(sentence(text), "verdict") for text in remarks(found))
     rows = [
         (kind, *(with_unit(v, SI_UNITS[kind]) for v in _figures(found, kind)))
         for kind in found.errors
     ]
     figures = "".join(_distribution(found, kind, drawn.plot) for kind in found.errors)
     parts = [
-        section("What costs most", said),
-        section("Budget", "".join(_bars(found, kind, drawn.plot) for kind in found.errors)),
+        section("Largest contribution", summary),
+        section("Error budget", "".join(_bars(found, kind, drawn.plot) for kind in found.errors)),
         section(
             "Robots", table(("error", *ERRORS), rows) + figures, f"{robots}, {poses} poses each"
         ),
@@ -141,7 +144,7 @@ def tolerances_page(found: Tolerances) -> str:
 
 
 def _bars(found: Tolerances, kind: str, plot: Plot) -> str:
-    """What alike parameters do by themselves, by first order; the largest on top."""
+    """Draw the first-order error of each group of parameters, the largest on top."""
     unit, factor = error_unit(SI_UNITS[kind])
     upwards = sorted(found.budget, key=lambda one: one.rms[kind])
     upwards = [one for one in upwards if _share(found, one, kind) > MIN_BUDGET_SHARE]
@@ -156,14 +159,14 @@ def _bars(found: Tolerances, kind: str, plot: Plot) -> str:
         "hovertext": [
             escape(
                 f"{one.label or one.name}, {' '.join(_tolerance(one))}: "
-                f"{with_unit(one.rms[kind], SI_UNITS[kind])}; all, were it halved: "
+                f"{with_unit(one.rms[kind], SI_UNITS[kind])}; total if halved: "
                 f"{with_unit(one.halved[kind], SI_UNITS[kind])}"
             )
             for one in upwards
         ],
         "hoverinfo": "text",
     }
-    across = f"{kind} error that it makes, rms [{unit}]; % of the squared error of all"
+    across = f"{kind} error that it causes, rms [{unit}]; % of the total squared error"
     layout = {
         "height": 90 + 24 * len(upwards),
         "bargap": 0.3,
@@ -174,7 +177,7 @@ def _bars(found: Tolerances, kind: str, plot: Plot) -> str:
 
 
 def _distribution(found: Tolerances, kind: str, plot: Plot) -> str:
-    """How many robots have which rms, beside what the budget says."""
+    """Draw the distribution of the robots' rms errors, with that of the budget."""
     unit, factor = error_unit(SI_UNITS[kind])
     count, edges = np.histogram(found.robots(kind) * factor, bins="auto")
     *_, keep, budget = _figures(found, kind)
@@ -206,16 +209,16 @@ def _distribution(found: Tolerances, kind: str, plot: Plot) -> str:
         "showlegend": True,
         "legend": LEGEND,
         "margin": {"t": 40},
-        "xaxis": {"title": {"text": f"a robot's {kind} error, rms [{unit}]"}},
-        "yaxis": {"title": {"text": "robots"}},
+        "xaxis": {"title": {"text": f"{kind} error of a robot, rms [{unit}]"}},
+        "yaxis": {"title": {"text": "number of robots"}},
     }
     return plot({"data": traces, "layout": layout})
 
 
 def format_power(found: Power) -> str:
-    """What is found at which size, what cannot be, false alarms."""
+    """Format the detectable sizes, the effects that cannot be found, and the false alarms."""
     unit = UNITS[found.kind][0]
-    header = ("effect", "number", "unit", *SIZES, f"{found.kind} error [{unit}] 50 %", "90 %")
+    header = ("effect", "parameter", "unit", *SIZES, f"{found.kind} error [{unit}] 50 %", "90 %")
     rows = [
         (one.effect, one.number, error_unit(one.unit)[0].replace("µ", "u"), *_sizes(found, one))
         for one in found.effects
@@ -231,7 +234,10 @@ def format_power(found: Power) -> str:
 
 
 def _sizes(found: Power, one: Detectable) -> list[str]:
-    """Predicted and found sizes of a number, and what they make of the pose; `>` what was tried."""
+    """Format predicted and found sizes of a parameter, and their pose errors.
+
+    `>` marks the largest size tried, if it was not found.
+    """
     factor = error_unit(one.unit)[1] * one.tolerance
     tried = [one.smallest(share) for share in (HALF, MOSTLY)]
     beyond = [">" if size is None else "" for size in tried]
@@ -244,14 +250,14 @@ def _sizes(found: Power, one: Detectable) -> list[str]:
 
 
 def power_remarks(found: Power) -> Iterator[str]:
-    """How the prediction fares, what cannot be found at all, false alarms, what failed."""
+    """Compare with the prediction; name undetectable effects, false alarms and failed sessions."""
     ratios = [
         size.size / one.predicted[1] for one in found.effects if (size := one.smallest(MOSTLY))
     ]
     if ratios:
         yield (
-            f"the diagnosis finds in 90 % of sessions what is {np.median(ratios):.2f} times as "
-            f"large as predicted (median of {len(ratios)} effects)"
+            f"effects found in 90 % of sessions are {np.median(ratios):.2f} times as large as "
+            f"predicted (median of {len(ratios)} effect{'' if len(ratios) == 1 else 's'})"
         )
     for one in found.effects:
         if one.reason and one.applies:
@@ -259,18 +265,27 @@ def power_remarks(found: Power) -> Iterator[str]:
         called = sum((Counter(size.called) for size in one.tried), Counter[str]())
         for name, n in called.items():
             if n >= MIN_MISNAMED_SHARE * (of := sum(size.sessions for size in one.tried)):
-                yield f"{one.effect} is called {name} in {n} of {of} sessions"
+                yield f"{one.effect} is mistaken for {name} in {n} of {of} sessions"
     alarms = ", ".join(f"{name} in {n}" for name, n in found.false_alarms.items()) or "none"
     yield f"false alarms in {found.clean} sessions without any effect: {alarms}"
     if found.failed:
-        yield f"{len(found.failed)} sessions failed, the first: {found.failed[0]['reason']}"
+        yield f"{len(found.failed)} sessions failed; the first one: {found.failed[0]['reason']}"
 
 
 def power_page(found: Power) -> str:
-    """The page of a power study: sizes as ranges, each beside what was predicted; all numbers."""
+    """Make the page of a power study: ranges of sizes with their predictions, and all numbers."""
     drawn = PageBuilder()
     shown = [one for one in found.effects if not one.reason]
-    header = ("effect", "number", "unit", *SIZES, f"{found.kind} error 50 %", "error 90 %", "found")
+    unit = error_unit(SI_UNITS[found.kind])[0]
+    header = (
+        "effect",
+        "parameter",
+        "unit",
+        *SIZES,
+        f"{found.kind} error [{unit}] 50 %",
+        "90 %",
+        "found",
+    )
     rows = [
         (
             one.effect,
@@ -283,16 +298,16 @@ def power_page(found: Power) -> str:
     ]
     remarks_ = "".join(paragraph(sentence(text)) for text in power_remarks(found))
     parts = [
-        section("What is found", _ranges(found, shown, drawn.plot) if shown else ""),
-        section("Sizes", table(header, rows), f"errors in {UNITS[found.kind][0]}"),
-        section("What else is said", remarks_),
+        section("Detectable effects", _ranges(found, shown, drawn.plot) if shown else ""),
+        section("Sizes", table(header, rows)),
+        section("Remarks", remarks_),
     ]
     mechanism, poses = found.document()["mechanism"], len(found.question.planned)
-    return drawn.page_of(f"What {poses} poses of {mechanism} tell", parts)
+    return drawn.page_of(f"Effects that {poses} poses of {mechanism} detect", parts)
 
 
 def _ranges(found: Power, shown: list[Detectable], plot: Plot) -> str:
-    """From found in half of the sessions to found in 90 %, as what the effect does to the pose."""
+    """Draw the pose errors at which the effect is found in 50 % and in 90 % of the sessions."""
     unit, factor = error_unit(SI_UNITS[found.kind])
     upwards = shown[::-1]
     names = [escape(one.effect) for one in upwards]
@@ -338,5 +353,5 @@ def _ranges(found: Power, shown: list[Detectable], plot: Plot) -> str:
         "yaxis": {"dtick": 1, "categoryorder": "array", "categoryarray": names},
         "xaxis": {"type": "log", "title": {"text": f"{found.kind} error, rms [{unit}]"}},
     }
-    note = "What an effect does to the measured pose by itself, where sessions begin to find it."
+    note = "The pose error that an effect alone causes at the size at which sessions find it."
     return paragraph(note, "note") + plot({"data": traces, "layout": layout})

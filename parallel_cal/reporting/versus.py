@@ -1,4 +1,4 @@
-"""Two models beside each other on the same data, as they stand; all values SI."""
+"""Two models compared on the same data without a fit; all values SI."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from parallel_cal.reporting.contents import places
 
 @dataclass(frozen=True)
 class Side:
-    """One of the two: its errors, and residuals (N, 3) at their places (N, 3)."""
+    """One of the two models: its errors, and its residuals (N, 3) at their places (N, 3)."""
 
     mechanism: str
     effects: list[str]
@@ -42,7 +42,7 @@ class Side:
 
 @dataclass(frozen=True)
 class Difference:
-    """A parameter of both; None where a model lacks it."""
+    """A parameter of both models; its value is None if a model lacks it."""
 
     name: str
     unit: str
@@ -61,14 +61,14 @@ class Difference:
 
 @dataclass(frozen=True)
 class Versus:
-    """Errors and residuals of both models, and the parameters in which they differ."""
+    """Errors and residuals of both models, and the parameters that differ."""
 
     sides: tuple[Side, Side]
     parameters: list[Difference]
 
     @classmethod
     def of(cls, one: Comparison, other: Comparison) -> Versus:
-        """Parameters that differ or that one lacks, largest difference first."""
+        """Compare two models; parameters are sorted by their difference, the largest first."""
         names = dict.fromkeys([*one.model.table.names, *other.model.table.names])
         rows = [Difference.of(name, one.model, other.model) for name in names]
         changed = [row for row in rows if row.difference_tolerances != 0]
