@@ -135,7 +135,7 @@ def test_what_a_calibration_leaves_is_what_the_plan_expects(planned):
     # other places of the workspace are asked
     assert left.calibrated.position_rms == pytest.approx(found.expected.position_rms, rel=0.15)
     assert left.document()["calibrated"]["poses"] == 24
-    assert "calibrated at the 24 poses of the plan, it keeps" in format_tolerances(left)
+    assert "error after a calibration at the 24 poses of the plan: " in format_tolerances(left)
     assert "Tolerances of delta54" in tolerances_page(left)
     with pytest.raises(FitError, match="at least"):
         tolerances(model, 2, 20, planned=joints[:5])
@@ -154,7 +154,7 @@ def test_the_command_gives_a_page_and_numbers(planned, capsys):
     document = json.loads(out)
     assert (code, document["robots"], document["seed"]) == (0, 4, 0)
     assert json.loads((path / "out" / "tolerance.json").read_text()) == document
-    assert 'id="what-costs-most"' in (path / "out" / "tolerance.html").read_text()
+    assert 'id="largest-contribution"' in (path / "out" / "tolerance.html").read_text()
 
 
 def test_bad_input_is_named(planned, capsys):

@@ -9,12 +9,12 @@ import numpy as np
 
 from parallel_cal.reporting.figures import Spec
 
-TYPICAL_ARROW_RATIO = 0.16  # of the workspace: a typical large arrow
-HEAD, WIDTH = 0.3, 0.35  # of an arrow's length, of a head's length
+TYPICAL_ARROW_RATIO = 0.16  # length of a typical large arrow, as a share of the workspace
+HEAD, WIDTH = 0.3, 0.35  # length of a head per arrow, width of a head per head length
 
 
 def scale_of(places: np.ndarray, fields: Sequence[np.ndarray]) -> float:
-    """A round magnification (1, 2 or 5 times a power of ten) common to several fields."""
+    """Choose a round magnification (1, 2 or 5 times a power of ten) for several fields."""
     span = float(np.linalg.norm(np.ptp(places, axis=0)))
     size = max(float(np.quantile(np.linalg.norm(f, axis=1), 0.9)) for f in fields)
     if not size or not span:
@@ -23,12 +23,12 @@ def scale_of(places: np.ndarray, fields: Sequence[np.ndarray]) -> float:
 
 
 def typical(field: np.ndarray) -> float:
-    """A round size of vectors (N, 3) that nine in ten stay below, or little above."""
+    """Return a round size near the 90 % quantile of the vectors (N, 3)."""
     return round_below(float(np.quantile(np.linalg.norm(field, axis=1), 0.9)))
 
 
 def round_below(value: float) -> float:
-    """1, 2 or 5 times a power of ten, no larger than a value; 1 for none."""
+    """Return the largest 1, 2 or 5 times a power of ten up to a value; 1 if it is not positive."""
     if not value > 0:
         return 1.0
     power = 10.0 ** np.floor(np.log10(value))
@@ -38,8 +38,8 @@ def round_below(value: float) -> float:
 def arrows(
     places: np.ndarray, field: np.ndarray, scale: float, words: Sequence[str], factor: float = 1.0
 ) -> list[Spec]:
-    """Shafts, heads and hover words of arrows (N, 3) at places (N, 3); `factor` is from SI to
-    the axes' unit."""
+    """Draw arrows (N, 3) at places (N, 3) with hover texts; `factor` converts SI to the axes'
+    unit."""
     starts, ends = places * factor, (places + scale * field) * factor
     colours = [colour(v) for v in field]
     shafts = np.stack([starts, ends, np.full_like(starts, np.nan)], axis=1).reshape(-1, 3)
@@ -72,7 +72,7 @@ def _coordinates(points: np.ndarray) -> Spec:
 
 
 def _heads(starts: np.ndarray, ends: np.ndarray, colours: list[str]) -> Spec:
-    """A pyramid of three sides on every arrow's end."""
+    """Draw a pyramid of three sides at the end of every arrow."""
     along = HEAD * (ends - starts)
     size = np.linalg.norm(along, axis=1, keepdims=True)
     upright = np.abs(along[:, :1]) < np.abs(along[:, 2:])
@@ -103,7 +103,7 @@ def _unit(vectors: np.ndarray) -> np.ndarray:
 
 
 def colour(direction: np.ndarray) -> str:
-    """Hue by the direction in the x-y plane, red along +x; light upwards, dark downwards."""
+    """Return a hue by the direction in the x-y plane, red along +x; light up, dark down."""
     x, y, z = direction
     length = float(np.linalg.norm(direction))
     hue = float(np.arctan2(y, x)) / (2 * np.pi) % 1.0

@@ -1,4 +1,4 @@
-"""What a report holds beside the diagnosis; the fields are the keys of its JSON document."""
+"""The contents of a report other than the diagnosis; its fields are the keys of the JSON."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from parallel_cal.model.effect import CONDITIONS
 from parallel_cal.model.mechanism import POSE, Mechanism
 from parallel_cal.model.words import describe
 
-MAX_REST_SPEED = 1e-3  # rad/s or m/s: below it a robot that is measured stands still
-MIN_STRONG_CORRELATION = 0.98  # correlation of two parameters that the data hardly tell apart
+MAX_REST_SPEED = 1e-3  # rad/s or m/s: below it the robot stands still
+MIN_STRONG_CORRELATION = 0.98  # correlation from which two parameters are hardly distinguishable
 
 
 @dataclass(frozen=True)
 class HeldOutErrors:
-    """E at poses left out: before any calibration, now, with the effects found; noise alone."""
+    """Validation errors before any calibration, now and with the effects found; noise floor."""
 
     before: Summary
     now: Summary
@@ -50,7 +50,7 @@ class HeldOutErrors:
 
     @property
     def kinds(self) -> list[str]:
-        """Which errors tell: of the pose; where none was measured of readings, or of joints."""
+        """The kinds of error: of the pose; if none was measured, of readings, or of joints."""
         for group in (("position", "orientation"), ("reading",), ("joint",)):
             if kinds := [k for k in group if self.now.rms(k) or self.noise.rms(k)]:
                 return kinds
@@ -58,13 +58,13 @@ class HeldOutErrors:
 
 
 def _list_judged_steps(diagnosis: Diagnosis) -> list[dict[str, Any]]:
-    """Steps of the model's history with errors at poses left out: no published tables."""
+    """Return the steps of the model's history that have validation errors."""
     past = (entry for entry in diagnosis.model.history if isinstance(entry.get("held_out"), dict))
     return [entry for entry in past if {"before", "after"} <= entry["held_out"].keys()]
 
 
 def history(diagnosis: Diagnosis, errors: HeldOutErrors) -> list[dict[str, Any]]:
-    """One row a step: its `name`, `error` (E at poses left out), and the data it was judged on."""
+    """Make one row per step: its `name`, its validation `error`, and the data it was judged on."""
     data = diagnosis.dataset
     here = {"samples": len(data), "sha256": data.sha256}
     steps = [_step(entry) for entry in _list_judged_steps(diagnosis)]
@@ -78,13 +78,13 @@ def history(diagnosis: Diagnosis, errors: HeldOutErrors) -> list[dict[str, Any]]
 
 
 def _are_equal(one: Summary, other: Summary) -> bool:
-    """Whether errors are those of one fit, written and identified again."""
+    """Return whether two errors agree, as those of a fit that was written and repeated."""
     a, b = ([value or 0.0 for value in vars(e).values()] for e in (one, other))
     return bool(np.allclose(a, b, rtol=1e-4, atol=0.0))
 
 
 def _step(entry: Mapping[str, Any]) -> dict[str, Any]:
-    """A row of the history from an entry in the model file."""
+    """Make a row of the history from an entry in the model file."""
     return {
         "name": " ".join(str(entry[key]) for key in ("step", "effect") if key in entry),
         "error": Summary(**entry["held_out"]["after"]),
@@ -95,9 +95,13 @@ def _step(entry: Mapping[str, Any]) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Residuals:
-    """What the fit leaves, a row a sample: `place` (N, 3) m, or the platform's axis, measured minus
-    predicted (N, 3) m or rad `now` and with the effects `found`, `noise_units` (N, k) of both by
-    component, and what may matter (N,) with its SI unit, empty where nobody states one."""
+    """Residuals of a fit, one row per sample.
+
+    `place` (N, 3) is the position in m, or the platform's axis. `now` and `found` (N, 3) are
+    measured minus predicted in m or rad, of the present model and with the effects found.
+    `noise_units` (N, k) are the components in sigmas. `regressors` are quantities (N,) that
+    residuals may depend on, with their SI `units`, empty if none is stated.
+    """
 
     kind: str | None
     components: list[str]
@@ -128,7 +132,7 @@ class Residuals:
         )
 
     def select_informative(self, along: Sequence[ResidualProfile]) -> Iterator[ResidualProfile]:
-        """What varied and says something: velocities of a robot at rest do not."""
+        """Select the quantities that varied; velocities of a robot at rest are omitted."""
         for entry in along:
             values = self.regressors[entry.name]
             rests = entry.name.startswith("velocity.") and np.abs(values).max() < MAX_REST_SPEED
@@ -138,8 +142,11 @@ class Residuals:
 
 @dataclass(frozen=True)
 class JointResiduals:
-    """Measured joint minus the inverse of the measured pose (N, k) with its sigma, over the reading
-    (N, k), rad or m as `units` say; of the joints that what was measured tells, NaN where not."""
+    """Encoder reading minus inverse kinematics of the measured pose (N, k), with its sigma.
+
+    `readings` (N, k) and `errors` are in rad or m, as `units` say. Only joints that the measured
+    coordinates determine are included; an undetermined value is NaN.
+    """
 
     joints: tuple[str, ...]
     units: tuple[str, ...]
@@ -163,8 +170,8 @@ class JointResiduals:
 
 
 def places(scene: Scene, kind: str | None) -> np.ndarray:
-    """Predicted positions (N, 3), or where only the orientation is known the
-    platform's z axis."""
+    """Return the predicted positions (N, 3), or the platform's z axis if only the orientation is
+    measured."""
     predicted = Configuration.from_rows(scene.x)
     return predicted.R[:, :, 2] if kind == "orientation" else predicted.r
 
@@ -175,18 +182,21 @@ def _units(scene: Scene) -> Iterator[tuple[str, str]]:
 
 
 def unit_along(m: Mechanism, name: str) -> str:
-    """SI unit of a joint, a coordinate or a condition; empty where nobody states one."""
+    """Return the SI unit of a joint, a coordinate or a condition; empty if none is stated."""
     own = dict(zip(m.joints, m.joint_units, strict=True)) | dict.fromkeys("xyz", "m")
     kind, _, joint = name.partition(".")
     stated = CONDITIONS[kind][0] if kind in CONDITIONS else ""
-    # A condition of a joint is stated for turns.
+    # The unit of a joint's condition is stated for revolute joints.
     return own.get(name) or stated.replace("rad", own.get(joint, "rad"))
 
 
 @dataclass(frozen=True)
 class JudgedSample:
-    """Where a sample was, joints (nq,) and position (3,), and the norms of its errors by kind, at
-    a fit that left it out, with its `sigmas` at one on all; NaN where not known."""
+    """A sample with its joints (nq,) and position (3,), and the norms of its errors by kind.
+
+    The errors are those of the fit that held the sample out. `sigmas` is from the fit of all
+    samples. Unknown values are NaN.
+    """
 
     sample: int
     time: float
@@ -198,7 +208,7 @@ class JudgedSample:
 
 
 def samples(diagnosis: Diagnosis) -> list[JudgedSample]:
-    """Every sample, worst first."""
+    """List every sample, worst first."""
     best, data = diagnosis.best.fitted, diagnosis.dataset
     odd = {one.sample: one.label for one in diagnosis.odd_samples}
     now, found = _list_sample_errors(diagnosis.base), _list_sample_errors(diagnosis.best)
@@ -227,14 +237,14 @@ def _list_sample_errors(trial: Trial) -> list[dict[str, float]]:
 
 @dataclass(frozen=True)
 class DescribedParameter(ParameterEstimate):
-    """A parameter with what it is, in words, and its sigma in tolerances."""
+    """A parameter with its description and its sigma in tolerances."""
 
     words: str
     sigma_tolerances: float | None
 
 
 def parameters(result: FitResult) -> dict[str, DescribedParameter]:
-    """Every parameter by name."""
+    """Describe every parameter, by name."""
     table = result.model.table
     return {
         name: DescribedParameter(
@@ -247,7 +257,7 @@ def parameters(result: FitResult) -> dict[str, DescribedParameter]:
 
 
 def combinations(result: FitResult) -> dict[str, list[dict[str, Any]]]:
-    """What the data cannot tell at all, and what they tell worse than the tolerances do."""
+    """Describe the unidentifiable combinations and the weak directions."""
     seen, table = result.estimate.spectrum, result.model.table
     return {
         "unidentifiable": directions_in_words(seen.unidentifiable, table),
@@ -257,14 +267,14 @@ def combinations(result: FitResult) -> dict[str, list[dict[str, Any]]]:
 
 @dataclass(frozen=True)
 class Correlation:
-    """Of two parameters."""
+    """The correlation of two parameters."""
 
     parameters: tuple[str, str]
     value: float
 
 
 def find_correlations(result: FitResult, most: int = 10) -> list[Correlation]:
-    """The strongest correlations of two free parameters, where they are worth a word."""
+    """Find the strongest correlations of two free parameters."""
     names = [n for n, free in zip(result.model.table.names, result.free, strict=True) if free]
     with np.errstate(invalid="ignore", divide="ignore"):  # unidentified ones have no sigma
         C = np.triu(np.nan_to_num(result.correlations()), 1)
@@ -275,5 +285,5 @@ def find_correlations(result: FitResult, most: int = 10) -> list[Correlation]:
 
 
 def smooth_map(drawn: SmoothMap) -> dict[str, Any]:
-    """The smooth picture of what is left with where and how large (m or rad)."""
+    """Return the document of the smooth map with its places and its field (m or rad)."""
     return drawn.document() | {"places": drawn.places, "field": drawn.field}

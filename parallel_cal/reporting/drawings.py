@@ -1,4 +1,4 @@
-"""A mechanism as it draws itself, its parameters named, at any configuration."""
+"""The drawing of a mechanism at any configuration, with the names of its parameters."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from parallel_cal.reporting.figures import (
 )
 from parallel_cal.reporting.spaces import space
 
-# Okabe and Ito's palette; what moves with a motor, what follows, what carries the tool.
+# The palette of Okabe and Ito: driven parts, rods, platform.
 COLOURS = {
     "base": QUIET,
     "axis": QUIET,
@@ -43,14 +43,14 @@ class DrawnLine:
 
     @property
     def middle(self) -> np.ndarray:
-        """Half way along it."""
+        """The point half way along the line."""
         steps = np.linalg.norm(np.diff(self.points, axis=0), axis=1)
         way = np.concatenate([[0.0], np.cumsum(steps)])
         return np.array([np.interp(way[-1] / 2, way, column) for column in self.points.T])
 
     @property
     def label(self) -> str:
-        """`chain1: Lb dLb`; of lines that show all chains' the names alone."""
+        """Format `chain1: Lb dLb`, or only the names if the line stands for all chains."""
         parts = [name.rpartition(".") for name in self.parameters]
         owners = list(dict.fromkeys(owner for owner, _, _ in parts))
         short = " ".join(dict.fromkeys(name for _, _, name in parts))
@@ -58,7 +58,7 @@ class DrawnLine:
 
 
 def lines(model: Model, x: np.ndarray | None = None) -> list[DrawnLine]:
-    """Of a model's geometry at a configuration (nq + 12,), at home by default."""
+    """Make the lines of a model's geometry at a configuration (nq + 12,), by default home."""
     s, names = model.structure, model.mechanism.parameters.names
     x = model.mechanism.home.configuration if x is None else x
     parts = model.mechanism.drawing(s.q, s.r, s.R, s.geometry)
@@ -114,12 +114,12 @@ def drawing(
 
 
 def flat(parts: list[DrawnLine]) -> bool:
-    """Whether all of it lies at one height."""
+    """Return whether all lines lie at one height."""
     return bool(np.ptp(np.vstack([part.points for part in parts])[:, 2]) < 1e-6)
 
 
 def _cube(parts: list[DrawnLine]) -> Spec:
-    """Axes of one length, also where all is flat: that is looked at from above."""
+    """Make axes of equal length; the camera looks at a flat mechanism from above."""
     points = 1e3 * np.vstack([part.points for part in parts])
     middle, half = (points.min(0) + points.max(0)) / 2, 0.55 * np.ptp(points, axis=0).max()
     axes: Spec = {
@@ -134,8 +134,7 @@ def _cube(parts: list[DrawnLine]) -> Spec:
 
 
 def select_labelled(parts: list[DrawnLine]) -> list[DrawnLine]:
-    """Of the lines whose parameters are named alike, chain by chain, one: that furthest from those
-    chosen before it."""
+    """Choose one of the lines with equal parameter names: the one furthest from those before."""
     alike: dict[tuple[str, ...], list[DrawnLine]] = {}
     for part in parts:
         if part.parameters:

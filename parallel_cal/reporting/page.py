@@ -1,4 +1,4 @@
-"""One HTML file with everything in it: text, figures, Plotly, style; it loads nothing."""
+"""One HTML file that contains text, figures, Plotly and style, and loads nothing else."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def page(report: Report, library: str = "") -> str:
     ----------
     report : Report
     library : str, optional
-        Path of Plotly's file beside the page, for pages that share one. The default puts Plotly
+        Path of Plotly's file next to the page, for pages that share one. The default puts Plotly
         into the page, which then needs no other file.
 
     Returns
@@ -58,13 +58,13 @@ class PageBuilder:
         self._figures: list[Mapping[str, Any]] = []
 
     def plot(self, figure: Mapping[str, Any]) -> str:
-        """Keep a figure for the page; its place there."""
+        """Add a figure to the page; return the HTML of its place."""
         self._figures.append(figure)
         number, height = len(self._figures) - 1, figure["layout"]["height"]
         return f'<div class="plot" data-figure="{number}" style="height:{height}px"></div>'
 
     def page(self, title: str, made: str, content: str, library: str = "") -> str:
-        """The page with them, its `content` as HTML."""
+        """Make the page with the figures and the `content`, which is HTML."""
         return Template(_text("page.html")).substitute(
             title=escape(title),
             made=escape(made),
@@ -79,13 +79,13 @@ class PageBuilder:
         )
 
     def page_of(self, title: str, parts: Iterable[str]) -> str:
-        """The page of some sections, made now."""
+        """Make the page of some sections, with the present time."""
         made = datetime.now(timezone.utc).isoformat(timespec="minutes")
         return self.page(title, f"{day(made)}, parallel_cal {__version__}", "\n".join(parts))
 
 
 def plotly() -> str:
-    """Plotly, as a script."""
+    """Return Plotly as a script."""
     from plotly.offline import get_plotlyjs
 
     return str(get_plotlyjs())
@@ -96,5 +96,5 @@ def _text(name: str) -> str:
 
 
 def _in_script(value: Any) -> str:
-    """JSON that cannot end the script element it stands in."""
+    """Write JSON that cannot end the script element around it."""
     return json.dumps(value, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")

@@ -1,4 +1,4 @@
-"""Numbers as people read them: um, mm, arcmin, degrees; the unit always beside them.
+"""Numbers with units for people: um, mm, arcmin, degrees.
 
 A page has a few significant digits, a dash and µ; a terminal fixed digits, a hyphen and ASCII.
 """
@@ -13,7 +13,7 @@ ARCMIN = 60 * 180 / math.pi
 SMALL = {
     "m": ("µm", 1e6),
     "rad": ("arcmin", ARCMIN),
-    "rad|m": ("µrad|µm", 1e6),  # turns and slides in one norm have no people's unit
+    "rad|m": ("µrad|µm", 1e6),  # a norm of revolute and prismatic joints has no common unit
 }
 LARGE = {"m": ("mm", 1e3), "rad": ("deg", 180 / math.pi), "degC": ("°C", 1.0), "1": ("", 1.0)}
 SI_UNITS = {"position": "m", "orientation": "rad", "reading": "m"}
@@ -21,22 +21,22 @@ MISSING = "–"
 
 
 def error_unit(unit: str) -> tuple[str, float]:
-    """(name, factor) in which an error of this SI unit is read."""
+    """Return (name, factor) of the unit in which errors of this SI unit are shown."""
     return SMALL.get(unit, (unit, 1.0))
 
 
 def value_unit(unit: str) -> tuple[str, float]:
-    """(name, factor) in which a value of this SI unit is read."""
+    """Return (name, factor) of the unit in which values of this SI unit are shown."""
     return LARGE.get(unit, (unit, 1.0))
 
 
 def is_known(value: float | None) -> TypeGuard[float]:
-    """Whether there is a value: None and NaN are not known, infinity is no number to read."""
+    """Return whether a value is a finite number."""
     return value is not None and math.isfinite(value)
 
 
 def number(value: float | None, factor: float = 1.0, digits: int = 3) -> str:
-    """A few significant digits; a dash where the value is not known."""
+    """Format a few significant digits; a dash if the value is not known."""
     if not is_known(value):
         return MISSING
     scaled = value * factor
@@ -49,7 +49,7 @@ def number(value: float | None, factor: float = 1.0, digits: int = 3) -> str:
 
 
 def round_to_sigma(value: float, sigma: float | None, factor: float = 1.0) -> tuple[str, str]:
-    """(value, sigma) with as many decimals as the sigma's second digit has."""
+    """Format (value, sigma) with the decimals of the sigma's second digit."""
     if not is_known(sigma) or sigma <= 0:
         return number(value, factor, 6), MISSING
     decimals = max(1 - math.floor(math.log10(sigma * factor)), 0)
@@ -57,26 +57,26 @@ def round_to_sigma(value: float, sigma: float | None, factor: float = 1.0) -> tu
 
 
 def day(stamp: str) -> str:
-    """`2026-01-31 12:05 UTC` of an ISO time stamp."""
+    """Format an ISO time stamp as `2026-01-31 12:05 UTC`."""
     return f"{stamp[:10]} {stamp[11:16]} UTC"
 
 
 def with_unit(value: float | None, unit: str, scale: Any = error_unit) -> str:
-    """`32.2 µm`; a dash where the value is not known."""
+    """Format `32.2 µm`; a dash if the value is not known."""
     name, factor = scale(unit)
     text = number(value, factor)
     return text if text == MISSING else f"{text} {name}".rstrip()
 
 
 def vector(values: Iterable[float | None], unit: str, digits: int = 2) -> str:
-    """Several values of one unit, fixed digits so that columns line up."""
+    """Format several values of one unit with fixed digits, so that columns line up."""
     factor = value_unit(unit)[1]
     shown = [f"{v * factor:.{digits}f}" if is_known(v) else MISSING for v in values]
     return " ".join(shown) if set(shown) != {MISSING} else MISSING
 
 
 def probability(p: float | None) -> str:
-    """A p-value in two digits; below 1e-99 it is as good as zero."""
+    """Format a p-value in two digits, or as `< 1e-99`."""
     if not is_known(p):
         return MISSING
     return f"{p:.2g}" if p > 1e-99 else "< 1e-99"
@@ -87,13 +87,13 @@ def percent(share: float | None, digits: int = 0, missing: str = MISSING) -> str
 
 
 def unit_of(kind: str, joint_units: Mapping[str, str]) -> str:
-    """SI unit of an error kind; a robot of turns and slides has no common one for joints."""
+    """Return the SI unit of an error kind; rad|m for a mix of revolute and prismatic joints."""
     units = set(joint_units.values())
     return SI_UNITS.get(kind) or (units.pop() if len(units) == 1 else "rad|m")
 
 
 def format_fixed(value: float | None, factor: float = 1.0, digits: int = 2) -> str:
-    """A number for a terminal."""
+    """Format a number for a terminal."""
     return f"{value * factor:.{digits}f}" if is_known(value) else "-"
 
 
@@ -102,13 +102,13 @@ def format_fixed_vector(values: Iterable[float | None], factor: float, digits: i
 
 
 def in_unit(value: float | None, unit: str, digits: int = 4) -> tuple[str, str]:
-    """(number, unit) of a value for a terminal: m as mm, rad as degrees."""
+    """Format (number, unit) of a value for a terminal: m as mm, rad as degrees."""
     name, factor = value_unit(unit)
     return format_fixed(value, factor, digits), name
 
 
 def columns(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A short table without frames; numbers to the right."""
+    """Format a short table without frames, with numbers aligned to the right."""
     lines = [list(header), *([str(cell) for cell in row] for row in rows)]
     widths = [max(len(line[k]) for line in lines) for k in range(len(header))]
     right = [all(_numeric(line[k]) for line in lines[1:]) for k in range(len(header))]

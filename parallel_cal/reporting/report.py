@@ -1,4 +1,4 @@
-"""A diagnosis as one document that says it all, and as one page that people read offline."""
+"""The report: a diagnosis with all its evidence, as one document and one offline page."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Provenance:
-    """When and of which model, data and options a report was made, and by which version."""
+    """The version, time, model, data and options of a report."""
 
     version: str
     made: str
@@ -69,8 +69,10 @@ class Provenance:
 
 @dataclass(frozen=True)
 class Report:
-    """A diagnosis with all that shows it, and another model beside it where wanted; residuals are
-    those of the model as it is, parameters those with the effects found."""
+    """A diagnosis with its evidence, and optionally a comparison with another model.
+
+    The residuals are those of the present model, the parameters those with the effects found.
+    """
 
     diagnosis: Diagnosis
     errors: contents.HeldOutErrors
@@ -154,7 +156,7 @@ def report(
 
 @single_threaded()
 def report_of(found: Diagnosis, options: Mapping[str, Any], versus: Versus | None = None) -> Report:
-    """A diagnosis that was made with some options, and all that shows it."""
+    """Make the report of a finished diagnosis."""
     scene, best = found.base.scene, found.best.fitted
     field, errors = Field.of(scene), contents.HeldOutErrors.of(found)
     return Report(

@@ -1,4 +1,4 @@
-"""The figures in space: residuals, two models side by side, the smooth map."""
+"""The 3D figures: residuals, two models side by side, the smooth map."""
 
 from __future__ import annotations
 
@@ -19,8 +19,11 @@ SI = {"position": "m", "orientation": "rad"}
 def residual_arrows(
     places: np.ndarray, fields: Sequence[np.ndarray], kind: str, numbers: np.ndarray
 ) -> tuple[Spec, float]:
-    """(figure, magnification) of residual fields (N, 3) at places (N, 3): the first is shown
-    (traces with `meta` 0), the others are hidden (1, ...); a bar says how long a size is drawn."""
+    """Draw residual fields (N, 3) at places (N, 3); return the figure and its magnification.
+
+    The first field is visible (traces with `meta` 0), the others are hidden (1, ...). A bar shows
+    the scale.
+    """
     scale = scale_of(places, fields)
     traces = [
         trace | {"visible": k == 0, "meta": k}
@@ -33,7 +36,7 @@ def residual_arrows(
 def side(
     places: np.ndarray, field: np.ndarray, kind: str, numbers: np.ndarray, scale: float = 0.0
 ) -> tuple[Spec, float]:
-    """The same of one of several models as it stands, in a scale of its own where none is given."""
+    """Draw the residuals of one of several models; without a scale, choose one."""
     scale = scale or scale_of(places, [field])
     drawn = _add_scale_arrow(
         _draw_arrows(places, field, scale, kind, numbers), places, field, scale, kind
@@ -42,8 +45,10 @@ def side(
 
 
 def smooth_map(found: SmoothMap) -> tuple[Spec, float] | None:
-    """(figure, magnification) of the smooth picture of what is left; None where there is none, or
-    where it lies in more joints than a picture has dimensions."""
+    """Draw the smooth map; return the figure and its magnification.
+
+    The result is None if there is no map, or if it has more than three dimensions.
+    """
     if found.share <= 0 or not found.size or found.places.shape[1:] != (3,):
         return None
     scale = scale_of(found.places, [found.field])
@@ -59,7 +64,7 @@ def smooth_map(found: SmoothMap) -> tuple[Spec, float] | None:
 def _draw_arrows(
     places: np.ndarray, field: np.ndarray, scale: float, kind: str, numbers: np.ndarray
 ) -> list[Spec]:
-    """Arrows with their sizes as hover words, of long recordings some; positions in mm."""
+    """Draw arrows with their sizes as hover texts, a part of them if there are many."""
     kept = select_evenly(len(places), MAX_ARROWS)
     places, field, numbers = places[kept], field[kept], numbers[kept]
     sizes = np.linalg.norm(field, axis=1)
@@ -70,7 +75,7 @@ def _draw_arrows(
 def _add_scale_arrow(
     traces: list[Spec], places: np.ndarray, field: np.ndarray, scale: float, kind: str
 ) -> Spec:
-    """Arrows with a length to compare them with, at the lowest corner."""
+    """Add a length to compare arrows with, at the lowest corner."""
     size = typical(field)
     x, y, z = (1e3 if kind == "position" else 1.0) * places.min(axis=0)
     long = (1e3 if kind == "position" else 1.0) * scale * size
@@ -101,7 +106,7 @@ def _add_scale_arrow(
 
 
 def space(kind: str) -> Spec:
-    """Axes of equal scale: positions in mm; directions on the unit sphere have no unit."""
+    """Make axes of equal scale: positions in mm, directions on the unit sphere without unit."""
     unit = " [mm]" if kind == "position" else ""
     axes = {f"{a}axis": {"title": {"text": f"{a}{unit}"}} for a in "xyz"}
     camera = {"eye": {"x": 1.4, "y": -1.4, "z": 0.7}, "center": {"x": 0, "y": 0, "z": -0.13}}

@@ -10,6 +10,7 @@ import numpy as np
 from nicegui import ui
 
 from parallel_cal.reporting.arrows import scale_of
+from parallel_cal.reporting.markup import write_micro
 from parallel_cal.reporting.spaces import side
 from parallel_cal.session.history import History, format_first_error
 from parallel_cal.workbench.bench import load_view
@@ -31,9 +32,9 @@ class BranchComparison:
                     "branch": name,
                     "step": s.step,
                     "out": len(s.excluded),
-                    "verdict": s.verdict,
-                    "after": format_first_error(s.errors),
-                    "noise": format_first_error(s.noise),
+                    "verdict": write_micro(s.verdict),
+                    "after": write_micro(format_first_error(s.errors)),
+                    "noise": write_micro(format_first_error(s.noise)),
                 }
                 for name, s in states.items()
             ]

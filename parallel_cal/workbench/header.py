@@ -8,6 +8,7 @@ from typing import Any
 from nicegui import ui
 
 from parallel_cal.reporting.colours import QUIET
+from parallel_cal.reporting.markup import write_micro
 from parallel_cal.workbench.bench import Bench
 from parallel_cal.workbench.campaign_card import CampaignBar
 from parallel_cal.workbench.widgets import COLOURS
@@ -85,14 +86,14 @@ class Header:
         self.asked.set_visibility(question is not None)
         if question is not None:
             self._key = question.key
-            self.question.set_text(question.words)
+            self.question.set_text(write_micro(question.words))
         self.message.set_visibility(bool(bench.message) and not bench.busy)
-        self.message.set_text(bench.message)
+        self.message.set_text(write_micro(bench.message))
         self.message.style(f"color: {COLOURS['amber'] if bench.failed else QUIET}")
 
     def _numbers(self, view: dict[str, Any]) -> None:
         verdict = view.get("verdict", NOTHING)
-        self.verdict.set_text(verdict["words"])
+        self.verdict.set_text(write_micro(verdict["words"]))
         colour = COLOURS[verdict["colour"]]
         self.verdict.style(f"border-left: 6px solid {colour}; padding-left: 8px")
         self.numbers.clear()

@@ -11,6 +11,7 @@ from nicegui import run, ui
 
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.reporting.colours import MEASURED, PATTERN, QUIET
+from parallel_cal.reporting.markup import write_micro
 from parallel_cal.session.history import format_first_error
 from parallel_cal.workbench.bench import Bench, Live
 from parallel_cal.workbench.header import Header
@@ -117,9 +118,8 @@ class Window:
                     with ui.column().classes("gap-0 grow"):
                         ui.label(one["name"]).classes("font-bold" if one["found"] else "")
                         ui.label(one["physics"]).classes("text-sm")
-                        ui.label(one["against"] or _describe_lookalikes(one)).classes(
-                            "text-xs"
-                        ).style("opacity: 0.75")
+                        remark = write_micro(one["against"] or _describe_lookalikes(one))
+                        ui.label(remark).classes("text-xs").style("opacity: 0.75")
                         if one["found"] and one["remedy"]:
                             ui.label(f"At the machine: {one['remedy']}.").classes("text-sm")
                         if one["pattern"]:
@@ -159,10 +159,10 @@ class Window:
             rows = [
                 {
                     "step": state.step,
-                    "before": format_first_error(state.before),
-                    "after": format_first_error(state.errors),
+                    "before": write_micro(format_first_error(state.before)),
+                    "after": write_micro(format_first_error(state.errors)),
                     "out": len(state.excluded),
-                    "verdict": state.verdict or state.against,
+                    "verdict": write_micro(state.verdict or state.against),
                 }
                 for state in session.history()
             ]
@@ -195,7 +195,7 @@ class Window:
                     {
                         "branch": k,
                         "step": s.step,
-                        "after": format_first_error(s.errors),
+                        "after": write_micro(format_first_error(s.errors)),
                         "out": len(s.excluded),
                     }
                     for k, s in session.compared().items()
@@ -338,7 +338,7 @@ class Window:
         bench = self.bench
         with card("What to measure next"):
             for advice in view["advice"]:
-                ui.label(advice)
+                ui.label(write_micro(advice))
             with ui.row().classes("items-center"):
                 count = ui.number("poses", value=20, min=1, max=500, precision=0).classes("w-24")
                 ui.button(
