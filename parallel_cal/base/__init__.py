@@ -1,1 +1,1 @@
-"""What everything stands on: errors, files, rotations, compiled functions."""
+"""The base of all rooms: errors, files, rotations, compiled functions."""

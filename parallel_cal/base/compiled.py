@@ -30,9 +30,9 @@ FLAGS = ("-O2", "-fPIC", "-shared", "-fno-semantic-interposition", "-ffp-contrac
 
 
 class Single:
-    """A function of vectors, called through one buffer: microseconds a call, thread-safe.
+    """A function of vectors that is called through one buffer: microseconds a call, thread-safe.
 
-    Whoever holds the `lock` may fill the `arguments` and `evaluate` into the `results` in place.
+    A thread that holds the `lock` may fill `arguments` and `evaluate` into `results` in place.
     """
 
     def __init__(self, function: ca.Function):
@@ -46,7 +46,7 @@ class Single:
             self._buffer.set_res(i, array.data)
 
     def __call__(self, *arguments: np.ndarray | Sequence[float]) -> list[np.ndarray]:
-        """Outputs as flat arrays (column-major where the function returns a matrix)."""
+        """Return the outputs as flat arrays (column-major if the function returns a matrix)."""
         with self.lock:
             for array, argument in zip(self.arguments, arguments, strict=True):
                 array[:] = argument
@@ -57,9 +57,9 @@ class Single:
 class Batch:
     """A function of vectors evaluated on N samples: (N, size) arrays in and out.
 
-    Samples go through functions of fixed sizes, made once, where they lie: nothing is built,
-    copied or converted for a new N. Very many are spread over the cores; each is computed by
-    itself, so how many there are changes no bit.
+    Samples are evaluated in chunks of fixed sizes, in place: nothing is built, copied or converted
+    for a new N. Large batches are spread over the cores. Each sample is computed separately, so the
+    result does not depend on N.
     """
 
     SIZES = (BATCH_SIZE, 16)
@@ -71,7 +71,7 @@ class Batch:
         self._lock = Lock()
 
     def __call__(self, *arguments: np.ndarray) -> list[np.ndarray]:
-        """Each argument (N, size), or (size,) to be the same for all samples."""
+        """Evaluate the samples; each argument is (N, size), or (size,) for all samples."""
         given = [np.ascontiguousarray(a, dtype=float) for a in arguments]
         n = next(len(a) for a in given if a.ndim == 2)
         room = -(-n // self.SIZES[-1]) * self.SIZES[-1]
@@ -118,7 +118,7 @@ class Batch:
 
 
 class _Chunk:
-    """A function called on arrays where they lie."""
+    """A function that is called on arrays in place."""
 
     def __init__(self, function: ca.Function):
         self._buffer, self._evaluate = function.buffer()
@@ -132,7 +132,7 @@ class _Chunk:
 
 
 def _rows(array: np.ndarray, begin: int, size: int) -> np.ndarray:
-    """`size` rows from `begin`, with zeros where the array ends before."""
+    """Return `size` rows from `begin`, filled with zeros behind the end of the array."""
     rows = array[begin : begin + size]
     if len(rows) == size:
         return rows
@@ -147,7 +147,7 @@ def _cores() -> int:
 
 
 def dense(name: str, inputs: Sequence[ca.SX], outputs: Sequence[ca.SX]) -> ca.Function:
-    """A function with dense outputs; common sub-expressions shared where it is not too large."""
+    """Create a function with dense outputs; common sub-expressions are shared if it is small enough."""
     plain = ca.Function(name, list(inputs), [ca.densify(o) for o in outputs])
     if plain.n_instructions() > MAX_INSTRUCTIONS_FOR_CSE:
         return plain

@@ -11,8 +11,11 @@ JSON_SCALARS = (str, int, bool, type(None))
 
 
 def to_json_value(value: Any) -> Any:
-    """A value as JSON has it: NaN and infinity become null, arrays and tuples lists, a dataclass
-    its `document()`, or where it has none its fields by name."""
+    """Convert a value to plain JSON data.
+
+    NaN and infinity become null, arrays and tuples become lists. A dataclass becomes its
+    `document()`, or its fields by name if it has none.
+    """
     kind = type(value)
     if kind is float:
         return value if math.isfinite(value) else None

@@ -1,4 +1,4 @@
-"""The errors that cross the package's border; inside, failure is data (a status per sample).
+"""The errors that users of the package see; inside, failure is data (a status per sample).
 
 Every message names the file, key, topic or sample, the value, what was expected and what to do.
 """
@@ -20,7 +20,7 @@ class DatasetError(ParallelCalError):
 
 
 class UnfitError(DatasetError):
-    """No samples will ever be made of what is recorded, however much more of it comes."""
+    """The recording is unusable: more data of this kind will not yield samples."""
 
 
 class ModelFileError(ParallelCalError):
@@ -32,7 +32,7 @@ class ModelError(ParallelCalError):
 
 
 def wrap_plugin_error(name: str, error: Exception) -> ModelError:
-    """What the file of a mechanism or an effect raised, in one line that says where."""
+    """Return a one-line error with place for what a user's mechanism or effect raised."""
     if isinstance(error, ParallelCalError):
         return ModelError(f"{name}: {error}")
     frames = traceback.extract_tb(error.__traceback__)
@@ -42,7 +42,7 @@ def wrap_plugin_error(name: str, error: Exception) -> ModelError:
 
 
 def format_suggestion(word: str, known: list[str]) -> str:
-    """`; did you mean 'backlash'?` where one of the known words is near."""
+    """Return `; did you mean 'backlash'?` if one of the known words is similar, else ""."""
     from difflib import get_close_matches
 
     return "".join(f"; did you mean '{n}'?" for n in get_close_matches(word, known, n=1))

@@ -21,10 +21,10 @@ BACKUP_SUFFIX = ".previous"  # behind the name of a file that was replaced
 def read_text(
     path: str | Path, most: int = 16 * MEGABYTE, encoding: str = "utf-8", errors: str = "strict"
 ) -> str:
-    """The text of a regular file of at most `most` bytes.
+    """Read a regular file of at most `most` bytes.
 
-    A pipe or a device would be waited for, or never end: OSError for one, and for a file that is
-    too large; UnicodeDecodeError where it is no text.
+    A pipe or a device could block or never end: it raises OSError, as does a file that is too large.
+    UnicodeDecodeError if the file is not text.
     """
     # Opened before it is looked at, so that nobody exchanges it between; a pipe opens at once.
     handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
@@ -40,11 +40,10 @@ def read_text(
 
 
 def write_atomically(path: str | Path, text: str, like: str | Path | None = None) -> None:
-    """Replace a file in one step: a reader, or a power cut, sees the old or the new text.
+    """Replace a file in one step: a reader sees the old or the new text, even after a power cut.
 
-    Permission bits of an existing file stay, or are those of the file `like`, and a symbolic link
-    keeps pointing where it did; OSError, with the file's own name, where the folder cannot be
-    written.
+    Permission bits of an existing file are kept, or are those of the file `like`; a symbolic link
+    keeps its target. OSError, with the file's own name, if the folder cannot be written.
     """
     target = Path(path).resolve()
     if target.exists() and not target.is_file():
@@ -57,8 +56,7 @@ def write_atomically(path: str | Path, text: str, like: str | Path | None = None
 
 
 def open_locked(path: Path) -> int | None:
-    """A file opened to be read and appended to, made where there is none; None where another
-    process is at it."""
+    """Open a file to read and append, creating it if needed; None if another process holds it."""
     flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
     file = os.open(path, flags, 0o644)
     try:
@@ -102,7 +100,7 @@ def cache_folder() -> Path:
 
 
 def load_or_compute(sources: Iterable[Path], make: Callable[[], Any]) -> Any:
-    """What `make` gives, a JSON document; or gave when these files had these names and contents."""
+    """Return the JSON document of `make`, or the stored one if these files have not changed."""
     digest = hashlib.sha256()
     for path in sources:
         digest.update(f"{path.name}\0".encode() + path.read_bytes())
@@ -132,7 +130,7 @@ def _replace(target: Path, text: str, permissions: int) -> None:
 
 
 def _permissions(target: Path) -> int:
-    """Those of the file, or what the user's mask leaves a new one."""
+    """Return the permissions of the file, or those that the user's mask gives a new file."""
     if target.exists():
         return stat.S_IMODE(target.stat().st_mode)
     mask = os.umask(0)

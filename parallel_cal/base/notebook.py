@@ -1,4 +1,4 @@
-"""What a notebook shows of a result."""
+"""How a notebook displays a result."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How long work reports where it is."""
+"""How long computations report their progress."""
 
 from __future__ import annotations
 
@@ -10,4 +10,4 @@ Progress = Callable[[str, float], None]
 
 
 def ignore_progress(stage: str, fraction: float) -> None:
-    """Report to nobody."""
+    """Ignore the progress report."""

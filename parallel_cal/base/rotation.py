@@ -82,7 +82,7 @@ def matrix_to_quaternion(R: np.ndarray) -> np.ndarray:
 
 
 def _single_quaternion(R: np.ndarray) -> np.ndarray:
-    """The same for one matrix, without the arrays' overhead: nodes answer one at a time."""
+    """Convert one matrix without the overhead of arrays: nodes convert one pose at a time."""
     (a, b, c), (d, e, f), (g, h, i) = R.tolist()
     trace, largest = a + e + i, max(a, e, i)
     if trace >= largest:

@@ -1,7 +1,7 @@
-"""One thread for linear algebra: a second one costs more than it brings on matrices this small.
+"""Limit linear algebra to one thread: on small matrices a second thread costs more than it saves.
 
-Beside other work it costs far more: threads of OpenBLAS wait for each other by spinning, and a
-solve of 0.1 ms takes a whole time slice of the processor.
+It costs much more if other processes run: threads of OpenBLAS wait for each other by spinning,
+and a solve of 0.1 ms then takes a whole time slice of the processor.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ _modules = 0  # how many were loaded when libraries were last looked for
 
 @contextmanager
 def single_threaded() -> Iterator[None]:
-    """One BLAS thread, as a context or as a decorator of a public function; afterwards as before.
+    """Use one BLAS thread, as a context or as a decorator of a public function; then restore.
 
-    It takes up to a millisecond where nothing limits yet, and a microsecond inside of another: for
-    a fit or a diagnosis, not for the direct problem of one pose.
+    Entering takes up to a millisecond, or a microsecond inside another one: use it for a fit or a
+    diagnosis, not for the direct problem of one pose.
     """
     _enter()
     try:

@@ -1,8 +1,8 @@
-"""A process beside this one for what may take long, take memory or crash.
+"""A separate process for work that may take long, need much memory or crash.
 
-Nobody's streams or windows wait for it: it has an interpreter of its own, a lower priority and, if
-wanted, a limit to its memory, and is ended when its time is over or nobody wants its work any more.
-What is asked of it next starts another one.
+It has its own interpreter, a lower priority and, on request, a memory limit, so that streams and
+windows of this process stay responsive. It is stopped when its time is over or its work is no
+longer wanted. The next work starts a new process.
 """
 
 from __future__ import annotations
@@ -35,19 +35,22 @@ class TimeBudgetExceeded(ParallelCalError):
 
 
 class WorkCancelled(ParallelCalError):
-    """A piece of work was ended because nobody wants it any more."""
+    """A piece of work was stopped because it was no longer wanted."""
 
 
 class WorkError(ParallelCalError):
-    """A piece of work failed, or ended the process that did it."""
+    """A piece of work failed, or its process ended."""
 
 
 class Worker:
-    """Does one piece of work at a time; whoever comes meanwhile waits for its turn."""
+    """Does one piece of work at a time; other callers wait for their turn."""
 
     def __init__(self, memory: int | None = None, first: Callable[[], None] | None = None):
-        """`memory` in MB, beyond what it has after `first`, which a new process does before all
-        else. The process is started by its first work."""
+        """Create a worker; its process starts with its first work.
+
+        `memory` is in MB, in addition to what the process has after `first`, which a new process runs
+        before anything else.
+        """
         self._memory, self._first = memory, first
         self._turn, self._ended = Lock(), False
         self._process: subprocess.Popen[bytes] | None = None
@@ -78,11 +81,18 @@ class Worker:
         tell: Callable[..., None] | None = None,
         wanted: Callable[[], bool] = lambda: True,
     ) -> Any:
-        """What `function(*given)` returns there; all of it is pickled.
+        """Return the result of `function(*given)` in the process; arguments and result are pickled.
 
-        With `tell` the function is given a `tell` of its own, and what it tells there is told
-        here. OverBudget when the time is over, Unwanted soon after the work is `wanted` no more,
-        WorkError with what it raised or how its process ended.
+        With `tell`, the function gets a keyword argument `tell`, whose calls are forwarded to this one.
+
+        Raises
+        ------
+        TimeBudgetExceeded
+            If the work takes longer than `seconds`.
+        WorkCancelled
+            Soon after `wanted()` is False.
+        WorkError
+            With what the work raised, or how its process ended.
         """
         with self._turn:
             if self._ended:
@@ -136,7 +146,7 @@ class Worker:
                 return value
 
     def _kill(self, patience: float = 0.0) -> str:
-        """End the process, unless it does so itself (s); how it ended, in words."""
+        """Stop the process after `patience` (s); return how it ended, in words."""
         assert self._process is not None
         assert self._pipe is not None
         self._pipe.close()
@@ -153,7 +163,7 @@ class Worker:
         return f"the process that did the work ended with status {with_status}"
 
     def end(self) -> None:
-        """Stop at once, whatever it does; who waits for it gets a WorkError."""
+        """Stop at once, whatever it does; a waiting caller gets a WorkError."""
         self._ended = True
         process = self._process
         if process is not None:
@@ -164,7 +174,7 @@ class Worker:
 
 
 def serve(descriptor: int, memory: int | None) -> None:
-    """The worker's side: do what comes down the pipe until the other process is gone."""
+    """Run in the process: do the work from the pipe until the other process is gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the one that ends its worker
     os.nice(NICENESS_INCREMENT)
     pipe = Connection(descriptor)
@@ -202,7 +212,7 @@ def _execute(
 
 
 def _exit_with_parent(parent: int) -> None:
-    """A process that was killed tells nobody."""
+    """Exit if the parent is gone: a process that was killed cannot say so."""
     while os.getppid() == parent:
         time.sleep(0.5)
     os._exit(1)

@@ -1,4 +1,4 @@
-"""A recording on disk (rosbag2: mcap or sqlite3) -> channels; the only file that opens a bag."""
+"""Read a recording on disk (rosbag2: mcap or sqlite3); the only file that opens a bag."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ DATA_FILES = (".mcap", ".db3", ".zstd")
 def read_bag(
     path: str | Path, options: ReadOptions | None = None, progress: Progress | None = None
 ) -> Recording:
-    """Read what the channels of a bag say.
+    """Read the channels of a bag.
 
     Single bad messages are dropped and counted; an unusable stream is a BagError.
     """
@@ -40,14 +40,14 @@ def read_bag(
 
 
 def list_topics(path: str | Path) -> tuple[tuple[TopicInfo, ...], float]:
-    """The topics of a bag and the time it spans by its log, in s."""
+    """Return the topics of a bag and the duration of its log, in s."""
     with _Bag(Path(path)) as bag:
         return bag.topics, bag.reader.duration * 1e-9
 
 
 @dataclass(frozen=True)
 class RawMessage:
-    """A message as it lies in the bag: topic, log time (ns) and its serialized bytes."""
+    """A message of the bag: topic, log time (ns) and its serialized bytes."""
 
     topic: str
     time: int
@@ -55,14 +55,14 @@ class RawMessage:
 
 
 def raw_messages(path: str | Path) -> Iterator[RawMessage]:
-    """Every message of a bag in the order of its log; BagError where it cannot be read."""
+    """Yield every message of a bag in the order of its log; BagError if it cannot be read."""
     with _Bag(Path(path)) as bag:
         for connection, time, data in bag.messages(list(bag.reader.connections)):
             yield RawMessage(connection.topic, time, data)
 
 
 def data_hash(path: str | Path) -> str:
-    """sha256 of a bag's data files in the order of their names, without its metadata."""
+    """Return the sha256 of a bag's data files in the order of their names, without metadata."""
     path, digest = Path(path), hashlib.sha256()
     for file in _data_files(path) if path.is_dir() else [path]:
         with file.open("rb") as stream:
@@ -72,12 +72,12 @@ def data_hash(path: str | Path) -> str:
 
 
 def _data_files(folder: Path) -> list[Path]:
-    """The data files of a bag directory, sorted by name."""
+    """Return the data files of a bag directory, sorted by name."""
     return sorted(file for file in folder.iterdir() if file.suffix in DATA_FILES)
 
 
 class _Bag:
-    """An open bag whose every failure is a BagError that names the file and a way out."""
+    """An open bag; every failure is a BagError that names the file and a remedy."""
 
     def __init__(self, path: Path) -> None:
         self.path, self.notes = path, list[str]()
@@ -103,7 +103,7 @@ class _Bag:
         self.reader.close()
 
     def _openable(self) -> Path:
-        """The directory or data file to open; BagError when there is none."""
+        """Return the directory or data file to open; BagError if there is none."""
         if not self.path.exists():
             raise BagError(f"{self.path}: no such file or directory")
         if self.path.is_dir() and not (self.path / "metadata.yaml").exists():
@@ -132,7 +132,7 @@ class _Bag:
         )
 
     def messages(self, connections: list[Any]) -> Iterator[tuple[Any, int, bytes]]:
-        """(connection, log time in ns, bytes) of every message on some connections."""
+        """Yield (connection, log time in ns, bytes) of every message on some connections."""
         try:
             yield from self.reader.messages(connections=connections)
         except ParallelCalError:

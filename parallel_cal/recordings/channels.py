@@ -1,7 +1,7 @@
-"""The channels of a recording: which topic, which message types, what becomes of what they say.
+"""The channels of a recording: topic, message types, and how their messages are used.
 
-A new topic or reading is one entry in CHANNELS and one decoder; bags, live collection, the command
-line and the report of a recording go by this table.
+A new topic or reading is one entry in CHANNELS and one decoder. Bags, live collection, the
+command line and the report of a recording use this table.
 """
 
 from __future__ import annotations

@@ -35,10 +35,10 @@ def assemble(
     source: str,
     notes: Sequence[str] = (),
 ) -> Recording:
-    """Clean the raw messages of each channel; BagError when a whole stream cannot be used.
+    """Clean the raw messages of each channel; BagError if a whole stream cannot be used.
 
-    There are no poses where a constraint or distances stand in for a pose device; of several
-    channels of poses the first one counts.
+    There are no poses if a constraint or distances replace a pose device. Of several channels of
+    poses, the first one is used.
     """
     said = list(notes)
     dropped = [
@@ -90,7 +90,7 @@ def _numbers(
     notes: list[str],
     dropped: list[Dropped],
 ) -> ScalarStream | None:
-    """One number over time; None, with a note, when it cannot belong to this recording."""
+    """Return one number over time; None, with a note, if it cannot belong to this recording."""
     if not raw.stamp:
         return None
     sieve = Sieve(raw, resolve_stamps(raw, stamps, notes), start)
@@ -108,8 +108,11 @@ def _numbers(
 
 
 def _by_gauge(raws: Iterable[Raw]) -> dict[str, Raw]:
-    """The messages of each ball-bar or probe; rows are (frame, m), and the frame is its channel,
-    or where that is empty the topic's own name. BagError where one comes on two topics."""
+    """Group the messages of each ball-bar or probe by channel; rows are (frame, m).
+
+    The frame is the channel, or the topic's name if the frame is empty. BagError if a channel comes
+    on two topics.
+    """
     gauges: dict[str, Raw] = {}
     for raw in raws:
         for log, stamp, (frame, value) in zip(raw.log, raw.stamp, raw.rows, strict=True):
@@ -125,7 +128,7 @@ def _by_gauge(raws: Iterable[Raw]) -> dict[str, Raw]:
 def _latch_texts(
     raw: Raw, joints: Raw, joint_ns: NDArray[np.int64], start: int
 ) -> TextStream | None:
-    """Words without a header: said when the joint state was that was logged just before them."""
+    """Give texts without a header the stamp of the joint state logged just before them."""
     if not raw.log:
         return None
     order = np.argsort(raw.log, kind="stable")
@@ -135,7 +138,7 @@ def _latch_texts(
 
 
 def _require_overlap(joints: JointStream, pose: PoseStream, start: int) -> None:
-    """BagError when joints and poses were never recorded at the same time."""
+    """Raise BagError if joints and poses were never recorded at the same time."""
     if joints.time[0] <= pose.time[-1] and pose.time[0] <= joints.time[-1]:
         return
     spans = [

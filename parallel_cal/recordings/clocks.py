@@ -1,13 +1,14 @@
-"""Two clocks in one recording: how much later poses are stamped than joint states, from motion.
+"""Detect two clocks in one recording, from motion: how much later poses are stamped.
 
-While the robot moves, a pose's step follows from the joints' steps at the same moment, by a
-Jacobian that is nearly linear in the joints: dr = sum_i (b_i + sum_k B_ik q_k) dq_i. Which robot
-it is need not be known: b and B are fitted anew for every delay, and the one that leaves least is
-taken. A driver's few milliseconds are the effect `latency`; more than that are two clocks.
+While the robot moves, a step of the pose follows from the steps of the joints at the same moment,
+by a Jacobian that is nearly linear in the joints: dr = sum_i (b_i + sum_k B_ik q_k) dq_i. The
+robot's model is not needed: b and B are fitted for every delay, and the delay with the smallest
+residual is chosen. A driver's few milliseconds are the effect `latency`; more than that are two
+clocks.
 
-Noise has a best delay, too. So only joints that move more than they are noisy count, the pose must
-move as well, and what the best delay explains must be more than so many fitted numbers explain of
-noise at the best of so many delays.
+Noise has a best delay as well. So only joints that move more than their noise count, the pose must
+move too, and the best delay must explain more than so many parameters explain of noise at the best
+of so many delays.
 """
 
 from __future__ import annotations
@@ -43,14 +44,14 @@ MAX_CHANCE = 1e-9  # that noise alone looks as much like motion; a live collecto
 
 @dataclass(frozen=True)
 class Offset:
-    """Poses are stamped so much later (s) than joint states; `sigma` is its uncertainty."""
+    """How much later (s) poses are stamped than joint states; `sigma` is its uncertainty."""
 
     delay: float
     sigma: float
 
 
 def align_clocks(recording: Recording) -> Recording:
-    """The recording with poses on the joints' clock, and a note where they were on another."""
+    """Return the recording with poses on the joints' clock, with a note if the clocks differ."""
     found = clock_offset(recording.joints, recording.pose)
     if found is None:
         return recording
@@ -67,7 +68,7 @@ def align_clocks(recording: Recording) -> Recording:
 
 
 def clock_offset(joints: JointStream, pose: PoseStream) -> Offset | None:
-    """What lies between two clocks; None where they are one, or motion does not tell."""
+    """Return the offset between two clocks; None if they agree or motion does not determine it."""
     steps = _Steps.of(joints, pose)
     if steps is None:
         return None

@@ -1,4 +1,4 @@
-"""The column map: which column of a table is what, in which unit."""
+"""The column map: the meaning and the unit of each column of a table."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ Angle = Literal["rad", "mrad", "deg", "arcmin", "arcsec", "gon", "rev"]
 
 
 class JointColumn(Part):
-    """A joint's readings; its name in the model file is the key. Without `unit` the header says.
+    """A joint's readings; the key is its name in the model file.
 
-    `per_rev` is how far the joint goes while the motor that was read turns once (`71.2 mm`,
-    negative where it goes back): the column then holds the motor's angle.
+    Without `unit`, the header states the unit. `per_rev` is the travel of the joint per turn of the
+    motor (`71.2 mm`, negative if it moves backwards): the column then contains the motor's angle.
     """
 
     column: str
@@ -38,13 +38,12 @@ class JointColumn(Part):
 
     @property
     def per_radian(self) -> float:
-        """How far the joint goes (m or rad) while its column grows by a radian; 1 without
-        `per_rev`."""
+        """Travel of the joint (m or rad) per radian of its column; 1 without `per_rev`."""
         return 1.0 if self.per_rev is None else travel(self.per_rev) / (2 * math.pi)
 
 
 def travel(text: str) -> float:
-    """`71.2 mm` or `3.6 deg` in m or rad; ValueError for anything else, and for zero."""
+    """Parse `71.2 mm` or `3.6 deg` to m or rad; ValueError for anything else, and for zero."""
     number, _, unit = text.strip().partition(" ")
     try:
         value = float(number) * UNITS[unit.strip()]
@@ -56,7 +55,7 @@ def travel(text: str) -> float:
 
 
 class ReadingColumn(Part):
-    """What a sensor read, of the model file's channel that is the key; an empty cell: nothing."""
+    """A sensor's readings; the key is the model file's channel. An empty cell is no reading."""
 
     column: str
     unit: Length | None = None
@@ -70,7 +69,7 @@ class PositionColumns(Part):
 
 
 class AngleColumns(Part):
-    """Three turns one after the other, about fixed axes (`xyz`) or about turned ones (`XYZ`)."""
+    """Three successive rotations, about fixed axes (`xyz`) or about moving ones (`XYZ`)."""
 
     columns: Annotated[list[str], Field(min_length=3, max_length=3)]
     axes: Annotated[str, Field(pattern="^([xyz]{3}|[XYZ]{3})$")] = "xyz"
@@ -78,19 +77,22 @@ class AngleColumns(Part):
 
 
 class Join(Part):
-    """Rows of several tables that belong together: equal in the column `by`, or where it holds
-    seconds the nearest, `within` so many of them."""
+    """Rows of several tables that belong together.
+
+    They are equal in the column `by`; or, if it contains seconds, the nearest ones `within` so many
+    seconds.
+    """
 
     by: str
     within: Annotated[float, Field(gt=0)] | None = None
 
 
 class ColumnMap(Part):
-    """What a table's columns hold; others are ignored.
+    """The meaning of a table's columns; other columns are ignored.
 
-    `orientation` is a quaternion x y z w; `angles` say the same. A condition is a column, or the
-    number it always was. Rows of equal `group` are visits of one pose. `noise` is 1 sigma as the
-    makers state it (SI).
+    `orientation` is a quaternion x y z w; `angles` are an alternative. A condition is a column, or a
+    constant number. Rows of equal `group` are visits of one pose. `noise` is 1 sigma as the
+    manufacturers state it (SI).
     """
 
     joints: Annotated[dict[str, JointColumn], Field(min_length=1)]
@@ -105,7 +107,7 @@ class ColumnMap(Part):
 
     @property
     def columns(self) -> list[str]:
-        """Every column the map names."""
+        """Every column that the map names."""
         names = [joint.column for joint in self.joints.values()]
         names += [reading.column for reading in self.readings.values()]
         names += [name for part in (self.position, self.angles) if part for name in part.columns]
@@ -115,7 +117,7 @@ class ColumnMap(Part):
 
 
 def read_column_map(path: Path) -> ColumnMap:
-    """A column map; ModelFileError naming line and key of what is wrong with it."""
+    """Read a column map; ModelFileError names line and key of an error."""
     document = parse_yaml(path.read_text(encoding="utf-8"), str(path))
     try:
         found = ColumnMap.model_validate(document.data)

@@ -1,4 +1,4 @@
-"""Tables and a column map -> Dataset: measurements that no bag was recorded of."""
+"""Tables and a column map -> Dataset: measurements without a bag."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from parallel_cal.recordings.table import LENGTHS, UNITS, Table, read_table, spl
 
 
 def import_csv(paths: str | Path | Sequence[str | Path], columns: str | Path) -> Dataset:
-    """The dataset of one table, or of several whose rows are joined, as a column map (YAML) says.
+    """Return the dataset of one table, or of several joined tables, by a column map (YAML).
 
-    DatasetError or ModelFileError naming file, line and column of what is wrong.
+    DatasetError or ModelFileError name file, line and column of an error.
     """
     files = [Path(p) for p in ([paths] if isinstance(paths, str | Path) else paths)]
     tables = [read_table(file).drop_empty_rows() for file in files]
@@ -35,7 +35,7 @@ def import_csv(paths: str | Path | Sequence[str | Path], columns: str | Path) ->
 
 
 def make_dataset(given: Sequence[Table], wanted: ColumnMap, asks: str) -> Dataset:
-    """The dataset of tables that hold what is `wanted`; `asks` is who wants it."""
+    """Return the dataset of tables that contain what is `wanted`; `asks` names the requester."""
     tables, dropped = _join_tables([*given], wanted.join)
     found = Columns(tables, asks).check(wanted)
     joints = [found.joint(joint) for joint in wanted.joints.values()]
@@ -64,7 +64,7 @@ def make_dataset(given: Sequence[Table], wanted: ColumnMap, asks: str) -> Datase
 
 @dataclass(frozen=True)
 class Columns:
-    """The columns of tables whose rows correspond, in SI; `map` is who asks for them."""
+    """The columns of tables whose rows correspond, in SI units; `map` names the requester."""
 
     tables: Sequence[Table]
     map: str
@@ -90,7 +90,7 @@ class Columns:
         return np.column_stack([self._column(name, unit, gaps) for name in names])
 
     def joint(self, wanted: JointColumn) -> np.ndarray:
-        """(N, 1) readings of a joint in m or rad; DatasetError where per_rev is of a length."""
+        """Return (N, 1) readings in m or rad; DatasetError if per_rev is given for a length."""
         table, word = self._find_column(wanted.column)
         unit = wanted.unit or split_unit(word)[1]
         if wanted.per_rev is not None and unit in LENGTHS:
@@ -102,7 +102,7 @@ class Columns:
         return self.si([wanted.column], wanted.unit) * wanted.per_radian
 
     def numbers(self, names: Sequence[str]) -> np.ndarray:
-        """(N, len(names)) as they stand; DatasetError at a cell that is no finite number."""
+        """Return (N, len(names)) without conversion; DatasetError at a cell that is not finite."""
         return np.column_stack(
             [t.numbers([word])[:, 0] for t, word in map(self._find_column, names)]
         )
@@ -133,7 +133,7 @@ class Columns:
 
 
 def _join_tables(tables: list[Table], join: Join | None) -> tuple[list[Table], list[Dropped]]:
-    """Tables of rows that correspond, and the rows that have no partner in all of them."""
+    """Return tables of rows that correspond, and the rows without a partner in all of them."""
     if len(tables) == 1:
         return tables, []
     if join is None:
@@ -173,7 +173,7 @@ def _join_tables(tables: list[Table], join: Join | None) -> tuple[list[Table], l
 
 
 def _find_partners(one: Table, other: Table, join: Join) -> np.ndarray:
-    """The row (N,) of `other` that belongs to each row of `one`, -1 where there is none."""
+    """Return the row (N,) of `other` that belongs to each row of `one`; -1 if there is none."""
     mine, its = one.find(join.by) or "", other.find(join.by) or ""
     if join.within is not None:
         at, among = one.numbers([mine])[:, 0], other.numbers([its])[:, 0]
@@ -220,7 +220,7 @@ def _rotation(wanted: ColumnMap, found: Columns) -> np.ndarray | None:
 
 
 def _covariance(wanted: ColumnMap) -> np.ndarray:
-    """(6, 6) as the device's maker states it, NaN for what he does not."""
+    """Return (6, 6) as the device's manufacturer states it; NaN where it is not stated."""
     noise = wanted.noise
     sigma = np.repeat([noise.position or np.nan, noise.orientation or np.nan], 3)
     return np.where(np.isnan(sigma), np.nan, np.diag(sigma**2))

@@ -1,4 +1,4 @@
-"""Where a robot stood still, seen by the spread of its joint readings, never by their velocity."""
+"""Find standstills by the spread of joint readings, never by their velocity."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ class Interval:
 
 
 def still_tolerance(time: Array, q: Array, min_dwell: float) -> Array:
-    """How far each joint (nq,) may stray from its median and still stand still.
+    """Return how far each joint (nq,) may deviate from its median while it stands still.
 
     Four times the spread of the calmest tenth of all windows of length `min_dwell` (up to 1e-3 of
     the joint's travel), at least 10 sigma of the reading-to-reading noise and 1.5 encoder steps,
-    within 2e-5 to 5e-2 of the travel; up to 6 sigma where a window holds readings enough to tell
-    noise from motion. A joint that never does more than that stands still always.
+    within 2e-5 to 5e-2 of the travel; up to 6 sigma if a window has enough readings to distinguish
+    noise from motion. A joint that never moves more than that always stands still.
     """
     if len(time) < 2:
         return np.full(q.shape[1], 1e-12)
@@ -52,7 +52,7 @@ def still_tolerance(time: Array, q: Array, min_dwell: float) -> Array:
 
 
 def window_spread(time: Array, q: Array, length: float) -> Array:
-    """Largest minus smallest reading (m, nq) in the window of `length` s from each reading on."""
+    """Return max - min of readings (m, nq) in the window of `length` s from each reading."""
     last = np.searchsorted(time, time + length, side="right") - 1
     whole = time + length <= time[-1] + 1e-9
     if not whole.any():
@@ -75,7 +75,7 @@ def _range(q: Array, first: Indices, last: Indices) -> Array:
 
 
 def jitter(time: Array, q: Array, length: float) -> Array:
-    """Reading-to-reading noise sigma (nq,): rms second difference of the calmest windows."""
+    """Return the noise sigma (nq,): rms second difference of the calmest windows."""
     if len(q) < 11:
         return np.zeros(q.shape[1])
     width = int(np.clip(length / np.median(np.diff(time)), MIN_READINGS_PER_WINDOW, len(q) - 3))
@@ -86,12 +86,12 @@ def jitter(time: Array, q: Array, length: float) -> Array:
 
 
 def noise_span(sigma: Array, q: Array) -> Array:
-    """How far apart (nq,) noise of the `jitter` sigma brings readings: 10 sigma or 1.5 steps."""
+    """Return how far apart (nq,) noise moves readings: 10 sigma or 1.5 encoder steps."""
     return np.maximum(10.0 * sigma, 1.5 * encoder_step(q))
 
 
 def encoder_step(q: Array) -> Array:
-    """The smallest step (nq,) of joints that often repeat a reading exactly; 0 for others."""
+    """Return the smallest step (nq,) of joints that often repeat a reading; 0 for others."""
     change = np.abs(np.diff(q, axis=0))
     repeats = np.sum(change == 0.0, axis=0) > 0.3 * len(change)
     smallest = np.min(np.where(change > 0.0, change, np.inf), axis=0, initial=np.inf)
@@ -122,7 +122,7 @@ def still_intervals(
 
 
 def _runs(flags: ArrayLike) -> list[tuple[int, int]]:
-    """First and last index of every run of True."""
+    """Return first and last index of every run of True."""
     edges = np.diff(np.concatenate([[0], np.asarray(flags, int), [0]]))
     starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1
     return list(zip(starts.tolist(), ends.tolist(), strict=True))
@@ -131,7 +131,7 @@ def _runs(flags: ArrayLike) -> list[tuple[int, int]]:
 def _split(q: Array, first: int, last: int, tolerance: Array) -> list[Interval]:
     """Cut a calm stretch into intervals within the tolerance of their own median.
 
-    A stretch is longer than one dwell where the robot crept from one to the next.
+    A stretch is longer than one dwell if the robot moved slowly from one to the next.
     """
     done, pending = [], [(first, last)]
     while pending:
@@ -151,16 +151,16 @@ def _split(q: Array, first: int, last: int, tolerance: Array) -> list[Interval]:
 
 
 def drift(q: Array) -> Array:
-    """How far the readings (n, nq) moved from the first to the last third of an interval."""
+    """Return how far readings (n, nq) moved from the first to the last third of an interval."""
     third = max(1, len(q) // 3)
     return q[-third:].mean(axis=0) - q[:third].mean(axis=0)
 
 
 def approach(q: Array, at: Sequence[int], level: Array, threshold: Array) -> NDArray[np.int64]:
-    """Direction (N, nq) in -1 0 1 of each joint's last real motion before reading `at` (N,).
+    """Return the direction (N, nq) in -1 0 1 of each joint's last motion before reading `at` (N,).
 
-    Going back in time, the first reading further than `threshold` from the sample's `level`
-    (N, nq) tells where the joint came from; 0 when it never moved that far.
+    Going back in time, the first reading further than `threshold` from the sample's `level` (N, nq)
+    determines the direction; 0 if the joint never moved that far.
     """
     direction = np.zeros(level.shape, np.int64)
     for i, end in enumerate(at):
@@ -170,7 +170,7 @@ def approach(q: Array, at: Sequence[int], level: Array, threshold: Array) -> NDA
 
 
 def _came_from(before: Array, level: float, threshold: float) -> int:
-    """Sign of the last motion; looks back in growing steps because it is mostly recent."""
+    """Return the sign of the last motion; look back in growing steps: it is mostly recent."""
     end, step = len(before), 256
     while end > 0:
         begin = max(0, end - step)

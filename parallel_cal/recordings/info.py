@@ -1,4 +1,4 @@
-"""What a recording holds and what of it can be used, before any model is involved."""
+"""Describe what a recording contains and how much is usable, without a model."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def info(
 
 
 def info_of(dataset: Dataset) -> dict[str, Any]:
-    """The same of samples that are no recording (any more): no topics, no duration."""
+    """Describe samples that are not a recording: without topics and duration."""
     return {
         "source": dataset.source,
         "sha256": dataset.sha256,
@@ -187,7 +187,7 @@ def _medians(values: np.ndarray) -> list[float | None]:
 
 
 def _thin_conditions(dataset: Dataset) -> list[str]:
-    """What the recording cannot tell because it never varied or was never repeated."""
+    """Return what the recording cannot determine because it never varied or was never repeated."""
     said = []
     if dataset.mode == "dwell" and len(np.unique(dataset.pose_id)) == len(dataset) > 1:
         said.append("no pose was visited twice: noise cannot be distinguished from missing effects")

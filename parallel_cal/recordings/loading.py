@@ -139,7 +139,7 @@ def load_sessions(
 
 
 def dataset_from_recording(recording: Recording, options: SampleOptions | None = None) -> Dataset:
-    """Make a Dataset; DatasetError when nothing is usable or positions look like millimetres."""
+    """Make a Dataset; DatasetError if nothing is usable or positions look like millimetres."""
     options, recording = options or SampleOptions(), align_clocks(recording)
     samples = samples_of(recording, options)
     warnings = [*recording.notes, *samples.warnings]

@@ -19,7 +19,7 @@ COORDINATES = ("x", "y", "z", "rx", "ry", "rz")
 
 @dataclass(frozen=True)
 class Dropped:
-    """Something recorded that is not used: time in s since the start, reason, detail, how many."""
+    """A recorded message that is not used: time in s since the start, reason, detail, count."""
 
     time: float
     reason: str
@@ -38,7 +38,7 @@ class TopicInfo:
 
 @dataclass
 class Raw:
-    """Messages of one topic as they came: log and header times in ns, and rows of content."""
+    """Messages of one topic as received: log and header times in ns, and rows of content."""
 
     topic: str
     type: str
@@ -73,8 +73,8 @@ class JointStream:
 class PoseStream:
     """Measured poses: time (m,), position (m, 3) in m, unit quaternion (m, 4) x y z w.
 
-    `measured` (m, 6) marks x y z rx ry rz; `covariance` (m, 6, 6) in m and rad is NaN where the
-    message gives none. Empty (m = 0, no topic) where a set-up does without a pose device.
+    `measured` (m, 6) marks x y z rx ry rz; `covariance` (m, 6, 6) in m and rad is NaN if the message
+    has none. Empty (m = 0, no topic) for a set-up without a pose device.
     """
 
     topic: str
@@ -113,7 +113,7 @@ class ScalarStream:
 
 @dataclass(frozen=True)
 class TextStream:
-    """Words that hold until the next: time (k,) in s, value of length k."""
+    """Texts that are valid until the next one: time (k,) in s, value of length k."""
 
     topic: str
     time: Array
@@ -124,9 +124,9 @@ class TextStream:
 class Recording:
     """All channels of a recording on one clock: seconds since `start_ns`.
 
-    `conditions` are the numbers over time by their channel (temperature, payload, ...);
-    `constraint` names the plane or sphere that holds the tip, empty where nothing does;
-    `distances` are the readings (m) of ball-bars and probes by their channel.
+    `conditions` are numbers over time by channel (temperature, payload, ...). `constraint` names the
+    plane or sphere that constrains the tip; it is empty if there is none. `distances` are the
+    readings (m) of ball-bars and probes by channel.
     """
 
     source: str

@@ -1,4 +1,4 @@
-"""What a sample is, and the small sums that both ways of making samples share."""
+"""A sample, and sums that both ways of making samples share."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ READING = "reading."  # a dataset's columns of what sensors beside the pose devi
 
 @dataclass
 class Sample:
-    """One sample: joints, pose, what was measured, and how the single readings scattered.
+    """One sample: joints, pose, measured coordinates and the scatter of single readings.
 
-    `readings` (m) are those of the sensors beside the pose device, by channel.
+    `readings` (m) are those of the other sensors, by channel.
     """
 
     time: float
@@ -41,7 +41,7 @@ class Sample:
 
 @dataclass
 class Samples:
-    """The samples, the tolerance (nq,) that told motion from noise, and what was not used."""
+    """The samples, the standstill tolerance (nq,) and what was dropped."""
 
     mode: str
     kept: list[Sample]

@@ -38,7 +38,7 @@ def _tolerance(joints: JointStream, options: SampleOptions) -> Array:
 
 
 def _why_none(recording: Recording, options: SampleOptions, samples: Samples) -> str:
-    """The message for a recording without a single usable dwell."""
+    """Return the message for a recording without a usable dwell."""
     reasons = sorted({d.reason for d in samples.dropped})
     tolerance = ", ".join(f"{t:.2g}" for t in samples.tolerance)
     said = "".join(f" {warning}." for warning in samples.warnings)
@@ -55,7 +55,7 @@ def _why_none(recording: Recording, options: SampleOptions, samples: Samples) ->
 def conditions_of(
     recording: Recording, samples: Samples, warnings: list[str]
 ) -> dict[str, NDArray[np.float64]]:
-    """The circumstances (N,) of each sample by name, each in its unit."""
+    """Return the conditions (N,) of each sample by name, each in its unit."""
     joints, kept = recording.joints, samples.kept
     time = np.array([s.time for s in kept])
     conditions = {"time": time}
