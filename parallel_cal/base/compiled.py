@@ -147,7 +147,7 @@ def _cores() -> int:
 
 
 def dense(name: str, inputs: Sequence[ca.SX], outputs: Sequence[ca.SX]) -> ca.Function:
-    """Create a function with dense outputs; common sub-expressions are shared if it is small enough."""
+    """Create a function with dense outputs; share common parts if it is small."""
     plain = ca.Function(name, list(inputs), [ca.densify(o) for o in outputs])
     if plain.n_instructions() > MAX_INSTRUCTIONS_FOR_CSE:
         return plain

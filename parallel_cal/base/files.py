@@ -23,8 +23,8 @@ def read_text(
 ) -> str:
     """Read a regular file of at most `most` bytes.
 
-    A pipe or a device could block or never end: it raises OSError, as does a file that is too large.
-    UnicodeDecodeError if the file is not text.
+    A pipe or a device could block or never end: it raises OSError, as does a file that is too
+    large. UnicodeDecodeError if the file is not text.
     """
     # Opened before it is looked at, so that nobody exchanges it between; a pipe opens at once.
     handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)

@@ -48,8 +48,8 @@ class Worker:
     def __init__(self, memory: int | None = None, first: Callable[[], None] | None = None):
         """Create a worker; its process starts with its first work.
 
-        `memory` is in MB, in addition to what the process has after `first`, which a new process runs
-        before anything else.
+        `memory` is in MB, in addition to what the process has after `first`, which a new process
+        runs before anything else.
         """
         self._memory, self._first = memory, first
         self._turn, self._ended = Lock(), False
@@ -83,7 +83,8 @@ class Worker:
     ) -> Any:
         """Return the result of `function(*given)` in the process; arguments and result are pickled.
 
-        With `tell`, the function gets a keyword argument `tell`, whose calls are forwarded to this one.
+        With `tell`, the function gets a keyword argument `tell`, whose calls are forwarded to
+        this one.
 
         Raises
         ------

@@ -90,8 +90,8 @@ class Join(Part):
 class ColumnMap(Part):
     """The meaning of a table's columns; other columns are ignored.
 
-    `orientation` is a quaternion x y z w; `angles` are an alternative. A condition is a column, or a
-    constant number. Rows of equal `group` are visits of one pose. `noise` is 1 sigma as the
+    `orientation` is a quaternion x y z w; `angles` are an alternative. A condition is a column,
+    or a constant number. Rows of equal `group` are visits of one pose. `noise` is 1 sigma as the
     manufacturers state it (SI).
     """
 

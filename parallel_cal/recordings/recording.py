@@ -73,8 +73,8 @@ class JointStream:
 class PoseStream:
     """Measured poses: time (m,), position (m, 3) in m, unit quaternion (m, 4) x y z w.
 
-    `measured` (m, 6) marks x y z rx ry rz; `covariance` (m, 6, 6) in m and rad is NaN if the message
-    has none. Empty (m = 0, no topic) for a set-up without a pose device.
+    `measured` (m, 6) marks x y z rx ry rz; `covariance` (m, 6, 6) in m and rad is NaN if the
+    message has none. Empty (m = 0, no topic) for a set-up without a pose device.
     """
 
     topic: str
@@ -124,8 +124,8 @@ class TextStream:
 class Recording:
     """All channels of a recording on one clock: seconds since `start_ns`.
 
-    `conditions` are numbers over time by channel (temperature, payload, ...). `constraint` names the
-    plane or sphere that constrains the tip; it is empty if there is none. `distances` are the
+    `conditions` are numbers over time by channel (temperature, payload, ...). `constraint` names
+    the plane or sphere that constrains the tip; it is empty if there is none. `distances` are the
     readings (m) of ball-bars and probes by channel.
     """
 
