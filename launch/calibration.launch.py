@@ -1,4 +1,4 @@
-"""Both nodes on one model file: calibrate with one, use the result at once with the other.
+"""Start both nodes on one model file: one calibrates, the other uses the result at once.
 
 ros2 launch parallel_cal calibration.launch.py model_file:=robot.yaml \
     joint_states:=/robot/joint_states measured_pose:=/tracker/pose
@@ -12,15 +12,15 @@ from launch_ros.parameter_descriptions import ParameterValue
 
 TOPICS = {
     "joint_states": "sensor_msgs/JointState, the encoder readings",
-    "measured_pose": "the device's poses, see pose_type",
+    "measured_pose": "poses from the measuring device, see pose_type",
     "measured_position": "geometry_msgs/PointStamped, for position-only devices",
-    "constraint": "std_msgs/String, what holds the tip, without a pose device",
-    "distance": "sensor_msgs/Range, a sensor's reading, without a pose device",
+    "constraint": "std_msgs/String, the constraint on the tip, if no device measures poses",
+    "distance": "sensor_msgs/Range, a distance reading, if no device measures poses",
     "temperature": "sensor_msgs/Temperature",
-    "payload": "geometry_msgs/InertiaStamped, m in kg",
-    "target_pose": "geometry_msgs/PoseStamped to be turned into joint commands",
-    "joint_command": "trajectory_msgs/JointTrajectory, what a target comes to",
-    "joint_trajectory": "trajectory_msgs/JointTrajectory, to where the robot calibrates itself",
+    "payload": "geometry_msgs/InertiaStamped, the mass m in kg",
+    "target_pose": "geometry_msgs/PoseStamped, a target pose for the robot",
+    "joint_command": "trajectory_msgs/JointTrajectory, the joint command for a target pose",
+    "joint_trajectory": "trajectory_msgs/JointTrajectory, the motions of a campaign",
 }
 POSE_TYPES = ["PoseWithCovarianceStamped", "PoseStamped"]
 
@@ -36,12 +36,14 @@ def generate_launch_description():
     return LaunchDescription(
         [
             DeclareLaunchArgument("model_file", description="model file (YAML) of the robot"),
-            DeclareLaunchArgument("namespace", default_value="", description="of both nodes"),
+            DeclareLaunchArgument(
+                "namespace", default_value="", description="namespace of both nodes"
+            ),
             DeclareLaunchArgument(
                 "pose_type",
                 default_value=POSE_TYPES[0],
                 choices=POSE_TYPES,
-                description="type of measured_pose, of geometry_msgs",
+                description="type of measured_pose, from geometry_msgs",
             ),
             DeclareLaunchArgument(
                 "use_sim_time", default_value="false", description="take the time from /clock"

@@ -1,4 +1,4 @@
-"""A virtual cell and both nodes on it: a robot that can be calibrated without one.
+"""Start a virtual cell with both nodes: calibrate without a real robot.
 
 ros2 launch parallel_cal cell.launch.py model_file:=robot.yaml robot:=stewart effects:=hidden
 """
@@ -11,9 +11,9 @@ from launch_ros.parameter_descriptions import ParameterValue
 
 OF_THE_CELL = {
     "robot": (str, "delta", "delta, stewart, argos or linear_delta"),
-    "seed": (int, "0", "draws how it was built, what is hidden in it, and all noise"),
-    "effects": (str, "", "physics that it has, by commas; hidden: one that is not told"),
-    "rate": (float, "1.0", "how many times faster than life"),
+    "seed": (int, "0", "seed of the geometric errors, hidden effects and noise"),
+    "effects": (str, "", "effects of the robot, separated by commas; hidden = one drawn at random"),
+    "rate": (float, "1.0", "factor on real time"),
 }
 
 
@@ -27,9 +27,12 @@ def generate_launch_description():
     return LaunchDescription(
         [
             DeclareLaunchArgument(
-                "model_file", description="its model file: the nominal one, unless there is one"
+                "model_file",
+                description="model file of the robot; if missing, the nominal model is written",
             ),
-            DeclareLaunchArgument("namespace", default_value="", description="of all nodes"),
+            DeclareLaunchArgument(
+                "namespace", default_value="", description="namespace of all nodes"
+            ),
             *(
                 DeclareLaunchArgument(name, default_value=default, description=what)
                 for name, (_, default, what) in OF_THE_CELL.items()

@@ -84,7 +84,7 @@ class SimulatedCell:
         late = len(seen.r) // 4
         r, R = seen.r[late:], seen.R[late:]
         if not len(r):
-            raise CellError("no pose came while the robot rested")
+            raise CellError("no pose was received while the robot rested")
         time = self.cell.time - REST / 2
         q = seen.q[len(seen.q) // 4 :].mean(axis=0)
         at = {

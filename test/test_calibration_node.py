@@ -634,7 +634,7 @@ def test_samples_outlive_their_node_however_it_ends_until_they_are_saved(tmp_pat
         client.wait(lambda s=status: bool(s), "a status")
         assert status[0].samples == expected
         if expected:
-            assert "94 samples of the run before resumed" in status[0].last_event
+            assert "94 samples of the previous run were read" in status[0].last_event
             path = str(tmp_path / "s.json")
             saved = client.call(SaveSamples, "calibration_node/save_samples", path=path)
             assert saved.samples == 94

@@ -320,7 +320,7 @@ def test_what_was_found_is_not_written_where_the_error_at_unseen_poses_has_risen
     found = conclude(tmp_path, [early, late])
     assert found.text == "early"
     assert "the model is that of 24 poses" in found.words
-    assert "rise 2.2 times" in found.words
+    assert "rose by a factor of 2.2" in found.words
 
 
 @pytest.mark.wide
@@ -369,7 +369,7 @@ def test_it_does_not_measure_on_for_what_no_pose_in_the_workspace_tells(tmp_path
     assert outcome.samples < 80
     assert "encoder_eccentricity" in {*last.effects, *last.doubt}
     assert last.doubt
-    assert "poses do not tell" in outcome.message
+    assert "no poses can distinguish" in outcome.message
 
 
 def test_where_the_better_model_sees_it_outside_the_robot_goes_home_by_the_one_before(tmp_path):
@@ -397,14 +397,14 @@ def test_poses_and_minutes_are_kept_and_what_is_missing_is_said(tmp_path):
     assert len(one.samples) == 20
     assert not outcome.success
     assert outcome.message.startswith(
-        "20 poses are measured, as many as were allowed: nothing is known; time"
+        "20 poses were measured, the maximum that was allowed: nothing is known; time"
     )
 
 
 def test_an_error_that_is_small_enough_ends_it(tmp_path):
     outcome = campaign(tmp_path, SimulatedCell(), Goal(poses=40, enough=1.5e-3)).run()
     assert outcome.success
-    assert outcome.message.startswith("the error at unseen poses is small enough")
+    assert outcome.message.startswith("the error at the validation poses is small enough")
     assert outcome.samples == 24
 
 
@@ -434,12 +434,12 @@ def fails(tmp_path, match, after=1, poses=20, **change):
 
 
 def test_a_robot_that_does_not_move_is_noticed(tmp_path):
-    fails(tmp_path, "it does not move", drives_off=True)
+    fails(tmp_path, "joint does not move", drives_off=True)
 
 
 def test_an_axis_or_an_encoder_that_is_stuck_is_noticed_by_name(tmp_path):
     outcome = fails(tmp_path / "axis", "joint2 was sent to", stuck_axis=2)
-    assert "is in the way" in outcome.message
+    assert "an obstacle blocks it" in outcome.message
     fails(tmp_path / "encoder", "joint3 was sent to", stuck_encoder=3)
 
 
@@ -449,11 +449,11 @@ def test_crossed_axes_are_noticed_at_the_first_move(tmp_path):
 
 def test_a_collision_is_noticed(tmp_path):
     box = (np.array([-0.1, -0.1, 0.0]), np.array([0.1, 0.1, 0.4]))
-    fails(tmp_path, "something is in the way", obstacles=(box,))
+    fails(tmp_path, "an obstacle blocks it", obstacles=(box,))
 
 
 def test_a_lost_and_a_changed_target_are_noticed(tmp_path):
-    fails(tmp_path / "lost", "no pose came", lost_target=True)
+    fails(tmp_path / "lost", "no pose was received", lost_target=True)
     said = fails(tmp_path / "changed", "a target that was lost or changed", swapped_target=True)
     assert "should have" in said.message
 
@@ -475,7 +475,7 @@ def test_a_pose_that_the_model_gets_wrong_is_kept_where_the_one_before_is_as_it_
     assert one._step() is None
     odd, again = list(one.samples)[-2:]
     assert one.targets[again].joints == one.targets[before].joints
-    assert "to see whether anything moved" in one.targets[again].purpose
+    assert "to check whether anything moved" in one.targets[again].purpose
     here, there = (one.samples[k].dataset.r[0] for k in (before, again))
     assert np.linalg.norm(here - there) < 50e-6
     one.close()
@@ -504,7 +504,7 @@ def test_a_slip_of_half_a_degree_is_noticed_once_the_model_is_identified(calibra
     reached = Kinematics(checker._model)
     slipped = reached.direct(good.q[0] + [0.5 * np.pi / 180, 0, 0]).position
     away = slipped - reached.direct(good.q[0]).position
-    with pytest.raises(CellError, match=r"position is .* um from where the model puts it"):
+    with pytest.raises(CellError, match=r"position is .* um from the model's prediction"):
         checker.check(good.__class__(**{**vars(good), "r": good.r + away}), good.q[0], None)
 
 
@@ -658,7 +658,7 @@ def test_a_stored_judgement_that_cannot_be_read_is_set_aside_and_its_samples_jud
     assert "effects.1.parameters.leg1.lag.value: -2.35" in warning
     assert numbers(again) == known
     more = [k for k in range(planned) if k not in again.samples]
-    assert {again.left_out[k] for k in more} == {"planned by a judgement that was set aside"}
+    assert {again.left_out[k] for k in more} == {"planned by a judgement that is ignored"}
     outcome = again.run()
     again.close()
     assert warning in caplog.text
@@ -692,7 +692,7 @@ def test_a_campaign_does_not_replace_a_model_file_by_one_that_cannot_be_read(tmp
 
 def test_a_folder_is_of_one_campaign_at_a_time_and_of_one_model(tmp_path):
     one = campaign(tmp_path / "a", SimulatedCell(), Goal(poses=20))
-    with pytest.raises(CampaignError, match="another process is at this campaign"):
+    with pytest.raises(CampaignError, match="another process uses this campaign"):
         campaign(tmp_path / "a", SimulatedCell(), Goal(poses=20))
     assert find_unfinished(tmp_path, TEXT) == tmp_path / "a"
     other = dump_model(DELTA.with_effect("backlash"))

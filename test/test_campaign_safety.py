@@ -38,14 +38,14 @@ KEEP_OUT = ((-0.2, -0.2, 0.22), (0.2, -0.03, 0.4))  # its lower front, m
 # How it is brought about, how it is cured, and what is said of it.
 TOLD_BY_MODEL = ("swapped_target", "slipped")  # once it is identified: before, tolerances hide much
 BUILT_OFF = 4e-3  # m: ways are looked at by what is identified, which is not as drawn
-STILL = "joint. (leaves its way|was sent to).*: it does not move"
+STILL = "joint. (left its path|was sent to).*: the joint does not move"
 FAULTS = {
     "drives_off": (True, False, STILL),
     "crossed_axes": (True, False, STILL),
     "stuck_axis": (2, 0, STILL),
     "stuck_encoder": (3, 0, STILL),
-    "obstacle": (HALF, "", "something is in the way"),
-    "lost_target": (True, False, "is the target lost"),
+    "obstacle": (HALF, "", "an obstacle blocks it"),
+    "lost_target": (True, False, "Check that the device sees its target"),
     "swapped_target": (True, False, "a target that was lost or changed"),
     "slipped": (0.05, 0.0, "a slip"),
 }
@@ -148,7 +148,7 @@ def test_stamps_that_go_back_are_no_robot_that_never_rests():
     cell = RobotCell(mock.Mock(), model, mock.Mock(), 0.3, Inflow())
     hear()
     way = Trajectory(np.array([0.0, 1.0]), np.zeros((2, 3)), np.zeros((2, 3)))
-    with pytest.raises(CellError, match="went back by 40 s: was the robot's driver started anew"):
+    with pytest.raises(CellError, match="jumped back by 40 s: was the robot's driver restarted"):
         cell.move(way, hear)
 
 
@@ -156,7 +156,7 @@ def test_a_robot_with_other_joints_is_named(monkeypatch):
     monkeypatch.setattr(robot_cell, "DISCOVERY_TIMEOUT_S", 0.0)
     cell = RobotCell(mock.Mock(), model_of("stewart"), mock.Mock(), 0.3, Inflow())
     cell.on_joint_state(JointState(name=["joint1", "joint2", "joint3"], position=[0.0] * 3))
-    words = "joint_states name joint1, joint2, joint3, the model has leg1, leg2"
+    words = "joint_states contain joint1, joint2, joint3, the model has leg1, leg2"
     with pytest.raises(CellError, match=words):
         cell.joints()
 
@@ -208,7 +208,9 @@ class Killed(Desk):
         if not result.done():
             return False
         # It was gone while it moved or measured, or is back, elsewhere and with a clock of its own.
-        gone = "no joint states|no sample here|leaves its way|was sent to|stamps .* went back"
+        gone = (
+            "no joint states|no sample at this pose|left its path|was sent to|stamps .* jumped back"
+        )
         assert re.search(gone, result.result().result.message), result.result().result.message
         return True
 

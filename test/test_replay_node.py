@@ -150,7 +150,7 @@ def test_it_ends_cleanly_when_asked_to(client, tmp_path, by):
         ([], 1, "no bag"),
         ([str(BAG), "--rate", "0"], 1, "rate"),
         ([str(BAG), "--topics", "mood"], 1, "mood"),
-        ([str(BAG), "--wait-for-subscribers", "1", "--patience", "0.2"], 1, "waited for 1"),
+        ([str(BAG), "--wait-for-subscribers", "1", "--patience", "0.2"], 1, "expected 1"),
         ([str(BAG), "--speed", "3"], 2, "--speed"),
     ],
 )

@@ -94,7 +94,7 @@ def test_a_robot_is_let_calibrate_itself_held_and_stopped_on_the_page(tmp_path):
             page.set_default_timeout(1000 * LONG)
             page.goto(served.url)
             campaign = page.locator("#campaign")
-            campaign.get_by_text("none was asked for").wait_for()
+            campaign.get_by_text("done: idle").wait_for()
             page.get_by_label("maximum poses").fill("40")
             page.get_by_role("button", name="Calibrate", exact=True).click()
             campaign.get_by_text(re.compile("[1-9] poses")).wait_for()

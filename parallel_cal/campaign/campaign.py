@@ -148,7 +148,7 @@ class Campaign:
         self.folder.mkdir(parents=True, exist_ok=True)
         file = open_locked(self.folder / FILE)
         if file is None:
-            raise CampaignError(f"{self.folder}: another process is at this campaign")
+            raise CampaignError(f"{self.folder}: another process uses this campaign")
         self._file = file
         self.model = model
         self.targets: list[Target] = []
@@ -163,7 +163,10 @@ class Campaign:
             self._restore_entry(entry)
         if model_hash(self.model) != model_hash(model):
             os.close(file)
-            raise CampaignError(f"{self.folder}: holds the campaign of another model")
+            raise CampaignError(
+                f"{self.folder}: this folder holds the campaign of another model; "
+                "choose another folder"
+            )
         if not self.targets:
             self._write(begin=to_json_value(goal), model=model)
         self._leave_out_unreadable_plans()
@@ -209,7 +212,9 @@ class Campaign:
         try:
             self.judgements.append(self._readable_judgement(document))
         except ParallelCalError as error:
-            self.warnings.append(f"{error}; this judgement is set aside, the samples judged anew")
+            self.warnings.append(
+                f"{error}; this judgement is ignored and the samples are judged again"
+            )
             self._planned_unreadably += range(first, len(self.targets))
         else:
             self.warnings.clear()  # what was set aside before has been judged anew since
@@ -220,8 +225,7 @@ class Campaign:
             judgement = Judgement.from_document(document)
         except (KeyError, TypeError) as error:
             raise CampaignError(
-                f"{self.folder / FILE}: a judgement has not the keys that this release expects: "
-                f"{error!r}"
+                f"{self.folder / FILE}: a judgement lacks keys that this release expects: {error!r}"
             ) from None
         name = f"{self.folder / FILE}: model of the judgement of {judgement.samples} samples"
         parse_model(judgement.text, name)
@@ -229,7 +233,7 @@ class Campaign:
 
     def _leave_out_unreadable_plans(self) -> None:
         """Go to no target of a judgement that was set aside: the new one plans its own."""
-        why = "planned by a judgement that was set aside"
+        why = "planned by a judgement that is ignored"
         for k in self._planned_unreadably:
             if k not in self.samples and k not in self.left_out:
                 self.left_out[k] = why
@@ -271,11 +275,13 @@ class Campaign:
                         return self._end(outcome)
                 except PauseRequested:
                     self._cell.stop()
-                    self._report_status("paused", "on request; resume goes on")
+                    self._report_status("paused", "on request; call resume to continue")
                     self.control.wait()
         except AbortRequested:
             self._cell.stop()
-            return self._make_stopped_outcome("aborted on request; calibrate again to go on")
+            return self._make_stopped_outcome(
+                "aborted on request; repeat the calibrate command to continue"
+            )
         except ParallelCalError as error:
             self._cell.stop()
             return self._make_stopped_outcome(str(error))
@@ -287,7 +293,7 @@ class Campaign:
         """One pose further, or one judgement; the outcome where that was the last."""
         self.control.check_interrupted()
         if not self.targets:
-            self._report_status("planning", "the first poses")
+            self._report_status("planning", "selecting the first poses")
             for name in self.goal.effects:
                 load_effect(name)  # unknown ones are told before the robot moves
             self._add_targets(first_targets(self._guard, self.goal.poses, self.goal.seed))
@@ -299,14 +305,14 @@ class Campaign:
             self._measure(due[0])
             return None
         if not self.samples:
-            raise CampaignError(over or f"no pose can be gone to: {self._reasons()}")
+            raise CampaignError(over or f"no pose can be reached: {self._reasons()}")
         return self._judge(over)
 
     def _describe_exhausted_budget(self) -> str:
         if len(self.samples) >= self.goal.poses:
-            return f"{len(self.samples)} poses are measured, as many as were allowed"
+            return f"{len(self.samples)} poses were measured, the maximum that was allowed"
         if self.spent > 60 * self.goal.minutes:
-            return f"{self.goal.minutes:g} minutes are over"
+            return f"the time limit of {self.goal.minutes:g} minutes was reached"
         return ""
 
     def _reasons(self) -> str:
@@ -378,9 +384,11 @@ class Campaign:
         """The pose before an odd one once more: where it is as it was, robot and device are, and it
         is the model that knows no better; else the odd one is raised."""
         k, before = next(reversed(self.samples.items()))
-        target = replace(self.targets[k], purpose="the pose before, to see whether anything moved")
+        target = replace(
+            self.targets[k], purpose="the previous pose again, to check whether anything moved"
+        )
         try:
-            sample = self._take_sample(target, f"{odd}; back to {target.purpose}")
+            sample = self._take_sample(target, f"{odd}; measuring {target.purpose}")
         except PathError:
             raise odd from None
         if not self._checker.is_same_pose(sample.dataset, before.dataset):
@@ -426,7 +434,7 @@ class Campaign:
     def _judge(self, over: str) -> Outcome | None:
         """What the samples say; an outcome where that is enough, or all there may be."""
         if not over and self._count_unjudged() == 0:
-            return self._outcome(False, f"no more poses to go to: {self._reasons()}")
+            return self._outcome(False, f"no further pose can be reached: {self._reasons()}")
         last = self.judgements[-1] if self.judgements else None
         if last is None or self._count_unjudged():
             self._report_status("judging", f"{len(self.samples)} samples")
@@ -456,9 +464,11 @@ class Campaign:
         else:
             before = self.judgements[-2] if len(self.judgements) > 1 else None
         if self.goal.enough and last.validation_error <= self.goal.enough:
-            return self._outcome(True, f"the error at unseen poses is small enough: {last.summary}")
+            return self._outcome(
+                True, f"the error at the validation poses is small enough: {last.summary}"
+            )
         if not self.goal.enough and last.is_final(before):
-            alike = last.untold and f"; poses do not tell {' from '.join(last.untold)}"
+            alike = last.untold and f"; no poses can distinguish {' from '.join(last.untold)}"
             return self._outcome(True, f"{last.summary}{alike or ''}")
         if over:
             wanted = "; ".join(one for one in last.missing if one not in last.summary)
@@ -514,7 +524,7 @@ class Campaign:
 
     def _end(self, outcome: Outcome) -> Outcome:
         """The better model, where it is proven to be one, and the last line."""
-        self._report_status("judging", "the model to be written")
+        self._report_status("judging", "preparing the final model")
         found: Conclusion = self._work(conclude, self.folder, self.judgements)
         outcome = replace(outcome, text=found.text, message=f"{outcome.message} ({found.words})")
         self._write(end=outcome.message, success=outcome.success)

@@ -22,7 +22,7 @@ from parallel_cal.recordings.dataset import Dataset
 MAX_ERROR_RATIO = 8.0  # times what is usual: no noise does that
 MAX_TOLERANCE_SIGMAS = 4.0  # sigmas of what tolerances allow, while nothing is identified yet
 ARRIVAL_TOLERANCE = 0.01  # of its range, in which a joint must be of where it was sent
-LIKELY_CAUSES = "a collision, a slip, or a target that was lost or changed: see to it"
+LIKELY_CAUSES = "check for a collision, a slip, or a target that was lost or changed"
 
 
 class ImplausibleSample(CellError):
@@ -73,8 +73,8 @@ class Checker:
             i = int(np.argmax(away))
             unit = m.joint_units[i]
             raise CellError(
-                f"{m.joints[i]} was sent to {sent[i]:.4f} {unit} and is at {q[i]:.4f}: it does not "
-                "move, its encoder is stuck, or something is in the way"
+                f"{m.joints[i]} was sent to {sent[i]:.4f} {unit} but is at {q[i]:.4f}: the joint "
+                "does not move, its encoder is stuck, or an obstacle blocks it"
             )
 
     def has_arrived(self, q: np.ndarray, sent: np.ndarray) -> bool:
@@ -96,16 +96,18 @@ class Checker:
             expected = float(np.linalg.norm(reached.position[1] - reached.position[0]))
             if abs(moved - expected) > MAX_TOLERANCE_SIGMAS * allowed["position"]:
                 raise CellError(
-                    f"the platform should have moved {1e3 * expected:.2f} mm and moved "
-                    f"{1e3 * moved:.2f} mm, more apart than tolerances allow: {LIKELY_CAUSES}"
+                    f"the platform should have moved {1e3 * expected:.2f} mm but moved "
+                    f"{1e3 * moved:.2f} mm; the tolerances do not allow this difference: "
+                    f"{LIKELY_CAUSES}"
                 )
         if sample.measured[0, 3:].all() and last.measured[0, 3:].all():
             turned = _angle(sample.R[0], last.R[0])
             expected = _angle(reached.rotation[1], reached.rotation[0])
             if abs(turned - expected) > MAX_TOLERANCE_SIGMAS * allowed["orientation"]:
                 raise CellError(
-                    f"the platform should have turned by {np.degrees(expected):.2f} degrees and "
-                    f"turned by {np.degrees(turned):.2f}, more apart than tolerances allow: "
+                    f"the platform should have turned by {np.degrees(expected):.2f} degrees but "
+                    f"turned by {np.degrees(turned):.2f}; the tolerances do not allow this "
+                    f"difference: "
                     f"{LIKELY_CAUSES}"
                 )
 
@@ -132,6 +134,6 @@ def _angle(one: np.ndarray, other: np.ndarray) -> float:
 def _format_error(kind: str, error: float, usual: float) -> str:
     factor, unit = next((factor, unit) for one, factor, unit in UNITS if one == kind)
     return (
-        f"the {kind} is {factor * error:.3g} {unit} from where the model puts it, "
-        f"{error / usual:.0f} times what is usual ({factor * usual:.3g} {unit})"
+        f"the {kind} is {factor * error:.3g} {unit} from the model's prediction, "
+        f"{error / usual:.0f} times the usual error ({factor * usual:.3g} {unit})"
     )

@@ -155,10 +155,10 @@ def describe_missing_evidence(found: Diagnosis) -> tuple[str, ...]:
         for other in found.swaps.get(name, ())
     ]
     record = [
-        f"record {' and '.join(conditions)} for {name}"
+        f"record {' and '.join(conditions)} to test {name}"
         for name, conditions in found.measure_next.record.items()
     ]
-    more = [f"measure more: {name} is no chance, and not proven yet" for name in found.suspected]
+    more = [f"measure more: {name} is significant but not proven yet" for name in found.suspected]
     return tuple(dict.fromkeys([*(t for t in told if t), *found.verdict.against, *more, *record]))
 
 
@@ -193,16 +193,16 @@ def conclude(folder: Path, judgements: Sequence[Judgement]) -> Conclusion:
     judgement, best = judgements[-1], min(judgements, key=lambda one: one.validation_error)
     now, least = judgement.validation_error, best.validation_error
     if now > MAX_ERROR_RISE * least > 0 and least < select_primary_error(best.before):
-        words = "what was measured and found since made the error at unseen poses rise"
+        words = "since then the error at the validation poses rose"
         return Conclusion(
             best.text,
-            f"the model is that of {best.samples} poses: {words} {now / least:.1f} times",
+            f"the model is that of {best.samples} poses: {words} by a factor of {now / least:.1f}",
         )
     session = Session(folder)
     state = session.fit()
     if state.against:
         return Conclusion("", f"{state.against}; nothing was written")
-    words, why = "identified", dict[str, str]()
+    words, why = "parameters identified", dict[str, str]()
     left = dict(zip(judgement.effects, judgement.additions, strict=True))
     while one := _add_first_proven(session, left, why):
         words += f", {one} added"

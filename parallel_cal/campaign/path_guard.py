@@ -53,7 +53,9 @@ class Guard:
         """Joints (nq,) to rest at from `start` to the last of some stops, by way of home where a
         straight way leads through what is forbidden; WayError where no way is known."""
         if astray := self.describe_violation(start):
-            raise PathError(f"where the robot is: {astray}; bring it to where it may work")
+            raise PathError(
+                f"the robot's present pose is {astray}; move the robot back into its workspace"
+            )
         start = self._clip_to_limits(start)
         found, home = [start], np.array(self.model.mechanism.home.joints)
         for a, b in pairwise([start, *stops]):
@@ -62,7 +64,7 @@ class Guard:
                 continue
             if any(self.find_violation(self.points(*leg)) for leg in ((a, home), (home, b))):
                 share, words = why
-                raise PathError(f"{words} {share:.0%} along the way")
+                raise PathError(f"the path is {words} at {share:.0%} of its length")
             found += [home, b]
         return found
 
@@ -133,9 +135,9 @@ class Guard:
         return [
             *((at.status == status, _describe_status(status)) for status in Status if status),
             (self._is_outside_workspace(at), "outside the workspace"),
-            (~self._is_clear(at), "too near a singularity, or beyond it"),
+            (~self._is_clear(at), "too near a singularity or beyond it"),
             *(
-                (self._is_in_box(at, box), f"inside the box to keep out of {box}")
+                (self._is_in_box(at, box), f"inside the keep-out box {box}")
                 for box in self.keep_out
             ),
         ]
@@ -197,4 +199,4 @@ class Guard:
 
 def _describe_status(status: Status) -> str:
     words = {Status.OUTSIDE_LIMITS: "outside the joint limits", Status.SINGULAR: "singular"}
-    return words.get(status, "out of the robot's reach")
+    return words.get(status, "out of reach")

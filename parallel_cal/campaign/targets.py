@@ -58,7 +58,7 @@ def first_targets(guard: Guard, most: int, seed: int = 0) -> list[Target]:
     drawn, pool = pool, pool[np.flatnonzero(guard.is_allowed(pool.joints))]
     if len(pool) < min(most, POOL // 2):  # of many the next are drawn anew
         raise PathError(
-            f"only {len(pool)} of {len(drawn)} poses drawn in the workspace may be gone to: "
+            f"only {len(pool)} of {len(drawn)} random poses in the workspace are allowed: "
             f"{guard.summarise_violations(drawn.joints)}"
         )
     unseen = select_spread_out(controlled_coordinates(model, pool), N_VALIDATION_POSES)
@@ -82,11 +82,16 @@ def first_targets(guard: Guard, most: int, seed: int = 0) -> list[Target]:
     for k, i in enumerate(again):
         stops = [tuple(stop.joints.tolist()) for stop in ways.waypoints(k)] if ways.ok[k] else []
         if stops and guard.is_allowed(np.array(stops)).all():
-            first[i] = Target(first[i].joints, tuple(stops), purpose="come to from one side")
-        words = "the same pose from the other side"
+            first[i] = Target(
+                first[i].joints,
+                tuple(stops),
+                purpose="to identify the model, approached from one side",
+            )
+        words = "the same pose, approached from the other side"
         second.append(Target(first[i].joints, first[i].via[::-1], purpose=words))
     kept = [
-        Target(tuple(q), purpose="never fitted", unseen=True) for q in pool.joints[unseen].tolist()
+        Target(tuple(q), purpose="for validation only", unseen=True)
+        for q in pool.joints[unseen].tolist()
     ]
     once = [*first, *kept]
     return [*(once[i] for i in rng.permutation(len(once))), *second]
@@ -145,7 +150,7 @@ def next_targets(
         if telling is None or last is None or last.sigmas.then < MIN_SEPARATION_SIGMAS:
             untold += [doubt.effect, doubt.rival]
             continue
-        purpose = f"to tell {' from '.join(telling.separates)}"
+        purpose = f"to distinguish {' from '.join(telling.separates)}"
         targets = [
             Target(
                 tuple(pose.joints.tolist()),
@@ -183,7 +188,7 @@ def _plan_untried_conditions(
         pool = plan_refinement(
             found.best, suspects[name], share, under, guard.is_allowed, seed, guard.min_approach
         )
-        targets += _targets(pool, f"to see what {name} does", under)
+        targets += _targets(pool, f"to see the influence of {name}", under)
     return targets
 
 
@@ -202,9 +207,9 @@ def _plan_refinement(
     # What looks like an effect that was found hides beside it best.
     kin = {other for name in found.effects for other in load_effect(name).lookalikes}
     suspects = suspects or sorted(likely, key=lambda one: one.name not in kin)[:SUSPECTS]
-    purpose = "to be surer of the model"
+    purpose = "to reduce the uncertainty of the model"
     if suspects:
-        purpose += f", and of {', '.join(one.name for one in suspects)}"
+        purpose += f" and of {', '.join(one.name for one in suspects)}"
     pool = plan_refinement(
         found.best, suspects, n, under, guard.is_allowed, seed, guard.min_approach, guard.reach
     )

@@ -62,7 +62,9 @@ class Calibration:
             self.client = Client("calibrate", self._namespace, self._processes)
             self._open.callback(self.client.close)
             if self._simulated is not None:
-                self.client.wait(self._model_file.exists, f"{self._model_file}, which {CELL} makes")
+                self.client.wait(
+                    self._model_file.exists, f"{self._model_file}, which {CELL} writes"
+                )
                 folders = {str(self._model_file.parent), str(self._folder)}
                 given = {
                     "model_file": str(self._model_file),
@@ -91,7 +93,7 @@ class Calibration:
             self.client.wait(lambda: bool(heard), topic)
         except NodeError:
             raise NodeError(
-                f"{CALIBRATION} in {self._namespace or '/'} does not answer: is it running, in "
+                f"{CALIBRATION} in {self._namespace or '/'} does not answer: is it running in "
                 "this ROS domain?"
             ) from None
         handle = self.client.send_goal(
@@ -103,7 +105,7 @@ class Calibration:
             **goal,
         )
         if not handle.accepted:
-            raise NodeError(f"{CALIBRATION} did not take the goal: its log says why")
+            raise NodeError(f"{CALIBRATION} rejected the goal; see its log for the reason")
         future, end = handle.get_result_async(), time.monotonic() + 60 * minutes + RESULT_TIMEOUT_S
 
         def gone() -> bool:
@@ -112,13 +114,13 @@ class Calibration:
         while not future.done():
             self.client.wait(
                 lambda: bool(future.done() or news or self._interrupted() or gone()),
-                f"word of {CALIBRATION}",
+                f"a message from {CALIBRATION}",
                 end - time.monotonic(),
             )
             if not (future.done() or news) and gone():
                 raise NodeError(
-                    f"{CALIBRATION} has ended; what was measured is kept: start it again, and the "
-                    "same command goes on"
+                    f"{CALIBRATION} has ended; the samples are saved. Start the node again, then "
+                    "repeat this command to continue"
                 )
             while news:
                 hear(news.popleft())

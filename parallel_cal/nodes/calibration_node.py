@@ -76,22 +76,32 @@ MAX_BUSY_SHARE = 0.25  # largest part of the time spent on looking at what was c
 
 PARAMETERS = {
     "model_file": Setting("", "model file to identify (YAML)"),
-    "output_file": Setting("", "where the result goes; empty = model_file"),
-    "auto_collect": Setting(True, "take every standstill; else only those taken by take_sample"),
-    "mode": Setting("auto", "one sample a standstill (dwell) or a pose (continuous)", MODES),
-    "min_dwell": Setting(0.3, "s the robot rests at least", (0, 3600)),
-    "trim_start": Setting(0.1, "s left out at a dwell's start, while the robot settles", (0, 3600)),
-    "trim_end": Setting(0.05, "s left out at its end", (0, 3600)),
-    "still_tolerance": Setting(0.0, "rad or m a joint strays at rest; 0 = from the data", (0, 1)),
-    "joint_sigma": Setting(0.0, "1-sigma encoder noise, rad or m; 0 = the model file's", (0, 1)),
-    "hold_out": Setting(0.25, "share of the poses left out, where none is asked for", (0, 0.5)),
+    "output_file": Setting("", "file for the calibrated model; empty = model_file"),
+    "auto_collect": Setting(True, "sample every standstill; false = only on take_sample"),
+    "mode": Setting("auto", "one sample per standstill (dwell) or per pose (continuous)", MODES),
+    "min_dwell": Setting(0.3, "shortest dwell, s", (0, 3600)),
+    "trim_start": Setting(
+        0.1, "time ignored at the start of a dwell, s: the robot settles", (0, 3600)
+    ),
+    "trim_end": Setting(0.05, "time ignored at the end of a dwell, s", (0, 3600)),
+    "still_tolerance": Setting(
+        0.0, "motion of a joint at rest, rad or m; 0 = estimated from the data", (0, 1)
+    ),
+    "joint_sigma": Setting(
+        0.0, "1-sigma encoder noise, rad or m; 0 = as in the model file", (0, 1)
+    ),
+    "hold_out": Setting(0.25, "share of held-out poses if a goal gives none", (0, 0.5)),
     "pose_type": Setting(POSE_TYPES[0], "type of measured_pose", POSE_TYPES, fixed=True),
-    "channels": Setting("", "Python paths of channels of your own, by commas", fixed=True),
-    "journal": Setting(True, "write every sample to disk as soon as it is taken", fixed=True),
-    "journal_folder": Setting("", "where; empty = parallel_cal in ROS_HOME (~/.ros)", fixed=True),
-    "record": Setting(False, "write every message to an MCAP beside the journal, while it is true"),
-    "arrow_scale": Setting(100.0, "length of residual arrows over the residuals'", (0, 1e9)),
-    "look_period": Setting(0.5, "s between two looks at what came in", (0.01, 3600), fixed=True),
+    "channels": Setting("", "Python paths of your own channels, separated by commas", fixed=True),
+    "journal": Setting(True, "write every sample to disk at once", fixed=True),
+    "journal_folder": Setting(
+        "", "folder of the journal; empty = parallel_cal in ROS_HOME (~/.ros)", fixed=True
+    ),
+    "record": Setting(False, "while true, record every message to an MCAP file in journal_folder"),
+    "arrow_scale": Setting(100.0, "length of a residual arrow divided by the residual", (0, 1e9)),
+    "look_period": Setting(
+        0.5, "interval at which received messages are processed, s", (0.01, 3600), fixed=True
+    ),
     **SECURITY,
     **AUTOSTART,
 }
@@ -162,13 +172,13 @@ class CalibrationNode(ManagedNode):
         try:
             resumed = self._collector.resume(journal.resume())
         except ParallelCalError as error:
-            self._trouble = self._event = f"journal not resumed: {error}"
+            self._trouble = self._event = f"the journal could not be read: {error}"
             self.get_logger().error(self._event)
             return Journal(self._folder, name)
         if resumed:
             self._event = (
-                f"{resumed} samples of the run before resumed from {journal.path}; "
-                "clear_samples forgets them"
+                f"{resumed} samples of the previous run were read from {journal.path}; "
+                "call clear_samples to discard them"
             )
             self.get_logger().warning(self._event)
         return journal
@@ -180,7 +190,7 @@ class CalibrationNode(ManagedNode):
         try:
             self._journal.keep(self._collector.entries())
         except OSError as error:
-            trouble = f"the journal cannot be written: {error.strerror}: samples are in memory only"
+            trouble = f"the journal cannot be written: {error.strerror}; samples are in memory only"
             if trouble != self._trouble:
                 self._trouble = self._event = trouble
                 self.get_logger().error(trouble)
@@ -364,7 +374,7 @@ class CalibrationNode(ManagedNode):
         items = {key: str(getattr(status, key)) for key in counts}
         message = DiagnosticArray(
             status=[
-                diagnostics(f"{name}: samples", level, said or "as it should be", items),
+                diagnostics(f"{name}: samples", level, said or "OK", items),
                 self._campaigning.diagnosis(name),
                 *(h.diagnosis(name, topic) for topic, h in self._health.items() if h.total),
             ]

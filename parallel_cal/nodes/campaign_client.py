@@ -65,7 +65,7 @@ class CampaignClient:
                 lambda done: self._set_answer(done.result().result.message)
             )
         else:
-            self._set_answer(f"{CALIBRATION} did not take the goal: its log says why")
+            self._set_answer(f"{CALIBRATION} rejected the goal; see its log for the reason")
 
     def _set_answer(self, words: str) -> None:
         self.told = {**self.told, "answer": words}

@@ -73,16 +73,14 @@ class CampaignServer:
         self._node, self._here, self._one, self._worker, self._say = node, here, one, worker, say
         self._control: Control | None = None
         self._cell: RobotCell | None = None
-        self._status = CalibrationStatus(
-            state="done", reason="none was asked for", error_unseen=math.nan
-        )
+        self._status = CalibrationStatus(state="done", reason="idle", error_unseen=math.nan)
         self._told = node.create_publisher(CalibrationStatus, "~/session_status", LATCHED)
         self._told.publish(self._status)
         self._command = node.create_publisher(JointTrajectory, "joint_trajectory", 10)
         job = Job(
             "calibrate",
             Calibrate,
-            "the robot is calibrating itself; cancel it or wait",
+            "a calibration is running; cancel it or wait",
             self._prepare,
             self._on_finished,
             _answer,
@@ -119,7 +117,7 @@ class CampaignServer:
         text = model_text(model_file)
         numbers = list(goal.keep_out)
         if len(numbers) % 6:
-            raise ParallelCalError("keep_out: expected six numbers a box, x y z x y z in m")
+            raise ParallelCalError("keep_out: expected six numbers for each box, x y z x y z in m")
         boxes = tuple(_box(numbers[k : k + 6]) for k in range(0, len(numbers), 6))
         wanted = Goal(
             poses=goal.poses or POSES,
@@ -219,26 +217,28 @@ class CampaignServer:
 
     def _pause(self, request: Any, response: Any) -> Any:
         return self._control_campaign(
-            response, lambda control, cell: control.pause(), "it will pause"
+            response, lambda control, cell: control.pause(), "the calibration will pause"
         )
 
     def _resume(self, request: Any, response: Any) -> Any:
         return self._control_campaign(
-            response, lambda control, cell: control.resume(), "it goes on"
+            response, lambda control, cell: control.resume(), "the calibration continues"
         )
 
     def _continue(self, request: Any, response: Any) -> Any:
         if self._status.state != "asking":
-            response.message = "nothing is asked for"
+            response.message = "the calibration asks for nothing at present"
             return response
-        return self._control_campaign(response, lambda control, cell: cell.done.set(), "it goes on")
+        return self._control_campaign(
+            response, lambda control, cell: cell.done.set(), "the calibration continues"
+        )
 
     def _control_campaign(self, response: Any, do: Callable[[Any, Any], None], words: str) -> Any:
         control, cell = self._control, self._cell
         response.success = control is not None and cell is not None
         if response.success:
             do(control, cell)
-        response.message = words if response.success else "no robot is calibrating itself"
+        response.message = words if response.success else "no calibration is running"
         return response
 
 

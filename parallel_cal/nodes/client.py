@@ -119,7 +119,7 @@ class Client:
             for process in self._processes:
                 process.check()
             if time.monotonic() > end:
-                raise NodeError(f"waited {patience:.0f} s in vain for {what}")
+                raise NodeError(f"waited {patience:.0f} s without success for {what}")
             self._executor.spin_once(timeout_sec=0.02)
 
     def await_result(self, future: Future, what: str, patience: float = TIMEOUT_S) -> Any:
@@ -207,4 +207,4 @@ def _reserve_domain() -> tuple[int, socket.socket]:
             held.close()
         else:
             return domain, held
-    raise NodeError("no free ROS domain from 1 to 100: as many programs have one of their own")
+    raise NodeError("no free ROS domain from 1 to 100: other programs use all of them")

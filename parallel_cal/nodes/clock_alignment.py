@@ -132,8 +132,8 @@ class ClockAlignment:
         by -= round(median(self._apart))
         self._moved += by
         words = (
-            f"{self._name}: its clock or that of the joints was set by {by * 1e-9:+.3f} s; its "
-            f"stamps are moved by {-self._moved * 1e-9:+.3f} s"
+            f"{self._name}: its clock or the joints' clock was set by {by * 1e-9:+.3f} s; its "
+            f"stamps are corrected by {-self._moved * 1e-9:+.3f} s"
         )
         self.trouble = KeyedWarning(words, "clock set", self._name)
         return [self._release(one) for one in held]
@@ -142,7 +142,7 @@ class ClockAlignment:
         if n:
             self.strays += n
             words = (
-                f"{self._name}: {self.strays} messages dropped whose stamps are more than a second "
-                "nearer to those of the joints, or further off, than before"
+                f"{self._name}: {self.strays} messages dropped: their offset to the joint states' "
+                "stamps changed by more than a second"
             )
             self.trouble = KeyedWarning(words, "stamps off the joints'", self._name)

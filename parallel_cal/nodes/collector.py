@@ -235,7 +235,7 @@ class Collector:
         if self.trouble and self.received:
             return self.trouble
         heard = ", ".join(f"{n} on {c}" for c, n in self.received.items()) or "none"
-        choice = "" if self.auto else "; auto_collect is off, take them with take_sample"
+        choice = "" if self.auto else "; auto_collect is off, call take_sample to take a sample"
         return f"no samples yet; messages received: {heard}{choice}"
 
     def __len__(self) -> int:

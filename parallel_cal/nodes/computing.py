@@ -96,8 +96,8 @@ def _solver(kinematics: Kinematics, asked: Problems) -> Callable[..., Solutions]
     if asked.every or asked.solver:
         if why := solving.get_build_note(asked.solver):
             raise SolveError(
-                f"{asked.solver.partition(':')[0]} builds {why} before it answers, which no "
-                "request waits for; use it with `parallel-cal direct --solver` or export it"
+                f"{asked.solver.partition(':')[0]} builds {why} before its first answer, which "
+                "takes too long for a request; use `parallel-cal direct --solver` or export it"
             )
         named: Callable[..., Solutions] = solving.inverse if inverse else solving.direct
 

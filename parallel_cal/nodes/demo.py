@@ -57,7 +57,7 @@ def main(json: bool = False, effect: str = "", seed: int | None = None) -> int:
             story.end(document)
             failed.pop_all()
         except (ParallelCalError, KeyboardInterrupt) as error:
-            console.error(str(error) or "interrupted; nothing is left running")
+            console.error(str(error) or "interrupted; all nodes were stopped")
             return 1
     if json:
         console.emit(document)
@@ -98,6 +98,6 @@ def _run_campaign(calibration: Calibration, story: Story) -> dict[str, Any]:
 
     result = calibration.run(hear, MINUTES, poses=POSES, payload=PAYLOAD)
     if not result.json and not calibration.cancelled:
-        raise ParallelCalError(result.message or "nothing was measured")
+        raise ParallelCalError(result.message or "the campaign measured nothing")
     document: dict[str, Any] = json_format.loads(result.json or "{}")
     return document | {"message": result.message, "hash": result.hash}

@@ -162,7 +162,7 @@ class DemoNodes:
             type, f"calibration_node/{name}", lambda f: hear(f.stage, f.fraction), **goal
         )
         if not handle.accepted:
-            raise NodeError("calibration_node rejected the goal")
+            raise NodeError("calibration_node rejected the goal; see its log for the reason")
         future = handle.get_result_async()
         result = self._client.await_result(future, f"the result of {name}", RESULT_TIMEOUT_S).result
         if not result.success:

@@ -22,10 +22,11 @@ class Story:
         self._verdict, self._purposes = "", set[str]()
 
     def __enter__(self) -> None:
-        self._say("[bold]A Delta robot misses its targets. It finds out by itself why.[/]")
+        self._say("[bold]A Delta robot misses its targets. It finds the cause by itself.[/]")
         self._say(
-            "[dim]A virtual robot with controller and tracker, four times faster than life, built\n"
-            "a little otherwise than drawn, with something hidden; all of it through ROS 2.[/]\n"
+            "[dim]A virtual robot with a controller and a tracker runs at four times real time.\n"
+            "Its geometry differs from the drawing, and it has a hidden effect. All data pass\n"
+            "through ROS 2.[/]\n"
         )
 
     def __exit__(self, *_: object) -> None:
@@ -43,7 +44,7 @@ class Story:
         elif status.state == "asking":
             self._line("asks", f"{status.reason} [dim](done by the demo)[/]")
         if status.verdict and not math.isnan(status.error_unseen):
-            error = f"{_um(status.error_unseen)} off at unseen poses"
+            error = f"error at validation poses {_um(status.error_unseen)}"
             told = f"{status.verdict.replace('_', ' ')}, {error}"
             if told != self._verdict:
                 self._line("judges", f"{status.poses} poses, {told}")
@@ -56,17 +57,17 @@ class Story:
 
     def end(self, document: Mapping[str, Any]) -> None:
         found = ", ".join(document["effects"]) or "nothing"
-        self._say(f"\n[bold]It found: {found}.[/] Hidden was: {document['hidden']}.")
+        self._say(f"\n[bold]Found: {found}.[/] Hidden: {document['hidden']}.")
         self._say(f"{document['message']}\n")
-        self._say("Error at unseen poses (rms) against poses measured:")
+        self._say("Error at validation poses (rms) against measured poses:")
         for one in document["curve"]:
             self._say(f"{one['poses']:5}  {_bar(one['error_unseen'], document['curve'])}")
         self._say(
-            f"\n[dim]{document['seconds']:.0f} s in all. Go on from here, after[/] "
+            f"\n[dim]{document['seconds']:.0f} s in total. To continue, first run[/] "
             ". .venv/bin/activate"
         )
         for what, command in (
-            ("all of it on a live page", f"workbench {document['folder']}"),
+            ("all results on a live page", f"workbench {document['folder']}"),
             ("a robot of your choice", "calibrate robot.yaml --simulated stewart:hidden --reach 2"),
         ):
             self._say(f"[dim]{what:25}[/] parallel-cal {command}")

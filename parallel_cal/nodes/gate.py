@@ -25,8 +25,8 @@ MIXED_PUBLISHERS_HOLD_NS = (
     2_000_000_000  # ns after the last sign of two publishers in which nothing is taken
 )
 # Why messages are dropped.
-TWO_PUBLISHERS = "two publishers speak at once"
-NO_NEIGHBOUR = "fits neither what came before nor what came after"
+TWO_PUBLISHERS = "because two publishers are active"
+NO_NEIGHBOUR = "because its stamp fits neither the previous nor the next message"
 STAMP_JUMP = "stamp jump"
 
 
@@ -130,13 +130,15 @@ class Gate:
             self._stray(self._held, TWO_PUBLISHERS)
         else:
             off = (self._held[0].stamp - last.stamp) * 1e-9
-            self._stray(self._held, STAMP_JUMP, f"stamped {off:+.1f} s from those around it")
+            self._stray(
+                self._held, STAMP_JUMP, f"because its stamp is {off:+.1f} s from its neighbours"
+            )
         self._held = []
 
     def _stray(self, said: Sequence[StampedMessage], kind: str, why: str = "") -> None:
         if said:
             self.strays += len(said)
-            words = f"{self._name}: {self.strays} messages dropped, the last {why or kind}"
+            words = f"{self._name}: {self.strays} messages dropped, the last one {why or kind}"
             self.trouble = KeyedWarning(words, kind, self._name)
 
 

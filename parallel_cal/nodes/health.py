@@ -80,5 +80,5 @@ class Stream:
             "Last reason": self.reason,
             "Latency p99 (ms)": f"{1e3 * p99:.2f}",
         }
-        said = "; ".join(wrong) if wrong else "as it should be" if window else "silent"
+        said = "; ".join(wrong) if wrong else "OK" if window else "no messages"
         return diagnostics(f"{name}: {topic}", level, said, items)

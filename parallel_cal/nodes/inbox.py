@@ -97,7 +97,7 @@ class Inbox:
             return False
         self._seen = count
         silent = self._silent()
-        self.trouble = f"nothing received on {' and '.join(silent)} yet" if silent else ""
+        self.trouble = f"no messages received on {' and '.join(silent)} yet" if silent else ""
         if not silent:
             self._make_samples(joints, options)
         return True
@@ -151,7 +151,7 @@ class Inbox:
         """Number of the dwell going on, or just over; DatasetError says why there is none."""
         joints = self.raws["joint_states"].stamp
         if self.dataset is None or not joints or not len(self.ids):
-            raise DatasetError(self.trouble or "nothing received yet")
+            raise DatasetError(self.trouble or "no messages received yet")
         now = (joints[-1] - self.start_ns) * 1e-9
         end = self.dataset.time[-1] + self.dataset.duration[-1] / 2
         if now - end <= options.min_dwell + options.trim_end:
@@ -159,7 +159,7 @@ class Inbox:
         recent = [d for d in self.dataset.dropped if now - d.time < 2 * options.min_dwell]
         why = f": {recent[-1].reason} ({recent[-1].detail})" if recent else ""
         raise DatasetError(
-            f"no dwell to take, the last one ended {now - end:.1f} s ago{why}. Let the robot rest "
+            f"no dwell to take: the last one ended {now - end:.1f} s ago{why}. Let the robot rest "
             f"for {options.min_dwell} s or more"
         )
 

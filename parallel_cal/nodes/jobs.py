@@ -170,7 +170,7 @@ class JobServer:
     def _on_cancel(self, goal: Any) -> CancelResponse:
         if self._one.cancel.ask():
             return CancelResponse.ACCEPT
-        self._say("too late to cancel: the file is being written")
+        self._say("the goal cannot be cancelled: the file is being written")
         return CancelResponse.REJECT
 
     def _on_accepted(self, goal: Any) -> None:

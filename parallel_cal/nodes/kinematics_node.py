@@ -39,19 +39,23 @@ from parallel_cal.nodes.streams import Streams
 from parallel_cal.nodes.tally import Tally, model_diagnostics, traffic_diagnostics
 
 PARAMETERS = {
-    "model_file": Setting("", "model file in use (YAML); setting it loads, a bad file is rejected"),
-    "watch_model_file": Setting(True, "load the file again whenever it is written"),
-    "time_from_start": Setting(0.1, "s in which a joint command is to be reached", (0, 3600)),
+    "model_file": Setting(
+        "", "model file in use (YAML); setting it loads the file, a bad file is rejected"
+    ),
+    "watch_model_file": Setting(True, "reload the file when it changes"),
+    "time_from_start": Setting(0.1, "time in which a joint command is to be reached, s", (0, 3600)),
     "full_travel": Setting(
-        1.0, "s in which a joint that the file gives no velocity may cross its range", (1e-3, 3600)
+        1.0, "shortest time to cross the range of a joint without a velocity limit, s", (1e-3, 3600)
     ),
     "singularity_margin": Setting(
-        0.02, "least scaled singular value on the way of a joint command, 0 = singular", (0, 1)
+        0.02, "smallest allowed scaled singular value on a path, 0 = singular", (0, 1)
     ),
-    "request_poses": Setting(10_000, "most configurations or targets of one request", (1, 10**7)),
-    "request_time": Setting(5.0, "s that a request may take", (0.01, 3600)),
-    "request_memory": Setting(2048, "MB that requests may take", (64, 10**6), fixed=True),
-    "direction_threshold": Setting(5e-4, "rad or m; smaller motions have no direction", (0, 1)),
+    "request_poses": Setting(
+        10_000, "maximum number of configurations or targets in a request", (1, 10**7)
+    ),
+    "request_time": Setting(5.0, "maximum time for a request, s", (0.01, 3600)),
+    "request_memory": Setting(2048, "maximum memory for requests, MB", (64, 10**6), fixed=True),
+    "direction_threshold": Setting(5e-4, "smallest motion that has a direction, rad or m", (0, 1)),
     **SECURITY,
     **AUTOSTART,
 }

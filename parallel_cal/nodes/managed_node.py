@@ -7,7 +7,9 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from parallel_cal.nodes.parameters import Setting
 
 AUTOSTART = {
-    "autostart": Setting(True, "become active at the start, not when a manager says", fixed=True)
+    "autostart": Setting(
+        True, "become active at the start, without a lifecycle manager", fixed=True
+    )
 }
 
 

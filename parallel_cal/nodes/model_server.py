@@ -58,7 +58,7 @@ class ModelServer:
 
     def __init__(self, report: Callable[[Attempt], None] = lambda attempt: None):
         self.current: ServedModel | None = None
-        self.last = Attempt(False, "startup", "", "no model was loaded yet")
+        self.last = Attempt(False, "startup", "", "no model has been loaded")
         self._report = report
         self._loading, self._exchange = Lock(), Lock()
         self._compilation: Thread | None = None
@@ -102,7 +102,7 @@ class ModelServer:
             kinematics = Kinematics(served.model.robot(), compile=True)
             self_test(kinematics)
         except Exception as error:  # the virtual machine passed the test and goes on serving
-            log.warning("compiled code is not used: %s", _reason(error))
+            log.warning("the compiled functions are not used: %s", _reason(error))
             return
         with self._exchange:
             if self.current is not None and self.current.hash == served.hash:
@@ -130,7 +130,9 @@ def self_test(kinematics: Kinematics) -> None:
     # A request for one configuration takes a shorter way: make it ready, and see that it agrees.
     alone = kinematics.direct(there.joints[0])
     if alone.status != Status.CONVERGED or not np.isfinite(alone.position).all():
-        raise ModelFileError(f"self-test: direct problem {describe_status(alone.status)} alone")
+        raise ModelFileError(
+            f"self-test: direct problem {describe_status(alone.status)} for a single configuration"
+        )
     kinematics.inverse(r[0], R[0])
 
 

@@ -119,12 +119,12 @@ def declare(
 SECURITY = {
     "allowed_folders": Setting(
         "",
-        "folders by colons that requests may name files in; empty = those of the files named "
-        "at the start, and the journal's",
+        "folders whose files requests may name, separated by colons; empty = the folders of the "
+        "files named at the start, and the journal's",
         fixed=True,
     ),
     "allow_foreign_modules": Setting(
-        False, "import mechanisms, effects, solvers by Python path", fixed=True
+        False, "allow mechanisms, effects and solvers given by Python path", fixed=True
     ),
 }
 

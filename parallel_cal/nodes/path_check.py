@@ -57,28 +57,35 @@ def check_path(
     found = kinematics.direct(start + share * (target.joints - start), at)
     usable = np.isin(found.status, (Status.CONVERGED, Status.OUTSIDE_LIMITS))
     if not usable[0]:
-        raise SolveError("where the robot is cannot be solved: no way from there is known")
+        raise SolveError(
+            "the direct problem has no solution at the robot's present joints: "
+            "no path from there is known"
+        )
     if not usable.all():
         word = Status(int(found.status[int(np.argmin(usable))])).text.replace("_", " ")
-        raise SolveError(f"the way there is {word} at {_part(int(np.argmin(usable)))}")
+        raise SolveError(f"the path to the target is {word} {_part(int(np.argmin(usable)))}")
     _check_workspace(mechanism, found)
     near = distances(kinematics.model, found, at)
     least = np.minimum(near.direct, near.inverse)
     for signs in (near.direct_sign, near.inverse_sign):
         if (signs != signs[0]).any():
-            raise SolveError(f"a singularity is passed {_part(int(np.argmax(signs != signs[0])))}")
+            raise SolveError(
+                "the path to the target passes a singularity "
+                f"{_part(int(np.argmax(signs != signs[0])))}"
+            )
     # Out of a singularity is allowed: the way must not lead further in.
     bad = (least < bounds.singularity) & (least < least[0])
     if bad.any():
         i = int(np.argmax(bad))
         raise SolveError(
-            f"too near a singularity {_part(i)}: {least[i]:.3g}, allowed {bounds.singularity:g}"
+            f"the path to the target is too near a singularity {_part(i)}: {least[i]:.3g}, "
+            f"allowed {bounds.singularity:g}"
         )
     return CheckedPath(*_time(mechanism, np.abs(target.joints - start), bounds), float(least.min()))
 
 
 def _part(i: int) -> str:
-    return f"{100 * i / (N_CHECKED_POINTS - 1):.0f} % along the way"
+    return f"at {100 * i / (N_CHECKED_POINTS - 1):.0f} % of its length"
 
 
 def _check_workspace(mechanism: Mechanism, found: Solutions) -> None:
@@ -89,7 +96,10 @@ def _check_workspace(mechanism: Mechanism, found: Solutions) -> None:
     bad = out > max(SLACK, float(out[0]) + SLACK)
     if bad.any():
         i = int(np.argmax(bad))
-        raise SolveError(f"outside the model file's workspace {_part(i)}, by {out[i]:.3g} m or rad")
+        raise SolveError(
+            f"the path to the target leaves the model file's workspace {_part(i)}, by {out[i]:.3g} "
+            "m or rad"
+        )
 
 
 def _time(mechanism: Mechanism, moved: np.ndarray, bounds: Bounds) -> tuple[float, str]:
@@ -108,5 +118,5 @@ def _time(mechanism: Mechanism, moved: np.ndarray, bounds: Bounds) -> tuple[floa
                 f"acceleration {acceleration:.3g} (the model file's)",
             ),
         ):
-            needed.append((float(seconds), f"{joint} moves {d:.3g} at most at {what}"))
+            needed.append((float(seconds), f"{joint} moves {d:.3g}, limited to {what}"))
     return max(needed)

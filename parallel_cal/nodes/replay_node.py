@@ -28,13 +28,17 @@ from parallel_cal.recordings.recording import TopicInfo
 
 PARAMETERS = {
     "bag": Setting("", "recording to publish: a bag directory, .mcap or .db3"),
-    "rate": Setting(1.0, "how many times faster than it was recorded"),
+    "rate": Setting(1.0, "speed as a multiple of the recorded speed"),
     "topics": Setting("", "topics to publish, separated by commas; empty = all"),
-    "loop": Setting(False, "begin again at the end"),
-    "start_paused": Setting(False, "wait for the service ~/pause with data: false"),
-    "wait_for_subscribers": Setting(-1, "subscriptions to wait for; -1 = one, but go on without"),
-    "patience": Setting(15.0, "s to wait for them"),
-    "ack_patience": Setting(60.0, "s to wait at the end until all of it was received"),
+    "loop": Setting(False, "start again at the end"),
+    "start_paused": Setting(
+        False, "stay paused until the service ~/pause is called with data: false"
+    ),
+    "wait_for_subscribers": Setting(
+        -1, "subscriptions to wait for; -1 = wait for one, but publish without it"
+    ),
+    "patience": Setting(15.0, "maximum time to wait for subscriptions, s"),
+    "ack_patience": Setting(60.0, "maximum time to wait at the end for acknowledgements, s"),
 }
 MAX_LATCHED_MESSAGES = (
     10  # messages: a topic with fewer is kept for late subscribers, as if latched
@@ -151,7 +155,10 @@ class ReplayNode(Node):
         if missing:
             _say(f"a subscriber has not acknowledged every message on {', '.join(missing)}")
             return False
-        _say(f"{self.sent} messages published and received, {self.rate:g} times the speed")
+        _say(
+            f"{self.sent} messages published and received, at {self.rate:g} times the recorded "
+            "speed"
+        )
         return True
 
     # ------------------------------------------------------------------ waiting
@@ -172,9 +179,9 @@ class ReplayNode(Node):
             time.sleep(POLL_INTERVAL_S)
         if before < wanted and self._go_on():
             names = ", ".join(self._senders)
-            raise ParallelCalError(f"{before} subscriptions to {names}; waited for {wanted}")
+            raise ParallelCalError(f"{before} subscriptions to {names}; expected {wanted}")
         if not before:
-            _say("nobody listens; publishing all the same")
+            _say("no subscribers; the recording is published all the same")
 
 
 def _select_topics(bag: str, topics: Sequence[TopicInfo], names: str) -> list[TopicInfo]:

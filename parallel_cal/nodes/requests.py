@@ -81,8 +81,8 @@ def _configurations(served: ServedModel, request: Any) -> list[Rows | str]:
     model, names = served.model, request.joint_names
     order = joint_order(names, model.joints) if names else None
     if names and len(names) != len(model.joints):
-        extra = ", ".join(n for n in names if n not in model.joints) or "one of them twice"
-        raise SolveError(f"joint_names: {extra} besides {', '.join(model.joints)}")
+        extra = ", ".join(n for n in names if n not in model.joints) or "a joint twice"
+        raise SolveError(f"joint_names contain {extra}; expected {', '.join(model.joints)}")
     return [_configuration(c.positions, order, len(model.joints)) for c in request.configurations]
 
 
@@ -130,7 +130,7 @@ def _solve_rows(
     late = SolutionSet(solutions=[_NOT_TRIED], count_complex=-1)
     sets += [late] * (len(given) - len(sets))
     solved = sum(one is not late and one.solutions[0] is not _NOT_TRIED for one in sets)
-    limits = f"a request may ask for {budget.poses} and take {budget.seconds:g} s"
+    limits = f"a request may contain {budget.poses} poses and take {budget.seconds:g} s"
     return sets, f"over budget: {solved} of {len(given)} were answered; {limits}" if over else ""
 
 
@@ -152,5 +152,5 @@ def _set(row: Rows | str, found: Iterator[Answer]) -> SolutionSet:
     )
 
 
-_NOT_TRIED = invalid_solution("the request's budget was over before its turn")
+_NOT_TRIED = invalid_solution("not tried: the request exceeded its budget")
 _NOT_TRIED.status = Solution.NOT_TRIED

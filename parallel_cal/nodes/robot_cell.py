@@ -84,7 +84,9 @@ class RobotCell:
         begin, q = self._latest()
         course = np.vstack([q, trajectory.positions])
         if not self._command.get_subscription_count():
-            raise CellError(f"nobody hears {self._command.topic_name}: is a controller up?")
+            raise CellError(
+                f"no node subscribes to {self._command.topic_name}: is a controller running?"
+            )
         self._command.publish(self._message(trajectory))
         now = time.monotonic()
         late, due = (
@@ -103,8 +105,8 @@ class RobotCell:
                 return
             if time.monotonic() > due:
                 raise CellError(
-                    f"the robot does not come to rest {ARRIVAL_TIMEOUT_S:.0f} s "
-                    "after it should have"
+                    f"the robot did not stop within {ARRIVAL_TIMEOUT_S:.0f} s after the "
+                    "planned end of its motion"
                 )
             time.sleep(POLL_INTERVAL_S)
 
@@ -124,7 +126,10 @@ class RobotCell:
         takes longer the more there are. The target counts as lost only after all that came in has
         been processed.
         """
-        due, why = time.monotonic() + SAMPLE_TIMEOUT_S, "no pose came while the robot rested"
+        due, why = (
+            time.monotonic() + SAMPLE_TIMEOUT_S,
+            "no pose was received while the robot rested",
+        )
         taken, again, used = -math.inf, -math.inf, -math.inf
         waiting = self._waiting(go_on)
         while True:
@@ -143,11 +148,13 @@ class RobotCell:
                     begin = 1e-9 * found.start_ns + float(one.time[0] - one.duration[0] / 2)
                     if begin > self._set_out:
                         return found
-                    why = "the dwell has not come yet"
+                    why = "the present dwell has no sample yet"
                 end = time.monotonic()
                 again = end + min(max(10 * POLL_INTERVAL_S, (end - now) / MAX_TAKING), MAX_PAUSE)
             elif now > due and self._inflow.has_read_until(due) and (taken > due or not measured):
-                raise CellError(f"no sample here: {why}: is the target lost?")
+                raise CellError(
+                    f"no sample at this pose: {why}. Check that the device sees its target"
+                )
             else:
                 time.sleep(POLL_INTERVAL_S)
 
@@ -165,18 +172,18 @@ class RobotCell:
             time.sleep(POLL_INTERVAL_S)
         if not self._states or time.monotonic() - self._states[-1][1] > JOINT_STATE_TIMEOUT_S:
             words = (
-                f"no joint states for {JOINT_STATE_TIMEOUT_S:.0f} s: nobody knows where the robot "
-                "is"
+                f"no joint states were received for {JOINT_STATE_TIMEOUT_S:.0f} s: the robot's "
+                "position is unknown"
             )
             if self._others:
-                words += f"; joint_states name {', '.join(self._others)}, the model has "
+                words += f"; joint_states contain {', '.join(self._others)}, the model has "
                 words += ", ".join(self._model.joints)
             raise CellError(words)
         stamp, _, q = self._states[-1]
         if stamp < since - JOINT_STATE_TIMEOUT_S:
             raise CellError(
-                f"the stamps of joint states went back by {since - stamp:.3g} s: was the robot's "
-                "driver started anew?"
+                f"the stamps of the joint states jumped back by {since - stamp:.3g} s: was the "
+                "robot's driver restarted?"
             )
         return stamp, q
 
@@ -202,7 +209,9 @@ class RobotCell:
                 return
             behind = not self._inflow.has_read_until(said)
             if waiting or behind:
-                self._say(f"{waiting} poses not yet processed{', more not yet read' * behind}")
+                self._say(
+                    f"{waiting} poses are not processed yet{', others are not read yet' * behind}"
+                )
             said = now
 
         return wait
@@ -226,8 +235,8 @@ class RobotCell:
             nearest = int(np.argmin(off))
             i = int(np.argmax(np.abs(here - a - share[:, None] * way)[nearest]))
             raise CellError(
-                f"{self._model.joints[i]} leaves its way by {off.min() * self._range[i]:.3g}: it "
-                "does not move, moves wrongly, or something is in the way"
+                f"{self._model.joints[i]} left its path by {off.min() * self._range[i]:.3g}: the "
+                "joint does not move, moves wrongly, or an obstacle blocks it"
             )
 
     def _message(self, trajectory: Trajectory) -> JointTrajectory:

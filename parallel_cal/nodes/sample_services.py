@@ -49,7 +49,7 @@ def clear(collector: Collector, folders: Folders, request: Any, response: Any) -
 
 def _path(request: Any) -> str:
     if not request.path:
-        raise DatasetError("no path given")
+        raise DatasetError("no path given: expected the path of a file")
     return str(request.path)
 
 

@@ -43,14 +43,14 @@ def model_diagnostics(name: str, served: ServedModel | None, last: Attempt, fail
     if served is None:
         return diagnostics(about, Level.ERROR, f"no model: {last.reason}", items)
     if not last.ok:
-        text = f"the model before is still in use: {last.reason}"
+        text = f"the previous model is still in use: {last.reason}"
         return diagnostics(about, Level.WARN, text, items)
     return diagnostics(about, Level.OK, "model in use", items)
 
 
 def traffic_diagnostics(name: str, tally: Tally, unheard: list[str], foreign: list[str]) -> Any:
     """WARN when the model needs conditions that nothing is known of, or a topic is `foreign`."""
-    neutral = f"not known, neutral values are used: {', '.join(unheard)}"
+    neutral = f"not received, neutral values are used: {', '.join(unheard)}"
     warnings = [neutral] * bool(unheard) + foreign
     level = DiagnosticStatus.WARN if warnings else DiagnosticStatus.OK
     return diagnostics(f"{name}: traffic", level, "; ".join(warnings), tally.items())

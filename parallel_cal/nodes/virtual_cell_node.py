@@ -42,46 +42,48 @@ BELIEVED = {
 }
 
 SET_UP = {
-    "robot": Setting("delta", "which robot stands in the cell", tuple(BELIEVED), fixed=True),
-    "seed": Setting(0, "draws how it was built, what is hidden in it, and all noise", fixed=True),
+    "robot": Setting("delta", "the robot in the cell", tuple(BELIEVED), fixed=True),
+    "seed": Setting(0, "seed of the geometric errors, hidden effects and noise", fixed=True),
     "effects": Setting(
         "",
-        "physics that the robot has, by commas; hidden: one that is drawn and not told",
+        "effects of the robot, separated by commas; hidden = one drawn at random",
         fixed=True,
     ),
-    "noise": Setting(1.0, "errors of encoders and tracker, times the usual", (0.0, 100.0), True),
-    "rate": Setting(1.0, "how many times faster than life", (0.01, 100.0), True),
+    "noise": Setting(1.0, "factor on the usual noise of encoders and tracker", (0.0, 100.0), True),
+    "rate": Setting(1.0, "factor on real time", (0.01, 100.0), True),
     "joint_rate": Setting(
-        100.0, "joint states, and periods of the controller, a s", (50.0, 500.0), True
+        100.0, "rate of joint states and of the controller, Hz", (50.0, 500.0), True
     ),
-    "pose_rate": Setting(20.0, "poses a s", (1.0, 100.0), True),
+    "pose_rate": Setting(20.0, "rate of poses, Hz", (1.0, 100.0), True),
     "model_file": Setting(
-        "", "where the robot as drawn is written, unless there is a file", fixed=True
+        "", "file to which the nominal model is written unless it exists", fixed=True
     ),
-    "air": Setting(0.3, "degC by which the temperature wanders", (0.0, 10.0), True),
+    "air": Setting(0.3, "amplitude of the temperature's variation, degC", (0.0, 10.0), True),
     "missing": Setting(0.01, "share of the tracker's poses that are lost", (0.0, 1.0), True),
-    "clock_offset": Setting(0.0, "s that the tracker's clock is ahead", fixed=True),
-    "clock_drift": Setting(0.0, "s a s that it gains", (-1e-2, 1e-2), True),
+    "clock_offset": Setting(0.0, "time by which the tracker's clock is ahead, s", fixed=True),
+    "clock_drift": Setting(0.0, "drift of the tracker's clock, s per s", (-1e-2, 1e-2), True),
     "frame_offset": Setting(
-        0.0, "m from the base to where the tracker stands; as many rad it is turned", fixed=True
+        0.0, "offset of the tracker's frame from the base, m, and its rotation, rad", fixed=True
     ),
     "target_offset": Setting(
-        0.0, "m from the platform's origin to the target; as many rad it is turned", fixed=True
+        0.0, "offset of the target from the platform's origin, m, and its rotation, rad", fixed=True
     ),
 }
 # May be set at any time, as a person or bad luck does it.
 CIRCUMSTANCES = {
-    "payload": Setting(0.0, "kg on the platform", (0.0, 100.0)),
-    "temperature": Setting(22.0, "degC", (-40.0, 120.0)),
-    "obstacle": Setting("", "box x y z x y z (m) that stops the platform's origin; more by ;"),
+    "payload": Setting(0.0, "mass on the platform, kg", (0.0, 100.0)),
+    "temperature": Setting(22.0, "temperature of the robot, degC", (-40.0, 120.0)),
+    "obstacle": Setting(
+        "", "box x y z x y z (m) that stops the platform's origin; separate several by ;"
+    ),
     "stuck_axis": Setting(0, "number of the joint that does not move; 0 = none"),
-    "stuck_encoder": Setting(0, "number of the joint whose reading stays; 0 = none"),
+    "stuck_encoder": Setting(0, "number of the joint whose reading is constant; 0 = none"),
     "drives_off": Setting(False, "no joint moves"),
-    "crossed_axes": Setting(False, "the first two joints take each other's commands"),
-    "slipped": Setting(0.0, "rad or m by which the first joint slipped under its encoder"),
+    "crossed_axes": Setting(False, "the first two joints receive each other's commands"),
+    "slipped": Setting(0.0, "slip of the first joint under its encoder, rad or m"),
     "lost_target": Setting(False, "the tracker sees nothing"),
-    "swapped_target": Setting(False, "the tracker sees another target"),
-    "homed": Setting(0, "how often the robot was homed anew"),
+    "swapped_target": Setting(False, "the tracker sees a different target"),
+    "homed": Setting(0, "number of times the robot was homed again"),
 }
 PARAMETERS = SET_UP | CIRCUMSTANCES
 TICK = 0.01  # s from one look at the clock to the next, and twice that where time runs fast
@@ -202,7 +204,9 @@ class VirtualCellNode(Node):
         tripped = self._cell.drive.tripped
         shown = self._cell.advance(self._cell.time + passed)
         if self._cell.drive.tripped > tripped:
-            self.get_logger().warning("a joint does not follow: the drives gave up and hold")
+            self.get_logger().warning(
+                "a joint does not follow its command: the drives stopped and hold"
+            )
         self._publish(shown)
 
     def _publish(self, shown: Messages) -> None:
@@ -241,7 +245,7 @@ def _points(
     """Times (n,), positions and velocities (n, nq) in the order of the joints; SolveError where
     joint_trajectory_controller would refuse it."""
     if not trajectory.points:
-        raise SolveError("it is empty: what stops a robot is a point where it may rest")
+        raise SolveError("it has no points; to stop the robot, send one point where it may rest")
     if sorted(trajectory.joint_names) != sorted(joints):
         raise SolveError(f"it names {', '.join(trajectory.joint_names) or 'no joints'}")
     order = joint_order(trajectory.joint_names, joints)
@@ -252,13 +256,13 @@ def _points(
     positions = [list(point.positions) for point in trajectory.points]
     velocities = [list(point.velocities) for point in trajectory.points]
     if any(len(p) != len(joints) or not np.isfinite(p).all() for p in positions):
-        raise SolveError("a point has not one position a joint")
+        raise SolveError("each point needs one finite position per joint")
     if not any(velocities):
         return times, np.array(positions)[:, order], None
     if any(len(v) != len(joints) or not np.isfinite(v).all() for v in velocities):
-        raise SolveError("a point has not one velocity a joint")
+        raise SolveError("each point needs one finite velocity per joint")
     if any(velocities[-1]):
-        raise SolveError("it ends with a velocity")
+        raise SolveError("its last point has a velocity other than zero")
     return times, np.array(positions)[:, order], np.array(velocities)[:, order]
 
 
