@@ -160,7 +160,7 @@ class Watch:
             self._executor.spin()
 
     def _mark_stale(self, stream: dict[str, Any], now: float) -> dict[str, Any]:
-        """What a node that is silent has last said of a stream says nothing any more."""
+        """Mark what a silent node last reported of a stream as stale."""
         if now - self._heard[stream["node"]] <= NODE_TIMEOUT_S:
             return stream
         return stream | {"level": "stale", "said": "its node is silent"}
@@ -170,11 +170,11 @@ class Watch:
             try:
                 process.check()
             except ParallelCalError as error:
-                yield f"{error}; start this page again, the session and all samples are kept"
+                yield f"{error}; start this page again, the session and all samples are saved"
         for node in (KINEMATICS, CALIBRATION):
             heard = self._heard.get(node)
             if heard is None:
-                yield f"nothing heard of {self.namespace.rstrip('/')}/{node}: is it running?"
+                yield f"no messages from {self.namespace.rstrip('/')}/{node}: is it running?"
             elif now - heard > NODE_TIMEOUT_S:
                 again = "" if self._processes else f": if it ended, ros2 run parallel_cal {node}"
                 yield f"{node} is silent since {now - heard:.0f} s{again}"
