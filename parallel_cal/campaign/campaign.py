@@ -1,8 +1,8 @@
-"""The robot calibrates itself: plan, go there, measure, check, judge, and choose what tells more.
+"""Run a campaign: plan poses, move, measure, check the samples, judge them, choose further poses.
 
-Everything is in the campaign's folder as soon as it is known: `campaign.jsonl` holds targets,
-samples and judgements, a line each, beside a session with the steps. Whoever opens the folder again
-goes on where it was left, however that ended.
+The campaign's folder holds everything at once: `campaign.jsonl` has one line for each target,
+sample and judgement, and a session holds the steps. A campaign that is opened again continues
+where it stopped, for whatever reason it stopped.
 """
 
 from __future__ import annotations
@@ -57,22 +57,22 @@ log = logging.getLogger(__name__)
 
 FILE = "campaign.jsonl"
 MAX_JOURNAL_BYTES = 512 * MEGABYTE  # of a journal that is read again
-BATCH = 8  # poses from one judgement to the next
+BATCH = 8  # poses between two judgements
 
 
 class CampaignError(ParallelCalError):
-    """A campaign cannot begin or go on."""
+    """A campaign cannot start or continue."""
 
 
 @dataclass(frozen=True)
 class Goal:
-    """What a campaign is to reach, and what it may take.
+    """The goal of a campaign and its limits.
 
-    `enough` is an rms position error at unseen poses in m (rad where no position is measured), or 0
-    for a verdict; `effects` those that may be looked for, all where none is named; `payload` (kg)
-    and `warmer` (K) by how much a person may be asked to change these, 0 for not at all; `reach`
-    how many times as large as the workspace the space is that may be used where poses in it tell
-    too little of what is missing; `seed` draws the poses to choose from.
+    `enough` is an rms position error at the validation poses in m (rad if no position is measured),
+    or 0 to stop at a verdict. `effects` are the candidates; empty means all. A person may be asked
+    to attach `payload` (kg) or to warm the robot by `warmer` (K); 0 means never. `reach` is the
+    size of the space that may be used, in workspaces, if poses in the workspace do not distinguish
+    the effects. `seed` draws the candidate poses.
     """
 
     poses: int = 80
@@ -110,9 +110,11 @@ STATES = "planning moving sampling judging asking paused stopped done".split()
 
 @dataclass(frozen=True)
 class Outcome(goals.Outcome):
-    """The same of a campaign: a `success` where what was wanted is reached, the model as `text`
-    wherever it is proven better. `curve` are samples and rms errors at unseen poses (m, rad), from
-    the model it began with on, judgement by judgement. One that was `ended` does not go on."""
+    """Outcome of a campaign.
+
+    `success` is true if the goal was reached. `text` holds the model if it is proven better.
+    `curve` holds the number of samples and the rms error at the validation poses (m, rad), first of
+    the initial model, then of each judgement. A campaign that has `ended` cannot continue."""
 
     ended: bool = True
     samples: int = 0
@@ -120,7 +122,7 @@ class Outcome(goals.Outcome):
 
 
 Tell = Callable[[Status], None]
-Work = Callable[..., Any]  # a function and what it is given -> what it returns
+Work = Callable[..., Any]  # a function and its arguments -> its result
 
 
 def _call_directly(function: Callable[..., Any], *given: Any) -> Any:
@@ -128,7 +130,7 @@ def _call_directly(function: Callable[..., Any], *given: Any) -> Any:
 
 
 class Campaign:
-    """One campaign in a folder, begun with a model file's text, or gone on with."""
+    """A campaign in a folder, started with a model file's text or continued."""
 
     def __init__(
         self,
@@ -140,8 +142,10 @@ class Campaign:
         work: Work = _call_directly,
         control: Control | None = None,
     ):
-        """`work` does what takes long; CampaignError where another process is at the folder, or
-        it holds another model's campaign, ModelFileError where the model cannot be read."""
+        """Open the campaign; `work` runs the long computations.
+
+        Raises CampaignError if another process uses the folder or if it holds the campaign of
+        another model, and ModelFileError if the model cannot be read."""
         parse_model(model, "the campaign's model")  # nothing is stored that cannot be read again
         self.folder, self.goal, self.control = Path(folder), goal, control or Control()
         self._cell, self._tell, self._work = cell, tell, work
@@ -178,13 +182,13 @@ class Campaign:
         self._use_model_of(self.judgements[-1] if self.judgements else None)
 
     def close(self) -> None:
-        """Let others at the folder."""
+        """Release the folder."""
         os.close(self._file)
 
     # ------------------------------------------------------------------ on disk
 
     def _write(self, **entry: Any) -> None:
-        """Append a line, and be sure of it."""
+        """Append a line and flush it to the disk."""
         entry["spent"] = self.spent
         append_lines(self._file, [json.dumps(to_json_value(entry), allow_nan=False)])
 
@@ -264,7 +268,7 @@ class Campaign:
     # ------------------------------------------------------------------ the loop
 
     def run(self) -> Outcome:
-        """Until it has come to an end; the robot rests then, however it came."""
+        """Run until the campaign ends; stop the robot in every case."""
         for text in self.warnings:
             log.warning("%s", text)
             self._report_status("planning", text)
@@ -290,12 +294,12 @@ class Campaign:
             raise
 
     def _step(self) -> Outcome | None:
-        """One pose further, or one judgement; the outcome where that was the last."""
+        """Measure one pose or judge once; return the outcome if that was the last step."""
         self.control.check_interrupted()
         if not self.targets:
             self._report_status("planning", "selecting the first poses")
             for name in self.goal.effects:
-                load_effect(name)  # unknown ones are told before the robot moves
+                load_effect(name)  # reject unknown effects before the robot moves
             self._add_targets(first_targets(self._guard, self.goal.poses, self.goal.seed))
         due = [
             k for k in range(len(self.targets)) if k not in self.samples and k not in self.left_out
@@ -336,7 +340,7 @@ class Campaign:
     # ------------------------------------------------------------------ one pose
 
     def _measure(self, k: int) -> None:
-        """Go to a target and take its sample, or leave it out where no way may be driven."""
+        """Measure a target, or skip it if no path to it is allowed."""
         target = self.targets[k]
         self._request_conditions(target.conditions)
         try:
@@ -360,7 +364,7 @@ class Campaign:
             self._keep(len(self.targets) - 1, again[1])
 
     def _take_sample(self, target: Target, why: str) -> Sample:
-        """Go to a target and take its sample; WayError where no way may be driven."""
+        """Move to a target and take its sample; PathError if no path is allowed."""
         stops = [np.array(q) for q in (*target.via, target.joints)]
         way = self._plan_path(self._get_current_joints(), stops)
         self._report_status("moving", why, target.purpose)
@@ -373,16 +377,16 @@ class Campaign:
         return self._cell.sample(self.control.check_interrupted)
 
     def _get_current_joints(self) -> np.ndarray:
-        """Joints (nq,) where the robot is: where it was sent while it rests there, for at the edge
-        of what is forbidden it may be read, or rest, a little inside."""
+        """Return the present joints (nq,): the commanded ones while the robot rests there, since at
+        a limit the readings may lie slightly beyond it."""
         here = self._cell.joints()
         if self._sent is None or not self._checker.has_arrived(here, self._sent):
             return here
         return self._sent
 
     def _remeasure_previous(self, odd: ImplausibleSample) -> tuple[Target, Sample]:
-        """The pose before an odd one once more: where it is as it was, robot and device are, and it
-        is the model that knows no better; else the odd one is raised."""
+        """Measure the previous pose again. If it is unchanged, robot and device are in order and
+        the model is wrong; otherwise raise `odd`."""
         k, before = next(reversed(self.samples.items()))
         target = replace(
             self.targets[k], purpose="the previous pose again, to check whether anything moved"
@@ -408,7 +412,7 @@ class Campaign:
         self.samples[k] = sample
 
     def _plan_path(self, here: np.ndarray, stops: list[np.ndarray]) -> list[np.ndarray]:
-        """Past the joints' play where that may be driven."""
+        """Plan a path whose approach exceeds the backlash, if that is allowed."""
         with suppress(PathError):
             return self._guard.plan_path(here, self._guard.lengthen_approach(here, stops))
         return self._guard.plan_path(here, stops)
@@ -432,7 +436,7 @@ class Campaign:
     # ------------------------------------------------------------------ what it comes to
 
     def _judge(self, over: str) -> Outcome | None:
-        """What the samples say; an outcome where that is enough, or all there may be."""
+        """Judge the samples; return an outcome if the goal or a limit is reached."""
         if not over and self._count_unjudged() == 0:
             return self._outcome(False, f"no further pose can be reached: {self._reasons()}")
         last = self.judgements[-1] if self.judgements else None
@@ -476,18 +480,18 @@ class Campaign:
         return None
 
     def _count_unjudged(self) -> int:
-        """How many samples the last judgement did not know."""
+        """Count the samples since the last judgement."""
         return len(self.samples) - (self.judgements[-1].samples if self.judgements else 0)
 
     def _use_model_of(self, judgement: Judgement | None) -> None:
-        """From here on ways are looked at, and samples checked, by the best model there is."""
+        """Use the best model so far to check paths and samples."""
         model = parse_model(judgement.text if judgement else self.model)
         self._guard = Guard.of(replace(model, covariance=None), self.goal.keep_out, self.goal.reach)
         self._checker = Checker(model, judgement.usual if judgement else {})
 
     def _adopt_judgement(self, judgement: Judgement) -> None:
-        """Where the better model sees the robot in a place in which it must not be, it goes home by
-        the model that led it there."""
+        """Use the better model. If it finds the robot's present pose forbidden, first move home on
+        a path that the previous model allows."""
         before, here = self._guard, self._get_current_joints()
         self._use_model_of(judgement)
         if judgement.targets and self._guard.describe_violation(here):
@@ -523,7 +527,7 @@ class Campaign:
         )
 
     def _end(self, outcome: Outcome) -> Outcome:
-        """The better model, where it is proven to be one, and the last line."""
+        """Conclude: take the better model if it is proven, and write the last line."""
         self._report_status("judging", "preparing the final model")
         found: Conclusion = self._work(conclude, self.folder, self.judgements)
         outcome = replace(outcome, text=found.text, message=f"{outcome.message} ({found.words})")
@@ -539,7 +543,7 @@ class Campaign:
 
 
 def find_unfinished(folder: Path, model: str) -> Path | None:
-    """The newest of a folder's campaigns that began with this model and did not come to an end."""
+    """Return the newest unfinished campaign of a folder that started with this model."""
     wanted = model_hash(model)
     for file in sorted(folder.glob(f"*/{FILE}"), reverse=True):
         entries = json_lines(
@@ -552,7 +556,7 @@ def find_unfinished(folder: Path, model: str) -> Path | None:
 
 
 def write_improved_model(outcome: Outcome, path: str) -> Outcome:
-    """Write the proven model to a file, the one before kept."""
+    """Write the proven model to a file and keep the previous file as a backup."""
     if not outcome.text:
         return outcome
     replace_text(path, outcome.text)

@@ -1,4 +1,4 @@
-"""What a campaign asks of a robot with its measuring device, and how it is held or ended."""
+"""The interface of a campaign to the robot and its measuring device; pause and abort."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.campaign.trajectory import Trajectory
 from parallel_cal.recordings.dataset import Dataset
 
-POLL_INTERVAL_S = 0.05  # s between two looks at whether it is still wanted
+POLL_INTERVAL_S = 0.05  # s between two checks for a pause or an abort
 
 
 class CellError(ParallelCalError):
-    """The robot or the device does not do what it was asked for; it is stopped."""
+    """The robot or the device failed; the robot is stopped."""
 
 
 class PauseRequested(Exception):
-    """Somebody wants a pause."""
+    """A pause was requested."""
 
 
 class AbortRequested(Exception):
-    """Somebody wants no more of it."""
+    """An abort was requested."""
 
 
 @dataclass(frozen=True)
@@ -52,31 +52,31 @@ class Question:
 class Cell(Protocol):
     """A robot with its controller, and a device that measures its poses.
 
-    What takes long calls `go_on` often, at least every 50 ms, which raises where the campaign is
-    held or ended. CellError where something goes wrong.
+    A method that takes long calls `go_on` at least every 50 ms; `go_on` raises if the campaign is
+    paused or aborted. Methods raise CellError on a fault.
     """
 
     def joints(self) -> np.ndarray:
-        """Where the joints (nq,) are now."""
+        """Return the present joint readings (nq,)."""
 
     def move(self, trajectory: Trajectory, go_on: Callable[[], None]) -> None:
-        """Drive a trajectory, and wait until the robot rests at its end."""
+        """Execute a trajectory and wait until the robot rests at its end."""
 
     def stop(self) -> None:
         """Stop at once."""
 
     def sample(self, go_on: Callable[[], None]) -> Sample:
-        """Measure where the robot rests."""
+        """Take a sample at the present pose."""
 
     def ask(self, words: str, conditions: Mapping[str, float], go_on: Callable[[], None]) -> None:
-        """Have a person bring conditions about, and wait until that is done."""
+        """Ask a person to set conditions, and wait until that is done."""
 
 
 class Control:
-    """A campaign is held, goes on, or is ended, by whoever says so, from any thread."""
+    """Pause, resume or abort a campaign from any thread."""
 
     def __init__(self, ended: Callable[[], bool] = lambda: False):
-        """`ended`: whether somebody else has ended it."""
+        """`ended` tells whether the campaign was aborted elsewhere."""
         self._changed, self._ended = Condition(), ended
         self._held = self._aborted = False
 
@@ -86,7 +86,7 @@ class Control:
 
     @property
     def should_continue(self) -> bool:
-        """Whether what is under way shall go on."""
+        """Whether the present work shall continue."""
         return not (self._held or self.aborted)
 
     def pause(self) -> None:
@@ -104,14 +104,14 @@ class Control:
             self._changed.notify_all()
 
     def check_interrupted(self) -> None:
-        """Held or Aborted where that is wanted."""
+        """Raise PauseRequested or AbortRequested if one was requested."""
         if self.aborted:
             raise AbortRequested
         if self._held:
             raise PauseRequested
 
     def wait(self) -> None:
-        """Until it goes on; Aborted where it does not."""
+        """Wait until resumed; raise AbortRequested if aborted."""
         with self._changed:
             while self._held and not self.aborted:
                 self._changed.wait(POLL_INTERVAL_S)

@@ -1,4 +1,4 @@
-"""Whether the robot may go somewhere: the whole way is looked at by the model, not only its end."""
+"""Check with the model whether a path is allowed: the whole path, not only its end."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ LINE_FRACTIONS = np.linspace(0.0, 1.0, POINTS_PER_LINE)[:, None]
 
 
 class PathError(ParallelCalError):
-    """A way must not be driven."""
+    """A path is not allowed."""
 
 
 @dataclass(frozen=True)
 class Guard:
-    """What no way may touch: joint limits, the workspace's edge (or that of a space `reach` times
-    as large), singularities and what lies beyond them, boxes to keep out of."""
+    """The limits of every path: joint limits, the workspace (enlarged by `reach`), singularities
+    and the poses beyond them, keep-out boxes."""
 
     model: Model
     keep_out: tuple[Box, ...] = ()
@@ -46,12 +46,12 @@ class Guard:
 
     @classmethod
     def of(cls, model: Model, more: Iterable[Box] = (), reach: float = 1.0) -> Guard:
-        """With the model file's boxes, and more."""
+        """Make a guard with the model file's keep-out boxes and `more`."""
         return cls(model.robot(), (*model.mechanism.keep_out, *more), reach)
 
     def plan_path(self, start: np.ndarray, stops: Sequence[np.ndarray]) -> list[np.ndarray]:
-        """Joints (nq,) to rest at from `start` to the last of some stops, by way of home where a
-        straight way leads through what is forbidden; WayError where no way is known."""
+        """Return the joints (nq,) at which to stop between `start` and the last of `stops`, through
+        home if the straight path is forbidden. Raise PathError if no path is known."""
         if astray := self.describe_violation(start):
             raise PathError(
                 f"the robot's present pose is {astray}; move the robot back into its workspace"

@@ -1,4 +1,4 @@
-"""Where to measure: first what identifies the model, then what tells its explanations apart."""
+"""Choose target poses: first to identify the model, then to distinguish possible effects."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from parallel_cal.planning.posepool import Pool, make_pool
 from parallel_cal.recordings.simulate import with_noise
 
 POOL = 400  # poses to choose the first ones from
-N_VALIDATION_POSES = 6  # poses that no fit ever sees
-N_REPEATED_POSES = 4  # of the first poses that are come to once more, from the other side
+N_VALIDATION_POSES = 6  # poses that no fit uses
+N_REPEATED_POSES = 4  # of the first poses, approached again from the other side
 # times as many equations as unknowns, in the first poses; at least
 AMPLE_EQUATION_RATIO = 2.0
 MIN_EQUATION_RATIO = 1.25
@@ -34,8 +34,8 @@ ADJUSTABLE_CONDITIONS = {"payload": (0.05, "kg"), "temperature": (1.5, "degC")}
 
 @dataclass(frozen=True)
 class Target:
-    """Joints (nq,) to measure at, the stops on the way there, the conditions that are to be brought
-    about before, and what it is for; `unseen` ones judge the model and are never fitted."""
+    """Joints (nq,) to measure at, the waypoints before, the conditions to set first, and the
+    purpose. `unseen` targets are validation poses: no fit uses them."""
 
     joints: tuple[float, ...]
     via: tuple[tuple[float, ...], ...] = ()

@@ -1,4 +1,4 @@
-"""Asks a running calibration_node to calibrate its robot, or one that is simulated for it."""
+"""Ask a running calibration_node, or one started for a simulated robot, to calibrate."""
 
 from __future__ import annotations
 
@@ -84,8 +84,8 @@ class Calibration:
         self._open.callback(process.end)
 
     def run(self, hear: Hear, minutes: float, **goal: Any) -> Calibrate.Result:
-        """What came of it; an interruption aborts it, and is told as its result. NodeError where
-        the node does not answer, or does not take the goal."""
+        """Run a campaign and return its result; an interruption cancels it. Raise NodeError if the
+        node does not answer or rejects the goal."""
         news = deque[Any]()
         topic = f"{CALIBRATION}/session_status"
         heard = self.client.subscribe_latest(CalibrationStatus, topic)
@@ -133,8 +133,7 @@ class Calibration:
 
     @property
     def hidden(self) -> list[str]:
-        """The effects that a simulated robot has: whoever had one drawn wants to know at the end
-        whether it was found."""
+        """The effects that a simulated robot has, to compare with those found."""
         from parallel_cal.virtual.kinds import KINDS, hide, words_of  # no real robot needs them
 
         cell = self._simulated or {}
@@ -143,7 +142,7 @@ class Calibration:
         return [KINDS[name].effect for name in names]
 
     def confirm_done(self) -> None:
-        """Say that what was asked for is done."""
+        """Confirm that the requested change was made."""
         self.client.call(Trigger, f"{CALIBRATION}/continue")
 
     def set_requested_conditions(self, questions: Iterable[Question]) -> None:

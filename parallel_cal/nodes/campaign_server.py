@@ -59,7 +59,7 @@ class NodeAccess:
 
 
 class CampaignServer:
-    """Serves `~/calibrate`, `~/pause`, `~/resume` and `~/continue`, tells `~/session_status`."""
+    """Provides `~/calibrate`, `~/pause`, `~/resume`, `~/continue`; publishes `~/session_status`."""
 
     def __init__(
         self,
@@ -206,7 +206,7 @@ class CampaignServer:
         self._told.publish(self._status)
 
     def _tell_reason(self, reason: str) -> None:
-        """What a state that goes on waits for."""
+        """Publish what the present state waits for."""
         self._status.reason = reason
         self._told.publish(self._status)
 
