@@ -39,7 +39,7 @@ CONVERGED_STEP = 1e-8  # tolerances: smaller steps change nothing a person can m
 CONVERGED_GAIN = (
     1e-9  # of chi2: a step that promises less ends the search, however long (weak directions)
 )
-UNSEEN_GAIN = 1e-6  # of chi2: largest remaining gain of an estimate that is used only internally
+UNSEEN_GAIN = 1e-6  # of chi2: predicted gain of the next step below which a search has converged
 # of chi2: if so many steps gain less, the search ends
 STALLED_GAIN = 1e-6
 STALLED_ITERATIONS = 10
