@@ -88,7 +88,7 @@ def test_what_a_bed_cannot_tell_is_one_line(tmp_path):
     unseen = result.document()["unidentifiable"]
     assert f"the data do not determine {len(unseen)} combinations of D_x, D_y, D_z, " in said[0]
     assert " of chain 1, 2, 3 and " in said[0]
-    assert "of plate of probe: along them the model keeps what it had" in said[0]
+    assert "of plate of probe: they keep the values that the model had" in said[0]
 
 
 def printed(printer, config):
