@@ -80,9 +80,11 @@ def lines(model: Model, x: np.ndarray | None = None) -> list[DrawnLine]:
 def drawing(
     model: Model, x: np.ndarray | None = None, found: Mapping[str, DescribedParameter] | None = None
 ) -> Spec | None:
-    """The mechanism in space, one label for each kind of parameter, all of them where the pointer
-    is; lines whose parameters moved far are marked where `found` tells. None where nothing is
-    drawn."""
+    """Draw the mechanism in space, with one label for each kind of parameter.
+
+    Hovering over a line shows all its parameters. If `found` is given, lines whose parameters
+    moved far are marked. The result is None if the mechanism draws nothing.
+    """
     parts = lines(model, x)
     if not parts:
         return None

@@ -30,8 +30,10 @@ def side_by_side(
     heights: Sequence[float],
     columns: int = 3,
 ) -> Spec:
-    """Small multiples as one figure: traces a panel, titles (across, up), one range of heights;
-    the first panel's traces are named in the legend."""
+    """Draw small multiples as one figure from the traces and axis titles (x, y) of each panel.
+
+    The legend names the traces of the first panel.
+    """
     data: list[Spec] = []
     layout: Spec = {}
     rows, wide = -(-len(panels) // columns), min(columns, max(len(panels), 1))

@@ -23,7 +23,7 @@ MAX_LINE_ROUGHNESS = 0.5  # of a pattern's variance: neighbours that differ by m
 POINTS_PER_PERIOD = 40
 SAMPLES_PER_MEAN = 5
 MAX_POINTS_PER_JOINT = 2000  # a joint: more hide each other
-SECTOR_MARGIN_DEG = 5.0  # deg of a sector beside what was measured
+SECTOR_MARGIN_DEG = 5.0  # margin of a sector around the measured range
 
 
 def flat_panels(found: JointResiduals, candidate: Signature | None = None) -> Spec:
@@ -61,7 +61,7 @@ def polar_panels(found: JointResiduals, candidate: Signature | None = None) -> S
 
 
 def _size(found: JointResiduals) -> float:
-    """Half the height that shows all but the wildest, in the small unit."""
+    """Return half the height that shows all but the extreme values, in the small unit."""
     scaled = [abs(found.errors[:, k]) * _fine(unit)[1] for k, unit in enumerate(found.units)]
     return 1.1 * max((float(np.nanquantile(one, 0.99)) for one in scaled), default=1.0)
 
@@ -71,7 +71,7 @@ def _fine(unit: str) -> tuple[str, float]:
 
 
 def _sector(theta: np.ndarray) -> tuple[float, float]:
-    """What was measured, some spare; all round where that is more than a half."""
+    """Return the measured range with a margin, or the full circle if it exceeds a half."""
     low, high = float(theta.min()) - SECTOR_MARGIN_DEG, float(theta.max()) + SECTOR_MARGIN_DEG
     return (low, high) if high - low < 180 else (0.0, 360.0)
 
@@ -79,7 +79,7 @@ def _sector(theta: np.ndarray) -> tuple[float, float]:
 def _traces(
     found: JointResiduals, candidate: Signature | None, k: int, factor: float, small: float
 ) -> list[Spec]:
-    """The pattern below the points; over what comes round faster no mean rolls."""
+    """Draw the points and the pattern; a pattern with a short period has no rolling mean."""
     points, mean = _points(found, k, factor, small), _mean(found, k, factor, small)
     if candidate is None:
         return [points, mean]
@@ -128,7 +128,7 @@ def _pattern(
     factor: float,
     small: float,
 ) -> Spec:
-    """A fine curve where it comes round, a line where neighbours are alike, else points."""
+    """Draw a fine curve if the pattern is periodic, a line if it is smooth, otherwise points."""
     told = np.isfinite(pattern)
     x, y = found.readings[told, k], pattern[told]
     order = np.argsort(x, kind="stable")
@@ -151,8 +151,7 @@ def _pattern(
 def _interpolate_periodic(
     x: np.ndarray, y: np.ndarray, period: float, at: np.ndarray
 ) -> np.ndarray:
-    """A pattern y (N,) at readings x (N,) that comes round, at others: the mean of samples near
-    within the period."""
+    """Interpolate a periodic pattern y (N,) at readings x (N,): mean of the nearest samples."""
     order = np.argsort(x % period, kind="stable")
     around = np.take(
         y[order], np.arange(-(SAMPLES_PER_MEAN // 2), len(y) + SAMPLES_PER_MEAN // 2), mode="wrap"
@@ -162,6 +161,6 @@ def _interpolate_periodic(
 
 
 def _to_polar(flat: Spec) -> Spec:
-    """A flat trace bent round: x is the angle (deg), y the radius."""
+    """Convert a linear trace to a polar one: x is the angle (deg), y the radius."""
     spec = {key: value for key, value in flat.items() if key not in ("x", "y")}
     return spec | {"theta": flat["x"], "r": flat["y"]}

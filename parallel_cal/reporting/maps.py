@@ -26,8 +26,10 @@ CORNERS = 37  # points of an ellipse
 def residuals(
     places: np.ndarray, fields: Sequence[np.ndarray], kind: str, numbers: np.ndarray
 ) -> tuple[Spec, float]:
-    """(figure, magnification) of residual fields (N, 3) at places (N, 3) from three sides, axes
-    equal: the first is shown (traces with `meta` 0), the others are hidden (1, ...)."""
+    """Draw residual fields (N, 3) at places (N, 3) from three sides; return figure and scale.
+
+    The first field is visible (traces with `meta` 0), the others are hidden (1, ...).
+    """
     scale, factor = scale_of(places, fields), 1e3 if kind == "position" else 1.0
     kept = select_evenly(len(places), MAX_ARROWS)
     panels = []
@@ -42,8 +44,10 @@ def residuals(
 
 
 def workspace(found: PositionUncertainty) -> tuple[Spec, float]:
-    """(figure, magnification) of the 1-sigma ellipses over the workspace; colour is the sigma, the
-    root of the covariance's trace."""
+    """Draw the 1-sigma ellipses over the workspace; return the figure and its magnification.
+
+    The colour is the sigma, the square root of the covariance's trace.
+    """
     sigma = np.sqrt(np.trace(found.covariance, axis1=1, axis2=2))
     scale = 0.5 * scale_of(found.places, [np.outer(sigma, np.eye(3)[0])])
     views = [axes for axes in VIEWS.values() if all("xyz"[k] in found.across for k in axes)]

@@ -30,8 +30,11 @@ MAX_MEAN_POINTS = 150
 def multiples(
     along: Sequence[ResidualProfile], found: Residuals, better: Sequence[ResidualProfile] = ()
 ) -> Iterator[tuple[str, str, Spec]]:
-    """(name, its largest mean in words, figure) of all that varied and says something, most
-    striking first; `better` is the same with the effects found (traces with `meta` 1)."""
+    """Yield (name, description of the largest mean, figure) of each informative quantity.
+
+    The strongest dependence comes first. `better` are the profiles with the effects found (traces
+    with `meta` 1).
+    """
     others = {entry.name: entry for entry in better}
     for entry in found.select_informative(along):
         yield entry.name, peak(entry), _make_switched_panel(entry, found, others.get(entry.name))

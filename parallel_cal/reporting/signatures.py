@@ -24,9 +24,12 @@ from parallel_cal.reporting.readable import number, value_unit
 
 
 def figure(found: Signature, mechanism: Mechanism) -> Spec:
-    """A panel for each joint that the effect touches, else for what follows something most:
-    measured residuals (grey points), their rolling mean with the 99 % band about none, and the
-    candidate's pattern, rolling alike."""
+    """Draw the pattern of a candidate over the measured residuals.
+
+    There is one panel for each joint that the effect acts on, otherwise for the components that
+    depend most on a quantity. A panel has the residuals (grey points), their rolling mean with
+    the 99 % band, and the rolling mean of the pattern.
+    """
     panels = [list(_traces(panel, mechanism)) for panel in found.panels]
     axes = [
         (_across(panel, mechanism), f"{panel.component} residual [σ]") for panel in found.panels
@@ -89,7 +92,7 @@ def _traces(panel: Panel, mechanism: Mechanism) -> Iterator[Spec]:
         ("measured, mean", means.mean[:, 0], blue),
         ("pattern of the effect", means.mean[:, 1], orange),
     ):
-        across, up = _strokes(x, mean, wide) if few else (x, mean)  # where nothing rolls
+        across, up = _strokes(x, mean, wide) if few else (x, mean)  # too few values to roll
         yield {
             "type": "scatter",
             "mode": "lines",
