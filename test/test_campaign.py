@@ -384,7 +384,7 @@ def test_where_the_better_model_sees_it_outside_the_robot_goes_home_by_the_one_b
     cell = SimulatedCell()
     one = campaign(tmp_path, cell, Goal(poses=28), work=narrowing)
     outcome = one.run()
-    assert outcome.message.startswith("28 poses are measured")
+    assert outcome.message.startswith("28 poses were measured")
     np.testing.assert_allclose(cell.sent[24].positions[-1], home)
 
 
