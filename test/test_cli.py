@@ -196,7 +196,7 @@ def test_new_writes_a_nominal_model_file(document, run, tmp_path):
     model = read_model(path)
     assert (model.values == new_model("delta24").values).all()
     assert made["hash"] == model_hash(model)
-    fails(run("new", "delta24", "-o", path), "already exists")
+    fails(run("new", "delta24", "-o", path), "exists already")
     fails(run("new", "delta99", "-o", tmp_path / "x.yaml"), "no mechanism 'delta99'")
     fails(run("new", "serial", "-o", tmp_path / "x.yaml"), "serial", "links")
 
@@ -565,7 +565,7 @@ def test_compare_prints_errors_and_rows_worst_first(document, run, clean):
 def test_people_see_the_fit_as_a_table_with_units(run, tmp_path, clean):
     code, out, _ = run("fit", NOMINAL, clean, "-o", tmp_path / "out.yaml")
     assert code == 0
-    for word in ("position error, mean", "um", "arcmin", "mm", "deg", "left out", "written:"):
+    for word in ("position error, mean", "um", "arcmin", "mm", "deg", "held-out", "written:"):
         assert word in out
 
 

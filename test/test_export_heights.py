@@ -211,7 +211,7 @@ def test_an_export_that_makes_the_bed_worse_is_refused_without_force(tmp_path):
     words = str(refused.value)
     assert words.startswith(f"{file}: the new numbers make the bed worse: height at 25 touches")
     assert "nothing was written" in words
-    assert words.endswith("or --force")
+    assert words.endswith("--force")
     assert file.read_text() == vp.CONFIG
     assert not file.with_name("config.g.previous").exists()
     done = export_into(model, "rrf", [file], touches, force=True)
@@ -286,7 +286,7 @@ def test_the_export_finds_the_touches_that_the_model_was_fitted_on(tmp_path, mon
             (folder / "touches.json").write_text(text)
         out, err = run("export", model, "--to", "rrf", "--into", str(folder / "config.g"))
         assert said not in out
-        assert "(map.csv, config.g) are not here; give their samples: --touches TOUCHES.json" in err
+        assert "(map.csv, config.g) were not found; give their samples: --touches TOUCHES.json" in err
 
 
 @pytest.mark.wide

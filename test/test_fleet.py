@@ -307,7 +307,7 @@ def test_ctrl_c_and_kill_keep_the_rows_that_were_done(tmp_path):
         os.killpg(process.pid, how)
         said = process.communicate()[1].decode()
         assert process.returncode == code, said
-        assert how == signal.SIGKILL or said.startswith("stopped; what is done is kept")
+        assert how == signal.SIGKILL or said.startswith("stopped; the finished work is kept")
         assert len(list(recordings.glob("*.json"))) > before
     done = subprocess.run([*command, "--json"], capture_output=True, text=True, check=True)
     document = json.loads(done.stdout)
@@ -356,7 +356,7 @@ def test_nobody_at_an_address_is_said(folder, monkeypatch):
         judge(folder, folder / "out", QUICK, scheduler="tcp://127.0.0.1:1")
     with pytest.raises(FleetError, match="--scheduler first: expected tcp://HOST:PORT"):
         judge(folder, folder / "out", QUICK, scheduler="first")
-    with cluster(folder, 0) as idle, pytest.raises(FleetError, match="it has no workers"):
+    with cluster(folder, 0) as idle, pytest.raises(FleetError, match="has no workers"):
         judge(folder, folder / "out", QUICK, scheduler=idle.address)
 
 

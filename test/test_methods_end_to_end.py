@@ -95,7 +95,7 @@ def test_what_the_poses_cannot_tell_is_named_by_every_method(method):
     result = fit(new_model("delta24"), data, method=method, hold_out=0)
     assert result.estimate.spectrum.rank == 15
     assert np.isinf(result.estimate.sigma).sum() == 9
-    said = [w for w in result.warnings if "the data cannot tell" in w]
+    said = [w for w in result.warnings if "the data do not determine" in w]
     assert len(said) == 1  # so many are one sentence
-    assert said[0].startswith("the data cannot tell 9 combinations of ")
+    assert said[0].startswith("the data do not determine 9 combinations of ")
     assert len(result.document()["unidentifiable"]) == 9

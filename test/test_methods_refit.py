@@ -115,9 +115,9 @@ def test_a_model_never_identified_cannot_be_refitted():
 
 @pytest.mark.parametrize("method", ["linear", "cascaded", "semiparametric", "sensitivity"])
 def test_methods_that_do_not_settle_take_neither_loss_nor_refit(method, calibrated):
-    with pytest.raises(FitError, match=f"'{method}' does not; use implicit or forward"):
+    with pytest.raises(FitError, match=f"'{method}' is not one: use implicit or forward"):
         fit(calibrated, few(0), method=method, refit=[OFFSETS])
-    with pytest.raises(FitError, match=r"the loss 'huber' needs a method that weighs"):
+    with pytest.raises(FitError, match=r"the loss 'huber' needs an iterative method that weights"):
         fit(calibrated, measured(0), method=method, loss="huber")
 
 

@@ -33,7 +33,7 @@ def test_noise_of_which_nine_tenths_stay_is_correlated_over_ten_samples():
         memories.append(shape.memory)
     # e^(-10 s / T) = 0.9 gives T = 95 s; means over 150 samples shorten it a little
     assert 50 < np.median(memories) < 110
-    assert shape.remarks[0].startswith("noise is correlated over")
+    assert shape.remarks[0].startswith("the noise is correlated over")
 
 
 def test_noise_three_times_larger_outside_is_said_to_be_so():

@@ -270,7 +270,7 @@ def test_bad_input_is_a_clear_error(robot):
     with pytest.raises(FitError, match="delta54 with 1 effects"):
         short_cut(model.with_effect("encoder_eccentricity"), one)
     nameless = replace(one[0][1], joint_names=("a", "b", "c"))
-    with pytest.raises(FitError, match=r"loop 12:21:11: .*no joint joint1"):
+    with pytest.raises(FitError, match=r"loop 12:21:11: .*joint joint1, joint2, joint3 is missing"):
         identify(model, one[0][0], nameless)
 
 

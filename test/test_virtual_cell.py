@@ -279,5 +279,5 @@ def test_hidden_kinds_are_drawn_by_the_seed_each_once_and_a_wrong_name_is_told()
     assert {len(set(names)) for names in drawn} == {3}
     assert all(names[1] == "backlash" for names in drawn)
     assert {name for names in drawn for name in names} == set(kinds_of("delta"))
-    with pytest.raises(ValueError, match="effect soft_rods: a argos may have eccentricity"):
+    with pytest.raises(ValueError, match="effect soft_rods: a argos supports eccentricity"):
         hide("argos", ["soft_rods"], 0)

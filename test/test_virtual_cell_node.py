@@ -181,7 +181,7 @@ def test_a_kind_that_no_robot_has_is_told_in_one_line(tmp_path):
         wrong = {"robot": "argos", "effects": "soft_rods"}
         process = NodeProcess(NODE, tmp_path, f"{use_private_domain()}/none", **wrong)
         assert process.ended() == 1
-        assert process.said.startswith("error: effect soft_rods: a argos may have eccentricity")
+        assert process.said.startswith("error: effect soft_rods: a argos supports eccentricity")
 
 
 def test_the_page_about_the_nodes_names_every_parameter():
