@@ -286,7 +286,7 @@ def test_the_export_finds_the_touches_that_the_model_was_fitted_on(tmp_path, mon
             (folder / "touches.json").write_text(text)
         out, err = run("export", model, "--to", "rrf", "--into", str(folder / "config.g"))
         assert said not in out
-        assert "(map.csv, config.g) were not found; give their samples: --touches TOUCHES.json" in err
+        assert "(map.csv, config.g) were not found; give their samples: --touches" in err
 
 
 @pytest.mark.wide

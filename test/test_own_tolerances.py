@@ -161,10 +161,10 @@ def test_no_joint_turns_back_while_its_drive_winds_up_unless_somebody_insists():
     data = dataset(vf.samples(day, [vr.Backlash((5e-3,) * 3)], vr.THESIS_NOISE, 3), vr.THESIS_NOISE)
     steep = {f"joint{i}.width": 1.1e-3 for i in (1, 2, 3)}
     model = new_model("delta54").with_effect("hysteresis", steep)
-    with pytest.raises(FitError, match=r"joint1.lag would have to be 0.002.* while its drive continues"):
+    with pytest.raises(FitError, match=r"joint1.lag would have to be .* its drive continues"):
         fit(model, data, hold_out=0)
     warnings = fit(model, data, hold_out=0, insist=True).warnings
-    assert [w for w in warnings if w.endswith("goes on: accepted because you insisted")]
+    assert [w for w in warnings if w.endswith("continues: accepted because you insisted")]
     gentle = new_model("delta54").with_effect("hysteresis")
     assert not fit(gentle, data, hold_out=0).model.find_contradiction()
 
