@@ -158,8 +158,8 @@ def test_nodes_do_not_outlive_a_command_that_is_killed(command):
 def test_what_is_wrong_with_a_command_is_told_before_anything_is_started(tmp_path):
     told = {
         ("robot.yaml",): "no such file",
-        ("robot.yaml", "--keep-out", "nonsense"): "six numbers 'x y z x y z' in m",
-        ("robot.yaml", "--keep-out", "1 2 3 4 5"): "six numbers 'x y z x y z' in m",
+        ("robot.yaml", "--keep-out", "nonsense"): "six numbers 'x y z x y z' .m",
+        ("robot.yaml", "--keep-out", "1 2 3 4 5"): "six numbers 'x y z x y z' .m",
     }
     for given, words in told.items():
         with pytest.raises(ParallelCalError, match=words):
@@ -183,8 +183,8 @@ def test_pause_holds_the_robot_resume_goes_on_and_cancel_stops_it(desk):
     assert desk.status[0].poses == held
     desk.client.call(Trigger, "calibration_node/resume")
     desk.wait_for(held + 1)
-    desk.client.answer(handle.cancel_goal_async(), "the cancelling")
-    answer = desk.client.answer(result, "the result")
+    desk.client.await_result(handle.cancel_goal_async(), "the cancelling")
+    answer = desk.client.await_result(result, "the result")
     assert answer.status == CANCELED
     assert "aborted on request" in answer.result.message
     assert desk.status[0].state == "stopped"
@@ -195,7 +195,7 @@ def test_a_robot_that_does_not_move_ends_the_goal_with_the_reason(desk):
     _, result = desk.goal()
     desk.wait_for(1)
     desk.change(drives_off=True)
-    answer = desk.client.answer(result, "the result")
+    answer = desk.client.await_result(result, "the result")
     assert answer.status == ABORTED
     assert "does not move" in answer.result.message
 
@@ -243,5 +243,5 @@ def test_nothing_is_calibrated_where_no_robot_is(desk):
     desk.cell.end()
     time.sleep(2.0)  # longer than a robot may be silent
     _, result = desk.goal()
-    answer = desk.client.answer(result, "the result")
+    answer = desk.client.await_result(result, "the result")
     assert "no joint states" in answer.result.message

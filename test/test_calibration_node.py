@@ -512,7 +512,7 @@ def test_a_cancelled_goal_ends_at_once_and_writes_nothing(full, many):
     assert not other.accepted
     full.client.wait(lambda: "goal rejected" in full.status.last_event, "the reason")
     assert "running" in full.call(AddEffect, "add_effect", effect="backlash").message
-    full.client.answer(handle.cancel_goal_async(), "the cancel")
+    full.client.await_result(handle.cancel_goal_async(), "the cancel")
     answer = full.outcome(handle)
     assert answer.status == CANCELED
     assert not answer.result.success

@@ -104,7 +104,7 @@ def test_what_goes_wrong_stops_the_robot_and_is_told(desk, fault):
     desk.client.wait(lambda: desk.status[0].poses > begun + 1 or result.done(), "two poses", 60)
     desk.change(**{fault: value})
     try:
-        answer = desk.client.answer(result, "the result", 60)
+        answer = desk.client.await_result(result, "the result", 60)
         desk.client.wait(lambda: desk.status[0].state == "stopped", "word of it")
         passed(desk, 200)
         sent, held = len(desk.sent), until_rest(desk)

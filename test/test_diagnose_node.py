@@ -161,9 +161,11 @@ class Bench:
     def __init__(self, folder, client):
         self.folder, self.client = folder, client
         self.model_file = folder / "robot.yaml"
-        self.status = client.latest(CollectionStatus, "calibration_node/collection_status")
-        self.diagnosis = client.latest(String, "calibration_node/diagnosis")
-        self.arrows = client.latest(MarkerArray, "calibration_node/residuals")
+        self.status = client.subscribe_latest(
+            CollectionStatus, "calibration_node/collection_status"
+        )
+        self.diagnosis = client.subscribe_latest(String, "calibration_node/diagnosis")
+        self.arrows = client.subscribe_latest(MarkerArray, "calibration_node/residuals")
 
     def call(self, type, name, **fields):
         return self.client.call(type, f"calibration_node/{name}", **fields)
@@ -174,7 +176,7 @@ class Bench:
         )
 
     def outcome(self, handle):
-        return self.client.answer(handle.get_result_async(), "the result", 120)
+        return self.client.await_result(handle.get_result_async(), "the result", 120)
 
     def load(self, samples):
         assert self.call(LoadSamples, "load_samples", path=str(self.folder / samples)).success
@@ -283,7 +285,7 @@ def test_a_cancelled_diagnosis_ends_and_meanwhile_the_node_answers_but_does_no_o
         "a diagnosis is running" in loaded.call(AddEffect, "add_effect", effect="backlash").message
     )
     assert len(loaded.call(ListSamples, "list_samples").samples) == 20 * 94
-    loaded.client.answer(handle.cancel_goal_async(), "the cancel")
+    loaded.client.await_result(handle.cancel_goal_async(), "the cancel")
     answer = loaded.outcome(handle)
     assert answer.status == CANCELED
     assert "cancelled" in answer.result.message
@@ -308,7 +310,7 @@ def test_while_an_effect_is_added_the_node_answers_but_takes_no_goal(loaded):
     loaded.waits_for_event("goal rejected: an effect is being added")
     assert len(loaded.call(ListSamples, "list_samples").samples) == 20 * 94
     assert not coming.done()
-    answer = loaded.client.answer(coming, "the effect", 120)
+    answer = loaded.client.await_result(coming, "the effect", 120)
     assert answer.success, answer.message
     assert answer.hash == model_hash(loaded.model_file.read_bytes())
     shutil.copy(PRESET, loaded.model_file)

@@ -12,8 +12,8 @@ pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 CODE = """
 import os
 os.getpid = lambda: 7  # as in containers that share a network
-from parallel_cal.nodes.client import own_domain
-assert own_domain() == own_domain() == "/of_7"
+from parallel_cal.nodes.client import use_private_domain
+assert use_private_domain() == use_private_domain() == "/of_7"
 print(os.environ["ROS_DOMAIN_ID"], flush=True)
 input()
 """

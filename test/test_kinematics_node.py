@@ -699,7 +699,7 @@ def test_poses_go_on_while_a_request_is_worked_on(stewart):
         states.publish(state)
         client.wait(lambda n=n: len(heard) > n, "a pose")
     assert not running.done()
-    assert "over budget" in client.answer(running, "the rest").message
+    assert "over budget" in client.await_result(running, "the rest").message
 
 
 @mock.patch.dict(os.environ)
