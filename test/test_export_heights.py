@@ -209,7 +209,9 @@ def test_an_export_that_makes_the_bed_worse_is_refused_without_force(tmp_path):
     with pytest.raises(ParallelCalError) as refused:
         export_into(model, "rrf", [file], touches)
     words = str(refused.value)
-    assert words.startswith(f"{file}: the new numbers make the bed worse: height at 25 touches")
+    assert words.startswith(
+        f"{file}: the new numbers make the bed worse: rms height error at 25 touches"
+    )
     assert "nothing was written" in words
     assert words.endswith("--force")
     assert file.read_text() == vp.CONFIG
@@ -217,7 +219,7 @@ def test_an_export_that_makes_the_bed_worse_is_refused_without_force(tmp_path):
     done = export_into(model, "rrf", [file], touches, force=True)
     old, new = vf.Duet(vp.CONFIG), vf.Duet(file.read_text())
     after = rms_height(old, new, points, TRIGGER)
-    assert f"rms: 10.0 -> {1e6 * after:.1f} um" in words
+    assert f"formula: 10.0 -> {1e6 * after:.1f} um" in words
     assert done.heights.after == pytest.approx(after, abs=0.1e-6)
     assert after > 100e-6
 
@@ -249,7 +251,7 @@ def test_the_command_prints_both_heights_and_refuses_a_worse_bed(tmp_path, monke
     assert heights["after"] > 100e-6
     file.write_text(vp.CONFIG)
     code, out, _ = run(*command, "--force")
-    assert f"rms: 10.0 -> {1e6 * heights['after']:.1f} um" in out
+    assert f"formula: 10.0 -> {1e6 * heights['after']:.1f} um" in out
 
 
 @pytest.mark.wide
@@ -271,7 +273,7 @@ def test_the_export_finds_the_touches_that_the_model_was_fitted_on(tmp_path, mon
     run("import", "rrf", "map.csv", "config.g", "-o", "touches.json")
     run("fit", "printer.yaml", "touches.json", "-o", "fitted.yaml", "--hold-out", "0.5", *hold)
     assert read_model("fitted.yaml").history[-1]["dataset"]["files"] == ["touches.json"]
-    said = "touches by the firmware's formula, rms: "
+    said = "touches by the firmware's formula: "
     for place, model in ((folder, "fitted.yaml"), (tmp_path, "here/fitted.yaml")):
         monkeypatch.chdir(place)
         (folder / "config.g").write_text(vp.CONFIG)

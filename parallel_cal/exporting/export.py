@@ -163,8 +163,8 @@ def _worse_bed(files: Sequence[Path], heights: BedHeights) -> ModelError:
     """That new numbers would make the bed worse, by how much, and what to do."""
     before, after = 1e6 * (heights.before or 0.0), 1e6 * heights.after
     words = (
-        f"the new numbers make the bed worse: height at {heights.touches} touches by the "
-        f"firmware's formula, rms: {before:.1f} -> {after:.1f} um, expected less than before"
+        f"the new numbers make the bed worse: rms height error at {heights.touches} touches by the "
+        f"firmware's formula: {before:.1f} -> {after:.1f} um, expected less than before"
     )
     cure = (
         "touch more places, exclude bad touches (fit --data exclude=N), fix the "
