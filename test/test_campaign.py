@@ -252,7 +252,7 @@ def test_the_written_model_is_as_good_as_the_noise_where_nothing_was_measured(ca
         for q in rng.uniform(0.35, 0.7, (20, 3)):
             sign = rng.choice([-1.0, 1.0], 3)
             at = {f"direction.{j}": s for j, s in zip(model.joints, sign, strict=True)}
-            true = cell.cell.stands(q, sign)[0]
+            true = cell.cell.true_pose(q, sign)[0]
             errors.append(np.linalg.norm(Kinematics(model).direct(q, at).position - true))
         off[name] = np.sqrt(np.mean(np.square(errors)))
     assert off["before"] > 5e-4
