@@ -295,7 +295,7 @@ def test_joints_of_the_nominal_argos_are_those_of_the_thesis_closed_form():
 def regular(robot, q, start):
     """An orientation that the joints hold, None where a ball lies on its motor's axis."""
     try:
-        R = robot.turned(q, start)
+        R = robot.orientation_at_origin(q, start)
     except (ValueError, np.linalg.LinAlgError):
         return None
     off = np.cross(robot.sockets(np.zeros(3), R), robot.motors.along)
