@@ -280,7 +280,7 @@ def test_a_killed_scheduler_costs_no_row_that_was_done(tmp_path):
             if first.scheduler.poll() is None:
                 first.kill(first.scheduler)
 
-        with pytest.raises(FleetError, match=r"scheduler is gone.*give the same command"):
+        with pytest.raises(FleetError, match=r"scheduler is lost.*give the same command"):
             judge(fleet, tmp_path / "out", QUICK, scheduler=first.address, on_row=kill_it)
     kept = len(list((tmp_path / "out" / "recordings").glob("*.json")))
     assert 1 <= kept < 4

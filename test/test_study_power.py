@@ -275,7 +275,7 @@ def test_two_workers_a_killed_scheduler_and_one_process_say_the_same(question, t
                 workers.kill(workers.scheduler)
 
         given = {"folder": tmp_path / "there", "scheduler": workers.address}
-        with pytest.raises(FleetError, match="the scheduler is gone"):
+        with pytest.raises(FleetError, match="connection to the scheduler is lost"):
             power(*asked, **given, progress=kill_it)
     kept = len((tmp_path / "there" / "sessions.jsonl").read_text().splitlines())
     assert kept > 2
