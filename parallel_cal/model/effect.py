@@ -141,7 +141,7 @@ class Effect(ABC):
         return ({},)
 
     def multiples(self, setting: Mapping[str, float]) -> Iterable[Mapping[str, float]]:
-        """Return settings that show the same as the best setting of the scan.
+        """Return settings that give equal residuals to the best setting of the scan.
 
         One of them is preferred if it fits as well: a wave's own frequency, not half of it.
         """

@@ -39,7 +39,7 @@ NOISE_WINDOW, NOISE_READINGS = 0.5, 60  # s and readings that the noise is estim
 # Two steps of white noise that share a reading are correlated by -1/2, those of the joints as those
 # of the pose: regression of one on the other explains 1 + 2 / 4 times as much by chance.
 SHARED_READINGS = 1.5
-MAX_CHANCE = 1e-9  # that noise alone looks as much like motion; a live collector looks often
+MAX_CHANCE = 1e-9  # that pure noise looks as much like motion; a live collector looks often
 
 
 @dataclass(frozen=True)

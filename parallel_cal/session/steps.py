@@ -154,7 +154,7 @@ def add(
         one = candidate(scene, name)  # with the settings that fit best to what the base leaves
         more.append(replace(one, settings=settings or one.settings))
         extended = extended.with_effect(name, more[-1].settings)
-    result = _beside(fit(extended, base.dataset, **options), base)
+    result = _with_given_model_of(fit(extended, base.dataset, **options), base)
     name = "+".join(one.name for one in more)
     found = acceptance(result, base, f" with '{name}'")
     if not found.against:
@@ -165,7 +165,7 @@ def add(
     return _step("add", result, _check_proven(found, force), base, name)
 
 
-def _beside(result: FitResult, rival: FitResult) -> FitResult:
+def _with_given_model_of(result: FitResult, rival: FitResult) -> FitResult:
     """Compare a fit with another effect with the model that its rival started from."""
     given = replace(rival.given, known_held_out=rival.held_out_before)
     return replace(result, given=given, registration=rival.registration)
@@ -236,7 +236,9 @@ def remove(
     """
     model.without_effect(effect)  # report a wrong name before a fit
     with_it = fit(model, dataset, **options)
-    result = _beside(fit(with_it.start.without_effect(effect), with_it.dataset, **options), with_it)
+    result = _with_given_model_of(
+        fit(with_it.start.without_effect(effect), with_it.dataset, **options), with_it
+    )
     found = acceptance(result, with_it, f" without '{effect}'", MAX_NEGLIGIBLE_ERROR_RISE)
     return _step("remove", result, _check_proven(found, force), with_it, effect)
 
