@@ -254,7 +254,7 @@ def test_everything_else_on_the_page_and_no_serious_fault_of_access(browser, tmp
 
         page.get_by_role("spinbutton", name="poses").fill("8")
         page.get_by_role("button", name="Plan", exact=True).click()
-        page.get_by_role("figure", name="planned poses").wait_for()
+        page.get_by_role("figure", name="planned and measured poses").wait_for()
         with page.expect_download() as download:
             page.get_by_role("button", name="Download CSV", exact=True).click()
         assert len(Path(download.value.path()).read_text().splitlines()) == 9

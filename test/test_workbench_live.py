@@ -61,7 +61,7 @@ def test_the_loop_on_nodes_that_the_workbench_starts(tmp_path):
             page.locator("#served").get_by_text("the model of this state").wait_for()
             page.get_by_role("spinbutton", name="poses", exact=True).fill("8")
             page.get_by_role("button", name="Plan", exact=True).click()
-            page.get_by_role("figure", name="planned poses").wait_for()
+            page.get_by_role("figure", name="planned and measured poses").wait_for()
             page.get_by_role("button", name="Send to the robot").click()
             page.locator("#sent").get_by_text("pose 1: sent").wait_for()
             assert len(nodes_on(tmp_path)) == 2

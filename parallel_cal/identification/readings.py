@@ -13,6 +13,7 @@ from parallel_cal.identification.thresholds import (
     MAX_DISTANCE,
     MAX_SPAN,
     MIN_CORRELATION,
+    MIN_TURNS,
     MOST_READINGS,
     SAME_UNIT,
 )
@@ -63,7 +64,8 @@ def _excess(m: Mechanism, q: np.ndarray) -> np.ndarray:
         if not turn:
             absurd = span > MAX_SPAN or away > MAX_DISTANCE
         elif MAX_ARC * width < MOST_READINGS * turn:  # without whole turns they can still be seen
-            absurd = span > MAX_SPAN and _arc(q[:, i], turn) > MAX_ARC * width
+            goes_round = last - first > MIN_TURNS * turn
+            absurd = goes_round and span > MAX_SPAN and _arc(q[:, i], turn) > MAX_ARC * width
         else:
             absurd = span > MAX_DISTANCE
         excess[i] = max(span, away) if absurd else 0.0

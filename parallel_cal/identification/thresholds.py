@@ -19,6 +19,7 @@ MOST_READINGS = 0.8  # of a joint's readings: a few outliers say nothing about t
 MAX_SPAN = 3.0  # of a joint's range: wrong limits are not wrong by so much
 MAX_DISTANCE = 10.0  # of a joint's range: no zero is so far off
 MAX_ARC = 1.5  # of a joint's range: what readings span at most without whole turns
+MIN_TURNS = 1.5  # whole turns: a crank that goes round once is no wrong unit
 MIN_CORRELATION = 0.9  # of readings and inverse solutions, for their ratio to be a unit
 SAME_UNIT = 0.05  # in the logarithm: by so much a ratio may differ from a unit's
 
