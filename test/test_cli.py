@@ -8,14 +8,19 @@ import re
 import signal
 import subprocess
 import sys
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import pytest
+from typer import Typer
 
 from parallel_cal import __version__
+from parallel_cal.base.options import option
 from parallel_cal.cli import main as cli
+from parallel_cal.cli.arguments import with_options
 from parallel_cal.kinematics.kinematics import Kinematics
 from parallel_cal.model.file.modelfile import model_hash, read_model, write_model
 from parallel_cal.model.model import new_model
@@ -174,6 +179,48 @@ def test_help_names_the_commands_that_exist_and_no_other():
 def test_version_is_that_of_the_package(run):
     assert run("--version")[1] == f"parallel-cal {__version__}\n"
     assert f"version = {__version__}\n" in (ROOT / "setup.cfg").read_text()
+
+
+@dataclass
+class Knobs:
+    size: "float" = field(default=2.0, metadata=option("size of it (m)", min=0))
+    names: "Sequence[str]" = field(default=("a",), metadata=option("its names"))
+    quick: "bool | Sequence[str] | None" = field(default=None, metadata=option("be quick"))
+    hidden: "int" = 3
+
+
+def run_with_knobs(capsys, kind, *arguments):
+    received = []
+
+    def command(place: str, *, options: kind, last: bool = False) -> None:
+        received.append(options)
+
+    app = Typer(rich_markup_mode=None, add_completion=False)
+    app.command()(with_options(command))
+    with pytest.raises(SystemExit):
+        app(args=["here", *arguments])
+    return (received or [None])[0], capsys.readouterr()
+
+
+def test_the_fields_of_a_dataclass_are_options_of_a_command(capsys):
+    assert run_with_knobs(capsys, Knobs)[0] == Knobs()
+    given = ("--size", "3", "--names", "b c", "--names", "d,e", "--quick")
+    expected = Knobs(3.0, ("b", "c", "d", "e"), True)
+    assert run_with_knobs(capsys, Knobs, *given)[0] == expected
+    _, printed = run_with_knobs(capsys, Knobs, "--help")
+    options = re.findall(r"--[\w-]+", printed.out)
+    assert options == ["--size", "--names", "--quick", "--last", "--no-last", "--help"]
+    assert re.search(r"size of it \(m\) +\[default: 2.0;\s+x>=0\]", printed.out)
+    received, printed = run_with_knobs(capsys, Knobs, "--size=-1")
+    assert received is None
+    assert "Invalid value for '--size'" in printed.err
+
+
+def test_a_command_may_offer_some_fields_in_another_order(capsys):
+    some = Annotated[Knobs, ("quick", "size")]
+    assert run_with_knobs(capsys, some, "--quick")[0] == Knobs(quick=True)
+    _, printed = run_with_knobs(capsys, some, "--help")
+    assert re.findall(r"--[\w-]+", printed.out)[:3] == ["--quick", "--size", "--last"]
 
 
 def test_wrong_usage_exits_with_2(run):

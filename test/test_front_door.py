@@ -16,7 +16,7 @@ import pytest
 
 import parallel_cal as pc
 from parallel_cal.identification.options import FitKeywords, FitOptions
-from parallel_cal.planning.plan import PlanKeywords, PlanOptions
+from parallel_cal.planning.options import PlanKeywords, PlanOptions
 from parallel_cal.recordings.options import ReadKeywords, ReadOptions
 
 HEAVY = "numpy casadi scipy yaml pydantic plotly rich rosbags rclpy typer".split()

@@ -11,6 +11,11 @@ from parallel_cal.base.errors import ParallelCalError, format_suggestion
 Options = TypeVar("Options")
 
 
+def option(help: str, *, min: float | None = None, max: float | None = None) -> dict[str, Any]:
+    """Return the metadata of a dataclass field that the command line offers as an option."""
+    return {"help": help, "min": min, "max": max}
+
+
 def with_changes(
     options: Options, changes: Mapping[str, Any], error: type[ParallelCalError]
 ) -> Options:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from inspect import Signature, signature
+from dataclasses import Field, fields
+from inspect import Parameter, Signature, signature
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, get_args
 
 import typer
 
@@ -53,33 +54,33 @@ Scheduler = Annotated[
 Workers = Annotated[
     int | None, typer.Option(min=1, help="processes on this machine [default: one per core]")
 ]
-Method = Annotated[str, typer.Option(help="identification method")]
-HoldOut = Annotated[
-    float,
-    typer.Option(
-        min=0.0,
-        max=0.5,
-        help="share of poses held out in each fold; 0.001: one pose at a time, 0: none",
-    ),
-]
-JointSigma = Annotated[
-    float | None, typer.Option(min=0.0, help="noise of the joint readings, 1 sigma (rad or m)")
-]
-Free = Annotated[
-    list[str] | None,
-    typer.Option(help="free parameters that match PATTERN; the narrower of --free and --fix wins"),
-]
-Fix = Annotated[list[str] | None, typer.Option(help="fix parameters that match PATTERN")]
-Prior = Annotated[
-    bool,
-    typer.Option(
-        "--prior",
-        help="use tolerances as priors of all parameters, not only of weakly determined ones",
-    ),
-]
-Loss = Annotated[
-    str, typer.Option(help="linear, or robust to outliers: huber, soft_l1, cauchy, arctan")
-]
+
+# The types that the command line can read, by the annotation of a field. The annotations are
+# compared as text: evaluating them would import numpy before the help is shown.
+TYPES = {"str": str, "int": int, "float": float, "bool": bool, "Sequence[str]": list[str]}
+
+
+def type_of(field: Field[Any]) -> Any:
+    """Return the type of a field on the command line, which is the first one of a union."""
+    return TYPES[str(field.type).partition(" | ")[0]]
+
+
+def option_of(options: type, name: str) -> Any:
+    """Return the command-line option of a field of a dataclass."""
+    (field,) = (each for each in fields(options) if each.name == name)
+    # A flag needs its name, or Typer adds the opposite, --no-NAME.
+    names = [f"--{name}"] if type_of(field) is bool else []
+    return typer.Option(*names, **field.metadata)
+
+
+Free = Annotated[list[str] | None, option_of(FitOptions, "free")]
+Fix = Annotated[list[str] | None, option_of(FitOptions, "fix")]
+JointSigma = Annotated[float | None, option_of(FitOptions, "joint_sigma")]
+
+# The options of a fit that most commands offer, in the order of the help.
+FIT = ("hold_out", "joint_sigma", "free", "fix", "prior", "loss")
+Fitting = Annotated[FitOptions, FIT]
+FittingByMethod = Annotated[FitOptions, ("method", *FIT)]
 
 
 def patterns(given: list[str] | None) -> tuple[str, ...]:
@@ -88,32 +89,37 @@ def patterns(given: list[str] | None) -> tuple[str, ...]:
 
 
 def with_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Replace a command's argument `options` (FitOptions) by one command-line option per field."""
+    """Replace a command's argument `options`, a dataclass, by one command-line option per field.
 
-    def with_all(
-        *,
-        hold_out: HoldOut = 0.25,
-        joint_sigma: JointSigma = None,
-        free: Free = None,
-        fix: Fix = None,
-        prior: Prior = False,
-        loss: Loss = "linear",
-        **others: Any,
-    ) -> None:
-        options = FitOptions(
-            hold_out=hold_out,
-            joint_sigma=joint_sigma,
-            free=patterns(free),
-            fix=patterns(fix),
-            prior=prior or None,
-            loss=loss,
-        )
-        command(**others, options=options)
-
-    *fields, _ = signature(with_all, eval_str=True).parameters.values()
+    The argument's type names the fields: `Annotated[FitOptions, ("free", "fix")]`. A type without
+    names offers all fields that have a help text.
+    """
     own = signature(command, eval_str=True).parameters
-    shown = [each for p in own.values() for each in (fields if p.name == "options" else [p])]
+    kind, names = get_args(own["options"].annotation) or (own["options"].annotation, None)
+    known = {field.name: field for field in fields(kind) if field.metadata}
+    offered = [known[name] for name in names or known]
+
+    def with_all(**given: Any) -> None:
+        values = {field.name: _field_value(field, given.pop(field.name)) for field in offered}
+        command(**given, options=kind(**values))
+
+    added = [_parameter(kind, field) for field in offered]
+    shown = [each for p in own.values() for each in (added if p.name == "options" else [p])]
     with_all.__name__, with_all.__doc__ = command.__name__, command.__doc__
     # Typer reads the signature from this attribute.
     with_all.__signature__ = Signature(shown)  # type: ignore[attr-defined]
     return with_all
+
+
+def _parameter(kind: type, field: Field[Any]) -> Parameter:
+    given = type_of(field)
+    default = {bool: False, list[str]: None}.get(given, field.default)
+    annotation = Annotated[given, option_of(kind, field.name)]  # type: ignore[valid-type]
+    return Parameter(field.name, Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
+
+
+def _field_value(field: Field[Any], given: Any) -> Any:
+    """Convert an argument; a flag or a list that was not given leaves the field's default."""
+    if type_of(field) == list[str]:
+        return patterns(given) or field.default
+    return field.default if given is False else given

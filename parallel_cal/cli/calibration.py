@@ -6,19 +6,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from parallel_cal.cli.arguments import (
+    FIT,
     Bags,
     Data,
     EffectName,
+    FittingByMethod,
     Force,
     JointSigma,
     Json,
-    Method,
     ModelFile,
     OptionalOut,
-    patterns,
     with_options,
 )
 from parallel_cal.cli.recordings import data_options
@@ -38,14 +36,7 @@ def fit(
     *,
     output: OptionalOut = None,
     force: Force = False,
-    method: Method = "implicit",
-    options: FitOptions,
-    refit: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="fit only parameters that match PATTERN; keep the others and their covariance"
-        ),
-    ] = None,
+    options: Annotated[FitOptions, ("method", *FIT, "refit")],
     data: Data = None,
     as_json: Json = False,
 ) -> None:
@@ -53,10 +44,10 @@ def fit(
     error falls."""
     from parallel_cal.session.steps import fitted
 
-    asked = replace(options, method=method, refit=patterns(refit), insist=force)
+    options = replace(options, insist=force)
     start, dataset = read_model_and_data(model, bags, data)
     force = force or output is None  # without an output there is nothing to refuse
-    step = fitted(start, dataset, force, options=asked, progress=console.progress)
+    step = fitted(start, dataset, force, options=options, progress=console.progress)
     _finish(step, bags, output, as_json)
 
 
@@ -68,8 +59,7 @@ def add(
     *,
     output: OptionalOut = None,
     force: Force = False,
-    method: Method = "implicit",
-    options: FitOptions,
+    options: FittingByMethod,
     data: Data = None,
     as_json: Json = False,
 ) -> None:
@@ -77,8 +67,8 @@ def add(
     from parallel_cal.session.steps import add
 
     start, dataset = read_model_and_data(model, bags, data)
-    asked = replace(options, method=method, insist=force)
-    step = add(start, effect, dataset, force, options=asked, progress=console.progress)
+    options = replace(options, insist=force)
+    step = add(start, effect, dataset, force, options=options, progress=console.progress)
     _finish(step, bags, output, as_json)
 
 
@@ -90,8 +80,7 @@ def remove(
     *,
     output: OptionalOut = None,
     force: Force = False,
-    method: Method = "implicit",
-    options: FitOptions,
+    options: FittingByMethod,
     data: Data = None,
     as_json: Json = False,
 ) -> None:
@@ -99,8 +88,8 @@ def remove(
     from parallel_cal.session.steps import remove
 
     start, dataset = read_model_and_data(model, bags, data)
-    asked = replace(options, method=method, insist=force)
-    step = remove(start, effect, dataset, force, options=asked, progress=console.progress)
+    options = replace(options, insist=force)
+    step = remove(start, effect, dataset, force, options=options, progress=console.progress)
     _finish(step, bags, output, as_json)
 
 

@@ -6,13 +6,13 @@ from parallel_cal.cli.arguments import (
     Also,
     Bags,
     Data,
+    Fitting,
     Json,
     ModelFile,
     Tested,
     with_options,
 )
 from parallel_cal.cli.calibration import read_model_and_data
-from parallel_cal.identification.options import FitOptions
 from parallel_cal.reporting import console
 
 
@@ -23,7 +23,7 @@ def diagnose(
     *,
     effect: Tested = None,
     also: Also = None,
-    options: FitOptions,
+    options: Fitting,
     data: Data = None,
     as_json: Json = False,
 ) -> None:

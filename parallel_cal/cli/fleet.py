@@ -7,9 +7,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from parallel_cal.cli.arguments import Also, Data, Json, Scheduler, Tested, Workers, with_options
+from parallel_cal.cli.arguments import (
+    Also,
+    Data,
+    Fitting,
+    Json,
+    Scheduler,
+    Tested,
+    Workers,
+    with_options,
+)
 from parallel_cal.cli.recordings import data_options
-from parallel_cal.identification.options import FitOptions
 from parallel_cal.reporting import console
 
 if TYPE_CHECKING:
@@ -32,7 +40,7 @@ def fleet(
     workers: Workers = None,
     effect: Tested = None,
     also: Also = None,
-    options: FitOptions,
+    options: Fitting,
     data: Data = None,
     as_json: Json = False,
 ) -> None:

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from parallel_cal.base.documents import to_json_value
-from parallel_cal.cli.arguments import Fix, Free, Json, ModelFile, Prior, patterns
+from parallel_cal.cli.arguments import Json, ModelFile, with_options
+from parallel_cal.planning.options import PlanOptions
 from parallel_cal.reporting import console
 from parallel_cal.reporting.readable import format_fixed, format_fixed_vector
 
@@ -19,25 +20,12 @@ if TYPE_CHECKING:
 ARCMIN = 60 * 180 / math.pi
 
 
+@with_options
 def plan(
     model: ModelFile,
+    *,
     poses: Annotated[int, typer.Option(min=1, help="number of poses to measure")],
-    criterion: Annotated[
-        str, typer.Option(help="prediction, D, A, condition or noise_amplification")
-    ] = "prediction",
-    method: Annotated[
-        str, typer.Option(help="exchange or annealing [default: the one for the criterion]")
-    ] = "",
-    pool: Annotated[
-        int, typer.Option(min=1, help="number of candidate poses in the workspace")
-    ] = 1000,
-    symmetric: Annotated[
-        bool, typer.Option("--symmetric", help="choose triples of poses, 120 deg apart about z")
-    ] = False,
-    free: Free = None,
-    fix: Fix = None,
-    prior: Prior = False,
-    seed: Annotated[int, typer.Option(min=0, help="seed of the candidates")] = 0,
+    options: PlanOptions,
     output: Annotated[
         Path | None,
         typer.Option("-o", "--output", help="file for the poses (.csv) or the whole plan (.yaml)"),
@@ -56,19 +44,7 @@ def plan(
         console.note(
             f"{model} states no noise of the joints or the device: typical values are assumed"
         )
-    found = planning.plan(
-        known,
-        poses,
-        criterion=criterion,
-        method=method,
-        pool=pool,
-        symmetric=symmetric,
-        free=patterns(free),
-        fix=patterns(fix),
-        prior=prior,
-        seed=seed,
-        progress=console.progress,
-    )
+    found = planning.plan(known, poses, options, console.progress)
     console.progress("", 1.0)
     document = found.document()
     console.warn(found.warnings)

@@ -11,18 +11,17 @@ from parallel_cal.cli.arguments import (
     Bags,
     Data,
     EffectName,
+    FittingByMethod,
     Fix,
     Force,
     Free,
     Json,
-    Method,
     ModelFile,
     Out,
     patterns,
     with_options,
 )
 from parallel_cal.cli.recordings import data_options
-from parallel_cal.identification.options import FitOptions
 from parallel_cal.reporting import console
 
 if TYPE_CHECKING:
@@ -71,20 +70,16 @@ def new(
     model: ModelFile,
     bags: Bags,
     *,
-    method: Method = "implicit",
-    options: FitOptions,
+    options: FittingByMethod,
     data: Data = None,
     as_json: Json = False,
 ) -> None:
     """Start a session with a model and recordings. The options apply to every step."""
-    from dataclasses import replace
-
     from parallel_cal.model.file.modelfile import read_model
     from parallel_cal.session.session import Session
 
-    asked = replace(options, method=method)
     reading = data_options(data)
-    session = Session.new(folder, read_model(model), bags, reading=reading, fitting=asked)
+    session = Session.new(folder, read_model(model), bags, reading=reading, fitting=options)
     if as_json:
         return console.emit(session.document())
     console.say(

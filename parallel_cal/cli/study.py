@@ -10,6 +10,7 @@ import typer
 from parallel_cal.cli.arguments import (
     Also,
     Data,
+    Fitting,
     Json,
     ModelFile,
     Scheduler,
@@ -18,7 +19,6 @@ from parallel_cal.cli.arguments import (
 )
 from parallel_cal.cli.kinematics import At
 from parallel_cal.cli.recordings import data_options
-from parallel_cal.identification.options import FitOptions
 from parallel_cal.reporting import console
 
 if TYPE_CHECKING:
@@ -98,7 +98,7 @@ def power(
     seed: Seed = 0,
     scheduler: Scheduler = None,
     workers: Workers = None,
-    options: FitOptions,
+    options: Fitting,
     data: Data = None,
     output: Annotated[
         Path,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from parallel_cal.base.errors import ParallelCalError
-from parallel_cal.cli.arguments import Data, with_options
+from parallel_cal.cli.arguments import Data, Fitting, with_options
 from parallel_cal.cli.recordings import data_options
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.reporting import console
@@ -49,7 +49,7 @@ def workbench(
     port: Annotated[int, typer.Option(help="port on which the server listens")] = 8080,
     token: Annotated[str, typer.Option(help="secret that visitors need; required by --host")] = "",
     browser: Annotated[bool, typer.Option("--open/--no-open", help="open a browser")] = True,
-    options: FitOptions,
+    options: Fitting,
     data: Data = None,
 ) -> None:
     """Open the live page: see where the model fails, add the missing effect, check the error."""

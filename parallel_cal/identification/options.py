@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, TypedDict
 
 from parallel_cal.base.errors import FitError
+from parallel_cal.base.options import option
 
 if TYPE_CHECKING:  # the command line shows its help without numpy
     from parallel_cal.identification.prior import Prior
+
+
+# Options that a measurement plan has, too.
+FREE = option("free parameters that match PATTERN; the narrower of --free and --fix wins")
+FIX = option("fix parameters that match PATTERN")
+PRIOR = option("use tolerances as priors of all parameters, not only of weakly determined ones")
 
 
 @dataclass(frozen=True)
@@ -49,14 +56,31 @@ class FitOptions:
         If `hold_out` is negative.
     """
 
-    method: str = "implicit"
-    free: Sequence[str] = ()
-    fix: Sequence[str] = ()
-    refit: Sequence[str] = ()
-    hold_out: float = 0.25
-    joint_sigma: float | None = None
-    prior: bool | Prior | None = None
-    loss: str = "linear"
+    method: str = field(default="implicit", metadata=option("identification method"))
+    free: Sequence[str] = field(default=(), metadata=FREE)
+    fix: Sequence[str] = field(default=(), metadata=FIX)
+    refit: Sequence[str] = field(
+        default=(),
+        metadata=option(
+            "fit only parameters that match PATTERN; keep the others and their covariance"
+        ),
+    )
+    hold_out: float = field(
+        default=0.25,
+        metadata=option(
+            "share of poses held out in each fold; 0.001: one pose at a time, 0: none",
+            min=0.0,
+            max=0.5,
+        ),
+    )
+    joint_sigma: float | None = field(
+        default=None, metadata=option("noise of the joint readings, 1 sigma (rad or m)", min=0.0)
+    )
+    prior: bool | Prior | None = field(default=None, metadata=PRIOR)
+    loss: str = field(
+        default="linear",
+        metadata=option("linear, or robust to outliers: huber, soft_l1, cauchy, arctan"),
+    )
     seed: int = 0
     insist: bool = False
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypedDict
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,82 +21,16 @@ from parallel_cal.kinematics.solutions import concatenate_solutions
 from parallel_cal.model.model import Model
 from parallel_cal.planning.approach import Approaches
 from parallel_cal.planning.expectation import Expectation, View
+from parallel_cal.planning.options import PlanKeywords, PlanOptions
 from parallel_cal.planning.posepool import Pool, given_pool, make_pool
-from parallel_cal.planning.selection import CRITERIA, LINEAR, SelectionProblem, anneal, exchange
+from parallel_cal.planning.selection import SelectionProblem, anneal, exchange
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-POOL = 1000
 N_VALIDATION_POSES = 200
 RANDOM_SETS = 21
-METHODS = ("exchange", "annealing")
 PLACE = ("x", "y", "z", "qx", "qy", "qz", "qw")  # columns of a pose in a file
-
-
-class PlanKeywords(TypedDict, total=False):
-    """The fields of PlanOptions as keyword arguments."""
-
-    criterion: str
-    method: str
-    pool: int | Solutions
-    symmetric: bool
-    free: Sequence[str]
-    fix: Sequence[str]
-    prior: bool
-    seed: int
-
-
-@dataclass(frozen=True)
-class PlanOptions:
-    """Options of a measurement plan.
-
-    Parameters
-    ----------
-    criterion : str
-        `prediction` (mean pose variance over the workspace), `D`, `A`, `condition` or
-        `noise_amplification`. Default `prediction`.
-    method : str
-        `exchange` or `annealing`; `condition` and `noise_amplification` need `annealing`.
-        Default: `exchange` if the criterion allows it.
-    pool : int or Solutions
-        Number of poses to draw, or the poses to choose from.
-    symmetric : bool
-        Whether poses are chosen in sets of three, 120 degrees about z apart. Default False.
-    free, fix : sequence of str
-        As in FitOptions. Default none.
-    prior : bool
-        As in FitOptions. Default False.
-    seed : int
-        Seed of the draws. Default 0.
-
-    Raises
-    ------
-    FitError
-        If the criterion or the method is unknown, or they do not fit together.
-    """
-
-    criterion: str = "prediction"
-    method: str = ""
-    pool: int | Solutions = POOL
-    symmetric: bool = False
-    free: Sequence[str] = ()
-    fix: Sequence[str] = ()
-    prior: bool = False
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        if self.criterion not in CRITERIA:
-            raise FitError(f"no criterion '{self.criterion}'; there are {', '.join(CRITERIA)}")
-        if self.chosen_method not in METHODS:
-            raise FitError(f"no method '{self.method}'; there are {', '.join(METHODS)}")
-        if self.chosen_method == "exchange" and self.criterion not in LINEAR:
-            raise FitError(f"criterion '{self.criterion}' needs the method annealing")
-
-    @property
-    def chosen_method(self) -> str:
-        """The method; by default the one for the criterion."""
-        return self.method or ("exchange" if self.criterion in LINEAR else "annealing")
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,8 @@ from typing import Any
 
 import numpy as np
 
-LINEAR = ("D", "A", "prediction")  # criteria that a small update of the inverse gives
-SPECTRAL = ("condition", "noise_amplification")
-CRITERIA = (*LINEAR, *SPECTRAL)
+from parallel_cal.planning.options import LINEAR
+
 MAX_SWEEPS = 20
 MIN_RELATIVE_GAIN = 1e-6  # of an exchange, relative: smaller ones only swap equals
 
