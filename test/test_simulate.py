@@ -138,8 +138,11 @@ def test_a_workspace_out_of_reach_is_a_clear_error():
 def test_an_effect_is_written_as_name_and_numbers():
     assert parse_effect("backlash") == ("backlash", {})
     assert parse_effect("a.b:width=3e-4, joint1.x=-1") == ("a.b", {"width": 3e-4, "joint1.x": -1.0})
-    for bad in ("backlash:width", "backlash:=1", "backlash:width=much", "backlash:width=nan"):
-        with pytest.raises(ModelError, match="expected NAME:param=value"):
+    for bad in ("backlash:width", "backlash:=1"):
+        with pytest.raises(ModelError, match="expected NAME:key=value"):
+            parse_effect(bad)
+    for bad in ("backlash:width=much", "backlash:width=nan"):
+        with pytest.raises(ModelError, match=r"width is '(much|nan)', expected a number"):
             parse_effect(bad)
 
 

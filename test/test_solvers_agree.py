@@ -74,7 +74,7 @@ def test_a_solver_gives_newtons_answer_or_refuses(solver, name):
         if name in served:
             assert apart(solve(model, *given, {}, solver=solver), expected) < 1e-7
         else:
-            with pytest.raises(SolveError, match=r"newton|this solver has none"):
+            with pytest.raises(SolveError, match=r"newton|option 'steps=3': newton has none"):
                 solve(model, *given, {}, solver=solver)
 
 
@@ -102,9 +102,12 @@ def test_a_complete_search_does_not_prefer_a_tilted_platform_that_is_nearer_to_h
     [
         ("cascaded:half_steps=0", "expected 1 or more"),
         ("cascaded:half_steps=x", "half_steps=3, rough=False"),
-        ("fixed_newton:slow", "solver option 'slow'"),
-        ("homotopy:steps=3", "has none"),
-        ("newton:steps=3", "this solver has none"),
+        (
+            "fixed_newton:slow",
+            "solver 'fixed_newton:slow': expected NAME:key=value",
+        ),
+        ("homotopy:steps=3", "option 'steps=3': homotopy has none"),
+        ("newton:steps=3", "option 'steps=3': newton has none"),
     ],
 )
 def test_an_option_that_cannot_be_is_refused(option, words):

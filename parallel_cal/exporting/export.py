@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from inspect import signature
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import ModuleType
@@ -14,6 +13,7 @@ import numpy as np
 
 from parallel_cal.base.errors import ModelError
 from parallel_cal.base.files import BACKUP_SUFFIX, write_atomically
+from parallel_cal.base.options import convert_options, split_options
 from parallel_cal.base.threads import single_threaded
 from parallel_cal.exporting.editing import edit_files, format_settings, read_verbatim
 from parallel_cal.exporting.heights import BedHeights, bed_heights
@@ -77,11 +77,12 @@ def export(
     >>> sorted(path.suffix for path in done.paths)
     ['', '.c', '.c', '.csv', '.h']
     """
-    name, _, given = target.partition(":")
+    name, given = split_options(target, "target", ModelError)
     module, robot = load_module(SHELF, name), model.robot()
     made: dict[str, str] = {}
     if hasattr(module, "files"):
-        made = wrap_plugin_function(name, module.files)(robot, **_options(module.files, given))
+        options = convert_options(given, module.files, name, ModelError)
+        made = wrap_plugin_function(name, module.files)(robot, **options)
     elif given or not _holds(module, model):
         raise _refusal(name, module, model, given)
     result = ExportResult([])
@@ -178,12 +179,15 @@ def _holds(module: ModuleType, model: Model) -> bool:
     return model.mechanism.name in getattr(module, "HOLDS", ())
 
 
-def _refusal(name: str, module: ModuleType, model: Model, given: str = "") -> ModelError:
+def _refusal(
+    name: str, module: ModuleType, model: Model, given: Mapping[str, str] | None = None
+) -> ModelError:
     """Why a target cannot take a model, and which can."""
     if not hasattr(module, "HOLDS"):
         return ModelError(f"{name} is not an export target: it has no function files(model)")
     if given and _holds(module, model):
-        return ModelError(f"option '{given}': {name} has none")
+        key, value = next(iter(given.items()))
+        return ModelError(f"option '{key}={value}': {name} has none")
     others = [other for other in list_plugins(SHELF) if other not in (name, "urdf")]
     can = [other for other in others if _can_export(load_module(SHELF, other), model)]
     return ModelError(
@@ -240,17 +244,3 @@ def _write_files(folder: Path, made: Mapping[str, str]) -> list[Path]:
     for file, text in made.items():
         write_atomically(folder / file, text)
     return [folder / file for file in made]
-
-
-def _options(files: Any, given: str) -> dict[str, Any]:
-    """`name=delta,poses=100` as keyword arguments, of the types of the function's defaults."""
-    defaults = {k: p.default for k, p in list(signature(files).parameters.items())[1:]}
-    options = {}
-    for item in filter(None, given.split(",")):
-        key, _, value = (part.strip() for part in item.partition("="))
-        try:
-            options[key] = type(defaults[key])(value)
-        except (KeyError, ValueError):
-            words = ", ".join(f"{k}={v}" for k, v in defaults.items()) or "none"
-            raise ModelError(f"option '{item}': expected one of {words}") from None
-    return options

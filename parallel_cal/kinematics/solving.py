@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
-from inspect import signature
 from typing import Any
 
 import numpy as np
 
 from parallel_cal.base.errors import SolveError
+from parallel_cal.base.options import convert_options, split_options
 from parallel_cal.kinematics.all_solutions import direct_all, inverse_all
 from parallel_cal.kinematics.kinematics import Solutions
 from parallel_cal.kinematics.solutions import stack_solutions
@@ -94,7 +94,7 @@ def _load_solver(text: str, problem: str, every: bool) -> Callable[..., Solution
     a Python path; SolveError where it has none for this."""
     if every and not text:
         return direct_all if problem == "direct" else inverse_all
-    name, _, given = (text or "newton").partition(":")
+    name, given = split_options(text or "newton", "solver", SolveError)
     if "." not in name and name not in list_plugins(SHELF):
         raise SolveError(
             f"no solver '{name}'; there are {', '.join(list_plugins(SHELF))} "
@@ -108,27 +108,5 @@ def _load_solver(text: str, problem: str, every: bool) -> Callable[..., Solution
         raise SolveError(f"{name} finds one solution; --all needs another solver, such as newton")
     if solve is None:
         raise SolveError(f"{name} does not solve the {problem} problem; use newton")
-    return partial(wrap_plugin_function(name, solve), **_options(solve, given))
-
-
-def _options(solve: Callable[..., Solutions], given: str) -> dict[str, Any]:
-    """`half_steps=5,rough=true` as keyword arguments, of the types of the function's defaults."""
-    defaults = {p.name: p.default for p in signature(solve).parameters.values()}
-    known = {k: v for k, v in defaults.items() if isinstance(v, (bool, int, float, str))}
-    options = {}
-    for item in filter(None, given.split(",")):
-        key, _, value = (part.strip() for part in item.partition("="))
-        try:
-            options[key] = _parse_like(known[key], value)
-        except (KeyError, ValueError):
-            words = ", ".join(f"{k}={v}" for k, v in known.items())
-            expected = f"expected one of {words}" if words else "this solver has none"
-            raise SolveError(f"solver option '{item}': {expected}") from None
-    return options
-
-
-def _parse_like(default: Any, text: str) -> Any:
-    """Text as a value of the default's type; ValueError where it is none."""
-    if isinstance(default, bool):
-        return bool(("false", "true").index(text.lower()))
-    return type(default)(text)
+    options = convert_options(given, solve, name, SolveError)
+    return partial(wrap_plugin_function(name, solve), **options)

@@ -7,10 +7,11 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
-from math import isfinite
+from math import isfinite, nan
 from typing import Any, ClassVar
 
 from parallel_cal.base.errors import ModelError, wrap_plugin_error
+from parallel_cal.base.options import split_options
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 
@@ -208,15 +209,14 @@ def parse_effects(text: str) -> list[tuple[str, dict[str, float]]]:
 
 
 def parse_effect(text: str) -> tuple[str, dict[str, float]]:
-    """Parse `NAME[:param=value,...]` into name and parameters; ModelError for other text."""
-    name, _, numbers = text.partition(":")
-    given: dict[str, float] = {}
-    for item in filter(None, numbers.split(",")):
-        key, equals, value = item.partition("=")
+    """Parse `NAME[:key=value,...]` into name and parameters; ModelError for other text."""
+    name, given = split_options(text, "effect", ModelError)
+    numbers: dict[str, float] = {}
+    for key, value in given.items():
         try:
-            given[key.strip()] = float(value)
+            numbers[key] = float(value)
         except ValueError:
-            equals = ""
-        if not (equals and key.strip() and isfinite(given[key.strip()])):
-            raise ModelError(f"effect '{text}': expected NAME:param=value,..., found '{item}'")
-    return name.strip(), given
+            numbers[key] = nan
+        if not isfinite(numbers[key]):
+            raise ModelError(f"effect '{text}': {key} is '{value}', expected a number")
+    return name, numbers
