@@ -66,7 +66,8 @@ class Batch:
 
     def __init__(self, function: ca.Function, compile: bool = False):
         self.function = compile_function(function) if compile else function
-        self._many = _compile_mapped(function) if compile else None
+        # One library contains the function for one sample and for BATCH_SIZE samples.
+        self._many = _load_external(function, _map_function(function)) if compile else None
         self._chunks: dict[tuple[int, int, tuple[int, ...]], _Chunk] = {}
         self._lock = Lock()
 
@@ -77,7 +78,9 @@ class Batch:
         room = -(-n // self.SIZES[-1]) * self.SIZES[-1]
         out = [np.empty((room, self.function.numel_out(i))) for i in range(self.function.n_out())]
         with self._lock:
-            cores = min(_cores(), n // MIN_SAMPLES_PER_CORE)
+            # OMP_NUM_THREADS limits the threads here as in other libraries.
+            allowed = os.environ.get("OMP_NUM_THREADS") or len(os.sched_getaffinity(0))
+            cores = min(int(allowed), n // MIN_SAMPLES_PER_CORE)
             if cores < 2:
                 self._evaluate_range(0, given, out, 0, n)
             else:
@@ -98,23 +101,21 @@ class Batch:
     def _evaluate_range(
         self, core: int, given: list[np.ndarray], out: list[np.ndarray], begin: int, end: int
     ) -> None:
-        """The samples from `begin` to `end`, through this core's own buffers."""
+        """Evaluate the samples from `begin` to `end` with the buffers of this core."""
+        f = self.function
         shared = tuple(i for i, a in enumerate(given) if a.ndim == 1)
         while begin < end:
             size = next((s for s in self.SIZES if end - begin >= s), self.SIZES[-1])
             key = core, size, shared
             if key not in self._chunks:
-                self._chunks[key] = _Chunk(self._get_mapped_function(size, shared))
+                if self._many is not None and (size, shared) == (BATCH_SIZE, (f.n_in() - 1,)):
+                    many = self._many
+                else:
+                    many = f.map(f"many{size}", "serial", size, list(shared), [])
+                self._chunks[key] = _Chunk(many)
             rows = [a if a.ndim == 1 else _rows(a, begin, size) for a in given]
             self._chunks[key](rows, [a[begin : begin + size] for a in out])
             begin += size
-
-    def _get_mapped_function(self, size: int, shared: tuple[int, ...]) -> ca.Function:
-        """The function of so many samples at once."""
-        f = self.function
-        if self._many is not None and (size, shared) == (BATCH_SIZE, (f.n_in() - 1,)):
-            return self._many
-        return f.map(f"many{size}", "serial", size, list(shared), [])
 
 
 class _Chunk:
@@ -141,11 +142,6 @@ def _rows(array: np.ndarray, begin: int, size: int) -> np.ndarray:
     return padded
 
 
-def _cores() -> int:
-    """How many threads may compute: as with every library, the variable says so, or the system."""
-    return int(os.environ.get("OMP_NUM_THREADS") or len(os.sched_getaffinity(0)))
-
-
 def dense(name: str, inputs: Sequence[ca.SX], outputs: Sequence[ca.SX]) -> ca.Function:
     """Create a function with dense outputs; share common parts if it is small."""
     plain = ca.Function(name, list(inputs), [ca.densify(o) for o in outputs])
@@ -159,12 +155,8 @@ def compile_function(function: ca.Function) -> ca.Function:
     return _load_external(function, function)
 
 
-def _compile_mapped(function: ca.Function) -> ca.Function:
-    """It for many samples at once, from the same library; the last argument is theirs together."""
-    return _load_external(function, _map_function(function))
-
-
 def _map_function(function: ca.Function) -> ca.Function:
+    """Map the function over BATCH_SIZE samples, which share its last argument."""
     name = f"{function.name()}_many"
     return function.map(name, "serial", BATCH_SIZE, [function.n_in() - 1], [])
 
@@ -174,7 +166,9 @@ def _load_external(function: ca.Function, wanted: ca.Function) -> ca.Function:
     if os.environ.get("PARALLEL_CAL_COMPILE") == "never":
         return wanted
     try:
-        library = cache_folder() / f"{_fingerprint(function)}.so"
+        text = f"{ca.__version__} {os.uname().machine} {FLAGS} {function.serialize()}"
+        fingerprint = hashlib.sha256(text.encode()).hexdigest()[:32]
+        library = cache_folder() / f"{fingerprint}.so"
         if not library.exists():
             _compile(function, library)
         return ca.external(wanted.name(), str(library))
@@ -199,8 +193,3 @@ def _compile(function: ca.Function, library: Path) -> None:
         command = [compiler, *FLAGS, f"{folder}/code.c", "-o", str(built), "-lm"]
         subprocess.run(command, check=True, capture_output=True, timeout=120)
         built.replace(library)  # atomic: another process never loads half a library
-
-
-def _fingerprint(function: ca.Function) -> str:
-    text = f"{ca.__version__} {os.uname().machine} {FLAGS} {function.serialize()}"
-    return hashlib.sha256(text.encode()).hexdigest()[:32]

@@ -48,8 +48,16 @@ def write_atomically(path: str | Path, text: str, like: str | Path | None = None
     target = Path(path).resolve()
     if target.exists() and not target.is_file():
         raise OSError(errno.EINVAL, "it is not a regular file", str(path))
+    model = Path(like or target)
+    if model.exists():
+        permissions = stat.S_IMODE(model.stat().st_mode)
+    else:
+        # A new file gets what the user's mask allows; the mask can only be read by setting it.
+        mask = os.umask(0)
+        os.umask(mask)
+        permissions = 0o666 & ~mask
     try:
-        _replace(target, text, _permissions(Path(like or target)))
+        _replace(target, text, permissions)
     except OSError as error:  # it names the part that nobody asked for
         raise OSError(error.errno, error.strerror, str(path)) from None
     _sync_folder(target.parent)
@@ -127,15 +135,6 @@ def _replace(target: Path, text: str, permissions: int) -> None:
         with contextlib.suppress(FileNotFoundError):
             os.unlink(name)
         raise
-
-
-def _permissions(target: Path) -> int:
-    """Return the permissions of the file, or those that the user's mask gives a new file."""
-    if target.exists():
-        return stat.S_IMODE(target.stat().st_mode)
-    mask = os.umask(0)
-    os.umask(mask)
-    return 0o666 & ~mask
 
 
 def _sync_folder(folder: Path) -> None:

@@ -44,8 +44,8 @@ def split_options(
     Raises
     ------
     ParallelCalError
-        The given kind of it, for an option without a key or without `=`. The message calls the text a
-        `kind`, such as "effect".
+        The given kind of it, for an option without a key or without `=`. The message calls the
+        text a `kind`, such as "effect".
     """
     name, _, options = text.partition(":")
     given: dict[str, str] = {}

@@ -103,19 +103,19 @@ def with_options(command: Callable[..., None]) -> Callable[..., None]:
         values = {field.name: _field_value(field, given.pop(field.name)) for field in offered}
         command(**given, options=kind(**values))
 
-    added = [_parameter(kind, field) for field in offered]
+    added = []
+    for field in offered:
+        default = {bool: False, list[str]: None}.get(type_of(field), field.default)
+        # The type exists at run time only.
+        hint = Annotated[type_of(field), option_of(kind, field.name)]  # type: ignore[valid-type]
+        added.append(
+            Parameter(field.name, Parameter.KEYWORD_ONLY, default=default, annotation=hint)
+        )
     shown = [each for p in own.values() for each in (added if p.name == "options" else [p])]
     with_all.__name__, with_all.__doc__ = command.__name__, command.__doc__
     # Typer reads the signature from this attribute.
     with_all.__signature__ = Signature(shown)  # type: ignore[attr-defined]
     return with_all
-
-
-def _parameter(kind: type, field: Field[Any]) -> Parameter:
-    given = type_of(field)
-    default = {bool: False, list[str]: None}.get(given, field.default)
-    annotation = Annotated[given, option_of(kind, field.name)]  # type: ignore[valid-type]
-    return Parameter(field.name, Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
 
 
 def _field_value(field: Field[Any], given: Any) -> Any:

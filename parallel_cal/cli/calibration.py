@@ -109,7 +109,10 @@ def _finish(step: Step, bags: list[Path], output: Path | None, as_json: bool) ->
 
     written = {}
     if output is not None:
-        model = _with_files(step.model, bags)
+        # `export` finds the touches of a printer's bed again by the paths of the recordings.
+        *earlier, last = step.model.history
+        dataset = last["dataset"] | {"files": [path.as_posix() for path in bags]}
+        model = replace(step.model, history=(*earlier, last | {"dataset": dataset}))
         replace_model(model, output)
         written = {"output": str(output), "hash": model_hash(model)}
     console.progress("", 1.0)
@@ -121,16 +124,6 @@ def _finish(step: Step, bags: list[Path], output: Path | None, as_json: bool) ->
     console.say(text.show(step))
     if written:
         console.say(f"written: {output} (sha256 {written['hash'][:12]})")
-
-
-def _with_files(model: Model, bags: list[Path]) -> Model:
-    """Record the paths of the recordings in the last step of the model's history.
-
-    `export` uses them to find the touches of a printer's bed again.
-    """
-    *earlier, last = model.history
-    dataset = last["dataset"] | {"files": [path.as_posix() for path in bags]}
-    return replace(model, history=(*earlier, last | {"dataset": dataset}))
 
 
 def compare(

@@ -108,13 +108,20 @@ def inverse(
 
     from parallel_cal.cli.tables import inverse_table
     from parallel_cal.kinematics import answers, solving
+    from parallel_cal.model.mechanism import POSE
 
     robot, conditions = _read_robot_and_conditions(model, at)
     if table is not None:
         return _output_table(*inverse_table(robot, table, conditions, solver), output, as_json)
     r = np.array(robot.mechanism.home.position if place is None else place)
     R = None if quaternion is None else answers.parse_rotation(quaternion)
-    _warn_of_unused(robot, {"position": place, "orientation": quaternion})
+    # The orientation of a Delta, for example, follows from its position.
+    axes = {"position": (place, POSE[:3]), "orientation": (quaternion, POSE[3:])}
+    console.warn(
+        f"{robot.mechanism.name} does not control its {kind}: the given {kind} is ignored"
+        for kind, (values, names) in axes.items()
+        if values is not None and not {*names} & {*robot.mechanism.controls}
+    )
     found = solving.inverse(robot, r, R, conditions, every, solver)
     known = answers.inverse_covariances(robot, found, conditions) if covariance else None
     _print_solutions(found, robot, known, partial(_joint_sigma, robot), as_json)
@@ -154,21 +161,6 @@ def _read_robot_and_conditions(path: Path, at: list[str] | None) -> tuple[Model,
     if unused:
         console.warn([f"no effect of the model depends on {', '.join(unused)}"])
     return model, conditions
-
-
-def _warn_of_unused(model: Model, given: dict[str, list[float] | None]) -> None:
-    """Warn of given coordinates that the mechanism does not control.
-
-    The orientation of a Delta, for example, follows from its position.
-    """
-    from parallel_cal.model.mechanism import POSE
-
-    axes = {"position": {*POSE[:3]}, "orientation": {*POSE[3:]}}
-    console.warn(
-        f"{model.mechanism.name} does not control its {kind}: the given {kind} is ignored"
-        for kind, values in given.items()
-        if values is not None and not axes[kind] & {*model.mechanism.controls}
-    )
 
 
 def _print_solutions(

@@ -102,18 +102,13 @@ def join_option_values(arguments: Sequence[str]) -> list[str]:
             continue
         taking = _VALUE_CHECKS.get(argument)
         out.append(argument + "=" if taking else argument)
-    return [word[:-1] if word[:-1] in _VALUE_CHECKS else word for word in _split_conditions(out)]
-
-
-def _split_conditions(words: list[str]) -> list[str]:
-    """Split `--at=a=1 b=2` into two options."""
-    out: list[str] = []
-    for word in words:
-        if word.startswith("--at=") and " " in word:
-            out += [f"--at={item}" for item in word.removeprefix("--at=").split()]
+    joined: list[str] = []
+    for word in out:
+        if word.startswith("--at=") and " " in word:  # `--at=a=1 b=2` is two options
+            joined += [f"--at={item}" for item in word.removeprefix("--at=").split()]
         else:
-            out.append(word)
-    return out
+            joined.append(word[:-1] if word[:-1] in _VALUE_CHECKS else word)
+    return joined
 
 
 def _is_number(word: str) -> bool:

@@ -289,12 +289,12 @@ def sensors(as_json: Json = False) -> None:
         return console.emit({"sensors": rows})
     console.table(
         ("sensor", "options", "description"),
-        [(r["name"], _strip_defaults(r["options"]), r["physics"]) for r in rows],
+        [
+            # An option is listed as NAME=DEFAULT.
+            (r["name"], ", ".join(o.partition("=")[0] for o in r["options"]), r["physics"])
+            for r in rows
+        ],
     )
-
-
-def _strip_defaults(options: list[str]) -> str:
-    return ", ".join(option.partition("=")[0] for option in options)
 
 
 def _sensor_row(name: str) -> dict[str, Any]:

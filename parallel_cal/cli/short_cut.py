@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Any
 
 from parallel_cal.cli.arguments import (
@@ -72,17 +71,12 @@ def _show(document: dict[str, Any]) -> None:
         for k in document["loops"]
     ]
     console.table(header, rows)
-    _show_parameters(document["parameters"])
-    if "output" in document:
-        console.say(f"written: {document['output']} (sha256 {document['hash'][:12]})")
-
-
-def _show_parameters(parameters: Mapping[str, dict[str, Any]]) -> None:
     rows = []
-    for name, p in parameters.items():
+    for name, p in document["parameters"].items():
         if not p["fixed"]:
             value, unit = in_unit(p["value"], p["unit"])
             sigma, _ = in_unit(p["sigma"], p["unit"])
-            moved = format_fixed(p["moved_tolerances"])
-            rows.append((name, value, sigma, unit, moved))
+            rows.append((name, value, sigma, unit, format_fixed(p["moved_tolerances"])))
     console.table(("parameter", "value", "sigma", "unit", "moved [tolerances]"), rows)
+    if "output" in document:
+        console.say(f"written: {document['output']} (sha256 {document['hash'][:12]})")

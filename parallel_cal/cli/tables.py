@@ -64,7 +64,11 @@ def inverse_table(model: Model, path: Path, at: Conditions, solver: str) -> tupl
     r = np.tile(model.mechanism.home.position, (n, 1))
     if "x" in table.header:
         r = _columns(table, POSITION)
-    R = _rotations(table) if "qw" in table.header else None
+    R = None
+    if "qw" in table.header:
+        q = _columns(table, QUATERNION)
+        q[np.linalg.norm(q, axis=1) < 1e-9] = np.nan  # no rotation: the row gets a status
+        R = quaternion_to_matrix(q)
     conditions = _conditions(model, table, at)
     good = _find_finite_rows(r if R is None else np.hstack([r, R.reshape(n, 9)]), conditions)
     found = _make_invalid_solutions(model, good)
@@ -109,12 +113,6 @@ def _insert_solutions(found: Solutions, some: Solutions, good: np.ndarray) -> So
     for part in ("joints", "position", "rotation", "residual", "status"):
         getattr(found, part)[good] = getattr(some, part)
     return replace(found, message=some.message)
-
-
-def _rotations(table: Table) -> np.ndarray:
-    q = _columns(table, QUATERNION)
-    q[np.linalg.norm(q, axis=1) < 1e-9] = np.nan
-    return quaternion_to_matrix(q)
 
 
 def _conditions(model: Model, table: Table, at: Conditions) -> dict[str, np.ndarray]:

@@ -147,8 +147,11 @@ class Session(History):
     def choose(self, progress: Progress | None = None, **options: Any) -> State:
         """Fit again with other options from here on: free, fix, prior, loss, ..."""
         fitting = {**self.state.fitting, **{key: to_json_value(v) for key, v in options.items()}}
-        words = ", ".join(f"{key} {_format_value(value)}" for key, value in options.items())
-        return self._refit(words, progress, fitting=fitting)
+        words = [
+            f"{key} {', '.join(v) or 'none' if isinstance(v, (list, tuple)) else v}"
+            for key, v in options.items()
+        ]
+        return self._refit(", ".join(words), progress, fitting=fitting)
 
     def _refit(self, words: str, progress: Progress | None, **changes: Any) -> State:
         data = self._select_counted(changes.get("excluded", self.state.excluded))
@@ -172,9 +175,12 @@ class Session(History):
         paths = [*self.record.recordings, str(file)]
         data = load_sessions(paths, reading, joints=self.model.joints)
         before = self.samples if self.recordings else data
-        kept = {
-            n: why for n, why in self.state.excluded.items() if _is_same_sample(before, data, n)
-        }
+        kept: dict[int, str] = {}
+        for n, why in self.state.excluded.items():
+            # The number means another sample if the joint readings differ.
+            q = [samples.q[samples.numbers == n] for samples in (before, data)]
+            if len(q[0]) and np.array_equal(*q):
+                kept[n] = why
         changes = {"taken": str(file.relative_to(self.folder)), "excluded": kept}
         return self._append_state(f"take {len(data)} samples", None, **changes)
 
@@ -263,16 +269,6 @@ def _collect_changes(options: Any, usual: Any) -> dict[str, Any]:
     """Options that differ from the defaults, for JSON."""
     given = {field.name: getattr(options, field.name) for field in dataclasses.fields(options)}
     return {key: to_json_value(v) for key, v in given.items() if v != getattr(usual, key)}
-
-
-def _format_value(value: Any) -> str:
-    return ", ".join(value) or "none" if isinstance(value, (list, tuple)) else str(value)
-
-
-def _is_same_sample(one: Dataset, other: Dataset, number: int) -> bool:
-    """Whether two datasets mean the same sample by a number."""
-    q = [d.q[d.numbers == number] for d in (one, other)]
-    return bool(len(q[0]) and np.array_equal(*q))
 
 
 def _format_numbers(samples: Any) -> str:

@@ -174,18 +174,13 @@ def _with_given_model_of(result: FitResult, rival: FitResult) -> FitResult:
 def _explain_doubt(scene: Scene, one: Candidate) -> str:
     """Explain why an effect that lowers the error may be wrong: the device may cause it, or an
     effect of the device explains it better; empty if neither is likely."""
-    device = _device(scene)
+    names = [n for n in list_effects_to_test(scene.model) if load_effect(n).of_device]
+    device = [candidate(scene, name) for name in names]
     if find_doubtful_effects(scene, [one], device):
         return robot_or_device(one.name)
     better = [c.name for c in device if is_clearly_better(c, one)]
     words = f"{' and '.join(better)} explains the error clearly better than '{one.name}'"
     return f"{words} (see diagnose)" if better else ""
-
-
-def _device(scene: Scene) -> list[Candidate]:
-    """Score the effects of the measuring device."""
-    names = [n for n in list_effects_to_test(scene.model) if load_effect(n).of_device]
-    return [candidate(scene, name) for name in names]
 
 
 @single_threaded()
@@ -271,22 +266,16 @@ def _step(
         entry["effect"] = effect
     document = result.document()
     entry |= {key: document[key] for key in ("method", "samples", "dataset")}
-    entry |= _unusual(result)
+    # What differs from least squares of all free parameters on all samples.
+    unusual = {
+        "loss": result.options.loss if result.options.loss != "linear" else None,
+        "refit": list(result.refitted_parameters),
+        "down_weighted": [doubted.sample for doubted in result.down_weighted],
+        "registered": result.registration.description if result.registration else None,
+    }
+    entry |= {key: value for key, value in unusual.items() if value}
     if found.against:
         entry["forced"] = found.against
     entry |= {key: document[key] for key in ("before", "after", "held_out", "chi2_per_dof")}
     model = replace(result.model, history=(*result.model.history, entry))
     return Step(name, model, result, found, rival)
-
-
-def _unusual(result: FitResult) -> dict[str, Any]:
-    """Collect what differs from least squares of all free parameters on all samples."""
-    loss = result.options.loss if result.options.loss != "linear" else None
-    samples = [doubted.sample for doubted in result.down_weighted]
-    how: dict[str, Any] = {
-        "loss": loss,
-        "refit": list(result.refitted_parameters),
-        "down_weighted": samples,
-    }
-    how["registered"] = result.registration.description if result.registration else None
-    return {key: value for key, value in how.items() if value}
