@@ -1,4 +1,4 @@
-"""CasADi functions on NumPy arrays without conversions, and their compiled C, cached."""
+"""Call CasADi functions on NumPy arrays in place, and compile them to cached machine code."""
 
 from __future__ import annotations
 
@@ -20,12 +20,11 @@ from parallel_cal.base.files import cache_folder
 log = logging.getLogger(__name__)
 
 BATCH_SIZE = 512  # samples that one call of compiled code takes
-MIN_SAMPLES_PER_CORE = 10_000  # samples that are worth a core of their own
-MAX_INSTRUCTIONS_FOR_CSE = (
-    10_000  # instructions: looking for common ones would take longer than it saves
-)
-# Without `interposition` CasADi's x * x and |x| stay calls of functions that others might replace.
-# Without `contract` a loop may round a product differently from the same code outside it.
+MIN_SAMPLES_PER_CORE = 10_000  # with fewer samples, another thread costs more than it saves
+# In a larger function the search for common subexpressions takes longer than it saves.
+MAX_INSTRUCTIONS_FOR_CSE = 10_000
+# -fno-semantic-interposition lets the compiler inline CasADi's helpers for x * x and |x|.
+# -ffp-contract=off makes a loop round a product exactly as the same code outside it.
 FLAGS = ("-O2", "-fPIC", "-shared", "-fno-semantic-interposition", "-ffp-contract=off")
 
 
@@ -151,7 +150,7 @@ def dense(name: str, inputs: Sequence[ca.SX], outputs: Sequence[ca.SX]) -> ca.Fu
 
 
 def compile_function(function: ca.Function) -> ca.Function:
-    """The function as machine code from the cache or the C compiler; itself without one."""
+    """Return the function as machine code; unchanged if it cannot be compiled or loaded."""
     return _load_external(function, function)
 
 
@@ -162,7 +161,7 @@ def _map_function(function: ca.Function) -> ca.Function:
 
 
 def _load_external(function: ca.Function, wanted: ca.Function) -> ca.Function:
-    """What is wanted of the function's library; itself where none can be had."""
+    """Return `wanted` from the compiled library of `function`; unchanged if there is none."""
     if os.environ.get("PARALLEL_CAL_COMPILE") == "never":
         return wanted
     try:
@@ -173,7 +172,7 @@ def _load_external(function: ca.Function, wanted: ca.Function) -> ca.Function:
             _compile(function, library)
         return ca.external(wanted.name(), str(library))
     except (OSError, RuntimeError, subprocess.SubprocessError) as error:
-        # No compiler, no home, no right, a cache from another machine.
+        # No compiler, no home folder, no permission, or a cache from another machine.
         log.info("no compiled code for %s (%s); CasADi's virtual machine is used", wanted, error)
         return wanted
 

@@ -1,6 +1,5 @@
-"""The one level at which anything is called more than chance."""
+"""The significance level of all tests and intervals."""
 
-SIGNIFICANCE_LEVEL = 0.01  # p-value of what is significant; a band holds the other 99 %
-SIGMAS_AT_SIGNIFICANCE_LEVEL = (
-    2.5758  # of a normal number: beyond, on either side, lies half of that chance
-)
+SIGNIFICANCE_LEVEL = 0.01  # p-value; an interval holds the other 99 %
+# A normally distributed number lies outside +-2.5758 sigma with this probability.
+SIGMAS_AT_SIGNIFICANCE_LEVEL = 2.5758

@@ -1,4 +1,4 @@
-"""From typed results to documents."""
+"""Convert results to JSON documents."""
 
 from __future__ import annotations
 
@@ -30,6 +30,6 @@ def to_json_value(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {str(key): to_json_value(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        # Numbers by the ten thousand: a call for each would cost more than all the rest.
+        # A list may hold ten thousands of numbers: a call for each would take most of the time.
         return [v if type(v) is float and math.isfinite(v) else to_json_value(v) for v in value]
     return value

@@ -1,6 +1,7 @@
-"""The errors that users of the package see; inside, failure is data (a status per sample).
+"""The errors that users of the package see.
 
-Every message names the file, key, topic or sample, the value, what was expected and what to do.
+Inside the package, a sample that cannot be solved has a status; it raises no error. Every message
+names the file, key, topic or sample, the value, what was expected and what to do.
 """
 
 import traceback
@@ -28,11 +29,11 @@ class ModelFileError(ParallelCalError):
 
 
 class ModelError(ParallelCalError):
-    """A model is put together wrongly: unknown mechanism, effect, parameter or condition."""
+    """A model is composed wrongly: unknown mechanism, effect, parameter or condition."""
 
 
 def wrap_plugin_error(name: str, error: Exception) -> ModelError:
-    """Return a one-line error with place for what a user's mechanism or effect raised."""
+    """Return a one-line error that names the place where a user's plug-in failed."""
     if isinstance(error, ParallelCalError):
         return ModelError(f"{name}: {error}")
     frames = traceback.extract_tb(error.__traceback__)
@@ -49,7 +50,7 @@ def format_suggestion(word: str, known: list[str]) -> str:
 
 
 class SolveError(ParallelCalError):
-    """A direct or inverse problem cannot be posed (unsolved samples are a status, not this)."""
+    """A direct or inverse problem cannot be posed; an unsolved sample has a status instead."""
 
 
 class FitError(ParallelCalError):

@@ -1,4 +1,4 @@
-"""Files: read when they are plain and of a sane size, written whole or not at all."""
+"""Read regular files of limited size, and write files atomically."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 MEGABYTE = 1 << 20
-BACKUP_SUFFIX = ".previous"  # behind the name of a file that was replaced
+BACKUP_SUFFIX = ".previous"  # appended to the name of a file that was replaced
 
 
 def read_text(
@@ -26,7 +26,8 @@ def read_text(
     A pipe or a device could block or never end: it raises OSError, as does a file that is too
     large. UnicodeDecodeError if the file is not text.
     """
-    # Opened before it is looked at, so that nobody exchanges it between; a pipe opens at once.
+    # Open the file before checking it, so that another process cannot exchange it in between.
+    # With O_NONBLOCK, opening a pipe does not wait for a writer.
     handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     with os.fdopen(handle, "rb") as stream:
         state = os.fstat(handle)
@@ -42,8 +43,8 @@ def read_text(
 def write_atomically(path: str | Path, text: str, like: str | Path | None = None) -> None:
     """Replace a file in one step: a reader sees the old or the new text, even after a power cut.
 
-    Permission bits of an existing file are kept, or are those of the file `like`; a symbolic link
-    keeps its target. OSError, with the file's own name, if the folder cannot be written.
+    The file gets the permission bits of the file `like`, by default its previous ones. A symbolic
+    link keeps its target. OSError with the name of the file if the folder cannot be written.
     """
     target = Path(path).resolve()
     if target.exists() and not target.is_file():
@@ -58,7 +59,7 @@ def write_atomically(path: str | Path, text: str, like: str | Path | None = None
         permissions = 0o666 & ~mask
     try:
         _replace(target, text, permissions)
-    except OSError as error:  # it names the part that nobody asked for
+    except OSError as error:  # it names the temporary file
         raise OSError(error.errno, error.strerror, str(path)) from None
     _sync_folder(target.parent)
 
@@ -76,8 +77,8 @@ def open_locked(path: Path) -> int | None:
 
 
 def append_lines(file: int, lines: Iterable[str]) -> None:
-    """Append lines, all of them or none, and be sure that they are on the disk; OSError where that
-    cannot be. A line that a crash cut off does not take the next one with it."""
+    """Append all lines or none, and flush them to the disk; OSError if that fails. If a crash cut
+    off the last line of the file, start a new line first."""
     end = os.lseek(file, 0, os.SEEK_END)
     cut = b"" if end == 0 or os.pread(file, 1, end - 1) == b"\n" else b"\n"
     text = cut + "".join(line + "\n" for line in lines).encode()
@@ -92,8 +93,8 @@ def append_lines(file: int, lines: Iterable[str]) -> None:
 
 
 def json_lines(path: str | Path, most: int) -> Iterator[dict[str, Any]]:
-    """What can be read of a file of JSON objects, one a line: a crash may have cut off its last, or
-    left there what is no text."""
+    """Yield the JSON objects of a file with one object per line. Skip damaged lines: a crash may
+    leave a line that is cut off or not text."""
     for line in read_text(path, most, errors="replace").splitlines():
         with contextlib.suppress(json.JSONDecodeError):
             said = json.loads(line)
@@ -102,7 +103,7 @@ def json_lines(path: str | Path, most: int) -> Iterator[dict[str, Any]]:
 
 
 def cache_folder() -> Path:
-    """Where things lie that can be made again."""
+    """Return the folder for files that can be computed again."""
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(base) / "parallel_cal"
 
@@ -113,7 +114,8 @@ def load_or_compute(sources: Iterable[Path], make: Callable[[], Any]) -> Any:
     for path in sources:
         digest.update(f"{path.name}\0".encode() + path.read_bytes())
     name = f"{digest.hexdigest()[:32]}.json"
-    with contextlib.suppress(OSError, RuntimeError, ValueError):  # not yet, no home, no document
+    with contextlib.suppress(OSError, RuntimeError, ValueError):
+        # Nothing stored yet, no home folder, or a damaged document.
         return json.loads(read_text(cache_folder() / name))
     document = make()
     with contextlib.suppress(OSError, RuntimeError):

@@ -1,4 +1,4 @@
-"""Warnings that are recognised again although the numbers in their words change."""
+"""Warnings with a key that stays the same while the numbers in their text change."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from __future__ import annotations
 class KeyedWarning(str):
     """The words of a warning, with a key: what `kind` of warning it is, and about which `subject`.
 
-    Words are for people. Whoever looks repeatedly compares `warning_key`, so that a count that
-    grows makes no new warning.
+    The words are for people. Code that looks repeatedly compares `warning_key`, so that a growing
+    count is not a new warning.
 
     Examples
     --------
@@ -27,7 +27,8 @@ class KeyedWarning(str):
 
 
 def warning_key(warning: str) -> tuple[str, str]:
-    """(kind, subject) of a warning; of one without a key its words, which hold no numbers."""
+    """Return (kind, subject) of a warning; of one without a key (words, ""), as these words contain
+    no numbers."""
     if isinstance(warning, KeyedWarning) and warning.kind:
         return warning.kind, warning.subject
     return str(warning), ""

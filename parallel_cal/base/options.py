@@ -25,7 +25,7 @@ def with_changes(
     Raises
     ------
     ParallelCalError
-        The given kind of it, for a name that is no option.
+        Of the class `error`, for an unknown option.
     """
     known = [field.name for field in fields(options)]  # type: ignore[arg-type]
     for name in changes:
@@ -44,7 +44,7 @@ def split_options(
     Raises
     ------
     ParallelCalError
-        The given kind of it, for an option without a key or without `=`. The message calls the
+        Of the class `error`, for an option without a key or without `=`. The message calls the
         text a `kind`, such as "effect".
     """
     name, _, options = text.partition(":")
@@ -60,13 +60,13 @@ def split_options(
 def convert_options(
     given: Mapping[str, str], function: Callable[..., Any], name: str, error: type[ParallelCalError]
 ) -> dict[str, Any]:
-    """Convert the values to keyword arguments, which have the types of the function's defaults.
+    """Convert texts to keyword arguments of a function, with the types of its defaults.
 
     Raises
     ------
     ParallelCalError
-        The given kind of it, for an unknown option and for a value of another type. The message
-        calls the function `name`.
+        Of the class `error`, for an unknown option or a value of another type. The message calls
+        the function `name`.
     """
     defaults = {p.name: p.default for p in signature(function).parameters.values()}
     known = {k: v for k, v in defaults.items() if isinstance(v, (bool, int, float, str))}

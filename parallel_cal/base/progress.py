@@ -1,11 +1,11 @@
-"""How long computations report their progress."""
+"""The progress reports of long computations."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
-# Called with the present stage in words and the completed share, 0 to 1. A callback may raise:
-# the work then ends with that exception, which is how it is cancelled.
+# Called with the present stage in words and the completed share, 0 to 1. To cancel the work, the
+# callback raises an exception, which ends the work.
 Progress = Callable[[str, float], None]
 
 

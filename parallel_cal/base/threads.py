@@ -1,6 +1,6 @@
 """Limit linear algebra to one thread: on small matrices a second thread costs more than it saves.
 
-It costs much more if other processes run: threads of OpenBLAS wait for each other by spinning,
+It costs much more while other processes run: threads of OpenBLAS wait for each other by spinning,
 and a solve of 0.1 ms then takes a whole time slice of the processor.
 """
 
@@ -12,12 +12,12 @@ from contextlib import contextmanager
 from threading import Lock
 from typing import Any
 
-# The number of threads belongs to the process, not to a Python thread: the first that comes in
-# limits it, and the last that goes out restores what was before.
+# The number of BLAS threads belongs to the process, not to a Python thread: the first caller limits
+# it, and the last one to leave restores it.
 _lock = Lock()
 _inside = 0
 _limits: list[Any] = []
-_modules = 0  # how many were loaded when libraries were last looked for
+_modules = 0  # number of loaded modules at the last search for BLAS libraries
 
 
 @contextmanager
@@ -37,7 +37,7 @@ def single_threaded() -> Iterator[None]:
 def _enter() -> None:
     global _inside, _modules
     with _lock:
-        # Modules that were loaded since, such as SciPy's, may have brought a BLAS of their own.
+        # Modules loaded since then, such as SciPy's, may have brought another BLAS.
         if not _inside or _modules != len(sys.modules):
             from threadpoolctl import threadpool_limits
 
@@ -55,14 +55,17 @@ def _leave() -> None:
         if _inside:
             return
         _let_any_thread_set_limits()
-        while _limits:  # the latest first: it found what earlier ones had limited
+        while _limits:  # the latest first: it recorded the limits that earlier ones had set
             _limits.pop().restore_original_limits()
         _let_any_thread_set_limits()
 
 
 def _let_any_thread_set_limits() -> None:
-    """From 3.8 on threadpoolctl ignores, without a word, all threads but the first that set a
-    limit. Who restores ours may be another one; the lock keeps them from setting it at once."""
+    """Let the present thread set limits.
+
+    Since version 3.8, threadpoolctl silently ignores every thread except the first that set a
+    limit, but another thread may restore ours. The lock of the callers prevents conflicts.
+    """
     from threadpoolctl import OpenBLASController
 
     if hasattr(OpenBLASController, "clear_controlling_thread"):

@@ -39,7 +39,7 @@ class WorkCancelled(ParallelCalError):
 
 
 class WorkError(ParallelCalError):
-    """A piece of work failed, or its process ended."""
+    """A piece of work failed, or its process crashed."""
 
 
 class Worker:
@@ -55,11 +55,11 @@ class Worker:
         self._turn, self._ended = Lock(), False
         self._process: subprocess.Popen[bytes] | None = None
         self._pipe: Connection | None = None
-        self.ended_early = 0  # processes that were ended, or ended by themselves, before their work
+        self.ended_early = 0  # number of processes that ended before their work did
 
     def _start(self) -> None:
         self._pipe, theirs = Pipe()
-        # The same path as here, and nothing of the folder that this process happens to stand in.
+        # The new process imports from the same folders, not from the working folder.
         code = (
             f"import sys; sys.path[:] = {sys.path!r}; from {__name__} import serve; "
             f"serve({theirs.fileno()}, {self._memory})"
@@ -107,12 +107,12 @@ class Worker:
             except WorkError:
                 raise
             except BaseException as error:
-                left = isinstance(error, (EOFError, OSError))  # its end, not ours
-                how = self._kill(patience=1.0 if left else 0.0)
+                crashed = isinstance(error, (EOFError, OSError))  # the process ended by itself
+                how = self._kill(patience=1.0 if crashed else 0.0)
                 self.ended_early += 1
                 if not self._ended:
                     self._start()
-                if left:
+                if crashed:
                     raise WorkError("the node is shutting down" if self._ended else how) from None
                 raise
 
@@ -153,18 +153,18 @@ class Worker:
         self._pipe.close()
         with suppress(subprocess.TimeoutExpired):
             self._process.wait(patience)
-        with_status = self._process.returncode
+        status = self._process.returncode
         self._process.kill()
         self._process.wait()
         self._process = None
-        if with_status is None:
+        if status is None:
             return "the process that did the work was stopped"
-        if with_status < 0:
-            return f"the process that did the work crashed ({signal.Signals(-with_status).name})"
-        return f"the process that did the work ended with status {with_status}"
+        if status < 0:  # minus the number of the signal
+            return f"the process that did the work crashed ({signal.Signals(-status).name})"
+        return f"the process that did the work ended with status {status}"
 
     def end(self) -> None:
-        """Stop at once, whatever it does; a waiting caller gets a WorkError."""
+        """Stop the process at once; a waiting caller gets a WorkError."""
         self._ended = True
         process = self._process
         if process is not None:
@@ -175,8 +175,8 @@ class Worker:
 
 
 def serve(descriptor: int, memory: int | None) -> None:
-    """Run in the process: do the work from the pipe until the other process is gone."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the one that ends its worker
+    """Do the work from the pipe until the parent process is gone; this runs in the new process."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C and ends its worker
     os.nice(NICENESS_INCREMENT)
     pipe = Connection(descriptor)
     parent = os.getppid()
@@ -213,7 +213,7 @@ def _execute(
 
 
 def _exit_with_parent(parent: int) -> None:
-    """Exit if the parent is gone: a process that was killed cannot say so."""
+    """Exit when the parent is gone: a killed parent cannot send a message."""
     while os.getppid() == parent:
         time.sleep(0.5)
     os._exit(1)

@@ -137,7 +137,7 @@ def _box(text: str) -> list[float]:
 
 
 def print_status(status: Any, last: list[str]) -> None:
-    """Print a line on stderr for every pose and every change of state."""
+    """Print a line on stderr for every new pose and state. `last` holds the previous line."""
     error = ""
     if not math.isnan(status.error_unseen):
         error = f", validation error {1e6 * status.error_unseen:.0f} um"

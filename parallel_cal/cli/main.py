@@ -13,7 +13,7 @@ from parallel_cal import __version__
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.reporting import console
 
-# The module of each command in this folder, and its function if the name differs.
+# The module of each command, and its function if that has another name.
 COMMANDS = {
     "new": "models",
     "mechanisms": "models",

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from parallel_cal.model.model import Model
     from parallel_cal.model.sensor import Sensor
 
-PARAMETER_FIELDS = "name unit nominal tolerance group label".split()  # of a parameter
+PARAMETER_FIELDS = ("name", "unit", "nominal", "tolerance", "group", "label")
 
 Option = Annotated[
     list[str] | None, typer.Option(metavar="KEY=VALUE", help="option of the mechanism")
@@ -127,7 +127,7 @@ def parse_options(options: list[str] | None) -> dict[str, Any]:
 
 
 def _with_set_ups(model: Model, items: list[str]) -> Model:
-    """Add the sensors; options that are not given keep the values of the controller's set-up."""
+    """Add the sensors; omitted options keep the values of the controller's configuration."""
     own = {sensor.name: sensor for sensor in model.sensors}
     for item in items:
         changed = _sensor(item, {name: one.options for name, one in own.items()})
@@ -138,7 +138,7 @@ def _with_set_ups(model: Model, items: list[str]) -> Model:
 def _sensor(item: str, known: Mapping[str, Mapping[str, Any]]) -> Sensor:
     """Parse `probe: {height: 0.3}`: a sensor and its options as in a model file (YAML).
 
-    Options that are not given have the values in `known`, by the name of the sensor.
+    Omitted options have the values in `known`, by the name of the sensor.
     """
     from parallel_cal.model.file.sensoroptions import read_sensor
     from parallel_cal.model.file.yamltext import parse_yaml
@@ -181,7 +181,7 @@ def mechanisms(
 
 
 def _print_mechanism(name: str, options: list[str], as_json: bool) -> None:
-    """Print its parameters, and how many of those of a complete model they are (eq. 3.3)."""
+    """Print the parameters, and how many a complete model has (eq. 3.3)."""
     from parallel_cal.identification.completeness import compute_completeness
     from parallel_cal.reporting.readable import in_unit
 

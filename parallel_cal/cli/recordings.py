@@ -132,7 +132,8 @@ def replay(
 def data_options(items: list[str] | None) -> ReadOptions:
     """Parse `--data KEY=VALUE`: the topic of a channel, measures, stamps, mode, ...
 
-    `channels` lists the Python paths of your own channels, before their topics are named.
+    `channels=PATH,...` registers your own channels by their Python paths. It comes before the
+    options that name their topics.
     """
     from parallel_cal.recordings.channels import CHANNELS, register_channels
     from parallel_cal.recordings.options import ReadOptions

@@ -116,7 +116,7 @@ def _insert_solutions(found: Solutions, some: Solutions, good: np.ndarray) -> So
 
 
 def _conditions(model: Model, table: Table, at: Conditions) -> dict[str, np.ndarray]:
-    """Return the conditions; columns of the table override those of the command line."""
+    """Return the conditions; columns of the table override values from the command line."""
     columns = {k: table.column(k) for k in table.header if k in model.conditions}
     return {**{name: np.array(value) for name, value in at.items()}, **columns}
 
@@ -128,7 +128,10 @@ def _select_rows(conditions: Conditions, good: np.ndarray) -> dict[str, np.ndarr
 
 
 def _text(table: Table, names: Sequence[str], values: np.ndarray, found: Solutions) -> str:
-    """Format the given cells, the solution, its residual (m) and status; bad rows keep cells."""
+    """Format the given cells, the solution, its residual (m) and its status as CSV.
+
+    A row that is not solved keeps its cells.
+    """
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow([*table.header, *names, "residual", "status"])

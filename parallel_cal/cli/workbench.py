@@ -109,7 +109,7 @@ def _prepare_session(
     data: list[str] | None,
     ros: bool,
 ) -> None:
-    """Use the session in the folder, or start a new one."""
+    """Check the session in the folder, or start a new one."""
     from parallel_cal.session.history import FILE, History
 
     if (folder / FILE).exists():

@@ -37,8 +37,8 @@ Tell = Callable[[str, float, float], None]  # stage, fraction, mean position err
 
 @dataclass(frozen=True)
 class Request:
-    """What to identify and how, with one more `effect` if one is named, and the output file;
-    `force` writes a model that is not proven better, too."""
+    """What to fit, how, and where to write the model. `effect` is the name of an effect to add;
+    `force` writes the model even if it is not proven better."""
 
     model_file: str
     output_file: str
@@ -49,9 +49,12 @@ class Request:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Outcome of a goal: a sentence, a document, the new or best model as the `text` of a model
-    file, and its hash and path once it is written. `means` are mean position errors in m: before,
-    after, and both at held-out poses; NaN if not known."""
+    """Outcome of a goal: a sentence and a document.
+
+    `text` is the new or best model as a model file; `hash` and `path` are set once it is written.
+    `means` are mean position errors in m: before, after, and both at held-out poses; NaN if not
+    known.
+    """
 
     success: bool
     message: str
@@ -69,7 +72,7 @@ class Outcome:
 
 
 def propose_model(request: Request, dataset: Dataset, tell: Tell | None = None) -> Outcome:
-    """Identify a model file on samples: a success may be `written`, a failure is a message."""
+    """Fit a model file to samples. `write_proposal` writes a success; a failure is a message."""
     position_error = math.nan
 
     def report(stage: str, fraction: float) -> None:
@@ -81,7 +84,7 @@ def propose_model(request: Request, dataset: Dataset, tell: Tell | None = None) 
         model = read_model(request.model_file)
         seen = observe(model, dataset, request.options.joint_sigma, request.options.insist)
         position_error = _or_nan(errors(model, seen).summary.position_mean)
-        # Whether it may be written is judged later, as a message.
+        # Force the step here: `_make_outcome` decides whether its model may be written.
         how: dict[str, Any] = {"force": True, "options": request.options, "progress": report}
         if request.effect:
             step = add(model, request.effect, dataset, **how)
@@ -99,7 +102,7 @@ def _or_nan(value: float | None) -> float:
 
 
 def _make_outcome(request: Request, step: Step) -> Outcome:
-    """Make the outcome of a step: what will be written, or why nothing is."""
+    """Make the outcome of a step: the model to write, or the reason to write nothing."""
     reason, found = step.acceptance.against, step.result
     kinds = (found.before, found.after, found.held_out_before, found.held_out)
     means = tuple(_or_nan(kind.summary.position_mean) for kind in kinds)
@@ -113,7 +116,7 @@ def _make_outcome(request: Request, step: Step) -> Outcome:
 
 
 def write_proposal(request: Request, outcome: Outcome) -> Outcome:
-    """Write the proposed model and keep the previous file; a refused one stays refused."""
+    """Write the proposed model and back up the previous file; return a refusal unchanged."""
     if not outcome.success:
         return outcome
     replace_text(request.output_file, outcome.text)
@@ -139,7 +142,7 @@ def examine(
     options: FitOptions,
     tell: Callable[[str, float], None],
 ) -> Outcome:
-    """Diagnose a model file on samples; it writes nothing, and a failure is a message."""
+    """Diagnose a model file on samples and write nothing; a failure is a message."""
     done = 0.0
 
     def report(stage: str, fraction: float) -> None:

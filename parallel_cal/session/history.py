@@ -1,7 +1,7 @@
 """The folder of a session: its states as a tree, with undo, redo and branches.
 
 The folder contains `session.json`, replaced as a whole at every change, and the model file of each
-state. A state is never altered. The last state is there after a crash, too.
+state. A model and its samples never change in a state. The last state survives a crash.
 """
 
 from __future__ import annotations
@@ -77,14 +77,14 @@ class Record(_Part):
 
 
 class History:
-    """The folder of a calibration, without the mathematics: cheap to open and to follow."""
+    """The folder of a calibration without computations: cheap to open and to poll."""
 
     def __init__(self, folder: str | Path):
         """Open a session; SessionError if the folder has none, or an unreadable one."""
         self.folder = Path(folder)
         self.record = self._read()
 
-    # ------------------------------------------------------------------ what there is
+    # ------------------------------------------------------------------ contents
 
     @property
     def state(self) -> State:
@@ -92,7 +92,7 @@ class History:
 
     @property
     def recordings(self) -> list[str]:
-        """The recordings of the session, and the file of samples recorded since."""
+        """The recordings of the session, and the file of samples recorded since it began."""
         taken = [str(self.folder / self.state.taken)] if self.state.taken else []
         return [*self.record.recordings, *taken]
 
@@ -101,7 +101,7 @@ class History:
         return FitOptions(**{**self.record.fitting, **self.state.fitting})
 
     def history(self, branch: str | None = None) -> list[State]:
-        """The states from the beginning to a branch's last one."""
+        """Return the states of a branch, from the first to the last one."""
         state: State | None = self.record.states[self._head(branch or self.record.branch)]
         found: list[State] = []
         while state is not None:
@@ -110,12 +110,12 @@ class History:
         return found[::-1]
 
     def compared(self, branches: Sequence[str] = ()) -> dict[str, State]:
-        """The last state of several branches (by default all)."""
+        """Return the last state of each branch, or of the named ones."""
         names = branches or list(self.record.branches)
         return {name: self.record.states[self._head(name)] for name in names}
 
     def document(self) -> dict[str, Any]:
-        """The JSON document of `parallel-cal session`."""
+        """Return the JSON document of `parallel-cal session`."""
         return {
             "folder": str(self.folder),
             "branch": self.record.branch,
@@ -173,7 +173,7 @@ class History:
     # ------------------------------------------------------------------ on disk
 
     def record_verdict(self, at: State, verdict: str) -> None:
-        """Keep a verdict with the state it was found for."""
+        """Store a verdict with its state."""
         with self._lock_record() as record:
             states = list(record.states)
             states[at.number] = states[at.number].model_copy(update={"verdict": verdict})

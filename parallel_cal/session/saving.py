@@ -68,22 +68,22 @@ class Replacement:
 
     @property
     def key(self) -> str:
-        """Identifies both models and the findings: a confirmation is valid for nothing else."""
+        """A hash of both models and the reasons: a confirmation is valid for these only."""
         return model_hash("\n".join((self.model_hash, self.in_use_hash, *self.reasons)))
 
     @property
     def reasons(self) -> tuple[str, ...]:
-        """The objections, and the comparison where they do not contain it."""
+        """The objections, and the comparison if it is none of them."""
         more = (self.comparison,) if self.comparison else ()
         return (*more, *(one for one in self.objections if one != self.comparison))
 
     @property
     def is_in_use(self) -> bool:
-        """Whether the file contains this very model."""
+        """Whether the file contains this model already."""
         return self.model_hash == self.in_use_hash
 
     def document(self) -> dict[str, Any]:
-        """The part of `parallel-cal session save --json` about it; errors are SI."""
+        """Return its part of the document of `parallel-cal session save --json`; errors are SI."""
         known = (self.errors, self.in_use_errors)
         this, in_use = (None if e is None else e.document() for e in known)
         return {
@@ -94,7 +94,7 @@ class Replacement:
         }
 
     def entry(self) -> dict[str, Any]:
-        """The history's entry of a model that the owner insisted on."""
+        """Return the history entry of a model that the owner insisted on."""
         found = self.document()
         errors = {key: found[key] for key in ("errors", "in_use")}
         return {"step": "save", "forced": "; ".join(self.reasons), **errors}
@@ -115,9 +115,9 @@ def compare_with_model_in_use(
     options: FitOptions,
     file: Path,
 ) -> Replacement:
-    """Compare a session's model, that of `state`, with the model in `file` on the same samples.
+    """Compare the model of a session's `state` with the model in `file` on the same samples.
 
-    A reason why they cannot be compared is an objection, not an error.
+    If they cannot be compared, the reason is an objection, not an error.
     """
     own = model_hash(model)
     objections = list[str]()
@@ -198,7 +198,7 @@ def write_for_robot(model: Model, replacement: Replacement, insisted: bool) -> M
 
 
 def _hash_of(file: Path) -> str:
-    """sha256 (hex) of a file, "" if it is not readable."""
+    """Return the sha256 (hex) of a file, "" if it is not readable."""
     try:
         return model_hash(file.read_bytes()) if file.is_file() else ""
     except OSError:
@@ -215,8 +215,10 @@ def _is_text(file: Path) -> bool:
 
 @dataclass(frozen=True)
 class _Judged:
-    """Errors of a model at samples, `where` these samples come from, and `doubts` about its
-    parameters."""
+    """Errors of a model at samples, the origin of these samples, and doubts about its parameters.
+
+    `where` completes a sentence: "at held-out poses".
+    """
 
     errors: Errors
     where: str
@@ -226,8 +228,11 @@ class _Judged:
     def of(
         cls, model: Model, dataset: Dataset, options: FitOptions, fitted_to_these: bool
     ) -> _Judged:
-        """Errors at held-out poses if the model was fitted to exactly these samples, else those of
-        the unchanged model: a fit to few samples would make a good model look bad."""
+        """Judge a model: by errors at held-out poses if it was fitted to exactly these samples.
+
+        Otherwise by the errors of the unchanged model: a fit to few samples would make a good
+        model look bad.
+        """
         if not fitted_to_these:
             placed, _ = register_device(model, dataset, options.joint_sigma)
             found = errors(placed, observe(placed, dataset, options.joint_sigma))
@@ -240,7 +245,7 @@ class _Judged:
 
 
 def _fitted_datasets(model: Model) -> list[str]:
-    """sha256 of the data of every fit in a model's history, the last one last."""
+    """Return the sha256 of the data of every fit in a model's history, in order."""
     found = list[str]()
     for entry in model.history:
         data = entry.get("dataset")
@@ -250,7 +255,7 @@ def _fitted_datasets(model: Model) -> list[str]:
 
 
 def _at_common_samples(one: Errors, other: Errors) -> tuple[Summary, Summary]:
-    """Summaries over the samples at which both are known, for each kind."""
+    """Summarise each kind of error over the samples at which both models have it."""
     mine, theirs = one.parts(), other.parts()
     for kind in ERRORS:
         a, b = mine[kind], theirs[kind]
@@ -263,7 +268,7 @@ def _at_common_samples(one: Errors, other: Errors) -> tuple[Summary, Summary]:
 def _comparison(
     old: Summary, old_where: str, new: Summary, new_where: str, ratio: float | None
 ) -> str:
-    """`the model in use has an error of 37 um at ..., this model of 114 um at ...: ...`"""
+    """Format `the model in use has an error of 37 um at ..., this model of 114 um at ...: ...`."""
     if ratio is None:
         verdict = "it is not known which one is better"
     elif abs(ratio - 1) <= MAX_NEGLIGIBLE_ERROR_RISE:

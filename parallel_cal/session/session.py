@@ -32,7 +32,8 @@ from parallel_cal.session.saving import (
 from parallel_cal.session.steps import Step, add, fitted, remove
 
 CHANGED = "the session changed in the meantime: look at it and try again"
-JUDGED = ("before", "errors", "noise", "against", "verdict")  # what a state knows of its model
+# The fields of a state that judge its model.
+JUDGED = ("before", "errors", "noise", "against", "verdict")
 
 
 class Session(History):
@@ -42,7 +43,8 @@ class Session(History):
         """Open a session; SessionError if the folder has none, or an unreadable one."""
         super().__init__(folder)
         self._samples: dict[tuple[str, ...], Dataset] = {}
-        self._models: dict[str, Model] = {}  # by file, as they are kept: with what they compiled
+        # By file. A model is kept because it holds its compiled functions.
+        self._models: dict[str, Model] = {}
 
     @classmethod
     def new(
@@ -54,10 +56,9 @@ class Session(History):
         reading: ReadOptions | None = None,
         fitting: FitOptions | None = None,
     ) -> Session:
-        """Begin one with a model and recordings; SessionError where the folder has one already.
+        """Start a session with a model and recordings; SessionError if the folder has one already.
 
-        Options are those of every step that follows. Without a recording, samples are to be
-        `take`n.
+        The options apply to every step. Without recordings, `take` provides the samples.
         """
         target = Path(folder)
         if (target / FILE).exists():
@@ -65,7 +66,7 @@ class Session(History):
                 f"{target}: already holds a session; open it, or name another folder"
             )
         paths = [str(Path(path).resolve()) for path in recordings]
-        if paths:  # better said now than at the first step
+        if paths:  # report a bad recording now, not at the first step
             load_sessions(paths, reading, joints=model.joints)
         (target / "models").mkdir(parents=True, exist_ok=True)
         first = State(number=0, parent=None, step="begin", model="models/0.yaml")
@@ -80,7 +81,7 @@ class Session(History):
         write_atomically(target / FILE, record.model_dump_json(indent=1) + "\n")
         return cls(target)
 
-    # ------------------------------------------------------------------ what there is
+    # ------------------------------------------------------------------ contents
 
     @property
     def model(self) -> Model:
@@ -145,7 +146,7 @@ class Session(History):
         return self._refit(f"include {_format_numbers(samples)}", progress, excluded=kept)
 
     def choose(self, progress: Progress | None = None, **options: Any) -> State:
-        """Fit again with other options from here on: free, fix, prior, loss, ..."""
+        """Fit again with other options (free, fix, prior, loss, ...), which later steps keep."""
         fitting = {**self.state.fitting, **{key: to_json_value(v) for key, v in options.items()}}
         words = [
             f"{key} {', '.join(v) or 'none' if isinstance(v, (list, tuple)) else v}"
@@ -160,14 +161,14 @@ class Session(History):
         )
         step = fitted(self.model, data, True, options=options, progress=progress)
         if (start := self.state).errors:
-            # The model that it starts from knew these samples: its error at them proves nothing,
-            # and other samples or parameters are no reason to doubt it.
+            # The previous model was fitted to these samples, so its error at them proves nothing.
+            # Other samples or parameters are no reason to doubt the new one either.
             changes |= {"before": start.errors, "against": start.against}
         return self._commit(words, step, **changes)
 
     def take(self, write: Callable[[Path], None]) -> State:
-        """Store samples that `write` makes: those recorded since the session began. The model is
-        unchanged."""
+        """Store the samples recorded since the session began; `write` makes their file. The model
+        is unchanged."""
         file = self.folder / "samples" / f"{uuid4().hex}.json"
         file.parent.mkdir(exist_ok=True)
         write(file)
@@ -193,12 +194,13 @@ class Session(History):
         return found
 
     def signals(self, sample: int) -> Signals:
-        """The raw readings of a sample; DatasetError if they were not stored."""
+        """Return the raw readings of a sample; DatasetError if they were not stored."""
         reading = ReadOptions(**self.record.reading)
         return signals(self.samples, sample, self.recordings, reading)
 
     def plan(self, poses: int, progress: Progress | None = None) -> Path:
-        """Plan poses for the free parameters of this state: a CSV of m, quaternions and joints."""
+        """Plan poses for the free parameters of this state; return the path of their CSV file (m,
+        quaternions and joints)."""
         asked = self.options
         found = plan(
             with_noise(self.model), poses, progress=progress, free=asked.free, fix=asked.fix
@@ -266,7 +268,7 @@ class Session(History):
 
 
 def _collect_changes(options: Any, usual: Any) -> dict[str, Any]:
-    """Options that differ from the defaults, for JSON."""
+    """Return the options that differ from the usual ones, as JSON values."""
     given = {field.name: getattr(options, field.name) for field in dataclasses.fields(options)}
     return {key: to_json_value(v) for key, v in given.items() if v != getattr(usual, key)}
 

@@ -41,9 +41,11 @@ class StepKeywords(FitKeywords, total=False):
 
 @dataclass(frozen=True)
 class Step(ShownInNotebook):
-    """Outcome of a step (`fit`, `add`, `remove`): the model to write, with the step in its history,
-    and whether it may replace the old one. `rival` is the fit of the same samples without the added
-    effect, or with the removed one."""
+    """Outcome of a step (`fit`, `add`, `remove`).
+
+    The history of `model` contains the step. `acceptance` says whether it may replace the old
+    model. `rival` is the fit of the same samples without the added effect, or with the removed one.
+    """
 
     name: str
     model: Model
@@ -56,7 +58,7 @@ class Step(ShownInNotebook):
 
     @property
     def errors_to_beat(self) -> Summary:
-        """Validation errors that the step had to beat: of its rival, else of the given model."""
+        """Validation errors that the step had to beat: of its rival, or else of the given model."""
         rival = self.rival.held_out if self.rival else self.result.held_out_before
         return rival.summary
 
@@ -148,10 +150,10 @@ def add(
     for name, _ in asked:
         model.with_effect(name)  # report a wrong name before a search
     scene = Scene.of(base.model, base.dataset, base.observations, base.free)
-    # From where the base began, so that a device's frame lies where it was found there.
+    # Start where the base started, so that the device's frame is the one registered there.
     more, extended = list[Candidate](), base.start
     for name, settings in asked:
-        one = candidate(scene, name)  # with the settings that fit best to what the base leaves
+        one = candidate(scene, name)  # with the settings that fit the residuals of the base best
         more.append(replace(one, settings=settings or one.settings))
         extended = extended.with_effect(name, more[-1].settings)
     result = _with_given_model_of(fit(extended, base.dataset, **options), base)
@@ -166,14 +168,16 @@ def add(
 
 
 def _with_given_model_of(result: FitResult, rival: FitResult) -> FitResult:
-    """Compare a fit with another effect with the model that its rival started from."""
+    """Let a fit be compared with the model that its rival started from."""
     given = replace(rival.given, known_held_out=rival.held_out_before)
     return replace(result, given=given, registration=rival.registration)
 
 
 def _explain_doubt(scene: Scene, one: Candidate) -> str:
-    """Explain why an effect that lowers the error may be wrong: the device may cause it, or an
-    effect of the device explains it better; empty if neither is likely."""
+    """Explain why an effect that lowers the error may be wrong; empty if nothing suggests it.
+
+    The device may cause the error, or an effect of the device explains it clearly better.
+    """
     names = [n for n in list_effects_to_test(scene.model) if load_effect(n).of_device]
     device = [candidate(scene, name) for name in names]
     if find_doubtful_effects(scene, [one], device):
@@ -207,7 +211,7 @@ def remove(
     Returns
     -------
     Step
-        As of `add`; `step.rival` is the identification with the effect.
+        As for `add`; `step.rival` is the identification with the effect.
 
     Raises
     ------
@@ -260,7 +264,7 @@ def _step(
     rival: FitResult | None = None,
     effect: str | None = None,
 ) -> Step:
-    """Make the step; its model's history gets one more entry, without a date to be repeatable."""
+    """Make the step and add it to its model's history, without a date so that it is repeatable."""
     entry: dict[str, Any] = {"step": name}
     if effect is not None:
         entry["effect"] = effect
