@@ -24,6 +24,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 REPOSITORY = Path(__file__).parents[1]
+sys.path.insert(0, str(REPOSITORY / "test"))  # both_nodes
 RECORD = REPOSITORY / "docs" / "falling_error.json"
 PRESET, BAG = (
     REPOSITORY / p for p in ("config/delta_mockup_nominal.yaml", "bags/delta_gear_ripple")
@@ -39,12 +40,12 @@ UM = "\N{MICRO SIGN}m"
 
 def measure() -> dict[str, Any]:
     """Positions (m) measured and answered: nominal, identified, with the effect diagnosed."""
-    from parallel_cal.nodes.demo_nodes import DemoNodes
+    from both_nodes import BothNodes
 
     with tempfile.TemporaryDirectory() as folder:
         model_file = Path(shutil.copy(PRESET, Path(folder) / "robot.yaml"))
         nominal, parts = model_file.read_bytes(), []
-        with DemoNodes(model_file, BAG.parent) as session:
+        with BothNodes(model_file, BAG.parent) as session:
             session.load(BAG)
             diagnosis = json.loads(session.diagnose(0.25, quiet).json)
             for fold in range(FOLDS):

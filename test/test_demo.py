@@ -6,7 +6,6 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 from waits import children, wait_until
@@ -79,14 +78,3 @@ def test_without_ros_the_demo_says_so(capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "parallel_cal.nodes.calibrate", None)
     assert demo.main() == 1
     assert "ROS 2 is missing" in capsys.readouterr().err
-
-
-def test_all_visits_of_a_pose_are_kept_apart_together():
-    pytest.importorskip("parallel_cal_msgs")
-    from parallel_cal.nodes.demo_nodes import select_held_out
-
-    samples = [SimpleNamespace(id=i, replicate_of=-1) for i in range(1, 21)]
-    samples += [SimpleNamespace(id=i + 20, replicate_of=i) for i in range(1, 21)]
-    apart = {s.id for s in select_held_out(samples)}
-    assert len(apart) == 4
-    assert {i + 20 for i in apart if i <= 20} == {i for i in apart if i > 20}

@@ -8,6 +8,7 @@ import os
 import shutil
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from unittest import mock
 
 import numpy as np
@@ -19,6 +20,7 @@ pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy")
 pytest.importorskip("parallel_cal_msgs")
 
+from both_nodes import BothNodes, select_held_out
 from parallel_cal_msgs.action import Diagnose, Identify
 from parallel_cal_msgs.msg import CollectionStatus
 from parallel_cal_msgs.srv import AddEffect, Compare, ListSamples, LoadSamples
@@ -28,7 +30,6 @@ from visualization_msgs.msg import MarkerArray
 from parallel_cal.model.file.modelfile import model_hash, read_model
 from parallel_cal.model.shelf import load_effect
 from parallel_cal.nodes.client import Client, Process, use_private_domain
-from parallel_cal.nodes.demo_nodes import DemoNodes, select_held_out
 from parallel_cal.recordings.bag import list_topics
 from parallel_cal.recordings.loading import load_dataset
 
@@ -65,7 +66,7 @@ def environment():
 def started(name, folder):
     """Both nodes on a copy of the model that a user of this recording starts from."""
     model_file = Path(shutil.copy(REPOSITORY / truth(name)["baseline"], folder / "robot.yaml"))
-    return DemoNodes(model_file, REPOSITORY / "bags"), model_file
+    return BothNodes(model_file, REPOSITORY / "bags"), model_file
 
 
 def found(effects, expected):
@@ -348,3 +349,11 @@ def test_a_node_stopped_in_the_middle_of_its_work_ends_cleanly_and_writes_nothin
         else:
             adding(bench, "backlash")
     assert bench.model_file.read_bytes() == before
+
+
+def test_all_visits_of_a_pose_are_kept_apart_together():
+    samples = [SimpleNamespace(id=i, replicate_of=-1) for i in range(1, 21)]
+    samples += [SimpleNamespace(id=i + 20, replicate_of=i) for i in range(1, 21)]
+    apart = {s.id for s in select_held_out(samples)}
+    assert len(apart) == 4
+    assert {i + 20 for i in apart if i <= 20} == {i for i in apart if i > 20}

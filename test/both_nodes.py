@@ -1,4 +1,4 @@
-"""Both nodes, a replayed recording, and the questions put to them."""
+"""Start kinematics_node and calibration_node, replay a recording to them, and query them."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from parallel_cal.nodes.conversions import pose_numbers
 from parallel_cal.recordings.bag import list_topics
 
 Feedback = Callable[[str, float], None]
-HOLD_OUT_INTERVAL = 8  # one pose in so many is kept apart: the fit never sees it
-RESULT_TIMEOUT_S = 120.0  # s, for what takes some even on a quiet machine
+HOLD_OUT_INTERVAL = 8  # one pose in eight is held out of the fit
+RESULT_TIMEOUT_S = 120.0  # s for an action, which takes seconds even on a quiet machine
 
 
 @dataclass(frozen=True)
 class Answers:
-    """Poses that kinematics_node answered, r (n, 3) and R (n, 3, 3), beside those measured."""
+    """Samples and the poses that kinematics_node predicts for them: r (n, 3) and R (n, 3, 3)."""
 
     samples: list[Sample]
     r: np.ndarray
@@ -37,7 +37,7 @@ class Answers:
     model_hash: str
 
     def norms(self) -> dict[str, np.ndarray]:
-        """How far each answer (n,) is from the measurement: m and rad."""
+        """Return the position error [m] and the orientation error [rad] of each sample, (n,)."""
         r, R = _stack_poses([pose_numbers(sample.pose.pose) for sample in self.samples])
         turn = rotation_vector(R @ self.R.transpose(0, 2, 1))
         return {
@@ -46,13 +46,13 @@ class Answers:
         }
 
     def summarise_errors(self) -> dict[str, Any]:
-        """Their means, and the model that answered."""
+        """Return the mean errors and the hash of the model."""
         means = {f"{kind}_mean": float(n.mean()) for kind, n in self.norms().items()}
         return {**means, "model_hash": self.model_hash}
 
 
-class DemoNodes:
-    """kinematics_node and calibration_node on one model file; a context that ends them all."""
+class BothNodes:
+    """Run kinematics_node and calibration_node on one model file, within a `with` block."""
 
     def __init__(
         self,
@@ -60,19 +60,19 @@ class DemoNodes:
         recordings: Path,
         interrupted: Callable[[], bool] = lambda: False,
     ):
-        """`recordings` is the folder whose files calibration_node may be asked to load."""
+        """Let calibration_node load files from the folder `recordings`."""
         self.model_file, self._interrupted = model_file, interrupted
         folders = (model_file.parent, recordings)
         self._allowed = os.pathsep.join(str(folder.resolve()) for folder in folders)
         self._processes: list[Process] = []
 
-    def __enter__(self) -> DemoNodes:
+    def __enter__(self) -> BothNodes:
         self._namespace = use_private_domain()
-        with ExitStack() as self._open:  # whatever fails or is interrupted here, all is ended
+        with ExitStack() as self._open:  # a failure or an interrupt here ends all processes
             self._start("kinematics_node", model_file=str(self.model_file))
             given = {"model_file": str(self.model_file), "allowed_folders": self._allowed}
             self._start("calibration_node", journal=False, **given)
-            self._client = Client("demo", self._namespace, self._processes, self._interrupted)
+            self._client = Client("test", self._namespace, self._processes, self._interrupted)
             self._open.callback(self._client.close)
             status = "calibration_node/collection_status"
             self._status = self._client.subscribe_latest(CollectionStatus, status)
@@ -90,12 +90,12 @@ class DemoNodes:
         return process
 
     def hash_served(self) -> str:
-        """The hash of the model that kinematics_node answers with."""
+        """Return the hash of the model that kinematics_node uses."""
         self._client.wait(lambda: bool(self._model), "kinematics_node/model_status")
         return str(self._model[0].hash)
 
     def collect(self, bag: Path, messages: int, rate: float, hear: Feedback) -> CollectionStatus:
-        """Replay a recording; the status once all its readings and poses have been looked at."""
+        """Replay a recording; return the status once all its messages were received."""
         self._client.wait(lambda: bool(self._status), "calibration_node/collection_status")
         topics = [topic.name for topic in list_topics(bag)[0]]
         listeners = self._client.count_subscribers(topics)
@@ -111,7 +111,7 @@ class DemoNodes:
         return self._status[0]
 
     def samples(self) -> tuple[list[Sample], list[str]]:
-        """What was collected, and the order of the joints."""
+        """Return the collected samples and the order of their joints."""
         response = self._client.call(ListSamples, "calibration_node/list_samples")
         return list(response.samples), list(response.joint_names)
 
@@ -122,13 +122,13 @@ class DemoNodes:
                 raise NodeError(done.message)
 
     def load(self, path: Path) -> None:
-        """Replace the samples by those of a recording or a file."""
+        """Replace the samples by those of a recording or a file of samples."""
         done = self._client.call(LoadSamples, "calibration_node/load_samples", path=str(path))
         if not done.success:
             raise NodeError(done.message)
 
     def answers(self, samples: list[Sample], joints: list[str]) -> Answers:
-        """The poses that kinematics_node predicts for the samples, each under its conditions."""
+        """Query the pose that kinematics_node predicts for each sample under its conditions."""
         told = [self._answer(sample, joints) for sample in samples]
         poses = [pose_numbers(answer.results[0].solutions[0].pose) for answer in told]
         return Answers(samples, *_stack_poses(poses), told[-1].model_hash)
@@ -150,11 +150,11 @@ class DemoNodes:
         return answer
 
     def identify(self, hold_out: float, hear: Feedback) -> Identify.Result:
-        """The action's result; NodeError when it was refused."""
+        """Identify the parameters; raise NodeError if the action fails."""
         return self._run_goal(Identify, "identify", hear, hold_out=hold_out)
 
     def diagnose(self, hold_out: float, hear: Feedback) -> Diagnose.Result:
-        """The action's result; NodeError when there is none."""
+        """Diagnose the residuals; raise NodeError if the action fails."""
         return self._run_goal(Diagnose, "diagnose", hear, hold_out=hold_out)
 
     def _run_goal(self, type: Any, name: str, hear: Feedback, **goal: Any) -> Any:
@@ -170,14 +170,14 @@ class DemoNodes:
         return result
 
     def add_effect(self, effect: str) -> AddEffect.Response:
-        """The model with one more effect, written; NodeError when it was refused."""
+        """Add an effect to the model file; raise NodeError if that is refused."""
         done = self._client.call(AddEffect, "calibration_node/add_effect", effect=effect)
         if not done.success:
             raise NodeError(done.message)
         return done
 
     def wait_until_served(self, hash: str) -> float:
-        """Seconds until kinematics_node uses the model of that hash."""
+        """Wait until kinematics_node uses the model with this hash; return the time taken [s]."""
         begin = time.monotonic()
         self._client.wait(
             lambda: bool(self._model) and self._model[0].hash == hash,
@@ -187,12 +187,12 @@ class DemoNodes:
 
 
 def select_held_out(samples: Sequence[Any]) -> list[Any]:
-    """The samples of every eighth pose, all visits of it."""
+    """Select all replicates of every eighth pose."""
     pose = {s.id: s.id if s.replicate_of < 0 else s.replicate_of for s in samples}
     chosen = set(list(dict.fromkeys(pose.values()))[HOLD_OUT_INTERVAL // 2 :: HOLD_OUT_INTERVAL])
     return [s for s in samples if pose[s.id] in chosen]
 
 
 def _stack_poses(poses: list[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
-    """(n, 3) and (n, 3, 3)."""
+    """Stack positions to (n, 3) and rotations to (n, 3, 3)."""
     return np.array([r for r, _ in poses]), np.array([R for _, R in poses])
