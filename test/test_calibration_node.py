@@ -281,14 +281,14 @@ def test_no_request_overwrites_what_is_not_of_its_kind_or_lies_elsewhere(full):
     for path in (str(full.model_file), "/dev/null", str(full.folder / ".." / "x.json")):
         answer = full.call(SaveSamples, "save_samples", path=path)
         assert not answer.success
-        assert "no samples file" in answer.message or "allowed_folders" in answer.message
+        assert "not a samples file" in answer.message or "allowed_folders" in answer.message
     hidden = full.folder / ".bash_profile"
     answer = full.call(SaveSamples, "save_samples", path=str(hidden))
     assert f"{hidden}: a samples file's name must end in .json" in answer.message
     assert not answer.success
     assert not hidden.exists()
     result = full.identified(output_file=str(full.folder / "s.json"), force=True)
-    assert "no model file" in result.message
+    assert "not a model file" in result.message
     assert full.model_file.read_bytes() == before
     refused = full.call(AddEffect, "add_effect", effect="antigravity.effect")
     assert "allow_foreign_modules" in refused.message

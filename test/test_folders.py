@@ -42,7 +42,7 @@ def test_a_file_is_replaced_by_its_own_kind_only(folders, tmp_path):
         (other, "model"),
         (tmp_path / "in", "model"),
     ):
-        with pytest.raises(ParallelCalError, match=f"no {kind} file"):
+        with pytest.raises(ParallelCalError, match=f"not a {kind} file"):
             folders.to_write(str(path), kind)
 
 
@@ -51,7 +51,9 @@ def test_what_is_laid_aside_for_a_model_goes_nowhere_else_and_replaces_a_model_o
 ):
     model, aside = tmp_path / "in" / "m.yaml", tmp_path / "in" / "m.yaml.previous"
     model.write_text(MODEL), aside.write_text("mine")
-    with pytest.raises(ParallelCalError, match=r"m\.yaml\.previous: exists and is no model file"):
+    with pytest.raises(
+        ParallelCalError, match=r"m\.yaml\.previous: exists and is not a model file"
+    ):
         folders.to_write(str(model), "model")
     aside.unlink(), (tmp_path / "out" / "m.yaml").write_text(MODEL)
     aside.symlink_to(tmp_path / "out" / "m.yaml")
@@ -66,13 +68,13 @@ def test_what_is_laid_aside_for_a_model_goes_nowhere_else_and_replaces_a_model_o
         ("samples", "samples", r"must end in \.json"),
         ("samples.json.sh", "samples", r"must end in \.json"),
         ("robot.yaml", "samples", r"must end in \.json"),
-        (".profile.json", "samples", "begins with a dot"),
-        (".json", "samples", "begins with a dot"),
-        (".config/autostart/samples.json", "samples", "begins with a dot"),
+        (".profile.json", "samples", "begin with a dot"),
+        (".json", "samples", "begin with a dot"),
+        (".config/autostart/samples.json", "samples", "begin with a dot"),
         (".bash_profile", "model", r"must end in \.yaml or \.yml"),
         ("robot.json", "model", r"must end in \.yaml or \.yml"),
-        (".robot.yaml", "model", "begins with a dot"),
-        ("deep/.hidden/robot.yml", "model", "begins with a dot"),
+        (".robot.yaml", "model", "begin with a dot"),
+        ("deep/.hidden/robot.yml", "model", "begin with a dot"),
     ],
 )
 def test_a_file_that_a_shell_may_execute_is_refused_by_its_name(
@@ -91,7 +93,7 @@ def test_a_link_with_a_good_name_does_not_lead_to_a_hidden_file(folders, tmp_pat
         folders.to_write(str(tmp_path / "in" / "s.json"), "samples")
     (tmp_path / "in" / ".hidden").mkdir()
     (tmp_path / "in" / "open").symlink_to(tmp_path / "in" / ".hidden")
-    with pytest.raises(ParallelCalError, match="begins with a dot"):
+    with pytest.raises(ParallelCalError, match="begin with a dot"):
         folders.to_write(str(tmp_path / "in" / "open" / "s.json"), "samples")
 
 

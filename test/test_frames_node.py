@@ -66,7 +66,10 @@ def test_another_frame_without_a_transform_is_refused_where_the_samples_do_not_t
     with pytest.raises(DatasetError, match="frame 'tracker', the model's base is 'base'"):
         to_base_frame(samples, model, lambda target, source: None)
     there, said = to_base_frame(samples, model, lambda target, source: STANDS)
-    assert (there.frame, said) == ("base", "poses moved from 'tracker' to 'base' by TF (static)")
+    assert (there.frame, said) == (
+        "base",
+        "poses transformed from 'tracker' to 'base' by TF (static)",
+    )
 
 
 def test_a_tracker_s_frame_is_registered_by_the_samples_as_the_command_line_does_it():

@@ -46,7 +46,9 @@ class Folders:
         for one in (path, path + BACKUP_SUFFIX) if kind == "model" else (path,):
             there = Path(self.to_read(one))
             if os.path.lexists(there) and not _holds(there, MARKS[kind]):
-                raise ParallelCalError(f"{one}: exists and is no {kind} file; nothing was written")
+                raise ParallelCalError(
+                    f"{one}: exists and is not a {kind} file; nothing was written"
+                )
         named = self.to_read(path)
         self._check_name(path, named, kind)
         return named
@@ -63,8 +65,8 @@ class Folders:
         visible = [place for place in self._places(named) if not _is_hidden(place)]
         if names[0].startswith(".") or not visible:
             raise ParallelCalError(
-                f"{path}: a {kind} file must not be hidden, nor lie in a hidden folder: expected "
-                "no name that begins with a dot; nothing was written"
+                f"{path}: a {kind} file must not be hidden or lie in a hidden folder, so no name may "
+                "begin with a dot; nothing was written"
             )
 
     def _places(self, named: str) -> list[Path]:

@@ -54,17 +54,17 @@ def to_base_frame(
         age = "static" if found.age == 0.0 else f"{found.age:.1f} s old"
         return transform_dataset(
             dataset, found, base
-        ), f"poses moved from '{frame}' to '{base}' by TF ({age})"
+        ), f"poses transformed from '{frame}' to '{base}' by TF ({age})"
     _, registration = register_device(model, dataset, joint_sigma)
     if registration is not None:
         return dataset, registration.description
     if not frame:
         return dataset, ""
     raise DatasetError(
-        f"the poses are in frame '{frame}', the model's base is '{base}', no transform between "
-        "them is known, and these samples do not tell it: take more of them, publish it (TF, where "
-        f"tf2 is installed) or the poses in '{base}', name the frame in the model file "
-        f"(frames.base), or give the model the sensor {DEVICE_FRAME_SENSOR}"
+        f"the poses are in frame '{frame}', the model's base is '{base}': TF has no transform "
+        "between them, and these samples do not determine it. Take more samples, publish the "
+        f"transform (TF needs tf2) or the poses in '{base}', name the frame in the model file "
+        f"(frames.base), or add the sensor {DEVICE_FRAME_SENSOR} to the model"
     )
 
 
@@ -80,7 +80,9 @@ def transform_dataset(dataset: Dataset, by: Transform, frame: str) -> Dataset:
     or none of the position and of the rotation (DatasetError)."""
     for part in (dataset.measured[:, :3], dataset.measured[:, 3:]):
         if (part.any(axis=1) != part.all(axis=1)).any():
-            raise DatasetError("single coordinates were measured: they cannot be moved by TF")
+            raise DatasetError(
+                "single coordinates were measured: TF transforms only whole positions and rotations"
+            )
     turn = np.zeros((6, 6))
     turn[:3, :3] = turn[3:, 3:] = by.R
     placed, turned = dataset.measured[:, :1], dataset.measured[:, 3, None, None]

@@ -214,11 +214,13 @@ class Streams:
         served = self._get_served_model()
         model, frame = served.model, message.header.frame_id
         if frame and frame != model.frames["base"]:
-            raise SolveError(f"frame_id '{frame}', expected '{model.frames['base']}' or none")
+            raise SolveError(
+                f"frame_id '{frame}', expected '{model.frames['base']}' or an empty one"
+            )
         r, R = controlled_pose(model, *pose_numbers(message.pose))
         start = self._memory.joints(model)
         if start is None:
-            raise SolveError("no joint state was heard yet: where the robot is is not known")
+            raise SolveError("no joint state received yet: the position of the robot is unknown")
         found = joints_for(served, self._memory, r, R)
         asked, crossing, least = (
             self._node.get_parameter(name).value
@@ -231,7 +233,7 @@ class Streams:
         status.status = CommandStatus.ACCEPTED
         if way.seconds > asked:
             status.status = CommandStatus.SLOWED
-            status.message = f"{seconds:.3g} s in place of {asked:.3g}: {way.why}"
+            status.message = f"{seconds:.3g} s instead of {asked:.3g} s: {way.why}"
             self._tally.add("target_pose", "slowed", status.message)
         point = JointTrajectoryPoint(positions=found.joints.tolist())
         point.time_from_start = Duration(seconds=seconds).to_msg()

@@ -117,7 +117,7 @@ class Watch:
             raise NodeError(f"{CALIBRATION} in {self.namespace} does not answer: is it running?")
         future = self._save.call_async(SaveSamples.Request(path=str(path)))
         if not _wait_for(future.done):
-            raise NodeError(f"{CALIBRATION} has not saved its samples in {TIMEOUT_S:.0f} s")
+            raise NodeError(f"{CALIBRATION} did not save its samples within {TIMEOUT_S:.0f} s")
         if not future.result().success:
             raise NodeError(f"{CALIBRATION}: {future.result().message}")
 
@@ -141,11 +141,11 @@ class Watch:
         stamp, self._told = message.header.stamp, None
         self._target.publish(message)
         if not _wait_for(lambda: self._told is not None and self._told.stamp == stamp):
-            raise NodeError(f"{KINEMATICS} does not say what became of the target")
+            raise NodeError(f"{KINEMATICS} did not report on the target within {TIMEOUT_S:.0f} s")
         told = self._told
         assert told is not None
         words = {
-            CommandStatus.ACCEPTED: f"sent, {told.time_from_start:.1f} s",
+            CommandStatus.ACCEPTED: f"sent, takes {told.time_from_start:.1f} s",
             CommandStatus.SLOWED: f"sent, slowed to {told.time_from_start:.1f} s: {told.message}",
         }
         return words.get(told.status, f"refused: {told.message}")
@@ -170,14 +170,15 @@ class Watch:
             try:
                 process.check()
             except ParallelCalError as error:
-                yield f"{error}; start this page again, the session and all samples are saved"
+                yield f"{error}. Start this page again; the session and all samples are saved"
         for node in (KINEMATICS, CALIBRATION):
             heard = self._heard.get(node)
             if heard is None:
                 yield f"no messages from {self.namespace.rstrip('/')}/{node}: is it running?"
             elif now - heard > NODE_TIMEOUT_S:
-                again = "" if self._processes else f": if it ended, ros2 run parallel_cal {node}"
-                yield f"{node} is silent since {now - heard:.0f} s{again}"
+                again = f". If it ended, start it again: ros2 run parallel_cal {node}"
+                advice = "" if self._processes else again
+                yield f"{node} has been silent for {now - heard:.0f} s{advice}"
 
     # ------------------------------------------------------------------ what is heard
 
