@@ -1,4 +1,4 @@
-"""Nodes as processes, and a small client that calls their services and actions."""
+"""Start nodes as processes, and call their services and actions."""
 
 from __future__ import annotations
 
@@ -23,27 +23,30 @@ from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.nodes.parameters import LATCHED
 
 KINEMATICS, CALIBRATION = "kinematics_node", "calibration_node"
-TIMEOUT_S = 30.0  # s for anything that takes less than one on a quiet machine
-RESEND_INTERVAL_S = 5.0  # s without word of a goal
+TIMEOUT_S = 30.0  # s for an answer that takes less than 1 s on a machine without other load
+RESEND_INTERVAL_S = 5.0  # s without an answer, after which a goal is sent again
 
 
 class NodeError(ParallelCalError):
     """A node did not start, died, or did not answer in time."""
 
 
-# Run in a node's process: it ends as by Ctrl-C when whoever started it is gone, however that ended.
+# Run in the process of a node: it interrupts the node when the process that started it has ended,
+# even if that process was killed.
 NO_ORPHAN = """
 import os, signal, sys, threading
 def follow():
-    os.read(0, 1)  # our end of its input is closed with us
+    os.read(0, 1)  # returns when the starter's end of the pipe is closed
     os.kill(os.getpid(), signal.SIGINT)
 threading.Thread(target=follow, daemon=True).start()
 """
 
 
 class Process:
-    """A node of this package in a process of its own; its output goes to a file. Ctrl-C in the
-    terminal is for whoever started it, who ends it when its work is done."""
+    """A node of this package in its own process, with its output in a file.
+
+    Ctrl-C in the terminal does not reach the node: the process that started it must call `end`.
+    """
 
     def __init__(self, node: str, folder: Path, namespace: str, **parameters: Any):
         self.node, self.log = node, folder / f"{node}.log"
@@ -62,21 +65,21 @@ class Process:
             )
 
     def check(self) -> None:
-        """NodeError with its last line when it failed."""
+        """Raise NodeError with the last line of its output if the node failed."""
         if self.status and self.status < 0:
             raise NodeError(f"{self.node} was ended by {signal.Signals(-self.status).name}")
         if self.status:
             lines = self.log.read_text(errors="replace").split("\n")
-            said = next((line for line in reversed(lines) if line.strip()), "no output")
-            raise NodeError(f"{self.node} ended with status {self.status}: {said.strip()}")
+            last = next((line for line in reversed(lines) if line.strip()), "no output")
+            raise NodeError(f"{self.node} ended with status {self.status}: {last.strip()}")
 
     @property
     def status(self) -> int | None:
-        """Its exit status; None while it runs."""
+        """The exit status; None while the node runs."""
         return self._process.poll()
 
     def end(self) -> int:
-        """Ask it to end as Ctrl-C does, insist after a while; its exit status."""
+        """Interrupt the node, kill it after TIMEOUT_S, and return its exit status."""
         if self._process.poll() is None:
             self._process.send_signal(signal.SIGINT)
         try:
@@ -87,8 +90,10 @@ class Process:
 
 
 class Client:
-    """Calls and listens; every wait is for a condition and ends when a process died or the user
-    has `interrupted`."""
+    """A ROS node that calls the other nodes.
+
+    Every wait ends early if one of the processes failed or if `interrupted` returns true.
+    """
 
     def __init__(
         self,
@@ -111,7 +116,7 @@ class Client:
         rclpy.try_shutdown(context=self._context)
 
     def wait(self, ready: Callable[[], bool], what: str, patience: float = TIMEOUT_S) -> None:
-        """Serve callbacks until `ready`; NodeError names `what` was waited for."""
+        """Execute callbacks until `ready`; on a timeout raise NodeError, which names `what`."""
         end = time.monotonic() + patience
         while not ready():
             if self._interrupted():
@@ -123,12 +128,12 @@ class Client:
             self._executor.spin_once(timeout_sec=0.02)
 
     def await_result(self, future: Future, what: str, patience: float = TIMEOUT_S) -> Any:
-        """What a future comes to."""
+        """Wait for a future and return its result."""
         self.wait(future.done, what, patience)
         return future.result()
 
     def ask(self, type: Any, name: str, **fields: Any) -> Future:
-        """A service's response to come."""
+        """Send a request to a service and return the future of its response."""
         if name not in self._clients:
             self._clients[name] = self._node.create_client(type, name)
         client = self._clients[name]
@@ -136,20 +141,20 @@ class Client:
         return client.call_async(type.Request(**fields))
 
     def call(self, type: Any, name: str, **fields: Any) -> Any:
-        """A service's response."""
+        """Send a request to a service and return its response."""
         return self.await_result(self.ask(type, name, **fields), f"the answer of {name}")
 
     def count_subscribers(self, topics: Iterable[str]) -> int:
-        """How many subscriptions there are, so that a replay can wait for all of them."""
+        """Count the subscriptions, so that a replay can wait for all of them."""
         names = (self._node.resolve_topic_name(topic.lstrip("/")) for topic in topics)
         return sum(self._node.count_subscribers(name) for name in names)
 
     def count_publishers(self, topic: str) -> int:
-        """How many publishers there are; one that was killed counts for some twenty seconds."""
+        """Count the publishers; one that was killed still counts for about 20 s."""
         return self._node.count_publishers(self._node.resolve_topic_name(topic))
 
     def subscribe_latest(self, type: Any, topic: str) -> list[Any]:
-        """A list that holds the newest message of a latched topic as soon as there is one."""
+        """Subscribe to a latched topic; return a list that will hold only its newest message."""
         newest: list[Any] = []
 
         def keep(message: Any) -> None:
@@ -159,10 +164,10 @@ class Client:
         return newest
 
     def send_goal(self, type: Any, name: str, hear: Callable[[Any], None], **fields: Any) -> Any:
-        """A goal's handle; `hear` gets the feedback.
+        """Send a goal and return its handle; `hear` receives the feedback.
 
-        A server whose answer finds no listener within 0.1 s, as it happens to one that was just
-        made on a busy machine, drops both the answer and the goal: it is then asked again.
+        A server drops its answer and the goal if it does not find the client within 0.1 s. That
+        happens on a busy machine with a client that was just created, so the goal is sent again.
         """
         if name not in self._clients:
             self._clients[name] = ActionClient(self._node, type, name)
@@ -186,9 +191,9 @@ class Client:
 
 
 def use_private_domain() -> str:
-    """A domain and a namespace for this process alone, seen by this machine only; the namespace.
+    """Choose a ROS domain that only this process and its children use; return a namespace.
 
-    Set before the first context: children inherit both.
+    The domain is visible on this machine only. Call this before the first context is created.
     """
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     os.environ["ROS_DOMAIN_ID"] = str(_reserve_domain()[0])
@@ -197,14 +202,17 @@ def use_private_domain() -> str:
 
 @cache
 def _reserve_domain() -> tuple[int, socket.socket]:
-    """A free domain, and what holds it until this process ends: the TCP port that has the number
-    of the domain's UDP port, so that no two that run at once meet, and nothing is left behind."""
-    for domain in range(1, 101):  # below the ports that the system gives away by itself
-        held = socket.socket()
+    """Reserve a free domain until this process ends; return it with the socket that reserves it.
+
+    The socket binds the TCP port with the number of the domain's UDP port. Two processes cannot
+    bind the same port, and the system frees it with the process.
+    """
+    for domain in range(1, 101):  # their ports lie below those that the system assigns itself
+        reservation = socket.socket()
         try:
-            held.bind(("127.0.0.1", 7400 + 250 * domain))
+            reservation.bind(("127.0.0.1", 7400 + 250 * domain))
         except OSError:
-            held.close()
+            reservation.close()
         else:
-            return domain, held
+            return domain, reservation
     raise NodeError("no free ROS domain from 1 to 100: other programs use all of them")

@@ -1,7 +1,7 @@
-"""Live collection of samples: what arrives, what it comes to, what a person keeps of it.
+"""Collect samples from live messages, and let the user take, exclude, load and save them.
 
-ROS-free. A replayed recording gives the samples that `load_dataset` makes of its bag, because the
-messages take the same way: cleaning, dwells, conditions, replicates.
+This module does not use ROS. A replayed recording yields the samples that `load_dataset` reads from
+its bag, because both pass the same steps: cleaning, dwells, conditions, replicates.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ from parallel_cal.recordings.loading import load_dataset, order_joints
 from parallel_cal.recordings.options import SampleOptions
 from parallel_cal.recordings.recording import Dropped
 
-# Joint states in an inbox, a quarter of an hour at 100 Hz; then samples stay and messages go:
-# memory has a bound.
+# Joint states of an inbox: a quarter of an hour at 100 Hz. A new inbox begins then, and the old one
+# keeps its samples but not its messages, which limits the memory.
 MAX_JOINT_STATES = 100_000
-SETTLING_TIME_NS = 1_000_000_000  # ns after which a stream is where the joints are, jump or not
-MIN_DROPS_TO_WARN = 20  # messages or dwells dropped for one reason that are worth a warning
+SETTLING_TIME_NS = 1_000_000_000  # ns after a clock jump until all streams use the joints' inbox
+MIN_DROPS_TO_WARN = 20  # messages or dwells dropped for one reason before a warning
 
 
 @dataclass(frozen=True)
 class Collection:
-    """The samples in use with their numbers and stamps (ns; since 0 for those of a file)."""
+    """The samples in use, their numbers and their stamps [ns] (from 0 if they come from a file)."""
 
     dataset: Dataset
     ids: NDArray[np.int64]
@@ -51,7 +51,7 @@ class Collection:
 
 
 class Collector:
-    """Buffers messages by channel and makes samples of them when asked."""
+    """Buffers messages by channel and makes samples of them at each `refresh`."""
 
     def __init__(
         self,
@@ -67,7 +67,7 @@ class Collector:
         self._restart()
 
     def configure(self, joints: Sequence[str] | None, options: SampleOptions, auto: bool) -> None:
-        """Change joints or options; samples still made of messages are made anew."""
+        """Change joints or options, and remake the samples whose messages are still buffered."""
         self.auto = auto
         if (joints, options) != (self.joints, self.options):
             self.joints, self.options = joints, options
@@ -79,39 +79,45 @@ class Collector:
         self._at = dict.fromkeys(CHANNELS, self._inboxes[0])
         self._words: list[tuple[str, int, Any]] = []
         self._gates: dict[tuple[str, tuple[str, ...]], Gate] = {}
-        self._related: dict[tuple[str, tuple[str, ...]], ClockAlignment] = {}
+        self._alignments: dict[tuple[str, tuple[str, ...]], ClockAlignment] = {}
         self._clock, self._moved = JointClock(), 0
 
     # ------------------------------------------------------------------ messages in
 
     def receive(self, channel: str, message: Any, log_ns: int, sequence: int = 0) -> None:
-        """Buffer one message of a channel; `log_ns`, when it was received, serves where its header
-        has no stamp. Words have no header at all: they go with the next joint state."""
+        """Buffer one message of a channel, received at `log_ns`.
+
+        `log_ns` replaces a stamp that the header lacks. Words, which have no header, wait for the
+        next joint state, so that they enter the same inbox.
+        """
         self.received[channel] += 1
         kind, stamp = CHANNELS[channel].kind, stamp_of(message)
         if kind == "words":
             self._words.append((channel, log_ns, message))
-        elif kind == "condition":  # a number every minute, or once: no stream to stray from
+        elif kind == "condition":  # too rare to judge their stamps: one a minute, or only one
             self._buffer(channel, message, log_ns, stamp)
         else:
-            stream = self._stream(channel, message)
+            stream = self._identify_stream(channel, message)
             gate = self._gates.setdefault(stream, Gate(channel))
             self._pass_on(stream, gate.take(stamp, log_ns, sequence, message))
 
-    def _pass_on(self, stream: tuple[str, tuple[str, ...]], said: Sequence[StampedMessage]) -> None:
-        """Buffer what a gate lets through, by the clock of the joints."""
+    def _pass_on(
+        self, stream: tuple[str, tuple[str, ...]], released: Sequence[StampedMessage]
+    ) -> None:
+        """Buffer the messages that a gate released, with stamps aligned to the joints' clock."""
         channel = stream[0]
         if channel == "joint_states":
-            for one in said:
-                self._clock.add(one.stamp, one.log)
+            for message in released:
+                self._clock.add(message.stamp, message.log)
         else:
-            related = self._related.setdefault(stream, ClockAlignment(channel, self._clock))
-            said = related.take(said)
-        for one in said:
-            self._buffer(channel, one.message, one.log, one.stamp)
+            alignment = self._alignments.setdefault(stream, ClockAlignment(channel, self._clock))
+            released = alignment.take(released)
+        for message in released:
+            self._buffer(channel, message.message, message.log, message.stamp)
 
-    def _stream(self, channel: str, message: Any) -> tuple[str, tuple[str, ...]]:
-        """Each has a publisher of its own: other joints, and each sensor's readings, may be."""
+    def _identify_stream(self, channel: str, message: Any) -> tuple[str, tuple[str, ...]]:
+        """Name the stream of a message: one channel may have a publisher per group of joints or per
+        sensor, each with its own gate."""
         part: tuple[str, ...] = ()
         if channel == "joint_states":
             names = tuple(message.name)
@@ -123,38 +129,38 @@ class Collector:
 
     @property
     def lost(self) -> int:
-        """Messages that were sent and never came."""
+        """Count the messages that were published and not received."""
         return self._past_lost + sum(gate.lost for gate in self._gates.values())
 
     @property
     def strays(self) -> int:
-        """Messages that came and fit no stream."""
+        """Count the messages that were dropped because their stamps fit no stream."""
         return self._past_strays + sum(watch.strays for watch in self._watches)
 
     @property
     def _watches(self) -> list[Gate | ClockAlignment]:
-        return [*self._gates.values(), *self._related.values()]
+        return [*self._gates.values(), *self._alignments.values()]
 
     def warnings(self) -> list[str]:
-        """Whatever makes the samples suspicious: a sentence each."""
+        """List what makes the samples suspicious, one sentence each."""
         made = [inbox.dataset for inbox in self._inboxes if inbox.dataset is not None]
-        said = [warning for dataset in made for warning in dataset.warnings]
+        warnings = [warning for dataset in made for warning in dataset.warnings]
         dropped = Counter[str]()
         for dataset in made:
             for item in dataset.dropped:
                 dropped[item.reason] += item.count
-        said += [
+        warnings += [
             KeyedWarning(f"{n} dropped: {why}", "dropped", why)
             for why, n in dropped.items()
             if n >= MIN_DROPS_TO_WARN
         ]
-        said += [inbox.misfit for inbox in self._inboxes if inbox.misfit]
-        said += [watch.trouble for watch in self._watches if watch.trouble]
-        return list(dict.fromkeys(said))
+        warnings += [inbox.misfit for inbox in self._inboxes if inbox.misfit]
+        warnings += [watch.trouble for watch in self._watches if watch.trouble]
+        return list(dict.fromkeys(warnings))
 
     @property
     def frame(self) -> str:
-        """The frame of the poses, empty while there are none."""
+        """The frame of the poses, empty if there are no samples."""
         made = [inbox.dataset for inbox in self._inboxes if inbox.dataset is not None]
         return made[-1].frame if made else ""
 
@@ -163,7 +169,10 @@ class Collector:
         if self._at[channel] is not joints and log_ns - self._moved > SETTLING_TIME_NS:
             self._at[channel] = joints
         if self._at[channel].jumps_back(channel, stamp):
-            self._at[channel] = self._inbox_after(self._at[channel])
+            # Each stream changes to the new clock at its own time, but all to the same inbox.
+            if self._at[channel] is self._inboxes[-1]:
+                self._inboxes.append(Inbox(self._topics, self._numbers))
+            self._at[channel] = self._inboxes[self._inboxes.index(self._at[channel]) + 1]
             if channel == "joint_states":
                 self._moved = log_ns
         if channel == "joint_states":
@@ -172,14 +181,11 @@ class Collector:
             self._words.clear()
         self._at[channel].add(channel, stamp, log_ns, message)
 
-    def _inbox_after(self, inbox: Inbox) -> Inbox:
-        """Every stream changes to a new clock at its own time, but all to the same inbox."""
-        if inbox is self._inboxes[-1]:
-            self._inboxes.append(Inbox(self._topics, self._numbers))
-        return self._inboxes[self._inboxes.index(inbox) + 1]
-
     def refresh(self, now_ns: int | None = None) -> bool:
-        """Make samples of what came in; True if anything did. `now_ns` where more may come."""
+        """Make samples of the messages received; return whether there were new ones.
+
+        Pass the present time as `now_ns` while more messages may come.
+        """
         for stream, gate in self._gates.items():
             self._pass_on(stream, gate.flush(now_ns))
         changed = [s.refresh(self.joints, self.options) for s in self._inboxes]
@@ -187,18 +193,21 @@ class Collector:
         if len(live.raws["joint_states"].stamp) > MAX_JOINT_STATES:
             self._begin_inbox(live)
         poses = [c for c in list_channels("poses") if self.received[c]]
-        heard = poses[:1] + [c for c in list_channels("readings") if self.received[c]]
-        in_use = [self._at[channel] for channel in ("joint_states", *heard)]
-        first = min(self._inboxes.index(s) for s in in_use)
-        for inbox in self._inboxes[:first]:
+        measured = poses[:1] + [c for c in list_channels("readings") if self.received[c]]
+        in_use = [self._at[channel] for channel in ("joint_states", *measured)]
+        first = min(self._inboxes.index(inbox) for inbox in in_use)
+        for inbox in self._inboxes[:first]:  # no stream adds to these any more
             inbox.close()
         return any(changed)
 
     def _begin_inbox(self, live: Inbox) -> None:
-        """A new inbox in the middle of a motion, so that no dwell is cut; with the last
-        conditions and constraint."""
+        """Begin a new inbox during a motion, so that no dwell is cut.
+
+        The new inbox starts with the last conditions and words. A robot that never moves gets a new
+        inbox after twice MAX_JOINT_STATES.
+        """
         if len(live.raws["joint_states"].stamp) < 2 * MAX_JOINT_STATES:
-            with suppress(DatasetError):  # it moves
+            with suppress(DatasetError):  # raised if the robot moves
                 live.current(self.options)
                 return
         new = Inbox(self._topics, self._numbers)
@@ -209,7 +218,7 @@ class Collector:
     # ------------------------------------------------------------------ samples out
 
     def collection(self) -> Collection:
-        """The samples in use; DatasetError says why there is none."""
+        """Return the samples in use; raise DatasetError with the reason if there are none."""
         parts, starts, ids, stamps = [], [], [], []
         for inbox in self._inboxes:
             mask = inbox.collected_mask(self.auto)
@@ -220,7 +229,11 @@ class Collector:
                 ids.append(inbox.ids[mask])
                 stamps.append((part.time * 1e9).astype(np.int64) + inbox.start_ns)
         if not parts:
-            raise DatasetError(self._why_empty())
+            if self.trouble and self.received:
+                raise DatasetError(self.trouble)
+            counts = ", ".join(f"{n} on {c}" for c, n in self.received.items()) or "none"
+            advice = "" if self.auto else "; auto_collect is off, call take_sample to take a sample"
+            raise DatasetError(f"no samples yet; messages received: {counts}{advice}")
         together = parts[0]
         if len(parts) > 1:
             together = join_datasets(parts, starts, self.options.replicate_tolerance)
@@ -231,19 +244,12 @@ class Collector:
         )
         return Collection(dataset, np.concatenate(ids), np.concatenate(stamps))
 
-    def _why_empty(self) -> str:
-        if self.trouble and self.received:
-            return self.trouble
-        heard = ", ".join(f"{n} on {c}" for c, n in self.received.items()) or "none"
-        choice = "" if self.auto else "; auto_collect is off, call take_sample to take a sample"
-        return f"no samples yet; messages received: {heard}{choice}"
-
     def __len__(self) -> int:
         return sum(int(inbox.collected_mask(self.auto).sum()) for inbox in self._inboxes)
 
     @property
     def trouble(self) -> str:
-        """Why the messages received last came to no samples, else empty."""
+        """Why the messages received last gave no samples, or empty."""
         return self._at["joint_states"].trouble
 
     @property
@@ -255,13 +261,16 @@ class Collector:
         return self._past_dropped + sum(s.dropped for s in self._inboxes)
 
     def dropped(self) -> list[Dropped]:
-        """Everything that was received and is not used, with the reason."""
+        """List everything that was received and is not used, with the reason."""
         return [d for inbox in self._inboxes for d in inbox.reasons()]
 
-    # ------------------------------------------------------------------ what a person wants
+    # ------------------------------------------------------------------ requests of the user
 
     def take(self) -> int:
-        """Take the dwell going on; its number. DatasetError says why there is none."""
+        """Take the present dwell into the collection; return its number.
+
+        Raise DatasetError with the reason if there is no dwell.
+        """
         self.refresh()
         inbox = self._at["joint_states"]
         number = inbox.current(self.options)
@@ -271,7 +280,7 @@ class Collector:
         return number
 
     def remove(self, number: int) -> None:
-        """Leave a sample out; DatasetError for a number that is not in the collection."""
+        """Exclude a sample; raise DatasetError if its number is not in the collection."""
         for inbox in self._inboxes:
             if number in inbox.ids[inbox.collected_mask(self.auto)]:
                 inbox.removed.append(number)
@@ -279,7 +288,7 @@ class Collector:
         raise DatasetError(f"no sample {number} in the collection; list_samples shows them")
 
     def clear(self) -> int:
-        """Forget all samples and messages; how many samples there were."""
+        """Forget all samples and messages; return how many samples there were."""
         samples, paired, dropped = len(self), self.paired, self.dropped_poses
         self._past_paired, self._past_dropped = paired, dropped
         self._past_lost, self._past_strays = self.lost, self.strays
@@ -287,7 +296,7 @@ class Collector:
         return samples
 
     def save(self, path: str | Path) -> int:
-        """Write the samples to a file, all or nothing; how many."""
+        """Write the samples to a file, all or nothing; return how many."""
         collection = self.collection()
         try:
             collection.dataset.to_json(path)
@@ -296,7 +305,7 @@ class Collector:
         return len(collection)
 
     def entries(self) -> dict[int, Entry]:
-        """Every sample in use, as a journal takes it."""
+        """Return every sample in use by its number, as the journal stores it."""
         return {
             int(inbox.ids[i]): Entry(inbox.dataset, int(i), inbox.start_ns)
             for inbox in self._inboxes
@@ -305,8 +314,10 @@ class Collector:
         }
 
     def resume(self, parts: Sequence[Part]) -> int:
-        """Begin with the samples of a journal, under their numbers; how many. DatasetError, and
-        no sample, where they are of other joints."""
+        """Begin with the samples of a journal under their old numbers; return how many.
+
+        Raise DatasetError, and change nothing, if they belong to other joints.
+        """
         ordered = [order_joints(part.dataset, self.joints) for part in parts]
         ids = [number for part in parts for number in part.ids]
         self._numbers = count(max(ids, default=0) + 1)
@@ -316,7 +327,10 @@ class Collector:
         return len(ids)
 
     def load(self, path: str | Path) -> int:
-        """Replace the collection by the samples of a file or a bag; on failure keep it."""
+        """Replace the collection by the samples of a file or a bag; return how many.
+
+        If they cannot be read, the collection stays unchanged.
+        """
         dataset = load_dataset(path, joints=self.joints)
         self.clear()
         self._inboxes.insert(0, Inbox.from_dataset(dataset, self._numbers))

@@ -1,4 +1,4 @@
-"""Messages <-> numbers: joints by name, poses, conditions, solutions."""
+"""Convert between messages and numbers: joints by name, poses, conditions, solutions."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from parallel_cal.kinematics.answers import named_conditions
 from parallel_cal.kinematics.kinematics import Solutions, Status
 from parallel_cal.model.model import Model
 
-STOPPING_TIME_S = 0.05  # s from a stop to rest
-UNIT_LENGTH = 1e-3  # a quaternion this far from unit length is somebody's mistake
+STOPPING_TIME_S = 0.05  # s in which a stop message brings the robot to rest
+UNIT_LENGTH = 1e-3  # largest deviation of a quaternion's norm from 1 that rounding explains
 
 ADVICE: dict[int, str] = {
     Status.CONVERGED: "",
@@ -34,16 +34,18 @@ ADVICE: dict[int, str] = {
 
 
 def message_class(type: str) -> Any:
-    """The class of `sensor_msgs/msg/JointState`; ImportError or AttributeError where there is
-    none."""
+    """Return the class of a type such as `sensor_msgs/msg/JointState`.
+
+    Raise ImportError or AttributeError if there is none.
+    """
     package, _, name = type.split("/")
     return getattr(import_module(f"{package}.msg"), name)
 
 
 def joint_order(names: Sequence[str], joints: Sequence[str]) -> list[int]:
-    """Where each of the model's joints stands among `names`; SolveError unless it is there once.
+    """Return the index in `names` of each joint of the model.
 
-    Further names are allowed: a joint state may tell of more joints than the robot's.
+    `names` may contain further joints. Raise SolveError unless each joint occurs exactly once.
     """
     missing = [joint for joint in joints if joint not in names]
     if missing:
@@ -61,9 +63,9 @@ def _order(names: tuple[str, ...], joints: tuple[str, ...]) -> list[int]:
 
 
 def match_joints(message: Any, joints: Sequence[str]) -> tuple[np.ndarray, np.ndarray | None]:
-    """Positions (nq,) and velocities of a JointState in the model's order.
+    """Return positions (nq,) and velocities (nq,) of a JointState in the model's order.
 
-    Velocities are None where they are left empty or not finite, as drivers without them have it.
+    Velocities are None if the driver sent none or sent values that are not finite.
     """
     order = _order(tuple(message.name), tuple(joints))
     if len(message.position) != len(message.name):
@@ -78,14 +80,17 @@ def match_joints(message: Any, joints: Sequence[str]) -> tuple[np.ndarray, np.nd
 
 
 def check_finite(value: float) -> float:
-    """A measured number; SolveError where it is none."""
+    """Return the value; raise SolveError if it is not finite."""
     if not np.isfinite(value):
         raise SolveError(f"the value is {value}")
     return value
 
 
 def pose_numbers(pose: Pose) -> tuple[np.ndarray, np.ndarray]:
-    """Position (3,) and rotation (3, 3); SolveError where not finite or no unit quaternion."""
+    """Return position (3,) [m] and rotation (3, 3).
+
+    Raise SolveError if a number is not finite or the quaternion has not unit length.
+    """
     p, o = pose.position, pose.orientation
     r, quaternion = np.array([p.x, p.y, p.z]), np.array([o.x, o.y, o.z, o.w])
     if not (np.isfinite(r).all() and np.isfinite(quaternion).all()):
@@ -97,26 +102,29 @@ def pose_numbers(pose: Pose) -> tuple[np.ndarray, np.ndarray]:
 
 
 def conditions_of(model: Model, conditions: Iterable[Condition]) -> dict[str, float] | None:
-    """Named conditions of a request; `direction` is for all joints (ModelError when unknown)."""
+    """Return the named conditions of a request; `direction` sets it for all joints.
+
+    Raise ModelError for an unknown name.
+    """
     return named_conditions(model, ((c.name, c.value) for c in conditions)) or None
 
 
 def pose_message(r: np.ndarray, quaternion: np.ndarray) -> Pose:
-    """A pose from position (3,) and quaternion x y z w (4,)."""
+    """Make a pose message from position (3,) and quaternion x y z w (4,)."""
     x, y, z = r.tolist()
     a, b, c, d = quaternion.tolist()
     return Pose(position=Point(x=x, y=y, z=z), orientation=Quaternion(x=a, y=b, z=c, w=d))
 
 
 def set_pose(pose: Pose, r: np.ndarray, quaternion: np.ndarray) -> None:
-    """The same into a message that is there already."""
+    """Write position (3,) and quaternion x y z w (4,) into an existing pose message."""
     p, o = pose.position, pose.orientation
     p.x, p.y, p.z = r.tolist()
     o.x, o.y, o.z, o.w = quaternion.tolist()
 
 
 def solution_messages(found: Solutions) -> list[Solution]:
-    """One message a solution, of which there may be one or several."""
+    """Make one message per solution."""
     rows = (found.joints, found.position, found.quaternion, found.residual, found.status)
     if found.joints.ndim == 1:
         return [_solution(*rows)]
@@ -139,10 +147,10 @@ def _solution(
 def stop_message(
     joints: Sequence[str], q: np.ndarray, velocity: np.ndarray | None = None
 ) -> JointTrajectory:
-    """What stops a robot at q (nq,) that moves with a velocity (nq,): where it may rest soon.
+    """Make a trajectory that stops a robot at q (nq,) moving with the given velocity (nq,).
 
-    joint_trajectory_controller discards trajectories without points since ROS 2 Jazzy, so that the
-    empty one, which once meant stop, lets the robot go on.
+    Its only point is where the robot comes to rest with constant deceleration. An empty trajectory
+    no longer stops the robot: since ROS 2 Jazzy, joint_trajectory_controller discards it.
     """
     speed = np.zeros(len(q)) if velocity is None else velocity
     point = JointTrajectoryPoint(
@@ -154,7 +162,7 @@ def stop_message(
 
 
 def invalid_solution(reason: str) -> Solution:
-    """The answer to one configuration or target that is none."""
+    """Make the answer to a configuration or target that is invalid, with the reason."""
     nan = float("nan")
     pose = pose_message(np.full(3, nan), np.full(4, nan))
     return Solution(status=Solution.INVALID_INPUT, message=reason, pose=pose, residual=nan)

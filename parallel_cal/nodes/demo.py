@@ -1,4 +1,4 @@
-"""A robot with something hidden calibrates itself, through the real nodes, in a minute."""
+"""The demo: a virtual robot with a hidden effect calibrates itself through the nodes."""
 
 from __future__ import annotations
 
@@ -20,18 +20,19 @@ from parallel_cal.reporting import console
 if TYPE_CHECKING:
     from parallel_cal.nodes.calibrate import Calibration
 
-# What shows within a minute, a load put on by hand; one is drawn, and told to the cell alone.
+# Effects that a campaign finds within a minute. One is drawn, and only the virtual robot gets it.
 HIDDEN = ("backlash", "gear_ripple", "shaft_twist")
-RATE = 4.0  # times faster than life
+RATE = 4.0  # times real time
 POSES, MINUTES = 64, 5.0
-PAYLOAD = 1.0  # kg that whoever asks for the demo would be asked to put on
+PAYLOAD = 1.0  # kg that the campaign may ask for; the demo "mounts" it itself
 
 
 def main(json: bool = False, effect: str = "", seed: int | None = None) -> int:
-    """Let a virtual Delta calibrate itself; exit status 0 or 1.
+    """Let a virtual Delta robot calibrate itself; return the exit status 0 or 1.
 
-    `effect` is what it hides and `seed` draws how it is built, drawn where they are not given. What
-    came out stays, to be opened on the workbench; where it fails nothing is left behind.
+    `effect` is the hidden effect, and `seed` determines the deviations of the geometry. Both are
+    drawn if they are not given. The results stay on disk for the workbench. If the demo fails, it
+    deletes its folder.
     """
     with ExitStack() as stack:
         interrupted = _watch_signals(stack)
@@ -48,7 +49,7 @@ def main(json: bool = False, effect: str = "", seed: int | None = None) -> int:
                 "seed": chance.randrange(10_000) if seed is None else seed,
                 "rate": RATE,
             }
-            with _calibration(folder / "robot.yaml", cell, interrupted) as calibration, story:
+            with _open_calibration(folder / "robot.yaml", cell, interrupted) as calibration, story:
                 document = _run_campaign(calibration, story)
             if interrupted():
                 raise KeyboardInterrupt
@@ -65,18 +66,19 @@ def main(json: bool = False, effect: str = "", seed: int | None = None) -> int:
 
 
 def _watch_signals(stack: ExitStack) -> Callable[[], bool]:
-    """Whether SIGINT or SIGTERM came, while the stack is open.
+    """Return a function that says whether SIGINT or SIGTERM was received while the stack is open.
 
-    What a signal's handler raises may be swallowed, in a destructor for example: it only notes.
+    The handler only records the signal, because Python may swallow an exception that a handler
+    raises, for example in a destructor.
     """
-    asked: list[int] = []
+    received: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
-        before = signal.signal(number, lambda number, frame: asked.append(number))
+        before = signal.signal(number, lambda number, frame: received.append(number))
         stack.callback(signal.signal, number, before)
-    return lambda: bool(asked)
+    return lambda: bool(received)
 
 
-def _calibration(
+def _open_calibration(
     model_file: Path, cell: dict[str, Any], interrupted: Callable[[], bool]
 ) -> Calibration:
     try:
@@ -89,7 +91,7 @@ def _calibration(
 
 
 def _run_campaign(calibration: Calibration, story: Story) -> dict[str, Any]:
-    """What the campaign came to; a person's part is played here."""
+    """Run a campaign, carry out the operator's tasks, and return its result document."""
 
     def hear(status: Any) -> None:
         story.on_status(status)

@@ -1,4 +1,4 @@
-"""What the demo tells on the way."""
+"""The text that the demo prints while it runs."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ WIDTH = 46  # characters of the longest bar
 
 
 class Story:
-    """What the demo tells on the way, for people; silent for --json."""
+    """Prints what the robot does, and prints nothing with --json."""
 
     def __init__(self, silent: bool):
         from rich.console import Console
 
-        # progress is for those who look on, and never part of the answer
+        # The progress goes to stderr: it is no part of the result.
         self._out = Console(quiet=silent, highlight=False, soft_wrap=True)
         self._status = Console(stderr=True, quiet=silent or not sys.stderr.isatty()).status("")
         self._verdict, self._purposes = "", set[str]()
@@ -37,7 +37,7 @@ class Story:
         self._out.print(text)
 
     def on_status(self, status: Any) -> None:
-        """A word of the node that calibrates."""
+        """Print what is new in a status of the campaign."""
         if status.state == "moving" and status.purpose not in self._purposes:
             self._line("measures", status.purpose)
             self._purposes.add(status.purpose)
@@ -45,10 +45,10 @@ class Story:
             self._line("asks", f"{status.reason} [dim](done by the demo)[/]")
         if status.verdict and not math.isnan(status.error_unseen):
             error = f"error at validation poses {_um(status.error_unseen)}"
-            told = f"{status.verdict.replace('_', ' ')}, {error}"
-            if told != self._verdict:
-                self._line("judges", f"{status.poses} poses, {told}")
-                self._verdict = told
+            verdict = f"{status.verdict.replace('_', ' ')}, {error}"
+            if verdict != self._verdict:
+                self._line("judges", f"{status.poses} poses, {verdict}")
+                self._verdict = verdict
         self._status.update(f"{status.state}: {status.reason}")
         self._status.start()
 
@@ -56,6 +56,7 @@ class Story:
         self._say(f"[cyan]{what:10}[/]  {text}")
 
     def end(self, document: Mapping[str, Any]) -> None:
+        """Print the result of the campaign and how to continue."""
         found = ", ".join(document["effects"]) or "nothing"
         self._say(f"\n[bold]Found: {found}.[/] Hidden: {document['hidden']}.")
         self._say(f"{document['message']}\n")
@@ -78,7 +79,7 @@ def _um(metres: float) -> str:
 
 
 def _bar(error: float | None, curve: Any) -> str:
-    """A bar as long as the logarithm of an error, from a tenth of the least on."""
+    """Draw a bar as long as the logarithm of an error; it starts at a third of the least one."""
     if not error:
         return "-"
     known = [one["error_unseen"] for one in curve if one["error_unseen"]]

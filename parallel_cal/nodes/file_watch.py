@@ -1,4 +1,4 @@
-"""Notices when a file was written, replaced or became another one."""
+"""Detect when a file was written or replaced, or when its link leads to another file."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from collections.abc import Callable
 from pathlib import Path
 from threading import Event, Lock, Thread
 
-DEBOUNCE = 0.15  # s between two looks; a change counts when the next look finds nothing newer
+DEBOUNCE = 0.15  # s between two polls; a change counts once two polls agree
 
-State = tuple[int, ...] | None  # None where there is no file
+State = tuple[int, ...] | None  # None if there is no file
 
 
 class FileWatch:
-    """Calls `changed()` from a thread of its own, once the watched file has been left alone.
+    """Calls `changed()` from its own thread once the watched file has changed and is stable.
 
-    The file is looked at again and again: notices from its folder would end with the folder, and
-    tell nothing of a linked folder pointed elsewhere or of a file written on another machine.
+    It polls the file. Notifications of the folder would end with the folder, and they would miss a
+    link that changes its target and a file that another machine writes.
     """
 
     def __init__(self, changed: Callable[[], None]):
@@ -29,13 +29,13 @@ class FileWatch:
         self._thread.start()
 
     def watch(self, path: str | Path | None) -> None:
-        """Watch this file instead, which may be yet to come (None: nothing)."""
+        """Watch this file from now on, even if it does not exist yet (None: no file)."""
         with self._lock:
             if path != self._path:
                 self._path, self._known = path, _state(path)
 
     def stop(self) -> None:
-        """Watch nothing any more."""
+        """Stop watching and end the thread."""
         self._ended.set()
         self._thread.join()
 
@@ -45,7 +45,7 @@ class FileWatch:
                 self._changed()
 
     def _has_settled_change(self) -> bool:
-        """Whether the file is another one than known, or gone, and the same as at the last look."""
+        """Poll once; return whether the file has changed and is the same as at the last poll."""
         with self._lock:
             before, self._seen = self._seen, _state(self._path)
             if self._seen != before or self._seen == self._known:
@@ -55,7 +55,7 @@ class FileWatch:
 
 
 def _state(path: str | Path | None) -> State:
-    """What changes with the content or with the file that a path leads to."""
+    """Return numbers that change with the content of the file or with the file itself."""
     if path is None:
         return None
     try:

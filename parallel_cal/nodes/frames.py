@@ -1,11 +1,14 @@
-"""Samples in the model's base frame: as they are, moved by TF where it is there, registered by
-themselves as the command line does it, or refused."""
+"""Express samples in the base frame of the model.
+
+If they are in another frame, TF transforms them, or their registration is estimated as on the
+command line. If neither is possible, they are refused.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from rclpy.clock import ClockType
@@ -18,11 +21,11 @@ from parallel_cal.identification.registration import register_device
 from parallel_cal.model.model import Model
 from parallel_cal.recordings.dataset import Dataset
 
-DEVICE_FRAME_SENSOR = "device_frame"  # the sensor that finds out where the device stands
+DEVICE_FRAME_SENSOR = "device_frame"  # the sensor whose parameters are the pose of the device
 
 
 class Transform(NamedTuple):
-    """Where a frame stands in another: position (3,) m, rotation (3, 3), its age (s)."""
+    """The pose of a frame in another one: r (3,) [m], R (3, 3), and its age [s]."""
 
     r: np.ndarray
     R: np.ndarray
@@ -33,7 +36,7 @@ Look = Callable[[str, str], Transform | None]
 
 
 def foreign_frame(dataset: Dataset, model: Model) -> str:
-    """The frame of the samples where it is not the model's base and nothing accounts for it."""
+    """Return the frame of the samples if it is not the model's base and no sensor models it."""
     own = model.frames["base"]
     accounted = any(sensor.name == DEVICE_FRAME_SENSOR for sensor in model.sensors)
     return "" if accounted or dataset.frame in ("", own) else dataset.frame
@@ -42,19 +45,27 @@ def foreign_frame(dataset: Dataset, model: Model) -> str:
 def to_base_frame(
     dataset: Dataset, model: Model, look: Look, joint_sigma: float | None = None
 ) -> tuple[Dataset, str]:
-    """The samples in the model's base frame by TF, or as they are, where whoever uses them finds
-    out where their frame stands; in words, what was or will be done to them.
+    """Transform the samples to the base frame of the model by TF, if TF has the transform.
 
-    DatasetError where their frame is another one, no transform is known and they are too few to
-    tell.
+    Otherwise the samples stay as they are, and the fit estimates their registration.
+
+    Returns
+    -------
+    The samples, and a sentence about what was done or will be done. It is empty if nothing is
+    needed.
+
+    Raises
+    ------
+    DatasetError
+        If TF has no transform and the samples are too few to estimate it.
     """
     frame, base = foreign_frame(dataset, model), model.frames["base"]
     found = look(base, frame) if frame else None
     if found is not None:
         age = "static" if found.age == 0.0 else f"{found.age:.1f} s old"
-        return transform_dataset(
-            dataset, found, base
-        ), f"poses transformed from '{frame}' to '{base}' by TF ({age})"
+        return transform_dataset(dataset, found, base), (
+            f"poses transformed from '{frame}' to '{base}' by TF ({age})"
+        )
     _, registration = register_device(model, dataset, joint_sigma)
     if registration is not None:
         return dataset, registration.description
@@ -69,15 +80,18 @@ def to_base_frame(
 
 
 def by_tf(dataset: Dataset, model: Model, look: Look) -> Dataset:
-    """The samples in the model's base frame where TF leads there, else as they are."""
+    """Transform the samples to the base frame of the model if TF can, else return them as is."""
     frame, base = foreign_frame(dataset, model), model.frames["base"]
     found = look(base, frame) if frame else None
     return dataset if found is None else transform_dataset(dataset, found, base)
 
 
 def transform_dataset(dataset: Dataset, by: Transform, frame: str) -> Dataset:
-    """r -> R_t r + r_t, R -> R_t R, covariances turned likewise; measured directions must be all
-    or none of the position and of the rotation (DatasetError)."""
+    """Transform poses and covariances: r -> R_t r + r_t, R -> R_t R.
+
+    The position must be measured in all directions or in none, and so must the rotation; otherwise
+    raise DatasetError.
+    """
     for part in (dataset.measured[:, :3], dataset.measured[:, 3:]):
         if (part.any(axis=1) != part.all(axis=1)).any():
             raise DatasetError(
@@ -89,7 +103,7 @@ def transform_dataset(dataset: Dataset, by: Transform, frame: str) -> Dataset:
     known = np.nan_to_num(dataset.pose_cov)
     diagonal = np.diagonal(dataset.pose_cov, axis1=1, axis2=2)
     given = ~np.isnan(diagonal)
-    covariance = turn @ known @ turn.T
+    covariance = turn @ known @ turn.T  # NaN as zero, and restored below
     gaps = ~(given[:, :, None] & given[:, None, :])
     covariance[gaps] = np.nan
     return dataclasses.replace(
@@ -102,13 +116,13 @@ def transform_dataset(dataset: Dataset, by: Transform, frame: str) -> Dataset:
 
 
 def lookup(node: Node) -> Look:
-    """Transforms by tf2 where it is installed; None for every one where it is not."""
+    """Return a function that looks transforms up in tf2; without tf2 it returns None."""
     try:
         from tf2_ros import Buffer, TransformException, TransformListener
     except ImportError:
         return lambda target, source: None
     buffer = Buffer()
-    listener = TransformListener(buffer, node)  # held by the function below
+    listener = TransformListener(buffer, node)  # `look` keeps a reference, so that it stays alive
 
     def look(target: str, source: str) -> Transform | None:
         try:
@@ -116,14 +130,11 @@ def lookup(node: Node) -> Look:
         except TransformException:
             return None
         assert listener is not None
-        return _transform(found, node)
+        t, o = found.transform.translation, found.transform.rotation
+        stamp = Time.from_msg(found.header.stamp, clock_type=ClockType.ROS_TIME)
+        # A static transform has the stamp 0 and no age.
+        age = (node.get_clock().now() - stamp).nanoseconds * 1e-9 if stamp.nanoseconds else 0.0
+        R = quaternion_to_matrix(np.array([o.x, o.y, o.z, o.w]))
+        return Transform(np.array([t.x, t.y, t.z]), R, age)
 
     return look
-
-
-def _transform(message: Any, node: Node) -> Transform:
-    t, o = message.transform.translation, message.transform.rotation
-    stamp = Time.from_msg(message.header.stamp, clock_type=ClockType.ROS_TIME)
-    age = (node.get_clock().now() - stamp).nanoseconds * 1e-9 if stamp.nanoseconds else 0.0
-    R = quaternion_to_matrix(np.array([o.x, o.y, o.z, o.w]))
-    return Transform(np.array([t.x, t.y, t.z]), R, age)

@@ -1,4 +1,4 @@
-"""Messages received on one clock, buffered raw and read exactly as a bag would be."""
+"""Buffer the raw messages of one clock and read them exactly as a recording is read."""
 
 from __future__ import annotations
 
@@ -21,16 +21,15 @@ from parallel_cal.recordings.recording import Bools, Dropped, Raw, Recording
 from parallel_cal.recordings.samples import max_gap
 from parallel_cal.recordings.sieve import CLOCK_JUMP
 
-SAME_SAMPLE_TOLERANCE_S = (
-    1e-6  # s; middles of one and the same sample never move more when its span is zero
-)
+# s by which the middle of a sample moves at most when it is read again, if its duration is zero.
+SAME_SAMPLE_TOLERANCE_S = 1e-6
 
 
 class Inbox:
-    """Raw messages of one clock and the samples they come to, each with a number that stays.
+    """The raw messages of one clock and the samples made of them, each with a permanent number.
 
-    More messages may refine a sample (the robot still rests), but its number is found again by
-    its time; `removed` and `taken` are what a person decided, kept by time for the same reason.
+    Further messages may refine a sample while the robot still rests, so a sample is recognised by
+    its time. `removed` and `taken` hold the numbers that the user excluded or took.
     """
 
     def __init__(self, topics: Mapping[str, str], numbers: Iterator[int]):
@@ -47,7 +46,7 @@ class Inbox:
 
     @classmethod
     def from_dataset(cls, dataset: Dataset, numbers: Iterator[int], start_ns: int = 0) -> Inbox:
-        """A finished inbox with the samples of a file."""
+        """Make a closed inbox with the samples of a file."""
         inbox = cls({}, numbers)
         inbox._adopt(dataset, start_ns)
         inbox.taken = inbox.ids.tolist()
@@ -55,7 +54,7 @@ class Inbox:
         return inbox
 
     def jumps_back(self, channel: str, stamp: int) -> bool:
-        """True for a stamp of another clock: a bag played again, a simulation reset."""
+        """Return whether a stamp is of another clock: a bag played again, a simulation reset."""
         last = self.raws[channel].stamp[-1:]
         return bool(last) and stamp > 0 and stamp < last[0] - CLOCK_JUMP
 
@@ -63,62 +62,58 @@ class Inbox:
         """Append one message; times in ns."""
         raw, kind = self.raws[channel], CHANNELS[channel]
         if kind.kind == "condition" and raw.stamp[-1:] == [stamp]:
-            return  # a latched message is heard twice, see calibration_node
+            return  # a latched message arrives twice, see calibration_node
         raw.append(log, stamp, kind.decode(message))
 
     @property
     def poses(self) -> Raw:
-        """The device's messages: full poses where there are any, else positions."""
+        """The messages of the measuring device: full poses if there are any, else positions."""
         raws = [self.raws[name] for name in list_channels("poses")]
         return next((raw for raw in raws if raw.stamp), raws[0])
 
     def inherit(self, other: Inbox, channels: Iterable[str]) -> None:
-        """Begin with the last message of another inbox: it may not be said again."""
+        """Copy the last message of each channel, because it may never be published again."""
         for channel in channels:
             for part in ("log", "stamp", "rows"):
                 setattr(self.raws[channel], part, getattr(other.raws[channel], part)[-1:])
 
-    def _silent(self) -> list[str]:
-        """Topics without which there are no samples, and that nothing came in on."""
-        measured = (self.poses, *(self.raws[name] for name in list_channels("words", "readings")))
-        silent = [] if self.raws["joint_states"].stamp else [self.raws["joint_states"].topic]
-        if not any(raw.stamp for raw in measured):
-            silent.append(" or ".join(raw.topic for raw in measured))
-        return silent
-
     def forget(self) -> None:
-        """Look at all messages again at the next refresh."""
+        """Read all messages again at the next refresh."""
         self._seen = 0
 
     def refresh(self, joints: Sequence[str] | None, options: SampleOptions) -> bool:
-        """Make the samples anew if anything came in; True if so."""
+        """Make the samples of all messages if there are new ones; return whether there were."""
         count = sum(len(raw.stamp) for raw in self.raws.values())
         if self.closed or count == self._seen:
             return False
         self._seen = count
-        silent = self._silent()
+        # Samples need joint states and at least one kind of measurement.
+        measured = (self.poses, *(self.raws[name] for name in list_channels("words", "readings")))
+        silent = [] if self.raws["joint_states"].stamp else [self.raws["joint_states"].topic]
+        if not any(raw.stamp for raw in measured):
+            silent.append(" or ".join(raw.topic for raw in measured))
         self.trouble = f"no messages received on {' and '.join(silent)} yet" if silent else ""
         if not silent:
             self._make_samples(joints, options)
         return True
 
     def _make_samples(self, joints: Sequence[str] | None, options: SampleOptions) -> None:
-        self.misfit = ""  # of messages that can never become samples; not of none yet
+        self.misfit = ""  # only for messages that can never become samples
         try:
-            heard = {name: raw for name, raw in self.raws.items() if raw.stamp}
-            # Once here, so that what is counted as paired is what samples are made of.
-            recording = align_clocks(assemble(heard, ReadOptions(joints=joints), "live"))
-            self._count(recording, options)
+            received = {name: raw for name, raw in self.raws.items() if raw.stamp}
+            # One recording serves the counts and the samples, so that they agree.
+            recording = align_clocks(assemble(received, ReadOptions(joints=joints), "live"))
+            self._count_pairs(recording, options)
             self._adopt(dataset_from_recording(recording, options), recording.start_ns)
         except ParallelCalError as error:
             self.trouble = str(error)
             if isinstance(error, BagError | UnfitError):
                 self.misfit = KeyedWarning(self.trouble, "unusable messages", type(error).__name__)
-        except Exception as error:  # a fault of ours must not end the collecting
+        except Exception as error:  # an internal fault must not stop the collection
             self.trouble = f"internal error: {error!r}"
 
-    def _count(self, recording: Recording, options: SampleOptions) -> None:
-        """Measurements that found their joint state, and those that never will."""
+    def _count_pairs(self, recording: Recording, options: SampleOptions) -> None:
+        """Count measurements with a joint state before and after them, and those that get none."""
         joints, time = recording.joints, recording.pose.time
         found = find_bracketed(joints, time, max_gap(joints, options))
         waiting = time > joints.time[-1]
@@ -126,6 +121,7 @@ class Inbox:
         self.dropped = len(self.poses.stamp) - self.paired - int((waiting & ~found).sum())
 
     def _adopt(self, dataset: Dataset, start_ns: int) -> None:
+        """Replace the samples; a sample at the time of an old one keeps its number."""
         old, self.start_ns = self._middles(), start_ns
         self.dataset, known = dataset, self.ids
         new = self._middles()
@@ -138,17 +134,20 @@ class Inbox:
         self.ids = np.array(ids, np.int64)
 
     def _middles(self) -> NDArray[np.float64]:
-        """The middle of each sample in s, absolute."""
+        """Return the absolute time [s] of the middle of each sample."""
         if self.dataset is None:
             return np.zeros(0)
         return np.asarray(self.dataset.time + self.start_ns * 1e-9)
 
     def collected_mask(self, auto: bool) -> Bools:
-        """Mask of the samples in the collection."""
+        """Return the mask of the samples in the collection."""
         return (auto | np.isin(self.ids, self.taken)) & ~np.isin(self.ids, self.removed)
 
     def current(self, options: SampleOptions) -> int:
-        """Number of the dwell going on, or just over; DatasetError says why there is none."""
+        """Return the number of the present dwell, or of one that has just ended.
+
+        Raise DatasetError with the reason if there is none.
+        """
         joints = self.raws["joint_states"].stamp
         if self.dataset is None or not joints or not len(self.ids):
             raise DatasetError(self.trouble or "no messages received yet")
@@ -164,7 +163,7 @@ class Inbox:
         )
 
     def reasons(self) -> list[Dropped]:
-        """What was received and is not used, in the order of time."""
+        """List what was received and is not used, ordered by time."""
         if self.dataset is None:
             return []
         times = dict(zip(self.ids.tolist(), self.dataset.time.tolist(), strict=True))
@@ -174,14 +173,14 @@ class Inbox:
         return sorted((*self.dataset.dropped, *hand), key=lambda d: d.time)
 
     def close(self) -> None:
-        """Keep the samples, let the messages go."""
+        """Keep the samples and forget the messages."""
         self.closed = True
         for raw in self.raws.values():
             raw.log, raw.stamp, raw.rows = [], [], []
 
 
 def _nearest(known: NDArray[np.float64], time: NDArray[np.float64]) -> list[int]:
-    """Index of the known time next to each time; -1 when none is known."""
+    """Return the index of the known time nearest to each time, or -1 if none is known."""
     if not len(known):
         return [-1] * len(time)
     after = np.searchsorted(known, time).clip(0, len(known) - 1)

@@ -1,4 +1,4 @@
-"""How far a node has read and processed what a measuring device sends; knows nothing of ROS."""
+"""Count the measurements that a node has read and processed. This module does not use ROS."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ class Reader(Protocol):
 
 
 class Inflow:
-    """Counts measurements in constant time, whoever asks.
+    """Counts measurements in constant time, without a lock.
 
-    Threads that read them call `receive`, the one that makes samples of them calls `process`.
-    Whoever waits for a measurement looks here and keeps neither from its work. Moments are those of
-    `time.monotonic`.
+    Threads that read measurements call `receive`. The thread that makes samples of them calls
+    `process`. A thread that waits for a measurement polls the counts and blocks neither. Times are
+    those of `time.monotonic`.
     """
 
     def __init__(self) -> None:
-        self.holds = False  # whether something was said that is a measurement until the next word
-        # By channel: each has one thread that receives, so that no count is lost between two.
+        self.holds = False  # whether the last word is a measurement until the next one arrives
+        # One count per channel: only one thread receives a channel, so that no count is lost.
         self._received, self._processed = Counter[str](), Counter[str]()
         self._latest: dict[str, float] = {}
         self._readers: list[Reader] = []
@@ -32,25 +32,25 @@ class Inflow:
         self._readers.append(reader)
 
     def receive(self, channel: str, received_ns: int) -> None:
-        """Count a measurement that was read; `received_ns` is when it came in, by `time.time`."""
+        """Count a measurement that was read and had arrived at `received_ns` of `time.time_ns`."""
         self._received[channel] += 1
         age = max(0.0, 1e-9 * (time.time_ns() - received_ns))
         self._latest[channel] = time.monotonic() - age
 
     def process(self, channel: str) -> None:
-        """Count a measurement that samples are made of from now on."""
+        """Count a measurement that the next samples will contain."""
         self._processed[channel] += 1
 
     @property
     def latest(self) -> float | None:
-        """When the newest measurement came in; None before the first one."""
+        """When the newest measurement arrived; None before the first one."""
         return max(list(self._latest.values()), default=None)
 
     @property
     def unprocessed(self) -> int:
-        """Measurements that were read and are not processed yet."""
+        """The number of measurements that were read and are not processed yet."""
         return sum(list(self._received.values())) - sum(list(self._processed.values()))
 
     def has_read_until(self, moment: float) -> bool:
-        """Whether every measurement that came in before a moment has been read."""
+        """Return whether every measurement that arrived before a time has been read."""
         return all(reader.read_until >= moment for reader in self._readers)
