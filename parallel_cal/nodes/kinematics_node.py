@@ -1,4 +1,4 @@
-"""Serves the calibrated direct and inverse problem, and exchanges its model while it runs."""
+"""Provides forward and inverse kinematics, and can exchange its model while it runs."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class KinematicsNode(ManagedNode):
 
     def __init__(self) -> None:
         super().__init__("kinematics_node")
-        self._folders: Folders | None = None  # what is said at the start is trusted
+        self._folders: Folders | None = None  # parameters at the start may name any file
         declare(self, PARAMETERS, self._on_parameters)
         if not self._parameter("allow_foreign_modules"):
             forbid_foreign()
@@ -82,10 +82,15 @@ class KinematicsNode(ManagedNode):
         self._changed = self.create_guard_condition(self._reload_changed)
         self._watch = FileWatch(self._changed.trigger)
         self._load(self._parameter("model_file"), "startup")
-        # What is in this group answers at once, the streams; all else may take its time.
-        self._front = MutuallyExclusiveCallbackGroup()
-        self._offer_services()
+        # compute_fk and compute_ik wait for the worker process, so they have their own thread.
+        requests = WorkerThreadGroup()
+        for type, name in ((ComputeFK, "compute_fk"), (ComputeIK, "compute_ik")):
+            self._serve(type, name, partial(self._answer, name), requests)
+        self._serve(LoadModel, "load_model", self._load_model)
+        self._serve(Trigger, "reload", self._reload)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        # The streams must answer at once, so only they are in this group (see FrontExecutor).
+        self._front = MutuallyExclusiveCallbackGroup()
         self._streams = Streams(self, self._server, self._memory, self._tally, self._front)
         create_steady_timer(1.0, self, self._tick)
         self.start()
@@ -96,15 +101,12 @@ class KinematicsNode(ManagedNode):
     # ------------------------------------------------------------------ the model in use
 
     def _report(self, attempt: Attempt) -> None:
-        """Tell what came of loading a file, in the log and on ~/model_status."""
+        """Report an attempt to load a file, in the log and on ~/model_status."""
         if attempt.ok:
             self.get_logger().info(attempt.reason)
         else:
             self._failure = attempt.reason
             self.get_logger().error(attempt.reason)
-        self._status.publish(self._status_message(attempt))
-
-    def _status_message(self, attempt: Attempt) -> ModelStatus:
         message = ModelStatus(ok=attempt.ok, source=attempt.source, reason=attempt.reason)
         message.stamp = self.get_clock().now().to_msg()
         served = self._server.current
@@ -112,10 +114,10 @@ class KinematicsNode(ManagedNode):
             message.mechanism = served.model.mechanism.name
             message.effects = [effect.name for effect in served.model.effects]
             message.model_file, message.hash = served.path, served.hash
-        return message
+        self._status.publish(message)
 
     def _on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
-        """Load a new model file, or say why the parameter cannot have this value."""
+        """Load a new model file, or reject the parameter with the reason."""
         values = {p.name: p.value for p in parameters}
         if "model_file" in values and not self._adopting:
             try:
@@ -131,7 +133,7 @@ class KinematicsNode(ManagedNode):
         return ACCEPTED
 
     def _allowed(self, path: str) -> str:
-        """A path that a request may name; ParallelCalError for another one."""
+        """Return a path that a request may name; raise ParallelCalError for another one."""
         return path if self._folders is None else self._folders.to_read(path)
 
     def _watch_file(self, **changed: Any) -> None:
@@ -140,7 +142,7 @@ class KinematicsNode(ManagedNode):
         self._watch.watch(absolute(path) if watched and path else None)
 
     def _load(self, path: str, source: str) -> Attempt:
-        """Load a file; it is watched from before that on, so that no change is missed."""
+        """Load a file; watch it before reading it, so that no change is missed."""
         self._watch_file(model_file=path)
         attempt = self._server.load(absolute(path), source)
         if not attempt.ok:
@@ -167,7 +169,7 @@ class KinematicsNode(ManagedNode):
         return response
 
     def _adopt(self, path: str) -> None:
-        """Let the parameter and the watch follow what a service has loaded."""
+        """Set the parameter and the watch to the file that a service has loaded."""
         self._adopting = True
         try:
             self.set_parameters([Parameter("model_file", value=path)])
@@ -184,13 +186,6 @@ class KinematicsNode(ManagedNode):
 
     # ------------------------------------------------------------------ services
 
-    def _offer_services(self) -> None:
-        requests = WorkerThreadGroup()
-        for type, name in ((ComputeFK, "compute_fk"), (ComputeIK, "compute_ik")):
-            self._serve(type, name, partial(self._answer, name), requests)
-        self._serve(LoadModel, "load_model", self._load_model)
-        self._serve(Trigger, "reload", self._reload)
-
     def _serve(self, type: Any, name: str, on_call: Any, group: Any = None) -> None:
         self.create_service(type, f"~/{name}", on_call, qos_profile=WAITING, callback_group=group)
 
@@ -198,7 +193,7 @@ class KinematicsNode(ManagedNode):
         if self.refusal:
             response.message = self.refusal
             return response
-        served = self._server.current  # one reference for the whole request
+        served = self._server.current  # read once: the model may be exchanged during the request
         budget = Budget(self._parameter("request_poses"), self._parameter("request_time"))
         answer(self._worker, budget, served, self._server.last.reason, request, response)
         self._tally.add(name, "refused" if response.message else "answered", response.message)
@@ -220,7 +215,7 @@ class KinematicsNode(ManagedNode):
         self._diagnostics.publish(message)
 
     def end_work(self) -> None:
-        """Stop what is at work for a request, if any."""
+        """Stop the streams and the worker process."""
         self._streams.end()
         self._worker.end()
 

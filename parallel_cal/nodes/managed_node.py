@@ -1,4 +1,4 @@
-"""A node with ROS 2's life cycle, as nav2's servers have it; it starts by itself by default."""
+"""A lifecycle node, like the servers of nav2, that activates itself by default."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ AUTOSTART = {
 
 
 class ManagedNode(LifecycleNode):
-    """Answers and collects only while it is `active`; inactive it keeps what it has."""
+    """Answers and collects only while it is `active`; an inactive node keeps its data."""
 
     active = False
 
     @property
     def refusal(self) -> str:
-        """Why nothing is answered now; empty while the node is active."""
+        """Why the node answers nothing at present; empty while it is active."""
         if self.active:
             return ""
-        # rclpy's own question for the state is public only as a service
+        # rclpy publishes the state only as a service, so its private attribute is read.
         state = self._state_machine.current_state[1]
         then = "configure it and " if state == "unconfigured" else ""
         return f"the node is {state}: {then}activate it first (ros2 lifecycle set)"
 
     def start(self) -> None:
-        """Become active, unless a manager is to say when; called at the construction's end."""
+        """Activate the node unless a lifecycle manager will; call this at the end of `__init__`."""
         if self.get_parameter("autostart").value:
             self.trigger_configure()
             self.trigger_activate()

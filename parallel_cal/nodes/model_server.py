@@ -1,4 +1,4 @@
-"""The model in use: read, tested and exchanged as one reference; knows nothing of ROS."""
+"""Read, test and exchange the model in use. This module does not use ROS."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from parallel_cal.model.model import Model
 log = logging.getLogger(__name__)
 
 TEST_POSES = 8
-AGREEMENT = 1e-9  # m, rad: what a round trip of the self-test may lose
+AGREEMENT = 1e-9  # m or rad: largest error of a round trip pose -> joints -> pose
 
 
 @dataclass(frozen=True)
 class ServedModel:
-    """A model in use; never changed, so that a request keeps the one it began with."""
+    """A model in use. It is immutable, so that a request keeps the model that it began with."""
 
     model: Model
     kinematics: Kinematics
@@ -36,7 +36,7 @@ class ServedModel:
 
     @cached_property
     def tree(self) -> Tree | None:
-        """The links that an exported URDF has; None where the mechanism does not draw itself."""
+        """The links of an exported URDF; None if the mechanism has no drawing."""
         try:
             return tree_of(self.model)
         except ModelError:
@@ -45,7 +45,7 @@ class ServedModel:
 
 @dataclass(frozen=True)
 class Attempt:
-    """What came of loading a file: `reason` says what changed or why it failed."""
+    """The result of loading a file; `reason` says what changed or why it failed."""
 
     ok: bool
     source: str
@@ -54,7 +54,7 @@ class Attempt:
 
 
 class ModelServer:
-    """Holds the model in use and exchanges it; whatever fails, the one before stays."""
+    """Holds the model in use and exchanges it; if loading fails, the model before stays."""
 
     def __init__(self, report: Callable[[Attempt], None] = lambda attempt: None):
         self.current: ServedModel | None = None
@@ -64,7 +64,10 @@ class ModelServer:
         self._compilation: Thread | None = None
 
     def load(self, path: str | Path, source: str) -> Attempt:
-        """Read, validate, self-test and exchange; one load at a time, requests go on meanwhile."""
+        """Read, validate and test a file, then use its model.
+
+        Only one file is loaded at a time. Requests are answered meanwhile with the model in use.
+        """
         with self._loading:
             try:
                 reason = self._load(path)
@@ -78,13 +81,21 @@ class ModelServer:
         if not str(path):
             raise ModelFileError("no model file: set the parameter model_file or call load_model")
         text = model_text(path)
-        served = ServedModel(*_make_tested_model(text, path), model_hash(text), str(path), text)
+        model = parse_model(text, str(path))
+        kinematics = Kinematics(model.robot())
+        try:
+            self_test(kinematics)
+        except ModelFileError as error:
+            raise ModelFileError(f"{path}: {error}") from None
+        served = ServedModel(model, kinematics, model_hash(text), str(path), text)
         before = self.current
         if before is not None and before.hash == served.hash:
             self._exchange_for(replace(before, path=served.path))
             return f"{path}: the same content as before ({served.hash[:12]})"
         self._exchange_for(served)
-        self._compile_in_background(served)
+        # The C compiler takes a second; CasADi's virtual machine answers until it is done.
+        self._compilation = Thread(target=self._compile, args=(served,), daemon=True)
+        self._compilation.start()
         was = f", was {before.hash[:12]}" if before is not None else ""
         return f"{path}: {served.hash[:12]} in use{was}"
 
@@ -92,16 +103,11 @@ class ModelServer:
         with self._exchange:
             self.current = served
 
-    def _compile_in_background(self, served: ServedModel) -> None:
-        """The C compiler takes a second: CasADi's virtual machine answers until it is done."""
-        self._compilation = Thread(target=self._compile, args=(served,), daemon=True)
-        self._compilation.start()
-
     def _compile(self, served: ServedModel) -> None:
         try:
             kinematics = Kinematics(served.model.robot(), compile=True)
             self_test(kinematics)
-        except Exception as error:  # the virtual machine passed the test and goes on serving
+        except Exception as error:  # the virtual machine has passed the test and stays in use
             log.warning("the compiled functions are not used: %s", _reason(error))
             return
         with self._exchange:
@@ -109,25 +115,28 @@ class ModelServer:
                 self.current = replace(self.current, kinematics=kinematics)
 
     def wait_until_compiled(self, timeout: float) -> None:
-        """For tests and measurements; requests never wait."""
+        """Wait for the compiler. Only tests and benchmarks do this; requests never wait."""
         if self._compilation is not None:
             self._compilation.join(timeout)
 
 
 def self_test(kinematics: Kinematics) -> None:
-    """ModelFileError unless inverse and direct problem lead back to poses in the workspace."""
+    """Solve inverse and forward kinematics at poses in the workspace.
+
+    Raise ModelFileError unless every pose is recovered to AGREEMENT.
+    """
     r, R = workspace_poses(kinematics.model.mechanism, TEST_POSES)
     there = kinematics.inverse(r, R)
     _require_solved(there, "inverse", r)
     back = kinematics.direct(there.joints, start=there)
     _require_solved(back, "direct", r)
-    apart = [np.abs(getattr(back, k) - getattr(there, k)).max() for k in ("position", "rotation")]
-    if max(apart) > AGREEMENT:
+    errors = [np.abs(getattr(back, k) - getattr(there, k)).max() for k in ("position", "rotation")]
+    if max(errors) > AGREEMENT:
         raise ModelFileError(
-            f"self-test: the direct problem misses the inverse problem's poses by {max(apart):.1e} "
-            f"(m or rad; allowed {AGREEMENT:.0e})"
+            f"self-test: the direct problem misses the inverse problem's poses by "
+            f"{max(errors):.1e} (m or rad; allowed {AGREEMENT:.0e})"
         )
-    # A request for one configuration takes a shorter way: make it ready, and see that it agrees.
+    # A request for a single configuration runs other code: compile it now, and test it.
     alone = kinematics.direct(there.joints[0])
     if alone.status != Status.CONVERGED or not np.isfinite(alone.position).all():
         raise ModelFileError(
@@ -137,23 +146,13 @@ def self_test(kinematics: Kinematics) -> None:
 
 
 def workspace_poses(mechanism: Mechanism, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """n poses in the inner half of the workspace: positions (n, 3), rotations (n, 3, 3).
+    """Draw n poses in the inner half of the workspace: positions (n, 3), rotations (n, 3, 3).
 
-    The corners of a workspace box may well be out of a good robot's reach.
+    A good robot may be unable to reach the corners of its workspace box.
     """
     low, high = np.array(mechanism.workspace.low), np.array(mechanism.workspace.high)
     drawn = mechanism.sample(n, np.random.default_rng(0))
     return mechanism.poses((drawn + (low + high) / 2) / 2)
-
-
-def _make_tested_model(text: str, path: str | Path) -> tuple[Model, Kinematics]:
-    model = parse_model(text, str(path))
-    kinematics = Kinematics(model.robot())
-    try:
-        self_test(kinematics)
-    except ModelFileError as error:
-        raise ModelFileError(f"{path}: {error}") from None
-    return model, kinematics
 
 
 def _require_solved(found: Solutions, problem: str, r: np.ndarray) -> None:
@@ -167,7 +166,7 @@ def _require_solved(found: Solutions, problem: str, r: np.ndarray) -> None:
 
 
 def describe_status(status: int | np.ndarray) -> str:
-    """`outside limits`, ..."""
+    """Return a status in words, such as `outside limits`."""
     return Status(int(status)).text.replace("_", " ")
 
 

@@ -1,4 +1,4 @@
-"""Parameters of nodes: scalars and paths, declared from one table that says what they may be."""
+"""Declare and check the parameters of nodes from a table of `Setting`s."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from parallel_cal.base.errors import ParallelCalError
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-# Best effort receives from reliable publishers too, and an old reading is worth nothing.
+# Best effort also receives from reliable publishers, and late readings are useless.
 SENSOR = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 RELIABLE = QoSProfile(depth=10)
-# Requests that wait for their turn: of ROS' usual ten, the oldest is silently lost to a newer one.
+# Requests wait in this queue. With the default depth of 10, ROS drops the oldest silently.
 WAITING = QoSProfile(depth=1000)
 
 
 class Setting(NamedTuple):
-    """A parameter: its default, what it means, and which values it may have.
+    """A parameter: its default, its meaning, and the allowed values.
 
-    `allowed` holds the least and the greatest number or the words to choose from; empty: any. A
-    `fixed` one is read at the start and cannot be set later.
+    `allowed` holds the smallest and the largest number, or the allowed words; if it is empty, any
+    value is allowed. A `fixed` parameter is read at the start and cannot be set later.
     """
 
     default: Any
@@ -45,7 +45,7 @@ class Setting(NamedTuple):
     fixed: bool = False
 
     def allows(self, value: Any) -> bool:
-        """Whether the parameter may have this value; a whole number will do for a real one."""
+        """Return whether a value is allowed; an integer is allowed for a float."""
         real = isinstance(self.default, float) and not isinstance(value, bool)
         if not isinstance(value, (int, float) if real else type(self.default)):
             return False
@@ -54,8 +54,8 @@ class Setting(NamedTuple):
         return bool(self.allowed[0] <= value <= self.allowed[-1])
 
     def descriptor(self) -> ParameterDescriptor:
-        """What `ros2 param describe` and the parameter tools show of it."""
-        made = ParameterDescriptor(
+        """Describe the parameter for `ros2 param describe` and other tools."""
+        descriptor = ParameterDescriptor(
             description=self.what,
             dynamic_typing=isinstance(self.default, float),
             read_only=self.fixed,
@@ -65,13 +65,13 @@ class Setting(NamedTuple):
             low, high = self.allowed
             if isinstance(self.default, float):
                 real = FloatingPointRange(from_value=float(low), to_value=float(high))
-                made.floating_point_range = [real]
+                descriptor.floating_point_range = [real]
             else:
-                made.integer_range = [IntegerRange(from_value=int(low), to_value=int(high))]
-        return made
+                descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high))]
+        return descriptor
 
     def expected(self) -> str:
-        """What a value must be, in words."""
+        """Say in words which values are allowed."""
         if not self.allowed:
             return _KINDS[type(self.default)]
         if isinstance(self.default, str):
@@ -90,10 +90,10 @@ def declare(
     settings: Settings,
     accept: Callable[[Changes], SetParametersResult] = lambda changes: ACCEPTED,
 ) -> None:
-    """Declare parameters; ParallelCalError for a value that is not allowed.
+    """Declare parameters; raise ParallelCalError if a value is not allowed.
 
-    Whoever sets some later is refused with the same words; `accept` hears of changes that are
-    allowed and has the last word.
+    A later change is checked in the same way and refused with the same words. `accept` gets each
+    allowed change and decides on it.
     """
     for name, setting in settings.items():
         try:
@@ -115,7 +115,7 @@ def declare(
     node.add_on_set_parameters_callback(check)
 
 
-# What nodes that take requests have in common.
+# Parameters of all nodes that accept requests.
 SECURITY = {
     "allowed_folders": Setting(
         "",
@@ -130,12 +130,12 @@ SECURITY = {
 
 
 def absolute(path: str) -> str:
-    """A path with ~ as the home folder; what is empty stays so."""
+    """Return an absolute path, with ~ as the home folder; an empty path stays empty."""
     return str(Path(os.path.expanduser(path)).absolute()) if path else ""
 
 
 def overridable() -> QoSOverridingOptions:
-    """Makes a topic's QoS settable by `qos_overrides./TOPIC.subscription.reliability` etc."""
+    """Let parameters such as `qos_overrides./TOPIC.subscription.reliability` set the QoS."""
     return QoSOverridingOptions(
         [
             QoSPolicyKind.HISTORY,

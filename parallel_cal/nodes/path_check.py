@@ -1,7 +1,7 @@
-"""Whether the way to a target may be driven, and in what time; no ROS in it.
+"""Check whether the path to a target is safe, and compute its duration. Does not use ROS.
 
-Between two joint commands a controller goes straight in the joints. So does the check: some points
-of that line are solved, and none may be near a singularity, beyond it, or outside the workspace.
+A controller moves along a straight line in joint space between two joint commands. The check solves
+points on this line. The path must not cross a singularity, come near one, or leave the workspace.
 """
 
 from __future__ import annotations
@@ -18,14 +18,17 @@ from parallel_cal.kinematics.kinematics import Kinematics, Solutions, Status
 from parallel_cal.kinematics.singularity import distances
 from parallel_cal.model.mechanism import Mechanism
 
-N_CHECKED_POINTS = 12  # of the way that are looked at, its ends among them
-SLACK = 1e-6  # m or rad that a target at the workspace's very edge may be beyond it
+N_CHECKED_POINTS = 12  # points on the path, including both ends
+SLACK = 1e-6  # m or rad by which a target at the edge of the workspace may lie outside
 
 
 @dataclass(frozen=True)
 class Bounds:
-    """What a motion must keep: s in which a joint that the model file gives no velocity may cross
-    its range, and the least scaled singular value."""
+    """Limits of a motion.
+
+    `crossing` is the shortest time [s] in which a joint without a velocity limit in the model file
+    may cross its range. `singularity` is the smallest allowed scaled singular value.
+    """
 
     crossing: float
     singularity: float
@@ -33,7 +36,7 @@ class Bounds:
 
 @dataclass(frozen=True)
 class CheckedPath:
-    """s that the motion needs at least, which joint says so, and the smallest singular value."""
+    """The shortest duration [s], the joint that limits it, and the smallest singular value."""
 
     seconds: float
     why: str
@@ -47,10 +50,10 @@ def check_path(
     at: Mapping[str, float] | None,
     bounds: Bounds,
 ) -> CheckedPath:
-    """The way from joints (nq,) to a target; SolveError where it must not be driven.
+    """Check the path from joints `start` (nq,) to a target; raise SolveError if it is not safe.
 
-    A motion from rest to rest over d takes 1.5 d / velocity and sqrt(6 d / acceleration), as a
-    cubic in time does.
+    A cubic in time from rest to rest over a distance d with the velocity limit v and the
+    acceleration limit a takes at least 1.5 d / v and sqrt(6 d / a).
     """
     mechanism = kinematics.model.mechanism
     share = np.linspace(0.0, 1.0, N_CHECKED_POINTS)[:, None]
@@ -65,15 +68,16 @@ def check_path(
         word = Status(int(found.status[int(np.argmin(usable))])).text.replace("_", " ")
         raise SolveError(f"the path to the target is {word} {_part(int(np.argmin(usable)))}")
     _check_workspace(mechanism, found)
-    near = distances(kinematics.model, found, at)
-    least = np.minimum(near.direct, near.inverse)
-    for signs in (near.direct_sign, near.inverse_sign):
+    margins = distances(kinematics.model, found, at)
+    least = np.minimum(margins.direct, margins.inverse)
+    # A determinant that changes its sign was zero in between: a singularity between two points.
+    for signs in (margins.direct_sign, margins.inverse_sign):
         if (signs != signs[0]).any():
             raise SolveError(
                 "the path to the target passes a singularity "
                 f"{_part(int(np.argmax(signs != signs[0])))}"
             )
-    # Out of a singularity is allowed: the way must not lead further in.
+    # A path that begins near a singularity is allowed if it never comes closer to it.
     bad = (least < bounds.singularity) & (least < least[0])
     if bad.any():
         i = int(np.argmax(bad))
@@ -81,7 +85,9 @@ def check_path(
             f"the path to the target is too near a singularity {_part(i)}: {least[i]:.3g}, "
             f"allowed {bounds.singularity:g}"
         )
-    return CheckedPath(*_time(mechanism, np.abs(target.joints - start), bounds), float(least.min()))
+    return CheckedPath(
+        *_compute_duration(mechanism, np.abs(target.joints - start), bounds), float(least.min())
+    )
 
 
 def _part(i: int) -> str:
@@ -89,10 +95,10 @@ def _part(i: int) -> str:
 
 
 def _check_workspace(mechanism: Mechanism, found: Solutions) -> None:
-    """No point may be further out than where the robot is: back in is allowed."""
-    here = np.hstack([found.position, rotation_vector(found.rotation)])[:, mechanism.controlled]
+    """Refuse a path that leaves the workspace, or that leads further out if it begins outside."""
+    poses = np.hstack([found.position, rotation_vector(found.rotation)])[:, mechanism.controlled]
     low, high = np.array(mechanism.workspace.low), np.array(mechanism.workspace.high)
-    out = np.maximum(low - here, here - high).max(axis=1)
+    out = np.maximum(low - poses, poses - high).max(axis=1)
     bad = out > max(SLACK, float(out[0]) + SLACK)
     if bad.any():
         i = int(np.argmax(bad))
@@ -102,8 +108,8 @@ def _check_workspace(mechanism: Mechanism, found: Solutions) -> None:
         )
 
 
-def _time(mechanism: Mechanism, moved: np.ndarray, bounds: Bounds) -> tuple[float, str]:
-    """The time the slowest joint needs, and a sentence."""
+def _compute_duration(mechanism: Mechanism, moved: np.ndarray, bounds: Bounds) -> tuple[float, str]:
+    """Return the duration [s] of the slowest joint, and a sentence about its limit."""
     needed = []
     rates = mechanism.joint_rates or ((math.inf, math.inf),) * len(moved)
     limits = zip(mechanism.joints, moved, mechanism.joint_ranges, rates, strict=True)

@@ -1,8 +1,9 @@
-"""A subscription with a thread and a wait set of its own, for a stream of 1000 a second.
+"""A subscription with its own thread and wait set, for a stream of 1000 messages per second.
 
-An executor builds its wait set anew, with every entity of its node, for each message: half a
-millisecond of Python. This one holds one subscription, and takes all that waits in it at once. Its
-events are waited for here, too: in an executor's wait set they wake it at every message.
+For each message, an executor rebuilds its wait set with all entities of its node, which takes half
+a millisecond of Python. The wait set here contains one subscription, and all its waiting messages
+are taken at once. It also contains the events of the subscription: in the executor's wait set they
+would wake the executor at every message.
 """
 
 from __future__ import annotations
@@ -18,13 +19,13 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
-POLL_INTERVAL_NS = 100_000_000  # ns between two looks at whether the node ends
+POLL_INTERVAL_NS = 100_000_000  # ns between two checks whether the node ends
 
 Messages = list[tuple[Any, dict[str, int]]]
 
 
 class UnexecutedGroup(CallbackGroup):
-    """No executor calls what is in this group."""
+    """A group whose callbacks no executor calls."""
 
     def can_execute(self, entity: Any) -> bool:
         return False
@@ -37,7 +38,7 @@ class UnexecutedGroup(CallbackGroup):
 
 
 class Pump:
-    """Calls `take` with all messages that wait, in the order in which they came."""
+    """Calls `take` with all waiting messages, in the order in which they arrived."""
 
     def __init__(
         self,
@@ -49,16 +50,18 @@ class Pump:
         **options: Any,
     ):
         self._node, self._take, self._ended = node, take, False
-        self.read_until = -math.inf  # time.monotonic(); what came in before it has been taken
+        self.read_until = (
+            -math.inf
+        )  # time.monotonic(); all messages that arrived before it were taken
         self._subscription = node.create_subscription(
             type, topic, lambda message: None, qos, callback_group=UnexecutedGroup(), **options
         )
-        self._most = qos.depth
+        self._max_messages = qos.depth
         self._thread = Thread(target=self._run, name=topic, daemon=True)
         self._thread.start()
 
     def end(self) -> None:
-        """Take no more; call it before the node is destroyed."""
+        """Take no more messages; call this before the node is destroyed."""
         self._ended = True
         self._thread.join()
 
@@ -76,7 +79,7 @@ class Pump:
                     event.add_to_wait_set(waiting)
                 waiting.wait(POLL_INTERVAL_NS)
                 empty = self.read_until
-                while len(messages) <= self._most:
+                while len(messages) <= self._max_messages:
                     asked = time.monotonic()
                     one = handle.take_message(type, False)
                     if one is None:

@@ -1,10 +1,10 @@
-"""Publishers told apart by their counts of messages, and what of theirs never came."""
+"""Distinguish the publishers of a topic by their message counts, and count lost messages."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-MAX_CONSECUTIVE_LOSSES = 10_000  # messages that one publisher may lose in a row and still be known
+MAX_CONSECUTIVE_LOSSES = 10_000  # messages that a known publisher may lose in a row
 MAX_PUBLISHERS = 8  # publishers of one topic that are remembered
 
 
@@ -16,18 +16,18 @@ class Source:
 
 
 class Sources:
-    """The publishers of one topic; `lost` counts what they left out."""
+    """The publishers of one topic; `lost` counts their messages that never arrived."""
 
     def __init__(self) -> None:
         self._known: list[Source] = []
         self.lost = 0
 
     def identify(self, sequence: int | None) -> Source | None:
-        """Whose count this one goes on; None where messages are not counted."""
+        """Return the publisher whose count this continues; None if messages are not counted."""
         if not sequence:
             return None
         last = self._known[-1] if self._known else None
-        if last is not None and sequence == last.sequence + 1:  # as nearly always
+        if last is not None and sequence == last.sequence + 1:  # nearly always
             last.sequence = sequence
             return last
         behind = [s for s in self._known if 0 < sequence - s.sequence <= MAX_CONSECUTIVE_LOSSES]

@@ -1,4 +1,4 @@
-"""What the streams remember, and the joints for a target that follow from it; no ROS in it."""
+"""Remember joints and conditions of the streams, and solve targets with them. No ROS is used."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from parallel_cal.kinematics.solvers import newton
 from parallel_cal.model.model import Model
 from parallel_cal.nodes.model_server import ServedModel, describe_status
 
-SAME_BRANCH = 1e-3  # rad or m: joints that solve the same pose on the same branch agree better
+SAME_BRANCH = 1e-3  # rad or m: solutions of the same pose that differ less are the same branch
 
 
 class DirectionTracker:
-    """The sign of each joint's last motion, where smaller ones than `threshold` do not count."""
+    """The sign of each joint's last motion; motions below `threshold` do not count."""
 
     def __init__(self, threshold: float):
         self.threshold = threshold
@@ -24,7 +24,7 @@ class DirectionTracker:
         self._furthest: dict[str, float] = {}
 
     def follow(self, positions: Mapping[str, float]) -> None:
-        """Take in a reading of each joint (rad or m)."""
+        """Update with a reading of each joint [rad or m]."""
         for joint, value in positions.items():
             furthest = self._furthest.setdefault(joint, value)
             moved, going = value - furthest, self.direction.get(joint, 0.0)
@@ -35,7 +35,7 @@ class DirectionTracker:
 
 
 class Memory:
-    """Last joints and conditions heard of on the topics."""
+    """The last joints and conditions received on the topics."""
 
     def __init__(self, threshold: float):
         self.tracker = DirectionTracker(threshold)
@@ -46,39 +46,45 @@ class Memory:
     def on_joint_state(
         self, model: Model, q: np.ndarray, stamp: float, velocity: np.ndarray | None
     ) -> None:
-        """Take in a joint state: q and velocity (nq,) in the model's order, stamp in s."""
+        """Update with a joint state.
+
+        Parameters
+        ----------
+        q
+            Readings (nq,) in the model's order [rad or m].
+        stamp
+            Time of the readings [s].
+        velocity
+            Velocities (nq,); None: difference quotient with the readings before.
+        """
         now = dict(zip(model.joints, q.tolist(), strict=True))
         if velocity is None:
-            velocity = self._velocity(now, stamp)
+            lapse = 0.0 if self._time is None else stamp - self._time
+            velocity = np.zeros(len(now))
+            if lapse > 0 and self._joints.keys() == now.keys():
+                velocity = (q - [self._joints[joint] for joint in now]) / lapse
         self.tracker.follow(now)
         for joint, value in zip(model.joints, velocity, strict=True):
             self.heard[f"velocity.{joint}"] = float(value)
         self._joints, self._time = now, stamp
 
-    def _velocity(self, now: dict[str, float], stamp: float) -> np.ndarray:
-        lapse = 0.0 if self._time is None else stamp - self._time
-        if lapse <= 0 or self._joints.keys() != now.keys():
-            return np.zeros(len(now))
-        return np.array([(value - self._joints[joint]) / lapse for joint, value in now.items()])
-
     def joints(self, model: Model) -> np.ndarray | None:
-        """The last joints (nq,), None before the first joint state."""
+        """Return the last joints (nq,), or None before the first joint state."""
         known = self._joints  # another thread may exchange it
         if any(joint not in known for joint in model.joints):
             return None
         return np.array([known[joint] for joint in model.joints])
 
     def conditions(self, model: Model) -> dict[str, float] | None:
-        """What is known of the conditions the model's effects depend on."""
+        """Return the known conditions among those that the model's effects need."""
         if not model.conditions:
             return None
         directions = self.tracker.direction.copy()  # another thread may add to it
-        going = {f"direction.{joint}": sign for joint, sign in directions.items()}
-        known = self.heard | going
+        known = self.heard | {f"direction.{joint}": sign for joint, sign in directions.items()}
         return {name: known[name] for name in model.conditions if name in known}
 
     def unheard(self, model: Model) -> list[str]:
-        """Conditions the model needs that nothing was heard of: their neutral value serves."""
+        """List the unknown conditions that the model needs; their neutral values are used."""
         known = self.conditions(model) or {}
         return [name for name in model.conditions if name not in known]
 
@@ -86,25 +92,26 @@ class Memory:
 def joints_for(
     served: ServedModel, memory: Memory, r: np.ndarray, R: np.ndarray | None
 ) -> Solutions:
-    """Joints for a target, on the branch the robot is on and as approached from where it is.
+    """Solve the joints for a target on the robot's present branch.
 
-    SolveError for every status but converged: nothing unsafe is ever commanded.
+    The approach directions are those of a motion from the present joints. Raise SolveError unless
+    the solution converged inside the joint limits, so that nothing unsafe is ever commanded.
     """
     kinematics, model = served.kinematics, served.model
     last, at = memory.joints(model), memory.conditions(model)
     found = _solve_on_branch(kinematics, last, r, R, at)
-    coming = _approach(model, memory.tracker, last, found.joints)
-    if at is not None and not coming.items() <= at.items():
-        found = _solve_on_branch(kinematics, last, r, R, at | coming)
+    approach = _predict_approach(model, memory.tracker, last, found.joints)
+    if at is not None and not approach.items() <= at.items():
+        found = _solve_on_branch(kinematics, last, r, R, at | approach)
     if found.status != Status.CONVERGED:
         raise SolveError(describe_status(found.status))
     return found
 
 
-def _approach(
+def _predict_approach(
     model: Model, tracker: DirectionTracker, last: np.ndarray | None, q: np.ndarray
 ) -> dict[str, float]:
-    """The directions in which the joints will move to the target, where the model needs them."""
+    """Return the approach directions of a motion from `last` to `q` that the model needs."""
     if last is None or not np.isfinite(q).all():
         return {}
     moves = zip(model.joints, (q - last).tolist(), strict=True)
@@ -119,11 +126,13 @@ def _solve_on_branch(
     R: np.ndarray | None,
     at: Mapping[str, float] | None,
 ) -> Solutions:
-    """The home branch's solution; for a robot on another branch the one nearest to its joints."""
+    """Solve on the home branch, or for a robot on another branch nearest to its joints."""
     found = kinematics.inverse(r, R, at)
     if last is None or _is_on_home_branch(kinematics, last, at):
         return found
-    others = newton.inverse_all(kinematics.model, r, R, at, starts=0)  # in time for the stream
+    others = newton.inverse_all(
+        kinematics.model, r, R, at, starts=0
+    )  # starts=0: fast enough for a stream
     usable = np.flatnonzero(others.status == Status.CONVERGED)
     if not len(usable):
         return found
@@ -133,9 +142,9 @@ def _solve_on_branch(
 def _is_on_home_branch(
     kinematics: Kinematics, q: np.ndarray, at: Mapping[str, float] | None
 ) -> bool:
-    """Whether the home branch's inverse of where the robot is gives its joints back."""
+    """Return whether inverse kinematics on the home branch recovers the robot's joints."""
     here = kinematics.direct(q, at)
     if here.status not in (Status.CONVERGED, Status.OUTSIDE_LIMITS):
-        return True  # nothing can be said; home is what the model file asks for
+        return True  # unknown: use the branch that the model file selects
     back = kinematics.inverse(here.position, here.rotation, at)
     return bool(np.abs(back.joints - q).max() < SAME_BRANCH)

@@ -1,4 +1,4 @@
-"""Joint states become poses, targets become joint commands; the rest is counted and told."""
+"""Turn joint states into poses and targets into joint commands, and count all messages."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from parallel_cal.base.errors import SolveError
-from parallel_cal.kinematics.kinematics import Solutions, Status
+from parallel_cal.kinematics.kinematics import Status
 from parallel_cal.kinematics.solving import controlled_pose
 from parallel_cal.nodes.conversions import (
     check_finite,
@@ -40,16 +40,14 @@ from parallel_cal.nodes.stream_memory import Memory, joints_for
 from parallel_cal.nodes.tally import Tally
 from parallel_cal.recordings.channels import CHANNELS, list_channels
 
-# Room for what comes while the interpreter is busy; a tenth of a second at 1 kHz.
+# Room for the messages that arrive while the interpreter is busy: 0.1 s at 1 kHz.
 STATES = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
-MAX_WAITING_JOINT_STATES = (
-    50  # joint states that may wait and still be answered each, in about 5 ms
-)
-LOG_THROTTLE_S = 5.0  # s between two lines of the log about refused messages
+MAX_WAITING_JOINT_STATES = 50  # joint states answered one by one, in about 5 ms; older are skipped
+LOG_THROTTLE_S = 5.0  # s between two log lines about refused messages
 
 
 class Streams:
-    """The topics of a node that answer each message with one of another topic."""
+    """The topics of a node on which each message causes a message on another topic."""
 
     def __init__(
         self,
@@ -76,8 +74,8 @@ class Streams:
             self._on_states,
             qos_overriding_options=overridable(),
         )
-        # A target out of reach is searched for longer than a joint state may wait.
-        self._told = self._publisher(CommandStatus, "~/command_status")
+        # A target out of reach takes longer to solve than a joint state may wait.
+        self._command_status = self._publisher(CommandStatus, "~/command_status")
         self._subscribe(PoseStamped, "target_pose", RELIABLE, self._on_target, WorkerThreadGroup())
         for name in list_channels("condition"):
             channel, take = CHANNELS[name], partial(self._on_condition, name)
@@ -103,9 +101,10 @@ class Streams:
         )
 
     def _subscribe_latched(self, type: Any, topic: str, take: Any) -> None:
-        """What is said once and latched comes too late for a volatile subscription.
+        """Also subscribe latched, to get a message published before this node started.
 
-        One that is latched alone would not match a publisher that does not latch.
+        A latched subscription does not match a publisher that does not latch, so the other
+        subscription stays.
         """
         quiet = SubscriptionEventCallbacks(use_default_callbacks=False)
         self._node.create_subscription(
@@ -118,7 +117,7 @@ class Streams:
         )
 
     def _receive(self, channel: str, take: Any, message: Any, info: Any) -> None:
-        """Count a message, and say why where it leads to nothing."""
+        """Process and count a message; log the reason if it is refused."""
         if not self._node.active:
             return
         self._tally.add(channel, "received")
@@ -129,7 +128,7 @@ class Streams:
             take(message)
             if health is not None:
                 health.count_answered(info["received_timestamp"])
-        except Exception as error:  # a user's own mechanism may raise anything; the node stays up
+        except Exception as error:  # a plug-in may raise anything, and the node must not end
             self._tally.add(channel, "refused", str(error))
             if health is not None:
                 health.count_refused(str(error))
@@ -137,15 +136,15 @@ class Streams:
             log.warning(f"{channel} refused: {error}", throttle_duration_sec=LOG_THROTTLE_S)
 
     def end(self) -> None:
-        """Answer no more joint states."""
+        """Stop answering joint states."""
         self._pump.end()
 
     def diagnoses(self, name: str) -> list[Any]:
-        """One DiagnosticStatus a topic; called once a second."""
+        """Return a DiagnosticStatus per topic; called once a second."""
         return [health.diagnosis(name, topic) for topic, health in self.health.items()]
 
     def _get_served_model(self) -> ServedModel:
-        served = self._server.current  # one reference for the whole message
+        served = self._server.current  # read once: it may be exchanged meanwhile
         if served is None:
             raise SolveError("no model in use")
         return served
@@ -158,8 +157,7 @@ class Streams:
     # ------------------------------------------------------------------ poses
 
     def _on_states(self, waiting: Messages) -> None:
-        """Where too many wait, the newest: the others would be answered too late, and count as
-        skipped."""
+        """Answer the newest joint states; skip older ones, whose answers would come too late."""
         for _, info in waiting[:-MAX_WAITING_JOINT_STATES]:
             self._tally.add("joint_states", "skipped")
             self.health["joint_states"].count_skipped(info["publication_sequence_number"])
@@ -167,7 +165,7 @@ class Streams:
             self._receive("joint_states", self._on_joints, message, info)
 
     def _on_joints(self, message: JointState) -> None:
-        """Joint readings -> ~/pose, at the time of the readings."""
+        """Publish the pose of joint readings, with their stamp."""
         served = self._get_served_model()
         model, stamp = served.model, message.header.stamp
         q, velocity = match_joints(message, model.joints)
@@ -175,12 +173,15 @@ class Streams:
         found = served.kinematics.direct(q, self._memory.conditions(model))
         if found.status not in (Status.CONVERGED, Status.OUTSIDE_LIMITS):
             raise SolveError(describe_status(found.status))
-        answer = self._answer  # one message for all: building another takes a third of the time
+        answer = self._answer  # reused: making a new message takes a third of the time
         answer.header.stamp, answer.header.frame_id = stamp, model.frames["base"]
         set_pose(answer.pose, found.position, found.quaternion)
         self._pose.publish(answer)
         if model.covariance is not None and self._sure_pose.get_subscription_count():
-            sure = PoseWithCovariance(pose=answer.pose, covariance=self._covariance(served, found))
+            covariance = served.kinematics.direct_covariance(
+                found, self._memory.conditions(model), model.noise.joint or 0.0
+            )
+            sure = PoseWithCovariance(pose=answer.pose, covariance=covariance.ravel())
             self._sure_pose.publish(PoseWithCovarianceStamped(header=answer.header, pose=sure))
         if self._passive.get_subscription_count() and served.tree is not None:
             values = served.tree.values(found.configuration.rows)
@@ -191,14 +192,10 @@ class Streams:
         if found.status == Status.OUTSIDE_LIMITS:
             self._tally.add("joint_states", "outside limits")
 
-    def _covariance(self, served: ServedModel, found: Solutions) -> Any:
-        model, at = served.model, self._memory.conditions(served.model)
-        return served.kinematics.direct_covariance(found, at, model.noise.joint or 0.0).ravel()
-
     # ------------------------------------------------------------------ commands
 
     def _on_target(self, message: PoseStamped) -> None:
-        """A target -> joint command; nothing is published for one that is not safely reached."""
+        """Publish the joint command for a target, unless it cannot be reached safely."""
         status = CommandStatus(stamp=message.header.stamp, status=CommandStatus.REFUSED)
         status.time_from_start = status.singularity = math.nan
         try:
@@ -207,10 +204,10 @@ class Streams:
             status.message = str(error) or type(error).__name__
             raise
         finally:
-            self._told.publish(status)
+            self._command_status.publish(status)
 
     def _command_path(self, message: PoseStamped, status: CommandStatus) -> None:
-        """Send a command, with as much time as its way needs, and say so in the status."""
+        """Publish a command with enough time for its path, and complete the status."""
         served = self._get_served_model()
         model, frame = served.model, message.header.frame_id
         if frame and frame != model.frames["base"]:
@@ -222,18 +219,18 @@ class Streams:
         if start is None:
             raise SolveError("no joint state received yet: the position of the robot is unknown")
         found = joints_for(served, self._memory, r, R)
-        asked, crossing, least = (
+        requested, crossing, least = (
             self._node.get_parameter(name).value
             for name in ("time_from_start", "full_travel", "singularity_margin")
         )
         at, bounds = self._memory.conditions(model), Bounds(crossing, least)
-        way = check_path(served.kinematics, start, found, at, bounds)
-        seconds = max(asked, way.seconds)
-        status.time_from_start, status.singularity = seconds, way.singularity
+        path = check_path(served.kinematics, start, found, at, bounds)
+        seconds = max(requested, path.seconds)
+        status.time_from_start, status.singularity = seconds, path.singularity
         status.status = CommandStatus.ACCEPTED
-        if way.seconds > asked:
+        if path.seconds > requested:
             status.status = CommandStatus.SLOWED
-            status.message = f"{seconds:.3g} s instead of {asked:.3g} s: {way.why}"
+            status.message = f"{seconds:.3g} s instead of {requested:.3g} s: {path.why}"
             self._tally.add("target_pose", "slowed", status.message)
         point = JointTrajectoryPoint(positions=found.joints.tolist())
         point.time_from_start = Duration(seconds=seconds).to_msg()
