@@ -17,7 +17,7 @@ from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.loading import dataset_from_recording
 from parallel_cal.recordings.options import ReadOptions, SampleOptions
 from parallel_cal.recordings.pairing import find_bracketed
-from parallel_cal.recordings.recording import Bools, Dropped, Raw, Recording
+from parallel_cal.recordings.recording import Bools, Dropped, Raw
 from parallel_cal.recordings.samples import max_gap
 from parallel_cal.recordings.sieve import CLOCK_JUMP
 
@@ -103,7 +103,12 @@ class Inbox:
             received = {name: raw for name, raw in self.raws.items() if raw.stamp}
             # One recording serves the counts and the samples, so that they agree.
             recording = align_clocks(assemble(received, ReadOptions(joints=joints), "live"))
-            self._count_pairs(recording, options)
+            # A measurement needs a joint state before and after it; the newest may still get one.
+            states, time = recording.joints, recording.pose.time
+            found = find_bracketed(states, time, max_gap(states, options))
+            pending = (time > states.time[-1]) & ~found
+            self.paired = int(found.sum())
+            self.dropped = len(self.poses.stamp) - self.paired - int(pending.sum())
             self._adopt(dataset_from_recording(recording, options), recording.start_ns)
         except ParallelCalError as error:
             self.trouble = str(error)
@@ -111,14 +116,6 @@ class Inbox:
                 self.misfit = KeyedWarning(self.trouble, "unusable messages", type(error).__name__)
         except Exception as error:  # an internal fault must not stop the collection
             self.trouble = f"internal error: {error!r}"
-
-    def _count_pairs(self, recording: Recording, options: SampleOptions) -> None:
-        """Count measurements with a joint state before and after them, and those that get none."""
-        joints, time = recording.joints, recording.pose.time
-        found = find_bracketed(joints, time, max_gap(joints, options))
-        waiting = time > joints.time[-1]
-        self.paired = int(found.sum())
-        self.dropped = len(self.poses.stamp) - self.paired - int((waiting & ~found).sum())
 
     def _adopt(self, dataset: Dataset, start_ns: int) -> None:
         """Replace the samples; a sample at the time of an old one keeps its number."""

@@ -100,23 +100,18 @@ def joints_for(
     kinematics, model = served.kinematics, served.model
     last, at = memory.joints(model), memory.conditions(model)
     found = _solve_on_branch(kinematics, last, r, R, at)
-    approach = _predict_approach(model, memory.tracker, last, found.joints)
-    if at is not None and not approach.items() <= at.items():
-        found = _solve_on_branch(kinematics, last, r, R, at | approach)
+    if at is not None and last is not None and np.isfinite(found.joints).all():
+        moves = zip(model.joints, (found.joints - last).tolist(), strict=True)
+        moving = {f"direction.{j}": d for j, d in moves if abs(d) > memory.tracker.threshold}
+        approach = {
+            name: float(np.sign(d)) for name, d in moving.items() if name in model.conditions
+        }
+        # The first solution assumed the present directions: solve again if a joint will reverse.
+        if not approach.items() <= at.items():
+            found = _solve_on_branch(kinematics, last, r, R, at | approach)
     if found.status != Status.CONVERGED:
         raise SolveError(describe_status(found.status))
     return found
-
-
-def _predict_approach(
-    model: Model, tracker: DirectionTracker, last: np.ndarray | None, q: np.ndarray
-) -> dict[str, float]:
-    """Return the approach directions of a motion from `last` to `q` that the model needs."""
-    if last is None or not np.isfinite(q).all():
-        return {}
-    moves = zip(model.joints, (q - last).tolist(), strict=True)
-    signs = {f"direction.{j}": float(np.sign(d)) for j, d in moves if abs(d) > tracker.threshold}
-    return {name: sign for name, sign in signs.items() if name in model.conditions}
 
 
 def _solve_on_branch(

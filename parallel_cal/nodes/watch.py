@@ -1,4 +1,4 @@
-"""What running nodes tell, gathered for somebody who looks on: plain data, nothing of ROS in it."""
+"""Gather what running nodes publish, as plain data for the workbench."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import os
 import time
 from bisect import bisect_left
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from threading import Lock, Thread
@@ -29,17 +29,15 @@ from parallel_cal.nodes.client import CALIBRATION, KINEMATICS, TIMEOUT_S, NodeEr
 from parallel_cal.nodes.parameters import LATCHED, SENSOR
 from parallel_cal.nodes.run import type_name
 
-NODE_TIMEOUT_S = (
-    5.0  # s without a word, after which a node that tells something each second is missed
-)
-MAX_ERRORS = 6000  # errors of the last poses: a minute at 100 Hz
-MAX_WAITING_POSES = 600  # poses, predicted or measured, that wait for the other
+NODE_TIMEOUT_S = 5.0  # s without diagnostics, which nodes publish once a second
+MAX_ERRORS = 6000  # errors of measured poses: a minute at 100 Hz
+MAX_WAITING_POSES = 600  # predicted and measured poses that wait for one another
 LEVELS = {b"\x00": "ok", b"\x01": "warn", b"\x02": "error", b"\x03": "stale"}
 MEASURED = {type_name(t): t for t in (PoseWithCovarianceStamped, PoseStamped)}
 
 
 class Watch:
-    """Listens to both nodes of a namespace in a thread of its own until `close`."""
+    """Subscribes to both nodes of a namespace, in its own thread, until `close`."""
 
     def __init__(self, namespace: str = ""):
         self.namespace, self._processes = "/" + namespace.strip("/"), list[Process]()
@@ -51,7 +49,7 @@ class Watch:
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         self._streams: dict[str, dict[str, Any]] = {}
-        self._heard: dict[str, float] = {}
+        self._last_diagnostics: dict[str, float] = {}
         self._model: dict[str, Any] = {}
         self._samples: dict[str, Any] = {}
         self._dropped: list[dict[str, Any]] = []
@@ -66,9 +64,8 @@ class Watch:
         listen(String, f"{CALIBRATION}/dropped", self._on_dropped, LATCHED)
         listen(PoseStamped, f"{KINEMATICS}/pose", self._on_predicted, SENSOR)
         self._node.create_timer(1.0, self._find_measured)
-        self._told: CommandStatus | None = None
-        status = f"{KINEMATICS}/command_status"
-        listen(CommandStatus, status, lambda message: setattr(self, "_told", message), 10)
+        self._command_status: CommandStatus | None = None
+        listen(CommandStatus, f"{KINEMATICS}/command_status", self._on_command_status, 10)
         self._target = self._node.create_publisher(PoseStamped, "target_pose", 10)
         self._robot = CampaignClient(self._node)
         self._save = self._node.create_client(SaveSamples, f"{CALIBRATION}/save_samples")
@@ -76,7 +73,7 @@ class Watch:
         self._thread.start()
 
     def start(self, folder: Path, model_file: Path) -> None:
-        """Both nodes on a model file, with logs and journal in a folder; they end with `close`."""
+        """Start both nodes on a model file; their logs and the journal go to a folder."""
         folders = os.pathsep.join(str(f.resolve()) for f in (folder, model_file.parent))
         given = {"model_file": str(model_file.resolve()), "allowed_folders": folders}
         journal = {"journal_folder": str(folder.resolve())}
@@ -86,7 +83,7 @@ class Watch:
         ]
 
     def close(self) -> None:
-        """Listen no more, and end what was started."""
+        """Stop listening, and end the nodes that `start` started."""
         self._executor.shutdown(timeout_sec=1.0)
         self._thread.join(2.0)
         self._robot.close()
@@ -96,13 +93,22 @@ class Watch:
             self._processes.pop().end()
 
     def snapshot(self) -> dict[str, Any]:
-        """What is known now: `streams`, `model`, `samples`, `dropped`, `errors` of measured poses
-        [s ago, m], the `campaign` of a robot that calibrates itself, and the `trouble` that there
-        is."""
+        """Return the present state of the nodes.
+
+        The keys are `streams`, `model`, `samples`, `dropped`, `errors` of measured poses (pairs of
+        time relative to now [s] and position error [m]), `campaign`, and `trouble`.
+        """
         with self._lock:
             now = time.monotonic()
+            silent = {
+                n for n, heard in self._last_diagnostics.items() if now - heard > NODE_TIMEOUT_S
+            }
+            stale = {"level": "stale", "said": "its node is silent"}
             return {
-                "streams": [self._mark_stale(stream, now) for stream in self._streams.values()],
+                "streams": [
+                    stream | stale if stream["node"] in silent else stream
+                    for stream in self._streams.values()
+                ],
                 "model": dict(self._model),
                 "samples": dict(self._samples),
                 "dropped": list(self._dropped),
@@ -112,7 +118,7 @@ class Watch:
             }
 
     def save_samples(self, path: Path) -> None:
-        """Have calibration_node write what was collected; NodeError where it does not."""
+        """Let calibration_node write its samples to a file; raise NodeError if it does not."""
         if not self._save.wait_for_service(TIMEOUT_S):
             raise NodeError(f"{CALIBRATION} in {self.namespace} does not answer: is it running?")
         future = self._save.call_async(SaveSamples.Request(path=str(path)))
@@ -122,36 +128,49 @@ class Watch:
             raise NodeError(f"{CALIBRATION}: {future.result().message}")
 
     def calibrate(self, **goal: Any) -> None:
-        """Let the robot calibrate itself, with fields of the action's goal."""
+        """Start a campaign with the given fields of the action's goal."""
         self._robot.begin(**goal)
 
     def steer(self, word: str) -> None:
-        """pause, resume, continue or stop, to a robot that calibrates itself."""
+        """Send the command pause, resume, continue or stop to the campaign."""
         self._robot.send_command(word)
 
     def send(self, position: Sequence[float], quaternion: Sequence[float]) -> str:
-        """Ask the robot to go to a pose (m, x y z w) as `target_pose`; what became of that, in
-        words of kinematics_node. NodeError where it says nothing."""
+        """Send a target pose to kinematics_node and return its answer in words.
+
+        Parameters
+        ----------
+        position
+            x, y, z [m].
+        quaternion
+            x, y, z, w.
+
+        Raises
+        ------
+        NodeError
+            If kinematics_node does not answer.
+        """
         message = PoseStamped()
         message.header.stamp = self._node.get_clock().now().to_msg()
         for key, value in zip("xyz", position, strict=True):
             setattr(message.pose.position, key, float(value))
         for key, value in zip("xyzw", quaternion, strict=True):
             setattr(message.pose.orientation, key, float(value))
-        stamp, self._told = message.header.stamp, None
+        stamp, self._command_status = message.header.stamp, None
         self._target.publish(message)
-        if not _wait_for(lambda: self._told is not None and self._told.stamp == stamp):
+        if not _wait_for(lambda: (s := self._command_status) is not None and s.stamp == stamp):
             raise NodeError(f"{KINEMATICS} did not report on the target within {TIMEOUT_S:.0f} s")
-        told = self._told
-        assert told is not None
+        status = self._command_status
+        assert status is not None
+        seconds = f"{status.time_from_start:.1f} s"
         words = {
-            CommandStatus.ACCEPTED: f"sent, takes {told.time_from_start:.1f} s",
-            CommandStatus.SLOWED: f"sent, slowed to {told.time_from_start:.1f} s: {told.message}",
+            CommandStatus.ACCEPTED: f"sent, takes {seconds}",
+            CommandStatus.SLOWED: f"sent, slowed to {seconds}: {status.message}",
         }
-        return words.get(told.status, f"refused: {told.message}")
+        return words.get(status.status, f"refused: {status.message}")
 
     def model_file(self, patience: float = 3.0) -> str:
-        """The file of the model that is served; "" where nobody serves one."""
+        """Return the model file of kinematics_node; empty if no model is in use."""
         _wait_for(lambda: bool(self._model), patience)
         return str(self._model.get("file", ""))
 
@@ -159,28 +178,23 @@ class Watch:
         with suppress(ExternalShutdownException):
             self._executor.spin()
 
-    def _mark_stale(self, stream: dict[str, Any], now: float) -> dict[str, Any]:
-        """Mark what a silent node last reported of a stream as stale."""
-        if now - self._heard[stream["node"]] <= NODE_TIMEOUT_S:
-            return stream
-        return stream | {"level": "stale", "said": "its node is silent"}
-
-    def _trouble(self, now: float) -> Any:
+    def _trouble(self, now: float) -> Iterator[str]:
         for process in self._processes:
             try:
                 process.check()
             except ParallelCalError as error:
                 yield f"{error}. Start this page again; the session and all samples are saved"
         for node in (KINEMATICS, CALIBRATION):
-            heard = self._heard.get(node)
+            heard = self._last_diagnostics.get(node)
             if heard is None:
                 yield f"no messages from {self.namespace.rstrip('/')}/{node}: is it running?"
             elif now - heard > NODE_TIMEOUT_S:
-                again = f". If it ended, start it again: ros2 run parallel_cal {node}"
-                advice = "" if self._processes else again
+                restart = f". If it ended, start it again: ros2 run parallel_cal {node}"
+                # A node that `start` started reports its own failure above.
+                advice = "" if self._processes else restart
                 yield f"{node} has been silent for {now - heard:.0f} s{advice}"
 
-    # ------------------------------------------------------------------ what is heard
+    # ------------------------------------------------------------------ messages of the nodes
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         own = self.namespace.rstrip("/") + "/"
@@ -190,7 +204,7 @@ class Watch:
                 node = who.removeprefix(own)
                 if not who.startswith(own) or node not in (KINEMATICS, CALIBRATION):
                     continue
-                self._heard[node] = time.monotonic()
+                self._last_diagnostics[node] = time.monotonic()
                 values = {item.key: item.value for item in status.values}
                 self._streams[status.name] = {
                     "node": node,
@@ -226,10 +240,13 @@ class Watch:
         with self._lock:
             self._dropped = json.loads(message.data)
 
+    def _on_command_status(self, message: CommandStatus) -> None:
+        self._command_status = message
+
     # ------------------------------------------------------------------ predicted and measured
 
     def _find_measured(self) -> None:
-        """Listen to the pose that calibration_node listens to, under whatever name."""
+        """Subscribe to the measured pose that calibration_node subscribes to, whatever its name."""
         if self._measured:
             return
         try:
@@ -252,25 +269,25 @@ class Watch:
         self._match()
 
     def _match(self) -> None:
-        """Each measured pose beside the prediction of its moment, between its neighbours."""
+        """Compare each measured pose with the prediction interpolated at its time."""
         while self._waiting and self._predicted and self._waiting[0][0] <= self._predicted[-1][0]:
             at, measured = self._waiting.popleft()
             k = bisect_left(self._predicted, at, key=lambda one: one[0])
             if k == 0:
                 continue
-            (t0, one), (t1, two) = self._predicted[k - 1], self._predicted[k]
-            predicted = one + (two - one) * (at - t0) / (t1 - t0)
+            (t0, r0), (t1, r1) = self._predicted[k - 1], self._predicted[k]
+            predicted = r0 + (r1 - r0) * (at - t0) / (t1 - t0)
             with self._lock:
                 error = float(np.linalg.norm(measured - predicted))
                 self._errors.append((time.monotonic(), error))
 
 
 def _wait_for(condition: Callable[[], bool], patience: float = TIMEOUT_S) -> bool:
-    """Whether something that another thread hears of comes in time."""
+    """Wait until a condition that another thread fulfils; return whether it was in time."""
     end = time.monotonic() + patience
-    while not (come := condition()) and time.monotonic() < end:
+    while not (fulfilled := condition()) and time.monotonic() < end:
         time.sleep(0.02)
-    return come
+    return fulfilled
 
 
 def _position(pose: Any) -> np.ndarray:
