@@ -21,7 +21,7 @@ from parallel_cal.kinematics.kinematics import Solutions, Status
 from parallel_cal.model.model import Model
 
 STOPPING_TIME_S = 0.05  # s in which a stop message brings the robot to rest
-UNIT_LENGTH = 1e-3  # largest deviation of a quaternion's norm from 1 that rounding explains
+UNIT_LENGTH = 1e-3  # a quaternion whose norm deviates more from 1 is refused
 
 ADVICE: dict[int, str] = {
     Status.CONVERGED: "",

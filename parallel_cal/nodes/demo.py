@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 HIDDEN = ("backlash", "gear_ripple", "shaft_twist")
 RATE = 4.0  # times real time
 POSES, MINUTES = 64, 5.0
-PAYLOAD = 1.0  # kg that the campaign may ask for; the demo "mounts" it itself
+PAYLOAD = 1.0  # kg that the campaign may ask for; the demo reports it as mounted
 
 
 def main(json: bool = False, effect: str = "", seed: int | None = None) -> int:

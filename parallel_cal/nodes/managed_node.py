@@ -23,7 +23,7 @@ class ManagedNode(LifecycleNode):
         """Why the node answers nothing at present; empty while it is active."""
         if self.active:
             return ""
-        # rclpy publishes the state only as a service, so its private attribute is read.
+        # rclpy provides the state only as a service, so its private attribute is read.
         state = self._state_machine.current_state[1]
         then = "configure it and " if state == "unconfigured" else ""
         return f"the node is {state}: {then}activate it first (ros2 lifecycle set)"

@@ -50,9 +50,8 @@ class Pump:
         **options: Any,
     ):
         self._node, self._take, self._ended = node, take, False
-        self.read_until = (
-            -math.inf
-        )  # time.monotonic(); all messages that arrived before it were taken
+        # Time of time.monotonic(): every message that arrived before it was taken.
+        self.read_until = -math.inf
         self._subscription = node.create_subscription(
             type, topic, lambda message: None, qos, callback_group=UnexecutedGroup(), **options
         )

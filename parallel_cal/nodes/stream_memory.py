@@ -1,4 +1,4 @@
-"""Remember joints and conditions of the streams, and solve targets with them. No ROS is used."""
+"""Remember joints and conditions of the streams, and solve targets with them, without ROS."""
 
 from __future__ import annotations
 
@@ -125,9 +125,8 @@ def _solve_on_branch(
     found = kinematics.inverse(r, R, at)
     if last is None or _is_on_home_branch(kinematics, last, at):
         return found
-    others = newton.inverse_all(
-        kinematics.model, r, R, at, starts=0
-    )  # starts=0: fast enough for a stream
+    # Without random starts, the search is fast enough for a stream.
+    others = newton.inverse_all(kinematics.model, r, R, at, starts=0)
     usable = np.flatnonzero(others.status == Status.CONVERGED)
     if not len(usable):
         return found
