@@ -21,7 +21,7 @@ pytest.importorskip("parallel_cal_msgs", reason="the messages (msg_defs) are not
 
 from ros_helpers import NodeProcess
 
-from parallel_cal.nodes import calibration_node, kinematics_node
+from parallel_cal.nodes import calibration_node, calibration_settings, kinematics_node
 from parallel_cal.nodes.client import Client, use_private_domain
 
 REPOSITORY = Path(__file__).parents[1]
@@ -83,7 +83,7 @@ def test_every_argument_is_described_and_only_the_model_file_has_no_default(acti
     declared = arguments(actions)
     assert all(a.description for a in declared.values())
     assert [n for n, a in declared.items() if not hasattr(a, "default_value")] == ["model_file"]
-    assert declared["pose_type"].choices == list(calibration_node.POSE_TYPES)
+    assert declared["pose_type"].choices == list(calibration_settings.POSE_TYPES)
 
 
 @pytest.mark.parametrize("node", [kinematics_node, calibration_node])

@@ -1,4 +1,4 @@
-"""What the calibration node does with its samples: compare, identify, diagnose, add an effect."""
+"""Works on the samples of the calibration node: compare, identify, diagnose, add an effect."""
 
 from __future__ import annotations
 
@@ -15,17 +15,18 @@ from std_msgs.msg import String
 
 from parallel_cal.base.errors import ModelFileError, ParallelCalError
 from parallel_cal.base.files import BACKUP_SUFFIX
+from parallel_cal.base.keyed_warning import KeyedWarning
 from parallel_cal.base.worker import Worker
 from parallel_cal.diagnosis.comparison import Comparison, compare
 from parallel_cal.identification.options import FitOptions
 from parallel_cal.model.file.modelfile import read_model
 from parallel_cal.model.model import Model
 from parallel_cal.nodes import calibration_messages as messages
+from parallel_cal.nodes.calibration_settings import CalibrationSettings
 from parallel_cal.nodes.collector import Collection
 from parallel_cal.nodes.computing import prepare
 from parallel_cal.nodes.conversions import message_class
-from parallel_cal.nodes.folders import Folders
-from parallel_cal.nodes.frames import lookup, to_base_frame
+from parallel_cal.nodes.frames import Look, to_base_frame
 from parallel_cal.nodes.jobs import Job, JobServer, Say, Work, WorkSlot, describe_error
 from parallel_cal.nodes.managed_node import ManagedNode
 from parallel_cal.nodes.parameters import LATCHED, absolute
@@ -40,23 +41,28 @@ from parallel_cal.session.goals import (
     write_proposal,
 )
 
-RESIDUAL_QUEUE_DEPTH = (
-    1000  # residuals that a listener may fall behind: all of a session come at once
-)
+# Residuals that a subscriber may fall behind: all of a session are published at once.
+RESIDUAL_QUEUE_DEPTH = 1000
 
 
 class Calibrator:
-    """Services, actions and latched topics; `collect` gives the samples, `say` tells of events."""
+    """Provides the actions `~/identify` and `~/diagnose` and the service `~/add_effect`.
+
+    It publishes `~/result`, `~/diagnosis` and `~/residuals`. `collect` returns the samples, `look`
+    the transforms of TF, and `say` publishes an event.
+    """
 
     def __init__(
         self,
         node: ManagedNode,
+        settings: CalibrationSettings,
         collect: Callable[[], Collection],
+        look: Look,
         say: Say,
         group: CallbackGroup,
-        folders: Folders,
     ):
-        self._node, self._collect, self._say, self._folders = node, collect, say, folders
+        self._node, self._settings, self._collect = node, settings, collect
+        self._look, self._say = look, say
         self._result = node.create_publisher(String, "~/result", LATCHED)
         self._diagnosis = node.create_publisher(String, "~/diagnosis", LATCHED)
         self._residuals = {
@@ -67,10 +73,10 @@ class Calibrator:
             )
             for topic, kind in TOPICS.items()
         }
-        self.worker = Worker(first=partial(prepare, self._parameter("allow_foreign_modules")))
-        self.registered = ""  # where the frame of the samples used last was found to stand
+        self.worker = Worker(first=partial(prepare, settings.get("allow_foreign_modules")))
+        self._registered = ""  # the estimated frame of the samples used last, in words
         self._written = ""  # the model file that was written last
-        self.one, self.look = WorkSlot(self.worker), lookup(node)
+        self.one = WorkSlot(self.worker)
         jobs = (
             Job(
                 "identify",
@@ -90,60 +96,61 @@ class Calibrator:
             ),
         )
         self._actions = [JobServer(node, self.one, job, say, group) for job in jobs]
-        # the node's default group: it takes seconds, and must not keep anything else waiting
+        # In the node's default group: it takes seconds and must not delay anything else.
         node.create_service(AddEffect, "~/add_effect", self._add_effect)
 
     def cancel(self) -> None:
-        """End the work, if any; the next goal is served."""
+        """End the work, if any; accept other goals."""
         self.one.cancel.ask()
 
     def stop(self) -> None:
-        """End the work, if any, and serve no other."""
+        """End the work, if any, and do no other."""
         self.cancel()
         self.worker.end()
 
     def close(self) -> None:
-        """The same, and wait for the threads that waited for it."""
+        """End the work and wait for the threads of the actions."""
         self.stop()
         for action in self._actions:
             action.close()
 
-    def _parameter(self, name: str) -> Any:
-        return self._node.get_parameter(name).value
-
-    def _sigma(self) -> float | None:
-        return self._parameter("joint_sigma") or None
+    def warnings(self) -> list[str]:
+        """Return a sentence if the samples had to be registered to the model's base frame."""
+        return [KeyedWarning(self._registered, "registration")] if self._registered else []
 
     def _hold_out(self, goal: Any) -> float:
-        """One meaning in every goal: 0 is the node's parameter, below 0 is none."""
+        """Return a goal's share of held-out poses: 0 means the node's parameter, below 0 none."""
         if goal.hold_out < 0:
             return 0.0
-        return float(goal.hold_out or self._parameter("hold_out"))
+        return float(goal.hold_out or self._settings.get("hold_out"))
 
     def undo(self, request: Any, response: Any) -> None:
-        """The model file before the last one that was written, by whomever, and back again if asked
-        twice."""
-        usual = (self._parameter("output_file"), self._model_file(""))
+        """Restore the model file that the last write replaced; a second call returns to the new
+        one."""
+        usual = (self._settings.get("output_file"), self._model_file(""))
         paths = [absolute(path) for path in (self._written, *usual) if path]
         path = next((path for path in paths if Path(path + BACKUP_SUFFIX).exists()), paths[0])
-        response.success, response.message = True, undo_write(self._folders.to_write(path, "model"))
+        response.success, response.message = (
+            True,
+            undo_write(self._settings.folders.to_write(path, "model")),
+        )
 
     def files(self, model_file: str, output_file: str) -> tuple[str, str]:
-        """Where the model is read, and where the new one goes."""
+        """Return the paths from which to read the model and to which to write the new one."""
         model_file = self._model_file(model_file)
-        output_file = output_file or self._parameter("output_file") or model_file
-        return model_file, self._folders.to_write(output_file, "model")
+        output_file = output_file or self._settings.get("output_file") or model_file
+        return model_file, self._settings.folders.to_write(output_file, "model")
 
     def _model_file(self, given: str) -> str:
-        path = given or self._parameter("model_file")
+        path = given or self._settings.get("model_file")
         if not path:
             raise ModelFileError("no model file: set the parameter model_file or name one")
-        return self._folders.to_read(path)
+        return self._settings.folders.to_read(path)
 
     # ------------------------------------------------------------------ comparing
 
     def compare(self, request: Any, response: Any) -> None:
-        """A model beside the samples, nothing fitted."""
+        """Compare a model with the samples without a fit."""
         model = read_model(self._model_file(request.model_file))
         collection = self._samples(model)
         document = self._show(model, collection).document()
@@ -154,18 +161,20 @@ class Calibrator:
         self._publish_result("compare", Outcome(True, response.message, document))
 
     def _samples(self, model: Model) -> Collection:
-        """The samples in the model's base frame, or registered to it where they are used."""
+        """Return the samples in the model's base frame, or as they are if a fit registers them."""
         collection = self._collect()
-        dataset, said = to_base_frame(collection.dataset, model, self.look, self._sigma())
-        self.registered = said if dataset is collection.dataset else ""
+        dataset, said = to_base_frame(
+            collection.dataset, model, self._look, self._settings.joint_sigma
+        )
+        self._registered = said if dataset is collection.dataset else ""
         if said:
             self._say(said)
         return replace(collection, dataset=dataset)
 
     def _show(self, model: Model, collection: Collection) -> Comparison:
-        """A model beside the samples, as residuals, too."""
-        found = compare(model, collection.dataset, self._sigma())
-        scale = self._parameter("arrow_scale")
+        """Compare a model with the samples and publish the residuals."""
+        found = compare(model, collection.dataset, self._settings.joint_sigma)
+        scale = self._settings.get("arrow_scale")
         residuals = found.residuals(collection.ids, collection.stamps)
         for topic, _, data in residual_messages(residuals, scale):
             self._residuals[topic].publish(data)
@@ -191,7 +200,7 @@ class Calibrator:
             free=tuple(goal.free),
             fix=tuple(goal.fix),
             hold_out=self._hold_out(goal),
-            joint_sigma=goal.joint_sigma or self._sigma(),
+            joint_sigma=goal.joint_sigma or self._settings.joint_sigma,
         )
         request = Request(*files, options, goal.force)
         return Work(
@@ -201,7 +210,7 @@ class Calibrator:
     def _diagnose(self, goal: Any) -> tuple[Work, Collection]:
         model_file = self._model_file(goal.model_file)
         collection = self._samples(read_model(model_file))
-        options = FitOptions(hold_out=self._hold_out(goal), joint_sigma=self._sigma())
+        options = FitOptions(hold_out=self._hold_out(goal), joint_sigma=self._settings.joint_sigma)
 
         def numbered(outcome: Outcome) -> Outcome:
             messages.number_samples(outcome.document.get("odd_samples", ()), collection)
@@ -228,7 +237,7 @@ class Calibrator:
     # ------------------------------------------------------------------ adding an effect
 
     def _add_effect(self, request: Any, response: Any) -> Any:
-        """In the executor's second thread; samples and publishers belong to the first."""
+        """Run in a worker thread of the executor; samples and publishers belong to the main one."""
         try:
             work, collection = run_in_spin_thread(self._node, self._prepare_effect, request)
         except Exception as error:
@@ -247,7 +256,9 @@ class Calibrator:
             raise ParallelCalError(self._node.refusal)
         if not request.effect:
             raise ParallelCalError("no effect named, e.g. encoder_eccentricity")
-        options = FitOptions(hold_out=self._parameter("hold_out"), joint_sigma=self._sigma())
+        options = FitOptions(
+            hold_out=self._settings.get("hold_out"), joint_sigma=self._settings.joint_sigma
+        )
         files = self.files("", request.output_file)
         wanted = Request(*files, options, request.force, request.effect)
         collection = self._samples(read_model(files[0]))

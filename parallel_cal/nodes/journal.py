@@ -1,7 +1,7 @@
-"""Samples on disk from the moment they are taken; knows nothing of ROS.
+"""Writes samples to disk as soon as they are taken; independent of ROS.
 
-One line of JSON a sample, the last line of a number counts: whatever ends the node, what was taken
-is there at the next start.
+One line of JSON for each sample; of several lines with the same number the last one counts. However
+the node ends, the next start finds every sample that was taken.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from parallel_cal.recordings.dataset import Dataset
 from parallel_cal.recordings.joining import join_datasets
 
 SUFFIX = ".journal"
-MAX_JOURNAL_BYTES = 512 * MEGABYTE  # of a journal that is read again
+MAX_JOURNAL_BYTES = 512 * MEGABYTE  # largest journal that is read
 
 
 @dataclass(frozen=True)
@@ -37,14 +37,14 @@ class Entry:
     start_ns: int
 
     def key(self) -> bytes:
-        """Changes with what was measured."""
+        """Return bytes that change if the measurement changes."""
         d, i = self.dataset, self.i
         columns = (d.q, d.r, d.R, d.pose_cov, d.time, d.duration, *d.conditions.values())
         return b"".join(column[i].tobytes() for column in columns)
 
     @property
     def alone(self) -> Dataset:
-        """The sample without what was said of the others."""
+        """The sample as a dataset without drops and warnings about other samples."""
         one = self.dataset.select([self.i])
         return dataclasses.replace(one, dropped=(), warnings=(), sha256="")
 
@@ -55,7 +55,7 @@ class Entry:
 
 @dataclass(frozen=True)
 class Part:
-    """Samples of one clock, with the numbers they had."""
+    """Samples of one clock with their numbers."""
 
     dataset: Dataset
     ids: list[int]
@@ -63,9 +63,9 @@ class Part:
 
 
 class Journal:
-    """Appends what changed, and is sure of it before it returns.
+    """Appends changed samples to a file and returns when they are safely on disk.
 
-    A file is held by one node at a time; a closed one is not resumed.
+    A node locks its file against other nodes. A closed file is not resumed.
     """
 
     def __init__(self, folder: Path, name: str):
@@ -75,9 +75,10 @@ class Journal:
         self.path = ""
 
     def resume(self) -> list[Part]:
-        """The samples of the newest journal that nobody closed, which goes on; [] for none.
+        """Continue the newest journal that was not closed; return its samples, [] if there is none.
 
-        DatasetError where it cannot be read."""
+        DatasetError if it cannot be read.
+        """
         for path in sorted(self._folder.glob(f"{self._name}-*{SUFFIX}"), reverse=True):
             try:
                 file = open_locked(path)
@@ -89,28 +90,27 @@ class Journal:
                     os.close(file)
                 continue
             self._file, self.path = file, str(path)
-            kept: dict[int, Any] = {}
-            for line in lines:
-                kept[line["id"]] = line if "sample" in line else None
-            return self._parts({k: line for k, line in kept.items() if line}, path)
+            latest = {line["id"]: line for line in lines}
+            # The last line of a removed sample contains its number only.
+            kept = {number: line for number, line in latest.items() if "sample" in line}
+            return self._read_parts(kept, path)
         return []
 
-    def _parts(self, kept: Mapping[int, Any], path: Path) -> list[Part]:
+    def _read_parts(self, kept: Mapping[int, Any], path: Path) -> list[Part]:
+        """Join the samples of each clock, in the order of time."""
         parts = []
         for start in dict.fromkeys(line["start_ns"] for line in kept.values()):
             ids = [k for k, line in kept.items() if line["start_ns"] == start]
             ones = [Dataset.from_document(kept[k]["sample"], str(path)) for k in ids]
             order = sorted(range(len(ids)), key=lambda i: ones[i].time[0])
-            dataset, ids = (
-                join_datasets([ones[i] for i in order], [1] * len(ids)),
-                [ids[i] for i in order],
-            )
+            dataset = join_datasets([ones[i] for i in order], [1] * len(ids))
+            ids = [ids[i] for i in order]
             parts.append(Part(dataset, ids, start))
             self._known |= {k: Entry(dataset, i, start).key() for i, k in enumerate(ids)}
         return parts
 
     def keep(self, entries: Mapping[int, Entry]) -> None:
-        """Make the journal hold these samples by their numbers; OSError where it cannot."""
+        """Make the journal contain exactly these samples; OSError if it cannot be written."""
         now = {number: entry.key() for number, entry in entries.items()}
         if now == self._known:
             return
@@ -121,8 +121,12 @@ class Journal:
         append_lines(self._file, changed + gone)
         self._known = now
 
+    def abandon(self) -> None:
+        """Leave the file as it is, locked; the next change begins another one."""
+        self._file, self._known, self.path = None, {}, ""
+
     def close(self, why: str) -> None:
-        """What is in it is safe elsewhere; the next change begins another one."""
+        """Mark the journal as complete; the next change begins another one."""
         if self._file is None:
             return
         append_lines(self._file, [json.dumps({"closed": why})])
@@ -130,7 +134,7 @@ class Journal:
         self._file, self.path = None, ""
 
     def _open_file(self) -> int:
-        """A file of its own, and its path."""
+        """Create and lock a new file; set its path."""
         self._folder.mkdir(parents=True, exist_ok=True)
         moment = time.strftime("%Y%m%dT%H%M%S", time.gmtime())
         for n in range(1000):

@@ -1,0 +1,124 @@
+"""The samples of a running node: made from the messages as they come, and kept on disk."""
+
+from __future__ import annotations
+
+import time
+
+from parallel_cal.base.errors import ParallelCalError
+from parallel_cal.base.keyed_warning import KeyedWarning
+from parallel_cal.campaign.cell import Sample
+from parallel_cal.model.model import Model
+from parallel_cal.nodes.calibration_settings import CalibrationSettings
+from parallel_cal.nodes.collection_report import CollectionReport
+from parallel_cal.nodes.collector import Collection, Collector
+from parallel_cal.nodes.frames import Look, by_tf
+from parallel_cal.nodes.journal import Journal
+from parallel_cal.nodes.message_recording import MessageRecording
+from parallel_cal.nodes.subscriptions import MEASURED, MessageQueue
+from parallel_cal.recordings.channels import CHANNELS
+
+
+class LiveSamples:
+    """Brings the collection and its journal up to date with the messages of a queue."""
+
+    def __init__(
+        self,
+        settings: CalibrationSettings,
+        collector: Collector,
+        journal: Journal | None,
+        queue: MessageQueue,
+        recording: MessageRecording,
+        report: CollectionReport,
+        look: Look,
+    ):
+        self.collector, self._settings, self._journal = collector, settings, journal
+        self._queue, self._recording, self._report, self._look = queue, recording, report, look
+
+    def resume(self) -> None:
+        """Take over the samples that the previous run left in its journal."""
+        if self._journal is None:
+            return
+        try:
+            resumed = self.collector.resume(self._journal.resume())
+        except ParallelCalError as error:
+            self._journal.abandon()
+            self._report.set_trouble(f"the journal could not be read: {error}")
+            return
+        if resumed:
+            self._report.warn(
+                f"{resumed} samples of the previous run were read from {self._journal.path}; "
+                "call clear_samples to discard them"
+            )
+
+    def refresh(self) -> None:
+        """Make samples of what came in, keep them, and publish the change."""
+        self._process_messages()
+        settings = self._settings
+        self.collector.configure(
+            settings.joints(), settings.sample_options(), settings.get("auto_collect")
+        )
+        samples, trouble = len(self.collector), self.collector.trouble
+        if self.collector.refresh(time.time_ns()):
+            self._report.note_changes(samples, trouble)
+            self.keep()
+            self._report.publish()
+
+    def keep(self) -> None:
+        """Write every change to the journal; a full disk does not end the node."""
+        if self._journal is None:
+            return
+        try:
+            self._journal.keep(self.collector.entries())
+        except OSError as error:
+            self._report.set_trouble(
+                f"the journal cannot be written: {error.strerror}; samples are in memory only"
+            )
+        else:
+            self._report.trouble = ""
+
+    def close_journal(self, why: str) -> None:
+        """Complete the journal; the next change begins another one."""
+        self.keep()
+        if self._journal is not None:
+            self._journal.close(why)
+
+    def finish(self) -> None:
+        """Keep what came in last, however the node ends."""
+        self._process_messages()
+        self.collector.refresh()
+        self.keep()
+
+    def collection(self) -> Collection:
+        """Return the samples in use; DatasetError says why there are none."""
+        self.refresh()
+        return self.collector.collection()
+
+    def take(self, model: Model) -> Sample:
+        """Return the sample of the current dwell, for a campaign of a model; DatasetError says why
+        there is none."""
+        self.refresh()
+        entry = self.collector.entries()[self.collector.take()]
+        self.keep()
+        return Sample(by_tf(entry.alone, model, self._look), entry.start_ns)
+
+    def warnings(self) -> list[str]:
+        """Return a sentence for each doubt about the samples."""
+        warnings = self.collector.warnings()
+        frame, base = self.collector.frame, self._settings.base
+        if frame and base and frame != base:
+            text = (
+                f"the poses are in frame '{frame}', the model's base is '{base}': the transform "
+                "between them is estimated from the samples, unless TF provides it"
+            )
+            warnings.append(KeyedWarning(text, "frame", f"{frame} {base}"))
+        return warnings
+
+    def _process_messages(self) -> None:
+        for received in self._queue.take_all():
+            channel = received.channel
+            self.collector.receive(
+                channel, received.message, received.received_ns, received.sequence
+            )
+            if CHANNELS[channel].kind in MEASURED:
+                self._queue.inflow.process(channel)
+            self._recording.write(received)

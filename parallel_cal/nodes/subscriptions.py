@@ -1,0 +1,129 @@
+"""The subscriptions of the calibration node and the queue that they fill."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable
+from functools import partial
+from operator import attrgetter
+from typing import Any, NamedTuple
+
+import geometry_msgs.msg
+from rclpy.callback_groups import CallbackGroup
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.qos import QoSProfile
+
+from parallel_cal.nodes.conversions import message_class
+from parallel_cal.nodes.health import Stream
+from parallel_cal.nodes.inflow import Inflow
+from parallel_cal.nodes.managed_node import ManagedNode
+from parallel_cal.nodes.parameters import LATCHED, overridable
+from parallel_cal.nodes.pump import Messages, Pump
+from parallel_cal.recordings.channels import CHANNELS
+
+# Reliable, and deep enough for minutes of a 1 kHz stream while this process is busy.
+STREAM = QoSProfile(depth=100_000)
+MEASURED = ("poses", "readings")  # kinds of channels that a measuring device fills by itself
+STREAMED = ("joints", *MEASURED)  # kinds read in threads of their own, however busy the node is
+
+
+class ReceivedMessage(NamedTuple):
+    """A message of a channel and when it was received, ns."""
+
+    received_ns: int
+    channel: str
+    message: Any
+    sequence: int
+
+
+class MessageQueue:
+    """Holds received messages until they are processed.
+
+    The threads of the subscriptions `put` messages, the thread that spins takes them. `inflow`
+    counts the device's messages.
+    """
+
+    def __init__(self, node: ManagedNode):
+        self._node = node
+        self._waiting: deque[ReceivedMessage] = deque()
+        self._health = {name: Stream() for name in CHANNELS}
+        self.inflow = Inflow()
+
+    def put(self, channel: str, message: Any, info: dict[str, int]) -> None:
+        """Append a message while the node is active."""
+        if not self._node.active:
+            return
+        # When the middleware received it, as a recorder sees it, not when a callback got its turn.
+        received = info["received_timestamp"] or time.time_ns()
+        sequence = info.get("publication_sequence_number")
+        self._health[channel].count_received(sequence)
+        self._health[channel].count_answered(received)
+        self._waiting.append(ReceivedMessage(received, channel, message, sequence or 0))
+        if CHANNELS[channel].kind in MEASURED:
+            self.inflow.receive(channel, received)
+        elif CHANNELS[channel].kind == "words":
+            self.inflow.holds = True
+
+    def take_all(self) -> list[ReceivedMessage]:
+        """Remove all messages and return them in the order of reception."""
+        # Other threads append meanwhile: only as many as are there now.
+        taken = [self._waiting.popleft() for _ in range(len(self._waiting))]
+        return sorted(taken, key=attrgetter("received_ns"))
+
+    def diagnoses(self, name: str) -> list[Any]:
+        """Return one DiagnosticStatus for each channel that was ever received."""
+        return [h.diagnosis(name, channel) for channel, h in self._health.items() if h.total]
+
+
+class Subscriptions:
+    """Subscribes to every channel and puts its messages into a queue.
+
+    Joint states also go to `on_joint_state` at once, in the thread that read them.
+    """
+
+    def __init__(
+        self,
+        node: ManagedNode,
+        queue: MessageQueue,
+        on_joint_state: Callable[[Any], None],
+        pose_type: str,
+        group: CallbackGroup,
+    ):
+        self._node, self._queue, self._group = node, queue, group
+        self._on_joint_state = on_joint_state
+        self._pumps: list[Pump] = []
+        quiet = SubscriptionEventCallbacks(use_default_callbacks=False)
+        for name, channel in CHANNELS.items():
+            type = message_class(channel.types[0])
+            if name == "measured_pose":
+                type = getattr(geometry_msgs.msg, pose_type)
+            self._subscribe(name, type, STREAM, qos_overriding_options=overridable())
+            if channel.latched:
+                # Often published once: the subscription above would miss it, while a latched one
+                # alone would not match a publisher that does not latch.
+                self._subscribe(name, type, LATCHED, event_callbacks=quiet)
+
+    def end(self) -> None:
+        """Read no more messages; call it before the node is destroyed."""
+        for pump in self._pumps:
+            pump.end()
+
+    def _subscribe(self, channel: str, type: Any, qos: QoSProfile, **options: Any) -> None:
+        if CHANNELS[channel].kind not in STREAMED:
+            on_message = partial(self._queue.put, channel)
+            self._node.create_subscription(
+                type, channel, on_message, qos, callback_group=self._group, **options
+            )
+            return
+        pump = Pump(self._node, type, channel, qos, partial(self._on_stream, channel), **options)
+        self._pumps.append(pump)
+        if channel != "joint_states":
+            self._queue.inflow.add_reader(pump)
+
+    def _on_stream(self, channel: str, received: Messages) -> None:
+        """Take messages in the thread of their pump."""
+        for message, info in received:
+            if channel == "joint_states":
+                self._on_joint_state(message)
+            self._queue.put(channel, message, info)
