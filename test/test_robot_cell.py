@@ -80,7 +80,7 @@ class Desk:
 @pytest.fixture(autouse=True)
 def soon(monkeypatch):
     monkeypatch.setattr(robot_cell, "SAMPLE_TIMEOUT_S", LONGEST)
-    monkeypatch.setattr(robot_cell, "SAID_EVERY", 0.1)
+    monkeypatch.setattr(robot_cell, "REPORT_INTERVAL_S", 0.1)
     monkeypatch.setattr(
         robot_cell, "JOINT_STATE_TIMEOUT_S", 30.0
     )  # whatever else this machine is at

@@ -1,4 +1,4 @@
-"""Ask a running calibration_node, or one started for a simulated robot, to calibrate."""
+"""Asks a running calibration_node, or one started for a simulated robot, to calibrate."""
 
 from __future__ import annotations
 
@@ -35,10 +35,11 @@ Hear = Callable[[Any], None]  # Calibrate.Feedback
 
 
 class Calibration:
-    """A client of `~/calibrate`; a context, at whose end all that it started has ended.
+    """A client of `~/calibrate`; a context manager that ends every process it started.
 
-    `simulated` are parameters of a virtual_cell_node that is started with calibration_node and
-    kinematics_node, in a ROS domain of their own; it writes the model file unless there is one.
+    With `simulated`, the parameters of a virtual_cell_node, it starts that node, calibration_node
+    and kinematics_node in a separate ROS domain. The virtual_cell_node writes the model file unless
+    it exists.
     """
 
     def __init__(

@@ -20,42 +20,40 @@ from parallel_cal.nodes.conversions import pose_message
 from parallel_cal.recordings.recording import Dropped
 from parallel_cal.session.goals import Outcome
 
-NOT_MEASURED = 1e4  # a variance above 1e3 says so
+NOT_MEASURED = 1e4  # variance of a coordinate that was not measured; readers test for > 1e3
 
 
 def sample_messages(collection: Collection) -> list[Sample]:
-    """One message a sample; conditions that are not finite are left out."""
+    """Return one message for each sample, without conditions that are not finite."""
     leaders: dict[int, int] = {}
     messages = []
     for i, number in enumerate(collection.ids.tolist()):
         first = leaders.setdefault(int(collection.dataset.pose_id[i]), number)
-        messages.append(_sample(collection, i, number, -1 if first == number else first))
+        messages.append(_sample_message(collection, i, number, -1 if first == number else first))
     return messages
 
 
-def _sample(collection: Collection, i: int, number: int, first: int) -> Sample:
+def _sample_message(collection: Collection, i: int, number: int, first: int) -> Sample:
     dataset = collection.dataset
     conditions = {name: float(column[i]) for name, column in dataset.conditions.items()}
+    covariance = np.where(np.isfinite(dataset.pose_cov[i]), dataset.pose_cov[i], 0.0)
+    covariance[np.diag_indices(6)] = np.where(
+        dataset.measured[i], np.diag(covariance), NOT_MEASURED
+    )
+    pose = pose_message(dataset.r[i], matrix_to_quaternion(dataset.R[i]))
     return Sample(
         id=number,
         stamp=time_message(int(collection.stamps[i])),
         joints=dataset.q[i].tolist(),
-        pose=_pose(dataset.r[i], dataset.R[i], dataset.measured[i], dataset.pose_cov[i]),
+        pose=PoseWithCovariance(pose=pose, covariance=covariance.ravel()),
         conditions=[Condition(name=n, value=v) for n, v in conditions.items() if np.isfinite(v)],
         replicate_of=first,
         note=f"{dataset.count_q[i]} joint readings, {dataset.count_pose[i]} poses averaged",
     )
 
 
-def _pose(r: Any, R: Any, measured: Any, covariance: Any) -> PoseWithCovariance:
-    spread = np.where(np.isfinite(covariance), covariance, 0.0)
-    spread[np.diag_indices(6)] = np.where(measured, np.diag(spread), NOT_MEASURED)
-    pose = pose_message(r, matrix_to_quaternion(R))
-    return PoseWithCovariance(pose=pose, covariance=spread.ravel())
-
-
 def number_samples(rows: Iterable[MutableMapping[str, Any]], collection: Collection) -> None:
-    """Add to rows about samples of the dataset the `id` that each has in the collection."""
+    """Add the `id` in the collection to each row about a sample of its dataset."""
     ids = dict(zip(collection.dataset.numbers.tolist(), collection.ids.tolist(), strict=True))
     for row in rows:
         row["id"] = ids[row["sample"]]
@@ -75,12 +73,12 @@ def json_text(document: Any) -> str:
 
 
 def dropped_message(dropped: Iterable[Dropped]) -> String:
-    """What was received and is not used: [{time, reason, detail, count}], s since the start."""
+    """Return the dropped messages: [{time, reason, detail, count}], time in s since the start."""
     return json_message([vars(item) for item in dropped])
 
 
 def identify_result(outcome: Outcome) -> Identify.Result:
-    """NaN for errors that are not known."""
+    """Return the result message; unknown errors are NaN."""
     message = Identify.Result(success=outcome.success, message=outcome.message, hash=outcome.hash)
     message.json = json_text(outcome.document) if outcome.document else ""
     message.position_before, message.position_after = outcome.means[:2]
@@ -89,7 +87,7 @@ def identify_result(outcome: Outcome) -> Identify.Result:
 
 
 def diagnose_result(outcome: Outcome) -> Diagnose.Result:
-    """Success means that there is a verdict, whichever it is."""
+    """Return the result message; success means that there is a verdict, whichever it is."""
     message = Diagnose.Result(success=outcome.success, message=outcome.message)
     message.verdict = outcome.verdict
     message.json = json_text(outcome.document) if outcome.document else ""

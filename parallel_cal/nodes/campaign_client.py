@@ -1,4 +1,4 @@
-"""A robot that calibrates itself, as somebody who looks on sees and steers it."""
+"""Follows and steers a campaign from another program."""
 
 from __future__ import annotations
 
@@ -20,8 +20,10 @@ WORDS = ("pause", "resume", "continue")
 
 
 class CampaignClient:
-    """Begins, holds and stops a campaign of calibration_node, whoever began it; `told` is what is
-    known of it, plain data."""
+    """Begins, pauses and stops a campaign of calibration_node, whoever began it.
+
+    `told` is its last status as plain data.
+    """
 
     def __init__(self, node: Node):
         self.told: dict[str, Any] = {"state": "", "curve": [], "answer": ""}
@@ -29,33 +31,33 @@ class CampaignClient:
             CalibrationStatus, f"{CALIBRATION}/session_status", self._on_status, LATCHED
         )
         self._goal = ActionClient(node, Calibrate, f"{CALIBRATION}/calibrate")
-        # Of all goals: it may have been begun by another program, or before this one was started.
+        # Cancels all goals: another program, or an earlier run of this one, may have sent them.
         self._stop = node.create_client(CancelGoal, f"{CALIBRATION}/calibrate/_action/cancel_goal")
         self._say = {word: node.create_client(Trigger, f"{CALIBRATION}/{word}") for word in WORDS}
 
     def begin(self, **goal: Any) -> None:
-        """Ask for it, fields of the action's goal; what comes of it is in `told`. NodeError where
-        nobody is there to ask."""
-        self._need(self._goal.server_is_ready())
+        """Send a goal with these fields; `told` shows its progress. NodeError if the node does not
+        answer."""
+        self._require(self._goal.server_is_ready())
         self.told = {**self.told, "curve": [], "answer": ""}
         self._goal.send_goal_async(Calibrate.Goal(**goal)).add_done_callback(self._on_accepted)
 
     def send_command(self, word: str) -> None:
-        """pause, resume, continue or stop. NodeError where nobody is there to hear it."""
+        """Send pause, resume, continue or stop. NodeError if the node does not answer."""
         client, request = (
             (self._stop, CancelGoal.Request())
             if word == "stop"
             else (self._say[word], Trigger.Request())
         )
-        self._need(client.service_is_ready())
+        self._require(client.service_is_ready())
         client.call_async(request)
 
     def close(self) -> None:
-        """An action's client that outlives its context ends the process with a fault."""
+        """Destroy the action client: one that outlives its context crashes the process."""
         self._goal.destroy()
 
-    def _need(self, there: bool) -> None:
-        if not there:
+    def _require(self, ready: bool) -> None:
+        if not ready:
             raise NodeError(f"{CALIBRATION} does not answer: is it running?")
 
     def _on_accepted(self, future: Future) -> None:

@@ -1,4 +1,4 @@
-"""The action `~/calibrate`: a campaign with the robot of this node's topics."""
+"""The action `~/calibrate`: a campaign with the robot on this node's topics."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from parallel_cal_msgs.action import Calibrate
 from parallel_cal_msgs.msg import CalibrationStatus, Question
 from rclpy.callback_groups import CallbackGroup
@@ -40,15 +41,19 @@ from parallel_cal.nodes.run import run_in_spin_thread
 from parallel_cal.nodes.tally import diagnostics
 from parallel_cal.session import goals
 
-POSES, MINUTES = 80, 60.0  # where a goal says nothing
+POSES, MINUTES = 80, 60.0  # if a goal gives none
 LEVELS = {"stopped": b"\x02", "asking": b"\x01", "paused": b"\x01"}
 
 
 @dataclass(frozen=True)
 class NodeAccess:
-    """What a campaign needs of the node: `files` where a goal's model is and the better one goes,
-    `take` the sample of the dwell going on, `folder` for campaigns, `options` of a fit, `inflow` of
-    what the device measures."""
+    """What a campaign needs of the node.
+
+    `files` returns where a goal's model is read and the better one is written. `take` returns the
+    sample of the current dwell, in the thread that spins. `folder` contains all campaigns.
+    `options` returns those of a fit, `dwell` the time to rest in s. `inflow` counts the device's
+    messages.
+    """
 
     files: Callable[[str, str], tuple[str, str]]
     take: Callable[[Model], Sample]
@@ -74,8 +79,10 @@ class CampaignServer:
         self._control: Control | None = None
         self._cell: RobotCell | None = None
         self._status = CalibrationStatus(state="done", reason="idle", error_unseen=math.nan)
-        self._told = node.create_publisher(CalibrationStatus, "~/session_status", LATCHED)
-        self._told.publish(self._status)
+        self._status_publisher = node.create_publisher(
+            CalibrationStatus, "~/session_status", LATCHED
+        )
+        self._status_publisher.publish(self._status)
         self._command = node.create_publisher(JointTrajectory, "joint_trajectory", 10)
         job = Job(
             "calibrate",
@@ -83,7 +90,7 @@ class CampaignServer:
             "a calibration is running; cancel it or wait",
             self._prepare,
             self._on_finished,
-            _answer,
+            _make_result,
         )
         self.action = JobServer(node, one, job, say, group)
         for name, work in (
@@ -94,12 +101,12 @@ class CampaignServer:
             node.create_service(Trigger, f"~/{name}", work, callback_group=group)
 
     def on_joint_state(self, message: Any) -> None:
-        """A joint state, in whichever thread it comes."""
+        """Pass on a joint state; may be called in any thread."""
         if (cell := self._cell) is not None:
             cell.on_joint_state(message)
 
     def diagnosis(self, name: str) -> Any:
-        """One DiagnosticStatus: what it is at, and why."""
+        """Return a DiagnosticStatus with the state of the campaign and its reason."""
         status = self._status
         items = {
             "poses": str(status.poses),
@@ -118,7 +125,9 @@ class CampaignServer:
         numbers = list(goal.keep_out)
         if len(numbers) % 6:
             raise ParallelCalError("keep_out: expected six numbers for each box, x y z x y z in m")
-        boxes = tuple(_box(numbers[k : k + 6]) for k in range(0, len(numbers), 6))
+        # The two corners of each box come in any order.
+        corners = np.sort(np.reshape(numbers, (-1, 2, 3)), axis=1).tolist()
+        boxes = tuple(Box(tuple(low), tuple(high)) for low, high in corners)
         wanted = Goal(
             poses=goal.poses or POSES,
             minutes=goal.minutes or MINUTES,
@@ -140,8 +149,8 @@ class CampaignServer:
         cell = RobotCell(
             self._command, model, take, self._here.dwell(), self._here.inflow, self._tell_reason
         )
-        left = None if goal.afresh else find_unfinished(self._here.folder, text)
-        folder = left or self._here.folder / time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
+        unfinished = None if goal.afresh else find_unfinished(self._here.folder, text)
+        folder = unfinished or self._here.folder / time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
         self._control, self._cell = control, cell
 
         def run(tell: Callable[..., None]) -> goals.Outcome:
@@ -162,7 +171,7 @@ class CampaignServer:
         control: Control,
         tell: Callable[..., None],
     ) -> goals.Outcome:
-        """In a thread of its own."""
+        """Run the campaign, in a thread of its own."""
 
         def work(function: Callable[..., Any], *given: Any) -> Any:
             try:
@@ -171,8 +180,8 @@ class CampaignServer:
                 control.check_interrupted()
                 raise
 
-        def told(status: Status) -> None:
-            with suppress(Exception):  # a context that ends is no reason to leave a robot moving
+        def publish(status: Status) -> None:
+            with suppress(Exception):  # a context that ends must not leave a robot moving
                 self._publish_status(status, folder)
                 tell(
                     status.state,
@@ -184,7 +193,7 @@ class CampaignServer:
                     _question_messages(status),
                 )
 
-        campaign = Campaign(folder, text, wanted, cell, told, work, control)
+        campaign = Campaign(folder, text, wanted, cell, publish, work, control)
         try:
             return campaign.run()
         finally:
@@ -203,17 +212,17 @@ class CampaignServer:
             purpose=status.purpose,
             questions=_question_messages(status),
         )
-        self._told.publish(self._status)
+        self._status_publisher.publish(self._status)
 
     def _tell_reason(self, reason: str) -> None:
-        """Publish what the present state waits for."""
+        """Publish what the current state is waiting for."""
         self._status.reason = reason
-        self._told.publish(self._status)
+        self._status_publisher.publish(self._status)
 
     def _on_finished(self, outcome: goals.Outcome, collection: Any) -> None:
         self._say(outcome.message)
 
-    # ------------------------------------------------------------------ what a person says
+    # ------------------------------------------------------------------ commands of a person
 
     def _pause(self, request: Any, response: Any) -> Any:
         return self._control_campaign(
@@ -246,14 +255,7 @@ def _question_messages(status: Status) -> list[Question]:
     return [Question(**vars(question)) for question in status.questions]
 
 
-def _box(numbers: list[float]) -> Box:
-    """Corners in any order, the lower one first."""
-    pairs = [sorted(pair) for pair in zip(numbers[:3], numbers[3:], strict=True)]
-    low, high = zip(*pairs, strict=True)
-    return Box(low, high)
-
-
-def _answer(outcome: goals.Outcome) -> Any:
+def _make_result(outcome: goals.Outcome) -> Any:
     return Calibrate.Result(
         success=outcome.success,
         message=outcome.message,

@@ -1,4 +1,4 @@
-"""Many direct or inverse problems in pieces, for a worker; knows nothing of ROS."""
+"""Solves many direct or inverse problems in pieces, in a worker; independent of ROS."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from parallel_cal.kinematics.kinematics import Kinematics, Solutions, Status
 from parallel_cal.model.file.modelfile import parse_model
 from parallel_cal.model.shelf import forbid_foreign
 
-PIECE_DURATION_S = 0.1  # s that a piece of a request takes, about: what is done is told that often
+PIECE_DURATION_S = 0.1  # s that one piece of a request should take; then its answers are sent
 # A singular pose has no finite covariance.
 SOLVED = (Status.CONVERGED, Status.OUTSIDE_LIMITS)
 
 
 @dataclass(frozen=True)
 class Problems:
-    """Rows (N, ..) of joints, or of positions and rotations, and how they are to be solved."""
+    """Rows (N, ..) of joints, or of positions and rotations, and how to solve them."""
 
     problem: str
     rows: tuple[np.ndarray, ...]
@@ -35,28 +35,31 @@ class Problems:
 
 @dataclass(frozen=True)
 class Answer:
-    """The solutions of one row, one or several, and their covariances where asked for and known."""
+    """The solutions of one row, and their covariances if requested and known."""
 
     found: Solutions
     covariances: tuple[np.ndarray | None, ...]
 
 
 def prepare(foreign: bool) -> None:
-    """What a new process does first; modules outside the package only where that is true."""
+    """Prepare a new process; `foreign` allows modules outside the package."""
     if not foreign:
         forbid_foreign()
 
 
 def answer(text: str, asked: Problems, tell: Callable[[list[Answer]], None]) -> None:
-    """Tell answers in order, a piece at a time, of the model with this file text."""
+    """Solve problems for the model with this file text; send the answers in order, in pieces."""
     kinematics = _kinematics(text)
+    solve = _select_solver(kinematics, asked)
     n, begin, size = len(asked.rows[0]), 0, 1 if asked.every or asked.solver else 16
     while begin < n:
         start = time.monotonic()
         rows = tuple(part[begin : begin + size] for part in asked.rows)
-        tell(
-            [_with_covariances(kinematics, asked, f) for f in _solve_rows(kinematics, asked, rows)]
-        )
+        if asked.every or n == 1:
+            found = [solve(*(part[i] for part in rows)) for i in range(len(rows[0]))]
+        else:  # one answer to each row: solved together
+            found = list(solve(*rows))
+        tell([_with_covariances(kinematics, asked, solutions) for solutions in found])
         begin += size
         if not asked.every:
             lapse = max(time.monotonic() - start, 1e-6)
@@ -65,7 +68,7 @@ def answer(text: str, asked: Problems, tell: Callable[[list[Answer]], None]) -> 
 
 @lru_cache(maxsize=8)
 def warm(text: str, every: bool) -> None:
-    """Build what a model's first requests would wait for; of `every` solution, too."""
+    """Build the functions that a model's first request needs; with `every`, for all solutions."""
     kinematics = _kinematics(text)
     home, model = kinematics.model.mechanism.home, kinematics.model
     q, r = np.array(home.joints, float), np.array(home.position, float)
@@ -80,18 +83,8 @@ def _kinematics(text: str) -> Kinematics:
     return Kinematics(parse_model(text).robot())
 
 
-def _solve_rows(
-    kinematics: Kinematics, asked: Problems, rows: tuple[np.ndarray, ...]
-) -> list[Solutions]:
-    """Solutions of each row; solved together where each has one answer."""
-    solve = _solver(kinematics, asked)
-    if asked.every or len(asked.rows[0]) == 1:
-        return [solve(*(part[i] for part in rows)) for i in range(len(rows[0]))]
-    return list(solve(*rows))
-
-
-def _solver(kinematics: Kinematics, asked: Problems) -> Callable[..., Solutions]:
-    """How this request wants its rows solved."""
+def _select_solver(kinematics: Kinematics, asked: Problems) -> Callable[..., Solutions]:
+    """Return the function that solves rows as the request asks."""
     inverse, model, at = asked.problem == "inverse", kinematics.model, asked.at
     if asked.every or asked.solver:
         if why := solving.get_build_note(asked.solver):

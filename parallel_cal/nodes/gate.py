@@ -1,6 +1,7 @@
-"""Lets through the messages of one publisher on one clock; what strays is held back and counted.
+"""Lets through the messages of one publisher on one clock; holds back and counts the others.
 
-Knows nothing of ROS: a message is its stamp, when it was received and its publisher's count.
+Independent of ROS: a message consists of its stamp, its time of reception and its publisher's
+sequence number.
 """
 
 from __future__ import annotations
@@ -12,18 +13,14 @@ from typing import Any
 from parallel_cal.base.keyed_warning import KeyedWarning
 from parallel_cal.nodes.sources import Source, Sources
 
-MAX_STAMP_JUMP_NS = (
-    1_000_000_000  # ns; a stamp further off than this is astray, or of another clock
-)
-MIN_AGREEING_MESSAGES = (
-    3  # messages that must follow each other on another clock before it is believed
-)
-PUBLISHER_TIMEOUT_NS = (
-    300_000_000  # ns for which the publisher before says nothing, until another is believed
-)
-MIXED_PUBLISHERS_HOLD_NS = (
-    2_000_000_000  # ns after the last sign of two publishers in which nothing is taken
-)
+# A stamp that differs more from its neighbour is wrong, or belongs to another clock.
+MAX_STAMP_JUMP_NS = 1_000_000_000
+# Another clock is believed after so many consecutive messages.
+MIN_AGREEING_MESSAGES = 3
+# Another publisher is believed when the previous one has been silent for so long.
+PUBLISHER_TIMEOUT_NS = 300_000_000
+# No message passes for so long after the last sign of two active publishers.
+MIXED_PUBLISHERS_HOLD_NS = 2_000_000_000
 # Why messages are dropped.
 TWO_PUBLISHERS = "because two publishers are active"
 NO_NEIGHBOUR = "because its stamp fits neither the previous nor the next message"
@@ -32,7 +29,7 @@ STAMP_JUMP = "stamp jump"
 
 @dataclass(frozen=True)
 class StampedMessage:
-    """A message; times in ns, stamp 0 and sequence 0 where it has none."""
+    """A message; times in ns; stamp 0 and sequence 0 mean that it has none."""
 
     stamp: int
     log: int
@@ -42,14 +39,18 @@ class StampedMessage:
 
 
 class Gate:
-    """One stream; `strays` were dropped, `lost` never came, `trouble` is about the last of them."""
+    """The gate of one stream.
+
+    `strays` counts the dropped messages, `lost` those that were never received, and `trouble`
+    describes the last drop.
+    """
 
     def __init__(self, name: str):
         self._name = name
         self._last: StampedMessage | None = None
         self._held: list[StampedMessage] = []
         self._sources = Sources()
-        self._mixed: int | None = None
+        self._mixed: int | None = None  # when two publishers were last seen to be active
         self.strays = 0
         self.trouble = ""
 
@@ -58,32 +59,39 @@ class Gate:
         return self._sources.lost
 
     def take(self, stamp: int, log: int, sequence: int, message: Any) -> Sequence[StampedMessage]:
-        """The messages that may go on now, this one among them or not."""
-        said = StampedMessage(stamp, log, sequence, message, self._sources.identify(sequence))
+        """Return the messages that may pass now; the new one may be among them."""
+        new = StampedMessage(stamp, log, sequence, message, self._sources.identify(sequence))
         last, held = self._last, self._held
         if last is None:
-            return self._first(said)
-        if said.source is last.source and _near(said, last):
-            if held:
-                self._drop_held(last, log)
-            return self._release([said])
-        if (
-            held
-            and said.source is held[-1].source
-            and said.stamp >= held[-1].stamp - MAX_STAMP_JUMP_NS
-        ):
-            held.append(said)
+            return self._take_first(new)
+        if new.source is last.source and _near(new, last):
+            # The stream continues: the messages held back in between do not belong to it.
+            if held and held[0].source is not last.source:
+                self._drop_mixed(held, log)
+            elif held:
+                off = (held[0].stamp - last.stamp) * 1e-9
+                why = f"because its stamp is {off:+.1f} s from its neighbours"
+                self._drop(held, STAMP_JUMP, why)
+            return self._release([new])
+        if not held:
+            self._held = [new]
+            return ()
+        previous = held[-1]
+        if new.source is previous.source and new.stamp >= previous.stamp - MAX_STAMP_JUMP_NS:
+            held.append(new)
             return self._release(held) if self._has_agreement(last) else ()
-        if held and said.source is not held[-1].source:
-            self._mixed = log
-            self._stray(held, TWO_PUBLISHERS)
+        if new.source is previous.source:
+            self._drop(held, NO_NEIGHBOUR)
         else:
-            self._stray(held, NO_NEIGHBOUR)
-        self._held = [said]
+            self._drop_mixed(held, log)
+        self._held = [new]
         return ()
 
     def flush(self, now: int | None = None) -> Sequence[StampedMessage]:
-        """What is held where nothing else came for a while, or (None) will ever come."""
+        """Return the held messages that may pass because no others came for a while.
+
+        `now` is None if no others will ever come.
+        """
         last, held = self._last, self._held
         if not held or (now is not None and now - held[-1].log < PUBLISHER_TIMEOUT_NS):
             return ()
@@ -91,53 +99,46 @@ class Gate:
         ahead = last and held[-1].source is last.source and held[0].stamp > last.stamp
         return self._release(held) if first or ahead or len(held) >= MIN_AGREEING_MESSAGES else ()
 
-    def _first(self, said: StampedMessage) -> Sequence[StampedMessage]:
-        """Messages before any that can be trusted: two that are near each other, or several of a
-        device that is slow; what strayed from those is none of them."""
+    def _take_first(self, new: StampedMessage) -> Sequence[StampedMessage]:
+        """Take a message while none is trusted yet.
+
+        Two neighbouring messages are trusted, or several of a slow device.
+        """
         held = self._held
-        if held and said.source is not held[-1].source:
-            self._mixed = said.log
-            self._stray(held, TWO_PUBLISHERS)
+        if held and new.source is not held[-1].source:
+            self._drop_mixed(held, new.log)
             held = []
-        elif held and _near(said, held[-1]):
-            self._stray(held[:-1], NO_NEIGHBOUR)
-            return self._release([held[-1], said])
-        elif held and said.stamp < held[-1].stamp:
-            self._stray(held, NO_NEIGHBOUR)
+        elif held and _near(new, held[-1]):
+            self._drop(held[:-1], NO_NEIGHBOUR)
+            return self._release([held[-1], new])
+        elif held and new.stamp < held[-1].stamp:
+            self._drop(held, NO_NEIGHBOUR)
             held = []
-        self._held = [*held, said]
+        self._held = [*held, new]
         return self._release(self._held) if len(self._held) >= MIN_AGREEING_MESSAGES else ()
 
     def _has_agreement(self, last: StampedMessage) -> bool:
+        """Whether the held messages may replace the stream that ended with `last`."""
         held = self._held
+        enough = len(held) >= MIN_AGREEING_MESSAGES
         if held[0].source is not last.source:
-            return (
-                len(held) >= MIN_AGREEING_MESSAGES
-                and held[-1].log - last.log > PUBLISHER_TIMEOUT_NS
-            )
-        return held[0].stamp > last.stamp or len(held) >= MIN_AGREEING_MESSAGES
+            return enough and held[-1].log - last.log > PUBLISHER_TIMEOUT_NS
+        return enough or held[0].stamp > last.stamp
 
-    def _release(self, said: list[StampedMessage]) -> Sequence[StampedMessage]:
-        self._last, self._held = said[-1], []
-        if self._mixed is not None and said[-1].log - self._mixed < MIXED_PUBLISHERS_HOLD_NS:
-            self._stray(said, TWO_PUBLISHERS)
+    def _release(self, trusted: list[StampedMessage]) -> Sequence[StampedMessage]:
+        self._last, self._held = trusted[-1], []
+        if self._mixed is not None and trusted[-1].log - self._mixed < MIXED_PUBLISHERS_HOLD_NS:
+            self._drop(trusted, TWO_PUBLISHERS)
             return ()
-        return said
+        return trusted
 
-    def _drop_held(self, last: StampedMessage, now: int) -> None:
-        if self._held[0].source is not last.source:
-            self._mixed = now
-            self._stray(self._held, TWO_PUBLISHERS)
-        else:
-            off = (self._held[0].stamp - last.stamp) * 1e-9
-            self._stray(
-                self._held, STAMP_JUMP, f"because its stamp is {off:+.1f} s from its neighbours"
-            )
-        self._held = []
+    def _drop_mixed(self, dropped: Sequence[StampedMessage], now: int) -> None:
+        self._mixed = now
+        self._drop(dropped, TWO_PUBLISHERS)
 
-    def _stray(self, said: Sequence[StampedMessage], kind: str, why: str = "") -> None:
-        if said:
-            self.strays += len(said)
+    def _drop(self, dropped: Sequence[StampedMessage], kind: str, why: str = "") -> None:
+        if dropped:
+            self.strays += len(dropped)
             words = f"{self._name}: {self.strays} messages dropped, the last one {why or kind}"
             self.trouble = KeyedWarning(words, kind, self._name)
 

@@ -1,4 +1,4 @@
-"""How a node's streams do: rate, loss and latency of each, told as diagnostic_updater would."""
+"""The state of a node's streams: rate, loss and latency, in the form of diagnostic_updater."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from parallel_cal.nodes.sources import Sources
 from parallel_cal.nodes.tally import diagnostics
 
-WINDOW = 10  # s that rates and shares are told of
-MAX_LATENCY_S = 0.1  # s from reception to answer that is worth a warning (99 of 100 are below)
-# share of messages lost or refused that is a warning, an error
+WINDOW = 10  # s over which rates and shares are computed
+MAX_LATENCY_S = 0.1  # s from reception to answer; a warning if one in a hundred takes longer
+# Share of messages lost, skipped or refused that causes a warning, and an error.
 WARN_SHARE = 1e-3
 ERROR_SHARE = 0.1
 
 
 class Stream:
-    """One topic: counts since the start, and second by second in a window."""
+    """One topic: counts since the start, and for each second of a window."""
 
     def __init__(self) -> None:
         self.total: Counter[str] = Counter()
@@ -30,37 +30,36 @@ class Stream:
         self.reason = ""
 
     def count_received(self, sequence: int | None) -> None:
-        """Count a message, and by its publisher's count those that never came before it."""
+        """Count a message and, by its sequence number, those lost before it."""
         self.total["received"] += 1
         self._sources.identify(sequence)
 
     def count_skipped(self, sequence: int | None) -> None:
-        """Count a message that came too late to be answered."""
+        """Count a message that was received too late to be answered."""
         self.count_received(sequence)
         self.total["skipped"] += 1
 
     def count_answered(self, received_ns: int) -> None:
-        """A message was answered: how long after it came in."""
+        """Note the latency of a message that is answered now."""
         self._latencies.append(time.time_ns() - received_ns)
 
     def count_refused(self, reason: str) -> None:
         self.total["refused"] += 1
         self.reason = reason
 
-    def _tick(self) -> None:
+    def diagnosis(self, name: str, topic: str) -> Any:
+        """Return a DiagnosticStatus; call it once a second.
+
+        WARN if more than a thousandth was lost, skipped or refused, ERROR if more than a tenth was.
+        """
         self.total["lost"] = self._sources.lost
         self._seconds.append(self.total - self._last)
         self._last = self.total.copy()
-
-    def diagnosis(self, name: str, topic: str) -> Any:
-        """One DiagnosticStatus, asked for once a second: WARN where a thousandth is lost, skipped
-        or refused, ERROR for a tenth."""
-        self._tick()
         window = sum(self._seconds, Counter[str]())
-        seconds, came = max(len(self._seconds), 1), max(window["received"] + window["lost"], 1)
+        seconds, sent = max(len(self._seconds), 1), max(window["received"] + window["lost"], 1)
         ordered = sorted(self._latencies)
         p99 = ordered[int(0.99 * (len(ordered) - 1))] * 1e-9 if ordered else 0.0
-        shares = {kind: window[kind] / came for kind in ("lost", "skipped", "refused")}
+        shares = {kind: window[kind] / sent for kind in ("lost", "skipped", "refused")}
         wrong = [f"{share:.2%} {kind}" for kind, share in shares.items() if share > WARN_SHARE]
         wrong += [f"{1e3 * p99:.0f} ms late"] * (p99 > MAX_LATENCY_S)
         level = DiagnosticStatus.WARN if wrong else DiagnosticStatus.OK
@@ -80,5 +79,5 @@ class Stream:
             "Last reason": self.reason,
             "Latency p99 (ms)": f"{1e3 * p99:.2f}",
         }
-        said = "; ".join(wrong) if wrong else "OK" if window else "no messages"
-        return diagnostics(f"{name}: {topic}", level, said, items)
+        text = "; ".join(wrong) if wrong else "OK" if window else "no messages"
+        return diagnostics(f"{name}: {topic}", level, text, items)

@@ -1,4 +1,4 @@
-"""Long work behind an action: one goal at a time, in a process of its own, cancelled at once."""
+"""Long work behind an action: one goal at a time, in its own process, cancelled at once."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ class Cancelled(Exception):
 
 
 class Cancel:
-    """Either the goal is cancelled or the file is written, never both."""
+    """Decides a race: either the goal is cancelled or the file is written, never both."""
 
     def __init__(self) -> None:
         self._lock, self.asked, self._committed = Lock(), False, False
 
     def ask(self) -> bool:
-        """Ask the work to stop; False when it is too late."""
+        """Ask the work to stop; return False if it is too late."""
         with self._lock:
             self.asked = not self._committed
             return self.asked
 
     def commit(self) -> None:
-        """From here on it is too late to cancel; Cancelled if it already was."""
+        """Make it too late to cancel; raise Cancelled if it already was cancelled."""
         with self._lock:
             if self.asked:
                 raise Cancelled
@@ -45,8 +45,11 @@ class Cancel:
 
 
 class Work(NamedTuple):
-    """`function(*given)` in the worker, which tells its feedback's fields in order, and then
-    `finish` here with its outcome."""
+    """Work for the worker process.
+
+    The worker calls `function(*given)`, which passes the fields of its feedback in order to `tell`.
+    Then `finish` is called in this process with the outcome.
+    """
 
     function: Callable[..., Outcome]
     given: tuple[Any, ...]
@@ -54,8 +57,10 @@ class Work(NamedTuple):
 
 
 class ThreadWork(NamedTuple):
-    """`run`, which is given how to tell its feedback, in the thread beside, where only parts of it
-    are for the worker; and then `finish` with its outcome."""
+    """Work for a thread of this process that passes only parts of it to the worker.
+
+    The thread calls `run(tell)`, then `finish` with the outcome.
+    """
 
     run: Callable[[Tell], Outcome]
     finish: Callable[[Outcome], Outcome]
@@ -67,37 +72,38 @@ Say = Callable[[str], None]
 
 
 class WorkSlot:
-    """All long work of a node shares one, so that only one piece of it runs."""
+    """Lets one piece of long work run at a time; all long work of a node shares one slot."""
 
     def __init__(self, worker: Worker) -> None:
         self.cancel, self._worker = Cancel(), worker
         self._running, self._promised = "", False
 
     def begin(self, running: str, promised: bool = False) -> None:
-        """`running` is what others are told meanwhile; ParallelCalError with what they were.
+        """Occupy the slot; ParallelCalError if other work occupies it.
 
-        What is only `promised` gives way until it is `kept`: rclpy drops a goal that it has
-        accepted where its client cannot be told so, and says nothing to us.
+        `running` is the message of that error while this work runs. `promised` work has to
+        `confirm`: until then, other work may take the slot. The reason is that rclpy silently drops
+        an accepted goal if it cannot send the acceptance to the client.
         """
         if self._running and not self._promised:
             raise ParallelCalError(self._running)
         self.cancel, self._running, self._promised = Cancel(), running, promised
 
     def confirm(self) -> None:
-        """What was promised has begun."""
+        """Report that promised work has begun."""
         self._promised = False
 
     def end(self) -> None:
-        """Free for the next piece of work."""
+        """Free the slot for the next piece of work."""
         self._running = ""
 
     def run_work(self, work: Work | ThreadWork, tell: Tell | None = None) -> Outcome:
-        """What work comes to, whatever it raises."""
+        """Do the work and return its outcome; an exception becomes a failed outcome."""
         cancel = self.cancel
         try:
             if isinstance(work, ThreadWork):
                 outcome = work.run(tell or (lambda *values: None))
-                if cancel.asked:  # it has ended by itself, and says how
+                if cancel.asked:  # it stopped in its own time, and its outcome says where
                     return outcome
             else:
                 outcome = self._worker.work(
@@ -115,8 +121,9 @@ class WorkSlot:
 class Job:
     """What an action does for a goal.
 
-    `prepare` turns a goal into work on samples and `finished` hears what came of it, both in the
-    executor's thread; `answer` is the result message, `running` what others are told meanwhile.
+    `prepare` turns a goal into work on samples, and `finished` receives its outcome, both in the
+    executor's thread. `answer` makes the result message. `running` is the reason for rejecting
+    another goal meanwhile.
     """
 
     name: str
@@ -128,10 +135,10 @@ class Job:
 
 
 class JobServer:
-    """Serves the action `~/NAME` of a job.
+    """Provides the action `~/NAME` of a job.
 
-    The work runs in a thread and the goal's callback only at its end: awaiting it in rclpy would
-    keep the executor spinning, blocking would keep it from serving anything else.
+    The work runs in a thread, and the goal's callback runs only when the work has ended: awaiting
+    the work in rclpy would keep the executor busy, blocking would stop it from serving others.
     """
 
     def __init__(self, node: ManagedNode, one: WorkSlot, job: Job, say: Say, group: CallbackGroup):
@@ -193,7 +200,7 @@ class JobServer:
             goal.execute(partial(self._end, outcome, collection))
 
     def _end(self, outcome: Outcome, collection: Collection | None, goal: Any) -> Any:
-        """In the executor's thread again: the goal's state, its result, and everyone else's."""
+        """Set the goal's state and return its result, in the executor's thread."""
         self._one.end()
         if goal.is_cancel_requested:
             goal.canceled()
@@ -206,5 +213,5 @@ class JobServer:
 
 
 def describe_error(error: Exception) -> str:
-    """What a client is told: our own errors as they are; a fault of ours must reach it, too."""
+    """Return what a client is told about an error, including errors that are faults of ours."""
     return str(error) if isinstance(error, ParallelCalError) else f"internal error: {error!r}"

@@ -1,4 +1,4 @@
-"""The SROS2 policy of both nodes, from what they really offer and hear.
+"""Makes the SROS2 policy of both nodes from what they really provide and subscribe to.
 
 python -m parallel_cal.nodes.policy > policy.xml
 ros2 security create_artifacts -k keystore -p policy.xml
@@ -23,7 +23,7 @@ ABSOLUTE = ("/rosout", "/clock", "/diagnostics", "/parameter_events")
 
 
 def policy() -> str:
-    """The policy's XML: each node may publish, hear and serve what it does, and nothing else."""
+    """Return the policy as XML: a node may use the topics and services it uses now, no others."""
     use_private_domain()
     rclpy.init(args=["--ros-args", "-p", "journal:=false", "--log-level", "fatal"])
     root = ElementTree.Element("policy", version="0.2.0")
@@ -34,7 +34,7 @@ def policy() -> str:
             path = node.get_fully_qualified_name()
             enclave = ElementTree.SubElement(enclaves, "enclave", path=path)
             profiles = ElementTree.SubElement(enclave, "profiles")
-            _profile(profiles, node)
+            _add_profile(profiles, node)
             node.end_work()
             node.destroy_node()
     finally:
@@ -43,10 +43,10 @@ def policy() -> str:
     return ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
 
 
-def _profile(profiles: ElementTree.Element, node: Node) -> None:
-    name, space = node.get_name(), node.get_namespace()
-    profile = ElementTree.SubElement(profiles, "profile", ns=space, node=name)
-    actions = get_action_server_names_and_types_by_node(node, name, space)
+def _add_profile(profiles: ElementTree.Element, node: Node) -> None:
+    node_name, space = node.get_name(), node.get_namespace()
+    profile = ElementTree.SubElement(profiles, "profile", ns=space, node=node_name)
+    actions = get_action_server_names_and_types_by_node(node, node_name, space)
     rules: tuple[tuple[str, str, str, Iterable[str]], ...] = (
         ("topics", "publish", "topic", (*(p.topic_name for p in node.publishers), "/rosout")),
         ("topics", "subscribe", "topic", (*(s.topic_name for s in node.subscriptions), "/clock")),
@@ -54,15 +54,15 @@ def _profile(profiles: ElementTree.Element, node: Node) -> None:
         ("actions", "execute", "action", (action for action, _ in actions)),
     )
     for group, right, kind, names in rules:
-        shown = sorted({_shown(one, node) for one in names})
-        if shown:
+        listed = sorted({_policy_name(name, node) for name in names})
+        if listed:
             part = ElementTree.SubElement(profile, group, {right: "ALLOW"})
-            for one in shown:
-                ElementTree.SubElement(part, kind).text = one
+            for name in listed:
+                ElementTree.SubElement(part, kind).text = name
 
 
-def _shown(name: str, node: Node) -> str:
-    """A name as the policy has it: it may be moved into a namespace with its node."""
+def _policy_name(name: str, node: Node) -> str:
+    """Return a relative name where possible, so that the node can move to another namespace."""
     own = f"{node.get_fully_qualified_name()}/"
     if name.startswith(own):
         return "~/" + name.removeprefix(own)

@@ -1,4 +1,4 @@
-"""Messages as they came, as an MCAP that `look`, `fit` and `replay` take."""
+"""Writes messages as received to an MCAP file that `look`, `fit` and `replay` read."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rosbags.typesys import Stores, get_typestore
 
 
 class Recorder:
-    """A recording that goes on until it is closed; OSError where it cannot be written."""
+    """A recording in progress until it is closed; OSError if it cannot be written."""
 
     def __init__(self, folder: Path):
         folder.mkdir(parents=True, exist_ok=True)
@@ -28,24 +28,27 @@ class Recorder:
         self._writer.open()
 
     def write(self, channel: str, type: str, message: Any, received_ns: int) -> None:
-        """Append one message of a standard type; others are left out."""
+        """Append a message of a standard type; ignore one of another type."""
         if type not in self._store.types:
             return
         if channel not in self._topics:
             self._topics[channel] = self._writer.add_connection(
                 channel, type, typestore=self._store
             )
-        data = self._store.serialize_cdr(_bare(message), type)
+        data = self._store.serialize_cdr(_convert_message(message), type)
         self._writer.write(self._topics[channel], received_ns, data)
 
     def close(self) -> None:
-        """Finish the file; before, it is not whole."""
+        """Complete the file; until then it cannot be read."""
         self._writer.close()
 
 
-def _bare(value: Any) -> Any:
-    """A message as rosbags writes it; what rclpy serializes is longer than it says."""
+def _convert_message(value: Any) -> Any:
+    """Convert a message, or a field of one, to the objects that rosbags serializes.
+
+    The bytes that rclpy serializes cannot be used: they are longer than the message.
+    """
     if hasattr(value, "get_fields_and_field_types"):
         fields = value.get_fields_and_field_types()
-        return SimpleNamespace(**{name: _bare(getattr(value, name)) for name in fields})
+        return SimpleNamespace(**{name: _convert_message(getattr(value, name)) for name in fields})
     return np.asarray(value) if isinstance(value, array) else value

@@ -40,16 +40,14 @@ PARAMETERS = {
     "patience": Setting(15.0, "maximum time to wait for subscriptions, s"),
     "ack_patience": Setting(60.0, "maximum time to wait at the end for acknowledgements, s"),
 }
-MAX_LATCHED_MESSAGES = (
-    10  # messages: a topic with fewer is kept for late subscribers, as if latched
-)
-DEPTH = 20_000  # messages a topic that may be on their way; then the slowest reader is waited for
-STEADY = 1.0  # s without a new subscription: all that will listen have been found
-POLL_INTERVAL_S = 0.05  # s between two looks whether to go on
+MAX_LATCHED_MESSAGES = 10  # a topic with so few messages is latched for late subscribers
+DEPTH = 20_000  # unacknowledged messages of a topic at which replay waits for the slowest reader
+STEADY = 1.0  # s without a new subscription after which all subscribers count as found
+POLL_INTERVAL_S = 0.05  # s between two checks of whether to go on
 
 
 class ReplayNode(Node):
-    """Drops nothing: what is late is sent at once, and a slow subscriber is waited for."""
+    """Publishes every message: late ones at once, and it waits for slow subscribers."""
 
     def __init__(self, go_on: Callable[[], bool], **overrides: Any):
         given = [Parameter(name, value=value) for name, value in overrides.items()]
@@ -63,8 +61,8 @@ class ReplayNode(Node):
         topics, self.duration = list_topics(self.bag)
         chosen = _select_topics(self.bag, topics, self._value("topics"))
         self.count, self.sent = sum(topic.count for topic in chosen), 0
-        self._senders = {topic.name: self._sender(topic) for topic in chosen}
-        self._on_their_way = dict.fromkeys(self._senders, 0)
+        self._publishers_of = {topic.name: self._make_publisher(topic) for topic in chosen}
+        self._unacknowledged = dict.fromkeys(self._publishers_of, 0)
         self._go_on, self._running = go_on, Event()
         (self._running.clear if self._value("start_paused") else self._running.set)()
         self.create_service(SetBool, "~/pause", self._pause)
@@ -72,8 +70,8 @@ class ReplayNode(Node):
     def _value(self, name: str) -> Any:
         return self.get_parameter(name).value
 
-    def _sender(self, topic: TopicInfo) -> Any:
-        """Names are relative, so that a namespace and remapping work as with any node."""
+    def _make_publisher(self, topic: TopicInfo) -> Any:
+        """Use a relative name, so that namespaces and remapping work as with any node."""
         try:
             message = message_class(topic.type)
         except (ImportError, AttributeError):
@@ -94,7 +92,7 @@ class ReplayNode(Node):
     # ------------------------------------------------------------------ playing
 
     def play(self) -> int:
-        """Wait for listeners, publish, wait until they have it all; the exit status."""
+        """Wait for subscribers, publish, wait until they received it all; return the status."""
         self._wait_for_subscribers()
         self._play_once()
         while self._value("loop") and self._go_on():
@@ -102,16 +100,29 @@ class ReplayNode(Node):
         if not self._go_on():
             _say(f"ended after {self.sent} messages; the bag holds {self.count}")
             return 0
-        return 0 if self._all_received() else 1
+        limit = self._ack_patience()
+        senders = self._publishers_of.items()
+        missing = [name for name, sender in senders if not sender.wait_for_all_acked(limit)]
+        if missing:
+            _say(f"a subscriber has not acknowledged every message on {', '.join(missing)}")
+            return 1
+        _say(
+            f"{self.sent} messages published and received, at {self.rate:g} times the recorded "
+            "speed"
+        )
+        return 0
 
     def _play_once(self) -> None:
         """Publish every message at its time divided by the rate; stamps stay as recorded."""
         begin, first, said = time.monotonic(), None, time.monotonic()
         for message in raw_messages(self.bag):
-            if message.topic not in self._senders:
+            if message.topic not in self._publishers_of:
                 continue
             first = message.time if first is None else first
-            begin += self._wait_while_paused()
+            pause = time.monotonic()
+            while not self._running.is_set() and self._go_on():
+                self._running.wait(POLL_INTERVAL_S)
+            begin += time.monotonic() - pause
             since = (message.time - first) * 1e-9
             if not self._sleep_until(begin + since / self.rate):
                 return
@@ -122,70 +133,51 @@ class ReplayNode(Node):
                 behind = f", {late:.1f} s behind" if late > 0.5 else ""
                 _say(f"{since:.1f} of {self.duration:.1f} s, {self.sent} messages{behind}")
 
-    def _wait_while_paused(self) -> float:
-        """Stay while paused; for how many seconds."""
-        begin = time.monotonic()
-        while not self._running.is_set() and self._go_on():
-            self._running.wait(POLL_INTERVAL_S)
-        return time.monotonic() - begin
-
     def _sleep_until(self, due: float) -> bool:
-        """Whether to go on at that time; at once when it has passed."""
-        while (left := due - time.monotonic()) > 0:
-            time.sleep(min(left, POLL_INTERVAL_S))
+        """Return whether to go on at that time; immediately if it has passed."""
+        while (remaining := due - time.monotonic()) > 0:
+            time.sleep(min(remaining, POLL_INTERVAL_S))
             if not self._go_on():
                 return False
         return self._go_on()
 
     def _send(self, message: RawMessage) -> None:
-        sender = self._senders[message.topic]
-        if self._on_their_way[message.topic] >= DEPTH - 1:
-            sender.wait_for_all_acked(self._patience())
-            self._on_their_way[message.topic] = 0
+        sender = self._publishers_of[message.topic]
+        if self._unacknowledged[message.topic] >= DEPTH - 1:
+            sender.wait_for_all_acked(self._ack_patience())
+            self._unacknowledged[message.topic] = 0
         sender.publish(message.data)
-        self._on_their_way[message.topic] += 1
+        self._unacknowledged[message.topic] += 1
         self.sent += 1
 
-    def _patience(self) -> Duration:
+    def _ack_patience(self) -> Duration:
         return Duration(seconds=self._value("ack_patience"))
-
-    def _all_received(self) -> bool:
-        limit = self._patience()
-        missing = [n for n, s in self._senders.items() if not s.wait_for_all_acked(limit)]
-        if missing:
-            _say(f"a subscriber has not acknowledged every message on {', '.join(missing)}")
-            return False
-        _say(
-            f"{self.sent} messages published and received, at {self.rate:g} times the recorded "
-            "speed"
-        )
-        return True
 
     # ------------------------------------------------------------------ waiting
 
     def _wait_for_subscribers(self) -> None:
-        """Until enough listen and nobody new comes: what is sent earlier is lost to them."""
+        """Wait until enough subscribe and no new ones appear: earlier messages would be lost."""
         wanted = self._value("wait_for_subscribers")
         if wanted == 0:
             return
         begin = steady = time.monotonic()
         before = 0
         while self._go_on() and time.monotonic() - begin < self._value("patience"):
-            matched = sum(s.get_subscription_count() for s in self._senders.values())
+            matched = sum(s.get_subscription_count() for s in self._publishers_of.values())
             if matched != before:
                 before, steady = matched, time.monotonic()
             if before >= max(wanted, 1) and time.monotonic() - steady > STEADY:
                 return
             time.sleep(POLL_INTERVAL_S)
         if before < wanted and self._go_on():
-            names = ", ".join(self._senders)
+            names = ", ".join(self._publishers_of)
             raise ParallelCalError(f"{before} subscriptions to {names}; expected {wanted}")
         if not before:
             _say("no subscribers; the recording is published all the same")
 
 
 def _select_topics(bag: str, topics: Sequence[TopicInfo], names: str) -> list[TopicInfo]:
-    """The topics named, with or without slash; all of them for an empty text."""
+    """Return the topics with these names, with or without slash; all for an empty text."""
     wanted = {name.strip().strip("/") for name in names.split(",") if name.strip()}
     unknown = wanted - {topic.name.strip("/") for topic in topics}
     if unknown:
@@ -201,7 +193,7 @@ def _say(text: str) -> None:
 
 @contextmanager
 def _spin_in_thread(node: Node) -> Iterator[None]:
-    """Services are answered in a second thread while this one publishes."""
+    """Answer services in a second thread while this one publishes."""
     executor = SingleThreadedExecutor()
     executor.add_node(node)
 
@@ -219,7 +211,7 @@ def _spin_in_thread(node: Node) -> Iterator[None]:
 
 
 def replay(bag: str | Path = "", args: list[str] | None = None, **options: Any) -> int:
-    """Publish a recording with options as in PARAMETERS; 0 when all of it was received."""
+    """Publish a recording with options as in PARAMETERS; return 0 if all of it was received."""
     overrides = options | ({"bag": str(bag)} if str(bag) else {})
     with ros_context(args) as go_on:
         try:
@@ -232,14 +224,9 @@ def replay(bag: str | Path = "", args: list[str] | None = None, **options: Any) 
 
 
 def main(args: list[str] | None = None) -> None:
-    """`replay_node BAG --rate 20` or `--ros-args -p bag:=BAG`; status 0 when all was received."""
+    """`replay_node BAG --rate 20` or `--ros-args -p bag:=BAG`; status 0 if all was received."""
     args = sys.argv if args is None else args
-    given = vars(_parser().parse_args(remove_ros_args(args)[1:]))
-    sys.exit(replay(args=args, **{k: v for k, v in given.items() if v is not None}))
-
-
-def _parser() -> argparse.ArgumentParser:
-    """Every parameter as an option; what is not given stays with the parameter."""
+    # Every parameter is an option; one that is not given keeps the value of the parameter.
     parser = argparse.ArgumentParser(prog="replay_node", description=__doc__)
     for name, (default, what, *_) in PARAMETERS.items():
         flag = f"--{name.replace('_', '-')}"
@@ -249,4 +236,5 @@ def _parser() -> argparse.ArgumentParser:
             parser.add_argument(flag, action="store_const", const=True, help=what)
         else:
             parser.add_argument(flag, type=type(default), help=f"{what} (now {default})")
-    return parser
+    given = vars(parser.parse_args(remove_ros_args(args)[1:]))
+    sys.exit(replay(args=args, **{k: v for k, v in given.items() if v is not None}))

@@ -1,4 +1,4 @@
-"""Answers to ComputeFK and ComputeIK requests, each from one model alone, within a budget."""
+"""Answers ComputeFK and ComputeIK requests, each with a single model and within a budget."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ BUILD_TIMEOUT_S = 60.0  # s for building a model's functions on a busy machine
 
 @dataclass(frozen=True)
 class Budget:
-    """What one request may take: configurations or targets, and seconds."""
+    """Limits of one request: number of configurations or targets, and seconds."""
 
     poses: int
     seconds: float
@@ -45,8 +45,11 @@ def answer(
     request: Any,
     response: Any,
 ) -> Any:
-    """The response of either service; a request that cannot be understood gets a message, and one
-    that is over its budget what was done in it."""
+    """Fill the response of either service.
+
+    A request that cannot be understood gets a message, and one that exceeds its budget gets the
+    answers that were ready in time.
+    """
     if served is None:
         response.message = f"no model in use: {why_none}"
         return response
@@ -54,50 +57,55 @@ def answer(
     try:
         if hasattr(request, "targets"):
             response.joint_names = served.model.joints
-            given, problem = [_target(target) for target in request.targets], "inverse"
+            given, problem = _read_targets(request), "inverse"
         else:
-            given, problem = _configurations(served, request), "direct"
+            given, problem = _read_configurations(served, request), "direct"
         at = conditions_of(served.model, request.conditions)
         response.results, response.message = _solve_rows(
             worker, budget, served, request, given, problem, at
         )
-    except Exception as error:  # whatever it is, the node stays up and the caller hears of it
+    except Exception as error:  # whatever it is, the node goes on and the caller gets a reason
         response.results, response.message = [], str(error) or type(error).__name__
     return response
 
 
 def warm_up(worker: Worker, served: ServedModel) -> None:
-    """Let the worker make itself ready for a model, while nobody waits for it."""
+    """Build the functions of a model in the worker before the first request."""
     Thread(target=_warm, args=(worker, served, False, True), daemon=True).start()
 
 
 def _warm(worker: Worker, served: ServedModel, *every: bool) -> None:
-    with suppress(WorkError, TimeBudgetExceeded):  # the request itself will say why
+    with suppress(WorkError, TimeBudgetExceeded):  # the request itself will report why
         for each in every:
             worker.work(computing.warm, served.text, each, seconds=BUILD_TIMEOUT_S)
 
 
-def _configurations(served: ServedModel, request: Any) -> list[Rows | str]:
+def _read_configurations(served: ServedModel, request: Any) -> list[Rows | str]:
+    """Return the joints (nq,) of each configuration in the model's order, or why there are none."""
     model, names = served.model, request.joint_names
     order = joint_order(names, model.joints) if names else None
     if names and len(names) != len(model.joints):
         extra = ", ".join(n for n in names if n not in model.joints) or "a joint twice"
         raise SolveError(f"joint_names contain {extra}; expected {', '.join(model.joints)}")
-    return [_configuration(c.positions, order, len(model.joints)) for c in request.configurations]
+    n, rows = len(model.joints), list[Rows | str]()
+    for configuration in request.configurations:
+        q = np.asarray(configuration.positions)
+        if len(q) == n:
+            rows.append((q if order is None else q[order],))
+        else:
+            rows.append(f"{len(q)} positions, expected {n}")
+    return rows
 
 
-def _configuration(positions: Any, order: list[int] | None, n: int) -> Rows | str:
-    if len(positions) != n:
-        return f"{len(positions)} positions, expected {n}"
-    q = np.asarray(positions)
-    return (q if order is None else q[order],)
-
-
-def _target(pose: Any) -> Rows | str:
-    try:
-        return pose_numbers(pose)
-    except SolveError as error:
-        return str(error)
+def _read_targets(request: Any) -> list[Rows | str]:
+    """Return position and rotation of each target, or why there are none."""
+    rows = list[Rows | str]()
+    for pose in request.targets:
+        try:
+            rows.append(pose_numbers(pose))
+        except SolveError as error:
+            rows.append(str(error))
+    return rows
 
 
 def _solve_rows(
@@ -109,7 +117,7 @@ def _solve_rows(
     problem: str,
     at: dict[str, float] | None,
 ) -> tuple[list[SolutionSet], str]:
-    """One set a row, and a message where the budget was over before the last of them."""
+    """Return one set for each row, and a message if the budget ended before the last of them."""
     good = [row for row in given[: budget.poses] if not isinstance(row, str)]
     done, over = list[Answer](), len(given) > budget.poses
     if good:
@@ -117,7 +125,7 @@ def _solve_rows(
         asked = Problems(
             problem, rows, at, request.all_solutions, request.solver, request.with_covariance
         )
-        # What a model's first requests build is no part of any.
+        # Building a model's functions does not count against the budget of a request.
         _warm(worker, served, request.all_solutions)
         try:
             worker.work(
@@ -126,7 +134,7 @@ def _solve_rows(
         except TimeBudgetExceeded:
             over = True
     found = iter(done)
-    sets = [_set(row, found) for row in given[: budget.poses]]
+    sets = [_make_set(row, found) for row in given[: budget.poses]]
     late = SolutionSet(solutions=[_NOT_TRIED], count_complex=-1)
     sets += [late] * (len(given) - len(sets))
     solved = sum(one is not late and one.solutions[0] is not _NOT_TRIED for one in sets)
@@ -134,7 +142,7 @@ def _solve_rows(
     return sets, f"over budget: {solved} of {len(given)} were answered; {limits}" if over else ""
 
 
-def _set(row: Rows | str, found: Iterator[Answer]) -> SolutionSet:
+def _make_set(row: Rows | str, found: Iterator[Answer]) -> SolutionSet:
     if isinstance(row, str):
         return SolutionSet(solutions=[invalid_solution(row)], count_complex=-1)
     answer = next(found, None)

@@ -1,4 +1,4 @@
-"""Starting, spinning and ending a node; requests are never kept waiting by slow work."""
+"""Start, spin and end a node; slow work never delays requests."""
 
 from __future__ import annotations
 
@@ -31,30 +31,30 @@ from parallel_cal.base.threads import single_threaded
 
 T = TypeVar("T")
 
-PROMPT = 0.05  # s between two looks at whether a thread that waits is still wanted
-SHUTDOWN_TIMEOUT_S = 0.8  # s from a signal to the end, whatever is still at work
-SWITCH_INTERVAL_S = 5e-4  # s that a thread beside may keep the interpreter from the one that spins
+POLL_INTERVAL_S = 0.05  # s between two checks of whether a waiting thread should go on waiting
+SHUTDOWN_TIMEOUT_S = 0.8  # s from a signal to the end of the process, whatever still runs
+SWITCH_INTERVAL_S = 5e-4  # s for which another thread may block the one that spins
 
 
 class WorkerThreadGroup(MutuallyExclusiveCallbackGroup):
-    """Callbacks that run one after the other in a thread beside the one that spins."""
+    """Callbacks that run one after the other in a worker thread, not in the one that spins."""
 
 
 class FrontExecutor(SingleThreadedExecutor):
-    """Runs callbacks in the thread that spins, those of a node's default group and of every
-    `Beside` in others.
+    """Runs fast callbacks in the thread that spins and slow ones in worker threads.
 
-    What must answer at once gets a callback group of its own; parameters, reloads and
-    diagnostics stay in the default group. A MultiThreadedExecutor would hand over every single
-    message to another thread, which costs a sixth of its time.
+    Slow are the callbacks of a node's default group, such as parameters, reloads and diagnostics,
+    and those of every WorkerThreadGroup. What must answer at once gets another callback group. A
+    MultiThreadedExecutor would pass every single message to another thread, which costs a sixth of
+    the time of a message.
     """
 
     def __init__(self, **options: Any):
         super().__init__(**options)
-        # One for each group that works at once; the last lets callbacks that must wait their turn
-        # go back to the wait set.
-        self._worker = ThreadPoolExecutor(4, thread_name_prefix="beside")
-        self._handed_over: list[Task] = []
+        # One thread for each group that works at the same time, and one that returns callbacks
+        # which must wait for their turn to the wait set.
+        self._workers = ThreadPoolExecutor(4, thread_name_prefix="worker")
+        self._slow_tasks: list[Task] = []
 
     def _spin_once_impl(
         self, timeout_sec: Any = None, wait_condition: Callable[[], bool] = lambda: False
@@ -68,22 +68,19 @@ class FrontExecutor(SingleThreadedExecutor):
         if isinstance(group, WorkerThreadGroup) or (
             entity and group is node.default_callback_group
         ):
-            self._hand_over(handler)
+            done = [task for task in self._slow_tasks if task.done()]
+            self._slow_tasks = [t for t in self._slow_tasks if t not in done] + [handler]
+            self._workers.submit(handler)
+            for task in done:
+                task.result()  # raises what the callback raised
         else:
             handler()
             handler.result()
 
-    def _hand_over(self, handler: Task) -> None:
-        done = [task for task in self._handed_over if task.done()]
-        self._handed_over = [t for t in self._handed_over if t not in done] + [handler]
-        self._worker.submit(handler)
-        for task in done:
-            task.result()
-
     def finish(self) -> None:
-        """Wait for slow work that has begun; what it raises no longer matters."""
-        self._worker.shutdown(wait=True, cancel_futures=True)
-        for task in self._handed_over:
+        """Wait for slow callbacks that have begun; ignore what they raise."""
+        self._workers.shutdown(wait=True, cancel_futures=True)
+        for task in self._slow_tasks:
             task.exception()
         self.shutdown()
 
@@ -94,10 +91,10 @@ def run_in_spin_thread(
     *args: Any,
     meanwhile: Callable[[], None] = lambda: None,
 ) -> T:
-    """What a function gives or raises in the thread that spins, called from the second one, which
-    calls `meanwhile` again and again while it waits: what that raises ends the waiting.
+    """Call a function in the thread that spins, from another one; return or raise its result.
 
-    ExternalShutdownException where that thread has ended.
+    While it waits, the calling thread calls `meanwhile` repeatedly; an exception of `meanwhile`
+    ends the wait. ExternalShutdownException if the thread that spins has ended.
     """
     answer: Future[T] = Future()
 
@@ -108,7 +105,7 @@ def run_in_spin_thread(
             answer.set_exception(error)
 
     node.executor.create_task(call)
-    while not wait([answer], timeout=PROMPT).done:
+    while not wait([answer], timeout=POLL_INTERVAL_S).done:
         if not node.context.ok():
             raise ExternalShutdownException
         meanwhile()
@@ -118,14 +115,16 @@ def run_in_spin_thread(
 def create_steady_timer(
     seconds: float, node: Node, call: Callable[[], None], group: Any = None
 ) -> None:
-    """Call again and again, also while a simulated clock stands still."""
+    """Call a function periodically, also while a simulated clock stands still."""
     clock = Clock(clock_type=ClockType.STEADY_TIME)
     node.create_timer(seconds, call, callback_group=group, clock=clock)
 
 
 def foreign_publishers(node: Node) -> list[str]:
-    """What is published with another type than the node expects: it never arrives, and no one
-    says so."""
+    """Return a warning for each topic that is published with a type the node does not expect.
+
+    ROS does not deliver such messages and does not report them.
+    """
     found = {
         (listening.topic_name, publisher.topic_type, type_name(listening.msg_type))
         for listening in node.subscriptions
@@ -139,15 +138,15 @@ def foreign_publishers(node: Node) -> list[str]:
 
 
 def rival_publishers(node: Node, topics: Iterable[str]) -> list[str]:
-    """Topics that more than one node publishes on: nobody can say whose numbers are right."""
-    told = list[str]()
+    """Return a warning for each topic with several publishers: they may contradict each other."""
+    warnings = list[str]()
     for topic in map(node.resolve_topic_name, topics):
         found = node.get_publishers_info_by_topic(topic)
         names = ", ".join(sorted(f"{p.node_namespace.rstrip('/')}/{p.node_name}" for p in found))
         if len(found) > 1:
             words = f"{topic} has {len(found)} publishers: {names}"
-            told.append(KeyedWarning(words, "several publishers", f"{topic} {names}"))
-    return told
+            warnings.append(KeyedWarning(words, "several publishers", f"{topic} {names}"))
+    return warnings
 
 
 def type_name(message: type) -> str:
@@ -156,7 +155,7 @@ def type_name(message: type) -> str:
 
 @contextmanager
 def ros_context(args: list[str] | None = None) -> Iterator[Callable[[], bool]]:
-    """ROS from start to end; yields a function that says whether to go on.
+    """Initialise ROS and shut it down; yield a function that says whether to go on.
 
     SIGINT and SIGTERM end spinning through rclpy's own handler; Python's would raise
     KeyboardInterrupt in the middle of any callback.
@@ -172,15 +171,15 @@ def ros_context(args: list[str] | None = None) -> Iterator[Callable[[], bool]]:
 
 @single_threaded()
 def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
-    """Spin a node until SIGINT or SIGTERM ends it; its exit status."""
+    """Spin a node until SIGINT or SIGTERM ends it; return the exit status."""
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     with ros_context(args) as go_on:
         executor, node, ended = FrontExecutor(), None, Event()
-        Thread(target=_insist, args=(ended,), daemon=True).start()
+        Thread(target=_end_hanging_process, args=(ended,), daemon=True).start()
         try:
             node = make_node()
             executor.add_node(node)
-            gc.freeze()  # what is there now stays: looking through it would take 12 ms and more
+            gc.freeze()  # these objects stay alive: collecting them would pause the node for 12 ms
             while go_on():
                 executor.spin_once()
         except ExternalShutdownException:
@@ -189,7 +188,7 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
             sys.stderr.write(f"error: {error}\n")
             return 1
         except Exception:
-            if rclpy.ok():  # else it is what a callback meets while the ground is taken away
+            if rclpy.ok():  # otherwise the shutdown itself makes callbacks fail
                 raise
         finally:
             if node is not None and hasattr(node, "end_work"):
@@ -201,8 +200,8 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
     return 0
 
 
-def _insist(ended: Event) -> None:
-    """End the process where a callback that has begun does not end with ROS."""
+def _end_hanging_process(ended: Event) -> None:
+    """End the process if a running callback does not return after ROS has shut down."""
     while rclpy.ok():
         if ended.wait(0.1):
             return

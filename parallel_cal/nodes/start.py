@@ -1,4 +1,4 @@
-"""The nodes as commands: their help, and one line where ROS 2 is not installed."""
+"""The nodes as commands: their help, and a one-line error if ROS 2 is not installed."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def _start(name: str) -> int:
 
 
 def help_of(name: str, module: Any) -> str:
-    """What the node does, how it is started, and each parameter with its default and range."""
+    """Return the help text: purpose, usage, and each parameter with its default and range."""
     lines = [module.__doc__.strip(), "", f"usage: {name} [--ros-args -p PARAMETER:=VALUE ...]", ""]
     width = max(map(len, module.PARAMETERS))
     for key, setting in module.PARAMETERS.items():

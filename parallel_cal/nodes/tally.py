@@ -1,4 +1,4 @@
-"""Counts of what was received, answered, refused and dropped, and the diagnostics made of them."""
+"""Counts what was received, answered, refused and dropped, and makes diagnostics of it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from parallel_cal.nodes.model_server import Attempt, ServedModel
 
 
 class Tally:
-    """What became of everything that came in, and the last reason for each refusal."""
+    """Counts of messages and requests by outcome, and the last reason of each refusal."""
 
     def __init__(self) -> None:
         self.counts: Counter[str] = Counter()
@@ -24,13 +24,13 @@ class Tally:
             self.reasons[f"{channel} {outcome}: last reason"] = reason
 
     def items(self) -> dict[str, str]:
-        """Counts and reasons as text, sorted."""
+        """Return counts and reasons as text, sorted."""
         texts = {name: str(n) for name, n in self.counts.items()} | self.reasons
         return dict(sorted(texts.items()))
 
 
 def model_diagnostics(name: str, served: ServedModel | None, last: Attempt, failure: str) -> Any:
-    """ERROR without a model, WARN when the last load failed."""
+    """Return the status of the model: ERROR without one, WARN if the last load failed."""
     about, Level = f"{name}: model", DiagnosticStatus
     items = {"last attempt": f"{last.source}: {last.reason}", "last failure": failure}
     if served is not None:
@@ -49,7 +49,8 @@ def model_diagnostics(name: str, served: ServedModel | None, last: Attempt, fail
 
 
 def traffic_diagnostics(name: str, tally: Tally, unheard: list[str], foreign: list[str]) -> Any:
-    """WARN when the model needs conditions that nothing is known of, or a topic is `foreign`."""
+    """Return the status of the topics: WARN if a condition of the model is missing or a topic has
+    a `foreign` type."""
     neutral = f"not received, neutral values are used: {', '.join(unheard)}"
     warnings = [neutral] * bool(unheard) + foreign
     level = DiagnosticStatus.WARN if warnings else DiagnosticStatus.OK
@@ -57,6 +58,6 @@ def traffic_diagnostics(name: str, tally: Tally, unheard: list[str], foreign: li
 
 
 def diagnostics(name: str, level: bytes, message: str, items: dict[str, str]) -> Any:
-    """One DiagnosticStatus."""
+    """Return a DiagnosticStatus with these items."""
     values = [KeyValue(key=key, value=value) for key, value in items.items()]
     return DiagnosticStatus(level=level, name=name, message=message, values=values)

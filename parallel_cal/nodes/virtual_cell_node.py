@@ -1,4 +1,4 @@
-"""A virtual robot with controller and tracker, to try nodes, programs and oneself on."""
+"""A virtual robot with controller and tracker, to try nodes and programs and to practise."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from parallel_cal.virtual.kinds import words_of
 from parallel_cal.virtual.machines import MACHINES
 from parallel_cal.virtual.tracker import Tracker
 
-# What a robot's owner believes it to be.
+# The mechanism of the nominal model of each robot.
 BELIEVED = {
     "delta": "delta54",
     "stewart": "stewart42",
@@ -69,7 +69,7 @@ SET_UP = {
         0.0, "offset of the target from the platform's origin, m, and its rotation, rad", fixed=True
     ),
 }
-# May be set at any time, as a person or bad luck does it.
+# Can be set at any time: what a person or a fault changes.
 CIRCUMSTANCES = {
     "payload": Setting(0.0, "mass on the platform, kg", (0.0, 100.0)),
     "temperature": Setting(22.0, "temperature of the robot, degC", (-40.0, 120.0)),
@@ -86,15 +86,15 @@ CIRCUMSTANCES = {
     "homed": Setting(0, "number of times the robot was homed again"),
 }
 PARAMETERS = SET_UP | CIRCUMSTANCES
-TICK = 0.01  # s from one look at the clock to the next, and twice that where time runs fast
+TICK = 0.01  # s between two steps of the cell; twice that if its rate exceeds FAST
 FAST = 5.0
-MAX_TICK_S = 0.1  # s that a tick may make up for: a machine that is too slow slows the cell down
-CONDITION_PERIOD_S = 1.0  # s from one temperature and payload to the next
-UNMEASURED_VARIANCE = 1e6  # variance of what a device does not measure
+MAX_TICK_S = 0.1  # largest step, s: on a computer that is too slow, the cell runs slower
+CONDITION_PERIOD_S = 1.0  # s between two messages of temperature and payload
+UNMEASURED_VARIANCE = 1e6  # variance of a coordinate that the device does not measure
 
 
 class VirtualCellNode(Node):
-    """The cell by the wall clock, times `rate`; topics are listed in docs/ros.md."""
+    """The cell, at `rate` times the speed of the wall clock; docs/ros.md lists its topics."""
 
     def __init__(self) -> None:
         super().__init__("virtual_cell_node")
@@ -110,7 +110,8 @@ class VirtualCellNode(Node):
         )
         self._covariance = np.diag([position] * 3 + [(factor * own.orientation) ** 2] * 3).ravel()
         self._frame = "tracker" if self._value("frame_offset") else "base"
-        self._begin, self._seen, self._told = time.time_ns(), time.monotonic(), -CONDITION_PERIOD_S
+        self._begin, self._last_tick = time.time_ns(), time.monotonic()
+        self._conditions_published = -CONDITION_PERIOD_S  # time in the cell, s
         many, group = QoSProfile(depth=1000), MutuallyExclusiveCallbackGroup()
         self._joints = self.create_publisher(JointState, "joint_states", many)
         self._poses = self.create_publisher(PoseWithCovarianceStamped, "measured_pose", many)
@@ -129,17 +130,19 @@ class VirtualCellNode(Node):
 
     def _build(self) -> Cell:
         rng = np.random.default_rng([self._value("seed"), 60])
-        shift, spin, target, target_spin = (_unit(rng) for _ in range(4))
-        away, aside = self._value("frame_offset"), self._value("target_offset")
+        directions = rng.standard_normal((4, 3))
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        shift, spin, target, target_spin = directions
+        frame_offset, target_offset = self._value("frame_offset"), self._value("target_offset")
         tracker = Tracker(
             period=1 / self._value("pose_rate"),
             missing=self._value("missing"),
             offset=self._value("clock_offset"),
             drift=self._value("clock_drift"),
-            shift=away * shift,
-            spin=away * spin,
-            target=aside * target,
-            target_spin=aside * target_spin,
+            shift=frame_offset * shift,
+            spin=frame_offset * spin,
+            target=target_offset * target,
+            target_spin=target_offset * target_spin,
         )
         try:
             cell = Cell(
@@ -157,10 +160,11 @@ class VirtualCellNode(Node):
         return cell
 
     def _circumstances(self, changed: dict[str, Any]) -> dict[str, Any]:
-        """Fields of Circumstances; ValueError for an obstacle that is none."""
-        found = {name: changed.get(name, self._value(name)) for name in CIRCUMSTANCES}
-        found["obstacles"] = tuple(_box(text) for text in found.pop("obstacle").split(";") if text)
-        return found
+        """Return the fields of Circumstances; ValueError for an obstacle that is not a box."""
+        fields = {name: changed.get(name, self._value(name)) for name in CIRCUMSTANCES}
+        boxes = fields.pop("obstacle").split(";")
+        fields["obstacles"] = tuple(_parse_box(text) for text in boxes if text)
+        return fields
 
     def _write_nominal(self) -> None:
         path = absolute(self._value("model_file"))
@@ -175,7 +179,7 @@ class VirtualCellNode(Node):
             write_model(replace(model, noise=noise), path)
 
     def _on_parameters(self, changes: Changes) -> SetParametersResult:
-        """Parameters may be set in another thread: the next tick hears of it."""
+        """Queue changed parameters for the next tick: this may be another thread."""
         try:
             self._asked.append(self._circumstances({c.name: c.value for c in changes}))
         except ValueError as error:
@@ -187,20 +191,20 @@ class VirtualCellNode(Node):
     def _on_trajectory(self, trajectory: JointTrajectory) -> None:
         """Follow a trajectory at once, as joint_trajectory_controller does."""
         try:
-            self._cell.follow(*_points(trajectory, self._cell.machine.joints))
+            self._cell.follow(*_read_points(trajectory, self._cell.machine.joints))
         except SolveError as error:
             self.get_logger().error(f"trajectory refused: {error}")
 
     # ------------------------------------------------------------------ messages
 
     def _tick(self) -> None:
-        """Bring the cell up to the time that has passed, and tell what it shows."""
+        """Advance the cell by the time that has passed and publish what it shows."""
         while self._asked:
             self._cell.change(**self._asked.popleft())
-            self._told = -CONDITION_PERIOD_S
+            self._conditions_published = -CONDITION_PERIOD_S
         now = time.monotonic()
-        passed = self._value("rate") * min(now - self._seen, MAX_TICK_S)
-        self._seen = now
+        passed = self._value("rate") * min(now - self._last_tick, MAX_TICK_S)
+        self._last_tick = now
         tripped = self._cell.drive.tripped
         shown = self._cell.advance(self._cell.time + passed)
         if self._cell.drive.tripped > tripped:
@@ -220,13 +224,11 @@ class VirtualCellNode(Node):
         ):
             message = PoseWithCovarianceStamped()
             message.header.stamp, message.header.frame_id = self._stamp(moment), self._frame
-            message.pose.pose, message.pose.covariance = (
-                pose_message(r, quaternion),
-                self._covariance,
-            )
+            message.pose.pose = pose_message(r, quaternion)
+            message.pose.covariance = self._covariance
             self._poses.publish(message)
-        if self._cell.time - self._told >= CONDITION_PERIOD_S:
-            self._told, at = self._cell.time, self._stamp(self._cell.time)
+        if self._cell.time - self._conditions_published >= CONDITION_PERIOD_S:
+            self._conditions_published, at = self._cell.time, self._stamp(self._cell.time)
             air = Temperature(temperature=float(self._cell.temperature(self._cell.time)))
             load = InertiaStamped()
             air.header.stamp = load.header.stamp = at
@@ -239,11 +241,13 @@ class VirtualCellNode(Node):
         return Time(sec=sec, nanosec=nanosec)
 
 
-def _points(
+def _read_points(
     trajectory: JointTrajectory, joints: Sequence[str]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """Times (n,), positions and velocities (n, nq) in the order of the joints; SolveError where
-    joint_trajectory_controller would refuse it."""
+    """Return times (n,), positions and velocities (n, nq) in the order of the joints.
+
+    SolveError if joint_trajectory_controller would refuse the trajectory.
+    """
     if not trajectory.points:
         raise SolveError("it has no points; to stop the robot, send one point where it may rest")
     if sorted(trajectory.joint_names) != sorted(joints):
@@ -266,19 +270,13 @@ def _points(
     return times, np.array(positions)[:, order], np.array(velocities)[:, order]
 
 
-def _box(text: str) -> Box:
-    """Opposite corners (3,) of a box written as six numbers."""
+def _parse_box(text: str) -> Box:
+    """Return the lower and upper corner (3,) of a box written as six numbers."""
     numbers = [float(word) for word in text.split()]
     if len(numbers) != 6 or not all(map(math.isfinite, numbers)):
         raise ValueError(f"obstacle '{text}': expected x y z x y z in m")
     corners = np.array(numbers).reshape(2, 3)
     return corners.min(axis=0), corners.max(axis=0)
-
-
-def _unit(rng: np.random.Generator) -> np.ndarray:
-    """A direction drawn at random."""
-    vector = rng.standard_normal(3)
-    return vector / np.linalg.norm(vector)
 
 
 def main(args: list[str] | None = None) -> None:
