@@ -25,31 +25,29 @@ NOT_MEASURED = 1e4  # variance of a coordinate that was not measured; readers te
 
 def sample_messages(collection: Collection) -> list[Sample]:
     """Return one message for each sample, without conditions that are not finite."""
-    leaders: dict[int, int] = {}
+    dataset = collection.dataset
+    leaders: dict[int, int] = {}  # number of the first sample of each commanded pose
     messages = []
     for i, number in enumerate(collection.ids.tolist()):
-        first = leaders.setdefault(int(collection.dataset.pose_id[i]), number)
-        messages.append(_sample_message(collection, i, number, -1 if first == number else first))
+        first = leaders.setdefault(int(dataset.pose_id[i]), number)
+        conditions = {name: float(column[i]) for name, column in dataset.conditions.items()}
+        covariance = np.where(np.isfinite(dataset.pose_cov[i]), dataset.pose_cov[i], 0.0)
+        variances = np.where(dataset.measured[i], np.diag(covariance), NOT_MEASURED)
+        covariance[np.diag_indices(6)] = variances
+        pose = pose_message(dataset.r[i], matrix_to_quaternion(dataset.R[i]))
+        message = Sample(
+            id=number,
+            stamp=time_message(int(collection.stamps[i])),
+            joints=dataset.q[i].tolist(),
+            pose=PoseWithCovariance(pose=pose, covariance=covariance.ravel()),
+            conditions=[
+                Condition(name=n, value=v) for n, v in conditions.items() if np.isfinite(v)
+            ],
+            replicate_of=-1 if first == number else first,
+            note=f"{dataset.count_q[i]} joint readings, {dataset.count_pose[i]} poses averaged",
+        )
+        messages.append(message)
     return messages
-
-
-def _sample_message(collection: Collection, i: int, number: int, first: int) -> Sample:
-    dataset = collection.dataset
-    conditions = {name: float(column[i]) for name, column in dataset.conditions.items()}
-    covariance = np.where(np.isfinite(dataset.pose_cov[i]), dataset.pose_cov[i], 0.0)
-    covariance[np.diag_indices(6)] = np.where(
-        dataset.measured[i], np.diag(covariance), NOT_MEASURED
-    )
-    pose = pose_message(dataset.r[i], matrix_to_quaternion(dataset.R[i]))
-    return Sample(
-        id=number,
-        stamp=time_message(int(collection.stamps[i])),
-        joints=dataset.q[i].tolist(),
-        pose=PoseWithCovariance(pose=pose, covariance=covariance.ravel()),
-        conditions=[Condition(name=n, value=v) for n, v in conditions.items() if np.isfinite(v)],
-        replicate_of=first,
-        note=f"{dataset.count_q[i]} joint readings, {dataset.count_pose[i]} poses averaged",
-    )
 
 
 def number_samples(rows: Iterable[MutableMapping[str, Any]], collection: Collection) -> None:

@@ -64,11 +64,11 @@ class CalibrationNode(ManagedNode):
             samples.take,
             settings.folder / "campaigns",
             settings.fit_options,
-            lambda: settings.dwell,
+            settings.dwell,
             self._queue.inflow,
         )
         self._campaigning = CampaignServer(
-            self, access, calibrator.one, calibrator.worker, report.say, group
+            self, access, calibrator.slot, calibrator.worker, report.say, group
         )
         self._input = Subscriptions(
             self,

@@ -85,9 +85,8 @@ class CalibrationSettings:
         """1-sigma encoder noise, rad or m; None if the model file determines it."""
         return self.get("joint_sigma") or None
 
-    @property
     def dwell(self) -> float:
-        """Time in s that a campaign's robot rests where it is measured."""
+        """Return the time in s for which the robot of a campaign rests at each pose."""
         times = (self.get(name) for name in ("min_dwell", "trim_start", "trim_end"))
         return float(sum(times)) + EXTRA_DWELL_S
 

@@ -76,7 +76,7 @@ class Calibrator:
         self.worker = Worker(first=partial(prepare, settings.get("allow_foreign_modules")))
         self._registered = ""  # the estimated frame of the samples used last, in words
         self._written = ""  # the model file that was written last
-        self.one = WorkSlot(self.worker)
+        self.slot = WorkSlot(self.worker)
         jobs = (
             Job(
                 "identify",
@@ -95,13 +95,13 @@ class Calibrator:
                 messages.diagnose_result,
             ),
         )
-        self._actions = [JobServer(node, self.one, job, say, group) for job in jobs]
+        self._actions = [JobServer(node, self.slot, job, say, group) for job in jobs]
         # In the node's default group: it takes seconds and must not delay anything else.
         node.create_service(AddEffect, "~/add_effect", self._add_effect)
 
     def cancel(self) -> None:
         """End the work, if any; accept other goals."""
-        self.one.cancel.ask()
+        self.slot.cancel.ask()
 
     def stop(self) -> None:
         """End the work, if any, and do no other."""
@@ -153,7 +153,7 @@ class Calibrator:
         """Compare a model with the samples without a fit."""
         model = read_model(self._model_file(request.model_file))
         collection = self._samples(model)
-        document = self._show(model, collection).document()
+        document = self._compare(model, collection).document()
         for rows in (document["rows"], document["where"]["odd_samples"]):
             messages.number_samples(rows, collection)
         response.success, response.json = True, messages.json_text(document)
@@ -163,22 +163,22 @@ class Calibrator:
     def _samples(self, model: Model) -> Collection:
         """Return the samples in the model's base frame, or as they are if a fit registers them."""
         collection = self._collect()
-        dataset, said = to_base_frame(
+        dataset, registered = to_base_frame(
             collection.dataset, model, self._look, self._settings.joint_sigma
         )
-        self._registered = said if dataset is collection.dataset else ""
-        if said:
-            self._say(said)
+        self._registered = registered if dataset is collection.dataset else ""
+        if registered:
+            self._say(registered)
         return replace(collection, dataset=dataset)
 
-    def _show(self, model: Model, collection: Collection) -> Comparison:
+    def _compare(self, model: Model, collection: Collection) -> Comparison:
         """Compare a model with the samples and publish the residuals."""
-        found = compare(model, collection.dataset, self._settings.joint_sigma)
+        comparison = compare(model, collection.dataset, self._settings.joint_sigma)
         scale = self._settings.get("arrow_scale")
-        residuals = found.residuals(collection.ids, collection.stamps)
+        residuals = comparison.residuals(collection.ids, collection.stamps)
         for topic, _, data in residual_messages(residuals, scale):
             self._residuals[topic].publish(data)
-        return found
+        return comparison
 
     def _publish_result(self, kind: str, outcome: Outcome) -> None:
         content = {
@@ -231,7 +231,7 @@ class Calibrator:
 
     def _conclude(self, outcome: Outcome, collection: Collection | None) -> None:
         if outcome.model is not None and collection is not None:
-            self._show(outcome.model, collection)
+            self._compare(outcome.model, collection)
         self._say(outcome.message)
 
     # ------------------------------------------------------------------ adding an effect
@@ -244,7 +244,7 @@ class Calibrator:
             outcome = Outcome(False, describe_error(error))
             run_in_spin_thread(self._node, self._say, outcome.message)
         else:
-            outcome = self.one.run_work(work)
+            outcome = self.slot.run_work(work)
             run_in_spin_thread(self._node, self._on_effect_added, outcome, collection)
         response.success, response.message = outcome.success, outcome.message
         response.json = messages.json_text(outcome.document) if outcome.document else ""
@@ -262,12 +262,12 @@ class Calibrator:
         files = self.files("", request.output_file)
         wanted = Request(*files, options, request.force, request.effect)
         collection = self._samples(read_model(files[0]))
-        self.one.begin("an effect is being added; wait")
+        self.slot.begin("an effect is being added; wait")
         self._say(f"adding {request.effect}")
         return Work(
             propose_model, (wanted, collection.dataset), partial(write_proposal, wanted)
         ), collection
 
     def _on_effect_added(self, outcome: Outcome, collection: Collection) -> None:
-        self.one.end()
+        self.slot.end()
         self._on_recalibrated("add_effect", outcome, collection)

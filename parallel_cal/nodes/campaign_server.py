@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -69,13 +70,14 @@ class CampaignServer:
     def __init__(
         self,
         node: ManagedNode,
-        here: NodeAccess,
-        one: WorkSlot,
+        access: NodeAccess,
+        slot: WorkSlot,
         worker: Worker,
         say: Say,
         group: CallbackGroup,
     ):
-        self._node, self._here, self._one, self._worker, self._say = node, here, one, worker, say
+        self._node, self._access, self._slot = node, access, slot
+        self._worker, self._say = worker, say
         self._control: Control | None = None
         self._cell: RobotCell | None = None
         self._status = CalibrationStatus(state="done", reason="idle", error_unseen=math.nan)
@@ -92,7 +94,7 @@ class CampaignServer:
             self._on_finished,
             _make_result,
         )
-        self.action = JobServer(node, one, job, say, group)
+        self.action = JobServer(node, slot, job, say, group)
         for name, work in (
             ("pause", self._pause),
             ("resume", self._resume),
@@ -120,37 +122,27 @@ class CampaignServer:
     # ------------------------------------------------------------------ one goal
 
     def _prepare(self, goal: Any) -> tuple[ThreadWork, None]:
-        model_file, output_file = self._here.files(goal.model_file, goal.output_file)
+        """Turn a goal into a campaign: a new one, or the unfinished one of the same model."""
+        model_file, output_file = self._access.files(goal.model_file, goal.output_file)
         text = model_text(model_file)
-        numbers = list(goal.keep_out)
-        if len(numbers) % 6:
-            raise ParallelCalError("keep_out: expected six numbers for each box, x y z x y z in m")
-        # The two corners of each box come in any order.
-        corners = np.sort(np.reshape(numbers, (-1, 2, 3)), axis=1).tolist()
-        boxes = tuple(Box(tuple(low), tuple(high)) for low, high in corners)
-        wanted = Goal(
-            poses=goal.poses or POSES,
-            minutes=goal.minutes or MINUTES,
-            enough=goal.enough,
-            effects=tuple(goal.effects),
-            keep_out=boxes,
-            payload=goal.payload,
-            warmer=goal.warmer,
-            reach=goal.reach or 1.0,
-            **self._here.options(),
-        )
-        cancel = self._one.cancel
+        wanted = _read_goal(goal, self._access.options())
+        cancel = self._slot.cancel
         control = Control(lambda: cancel.asked)
         model = parse_model(text, model_file)
 
         def take(meanwhile: Callable[[], None]) -> Sample:
-            return run_in_spin_thread(self._node, self._here.take, model, meanwhile=meanwhile)
+            return run_in_spin_thread(self._node, self._access.take, model, meanwhile=meanwhile)
 
         cell = RobotCell(
-            self._command, model, take, self._here.dwell(), self._here.inflow, self._tell_reason
+            self._command,
+            model,
+            take,
+            self._access.dwell(),
+            self._access.inflow,
+            self._publish_reason,
         )
-        unfinished = None if goal.afresh else find_unfinished(self._here.folder, text)
-        folder = unfinished or self._here.folder / time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
+        unfinished = None if goal.afresh else find_unfinished(self._access.folder, text)
+        folder = unfinished or self._access.folder / time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
         self._control, self._cell = control, cell
 
         def run(tell: Callable[..., None]) -> goals.Outcome:
@@ -180,19 +172,7 @@ class CampaignServer:
                 control.check_interrupted()
                 raise
 
-        def publish(status: Status) -> None:
-            with suppress(Exception):  # a context that ends must not leave a robot moving
-                self._publish_status(status, folder)
-                tell(
-                    status.state,
-                    status.reason,
-                    status.samples,
-                    status.unseen,
-                    status.verdict,
-                    status.purpose,
-                    _question_messages(status),
-                )
-
+        publish = partial(self._publish_status, folder, tell)
         campaign = Campaign(folder, text, wanted, cell, publish, work, control)
         try:
             return campaign.run()
@@ -200,21 +180,33 @@ class CampaignServer:
             campaign.close()
             self._control, self._cell = None, None
 
-    def _publish_status(self, status: Status, folder: Path) -> None:
-        self._status = CalibrationStatus(
-            stamp=self._node.get_clock().now().to_msg(),
-            state=status.state,
-            reason=status.reason,
-            poses=status.samples,
-            error_unseen=status.unseen,
-            verdict=status.verdict,
-            folder=str(folder),
-            purpose=status.purpose,
-            questions=_question_messages(status),
-        )
-        self._status_publisher.publish(self._status)
+    def _publish_status(self, folder: Path, tell: Callable[..., None], status: Status) -> None:
+        """Publish the status of a campaign and send it to the goal's client as feedback."""
+        with suppress(Exception):  # a context that ends must not leave a robot moving
+            questions = [Question(**vars(question)) for question in status.questions]
+            self._status = CalibrationStatus(
+                stamp=self._node.get_clock().now().to_msg(),
+                state=status.state,
+                reason=status.reason,
+                poses=status.samples,
+                error_unseen=status.unseen,
+                verdict=status.verdict,
+                folder=str(folder),
+                purpose=status.purpose,
+                questions=questions,
+            )
+            self._status_publisher.publish(self._status)
+            tell(
+                status.state,
+                status.reason,
+                status.samples,
+                status.unseen,
+                status.verdict,
+                status.purpose,
+                questions,
+            )
 
-    def _tell_reason(self, reason: str) -> None:
+    def _publish_reason(self, reason: str) -> None:
         """Publish what the current state is waiting for."""
         self._status.reason = reason
         self._status_publisher.publish(self._status)
@@ -251,8 +243,23 @@ class CampaignServer:
         return response
 
 
-def _question_messages(status: Status) -> list[Question]:
-    return [Question(**vars(question)) for question in status.questions]
+def _read_goal(goal: Any, options: dict[str, Any]) -> Goal:
+    """Convert the action's goal; zeros mean the default."""
+    if len(goal.keep_out) % 6:
+        raise ParallelCalError("keep_out: expected six numbers for each box, x y z x y z in m")
+    # The two corners of each box come in any order.
+    corners = np.sort(np.reshape(goal.keep_out, (-1, 2, 3)), axis=1).tolist()
+    return Goal(
+        poses=goal.poses or POSES,
+        minutes=goal.minutes or MINUTES,
+        enough=goal.enough,
+        effects=tuple(goal.effects),
+        keep_out=tuple(Box(tuple(low), tuple(high)) for low, high in corners),
+        payload=goal.payload,
+        warmer=goal.warmer,
+        reach=goal.reach or 1.0,
+        **options,
+    )
 
 
 def _make_result(outcome: goals.Outcome) -> Any:

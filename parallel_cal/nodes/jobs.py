@@ -141,8 +141,8 @@ class JobServer:
     the work in rclpy would keep the executor busy, blocking would stop it from serving others.
     """
 
-    def __init__(self, node: ManagedNode, one: WorkSlot, job: Job, say: Say, group: CallbackGroup):
-        self._node, self._one, self._job, self._say = node, one, job, say
+    def __init__(self, node: ManagedNode, slot: WorkSlot, job: Job, say: Say, group: CallbackGroup):
+        self._node, self._slot, self._job, self._say = node, slot, job, say
         self._thread: Thread | None = None
         fields = job.type.Feedback.get_fields_and_field_types()
         self._feedback = lambda *values: job.type.Feedback(**dict(zip(fields, values, strict=True)))
@@ -159,7 +159,7 @@ class JobServer:
 
     def close(self) -> None:
         """Stop the work, if any, and wait for its thread."""
-        self._one.cancel.ask()
+        self._slot.cancel.ask()
         if self._thread:
             self._thread.join()
         self._server.destroy()
@@ -168,40 +168,40 @@ class JobServer:
         try:
             if self._node.refusal:
                 raise ParallelCalError(self._node.refusal)
-            self._one.begin(self._job.running, promised=True)
+            self._slot.begin(self._job.running, promised=True)
         except ParallelCalError as busy:
             self._say(f"goal rejected: {busy}")
             return GoalResponse.REJECT
         return GoalResponse.ACCEPT
 
     def _on_cancel(self, goal: Any) -> CancelResponse:
-        if self._one.cancel.ask():
+        if self._slot.cancel.ask():
             return CancelResponse.ACCEPT
         self._say("the goal cannot be cancelled: the file is being written")
         return CancelResponse.REJECT
 
     def _on_accepted(self, goal: Any) -> None:
-        self._one.confirm()
+        self._slot.confirm()
         try:
             work, collection = self._job.prepare(goal.request)
         except Exception as error:
             goal.execute(partial(self._end, Outcome(False, describe_error(error)), None))
             return
-        self._thread = Thread(target=self._work, args=(goal, work, collection))
+        self._thread = Thread(target=self._do_work, args=(goal, work, collection))
         self._thread.start()
 
-    def _work(self, goal: Any, work: Work | ThreadWork, collection: Collection | None) -> None:
+    def _do_work(self, goal: Any, work: Work | ThreadWork, collection: Collection | None) -> None:
         def tell(*values: Any) -> None:
             if self._node.context.ok():
                 goal.publish_feedback(self._feedback(*values))
 
-        outcome = self._one.run_work(work, tell)
+        outcome = self._slot.run_work(work, tell)
         if self._node.context.ok():
             goal.execute(partial(self._end, outcome, collection))
 
     def _end(self, outcome: Outcome, collection: Collection | None, goal: Any) -> Any:
         """Set the goal's state and return its result, in the executor's thread."""
-        self._one.end()
+        self._slot.end()
         if goal.is_cancel_requested:
             goal.canceled()
         elif outcome.success:
@@ -213,5 +213,5 @@ class JobServer:
 
 
 def describe_error(error: Exception) -> str:
-    """Return what a client is told about an error, including errors that are faults of ours."""
+    """Return the message for a client, who learns of internal errors, too."""
     return str(error) if isinstance(error, ParallelCalError) else f"internal error: {error!r}"

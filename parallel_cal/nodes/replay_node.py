@@ -114,7 +114,7 @@ class ReplayNode(Node):
 
     def _play_once(self) -> None:
         """Publish every message at its time divided by the rate; stamps stay as recorded."""
-        begin, first, said = time.monotonic(), None, time.monotonic()
+        begin, first, reported = time.monotonic(), None, time.monotonic()
         for message in raw_messages(self.bag):
             if message.topic not in self._publishers_of:
                 continue
@@ -127,9 +127,9 @@ class ReplayNode(Node):
             if not self._sleep_until(begin + since / self.rate):
                 return
             self._send(message)
-            if time.monotonic() - said > 1.0:
-                said = time.monotonic()
-                late = said - begin - since / self.rate
+            if time.monotonic() - reported > 1.0:
+                reported = time.monotonic()
+                late = reported - begin - since / self.rate
                 behind = f", {late:.1f} s behind" if late > 0.5 else ""
                 _say(f"{since:.1f} of {self.duration:.1f} s, {self.sent} messages{behind}")
 

@@ -140,17 +140,10 @@ class RobotCell:
             measured = self._has_read_dwell() and (new or self._inflow.holds)
             if measured and now >= again:
                 taken, used = now, used if latest is None else latest
-                try:
-                    found = self._take(wait)
-                except DatasetError as error:
-                    why = str(error)
-                else:
-                    one = found.dataset
-                    begin = 1e-9 * found.start_ns + float(one.time[0] - one.duration[0] / 2)
-                    if begin > self._departed:
-                        return found
-                    why = "the present dwell has no sample yet"
-                end = time.monotonic()
+                taking = self._take_present(wait)
+                if isinstance(taking, Sample):
+                    return taking
+                why, end = taking, time.monotonic()
                 again = end + min(max(10 * POLL_INTERVAL_S, (end - now) / MAX_TAKING), MAX_PAUSE)
             elif now > due and self._inflow.has_read_until(due) and (taken > due or not measured):
                 raise CellError(
@@ -158,6 +151,17 @@ class RobotCell:
                 )
             else:
                 time.sleep(POLL_INTERVAL_S)
+
+    def _take_present(self, wait: Callable[[], None]) -> Sample | str:
+        """Return the sample of the present dwell, or why there is none yet."""
+        try:
+            sample = self._take(wait)
+        except DatasetError as error:
+            return str(error)
+        data = sample.dataset
+        begin = 1e-9 * sample.start_ns + float(data.time[0] - data.duration[0] / 2)
+        # A sample that began before the last motion belongs to the previous pose.
+        return sample if begin > self._departed else "the present dwell has no sample yet"
 
     def ask(self, words: str, conditions: Mapping[str, float], go_on: Callable[[], None]) -> None:
         while not self.done.wait(POLL_INTERVAL_S):
