@@ -108,6 +108,20 @@ def test_other_joints_are_not_resumed(collector, tmp_path):
     assert len(other) == 0
 
 
+def test_an_abandoned_journal_stays_as_it_is_and_the_next_change_begins_another(
+    collector, tmp_path
+):
+    journal = Journal(tmp_path, "node")
+    journal.keep(collector.entries())
+    path, content = Path(journal.path), Path(journal.path).read_bytes()
+    journal.abandon()
+    assert journal.path == ""
+    journal.keep(dict(list(collector.entries().items())[:3]))
+    assert journal.path != str(path)
+    assert path.read_bytes() == content
+    assert len(Path(journal.path).read_text().splitlines()) == 3
+
+
 def test_samples_measured_after_a_restart_join_those_before_it(tmp_path):
     """The recording's own dataset, taken in two runs."""
     dataset = load_dataset(BAG)
