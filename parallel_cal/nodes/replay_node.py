@@ -61,8 +61,8 @@ class ReplayNode(Node):
         topics, self.duration = list_topics(self.bag)
         chosen = _select_topics(self.bag, topics, self._value("topics"))
         self.count, self.sent = sum(topic.count for topic in chosen), 0
-        self._publishers_of = {topic.name: self._make_publisher(topic) for topic in chosen}
-        self._unacknowledged = dict.fromkeys(self._publishers_of, 0)
+        self._senders = {topic.name: self._make_publisher(topic) for topic in chosen}
+        self._unacknowledged = dict.fromkeys(self._senders, 0)
         self._go_on, self._running = go_on, Event()
         (self._running.clear if self._value("start_paused") else self._running.set)()
         self.create_service(SetBool, "~/pause", self._pause)
@@ -101,7 +101,7 @@ class ReplayNode(Node):
             _say(f"ended after {self.sent} messages; the bag holds {self.count}")
             return 0
         limit = self._ack_patience()
-        senders = self._publishers_of.items()
+        senders = self._senders.items()
         missing = [name for name, sender in senders if not sender.wait_for_all_acked(limit)]
         if missing:
             _say(f"a subscriber has not acknowledged every message on {', '.join(missing)}")
@@ -116,7 +116,7 @@ class ReplayNode(Node):
         """Publish every message at its time divided by the rate; stamps stay as recorded."""
         begin, first, reported = time.monotonic(), None, time.monotonic()
         for message in raw_messages(self.bag):
-            if message.topic not in self._publishers_of:
+            if message.topic not in self._senders:
                 continue
             first = message.time if first is None else first
             pause = time.monotonic()
@@ -142,7 +142,7 @@ class ReplayNode(Node):
         return self._go_on()
 
     def _send(self, message: RawMessage) -> None:
-        sender = self._publishers_of[message.topic]
+        sender = self._senders[message.topic]
         if self._unacknowledged[message.topic] >= DEPTH - 1:
             sender.wait_for_all_acked(self._ack_patience())
             self._unacknowledged[message.topic] = 0
@@ -163,14 +163,14 @@ class ReplayNode(Node):
         begin = steady = time.monotonic()
         before = 0
         while self._go_on() and time.monotonic() - begin < self._value("patience"):
-            matched = sum(s.get_subscription_count() for s in self._publishers_of.values())
+            matched = sum(s.get_subscription_count() for s in self._senders.values())
             if matched != before:
                 before, steady = matched, time.monotonic()
             if before >= max(wanted, 1) and time.monotonic() - steady > STEADY:
                 return
             time.sleep(POLL_INTERVAL_S)
         if before < wanted and self._go_on():
-            names = ", ".join(self._publishers_of)
+            names = ", ".join(self._senders)
             raise ParallelCalError(f"{before} subscriptions to {names}; expected {wanted}")
         if not before:
             _say("no subscribers; the recording is published all the same")
