@@ -136,8 +136,15 @@ class RobotCell:
         while True:
             wait()
             now, latest = time.monotonic(), self._inflow.latest
+            # A sample is due when the dwell was long enough, something was measured in it, and
+            # every measurement in it has been read.
             new = latest is not None and latest >= self._rested_at and latest > used
-            measured = self._has_read_dwell() and (new or self._inflow.holds)
+            dwell_end, (stamp, _) = self._rested + self._dwell, self._latest(self._rested)
+            measured = (
+                (new or self._inflow.holds)
+                and stamp >= dwell_end
+                and self._inflow.has_read_until(self._reception_time(dwell_end))
+            )
             if measured and now >= again:
                 taken, used = now, used if latest is None else latest
                 taking = self._take_present(wait)
@@ -191,11 +198,6 @@ class RobotCell:
                 "robot's driver restarted?"
             )
         return stamp, q
-
-    def _has_read_dwell(self) -> bool:
-        """Whether the dwell was long enough and every measurement in it has been read."""
-        end, (stamp, _) = self._rested + self._dwell, self._latest(self._rested)
-        return stamp >= end and self._inflow.has_read_until(self._reception_time(end))
 
     def _reception_time(self, stamp: float) -> float:
         """time.monotonic() when the first joint state of this stamp or later was received."""
