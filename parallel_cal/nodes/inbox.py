@@ -62,7 +62,7 @@ class Inbox:
         """Append one message; times in ns."""
         raw, kind = self.raws[channel], CHANNELS[channel]
         if kind.kind == "condition" and raw.stamp[-1:] == [stamp]:
-            return  # a latched message arrives twice, see calibration_node
+            return  # a latched message arrives twice, see subscriptions
         raw.append(log, stamp, kind.decode(message))
 
     @property
