@@ -187,7 +187,7 @@ def test_the_arms_keep_out_of_a_box_too():
     """A box half way along a rod, 9 cm from the platform's middle."""
     guard = Guard.of(DELTA)
     q = joints_at(0, 0, 0.2)
-    points = guard._lines(Kinematics(DELTA).direct(q[None]))[0]
+    points = guard._sample_drawing(Kinematics(DELTA).direct(q[None]))[0]
     far = points[np.argmax(np.linalg.norm(points - [0, 0, 0.2], axis=1))]
     assert np.linalg.norm(far - [0, 0, 0.2]) > 0.09
     box = Box(tuple(far - 0.005), tuple(far + 0.005))

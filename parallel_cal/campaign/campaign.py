@@ -1,18 +1,18 @@
 """Run a campaign: plan poses, move, measure, check the samples, judge them, choose further poses.
 
-The campaign's folder holds everything at once: `campaign.jsonl` has one line for each target,
-sample and judgement, and a session holds the steps. A campaign that is opened again continues
-where it stopped, for whatever reason it stopped.
+Everything is written to the campaign's folder at once. Its journal `campaign.jsonl` has one line
+for each target, sample and judgement; a session in the same folder holds the steps. A campaign that
+is opened again continues where it stopped, for whatever reason it stopped.
 """
 
 from __future__ import annotations
 
 import json
 import logging
+import operator
 import os
 import time
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -56,7 +56,7 @@ from parallel_cal.session.session import Session
 log = logging.getLogger(__name__)
 
 FILE = "campaign.jsonl"
-MAX_JOURNAL_BYTES = 512 * MEGABYTE  # of a journal that is read again
+MAX_JOURNAL_BYTES = 512 * MEGABYTE  # a larger journal is not read
 BATCH = 8  # poses between two judgements
 
 
@@ -70,9 +70,9 @@ class Goal:
 
     `enough` is an rms position error at the validation poses in m (rad if no position is measured),
     or 0 to stop at a verdict. `effects` are the candidates; empty means all. A person may be asked
-    to attach `payload` (kg) or to warm the robot by `warmer` (K); 0 means never. `reach` is the
-    size of the space that may be used, in workspaces, if poses in the workspace do not distinguish
-    the effects. `seed` draws the candidate poses.
+    to attach `payload` (kg) or to warm the robot by `warmer` (K); 0 means never. If poses in the
+    workspace do not distinguish the effects, a space `reach` times as large may be used. `seed`
+    draws the candidate poses.
     """
 
     poses: int = 80
@@ -90,11 +90,11 @@ class Goal:
 
 @dataclass(frozen=True)
 class Status:
-    """What the campaign is doing: one of STATES, the reason, the number of samples, the rms error
-    of the best model at the validation poses (m or rad, NaN while unknown) and the last verdict.
+    """The state of a campaign (one of STATES), the reason for it, and the progress so far.
 
-    `purpose` is what the present pose is measured for (moving and sampling), `questions` are the
-    conditions that a person is asked to change (asking)."""
+    `unseen` is the rms error of the best model at the validation poses (m or rad, NaN while
+    unknown). `purpose` says why the present pose is measured (moving, sampling). `questions` are
+    the conditions that a person is asked to change (asking)."""
 
     state: str
     reason: str
@@ -113,8 +113,9 @@ class Outcome(goals.Outcome):
     """Outcome of a campaign.
 
     `success` is true if the goal was reached. `text` holds the model if it is proven better.
-    `curve` holds the number of samples and the rms error at the validation poses (m, rad), first of
-    the initial model, then of each judgement. A campaign that has `ended` cannot continue."""
+    `curve` holds pairs of the number of samples and the rms error at the validation poses (m or
+    rad): first for the initial model, then for each judgement. A campaign that has `ended` cannot
+    continue."""
 
     ended: bool = True
     samples: int = 0
@@ -123,10 +124,6 @@ class Outcome(goals.Outcome):
 
 Tell = Callable[[Status], None]
 Work = Callable[..., Any]  # a function and its arguments -> its result
-
-
-def _call_directly(function: Callable[..., Any], *given: Any) -> Any:
-    return function(*given)
 
 
 class Campaign:
@@ -139,14 +136,14 @@ class Campaign:
         goal: Goal,
         cell: Cell,
         tell: Tell = lambda status: None,
-        work: Work = _call_directly,
+        work: Work = operator.call,
         control: Control | None = None,
     ):
-        """Open the campaign; `work` runs the long computations.
+        """Open the campaign. `tell` receives each status; `work` runs the long computations.
 
         Raises CampaignError if another process uses the folder or if it holds the campaign of
         another model, and ModelFileError if the model cannot be read."""
-        parse_model(model, "the campaign's model")  # nothing is stored that cannot be read again
+        parse_model(model, "the campaign's model")  # store nothing that cannot be read again
         self.folder, self.goal, self.control = Path(folder), goal, control or Control()
         self._cell, self._tell, self._work = cell, tell, work
         self.folder.mkdir(parents=True, exist_ok=True)
@@ -160,7 +157,7 @@ class Campaign:
         self.left_out: dict[int, str] = {}
         self.judgements: list[Judgement] = []
         self.warnings: list[str] = []
-        self._planned_unreadably: list[int] = []  # targets of judgements that were set aside
+        self._ignored_targets: list[int] = []  # planned by judgements that are ignored
         self._begun, self._before = time.monotonic(), 0.0
         self._status = Status("planning", "", 0, np.nan, "")
         for entry in json_lines(self.folder / FILE, MAX_JOURNAL_BYTES):
@@ -173,7 +170,7 @@ class Campaign:
             )
         if not self.targets:
             self._write(begin=to_json_value(goal), model=model)
-        self._leave_out_unreadable_plans()
+        self._skip_ignored_targets()
         last = next(reversed(self.samples), None)
         self._sent = None if last is None else np.array(self.targets[last].joints)
         if not (self.folder / SESSION).exists():
@@ -185,10 +182,10 @@ class Campaign:
         """Release the folder."""
         os.close(self._file)
 
-    # ------------------------------------------------------------------ on disk
+    # ------------------------------------------------------------------ journal
 
     def _write(self, **entry: Any) -> None:
-        """Append a line and flush it to the disk."""
+        """Append a line to the journal and flush it to the disk."""
         entry["spent"] = self.spent
         append_lines(self._file, [json.dumps(to_json_value(entry), allow_nan=False)])
 
@@ -204,48 +201,40 @@ class Campaign:
         if "left_out" in entry:
             self.left_out[entry["left_out"]] = entry["why"]
         if "judged" in entry:
-            self._take_up_judgement(entry["judged"])
+            self._restore_judgement(entry["judged"])
 
-    def _take_up_judgement(self, document: Mapping[str, Any]) -> None:
-        """Go on by a stored judgement, or set it aside where its model cannot be read: the samples
-        are there, and are judged anew."""
-        first = len(self.targets)
-        self.targets += map(
-            Target.from_document, document["targets"]
-        )  # samples count them, readable or not
-        try:
-            self.judgements.append(self._readable_judgement(document))
-        except ParallelCalError as error:
-            self.warnings.append(
-                f"{error}; this judgement is ignored and the samples are judged again"
-            )
-            self._planned_unreadably += range(first, len(self.targets))
-        else:
-            self.warnings.clear()  # what was set aside before has been judged anew since
-
-    def _readable_judgement(self, document: Mapping[str, Any]) -> Judgement:
-        """ParallelCalError with file, key and value for one whose model cannot be read."""
+    def _restore_judgement(self, document: Mapping[str, Any]) -> None:
+        """Restore a judgement, or ignore it if its model cannot be read."""
+        file, first = self.folder / FILE, len(self.targets)
+        # Samples refer to targets by number, so the targets of an ignored judgement count, too.
+        self.targets += map(Target.from_document, document["targets"])
         try:
             judgement = Judgement.from_document(document)
+            parse_model(
+                judgement.text, f"{file}: model of the judgement of {judgement.samples} samples"
+            )
+        except ParallelCalError as error:
+            why = str(error)
         except (KeyError, TypeError) as error:
-            raise CampaignError(
-                f"{self.folder / FILE}: a judgement lacks keys that this release expects: {error!r}"
-            ) from None
-        name = f"{self.folder / FILE}: model of the judgement of {judgement.samples} samples"
-        parse_model(judgement.text, name)
-        return judgement
+            why = f"{file}: a judgement lacks keys that this release expects: {error!r}"
+        else:
+            self.judgements.append(judgement)
+            self.warnings.clear()  # the samples of an ignored judgement have been judged again
+            return
+        self.warnings.append(f"{why}; this judgement is ignored and the samples are judged again")
+        self._ignored_targets += range(first, len(self.targets))
 
-    def _leave_out_unreadable_plans(self) -> None:
-        """Go to no target of a judgement that was set aside: the new one plans its own."""
+    def _skip_ignored_targets(self) -> None:
+        """Skip the targets of ignored judgements: the next judgement plans its own."""
         why = "planned by a judgement that is ignored"
-        for k in self._planned_unreadably:
+        for k in self._ignored_targets:
             if k not in self.samples and k not in self.left_out:
                 self.left_out[k] = why
                 self._write(left_out=k, why=why)
 
     @property
     def spent(self) -> float:
-        """Seconds so far, those of runs that ended too early included."""
+        """Seconds so far, including earlier runs of this campaign."""
         return self._before + time.monotonic() - self._begun
 
     @property
@@ -256,13 +245,13 @@ class Campaign:
 
     @property
     def _last(self) -> Dataset | None:
-        """The sample measured last."""
+        """The newest sample."""
         last = next(reversed(self.samples.values()), None)
         return None if last is None else last.dataset
 
     @property
     def validation_mask(self) -> np.ndarray:
-        """Which samples (N,) no fit may see."""
+        """Mask (N,) of the samples at validation poses, which no fit may use."""
         return np.array([self.targets[k].unseen for k in self.samples], dtype=bool)
 
     # ------------------------------------------------------------------ the loop
@@ -304,22 +293,20 @@ class Campaign:
         due = [
             k for k in range(len(self.targets)) if k not in self.samples and k not in self.left_out
         ]
-        over = self._describe_exhausted_budget()
+        over = ""
+        if len(self.samples) >= self.goal.poses:
+            over = f"{len(self.samples)} poses were measured, the maximum that was allowed"
+        elif self.spent > 60 * self.goal.minutes:
+            over = f"the time limit of {self.goal.minutes:g} minutes was reached"
         if due and not over:
             self._measure(due[0])
             return None
         if not self.samples:
-            raise CampaignError(over or f"no pose can be reached: {self._reasons()}")
+            raise CampaignError(over or f"no pose can be reached: {self._describe_skipped()}")
         return self._judge(over)
 
-    def _describe_exhausted_budget(self) -> str:
-        if len(self.samples) >= self.goal.poses:
-            return f"{len(self.samples)} poses were measured, the maximum that was allowed"
-        if self.spent > 60 * self.goal.minutes:
-            return f"the time limit of {self.goal.minutes:g} minutes was reached"
-        return ""
-
-    def _reasons(self) -> str:
+    def _describe_skipped(self) -> str:
+        """Give each reason for a skipped target once."""
         return "; ".join(dict.fromkeys(self.left_out.values()))
 
     def _report_status(
@@ -348,6 +335,7 @@ class Campaign:
                 target, f"pose {k + 1} of {len(self.targets)}, {target.purpose}"
             )
         except PathError as error:
+            # From a forbidden pose no target can be reached: stop instead of skipping them all.
             if self._guard.describe_violation(self._get_current_joints()):
                 raise
             self.left_out[k] = str(error)
@@ -358,18 +346,22 @@ class Campaign:
             self._checker.check(sample.dataset, np.array(target.joints), self._last)
         except ImplausibleSample as odd:
             again = self._remeasure_previous(odd)
-        self._keep(k, sample)
+        self._store_sample(k, sample)
         if again is not None:
             self._add_targets([again[0]])
-            self._keep(len(self.targets) - 1, again[1])
+            self._store_sample(len(self.targets) - 1, again[1])
 
     def _take_sample(self, target: Target, why: str) -> Sample:
         """Move to a target and take its sample; PathError if no path is allowed."""
         stops = [np.array(q) for q in (*target.via, target.joints)]
-        way = self._plan_path(self._get_current_joints(), stops)
+        here = self._get_current_joints()
+        try:  # approach by a move longer than the backlash, if that path is allowed
+            path = self._guard.plan_path(here, self._guard.lengthen_approach(here, stops))
+        except PathError:
+            path = self._guard.plan_path(here, stops)
         self._report_status("moving", why, target.purpose)
         self._cell.move(
-            plan_trajectory(way, self._guard.model.mechanism), self.control.check_interrupted
+            plan_trajectory(path, self._guard.model.mechanism), self.control.check_interrupted
         )
         self._checker.check_arrived(self._cell.joints(), stops[-1])
         self._sent = stops[-1]
@@ -377,16 +369,19 @@ class Campaign:
         return self._cell.sample(self.control.check_interrupted)
 
     def _get_current_joints(self) -> np.ndarray:
-        """Return the present joints (nq,): the commanded ones while the robot rests there, since at
-        a limit the readings may lie slightly beyond it."""
+        """Return the present joints (nq,).
+
+        While the robot rests at its target these are the commanded joints: at a joint limit the
+        readings may lie slightly beyond it."""
         here = self._cell.joints()
         if self._sent is None or not self._checker.has_arrived(here, self._sent):
             return here
         return self._sent
 
     def _remeasure_previous(self, odd: ImplausibleSample) -> tuple[Target, Sample]:
-        """Measure the previous pose again. If it is unchanged, robot and device are in order and
-        the model is wrong; otherwise raise `odd`."""
+        """Measure the previous pose again and return that sample; raise `odd` if the pose changed.
+
+        If the pose is unchanged, robot and device are in order and the model is wrong."""
         k, before = next(reversed(self.samples.items()))
         target = replace(
             self.targets[k], purpose="the previous pose again, to check whether anything moved"
@@ -405,17 +400,11 @@ class Campaign:
         self._write(targets=targets)
         self.targets += targets
 
-    def _keep(self, k: int, sample: Sample) -> None:
-        if not self.samples:  # what a fit lacks is told now, not after the last of the first poses
+    def _store_sample(self, k: int, sample: Sample) -> None:
+        if not self.samples:  # fail now if a fit will lack data, not after all the first poses
             observe(self._guard.model, sample.dataset, self.goal.joint_sigma)
         self._write(target=k, sample=sample.dataset, start_ns=sample.start_ns)
         self.samples[k] = sample
-
-    def _plan_path(self, here: np.ndarray, stops: list[np.ndarray]) -> list[np.ndarray]:
-        """Plan a path whose approach exceeds the backlash, if that is allowed."""
-        with suppress(PathError):
-            return self._guard.plan_path(here, self._guard.lengthen_approach(here, stops))
-        return self._guard.plan_path(here, stops)
 
     def _request_conditions(self, conditions: Mapping[str, float]) -> None:
         """Ask a person to change the conditions that are not yet as wanted."""
@@ -433,12 +422,13 @@ class Campaign:
         self._cell.ask(words, wanted, self.control.check_interrupted)
         self._checker.mark_conditions_changed()
 
-    # ------------------------------------------------------------------ what it comes to
+    # ------------------------------------------------------------------ judgements and the outcome
 
     def _judge(self, over: str) -> Outcome | None:
         """Judge the samples; return an outcome if the goal or a limit is reached."""
         if not over and self._count_unjudged() == 0:
-            return self._outcome(False, f"no further pose can be reached: {self._reasons()}")
+            skipped = self._describe_skipped()
+            return self._outcome(False, f"no further pose can be reached: {skipped}")
         last = self.judgements[-1] if self.judgements else None
         if last is None or self._count_unjudged():
             self._report_status("judging", f"{len(self.samples)} samples")
@@ -490,14 +480,16 @@ class Campaign:
         self._checker = Checker(model, judgement.usual if judgement else {})
 
     def _adopt_judgement(self, judgement: Judgement) -> None:
-        """Use the better model. If it finds the robot's present pose forbidden, first move home on
-        a path that the previous model allows."""
+        """Use the judgement's model for paths and checks from now on.
+
+        If this model forbids the robot's present pose, first move home on a path that the previous
+        model allows."""
         before, here = self._guard, self._get_current_joints()
         self._use_model_of(judgement)
         if judgement.targets and self._guard.describe_violation(here):
             home = np.array(before.model.mechanism.home.joints)
-            way = plan_trajectory(before.plan_path(here, [home]), before.model.mechanism)
-            self._cell.move(way, self.control.check_interrupted)
+            trajectory = plan_trajectory(before.plan_path(here, [home]), before.model.mechanism)
+            self._cell.move(trajectory, self.control.check_interrupted)
             self._sent = home
 
     def _outcome(self, success: bool, message: str) -> Outcome:
@@ -527,7 +519,7 @@ class Campaign:
         )
 
     def _end(self, outcome: Outcome) -> Outcome:
-        """Conclude: take the better model if it is proven, and write the last line."""
+        """Add the final model to the outcome if it is proven better, and write the last line."""
         self._report_status("judging", "preparing the final model")
         found: Conclusion = self._work(conclude, self.folder, self.judgements)
         outcome = replace(outcome, text=found.text, message=f"{outcome.message} ({found.words})")
@@ -546,9 +538,8 @@ def find_unfinished(folder: Path, model: str) -> Path | None:
     """Return the newest unfinished campaign of a folder that started with this model."""
     wanted = model_hash(model)
     for file in sorted(folder.glob(f"*/{FILE}"), reverse=True):
-        entries = json_lines(
-            file, MAX_JOURNAL_BYTES
-        )  # no further than the model where it is another one
+        # An iterator: a campaign of another model is read no further than its model.
+        entries = json_lines(file, MAX_JOURNAL_BYTES)
         began = next((e["model"] for e in entries if "model" in e), "")
         if model_hash(began) == wanted and not any("end" in e for e in entries):
             return file.parent

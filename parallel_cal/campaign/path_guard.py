@@ -1,4 +1,4 @@
-"""Check with the model whether a path is allowed: the whole path, not only its end."""
+"""Check with the model whether a path is allowed along its whole length."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ import numpy as np
 from parallel_cal.base.compiled import Batch, dense
 from parallel_cal.base.errors import ParallelCalError
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions, Status
-from parallel_cal.kinematics.singularity import distances
 from parallel_cal.model.mechanism import Box
 from parallel_cal.model.model import Model
 from parallel_cal.planning.approach import controlled_coordinates
-from parallel_cal.planning.posepool import CLEARANCE
+from parallel_cal.planning.posepool import find_clear_poses
 
-CHECK_STEP = 1 / 100  # of a joint's range between two points that are looked at
-MAX_WORKSPACE_OVERSHOOT = (
-    0.02  # of the workspace's size: a way between poses on its face may bulge so far
-)
-POINTS_PER_LINE = 9  # points on each line of the robot's picture that are held against the boxes
-# A way after a joint has turned that is shorter than its play need not move what it drives: as much
-# play as any drive may have, or so many times what the model knows of it.
+CHECK_STEP = 1 / 100  # spacing of the checked points, as a fraction of a joint's range
+# As a fraction of the workspace's size: a path that is straight in the joints bulges by so much
+# beyond a face of the workspace when both its ends lie on that face.
+MAX_WORKSPACE_OVERSHOOT = 0.02
+POINTS_PER_LINE = 9  # points on each line of the robot's drawing that are checked against the boxes
+# After a reversal, a joint drives its load only once it has moved by more than its backlash: the
+# modelled backlash times a safety factor, or else a value that few drives exceed.
 DEFAULT_BACKLASH = {"rad": 3e-3, "m": 0.2e-3}
 BACKLASH_SAFETY_FACTOR = 1.25
 LINE_FRACTIONS = np.linspace(0.0, 1.0, POINTS_PER_LINE)[:, None]
+STATUS_WORDS = {Status.OUTSIDE_LIMITS: "outside the joint limits", Status.SINGULAR: "singular"}
 
 
 class PathError(ParallelCalError):
@@ -37,8 +37,8 @@ class PathError(ParallelCalError):
 
 @dataclass(frozen=True)
 class Guard:
-    """The limits of every path: joint limits, the workspace (enlarged by `reach`), singularities
-    and the poses beyond them, keep-out boxes."""
+    """The limits of every path: joint limits, workspace (enlarged by `reach`), singularities and
+    the poses beyond them, keep-out boxes."""
 
     model: Model
     keep_out: tuple[Box, ...] = ()
@@ -50,8 +50,10 @@ class Guard:
         return cls(model.robot(), (*model.mechanism.keep_out, *more), reach)
 
     def plan_path(self, start: np.ndarray, stops: Sequence[np.ndarray]) -> list[np.ndarray]:
-        """Return the joints (nq,) at which to stop between `start` and the last of `stops`, through
-        home if the straight path is forbidden. Raise PathError if no path is known."""
+        """Return the joints (nq,) of a path from `start` through all `stops`.
+
+        Where the straight path to a stop is forbidden, the path leads through home. Raises
+        PathError if that is forbidden, too."""
         if astray := self.describe_violation(start):
             raise PathError(
                 f"the robot's present pose is {astray}; move the robot back into its workspace"
@@ -69,37 +71,38 @@ class Guard:
         return found
 
     def lengthen_approach(self, start: np.ndarray, stops: Sequence[np.ndarray]) -> list[np.ndarray]:
-        """The same stops with one more before the last where a joint would end there after a way
-        that its play swallows: it comes from further away, on the same side."""
+        """Return the stops with a waypoint before the last, if a joint's last move is so short
+        that its backlash may absorb it. From the waypoint that joint approaches by
+        `min_approach`, from the same side as before."""
         *before, last = [start, *stops]
         step, least = last - before[-1], self.min_approach
         short = (step != 0) & (np.abs(step) < least)
         if not short.any():
             return list(stops)
-        away = np.where(short, last - np.sign(step) * least, before[-1])
-        return [*before[1:], away, last]
+        waypoint = np.where(short, last - np.sign(step) * least, before[-1])
+        return [*before[1:], waypoint, last]
 
     @cached_property
     def min_approach(self) -> np.ndarray:
-        """The shortest way (nq,) after a turn that moves what a joint drives: rad or m."""
+        """The shortest move (nq,) after a reversal that surely moves a joint's load: rad or m."""
         m, known = self.model.mechanism, self.model.table.mapping(self.model.values)
         found = []
         for joint, unit in zip(m.joints, m.joint_units, strict=True):
-            play = max(
+            backlash = max(
                 known.get(f"backlash.{joint}.width", 0.0),
                 2 * known.get(f"hysteresis.{joint}.lag", 0.0),
             )
-            found.append(BACKLASH_SAFETY_FACTOR * play or DEFAULT_BACKLASH[unit])
+            found.append(BACKLASH_SAFETY_FACTOR * backlash or DEFAULT_BACKLASH[unit])
         return np.array(found)
 
     def points(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        """Joints (n, nq) along the straight way from one to the other."""
+        """Return joints (n, nq) on the straight path from a to b, both included."""
         n = 2 + int(np.max(np.abs(b - a) / (CHECK_STEP * self.model.mechanism.joint_ranges)))
         return a + np.linspace(0.0, 1.0, n)[:, None] * (b - a)
 
     def find_violation(self, q: np.ndarray) -> tuple[float, str] | None:
-        """The first of some joints (n, nq) where the robot must not be, as a share of their way,
-        and why; None where it may be at all of them."""
+        """Find the first forbidden point of a path (n, nq): its share of the path, and why it is
+        forbidden; None if the whole path is allowed."""
         bad = [
             (int(np.argmax(mask)), words) for mask, words in self._find_violations(q) if mask.any()
         ]
@@ -109,74 +112,59 @@ class Guard:
         return i / max(len(q) - 1, 1), words
 
     def describe_violation(self, q: np.ndarray) -> str:
-        """Why the robot must not be at joints (nq,) where it is; empty where it may. One that was
-        sent to a limit may be read, or rest, a little beyond it."""
+        """Say why the robot's present joints (nq,) are forbidden; empty if they are allowed.
+
+        A joint at its limit may be read, or rest, slightly beyond it."""
         why = self.find_violation(self._clip_to_limits(q)[None])
         return why[1] if why else ""
 
     def _clip_to_limits(self, q: np.ndarray) -> np.ndarray:
-        """Joints (nq,) that are beyond their limits by less than what is looked at, at these."""
+        """Move joints (nq,) that are beyond a limit by less than CHECK_STEP to that limit."""
         m = self.model.mechanism
         at = np.clip(q, *np.array(m.joint_limits).T)
         return np.where(np.abs(q - at) < CHECK_STEP * np.asarray(m.joint_ranges), at, q)
 
     def is_allowed(self, q: np.ndarray) -> np.ndarray:
-        """At which of some joints (n, nq) the robot may be, (n,)."""
+        """Return a mask (n,) of the joints (n, nq) at which the robot may be."""
         return ~np.any([mask for mask, _ in self._find_violations(q)], axis=0)
 
     def summarise_violations(self, q: np.ndarray) -> str:
-        """How many of some joints (n, nq) are forbidden for which reason."""
+        """Say how many of the joints (n, nq) are forbidden for each reason."""
         counts = ((int(mask.sum()), words) for mask, words in self._find_violations(q))
         return ", ".join(f"{count} are {words}" for count, words in counts if count)
 
     def _find_violations(self, q: np.ndarray) -> list[tuple[np.ndarray, str]]:
-        """Of some joints (n, nq) those where the robot must not be, (n,) for every reason."""
+        """Return for each reason the mask (n,) of the joints (n, nq) that it forbids."""
         at = self._robot.direct(q)
-        return [
-            *((at.status == status, _describe_status(status)) for status in Status if status),
-            (self._is_outside_workspace(at), "outside the workspace"),
-            (~self._is_clear(at), "too near a singularity or beyond it"),
-            *(
-                (self._is_in_box(at, box), f"inside the keep-out box {box}")
-                for box in self.keep_out
-            ),
+        workspace = self.model.mechanism.workspace
+        low, high = np.array(workspace.low), np.array(workspace.high)
+        slack = ((self.reach - 1) / 2 + MAX_WORKSPACE_OVERSHOOT) * (high - low)
+        here = controlled_coordinates(self.model, at)
+        outside = np.any((here < low - slack) | (here > high + slack), axis=1)
+        found: list[tuple[np.ndarray, str]] = [
+            (at.status == status, STATUS_WORDS.get(status, "out of reach"))
+            for status in Status
+            if status
         ]
+        found += [
+            (outside, "outside the workspace"),
+            (~find_clear_poses(self.model, at), "too near a singularity or beyond it"),
+        ]
+        if self.keep_out:
+            points = self._sample_drawing(at)
+            for box in self.keep_out:
+                inside = (points >= np.array(box.low)) & (points <= np.array(box.high))
+                found.append((np.any(inside.all(axis=2), axis=1), f"inside the keep-out box {box}"))
+        return found
 
-    # ------------------------------------------------------------------ what is asked of a pose
+    # ------------------------------------------------------------------ the robot and its drawing
 
     @cached_property
     def _robot(self) -> Kinematics:
         return Kinematics(self.model, quick=True)
 
-    @cached_property
-    def _home(self) -> tuple[np.ndarray, ...]:
-        """What every pose is held against: clearances and signs at home."""
-        home = self._robot.direct(np.array([self.model.mechanism.home.joints]))
-        d = distances(self.model, home)
-        return d.direct, d.inverse, d.direct_sign, d.inverse_sign
-
-    def _is_clear(self, at: Solutions) -> np.ndarray:
-        here, (direct, inverse, one, other) = distances(self.model, at), self._home
-        far = (here.direct > CLEARANCE * direct) & (here.inverse > CLEARANCE * inverse)
-        same = (here.direct_sign == one) & (here.inverse_sign == other)
-        return np.asarray(far & same)
-
-    def _is_outside_workspace(self, at: Solutions) -> np.ndarray:
-        box = self.model.mechanism.workspace
-        low, high = np.array(box.low), np.array(box.high)
-        slack = ((self.reach - 1) / 2 + MAX_WORKSPACE_OVERSHOOT) * (high - low)
-        here = controlled_coordinates(self.model, at)
-        return np.asarray(((here < low - slack) | (here > high + slack)).any(axis=1))
-
-    def _is_in_box(self, at: Solutions, box: Box) -> np.ndarray:
-        """Where the platform's origin, or a line of the robot's picture, is inside a box."""
-        points = self._lines(at)
-        low, high = np.array(box.low), np.array(box.high)
-        inside: np.ndarray = np.all((points >= low) & (points <= high), axis=2)
-        return np.asarray(inside.any(axis=1))
-
-    def _lines(self, at: Solutions) -> np.ndarray:
-        """Points (n, k, 3) m of the robot: its platform's origin, and along what it draws."""
+    def _sample_drawing(self, at: Solutions) -> np.ndarray:
+        """Return points (n, k, 3) m of the robot: the platform's origin and points on its lines."""
         if self._line_end_function is None:
             return at.position[:, None]
         flat = self._line_end_function(at.configuration.rows)[0]
@@ -186,7 +174,7 @@ class Guard:
 
     @cached_property
     def _line_end_function(self) -> Batch | None:
-        """Both ends of every moving line of the mechanism's picture, as one row."""
+        """Both ends of every moving line of the mechanism's drawing, as one row; None without."""
         s = self.model.structure
         lines = self.model.mechanism.drawing(s.q, s.r, s.R, s.geometry)
         moving = [line for line in lines if line.kind not in ("base", "axis")]
@@ -195,8 +183,3 @@ class Guard:
             return None
         points = ca.substitute(ca.SX(ca.vertcat(*ends)), s.v, ca.DM(self.model.values))
         return Batch(dense("picture", [s.configuration], [points]))
-
-
-def _describe_status(status: Status) -> str:
-    words = {Status.OUTSIDE_LIMITS: "outside the joint limits", Status.SINGULAR: "singular"}
-    return words.get(status, "out of reach")
