@@ -25,7 +25,7 @@ from parallel_cal.reporting.studies import format_power, power_page, power_remar
 from parallel_cal.study import power as study
 from parallel_cal.study.planned_session import planned_session
 from parallel_cal.study.power import (
-    CLEAN,
+    CLEAN_RATIO,
     Detectable,
     SizeResult,
     next_sizes,
@@ -288,7 +288,9 @@ def test_two_workers_a_killed_scheduler_and_one_process_say_the_same(question, t
             scheduler=workers.address,
             progress=lambda stage, done: begun.append(done),
         )
-    assert begun[0] == pytest.approx(kept / (CLEAN * 2))  # sessions without any effect come first
+    assert begun[0] == pytest.approx(
+        kept / (CLEAN_RATIO * 2)
+    )  # sessions without any effect come first
     here = power(*asked, folder=tmp_path / "here", workers=1)
     assert here.document() == there.document()
     rows = (

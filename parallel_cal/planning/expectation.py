@@ -17,8 +17,8 @@ from parallel_cal.planning.indices import Indices, indices, prediction_rms
 from parallel_cal.planning.posepool import Pool
 from parallel_cal.planning.selection import SelectionProblem
 
-# What is known beforehand where tolerances are no prior: next to nothing, every parameter to
-# 100 tolerances. It keeps the information invertible before there are poses enough.
+# Prior information if the tolerances are not a prior: every parameter to 100 tolerances. It keeps
+# the information matrix invertible while the selected poses are too few.
 VAGUE_INFORMATION = 1e-4
 
 
@@ -39,7 +39,7 @@ class Expectation:
 
 
 class View:
-    """A pool and validation poses, linearised: the information of every subset."""
+    """A linearised pool and validation poses, which give the information of every subset."""
 
     def __init__(self, sought: EstimationProblem, measured: np.ndarray, pool: Pool, unseen: Pool):
         self._sought, self._pool = sought, pool
@@ -61,7 +61,7 @@ class View:
         return SelectionProblem(blocks, before, weight, criterion, self.rank)
 
     def expectation(self, rows: np.ndarray) -> Expectation:
-        """Expectation from the covariance of the fit, without the weak prior."""
+        """Compute the expectation from the covariance of the fit, without VAGUE_INFORMATION."""
         seen = self._spectrum(rows)
         counted = indices(
             self._scaled[rows].reshape(-1, self._scaled.shape[2]), len(rows), self.rank
@@ -100,7 +100,7 @@ class View:
 def white_blocks(
     model: Model, free: np.ndarray, measured: np.ndarray, poses: Solutions, a: np.ndarray
 ) -> np.ndarray:
-    """The whitened identification Jacobian (N, rows, n_free) at exact poses."""
+    """Return the whitened identification Jacobian (N, rows, n_free) at exact poses."""
     observations = as_observations(model, measured, poses, a)
     linearise = Linearisation(model, observations, free, weighted=True)
     return linearise(model.values, observations.x).jacobian
@@ -109,7 +109,7 @@ def white_blocks(
 def prediction_blocks(
     model: Model, free: np.ndarray, measured: np.ndarray, pool: Pool
 ) -> np.ndarray:
-    """d(r, length w)/d(free parameters) (N, 6, n_free) with locked joints: -J_x^-1 J_v."""
+    """Return d(r, length w)/d(free parameters) (N, 6, n_free) at fixed joints: -J_x^-1 J_v."""
     observations = as_observations(model, measured, pool.poses, pool.a)
     linearise = Linearisation(model, observations, free, weighted=True)
     rows = model.structure.phi.shape[0]
@@ -124,7 +124,7 @@ def prediction_blocks(
 def as_observations(
     model: Model, measured: np.ndarray, poses: Solutions, a: np.ndarray
 ) -> Observations:
-    """Poses as if measured without error, with the model's noise."""
+    """Make observations of poses without measurement errors, weighted by the model's noise."""
     n, noise, x = len(model.joints), model.noise, poses.configuration.rows
     sigma = [noise.joint or 0.0] * n + [noise.position or 0.0] * 3 + [noise.orientation or 0.0] * 3
     S = np.broadcast_to(np.diag(np.square(sigma)), (len(x), n + 6, n + 6))

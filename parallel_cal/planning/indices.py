@@ -12,12 +12,14 @@ from parallel_cal.identification.thresholds import RELATIVE_RANK
 
 @dataclass(frozen=True)
 class Indices:
-    """Indices of a set of poses, from the singular values s_1 >= ... >= s_m of its whitened
-    Jacobian with columns in tolerances. Only `condition` and `parameter_rms` are better small.
+    """Observability indices of a set of poses, from the singular values s_1 >= ... >= s_m of its
+    whitened Jacobian with columns in tolerances.
 
-    rank: directions seen; condition: s_1 / s_m (Mooring 91); borm_menq: (s_1 ... s_m)^(1/m) /
-    sqrt(poses) (Borm 91); noise_amplification: s_m^2 / s_1 (Nahvi 96); log_det: 2 sum log s
-    (D-optimality); parameter_rms: sigma of the parameters in tolerances, root mean square.
+    `condition` and `parameter_rms` are good if small, all others if large.
+
+    rank: number of determined directions; condition: s_1 / s_m (Mooring 91); borm_menq:
+    (s_1 ... s_m)^(1/m) / sqrt(poses) (Borm 91); noise_amplification: s_m^2 / s_1 (Nahvi 96);
+    log_det: 2 sum log s (D-optimality); parameter_rms: rms sigma of the parameters in tolerances.
     """
 
     rank: int
@@ -35,10 +37,10 @@ class Indices:
 
 
 def indices(J: np.ndarray, poses: int, rank: int | None = None) -> Indices:
-    """Indices of a whitened, tolerance-scaled Jacobian (n_rows, n_parameters).
+    """Compute the indices of a whitened, tolerance-scaled Jacobian (n_rows, n_parameters).
 
-    `rank` is the number of directions that count, where the model has some that no pose can
-    see (thesis: "if the model is for sure not redundant"); all by default.
+    `rank` is the number of directions that count if the model has directions that no pose can
+    determine (thesis: "if the model is for sure not redundant"); all by default.
     """
     m = J.shape[1]
     sizes = np.zeros(m)
@@ -46,7 +48,7 @@ def indices(J: np.ndarray, poses: int, rank: int | None = None) -> Indices:
     sizes[: len(found)] = found
     seen = int(np.sum(sizes > RELATIVE_RANK * max(sizes[0], 1e-300))) if m else 0
     s = sizes[: m if rank is None else rank]
-    if seen < len(s):  # one direction too few: nothing can be said of the parameters
+    if seen < len(s):  # some direction is not determined: the parameters are not, either
         return Indices(seen, m, poses, np.inf, 0.0, 0.0, -np.inf, np.inf)
     log_det = 2 * float(np.sum(np.log(s)))
     return Indices(
@@ -62,7 +64,7 @@ def indices(J: np.ndarray, poses: int, rank: int | None = None) -> Indices:
 
 
 def prediction_rms(covariance: np.ndarray, weight: np.ndarray) -> float:
-    """Root mean square of the predicted poses' error: sqrt trace(covariance weight), m.
+    """Return the rms error of the predicted poses: sqrt trace(covariance weight), m.
 
     `weight` (n, n) is the mean of G^T G over the workspace, G the poses' derivatives in the
     parameters (prediction- or V-optimality: its square is the mean variance).

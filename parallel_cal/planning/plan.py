@@ -64,6 +64,15 @@ class Plan:
 
     def document(self) -> dict[str, Any]:
         """The JSON document of `parallel-cal plan`; SI, None for unknown values."""
+        table = self.model.table
+        parameters = {
+            name: {
+                "sigma": float(s) if np.isfinite(s) else None,
+                "sigma_tolerances": float(s / table[name].tolerance) if np.isfinite(s) else None,
+                "unit": table[name].unit,
+            }
+            for name, s in zip(self.names, self.expected.sigma, strict=True)
+        }
         return {
             "poses": [self._pose(i) for i in range(len(self))],
             "criterion": self.options.criterion,
@@ -72,7 +81,7 @@ class Plan:
             "seed": self.options.seed,
             "indices": self.expected.indices.document(),
             "random": {**self.random.indices.document(), "expected": _errors(self.random)},
-            "expected": {**_errors(self.expected), "parameters": self._parameters()},
+            "expected": {**_errors(self.expected), "parameters": parameters},
             "noise": vars(self.model.noise),
             "warnings": list(self.warnings),
         }
@@ -80,7 +89,8 @@ class Plan:
     def table(self) -> tuple[list[str], np.ndarray]:
         """Names of columns, and one row for each pose: place (m, quaternion), joints (rad, m),
         conditions, and the joints at the waypoints if the approach matters."""
-        stops = {} if (way := self.approach) is None else {"past": way.past, "turn": way.turn}
+        approach = self.approach
+        stops = {} if approach is None else {"past": approach.past, "turn": approach.turn}
         joints = self.model.joints
         named = [f"{stop}.{joint}" for stop in stops for joint in joints]
         columns = [self.poses.position, self.poses.quaternion, self.poses.joints, self.a]
@@ -88,7 +98,7 @@ class Plan:
         return [*PLACE, *joints, *self.model.conditions, *named], np.hstack(columns)
 
     def csv(self) -> str:
-        """The table as a file that other programs read."""
+        """Return the table as the text of a CSV file."""
         names, rows = self.table()
         out = io.StringIO()
         csv.writer(out, lineterminator="\n").writerows([names, *rows.tolist()])
@@ -106,17 +116,6 @@ class Plan:
         at = dict(zip(self.model.conditions, self.a[i].tolist(), strict=True))
         return {**row, "conditions": at} if at else row
 
-    def _parameters(self) -> dict[str, dict[str, Any]]:
-        table, sigma = self.model.table, self.expected.sigma
-        return {
-            name: {
-                "sigma": float(s) if np.isfinite(s) else None,
-                "sigma_tolerances": float(s / table[name].tolerance) if np.isfinite(s) else None,
-                "unit": table[name].unit,
-            }
-            for name, s in zip(self.names, sigma, strict=True)
-        }
-
 
 def _errors(e: Expectation) -> dict[str, float | None]:
     values = {k: getattr(e, k) for k in ("position_rms", "orientation_rms", "pose_rms")}
@@ -131,11 +130,10 @@ def plan(
     progress: Progress | None = None,
     **changes: Unpack[PlanKeywords],
 ) -> Plan:
-    """Choose the poses to measure, before anything is measured.
+    """Select the poses to measure, before anything is measured.
 
-    n poses are selected from a pool of random poses of the workspace such that the identification
-    from them is as good as possible by a criterion. Quantities with a noise figure in the model
-    count as measured.
+    n poses are selected from a pool of random poses of the workspace so that a criterion of the
+    identification is optimal. Quantities with a noise figure in the model count as measured.
 
     Parameters
     ----------
@@ -190,7 +188,7 @@ def plan(
         pool = given_pool(model, options.pool, rng)
     else:
         pool = make_pool(model, options.pool, rng, options.symmetric)
-    groups = _number_of_groups(n, pool)
+    groups = _count_groups(n, pool)
     unseen = make_pool(
         model, N_VALIDATION_POSES, np.random.default_rng([options.seed, 1]), symmetric=False
     )
@@ -201,10 +199,10 @@ def plan(
         chosen = exchange(problem, groups, report)
     else:
         chosen = anneal(problem, groups, rng, report)
-    random = _typical(view, problem, groups, rng)
+    random = _compute_median_expectation(view, problem, groups, rng)
     rows = view.rows(chosen)
     expected = view.expectation(rows)
-    _check_seeing(expected, view.rank, options.prior)
+    _check_determined(expected, view.rank, options.prior)
     return Plan(
         model=model,
         poses=pool.poses[rows],
@@ -221,8 +219,9 @@ def plan(
 
 @single_threaded()
 def expected_at(model: Model, q: np.ndarray) -> Expectation:
-    """Expected result of an identification from poses at joints q (N, nq), under neutral
-    conditions. FitError if they are too few for the free parameters, or the noise is not known."""
+    """Predict the result of an identification from poses at joints q (N, nq), under neutral
+    conditions. Raises FitError if they are too few for the free parameters, or if the noise is not
+    known."""
     measured, free = _measured(model), free_mask(model, (), ())
     _check_enough(model, len(q), free)
     rng = np.random.default_rng(0)
@@ -236,12 +235,12 @@ def expected_at(model: Model, q: np.ndarray) -> Expectation:
     )
     view = View(EstimationProblem(model, free, False), measured, whole, unseen)
     expected = view.expectation(np.arange(len(q)))
-    _check_seeing(expected, view.rank, prior=False)
+    _check_determined(expected, view.rank, prior=False)
     return expected
 
 
 def _measured(model: Model) -> np.ndarray:
-    """Mask (nq + 6,) of the joints and the coordinates whose noise the device states."""
+    """Return the mask (nq + 6,) of the joints and the coordinates whose noise the model states."""
     noise, channels = model.noise, model.structure.channels
     given = [noise.position is not None, noise.orientation is not None]
     if channels and not any(given):
@@ -267,7 +266,8 @@ def _list_sensor_warnings(model: Model) -> list[str]:
 
 
 def equations_per_pose(model: Model) -> int:
-    """Number of equations of a measured pose; FitError if none, or if the noise is not known."""
+    """Return the number of equations that a measured pose gives; FitError if it is zero, or if the
+    noise is not known."""
     moved = [len(model.joints) + i for i in model.mechanism.moved]
     each = model.structure.phi.shape[0] - int((~_measured(model)[moved]).sum())
     if each <= 0:
@@ -288,7 +288,7 @@ def _check_enough(model: Model, n: int, free: np.ndarray) -> None:
         )
 
 
-def _check_seeing(expected: Expectation, rank: int, prior: bool) -> None:
+def _check_determined(expected: Expectation, rank: int, prior: bool) -> None:
     """Raise FitError if even the best set does not determine every direction."""
     seen = expected.indices
     if seen.rank < rank and not prior:
@@ -298,7 +298,7 @@ def _check_seeing(expected: Expectation, rank: int, prior: bool) -> None:
         )
 
 
-def _number_of_groups(n: int, pool: Pool) -> int:
+def _count_groups(n: int, pool: Pool) -> int:
     size = pool.groups.shape[1]
     if n % size:
         raise FitError(
@@ -314,10 +314,10 @@ def _number_of_groups(n: int, pool: Pool) -> int:
     return n // size
 
 
-def _typical(
+def _compute_median_expectation(
     view: View, problem: SelectionProblem, groups: int, rng: np.random.Generator
 ) -> Expectation:
-    """The median of random sets, by the criterion."""
+    """Return the expectation of the random set with the median criterion."""
     sets = [rng.permutation(len(problem.blocks))[:groups] for _ in range(RANDOM_SETS)]
     costs = [problem.cost(problem.information(s)) for s in sets]
     middle = sets[int(np.argsort(costs)[RANDOM_SETS // 2])]

@@ -22,7 +22,7 @@ from parallel_cal.planning.approach import (
     needs_approach,
 )
 
-CLEARANCE = 0.2  # of home's distance from a singularity; nearer ones are not measured at
+CLEARANCE = 0.2  # of home's distance from a singularity: nearer poses are not used
 FOLD = 3
 
 
@@ -48,10 +48,10 @@ class Pool:
         """The pool with approaches of at least this length (nq,), from the same side."""
         if self.approach is None:
             return self
-        ways = self.approach.ways
-        ways, a = np.copysign(np.maximum(np.abs(ways), least), ways), self.a.copy()
-        fill(a, model, ways)
-        return replace(self, a=a, approach=replace(self.approach, ways=ways))
+        travels, a = self.approach.ways, self.a.copy()
+        travels = np.copysign(np.maximum(np.abs(travels), least), travels)
+        fill(a, model, travels)
+        return replace(self, a=a, approach=replace(self.approach, ways=travels))
 
 
 def make_pool(
@@ -65,7 +65,8 @@ def make_pool(
     if symmetric:
         check_symmetric(model)
         r, R = rotate_about_z(r[: -(-n // FOLD)], R[: -(-n // FOLD)])
-    poses = Kinematics(model, quick=True).inverse(r, R)  # of many, those that are found at once
+    # Quick: the pool is large, so a pose that is not solved at the first attempt is dropped.
+    poses = Kinematics(model, quick=True).inverse(r, R)
     good = find_usable_poses(model, poses, reach)
     approach = approaches(model, poses, rng, reach) if needs_approach(model) else None
     if approach is not None:
@@ -101,8 +102,9 @@ def _pool(model: Model, poses: Solutions, groups: np.ndarray, approach: Approach
 
 
 def find_usable_poses(model: Model, poses: Solutions, reach: float = 1.0) -> np.ndarray:
-    """Mask (N,): solved both ways on home's branch, inside workspace (`reach` times as large) and
-    joint limits, no singularity near nor between the pose and home."""
+    """Return the mask (N,) of the poses that forward and inverse kinematics solve on home's branch,
+    inside workspace (`reach` times as large) and joint limits, with no singularity near the pose
+    or between it and home."""
     back = Kinematics(model).direct(np.where(poses.ok[:, None], poses.joints, np.nan))
     agree = np.abs(back.position - poses.position).max(axis=1) < POSE_TOLERANCE
     return (
@@ -115,7 +117,8 @@ def find_usable_poses(model: Model, poses: Solutions, reach: float = 1.0) -> np.
 
 
 def find_clear_poses(model: Model, poses: Solutions) -> np.ndarray:
-    """Mask (N,): as far from both singularities as CLEARANCE of home's distance, on its side."""
+    """Return the mask (N,) of the poses that are on home's side of both singularities, and further
+    from them than CLEARANCE times home's distance."""
     home = distances(model, Kinematics(model).direct(np.array([model.mechanism.home.joints])))
     here = distances(model, poses)
     far = (here.direct > CLEARANCE * home.direct) & (here.inverse > CLEARANCE * home.inverse)
@@ -124,14 +127,15 @@ def find_clear_poses(model: Model, poses: Solutions) -> np.ndarray:
 
 
 def find_inside_poses(model: Model, poses: Solutions, reach: float = 1.0) -> np.ndarray:
-    """Mask (N,): controlled coordinates inside the workspace's box, `reach` times as large."""
+    """Return the mask (N,) of the poses with controlled coordinates inside the workspace's box,
+    `reach` times as large."""
     low, high = np.array(model.mechanism.workspace.low), np.array(model.mechanism.workspace.high)
     away = np.abs(controlled_coordinates(model, poses) - (low + high) / 2)
     return np.asarray((away <= reach * (high - low) / 2 + POSE_TOLERANCE).all(axis=1))
 
 
 def rotate_about_z(r: np.ndarray, R: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Every pose and its copies turned about z, one after another: (3 N, 3), (3 N, 3, 3)."""
+    """Return every pose followed by its copies turned about z: (3 N, 3), (3 N, 3, 3)."""
     w = np.zeros((FOLD, 3))
     w[:, 2] = 2 * np.pi / FOLD * np.arange(FOLD)
     T = rotation_matrix(w)
@@ -149,7 +153,7 @@ def check_symmetric(model: Model) -> None:
     sets = joints.reshape(-1, FOLD, len(m.joints))
     if len(m.joints) % FOLD == 0:
         shift = len(m.joints) // FOLD
-        for way in (shift, -shift):
-            if np.allclose(np.roll(sets[:, 0], way, axis=1), sets[:, 1], atol=POSE_TOLERANCE):
+        for step in (shift, -shift):
+            if np.allclose(np.roll(sets[:, 0], step, axis=1), sets[:, 1], atol=POSE_TOLERANCE):
                 return
     raise FitError(f"{m.name} is not symmetric: a third of a turn about z changes its joints")

@@ -1,7 +1,7 @@
-"""Choosing n of K groups of measurements: greedy exchange and simulated annealing (5.3.9).
+"""Select n of K groups of measurements: greedy exchange and simulated annealing (5.3.9).
 
-Groups are blocks A_k (K, rows, p) of the whitened Jacobian, columns in tolerances; a choice
-has the information M = M0 + sum A_k^T A_k, M0 what is known beforehand. Criteria are minimised:
+Groups are blocks A_k (K, rows, p) of the whitened Jacobian, columns in tolerances. A selection has
+the information M = M0 + sum A_k^T A_k with the prior information M0. Criteria are minimised:
 D: -log det M; A: trace M^-1; prediction: trace M^-1 W; condition and noise_amplification of M.
 """
 
@@ -16,7 +16,7 @@ import numpy as np
 from parallel_cal.planning.options import LINEAR
 
 MAX_SWEEPS = 20
-MIN_RELATIVE_GAIN = 1e-6  # of an exchange, relative: smaller ones only swap equals
+MIN_RELATIVE_GAIN = 1e-6  # of an exchange: smaller gains only swap equal groups
 
 Report = Callable[[float], None]
 
@@ -48,8 +48,8 @@ class SelectionProblem:
 
 
 def exchange(problem: SelectionProblem, n: int, report: Report) -> np.ndarray:
-    """Groups (n,) by adding the best one n times, then replacing one by a better one until
-    none is (Fedorov): every step costs one pass over the candidates."""
+    """Select groups (n,): add the best one n times, then replace single ones by better ones until
+    no replacement improves (Fedorov). Every step costs one pass over the candidates."""
     chosen: list[int] = []
     M = problem.before.copy()
     for k in range(n):
@@ -64,7 +64,7 @@ def exchange(problem: SelectionProblem, n: int, report: Report) -> np.ndarray:
 
 
 def _sweep(problem: SelectionProblem, chosen: list[int]) -> bool:
-    """Each chosen group in turn gives way to the best other one; whether anything changed."""
+    """Replace each selected group by the best other one, if that is better; say if any changed."""
     changed = False
     for i, old in enumerate(list(chosen)):
         others = chosen[:i] + chosen[i + 1 :]
@@ -82,7 +82,7 @@ def _square(problem: SelectionProblem, k: int) -> np.ndarray:
 
 
 def _gains(problem: SelectionProblem, V: np.ndarray, taken: list[int]) -> np.ndarray:
-    """How much each candidate (K,) improves the criterion, V the inverse of M without it.
+    """Return how much each candidate (K,) improves the criterion; V is the inverse of M without it.
 
     det(M + A^T A) = det M det(I + A V A^T); V falls by V A^T (I + A V A^T)^-1 A V.
     """
@@ -102,8 +102,8 @@ def _gains(problem: SelectionProblem, V: np.ndarray, taken: list[int]) -> np.nda
 def anneal(
     problem: SelectionProblem, n: int, rng: np.random.Generator, report: Report, steps: int = 20000
 ) -> np.ndarray:
-    """Groups (n,) by simulated annealing (Zhuang 94): random exchanges from a random set,
-    worse ones accepted with probability exp(-rise / T), T falling to nothing."""
+    """Select groups (n,) by simulated annealing (Zhuang 94): random exchanges from a random set.
+    A worse set is accepted with probability exp(-rise / T) while T falls by a factor of 1e5."""
     order = rng.permutation(len(problem.blocks))
     M = problem.information(order[:n])
     cost = problem.cost(M)
@@ -120,7 +120,7 @@ def anneal(
             if cost < best_cost:
                 best, best_cost = order[:n].copy(), cost
         if step % 1000 == 0:
-            M = problem.information(order[:n])  # subtractions leave rounding errors behind
+            M = problem.information(order[:n])  # subtractions accumulate rounding errors
             report(step / steps)
     return np.sort(best)
 
@@ -128,7 +128,7 @@ def anneal(
 def _first_temperature(
     problem: SelectionProblem, order: np.ndarray, n: int, rng: np.random.Generator
 ) -> float:
-    """The typical rise of a random exchange: at first nearly everything is accepted."""
+    """Return the typical cost change of a random exchange, so that most are accepted at first."""
     costs: list[Any] = []
     M = problem.information(order[:n])
     for _ in range(30):

@@ -1,1 +1,1 @@
-"""What a design and a plan are worth, before anything is built or measured."""
+"""Evaluate a design and a measurement plan before anything is built or measured."""

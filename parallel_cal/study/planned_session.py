@@ -1,4 +1,4 @@
-"""Where a session is to measure: what a plan, or a recording, says of its poses."""
+"""Read the poses of a session from a plan or from a recording."""
 
 from __future__ import annotations
 
@@ -17,12 +17,13 @@ from parallel_cal.recordings.options import ReadOptions
 from parallel_cal.recordings.simulate import DWELL, MOVE, simulate
 from parallel_cal.recordings.table import Table, read_table
 
-WAYPOINTS = ("past", "turn")  # on the way to a pose, as a plan names them
-PLANNABLE_CONDITIONS = ("payload", "temperature")  # conditions that a plan may choose for each pose
+WAYPOINTS = ("past", "turn")  # the waypoints of a pose, as a plan names them
+PLANNABLE_CONDITIONS = ("payload", "temperature")  # that a plan may choose for each pose
 
 
 def planned_joints(path: Path, model: Model) -> np.ndarray:
-    """The joints (N, nq) of a plan or a recording; DatasetError where they are another robot's."""
+    """Return the joints (N, nq) of a plan or a recording; DatasetError if they are of another
+    robot."""
     if path.suffix.lower() == ".csv":
         return _joints(_table(path, model), model, "")
     return load_dataset(path, joints=model.joints).q
@@ -32,23 +33,31 @@ def planned_joints(path: Path, model: Model) -> np.ndarray:
 def planned_session(
     path: Path, model: Model, options: ReadOptions, pace: float = MOVE + DWELL
 ) -> Dataset:
-    """The samples of a session at a plan's poses (.csv), as a robot without errors would give them
-    to a device without errors; of a recording its own joints and conditions.
+    """Return the samples of a session at a plan's poses (.csv), or those of a recording.
 
-    A plan's poses are come to in its order, one every `pace` s, by way of its stops where it has
-    some; of `GIVEN` what changes in its columns is as there. DatasetError where joints are another
-    robot's.
+    The samples of a plan are those of an error-free robot and device. The robot approaches the
+    poses in the plan's order, one every `pace` s, through the waypoints that the plan gives.
+    PLANNABLE_CONDITIONS that vary in the plan are taken from it. Raises DatasetError if the joints
+    are those of another robot, or if the robot cannot be assembled with them.
     """
     if path.suffix.lower() != ".csv":
         return load_dataset(path, options, joints=model.joints)
     table = _table(path, model)
-    on_way = [
+    waypoints = [
         stop for stop in WAYPOINTS if any(f"{stop}.{j}" in table.header for j in model.joints)
     ]
-    visited = [*(_joints(table, model, f"{stop}.") for stop in on_way), _joints(table, model, "")]
-    _check_reached(table, model, visited[-1])
+    target = _joints(table, model, "")
+    visited = [*(_joints(table, model, f"{stop}.") for stop in waypoints), target]
+    found = Kinematics(model).direct(target)
+    for k in np.flatnonzero(~found.ok):
+        raise DatasetError(
+            f"{table.path}:{table.lines[k]}: this {model.mechanism.name} cannot be "
+            f"assembled with joints {', '.join(f'{v:.4g}' for v in target[k])} "
+            f"({Status(found.status[k]).text})"
+        )
     places = np.stack(visited, axis=1).reshape(-1, len(model.joints))
     session = simulate(model, len(places), targets=places, quiet=True).dataset()
+    # The simulation dwells at waypoints, too: keep the dwells at the poses only.
     place = (session.time // (MOVE + DWELL)).astype(int)
     at_pose = place % len(visited) == len(visited) - 1
     pose = place[at_pose] // len(visited)
@@ -77,13 +86,3 @@ def _joints(table: Table, model: Model, stop: str) -> np.ndarray:
     if missing := [name for name in names if name not in table.header]:
         raise DatasetError(f"{table.path}:1: no column {', '.join(missing)}")
     return table.numbers(names)
-
-
-def _check_reached(table: Table, model: Model, q: np.ndarray) -> None:
-    found = Kinematics(model).direct(q)
-    for k in np.flatnonzero(~found.ok):
-        raise DatasetError(
-            f"{table.path}:{table.lines[k]}: this {model.mechanism.name} cannot be "
-            f"assembled with joints {', '.join(f'{v:.4g}' for v in q[k])} "
-            f"({Status(found.status[k]).text})"
-        )

@@ -1,4 +1,4 @@
-"""Which effects of which size a session would find: predicted, then tried by virtual sessions."""
+"""Determine which effects, of which size, a session would find: by prediction and simulation."""
 
 from __future__ import annotations
 
@@ -27,7 +27,6 @@ from parallel_cal.fleet.cluster import (
 )
 from parallel_cal.fleet.jobs import FleetError
 from parallel_cal.identification.fit import fit
-from parallel_cal.model.model import Model
 from parallel_cal.study.session import (
     PlantedEffect,
     Question,
@@ -37,21 +36,23 @@ from parallel_cal.study.session import (
 )
 from parallel_cal.study.tolerance import model_of
 
-Row = dict[str, Any]  # of a session, the JSON document of `diagnosed`
+Row = dict[str, Any]  # the JSON document of a session, by `diagnose_session`
 HALF, MOSTLY = 0.5, 0.9
-STEP = 2**0.5  # from a size to the next
-# tolerances rms, and share of the predicted size: none beyond is tried
-MAX_SIZE = 5.0
-MIN_SIZE_RATIO = 1 / 8
-DRAWS = 40  # of an effect's numbers, for the prediction
-CLEAN = 2  # times as many sessions without any effect as with one of a size
-MAX_SESSIONS_BYTES = 64 << 20  # bytes of sessions that are done
+SIZE_RATIO = 2**0.5  # of a size to the next smaller one
+MAX_SIZE = 5.0  # tolerances rms: larger sizes are not tried
+MIN_SIZE_RATIO = 1 / 8  # of the predicted size: smaller sizes are not tried
+DRAWS = 40  # of an effect's coefficients, for the prediction
+CLEAN_RATIO = 2  # sessions without any effect, per session with an effect of one size
+MAX_SESSIONS_BYTES = 64 << 20  # a larger file of finished sessions is not read
 
 
 @dataclass(frozen=True)
 class SizeResult:
-    """Sessions with an effect of one size: how many name it or say that it may be it, what the
-    others call it, and what it does to the poses measured (rms, m or rad)."""
+    """The sessions with an effect of one size.
+
+    `found` is how many name the effect, or an effect that it cannot be distinguished from. `called`
+    counts the effects that the others name. `error` is the rms change of the measured poses by the
+    effect (m or rad)."""
 
     size: float
     sessions: int
@@ -66,10 +67,12 @@ class SizeResult:
 
 @dataclass(frozen=True)
 class Detectable:
-    """An effect at these poses: sizes (rms of its numbers, in tolerances) that a diagnosis should
-    find in 50 % and 90 % of sessions by its first test alone, sizes tried; or why it cannot be
-    found (`applies` is False if the robot's model cannot have it). `number` is one of its numbers,
-    with unit and tolerance."""
+    """The sizes of an effect (rms of its coefficients, in tolerances) that sessions detect.
+
+    `predicted` are the sizes that the F test of a diagnosis should detect in 50 % and 90 % of
+    sessions, `tried` the results of simulated sessions. `reason` says why the effect cannot be
+    detected; `applies` is False if the robot's model cannot have it. `number` is one of its
+    coefficients, with unit and tolerance."""
 
     effect: str
     reason: str = ""
@@ -81,7 +84,8 @@ class Detectable:
     applies: bool = True
 
     def smallest(self, share: float) -> SizeResult | None:
-        """The smallest size tried that this share of sessions finds, and of all larger ones."""
+        """Return the smallest size that at least this share of sessions finds, if they find all
+        larger sizes as well."""
         good = None
         for one in reversed(self.tried):
             if one.share < share:
@@ -91,7 +95,7 @@ class Detectable:
 
     @property
     def error_by_size(self) -> float:
-        """rms of what it does to the poses measured, for a size of one tolerance (m or rad)."""
+        """The rms change of the measured poses per tolerance of size (m or rad)."""
         return (
             float(np.mean([one.error / one.size for one in self.tried])) if self.tried else np.nan
         )
@@ -114,8 +118,8 @@ class Detectable:
 
 @dataclass(frozen=True)
 class Power:
-    """What sessions at these poses find, effects in the order of what they are found at; and of
-    sessions without any effect the false alarms."""
+    """The effects that sessions at these poses find, sorted by the smallest detectable pose error;
+    the false alarms of sessions without any effect."""
 
     question: Question
     effects: tuple[Detectable, ...]
@@ -125,12 +129,12 @@ class Power:
 
     @property
     def sessions(self) -> int:
-        """How many were diagnosed."""
+        """The number of diagnosed sessions."""
         return self.clean + sum(size.sessions for one in self.effects for size in one.tried)
 
     @property
     def kind(self) -> str:
-        """What errors are of."""
+        """The kind of the errors: position, if it is measured."""
         return "position" if self.question.planned.measured[:, :3].any() else "orientation"
 
     def document(self) -> dict[str, Any]:
@@ -162,11 +166,11 @@ def power(
     workers: int | None = None,
     progress: Progress | None = None,
 ) -> Power:
-    """Which of the catalogue's `effects` (none: all, and the user's own) sessions would find.
+    """Determine which `effects` of the catalogue (empty: all, and the user's own) sessions find.
 
-    Sizes are tried upwards and downwards from the predicted one, by STEP, until 90 % and fewer than
-    half of the sessions find it. Sessions that `folder` has are not done again. FleetError where it
-    cannot begin, or not go on.
+    Sizes are tried upwards from the predicted one until 90 % of the sessions find the effect, and
+    downwards until fewer than half do, by factors of SIZE_RATIO. Sessions stored in `folder` are
+    not simulated again. Raises FleetError if the study cannot start or continue.
     """
     check_extra_installed()
     report = progress or ignore_progress
@@ -186,7 +190,7 @@ def power(
         all_of = [
             predict_detectability(question, one, level) for one in catalogue if one.name in wanted
         ]
-    clean = [PlantedEffect("", 0.0, k) for k in range(CLEAN * sessions)]
+    clean = [PlantedEffect("", 0.0, k) for k in range(CLEAN_RATIO * sessions)]
     needed = dict.fromkeys(clean)
     with _Sessions(folder, question) as store, cluster(scheduler, workers) as client:
         while True:
@@ -221,14 +225,15 @@ def power(
 
 
 def next_sizes(first: float, tried: Sequence[SizeResult]) -> list[float]:
-    """The predicted size, then one larger, and one smaller, where the ones tried do not suffice."""
+    """Return the sizes to try next: the predicted one first, then a larger one, a smaller one, or
+    both, as long as the sizes tried do not suffice."""
     first = min(first, MAX_SIZE)
     if not tried:
         return [_rounded(first)]
     low, high = tried[0], tried[-1]
-    sizes = [_rounded(high.size * STEP)] if high.share < MOSTLY else []
-    sizes += [_rounded(low.size / STEP)] if low.share >= HALF else []
-    return [size for size in sizes if MIN_SIZE_RATIO * first <= size <= MAX_SIZE * STEP]
+    sizes = [_rounded(high.size * SIZE_RATIO)] if high.share < MOSTLY else []
+    sizes += [_rounded(low.size / SIZE_RATIO)] if low.share >= HALF else []
+    return [size for size in sizes if MIN_SIZE_RATIO * first <= size <= MAX_SIZE * SIZE_RATIO]
 
 
 def _rounded(size: float) -> float:
@@ -236,36 +241,33 @@ def _rounded(size: float) -> float:
 
 
 def _summarise_sizes(effect: str, rows: Sequence[Row]) -> tuple[SizeResult, ...]:
-    """What sessions with an effect say, by size."""
+    """Summarise the sessions with an effect by size."""
     by_size: dict[float, list[Row]] = {}
     for row in rows:
         if row["effect"] == effect:
             by_size.setdefault(row["size"], []).append(row)
-    return tuple(
-        SizeResult(
-            size,
-            len(some),
-            sum(_is_found(row) for row in some),
-            Counter(name for row in some if not _is_found(row) for name in row["effects"]),
-            _rms([row["error"] for row in some if row["error"] is not None]),
-        )
-        for size, some in sorted(by_size.items())
-    )
-
-
-def _rms(values: Sequence[float]) -> float:
-    return float(np.sqrt(np.mean(np.square(values)))) if values else np.nan
+    results = []
+    for size, some in sorted(by_size.items()):
+        found = sum(_is_found(row) for row in some)
+        called = Counter(name for row in some if not _is_found(row) for name in row["effects"])
+        errors = [row["error"] for row in some if row["error"] is not None]
+        rms = float(np.sqrt(np.mean(np.square(errors)))) if errors else np.nan
+        results.append(SizeResult(size, len(some), found, called, rms))
+    return tuple(results)
 
 
 def _is_found(row: Row) -> bool:
-    """Whether an effect is named, or is what one that is named may be as well."""
+    """Whether a session names its effect, or one that cannot be distinguished from it."""
     named = row["effects"]
     return any(row["effect"] in (name, *row["swaps"].get(name, ())) for name in named)
 
 
 def predict_detectability(question: Question, one: Candidate, level: float) -> Detectable:
-    """Sizes at which the F test of an effect's columns off the geometry is passed at a level in 50
-    and 90 % of sessions: it is noncentral F of lambda = |(1 - B B^T) J e|^2 for numbers e."""
+    """Predict the sizes at which an effect passes its F test at a level in 50 % and 90 % of
+    sessions.
+
+    The statistic is noncentral F with lambda = |(1 - B B^T) J e|^2, for coefficients e whose
+    columns J are projected off the geometry's B."""
     if not one.testable or one.scene is None or one.score is None:
         return Detectable(one.name, one.reason, applies=one.applies)
     from scipy.stats import f, ncf
@@ -275,7 +277,9 @@ def predict_detectability(question: Question, one: Candidate, level: float) -> D
     for k in range(DRAWS):
         planted = PlantedEffect(one.name, 1.0, k)
         has, new = plant_effect(model, planted, question.planned, planted.rng(question))
-        J = scene.project_off_geometry(columns(has.with_values(_without(has, new)), scene, new))
+        # The columns are linearised about a model whose new coefficients are zero.
+        without = has.with_values(np.where(new, has.table.nominal, has.values))
+        J = scene.project_off_geometry(columns(without, scene, new))
         e = (has.values - has.table.nominal)[new] / has.table.tolerance[new]
         noncentral[k] = float(np.sum((J @ e) ** 2))
     limit = f.isf(level / one.tried, q, dof)
@@ -301,13 +305,8 @@ def predict_detectability(question: Question, one: Candidate, level: float) -> D
     )
 
 
-def _without(has: Model, new: np.ndarray) -> np.ndarray:
-    """The values with new numbers as if they were none."""
-    return np.asarray(np.where(new, has.table.nominal, has.values))
-
-
 class _Sessions:
-    """What a folder has of a question's sessions: one a line of `sessions.jsonl`."""
+    """The sessions of a question that a folder stores, one per line of `sessions.jsonl`."""
 
     def __init__(self, folder: Path, question: Question):
         folder.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""One virtual session: a robot drawn from the tolerances, an effect or none, the real diagnosis."""
+"""Simulate a session of a random robot, with or without an effect, and run the real diagnosis."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ FAILED: dict[str, Any] = {"error": None, "effects": [], "swaps": {}, "verdict": 
 
 @dataclass(frozen=True)
 class Question:
-    """What every session is about: the model's text, with its noise, the samples of a session
-    without errors, how it is identified, the user's own effects to test, the seed."""
+    """The inputs that all sessions share: the model file's text with its noise, the samples of an
+    error-free session, the fit's options, the user's own effects to test, the seed."""
 
     model: str
     planned: Dataset
@@ -40,7 +40,7 @@ class Question:
     version: str = __version__
 
     def hash_inputs(self) -> str:
-        """sha256 of all that a session follows from, but for what is planted."""
+        """Return the sha256 of everything that determines a session except the planted effect."""
         digest = hashlib.sha256(fingerprint(self.planned).encode())
         for name, column in sorted(self.planned.conditions.items()):
             digest.update(name.encode() + column.tobytes())
@@ -50,8 +50,10 @@ class Question:
 
 @dataclass(frozen=True)
 class PlantedEffect:
-    """An effect (empty: none), the rms of its numbers in tolerances, and which draw of robot, noise
-    and their signs it is: of any size the same."""
+    """An effect (empty: none) and its `size`, the rms of its coefficients in tolerances.
+
+    `number` selects the random draw of robot, noise and coefficients, which does not depend on the
+    size."""
 
     effect: str
     size: float
@@ -64,8 +66,8 @@ class PlantedEffect:
 def plant_effect(
     model: Model, one: PlantedEffect, planned: Dataset, rng: np.random.Generator
 ) -> tuple[Model, np.ndarray]:
-    """A model with an effect, and a mask of its new numbers; settings that nobody knows are drawn
-    from those that a search tries."""
+    """Add an effect to a model with random coefficients; return the model and the mask of its new
+    coefficients. Unknown settings are drawn from those that the diagnosis would try."""
     settings = list(load_effect(one.effect).scan(model.mechanism, collect_recorded_values(planned)))
     extended = model.with_effect(one.effect, settings[rng.integers(len(settings))])
     new, table = find_new_parameters(model, extended), extended.table
@@ -80,16 +82,19 @@ def plant_effect(
 
 
 def simulate_session(question: Question, one: PlantedEffect) -> tuple[Dataset, float]:
-    """What a session yields, and the rms of what the effect does to the poses measured (m; rad
-    where no position is)."""
+    """Simulate a session; return its samples and the rms change of the measured poses by the effect
+    (m; rad if no position is measured)."""
     model, planned, rng = model_of(question.model), question.planned, one.rng(question)
     geometry = find_varying_parameters(model) & ~model.fixed
     geometry &= np.array([p.group != "effect" for p in model.table])
     robot = model.with_values(draw_values(model.table, model.values, geometry, rng))
     has = plant_effect(robot, one, planned, rng)[0] if one.effect else robot
     q, shown = _solve_true_poses(has, robot, planned)
-    without = Kinematics(robot).direct(q, planned.conditions)  # by the same joints
-    rms = _compute_rms_difference(shown, without, planned)
+    without = Kinematics(robot).direct(q, planned.conditions)  # with the same joints
+    change = shown.position - without.position
+    if not planned.measured[:, :3].any():
+        change = rotation_vector(shown.rotation @ without.rotation.transpose(0, 2, 1))
+    rms = float(np.sqrt(np.nanmean(np.sum(change**2, axis=1))))
     noise, n = model.noise, len(planned)
     sigma = np.repeat([noise.position or 0.0, noise.orientation or 0.0], 3)
     error = sigma * rng.standard_normal((n, 6))
@@ -110,8 +115,10 @@ def simulate_session(question: Question, one: PlantedEffect) -> tuple[Dataset, f
 
 
 def _solve_true_poses(has: Model, robot: Model, planned: Dataset) -> tuple[np.ndarray, Solutions]:
-    """The joints that a robot has, and the poses that a device without noise shows; joints that
-    hold the platform by more lines than it moves in fit each other."""
+    """Return a robot's joints, and the poses that a device without noise measures.
+
+    The joints of a redundantly actuated robot (more closure equations than degrees of freedom)
+    must be consistent, so they follow from the poses by inverse kinematics."""
     q, kinematics = planned.q, Kinematics(has)
     if has.structure.phi.shape[0] > len(has.mechanism.moves):
         pose = Kinematics(robot).direct(q)
@@ -119,17 +126,11 @@ def _solve_true_poses(has: Model, robot: Model, planned: Dataset) -> tuple[np.nd
     return q, kinematics.direct(q, planned.conditions)
 
 
-def _compute_rms_difference(shown: Solutions, without: Solutions, planned: Dataset) -> float:
-    away = shown.position - without.position
-    if not planned.measured[:, :3].any():
-        away = rotation_vector(shown.rotation @ without.rotation.transpose(0, 2, 1))
-    return float(np.sqrt(np.nanmean(np.sum(away**2, axis=1))))
-
-
 def diagnose_session(question: Question, one: PlantedEffect) -> dict[str, Any]:
-    """What a diagnosis says of a session, as JSON has it; whatever fails is its `reason`.
+    """Simulate and diagnose a session; return the result as a JSON document with the `reason` of
+    any failure.
 
-    FleetError where another version is asked for than is here.
+    Raises FleetError if another version is requested than this worker has.
     """
     check_version(question.version)
     row = {"inputs": question.hash_inputs(), **vars(one)}

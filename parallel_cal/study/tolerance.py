@@ -1,4 +1,4 @@
-"""What accuracy a design will have, and which tolerance costs most."""
+"""Predict the accuracy of a design, and which tolerances contribute most to its error."""
 
 from __future__ import annotations
 
@@ -32,17 +32,19 @@ from parallel_cal.planning.plan import expected_at
 from parallel_cal.planning.posepool import Pool, make_pool
 
 KINDS = {"position": slice(0, 3), "orientation": slice(3, 6)}
-ROBOTS_PER_CALL = 50  # robots in one call
-MAX_LINEAR_DEVIATION = (
-    0.1  # of the Monte Carlo's rms: a linear budget that is further off deserves a word
-)
-MIN_DEVIATION_SIGMAS = 3.0  # of its own sigmas, that it is
+ROBOTS_PER_CALL = 50
+# The linear budget is reported as inaccurate if it deviates from the Monte Carlo result by more
+# than this share of the rms, and by more than so many sigmas of the Monte Carlo mean square.
+MAX_LINEAR_DEVIATION = 0.1
+MIN_DEVIATION_SIGMAS = 3.0
 
 
 @dataclass(frozen=True)
 class Share:
-    """What alike parameters (`chain*.Lb`) do to the pose: their tolerances, the rms that they make
-    by themselves, by kind (m, rad), and what is left of all where their tolerances are halved."""
+    """The error that alike parameters (`chain*.Lb`) cause together.
+
+    `tolerance` is the smallest and the largest of their tolerances; `rms` the error that they cause
+    alone, by kind (m, rad); `halved` the total error if their tolerances were halved."""
 
     name: str
     label: str
@@ -53,17 +55,19 @@ class Share:
     halved: Mapping[str, float]
 
     def compute_fraction(self, whole: Mapping[str, float], kind: str) -> float:
-        """Its share of the mean square of all."""
+        """Return its share of the total mean square."""
         return (self.rms[kind] / whole[kind]) ** 2 if whole[kind] else 0.0
 
 
 @dataclass(frozen=True)
 class Tolerances:
-    """What robots drawn from a model's tolerances do, run with its nominal numbers.
+    """The pose errors of robots drawn from a model's tolerances and controlled with its nominal
+    parameters.
 
-    `errors` (robots, poses) of each kind that the platform moves in (m, rad), NaN where a robot
-    does not get there; `linear` the rms by the first-order `budget`, largest share first;
-    `calibrated` what an identification at a plan's poses would leave, where one was given.
+    `errors` (robots, poses) are given for each kind in which the platform moves (m, rad), NaN at
+    poses that a robot cannot reach. `linear` is the rms by the first-order `budget`, whose shares
+    are sorted from the largest. `calibrated` is the expected result of an identification at the
+    poses of a plan, if one was given.
     """
 
     model: Model
@@ -76,17 +80,18 @@ class Tolerances:
 
     @property
     def kind(self) -> str:
-        """What the budget is ranked by: position, where the platform moves in it."""
+        """The kind of error that ranks the budget: position, if the platform translates."""
         return next(iter(self.errors))
 
     def robots(self, kind: str) -> np.ndarray:
-        """Each robot's rms, of those that reach any pose."""
+        """Return the rms error of each robot that reaches any pose."""
         errors = self.errors[kind]
         reach = np.isfinite(errors).any(axis=1)
         return np.asarray(np.sqrt(np.nanmean(errors[reach] ** 2, axis=1)))
 
     def summary(self, kind: str) -> dict[str, float]:
-        """rms, 95 % and maximum over robots and poses, and the rms that 95 % of robots keep."""
+        """Return the rms, 95 % quantile and maximum over robots and poses, and the 95 % quantile of
+        the robots' rms."""
         errors = self.errors[kind]
         return {
             "rms": float(np.sqrt(np.nanmean(errors**2))),
@@ -97,16 +102,17 @@ class Tolerances:
 
     @property
     def unreached(self) -> int:
-        """How many of all poses a drawn robot could not come to."""
+        """The number of poses, over all robots, that a robot could not reach."""
         return int(np.isnan(self.errors[self.kind]).sum())
 
     def differs(self, kind: str) -> bool:
-        """Whether errors are not proportional to tolerances: the budget misses what was drawn."""
+        """Whether the linear budget deviates from the Monte Carlo result: the errors are not
+        proportional to the tolerances."""
         squares = self.robots(kind) ** 2
         mean, linear = squares.mean(), self.linear[kind] ** 2
-        luck = MIN_DEVIATION_SIGMAS * squares.std() / np.sqrt(len(squares))
+        chance = MIN_DEVIATION_SIGMAS * squares.std() / np.sqrt(len(squares))
         far = abs(np.sqrt(mean) - self.linear[kind]) > MAX_LINEAR_DEVIATION * np.sqrt(mean)
-        return bool(far and abs(mean - linear) > luck)
+        return bool(far and abs(mean - linear) > chance)
 
     def document(self) -> dict[str, Any]:
         """The JSON document of `parallel-cal study tolerance`; SI."""
@@ -157,12 +163,12 @@ def tolerances(
     scheduler: str | None = None,
     progress: Progress | None = None,
 ) -> Tolerances:
-    """Draw robots from a model's tolerances, and what each is off by where its nominal joints take
-    it, under conditions `at`, on a Dask cluster where a `scheduler` is given.
+    """Draw robots from a model's tolerances and compute their pose errors at nominal joints.
 
-    Effects of the measuring device do not move the robot, numbers that people know (a gear's ratio)
-    do not stray. `planned` (N, nq) are joints at which it would be calibrated. FitError where
-    nothing strays or the workspace cannot be reached.
+    `at` sets conditions; a `scheduler` names the Dask cluster to use. Effects of the measuring
+    device do not move the robot, and known numbers (the ratio of a gear) do not vary. `planned`
+    (N, nq) are the joints at which a robot would be calibrated. Raises FitError if no parameter has
+    a tolerance or if the workspace cannot be reached.
     """
     table = model.table
     drawn = find_varying_parameters(model)
@@ -177,7 +183,7 @@ def tolerances(
                 pool.a[:, k] = at[name]
         moved = {*model.mechanism.moved}
         kinds = {kind: part for kind, part in KINDS.items() if moved & {*range(6)[part]}}
-        linear, budget = _budget(nominal, drawn, pool, kinds)
+        linear, budget = _compute_budget(nominal, drawn, pool, kinds)
     text = dump_model(nominal)
     calls = [
         (__version__, text, seed, range(k, min(k + ROBOTS_PER_CALL, robots)), pool.poses, pool.a)
@@ -204,8 +210,8 @@ def tolerances(
 
 
 def find_varying_parameters(model: Model) -> np.ndarray:
-    """Mask of the numbers that differ from robot to robot: geometry, whether it can be identified
-    or not, and effects of the robot; none that people know."""
+    """Return the mask of the parameters that differ from robot to robot: the geometry, identifiable
+    or not, and the coefficients of the robot's effects, without known numbers."""
     device = [f"{effect.name}.*" for effect in model.effects if effect.of_device]
     known = [pattern for effect in model.effects for pattern in effect.fixed_patterns()]
     out = model.table.matching([*device, *known])
@@ -216,18 +222,19 @@ def find_varying_parameters(model: Model) -> np.ndarray:
 def draw_values(
     table: ParameterTable, values: np.ndarray, which: np.ndarray, rng: np.random.Generator
 ) -> np.ndarray:
-    """Values of a robot: some of them off by a tolerance (1 sigma), mirrored where a number cannot
-    be beyond its range (a play is not negative)."""
+    """Draw the values of a robot: `which` deviate by their tolerance (1 sigma).
+
+    A value beyond its range is mirrored at the limit: a backlash is never negative."""
     low, high = (np.array([getattr(p, side) for p in table]) for side in ("low", "high"))
     values = values + np.where(which, table.tolerance * rng.standard_normal(len(table)), 0.0)
     values = np.where(values < low, 2 * low - values, values)
     return np.asarray(np.clip(np.where(values > high, 2 * high - values, values), low, high))
 
 
-def _budget(
+def _compute_budget(
     nominal: Model, drawn: np.ndarray, pool: Pool, kinds: Mapping[str, slice]
 ) -> tuple[dict[str, float], tuple[Share, ...]]:
-    """Linear rms of all, and of alike parameters together: G sigma with G = -J_x^-1 J_v."""
+    """Compute the linear rms of all parameters, and of alike ones: G sigma, G = -J_x^-1 J_v."""
     table, everything = nominal.table, np.ones(len(nominal.joints) + 6, bool)
     G = prediction_blocks(nominal, drawn, everything, pool) * table.tolerance[drawn]
     G[:, 3:] /= nominal.mechanism.length
@@ -241,16 +248,17 @@ def _budget(
             own = np.array([other == pattern for other in alike])
             some = [table[name] for name, is_own in zip(names, own, strict=True) if is_own]
             parts = {kind: float(square[own].sum()) for kind, square in squares.items()}
-            left = {k: float(np.sqrt(whole[k] ** 2 - 0.75 * part)) for k, part in parts.items()}
-            strays = [p.tolerance for p in some]
+            # Half the tolerance leaves a quarter of the mean square.
+            halved = {k: float(np.sqrt(whole[k] ** 2 - 0.75 * part)) for k, part in parts.items()}
+            sizes = [p.tolerance for p in some]
             yield Share(
                 pattern,
                 some[0].label,
                 some[0].unit,
-                (min(strays), max(strays)),
+                (min(sizes), max(sizes)),
                 len(some),
                 {kind: float(np.sqrt(part)) for kind, part in parts.items()},
-                left,
+                halved,
             )
 
     first = next(iter(kinds))
@@ -260,7 +268,9 @@ def _budget(
 def _run_calls(
     calls: Sequence[tuple[Any, ...]], scheduler: str | None
 ) -> Iterator[tuple[int, Any]]:
-    """A few thousand poses are done before other processes have begun: these only where asked."""
+    """Run the calls here, or on a Dask cluster if one is given.
+
+    A few thousand poses are computed here before other processes have even started."""
     if scheduler is None:
         yield from ((k, errors_of(*call)) for k, call in enumerate(calls))
         return
@@ -274,15 +284,18 @@ def _run_calls(
 
 @lru_cache(maxsize=8)
 def model_of(text: str) -> Model:
-    """Robots and sessions of one model share what was derived of it."""
+    """Parse a model, or return the one parsed before: robots and sessions of one model share the
+    expressions derived from it."""
     return parse_model(text)
 
 
 def errors_of(
     version: str, text: str, seed: int, robots: Sequence[int], poses: Solutions, a: np.ndarray
 ) -> np.ndarray:
-    """Norms (robots, N, 2) m, rad of what robots, each with a seed of its own, are off from poses
-    that the model in a text takes its joints to under conditions a (N, n_conditions)."""
+    """Return the error norms (robots, N, 2) in m and rad of robots drawn from the model in `text`.
+
+    `poses` are those of the nominal model under conditions a (N, n_conditions); each robot moves to
+    the same joints. `robots` are numbers, each of which seeds its robot."""
     check_version(version)
     nominal = model_of(text)
     drawn, at = find_varying_parameters(nominal), dict(zip(nominal.conditions, a.T, strict=True))
