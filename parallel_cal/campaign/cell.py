@@ -38,7 +38,7 @@ class Sample:
 
 @dataclass(frozen=True)
 class Question:
-    """A condition that a person is asked to change: its present value, and the value wanted."""
+    """A request to a person to change a condition from its `present` value to `value`."""
 
     condition: str
     value: float

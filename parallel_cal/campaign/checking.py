@@ -1,5 +1,5 @@
-"""Whether a sample can be true: far from what the model says there is a collision, a slip, or a
-target that was lost or changed."""
+"""Check whether a sample is plausible: a sample far from the model's prediction indicates a
+collision, a slip, or a target that was lost or changed."""
 
 from __future__ import annotations
 
@@ -19,58 +19,67 @@ from parallel_cal.planning.expectation import prediction_blocks
 from parallel_cal.planning.posepool import Pool
 from parallel_cal.recordings.dataset import Dataset
 
-MAX_ERROR_RATIO = 8.0  # times what is usual: no noise does that
-MAX_TOLERANCE_SIGMAS = 4.0  # sigmas of what tolerances allow, while nothing is identified yet
-ARRIVAL_TOLERANCE = 0.01  # of its range, in which a joint must be of where it was sent
+MAX_ERROR_RATIO = 8.0  # times the usual error: noise alone does not exceed it
+MAX_TOLERANCE_SIGMAS = 4.0  # sigmas of the error that the tolerances cause
+ARRIVAL_TOLERANCE = 0.01  # of a joint's range, between the joint and its target
 LIKELY_CAUSES = "check for a collision, a slip, or a target that was lost or changed"
 
 
 class ImplausibleSample(CellError):
-    """A sample is far from where the model puts it, though no further than tolerances allow: what
-    is wrong may be the model."""
+    """A sample is far from the model's prediction, but not further than the tolerances allow: the
+    model may be wrong instead."""
 
 
 class Checker:
-    """Samples beside a model: whose `usual` rms errors are known by kind (m, rad), or none yet."""
+    """Compare samples with a model and its `usual` rms errors by kind (m, rad), empty if not yet
+    known."""
 
     def __init__(self, model: Model, usual: Mapping[str, float]):
-        self._model, self._usual, self._as_before = model, usual, True
+        self._model, self._usual = model, usual
+        self._usual_applies = True
 
     @cached_property
     def _robot(self) -> Kinematics:
         return Kinematics(self._model)
 
     def mark_conditions_changed(self) -> None:
-        """Conditions are others now: what is usual under these is not known."""
-        self._as_before = False
+        """Stop comparing with the usual errors: they are not known under the new conditions."""
+        self._usual_applies = False
 
     def check(self, sample: Dataset, sent: np.ndarray, last: Dataset | None) -> None:
-        """CellError where joints are not where they were sent (nq,), or the platform did not move
-        as tolerances let it be expected; Odd where it is not where the identified model puts it."""
+        """Check a sample against the commanded joints `sent` (nq,) and the previous sample.
+
+        Raises CellError if a joint is not at its target, or if the platform moved differently than
+        the tolerances allow; ImplausibleSample if only the identified model contradicts it."""
         self.check_arrived(sample.q[0], sent)
         if last is not None:
             self._check_moved(sample, last)
-        if not (self._usual and self._as_before):
+        if not (self._usual and self._usual_applies):
             return
         found = errors(self._model, observe(self._model, sample))
         for kind, usual in self._usual.items():
             error = float(found.norms(kind)[0])
             if error > MAX_ERROR_RATIO * usual:
-                raise ImplausibleSample(f"{_format_error(kind, error, usual)}: {LIKELY_CAUSES}")
+                factor, unit = next((factor, unit) for one, factor, unit in UNITS if one == kind)
+                raise ImplausibleSample(
+                    f"the {kind} is {factor * error:.3g} {unit} from the model's prediction, "
+                    f"{error / usual:.0f} times the usual error ({factor * usual:.3g} {unit}): "
+                    f"{LIKELY_CAUSES}"
+                )
 
     def is_same_pose(self, one: Dataset, other: Dataset) -> bool:
-        """Whether two samples (1,) of one pose are, as far as is usual."""
-        apart = {
+        """Whether two samples (1,) agree within the usual errors."""
+        distance = {
             "position": float(np.linalg.norm(one.r[0] - other.r[0])),
             "orientation": _angle(one.R[0], other.R[0]),
         }
-        return all(apart[kind] <= MAX_ERROR_RATIO * usual for kind, usual in self._usual.items())
+        return all(distance[kind] <= MAX_ERROR_RATIO * usual for kind, usual in self._usual.items())
 
     def check_arrived(self, q: np.ndarray, sent: np.ndarray) -> None:
-        """CellError where joints (nq,) are not where they were sent."""
-        m, away = self._model.mechanism, self._compute_joint_deviation(q, sent)
-        if (away > ARRIVAL_TOLERANCE).any():
-            i = int(np.argmax(away))
+        """Raise CellError unless joints (nq,) are at their targets."""
+        m, deviation = self._model.mechanism, self._compute_joint_deviation(q, sent)
+        if (deviation > ARRIVAL_TOLERANCE).any():
+            i = int(np.argmax(deviation))
             unit = m.joint_units[i]
             raise CellError(
                 f"{m.joints[i]} was sent to {sent[i]:.4f} {unit} but is at {q[i]:.4f}: the joint "
@@ -78,15 +87,16 @@ class Checker:
             )
 
     def has_arrived(self, q: np.ndarray, sent: np.ndarray) -> bool:
-        """Whether joints (nq,) are where they were sent."""
+        """Whether joints (nq,) are at their targets."""
         return bool((self._compute_joint_deviation(q, sent) < ARRIVAL_TOLERANCE).all())
 
     def _compute_joint_deviation(self, q: np.ndarray, sent: np.ndarray) -> np.ndarray:
-        """How far joints (nq,) are from where they were sent, in their ranges."""
+        """Return the distance of joints (nq,) from their targets, as fractions of their ranges."""
         return np.asarray(np.abs(q - sent) / self._model.mechanism.joint_ranges)
 
     def _check_moved(self, sample: Dataset, last: Dataset) -> None:
-        """Beside the sample before, whatever frame they are in: how far the platform moved."""
+        """Compare how far the platform moved since the previous sample with the model's
+        prediction; distances and angles need no registration of the measuring device."""
         reached = self._robot.direct(np.vstack([last.q, sample.q]))
         if not reached.solved.all():
             return
@@ -113,7 +123,7 @@ class Checker:
 
     @cached_property
     def _tolerance_errors(self) -> dict[str, float]:
-        """Rms errors (m, rad) of a model with errors as large as its tolerances, at home."""
+        """Rms pose errors (m, rad) at home of robots with parameter errors of one tolerance."""
         model = self._model
         home = self._robot.direct(np.array([model.mechanism.home.joints]))
         pool = Pool(home, np.zeros((1, 1), int), model.condition_rows(None, 1), None)
@@ -129,11 +139,3 @@ class Checker:
 
 def _angle(one: np.ndarray, other: np.ndarray) -> float:
     return float(np.linalg.norm(rotation_vector(one @ other.T)))
-
-
-def _format_error(kind: str, error: float, usual: float) -> str:
-    factor, unit = next((factor, unit) for one, factor, unit in UNITS if one == kind)
-    return (
-        f"the {kind} is {factor * error:.3g} {unit} from the model's prediction, "
-        f"{error / usual:.0f} times the usual error ({factor * usual:.3g} {unit})"
-    )

@@ -1,6 +1,6 @@
-"""What the samples so far say: a verdict, the error at unseen poses, where to measure next.
+"""Judge the samples so far: the verdict, the error at the validation poses, the next targets.
 
-It takes seconds and may be done in another process: what goes in and out can be pickled.
+A judgement takes seconds and may run in another process: its inputs and outputs can be pickled.
 """
 
 from __future__ import annotations
@@ -29,21 +29,24 @@ from parallel_cal.session.steps import UnprovenStepError
 
 FINAL_VERDICTS = ("at_noise", "explained")
 KINDS = ("position", "orientation")
-MAX_ERROR_RISE = (
-    1.5  # times the error at unseen poses: they are the same ones, so that it is no chance
-)
+# Factor by which the error at the validation poses may rise. The poses stay the same, so a larger
+# rise is not due to chance.
+MAX_ERROR_RISE = 1.5
 TUPLE_FIELDS = ("effects", "additions", "doubt", "untold", "suspected", "missing")
 Tell = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)
 class Judgement:
-    """A diagnosis of `samples` samples: verdict and summary, the effects found, by name and as
-    `add` takes them, what is still in `doubt`, whether poses tell it or not (`untold`), or
-    `suspected`, what would settle it, and the model with these effects as the `text` of a file.
+    """A diagnosis of `samples` samples.
 
-    `unseen` are rms errors of that model at the poses that no fit saw, `before` those of the model
-    that the campaign began with, `usual` at all samples, by kind (m, rad); `targets` where to
+    `effects` are the effects found by name, `additions` the same effects as `add` takes them.
+    `doubt` are effects that may be confused with others; `untold` are those that no poses can
+    distinguish. `suspected` effects are significant but not proven. `missing` says what would
+    decide. `text` is the model file with the effects found.
+
+    Errors are rms by kind (m, rad): `unseen` of that model at the validation poses, `before` of the
+    campaign's initial model there, `usual` of that model at all samples. `targets` are the poses to
     measure next."""
 
     samples: int
@@ -71,13 +74,15 @@ class Judgement:
 
     @property
     def validation_error(self) -> float:
-        """rms at the poses that no fit saw, m (rad where no position is measured)."""
+        """rms error at the validation poses, m (rad if no position is measured)."""
         return select_primary_error(self.unseen)
 
     def is_final(self, before: Judgement | None) -> bool:
-        """Whether nothing is left to find: nothing is suspected, nor in doubt that poses may tell,
-        no condition is to be changed yet, and the samples since the judgement before have changed
-        nothing; where an effect was found they were to show what hides beside it."""
+        """Whether further poses are pointless.
+
+        No effect is suspected, poses can resolve no remaining doubt, no condition is still to be
+        changed, and the samples since the previous judgement changed neither verdict nor effects.
+        If an effect was found, those samples were planned to reveal effects that it masks."""
         if before is None or self.suspected or set(self.doubt) - set(self.untold):
             return False
         if any(
@@ -91,10 +96,11 @@ class Judgement:
 
 @dataclass(frozen=True)
 class JudgementRequest:
-    """What is asked about samples: the model's text, boxes to keep out of and how many times as
-    large as the workspace what may be used is, how many `more` poses are to be measured next and
-    how many are `left` in all, by how much conditions may be changed for them, and how it is
-    identified."""
+    """A request to judge samples.
+
+    `model` is the model file's text. The next targets avoid the `keep_out` boxes and stay in a
+    space `reach` times as large as the workspace. `more` is how many targets to plan next, `left`
+    how many poses remain in all. `changes` says by how much conditions may be changed."""
 
     model: str
     keep_out: tuple[Box, ...] = ()
@@ -111,7 +117,8 @@ class JudgementRequest:
 def judge_samples(
     question: JudgementRequest, dataset: Dataset, unseen: np.ndarray, tell: Tell | None = None
 ) -> Judgement:
-    """Diagnose the samples that are not `unseen` (N,); FitError where they identify nothing."""
+    """Diagnose the samples outside the mask `unseen` (N,) of the validation poses, and plan the
+    next targets. Raises FitError if the samples cannot determine the free parameters."""
     model = parse_model(question.model)
     fitted = dataset.select(~unseen)
     found = diagnose(
@@ -148,8 +155,8 @@ def judge_samples(
 
 
 def describe_missing_evidence(found: Diagnosis) -> tuple[str, ...]:
-    """What would settle what is in doubt, a sentence each."""
-    told = [
+    """Say what would resolve each doubt, one sentence each."""
+    separations = [
         explain_separation(name, other)
         for name in found.effects
         for other in found.swaps.get(name, ())
@@ -159,11 +166,12 @@ def describe_missing_evidence(found: Diagnosis) -> tuple[str, ...]:
         for name, conditions in found.measure_next.record.items()
     ]
     more = [f"measure more: {name} is significant but not proven yet" for name in found.suspected]
-    return tuple(dict.fromkeys([*(t for t in told if t), *found.verdict.against, *more, *record]))
+    sentences = [*filter(None, separations), *found.verdict.against, *more, *record]
+    return tuple(dict.fromkeys(sentences))
 
 
 def rms(model: Any, dataset: Dataset, options: FitOptions) -> dict[str, float]:
-    """Of a model's errors at samples, by kind where measured (m, rad)."""
+    """Return the rms errors of a model at samples, by kind if measured (m, rad)."""
     if not len(dataset):
         return {}
     summary = errors(model, observe(model, dataset, options.joint_sigma)).summary
@@ -172,14 +180,15 @@ def rms(model: Any, dataset: Dataset, options: FitOptions) -> dict[str, float]:
 
 
 def select_primary_error(errors: Mapping[str, float]) -> float:
-    """The position's, or where none was measured the orientation's; NaN where there is none."""
+    """Return the position error, or the orientation error if no position was measured; NaN if
+    neither was."""
     return next(iter(errors.values()), np.nan)
 
 
 @dataclass(frozen=True)
 class Conclusion:
-    """What a campaign's session ends in: the model as text where it is proven better than the one
-    before, and a sentence."""
+    """The end of a campaign's session: the model file's text if it is proven better than the
+    initial model, else empty, and a sentence."""
 
     text: str
     words: str
@@ -187,9 +196,10 @@ class Conclusion:
 
 @single_threaded()
 def conclude(folder: Path, judgements: Sequence[Judgement]) -> Conclusion:
-    """The session's last steps: identify, and add each effect that was found, as far as that is
-    proven at poses left out; the model of an earlier judgement where since then all that was
-    added and measured has made the error at unseen poses rise."""
+    """Take the session's last steps: fit, and add each effect found that cross-validation proves.
+
+    If the error at the validation poses has risen since an earlier judgement, return the model of
+    that judgement instead."""
     judgement, best = judgements[-1], min(judgements, key=lambda one: one.validation_error)
     now, least = judgement.validation_error, best.validation_error
     if now > MAX_ERROR_RISE * least > 0 and least < select_primary_error(best.before):
@@ -208,9 +218,8 @@ def conclude(folder: Path, judgements: Sequence[Judgement]) -> Conclusion:
         words += f", {one} added"
         del left[one]
     together = {" and ".join(left): "+".join(left.values())} if len(left) > 1 else {}
-    if one := _add_first_proven(
-        session, together, why
-    ):  # alone each would need what no such robot has
+    # Effects that are proven only together: each alone would need implausible coefficients.
+    if one := _add_first_proven(session, together, why):
         words += f", {one} added together"
         left.clear()
     refused = (f"{name} not added: {why[name]}" for name in left)
@@ -219,7 +228,8 @@ def conclude(folder: Path, judgements: Sequence[Judgement]) -> Conclusion:
 
 
 def _add_first_proven(session: Session, effects: Mapping[str, str], why: dict[str, str]) -> str:
-    """The first of some effects that is added, or nothing; of those before it why not."""
+    """Add the first effect that is proven and return its name, or an empty string; `why` receives
+    the reason against each effect before it."""
     for name, text in effects.items():
         try:
             session.add(text)

@@ -20,15 +20,15 @@ from parallel_cal.planning.plan import equations_per_pose, plan
 from parallel_cal.planning.posepool import Pool, make_pool
 from parallel_cal.recordings.simulate import with_noise
 
-POOL = 400  # poses to choose the first ones from
+POOL = 400  # candidates for the first poses
 N_VALIDATION_POSES = 6  # poses that no fit uses
 N_REPEATED_POSES = 4  # of the first poses, approached again from the other side
-# times as many equations as unknowns, in the first poses; at least
+# Equations per unknown in the first poses: preferred, and at least.
 AMPLE_EQUATION_RATIO = 2.0
 MIN_EQUATION_RATIO = 1.25
-MIN_FIRST_POSES = 12  # first poses
-SUSPECTS = 3  # effects that the next poses are to tell of, where nothing is in doubt yet
-# What a person changes: so much makes it another one, and its unit.
+MIN_FIRST_POSES = 12
+MAX_SUSPECTS = 3  # likely effects that the next poses should reveal if none is suspected
+# The conditions that a person changes: the smallest change that matters, and the unit.
 ADJUSTABLE_CONDITIONS = {"payload": (0.05, "kg"), "temperature": (1.5, "degC")}
 
 
@@ -51,12 +51,14 @@ class Target:
 
 
 def first_targets(guard: Guard, most: int, seed: int = 0) -> list[Target]:
-    """At most so many: poses that no fit will see, spread over the workspace, poses that identify
-    what is free best, and some of these again, come to from the other side."""
+    """Plan the first targets, at most `most`.
+
+    They are validation poses that are spread over the workspace, poses that identify the free
+    parameters best, and some of these poses again, approached from the other side."""
     model, rng = with_noise(guard.model), np.random.default_rng(seed)
     pool = make_pool(model, POOL, rng, symmetric=False).poses
     drawn, pool = pool, pool[np.flatnonzero(guard.is_allowed(pool.joints))]
-    if len(pool) < min(most, POOL // 2):  # of many the next are drawn anew
+    if len(pool) < min(most, POOL // 2):
         raise PathError(
             f"only {len(pool)} of {len(drawn)} random poses in the workspace are allowed: "
             f"{guard.summarise_violations(drawn.joints)}"
@@ -76,11 +78,11 @@ def first_targets(guard: Guard, most: int, seed: int = 0) -> list[Target]:
     rest = pool[np.setdiff1d(np.arange(len(pool)), unseen)]
     chosen = plan(model, n, pool=rest, seed=seed).poses
     again = rng.choice(n, min(N_REPEATED_POSES, n), replace=False)
-    ways = approaches(model, chosen[again], rng)
+    paths = approaches(model, chosen[again], rng)
     first = [Target(tuple(q), purpose="to identify the model") for q in chosen.joints.tolist()]
     second = []
     for k, i in enumerate(again):
-        stops = [tuple(stop.joints.tolist()) for stop in ways.waypoints(k)] if ways.ok[k] else []
+        stops = [tuple(stop.joints.tolist()) for stop in paths.waypoints(k)] if paths.ok[k] else []
         if stops and guard.is_allowed(np.array(stops)).all():
             first[i] = Target(
                 first[i].joints,
@@ -89,16 +91,18 @@ def first_targets(guard: Guard, most: int, seed: int = 0) -> list[Target]:
             )
         words = "the same pose, approached from the other side"
         second.append(Target(first[i].joints, first[i].via[::-1], purpose=words))
-    kept = [
+    validation = [
         Target(tuple(q), purpose="for validation only", unseen=True)
         for q in pool.joints[unseen].tolist()
     ]
-    once = [*first, *kept]
+    once = [*first, *validation]
+    # In random order, so that the poses do not correlate with time.
     return [*(once[i] for i in rng.permutation(len(once))), *second]
 
 
 def select_spread_out(places: np.ndarray, n: int) -> np.ndarray:
-    """Indices of n places (N, k), each the furthest from those before it; first the middle one."""
+    """Return the indices of n places (N, k): first the middle one, then always the one that is
+    furthest from those before it."""
     scaled = (places - places.mean(axis=0)) / np.maximum(np.ptp(places, axis=0), 1e-12)
     found = [int(np.argmin(np.linalg.norm(scaled, axis=1)))]
     while len(found) < min(n, len(places)):
@@ -115,14 +119,17 @@ def next_targets(
     changes: Mapping[str, float],
     seed: int = 0,
 ) -> tuple[list[Target], tuple[str, ...]]:
-    """n more: under conditions that were never another, `changes` by how much, if an effect may
-    depend on them: what they do may look like anything else; else where two explanations are alike,
-    or the device is one, what tells these apart; else what tells most of the model, and of the
-    effects that are suspected, or are the likeliest that it does not have. And the rivals that no
-    poses tell, were all that are `left` spent on them.
+    """Plan the next n targets; also return the rivals that no poses can distinguish, even if all
+    the `left` poses were used for them.
 
-    What tells two apart lies in the workspace, or where that does not settle it in as much more as
-    the guard's reach allows."""
+    The targets are, in this order of priority:
+
+    1. Poses under conditions that were never changed, if an effect may depend on them: their
+       influence could be mistaken for any other effect. `changes` says by how much to change them.
+    2. Poses that distinguish two rival explanations (one may be an error of the device): in the
+       workspace, or, if that does not suffice, in the larger space of the guard's reach.
+    3. Poses that reduce the uncertainty of the model, and of the effects that are suspected or the
+       likeliest that the model lacks."""
     so_far = found.dataset.conditions
     may = {
         name: get_condition_range(so_far[name], by)
@@ -167,8 +174,10 @@ def next_targets(
 def _plan_untried_conditions(
     found: Diagnosis, guard: Guard, n: int, may: Mapping[str, tuple[float, float]], seed: int
 ) -> list[Target]:
-    """n poses under conditions that were never others and that effects may depend on, one at a
-    time, and a load comes off again: what goes back is no bump. None where all were."""
+    """Plan n poses under conditions that were never changed and on which effects may depend, one
+    condition at a time; none if all were changed.
+
+    A payload is taken off again at the end: an error that then disappears was no bump."""
     so_far = found.dataset.conditions
     suspects = {
         name: [one for one in find_addable_effects(found) if name in one.effect.needs]
@@ -195,7 +204,7 @@ def _plan_untried_conditions(
 def _plan_refinement(
     found: Diagnosis, guard: Guard, n: int, may: Mapping[str, tuple[float, float]], seed: int
 ) -> list[Target]:
-    """Where nothing can be told apart: n poses that make the model surer, and what it lacks."""
+    """Plan n poses that reduce the uncertainty of the model and of the effects that it may lack."""
     so_far = found.dataset.conditions
     likely = [one for one in find_addable_effects(found) if one.testable]
     suspects = [one for one in likely if one.name in found.suspected]
@@ -204,9 +213,9 @@ def _plan_refinement(
         for name, both in may.items()
         if any(name in one.effect.needs for one in suspects)
     }
-    # What looks like an effect that was found hides beside it best.
+    # A lookalike of an effect that was found is most easily masked by it.
     kin = {other for name in found.effects for other in load_effect(name).lookalikes}
-    suspects = suspects or sorted(likely, key=lambda one: one.name not in kin)[:SUSPECTS]
+    suspects = suspects or sorted(likely, key=lambda one: one.name not in kin)[:MAX_SUSPECTS]
     purpose = "to reduce the uncertainty of the model"
     if suspects:
         purpose += f" and of {', '.join(one.name for one in suspects)}"
@@ -217,18 +226,19 @@ def _plan_refinement(
 
 
 def get_condition_range(so_far: np.ndarray, change: float) -> tuple[float, float]:
-    """What a condition was at least, (N,), and what it may be changed to."""
+    """Return the smallest value (N,) of a condition so far, and the value to change it to."""
     return float(np.min(so_far)), float(np.min(so_far)) + change
 
 
 def select_rarer(so_far: np.ndarray, both: tuple[float, float]) -> float:
-    """Which of two values of a condition was measured under, (N,), at fewer of the samples."""
+    """Return the one of two values of a condition that is rarer among the samples (N,)."""
     low, high = both
     return high if 2 * np.count_nonzero(so_far > (low + high) / 2) < len(so_far) else low
 
 
 def find_rivals(found: Diagnosis) -> dict[str, list[str]]:
-    """For each effect found those that fit as well, errors of the device among them."""
+    """Return for each effect found its rivals: effects that fit as well, and errors of the device
+    if they are in doubt."""
     device = [
         one.name
         for one in found.ranked
@@ -241,8 +251,7 @@ def find_rivals(found: Diagnosis) -> dict[str, list[str]]:
 
 
 def find_addable_effects(found: Diagnosis) -> list[Candidate]:
-    """Effects of the robot that the model does not have, the likeliest first, and that could be
-    told beside it."""
+    """List the effects of the robot that could be added to the model, the likeliest first."""
     best = found.best.fitted.model
     taken = {effect.name for effect in best.effects}
     return [
@@ -256,11 +265,11 @@ def find_addable_effects(found: Diagnosis) -> list[Candidate]:
 
 
 def _targets(pool: Pool, purpose: str, conditions: Mapping[str, float]) -> list[Target]:
-    ways = pool.approach
+    paths = pool.approach
     return [
         Target(
             tuple(q),
-            () if ways is None else tuple(tuple(s.joints.tolist()) for s in ways.waypoints(i)),
+            () if paths is None else tuple(tuple(s.joints.tolist()) for s in paths.waypoints(i)),
             conditions,
             purpose,
         )

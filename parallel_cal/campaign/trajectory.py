@@ -1,4 +1,4 @@
-"""Motions from rest to rest, as a joint trajectory controller takes them; no ROS in it."""
+"""Plan motions from rest to rest for a joint trajectory controller, without ROS."""
 
 from __future__ import annotations
 
@@ -11,20 +11,18 @@ import numpy as np
 
 from parallel_cal.model.mechanism import Mechanism
 
-DEFAULT_CROSSING_TIME_S = (
-    4.0  # s in which a joint crosses its range, where the model file gives it no velocity
-)
-DEFAULT_RISE_TIME_S = (
-    0.5  # s in which it comes to its velocity, where the model file gives no acceleration
-)
-WAYPOINT_PAUSE_S = 0.15  # s of rest on the way, so that one that follows late gets there, too
-MIN_POINT_SPACING_S = 1e-6  # s: points that are nearer to each other are one
-STEP = 0.05  # s from point to point: a controller that goes straight between them is near enough
+# If the model file gives no velocity: the time in which a joint crosses its range.
+DEFAULT_CROSSING_TIME_S = 4.0
+# If the model file gives no acceleration: the time in which a joint reaches its velocity.
+DEFAULT_RISE_TIME_S = 0.5
+WAYPOINT_PAUSE_S = 0.15  # of rest at a waypoint, so that a controller that lags reaches it
+MIN_POINT_SPACING_S = 1e-6  # points nearer to each other are merged
+STEP = 0.05  # s between points: dense enough for a controller that interpolates linearly
 
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Joints' positions and velocities (n, nq) at times (n,) s after the start."""
+    """Joint positions and velocities (n, nq) at times (n,) in s after the start."""
 
     time: np.ndarray
     positions: np.ndarray
@@ -36,8 +34,8 @@ class Trajectory:
 
 
 def rates(mechanism: Mechanism) -> tuple[np.ndarray, np.ndarray]:
-    """The joints' greatest velocity and acceleration (nq,), those of the model file where it
-    gives them."""
+    """Return the maximum velocity and acceleration of the joints (nq,): those of the model file, or
+    defaults."""
     given = mechanism.joint_rates or ((math.inf, math.inf),) * len(mechanism.joints)
     velocity, acceleration = np.array(given, dtype=float).T
     spans = zip(mechanism.joint_limits, mechanism.joint_units, strict=True)
@@ -52,10 +50,10 @@ def rates(mechanism: Mechanism) -> tuple[np.ndarray, np.ndarray]:
 def trapezoid(
     start: np.ndarray, end: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray
 ) -> Trajectory:
-    """Straight from joints (nq,) to others, all of them under way for as long as the slowest.
+    """Plan a straight move between joints (nq,); all joints start and stop together.
 
-    The share s of the way has |s'| <= V = min v/d and |s''| <= A = min a/d: it rises for V/A, or
-    where the way is too short for that (V^2 > A) for sqrt(1/A), and falls for as long.
+    The share s of the path has |s'| <= V = min v/d and |s''| <= A = min a/d. Its speed rises for
+    V/A, or for sqrt(1/A) if the path is too short to reach V (V^2 > A), and falls for as long.
     """
     d = np.abs(end - start)
     if not d.any():
@@ -72,12 +70,12 @@ def trapezoid(
     share = np.where(time <= rise, A * time**2 / 2, top * (time - rise / 2))
     share = np.where(left < rise, 1 - A * left**2 / 2, share)
     speed = np.minimum(np.minimum(A * time, A * left), top)
-    way = (end - start)[None]
-    return Trajectory(time, start + share[:, None] * way, speed[:, None] * way)
+    move = (end - start)[None]
+    return Trajectory(time, start + share[:, None] * move, speed[:, None] * move)
 
 
 def plan_trajectory(stops: Sequence[np.ndarray], mechanism: Mechanism) -> Trajectory:
-    """From the first of some joints (nq,) to the last, with a rest of PAUSE at each of them."""
+    """Plan a trajectory through joints (nq,), with a rest of WAYPOINT_PAUSE_S at each of them."""
     limits, end = rates(mechanism), 0.0
     time, positions, velocities = [], [], []
     for a, b in pairwise(stops):
