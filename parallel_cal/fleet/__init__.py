@@ -1,1 +1,1 @@
-"""Many robots: each recording fitted and diagnosed on many cores, and what only many can tell."""
+"""Analyse many robots: fit and diagnose each recording in parallel, then compare the robots."""

@@ -1,4 +1,4 @@
-"""Where much is done at once: the cores of this machine, or a Dask cluster."""
+"""Run many jobs in parallel: on the cores of this machine, or on a Dask cluster."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from parallel_cal.fleet.judging import Page, Row, judge_recording
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-SCHEDULER_TIMEOUT_S = 15  # s for a scheduler to answer, and for its first worker
+SCHEDULER_TIMEOUT_S = 15  # s to wait for a scheduler to answer, and for its first worker
 EXTRA = ("dask", "distributed", "pyarrow")
 KILLED_WORKER_REASON = "it ended its worker several times: does the worker have enough memory?"
 
 
 def check_extra_installed() -> None:
-    """FleetError where the libraries for fleets are not installed."""
+    """Raise FleetError if the libraries for fleets are not installed."""
     if missing := [name for name in EXTRA if find_spec(name) is None]:
         raise FleetError(
             f"fleets and studies need {' and '.join(missing)}: pip install 'parallel_cal[fleet]'"
@@ -32,14 +32,14 @@ def check_extra_installed() -> None:
 
 @contextmanager
 def cluster(scheduler: str | None, workers: int | None) -> Iterator[Client]:
-    """A client of the cluster at an address, else of as many processes here as there are cores.
+    """Connect to the cluster at an address, or start one process per core on this machine.
 
-    FleetError where nobody answers there, or nobody works.
+    Raises FleetError if no scheduler answers or if it has no workers.
     """
     from distributed import Client, LocalCluster
     from distributed.utils import LoopRunner
 
-    for name in ("distributed", "distributed.client"):  # what matters is said by us
+    for name in ("distributed", "distributed.client"):  # we report every fault ourselves
         logging.getLogger(name).setLevel(logging.CRITICAL)
     if scheduler is None:
         with ExitStack() as here:
@@ -58,7 +58,7 @@ def cluster(scheduler: str | None, workers: int | None) -> Iterator[Client]:
     try:
         LoopRunner().run_sync(_check_reachable, scheduler)
         client = Client(scheduler, timeout=SCHEDULER_TIMEOUT_S)
-    except (ValueError, TypeError) as error:  # no address; TLS without certificates
+    except (ValueError, TypeError) as error:  # not an address, or TLS without certificates
         raise FleetError(f"--scheduler {scheduler}: expected tcp://HOST:PORT ({error})") from None
     except OSError as error:
         raise FleetError(
@@ -79,8 +79,10 @@ def cluster(scheduler: str | None, workers: int | None) -> Iterator[Client]:
 
 
 async def _check_reachable(scheduler: str) -> None:
-    """Raises where nobody answers, as a client does; that would be left half begun, and to end it
-    while another begins waits for ever."""
+    """Raise OSError if no scheduler answers.
+
+    A Client would raise as well, but leave itself half started; closing it while another starts
+    blocks forever."""
     from distributed.comm import connect
     from distributed.security import Security
 
@@ -90,8 +92,9 @@ async def _check_reachable(scheduler: str) -> None:
 
 @contextmanager
 def _without_ctrl_c() -> Iterator[None]:
-    """Keep Ctrl-C from threads and processes begun meanwhile; for us it waits until they are."""
-    resource_tracker.ensure_running()  # who begins it lets the signal through again
+    """Shield threads and processes that start meanwhile from Ctrl-C; receive it afterwards."""
+    # Starting the resource tracker unblocks the signal again, so start it before.
+    resource_tracker.ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -102,8 +105,9 @@ def _without_ctrl_c() -> Iterator[None]:
 def results(
     client: Client, jobs: Sequence[tuple[Job, str]], asked: FleetOptions, page: Page | None
 ) -> Iterator[tuple[Row, str]]:
-    """Rows and pages as they end, in no order; a recording that ended its worker is a row with
-    that reason."""
+    """Yield rows and pages as they are finished, in no order.
+
+    A recording whose worker was killed yields a row with that reason."""
     calls = [(job, asked, inputs, page if job.last else None) for job, inputs in jobs]
     for k, answer in run_each(client, judge_recording, calls):
         job, inputs = jobs[k]
@@ -123,8 +127,10 @@ def results(
 def run_each(
     client: Client, do: Callable[..., Any], calls: Sequence[tuple[Any, ...]]
 ) -> Iterator[tuple[int, Any]]:
-    """Number and answer of every call as they end, in no order; None of one that ended its worker
-    again and again. FleetError where the scheduler is gone or a worker cannot do it."""
+    """Yield the number and the result of every call as it is finished, in no order.
+
+    The result is None if the call killed its workers repeatedly. Raises FleetError if the
+    scheduler is lost or if a worker cannot run the call."""
     from distributed import KilledWorker, as_completed
 
     futures: dict[Future, int] = {
@@ -133,7 +139,11 @@ def run_each(
     for future in as_completed(list(futures)):
         k = futures.pop(future)
         if future.status == "finished":
-            yield k, _answer(future)
+            try:
+                answer = future.result()
+            except Exception:  # computed, but the connection to the result is lost
+                raise _make_lost_error() from None
+            yield k, answer
         elif future.status == "error" and isinstance(future.exception(), KilledWorker):
             yield k, None
         elif future.status == "error":
@@ -145,13 +155,6 @@ def run_each(
         else:
             raise _make_lost_error()
         future.release()
-
-
-def _answer(future: Future) -> Any:
-    try:
-        return future.result()
-    except Exception:  # it was done, and the way to it is gone
-        raise _make_lost_error() from None
 
 
 def _make_lost_error() -> FleetError:

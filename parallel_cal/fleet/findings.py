@@ -1,4 +1,4 @@
-"""What only many robots can tell: the population, what all have, what one has, who changes."""
+"""Compare the robots of a fleet: their population, common effects, outliers, drifts and jumps."""
 
 from __future__ import annotations
 
@@ -19,17 +19,19 @@ from parallel_cal.identification.evidence import Evidence
 from parallel_cal.model.model import Model
 from parallel_cal.model.parameters import ParameterTable
 
-MIN_ROBOTS = 4  # robots of which anything common is said
-MIN_DESIGN_SHARE = 0.5  # share of the robots: an effect that more of them have is the design's
+MIN_ROBOTS = 4  # fewer robots are not compared
+MIN_DESIGN_SHARE = 0.5  # share of the robots above which an effect is the design's
 
 T = TypeVar("T")
-Recordings = Mapping[str, Sequence[Row]]  # of each robot, from the first to the last
+Recordings = Mapping[str, Sequence[Row]]  # the recordings of each robot, in order of time
 
 
 @dataclass(frozen=True)
 class Spread:
-    """A parameter over the fleet, SI: the drawing's and the fleet's own figures, with 1 sigma of
-    the mean and the ends of the spread's 95 % interval."""
+    """A parameter over the fleet, SI: `nominal` and `tolerance` of the drawing, `mean` and `spread`
+    of the fleet.
+
+    `sigma` is that of the mean; `low` and `high` are the ends of the spread's 95 % interval."""
 
     name: str
     unit: str
@@ -44,7 +46,8 @@ class Spread:
 
 @dataclass(frozen=True)
 class Deviation:
-    """A robot's parameter apart from the others': by how much, and 1 sigma of what is usual."""
+    """A parameter by which a robot deviates from the others: how far, 1 sigma of the usual
+    deviation, and the p-value (SI)."""
 
     robot: str
     name: str
@@ -56,7 +59,7 @@ class Deviation:
 
 @dataclass(frozen=True)
 class Drift:
-    """A parameter of a robot that grows with time (SI a second)."""
+    """A parameter of a robot that changes steadily with time (SI units per second)."""
 
     robot: str
     name: str
@@ -68,8 +71,8 @@ class Drift:
 
 @dataclass(frozen=True)
 class Change:
-    """A robot whose recordings contradict each other: the parameter that changes most between two
-    of them."""
+    """A robot whose recordings contradict each other: the parameter that changes most, and the
+    recordings `before` and `after` the change (SI)."""
 
     robot: str
     name: str
@@ -82,11 +85,13 @@ class Change:
 
 @dataclass(frozen=True)
 class EffectOfFleet:
-    """An effect that some diagnosis named: in which robots, and its numbers over all of them.
+    """An effect that some diagnoses named: in which robots, of how many, and its coefficients over
+    all of them.
 
-    `kind` is `design` (most have it, and its numbers' mean is not zero: `p_value`), `each` (most
-    have it, in each another), `fault` (of the robots whose numbers stand apart: `deviations`) or
-    `doubtful` (named in some that do not).
+    `kind` is `design` (most robots have it, and the mean of its coefficients is not zero:
+    `p_value`), `each` (most robots have it, each with different coefficients), `fault` (a fault of
+    the robots whose coefficients deviate: `deviations`) or `doubtful` (named in some robots whose
+    coefficients do not deviate).
     """
 
     name: str
@@ -100,8 +105,9 @@ class EffectOfFleet:
 
 @dataclass(frozen=True)
 class Findings:
-    """Judged from the rows of a fleet's one kind of robot; `others` are of another mechanism. Of a
-    robot that drifted or `changed`, only the last recording counts."""
+    """Findings about the robots of one mechanism; `others` are robots of another mechanism.
+
+    Only the last recording counts for a robot in `drifts` or `changed`."""
 
     robots: tuple[str, ...]
     mechanism: str
@@ -115,28 +121,23 @@ class Findings:
 
 @single_threaded()
 def findings(rows: Sequence[Row], drawing: Model) -> Findings | None:
-    """What the rows say together, beside the drawing's model; None of fewer than four robots."""
+    """Compare the robots of a fleet with each other and with the drawing's model.
+
+    None if there are fewer than four robots of the drawing's mechanism."""
     judged = [row for row in rows if not row["reason"]]
     own = sort_recordings(row for row in judged if row["mechanism"] == drawing.mechanism.name)
     robots = sorted(own)
     if len(robots) < MIN_ROBOTS:
         return None
-    told = {
+    whole = {
         robot: [Evidence.from_document(row["evidence"]) for row in own[robot]] for robot in robots
     }
-    shown = {name for each in told.values() for evidence in each for name in evidence.names}
-    table = _select_parameters(drawing.mechanism.parameters, shown)
-    geometry = {robot: [_to_tolerances(e, table) for e in each] for robot, each in told.items()}
-    alike = {robot: _find_comparable_recordings(own[robot]) for robot in robots}
-    trends = _trends(geometry, own)
-    jumps = _jumps({robot: [geometry[robot][k] for k in some] for robot, some in alike.items()})
-    for robot in set(trends) & set(jumps):  # whichever explains more
-        del (trends if trends[robot].gain < jumps[robot].gain else jumps)[robot]
-    drifts = tuple(_drift(robot, one, table) for robot, one in trends.items())
-    changed = tuple(
-        _change([own[robot][k] for k in alike[robot]], one, table) for robot, one in jumps.items()
-    )
-    for robot in {*trends, *jumps}:  # as it is now
+    names = {name for each in whole.values() for evidence in each for name in evidence.names}
+    table = _select_parameters(drawing.mechanism.parameters, names)
+    geometry = {robot: [_to_tolerances(e, table) for e in each] for robot, each in whole.items()}
+    drifts, changed = _find_changes(own, geometry, table)
+    for robot in (*(one.robot for one in drifts), *(one.robot for one in changed)):
+        # Only its last recording describes the robot as it is now.
         own[robot], geometry[robot] = own[robot][-1:], geometry[robot][-1:]
     each = separate_outliers(
         [_combine_evidence(one, table) for one in geometry.values()], SIGNIFICANCE_LEVEL
@@ -147,9 +148,9 @@ def findings(rows: Sequence[Row], drawing: Model) -> Findings | None:
         others=tuple(sorted({row["robot"] for row in judged} - set(robots))),
         parameters=_spreads(each.population, table),
         outlying=_deviations(each, robots, table),
-        effects=tuple(_effects(own, robots, drawing)),
-        drifts=drifts,
-        changed=changed,
+        effects=tuple(_find_effects(own, robots, drawing)),
+        drifts=tuple(drifts),
+        changed=tuple(changed),
     )
 
 
@@ -161,9 +162,9 @@ def _to_tolerances(evidence: Evidence, table: ParameterTable) -> Evidence:
     return evidence.recentre(table.names, table.nominal, table.tolerance)
 
 
-def _combine_evidence(told: Sequence[Evidence], table: ParameterTable) -> Evidence:
-    """What all the recordings of a robot say."""
-    return sum(told, Evidence.uninformative(table.names))
+def _combine_evidence(recordings: Sequence[Evidence], table: ParameterTable) -> Evidence:
+    """Combine the evidence of all recordings of a robot."""
+    return sum(recordings, Evidence.uninformative(table.names))
 
 
 def _spreads(found: Population, table: ParameterTable) -> tuple[Spread, ...]:
@@ -200,22 +201,41 @@ def _deviations(
     )
 
 
-def _trends(told: Mapping[str, Sequence[Evidence]], own: Recordings) -> dict[str, Trend]:
-    """Of robots that drift."""
-    found: dict[str, Trend] = {}
-    for robot, evidence in told.items():
+def _find_changes(
+    own: Recordings, geometry: Mapping[str, Sequence[Evidence]], table: ParameterTable
+) -> tuple[list[Drift], list[Change]]:
+    """Find the robots that drift, and those whose recordings contradict each other."""
+    trends: dict[str, Trend] = {}
+    for robot, evidence in geometry.items():
         timed = [(e, t) for e, row in zip(evidence, own[robot], strict=True) if (t := row["time"])]
         if one := trend([e for e, _ in timed], [time for _, time in timed]):
-            found[robot] = one
-    return _select_significant(found, [one.p_value for one in found.values()])
+            trends[robot] = one
+    trends = _select_significant(trends, [one.p_value for one in trends.values()])
+    alike = {robot: _find_comparable_recordings(own[robot]) for robot in geometry}
+    jumps = _find_jumps({robot: [geometry[robot][k] for k in alike[robot]] for robot in geometry})
+    for robot in set(trends) & set(jumps):  # keep the one that explains more
+        del (trends if trends[robot].gain < jumps[robot].gain else jumps)[robot]
+    drifts, changes = list[Drift](), list[Change]()
+    for robot, drift in trends.items():
+        p = table[drift.parameter]
+        rate, sigma = p.tolerance * drift.rate, p.tolerance * drift.sigma
+        drifts.append(Drift(robot, p.name, p.unit, rate, sigma, drift.p_value))
+    for robot, change in jumps.items():
+        p = table[change.parameter]
+        size, sigma = p.tolerance * change.size, p.tolerance * change.sigma
+        before, after = (
+            own[robot][k]["recording"] for k in alike[robot][change.after : change.after + 2]
+        )
+        changes.append(Change(robot, p.name, p.unit, before, after, size, sigma))
+    return drifts, changes
 
 
-def _jumps(told: Mapping[str, Sequence[Evidence]]) -> dict[str, Jump]:
-    """Of robots whose recordings differ by more than chance, and than those of the others usually
-    do: a model that lacks something makes them differ, too."""
+def _find_jumps(recordings: Mapping[str, Sequence[Evidence]]) -> dict[str, Jump]:
+    """Find the robots whose recordings differ by more than chance, and by more than those of the
+    other robots usually do: a model that lacks an effect makes all of them differ."""
     from scipy.stats import chi2
 
-    found = {robot: one for robot, evidence in told.items() if (one := jump(evidence))}
+    found = {robot: one for robot, evidence in recordings.items() if (one := jump(evidence))}
     usual = np.median([one.between / one.dof for one in found.values()]) if found else 1.0
     scale = max(1.0, float(usual))
     return _select_significant(
@@ -224,15 +244,15 @@ def _jumps(told: Mapping[str, Sequence[Evidence]]) -> dict[str, Jump]:
 
 
 def _find_comparable_recordings(rows: Sequence[Row]) -> list[int]:
-    """Numbers of the recordings in which the same effects were found: lengths of other models
-    differ by these. The most there are, or the latest."""
+    """Return the numbers of the recordings in which the same effects were found: the most frequent
+    set of effects, or the latest of several. Different effects change the geometry, too."""
     found = [frozenset(row["effects"]) for row in rows]
     most = max(reversed(found), key=found.count)
     return [k for k, effects in enumerate(found) if effects == most]
 
 
 def _select_significant(found: dict[str, T], p_values: Sequence[float]) -> dict[str, T]:
-    """Of these no more than the share CHANCE is there by chance."""
+    """Select the robots so that at most the share SIGNIFICANCE_LEVEL of them is there by chance."""
     from scipy.stats import false_discovery_control
 
     if not found:
@@ -241,70 +261,54 @@ def _select_significant(found: dict[str, T], p_values: Sequence[float]) -> dict[
     return {robot: one for (robot, one), real in zip(found.items(), named, strict=True) if real}
 
 
-def _drift(robot: str, one: Trend, table: ParameterTable) -> Drift:
-    p = table[one.parameter]
-    rate, sigma = p.tolerance * one.rate, p.tolerance * one.sigma
-    return Drift(robot, p.name, p.unit, rate, sigma, one.p_value)
-
-
-def _change(rows: Sequence[Row], one: Jump, table: ParameterTable) -> Change:
-    p, (before, after) = table[one.parameter], rows[one.after : one.after + 2]
-    size, sigma = p.tolerance * one.size, p.tolerance * one.sigma
-    return Change(
-        before["robot"], p.name, p.unit, before["recording"], after["recording"], size, sigma
-    )
-
-
-def _effects(own: Recordings, robots: list[str], drawing: Model) -> Iterator[EffectOfFleet]:
-    """Those that a diagnosis named, the most frequent first."""
+def _find_effects(own: Recordings, robots: list[str], drawing: Model) -> Iterator[EffectOfFleet]:
+    """Yield the effects that diagnoses named, the most frequent first."""
     named: dict[str, list[str]] = {}
-    for robot in robots:
+    for robot in robots:  # a robot has an effect if most of its recordings name it
         times = Counter(name for row in own[robot] for name in row["effects"])
         for name, n in sorted(times.items()):
             if n > len(own[robot]) / 2:
                 named.setdefault(name, []).append(robot)
     for name, those in sorted(named.items(), key=lambda item: (-len(item[1]), item[0])):
-        yield _effect(name, those, own, robots, drawing)
+        yield _classify_effect(name, those, own, robots, drawing)
 
 
-def _effect(
+def _classify_effect(
     name: str, those: list[str], own: Recordings, robots: list[str], drawing: Model
 ) -> EffectOfFleet:
-    """Whether it is the design's or that of the robots which have it."""
-    told = {
+    """Decide whether an effect belongs to the design or to single robots."""
+    recorded = {
         robot: [e for row in own[robot] if (e := _get_effect_evidence(row, name))]
         for robot in robots
     }
-    shown = {number for each in told.values() for evidence in each for number in evidence.names}
+    names = {number for each in recorded.values() for evidence in each for number in evidence.names}
     most = len(those) > MIN_DESIGN_SHARE * len(robots)
     try:
-        table = _select_parameters(drawing.with_effect(name).table, shown)
-    except ModelError:  # a sensor's, that the drawing has not
+        table = _select_parameters(drawing.with_effect(name).table, names)
+    except ModelError:  # an effect of a sensor that the drawing lacks
         table = ParameterTable(())
     if not len(table):
         return EffectOfFleet(name, "each" if most else "doubtful", tuple(those), len(robots))
     each = separate_outliers(
         [
             _combine_evidence([_to_tolerances(e, table) for e in one], table)
-            for one in told.values()
+            for one in recorded.values()
         ],
         SIGNIFICANCE_LEVEL,
     )
     p = _compute_zero_mean_p_value(each.population, len(robots) - len(each.outlying))
     apart = tuple(d for d in _deviations(each, robots, table) if most or d.robot in those)
-    kind = (
-        ("design" if p < SIGNIFICANCE_LEVEL else "each")
-        if most
-        else "fault"
-        if apart
-        else "doubtful"
-    )
+    if most:
+        kind = "design" if p < SIGNIFICANCE_LEVEL else "each"
+    else:
+        kind = "fault" if apart else "doubtful"
     spreads = _spreads(each.population, table)
     return EffectOfFleet(name, kind, tuple(those), len(robots), p, spreads, apart)
 
 
 def _get_effect_evidence(row: Row, name: str) -> Evidence | None:
-    """What a recording says of an effect's numbers, whether they are in its model or not."""
+    """Return a recording's evidence of an effect's coefficients, in its model or not; None if the
+    recording cannot tell."""
     if name in row["effects"]:
         whole = Evidence.from_document(row["evidence"])
         return whole.marginalise(n for n in whole.names if n.startswith(f"{name}."))
@@ -313,7 +317,7 @@ def _get_effect_evidence(row: Row, name: str) -> Evidence | None:
 
 
 def _compute_zero_mean_p_value(found: Population, robots: int) -> float:
-    """The p-value of a mean that is zero (Hotelling's test, the covariance being the mean's)."""
+    """Test whether the mean is zero (Hotelling's T^2, with the covariance of the mean)."""
     from scipy.stats import f
 
     n = len(found.mean)

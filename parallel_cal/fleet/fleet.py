@@ -1,4 +1,4 @@
-"""A fleet: every recording of every robot judged, resumed where it was."""
+"""Judge every recording of every robot of a fleet, and resume where an earlier run stopped."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from parallel_cal.model.shelf import load_effect
 
 @dataclass(frozen=True)
 class Fleet:
-    """The rows of a fleet, by robot and recording, what they say together, and the model to begin
-    the next robot with; None of fewer than four robots."""
+    """The rows of a fleet by robot and recording, its findings, and the model with which to start
+    the next robot's calibration; the last two are None for fewer than four robots."""
 
     rows: tuple[Row, ...]
     findings: Findings | None = None
@@ -63,11 +63,11 @@ def judge(
     progress: Progress | None = None,
     on_row: Callable[[Row], None] | None = None,
 ) -> Fleet:
-    """Judge the recordings of a folder or list of robots into a folder, on a Dask cluster where a
-    `scheduler` is given; what is there already is not done again, unless it failed.
+    """Judge the recordings of a folder or list of robots, and write the results to a folder.
 
-    ModelError for an unknown effect, FleetError where it cannot begin, or not go on; rows that were
-    done are kept.
+    Runs on the Dask cluster at `scheduler` if one is given. Recordings that were judged before are
+    not judged again, unless they failed. Raises ModelError for an unknown effect, and FleetError if
+    the run cannot start or continue; finished rows are kept.
     """
     check_extra_installed()
     asked, jobs = asked or FleetOptions(), jobs_of(robots)
@@ -91,7 +91,7 @@ def judge(
                         report("recordings", len(done) / len(jobs))
                         if on_row:
                             on_row(row)
-        finally:  # what was done is there, however it ends
+        finally:  # write what is finished, whatever ended the run
             rows = tuple(done[key] for key in inputs if key in done)
             store.gather(rows)
         store.forget_others(inputs)
@@ -103,7 +103,7 @@ def judge(
 
 
 def _make_fleet(rows: tuple[Row, ...], jobs: Sequence[Job]) -> Fleet:
-    """With what the rows say together, of the robots of the most frequent kind."""
+    """Compare the robots of the most frequent mechanism."""
     judged = {(row["robot"], row["recording"]): row for row in rows if not row["reason"]}
     if not judged:
         return Fleet(rows)

@@ -1,4 +1,4 @@
-"""What a fleet has to do: every recording of every robot, from a folder or from a list."""
+"""List the jobs of a fleet: every recording of every robot, from a folder or from a list."""
 
 from __future__ import annotations
 
@@ -18,33 +18,32 @@ from parallel_cal.recordings.options import ReadOptions
 from parallel_cal.recordings.table import read_table
 
 COLUMNS, TIME = ("robot", "model", "recording"), "time"
-TABLE = "rows.parquet"  # by which the folder of a fleet's results is known
+TABLE = "rows.parquet"  # a folder that contains it holds a fleet's results
 SAMPLES = ".json"
-CASADI_LOCK = Lock()  # CasADi's expressions are not for several threads of a worker
+CASADI_LOCK = Lock()  # CasADi's expressions are not thread-safe, and a worker may have threads
 
 
 class FleetError(ParallelCalError):
-    """A fleet cannot be begun, or not be ended: what to do, and how to go on."""
+    """A fleet cannot start or continue; the message says what to do."""
 
 
 def reason(error: Exception) -> str:
-    """Why something was not done, in one line; a user's own mechanism or effect may raise
-    anything."""
+    """Describe an error in one line; a user's own mechanism or effect may raise anything."""
     if isinstance(error, ParallelCalError):
         return " ".join(str(error).split())
     return f"{type(error).__name__}: {error}"
 
 
 def check_version(asked: str) -> None:
-    """FleetError where another version is asked for than is here: answers would not compare."""
+    """Raise FleetError unless this worker has the requested version: results of different versions
+    are not comparable."""
     if asked != __version__:
         raise FleetError(f"the worker has parallel_cal {__version__}, but {asked} is needed")
 
 
 @dataclass(frozen=True)
 class FleetOptions:
-    """What is asked of every recording: how it is read, identified and diagnosed, and by which
-    version."""
+    """How every recording is read, fitted and diagnosed, and by which version."""
 
     options: FitOptions = field(default_factory=FitOptions)
     effects: tuple[str, ...] = ()
@@ -55,7 +54,8 @@ class FleetOptions:
 
 @dataclass(frozen=True)
 class Job:
-    """One recording of one robot, the `last` of it or not; `time` (s since 1970) where known."""
+    """One recording of one robot; `last` if it is the robot's newest. `time` is in s since 1970, or
+    None if unknown."""
 
     robot: str
     recording: str
@@ -66,27 +66,27 @@ class Job:
 
     @property
     def order(self) -> list[str | int]:
-        """Of its name among others: 9 before 10."""
+        """The sort key of its name, with numbers in numerical order: 9 before 10."""
         parts = re.split("([0-9]+)", self.recording)
         return [int(part) if k % 2 else part for k, part in enumerate(parts)]
 
     def hash_inputs(self, asked: FleetOptions) -> str:
-        """sha256 of all that the result follows from."""
+        """Return the sha256 of everything that determines the result."""
         parts = [repr(asked), self.robot, self.recording, repr(self.time)]
         for path in (self.model, self.data):
             try:
                 parts.append(data_hash(path))
-            except OSError as error:  # whoever judges it will say so
+            except OSError as error:  # judging the recording will report this error
                 parts.append(str(error))
         return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
 
 def jobs_of(robots: Path) -> list[Job]:
-    """The jobs of a folder with one folder a robot, or of a list (.csv), by robot, and then by time
-    where a list has it of all of a robot's recordings, else by recording.
+    """List the jobs of a folder with one subfolder per robot, or of a list (.csv).
 
-    FleetError where there are none, or two robots, or recordings of one, have one name;
-    DatasetError where a list is no table.
+    The jobs are sorted by robot, then by time if the list gives it for all recordings of the robot,
+    else by name. Raises FleetError if there are none, or if two robots, or two recordings of one
+    robot, have the same name; DatasetError if a list is not a table.
     """
     jobs = list(_list_table_jobs(robots) if robots.is_file() else _list_folder_jobs(robots))
     if not jobs:
@@ -113,11 +113,12 @@ def jobs_of(robots: Path) -> list[Job]:
 
 
 def _list_folder_jobs(robots: Path) -> Iterator[Job]:
-    """A folder's; a robot without a model of its own has that which lies beside the folders."""
+    """List the jobs of a folder; a robot without a model file of its own has the shared one."""
     if not robots.is_dir():
         raise FleetError(f"{robots}: no such folder or list")
     shared = sorted(robots.glob("*.yaml"))
-    for folder in sorted(path for path in robots.iterdir() if _is_robot(path)):
+    folders = (path for path in robots.iterdir() if path.is_dir())
+    for folder in sorted(path for path in folders if not (path / TABLE).exists()):
         recordings = sorted(path for path in folder.iterdir() if _is_recording(path))
         if not recordings:
             continue
@@ -129,10 +130,6 @@ def _list_folder_jobs(robots: Path) -> Iterator[Job]:
         yield from (Job(folder.name, path.name, model, path.resolve()) for path in recordings)
 
 
-def _is_robot(path: Path) -> bool:
-    return path.is_dir() and not (path / TABLE).exists()
-
-
 def _is_recording(path: Path) -> bool:
     if path.is_dir():
         return any(file.suffix in (".yaml", *DATA_FILES) for file in path.iterdir())
@@ -140,7 +137,7 @@ def _is_recording(path: Path) -> bool:
 
 
 def _list_table_jobs(robots: Path) -> Iterator[Job]:
-    """A list's, its paths from where the list is; `time` is a column that it may have."""
+    """List the jobs of a list; paths are relative to its folder, the column `time` is optional."""
     table, known, lost = read_table(robots).drop_empty_rows(), [*COLUMNS, TIME], []
     if unknown := [name for name in table.header if name and name not in known]:
         expected = f"expected {', '.join(known)}{format_suggestion(unknown[0], known)}"
@@ -153,13 +150,13 @@ def _list_table_jobs(robots: Path) -> Iterator[Job]:
             raise FleetError(f"{place}: no {empty[0]}")
         model, data = paths = [(robots.parent / row[n]).resolve() for n in ("model", "recording")]
         lost += [f"{place}: no such file {path}" for path in paths if not path.exists()]
-        yield Job(row["robot"], row["recording"], model, data, _time(row.get(TIME), place))
-    if lost:  # all at once, for a list that is mended once
+        yield Job(row["robot"], row["recording"], model, data, _parse_time(row.get(TIME), place))
+    if lost:  # report all missing files at once
         raise FleetError("; ".join(lost))
 
 
-def _time(text: str | None, place: str) -> float | None:
-    """Seconds since 1970 of a day or a moment (ISO 8601; UTC where it does not say)."""
+def _parse_time(text: str | None, place: str) -> float | None:
+    """Return the seconds since 1970 of an ISO 8601 date or time (UTC if no zone is given)."""
     if not text:
         return None
     try:

@@ -1,9 +1,9 @@
-"""One recording of one robot: identified, diagnosed, and what of it the fleet needs."""
+"""Fit and diagnose one recording of one robot, and collect what the fleet needs of it."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from functools import lru_cache
 from typing import Any
 
@@ -22,24 +22,32 @@ from parallel_cal.recordings.loading import load_stamped
 
 Row = dict[str, Any]  # the JSON document of a recording
 Page = Callable[[Diagnosis], str]
-MIN_ABSOLUTE_TIME_S = 1e9  # s since 1970: what counts from its own beginning is smaller
+MIN_ABSOLUTE_TIME_S = 1e9  # s: a smaller time counts from the recording's start, not from 1970
 
 
 @single_threaded()
 def judge_recording(
     job: Job, asked: FleetOptions, inputs: str, page: Page | None = None
 ) -> tuple[Row, str]:
-    """The row of a recording, and its page where one is wanted; whatever fails is its `reason`.
+    """Return the row of a recording and its page, if wanted; `reason` names any failure.
 
-    FleetError where another version is asked for than is here.
+    Raises FleetError if another version is requested than this worker has.
     """
     check_version(asked.version)
     row: Row = {"robot": job.robot, "recording": job.recording, "inputs": inputs}
     start, shown = time.monotonic(), ""
     with CASADI_LOCK:
         try:
-            found, when = _diagnosis(job, asked)
-            row |= _row(found) | {"time": when, "reason": ""}
+            model = _parse_model_once(model_text(job.model), str(job.model))
+            dataset, start_ns = load_stamped(job.data, asked.data, joints=model.joints)
+            found = diagnose(
+                model, dataset, effects=asked.effects, also=asked.also, options=asked.options
+            )
+            when = job.time
+            if when is None:
+                first = 1e-9 * start_ns or float(dataset.time.min())
+                when = first if first > MIN_ABSOLUTE_TIME_S else None
+            row |= _make_row(found) | {"time": when, "reason": ""}
             shown = page(found) if page else ""
         except Exception as error:
             row |= {"time": job.time, "reason": reason(error)}
@@ -47,25 +55,14 @@ def judge_recording(
 
 
 @lru_cache(maxsize=8)
-def _model(text: str, name: str) -> Model:
-    """Robots of one model file share what was derived of it: half the time of a diagnosis."""
+def _parse_model_once(text: str, name: str) -> Model:
+    """Parse a model, or return the one parsed before: the expressions derived from a model take
+    half the time of a diagnosis, and robots of one model file share them."""
     return parse_model(text, name)
 
 
-def _diagnosis(job: Job, asked: FleetOptions) -> tuple[Diagnosis, float | None]:
-    model = _model(model_text(job.model), str(job.model))
-    dataset, start = load_stamped(job.data, asked.data, joints=model.joints)
-    found = diagnose(model, dataset, effects=asked.effects, also=asked.also, options=asked.options)
-    first = 1e-9 * start or float(dataset.time.min())
-    return (
-        found,
-        job.time if job.time is not None else first if first > MIN_ABSOLUTE_TIME_S else None,
-    )
-
-
 def sort_recordings(rows: Iterable[Row]) -> dict[str, list[Row]]:
-    """The recordings of each robot from the first to the last: by time where all have one, else by
-    their names."""
+    """Sort the recordings of each robot: by time if all have one, else as given (by name)."""
     each: dict[str, list[Row]] = {}
     for row in rows:
         each.setdefault(row["robot"], []).append(row)
@@ -76,7 +73,7 @@ def sort_recordings(rows: Iterable[Row]) -> dict[str, list[Row]]:
     }
 
 
-def _row(found: Diagnosis) -> Row:
+def _make_row(found: Diagnosis) -> Row:
     base, best = found.base.fitted, found.best.fitted
     table = best.model.table
     return {
@@ -99,23 +96,21 @@ def _row(found: Diagnosis) -> Row:
         "evidence": vars(
             Evidence.of(best).marginalise(p.name for p in table if p.group != "sensor")
         ),
-        "effects_evidence": {name: vars(told) for name, told in _iterate_effect_evidence(found)},
+        # of the effects that the best model does not have
+        "effects_evidence": {
+            one.name: vars(evidence)
+            for one in found.ranked
+            if one.testable and not one.settings and one.name not in found.effects
+            if (evidence := compute_effect_evidence(found.best.scene, one.name)) is not None
+        },
     }
 
 
-def _iterate_effect_evidence(found: Diagnosis) -> Iterator[tuple[str, Evidence]]:
-    """What the data say of the numbers of effects that were not taken, beside those that were."""
-    scene = found.best.scene
-    for one in found.ranked:
-        if one.testable and not one.settings and one.name not in found.effects:
-            told = compute_effect_evidence(scene, one.name)
-            if told is not None:
-                yield one.name, told
-
-
 def compute_effect_evidence(scene: Scene, name: str) -> Evidence | None:
-    """What a scene says of an effect's numbers, linearised about none of it: A = J^T J, g = -J^T r
-    with J their columns off the geometry; None where it cannot say."""
+    """Return a scene's evidence of an effect's coefficients, linearised about no effect.
+
+    A = J^T J and g = -J^T r, with J the columns of the coefficients projected off the geometry.
+    None if the effect changes the mechanism or if its conditions were not recorded."""
     extended = scene.model.with_effect(name)
     if extended.mechanism is not scene.model.mechanism or find_missing_conditions(
         extended, scene.dataset

@@ -1,4 +1,4 @@
-"""What a fleet has found so far, on the disk: a file a recording as it ends, then a table."""
+"""Store a fleet's results: one file per recording as soon as it is judged, then a table."""
 
 from __future__ import annotations
 
@@ -15,12 +15,13 @@ from parallel_cal.fleet.jobs import TABLE, FleetError
 from parallel_cal.fleet.judging import Row
 
 WORDS = ("robot", "recording", "inputs", "mechanism", "verdict", "reason")
-ERRORS = ("before", "identified", "after")  # as given, without and with the effects found
+# Errors of the model as given, after a fit of its parameters, and with the effects found.
+ERRORS = ("before", "identified", "after")
 KINDS = {"position": "m", "orientation": "rad", "reading": "m"}
 
 
 class Rows:
-    """A fleet's folder: `recordings/` has what is done, under the hash of what it follows from."""
+    """A fleet's folder: `recordings/` holds the rows, each named by the hash of its inputs."""
 
     def __init__(self, folder: Path):
         self.folder = folder
@@ -31,7 +32,7 @@ class Rows:
 
     @contextmanager
     def lock(self) -> Iterator[None]:
-        """Keep other processes out; FleetError where one is at it."""
+        """Lock the folder; raise FleetError if another process has locked it."""
         file = open_locked(self.folder / ".lock")
         if file is None:
             raise FleetError(f"{self.folder}: another run is writing fleet results there")
@@ -41,7 +42,7 @@ class Rows:
             os.close(file)
 
     def load(self, inputs: str) -> Row | None:
-        """A recording's row as it was left; None where it failed or was not done."""
+        """Return the stored row of a recording; None if there is none, or if it failed."""
         try:
             row: Row = json.loads(read_text(self._file(inputs)))
         except (OSError, ValueError):
@@ -49,7 +50,7 @@ class Rows:
         return None if row["reason"] else row
 
     def keep(self, row: Row, page: str = "") -> None:
-        """A row, and the page of its robot."""
+        """Store a row and, if given, the page of its robot."""
         if page:
             write_atomically(self.page_of(row["robot"]), page)
         write_atomically(self._file(row["inputs"]), json.dumps(row, allow_nan=False))
@@ -61,8 +62,8 @@ class Rows:
         return self.folder / "recordings" / f"{inputs}.json"
 
     def gather(self, rows: Sequence[Row]) -> None:
-        """Write `rows.parquet`, a row a recording, equal to the last bit wherever it was done, and
-        how long each took to `seconds.parquet`."""
+        """Write `rows.parquet`, one row per recording, and the computing times to
+        `seconds.parquet`: without them the rows are the same to the last bit on every machine."""
         import pyarrow as pa
 
         units = {n: one["unit"] for row in rows for n, one in row.get("parameters", {}).items()}
@@ -88,7 +89,7 @@ class Rows:
         _write([*columns[:2], seconds], self.folder / "seconds.parquet")
 
     def forget_others(self, inputs: Iterable[str]) -> None:
-        """Remove what other inputs left: those of recordings that changed or are gone."""
+        """Remove the rows of all other inputs: of recordings that changed or are gone."""
         current = set(inputs)
         for file in (self.folder / "recordings").glob("*.json"):
             if file.stem not in current:
@@ -102,7 +103,7 @@ def _number(name: str, unit: str) -> Any:
 
 
 def _write(columns: Sequence[tuple[Any, list[Any]]], path: Path) -> None:
-    """A table, whole or not at all."""
+    """Write a table atomically."""
     import pyarrow as pa
     from pyarrow import parquet
 

@@ -1,4 +1,4 @@
-"""What a fleet teaches of the next robot: where its numbers will lie, as a model file's priors."""
+"""Make the next robot's model file from a fleet: its means and spreads become the priors."""
 
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ from parallel_cal.model.parameters import ParameterTable
 
 
 def next_robot(drawing: Model, found: Findings) -> Model:
-    """The model to begin the next robot's calibration with, by `--prior`: nominal values at the
-    fleet's means, tolerances its spreads, and the effects that all robots have.
+    """Make the model with which to start the next robot's calibration (`--prior`).
 
-    An effect's number stays one about zero, with a tolerance that holds the fleet's mean, too.
+    Its nominal values are the fleet's means, its tolerances the fleet's spreads, and it has the
+    effects of the design. The nominal value of an effect's coefficient stays zero, so its tolerance
+    contains the fleet's mean, too.
     """
     learned = {one.name: one for one in found.parameters}
     mechanism = copy(drawing.mechanism)
@@ -44,6 +45,8 @@ def next_robot(drawing: Model, found: Findings) -> Model:
 
 
 def compute_expected_sigma(one: Spread) -> float:
-    """How far another robot's parameter lies from the mean, 1 sigma; where the spread came out
-    small, half of what it may be."""
+    """Return 1 sigma of the distance of another robot's parameter from the mean.
+
+    The spread counts as at least half the upper end of its interval: a spread of few robots may
+    come out too small."""
     return float(np.hypot(max(one.spread, one.high / 2), one.sigma))
