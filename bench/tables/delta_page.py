@@ -42,7 +42,7 @@ def section(n: dict[str, Any]) -> str:
         errors_table(BEFORE, AFTER_24, five),
         "### Table 5.16: methods on model 24",
         methods_table(n["table_5_16"], n["table_5_16_loud"]),
-        f"""Semiparametric calibration has 12 parameters more. At poses left out (half of them) it
+        f"""Semiparametric calibration has 12 parameters more. At held-out poses (half of them) it
         leaves {ranged(n["halves"]["semiparametric"])} um where implicit calibration leaves
         {ranged(n["halves"]["implicit"])}: not better, as the thesis found, rather worse. Louder:
         {n["loud"]:g} times the noise, see below. Iterations depend on the stopping rule.""",
@@ -52,8 +52,8 @@ def section(n: dict[str, Any]) -> str:
         parameter_table(n["table_5_18"]),
         "### Table 5.20: errors before and after, model 54",
         errors_table(BEFORE, AFTER_54, twenty),
-        """The thesis' orientation errors before calibration (13, 27, 12 arcmin, norm 11) are left
-        out: they follow neither from tables 5.12 and 5.18 nor from each other.""",
+        """The thesis' orientation errors before calibration (13, 27, 12 arcmin, norm 11) are
+        omitted: they follow neither from tables 5.12 and 5.18 nor from each other.""",
         "### What cannot match, and why",
         mismatch(n, five, twenty, loud),
         "### Figure 5.17: error against the number of poses",
@@ -164,5 +164,5 @@ def poses_table(figure: dict[str, Any]) -> str:
     columns = (figure[k] for k in ("poses", "measured_um", "unseen_um"))
     rows = [["0", text(figure["before_um"]), "-"]]
     rows += [[str(n), cell(*here), cell(*there)] for n, here, there in zip(*columns, strict=True)]
-    head = ["poses", "on the 74 measured, um (5 to 95 %)", "at 300 unseen, um (5 to 95 %)"]
+    head = ["poses", "on the 74 measured, um (5 to 95 %)", "at 300 others, um (5 to 95 %)"]
     return markdown(head, rows)
