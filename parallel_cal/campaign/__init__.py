@@ -1,1 +1,1 @@
-"""A robot that calibrates itself: where it goes, what it measures there, when that is enough."""
+"""Let a robot calibrate itself: plan poses, move, measure, judge, and decide when to stop."""

@@ -78,7 +78,7 @@ class Control:
     def __init__(self, ended: Callable[[], bool] = lambda: False):
         """`ended` tells whether the campaign was aborted elsewhere."""
         self._changed, self._ended = Condition(), ended
-        self._held = self._aborted = False
+        self._paused = self._aborted = False
 
     @property
     def aborted(self) -> bool:
@@ -87,32 +87,32 @@ class Control:
     @property
     def should_continue(self) -> bool:
         """Whether the present work shall continue."""
-        return not (self._held or self.aborted)
+        return not (self._paused or self.aborted)
 
     def pause(self) -> None:
-        self._set(held=True)
+        self._set(paused=True)
 
     def resume(self) -> None:
-        self._set(held=False)
+        self._set(paused=False)
 
     def abort(self) -> None:
-        self._set(held=False, aborted=True)
+        self._set(paused=False, aborted=True)
 
-    def _set(self, held: bool, aborted: bool = False) -> None:
+    def _set(self, paused: bool, aborted: bool = False) -> None:
         with self._changed:
-            self._held, self._aborted = held, self._aborted or aborted
+            self._paused, self._aborted = paused, self._aborted or aborted
             self._changed.notify_all()
 
     def check_interrupted(self) -> None:
         """Raise PauseRequested or AbortRequested if one was requested."""
         if self.aborted:
             raise AbortRequested
-        if self._held:
+        if self._paused:
             raise PauseRequested
 
     def wait(self) -> None:
         """Wait until resumed; raise AbortRequested if aborted."""
         with self._changed:
-            while self._held and not self.aborted:
+            while self._paused and not self.aborted:
                 self._changed.wait(POLL_INTERVAL_S)
         self.check_interrupted()

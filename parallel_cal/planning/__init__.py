@@ -1,1 +1,1 @@
-"""Which poses to measure."""
+"""Select the poses to measure, and predict what they determine."""
