@@ -66,7 +66,7 @@ def show_workbench(browser: Any, work: Path, folder: Path) -> None:
 
 
 def show_live(browser: Any, work: Path, folder: Path) -> None:
-    """Take workbench_live.png while the nodes receive a recording at six times real time."""
+    """Take workbench_live.png while the nodes receive a recording at three times real time."""
     from ros_helpers import NodeProcess
 
     from parallel_cal.nodes.client import use_private_domain
@@ -76,7 +76,7 @@ def show_live(browser: Any, work: Path, folder: Path) -> None:
     try:
         page = open_page(browser, served.url, 1000)
         page.locator("#served").get_by_text("the model of this state").wait_for()
-        replay = NodeProcess("replay_node", work, "/cell", bag=str(BAG), rate=6.0)
+        replay = NodeProcess("replay_node", work, "/cell", bag=str(BAG), rate=3.0)
         page.locator("#live-error").get_by_text("mean").wait_for()
         page.locator("#collected").get_by_text(ENOUGH_SAMPLES).wait_for()
         page.get_by_role("region", name="Live").screenshot(path=folder / "workbench_live.png")
