@@ -1,0 +1,139 @@
+"""Hidden physics that only tests and benchmarks use: no virtual cell hides it.
+
+Like `parallel_cal.virtual`, this file shares nothing with the rest of the package.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from parallel_cal.virtual.joint_effects import Visit
+from parallel_cal.virtual.load_effects import Weights, with_rods
+from parallel_cal.virtual.robot import Array, Effect, SampleConditions, apply, turn
+
+
+@dataclass(frozen=True)
+class LobedRing(Effect):
+    """An encoder ring that its screws pull out of round: the error has `lobes` waves per turn."""
+
+    lobes: int
+    size: tuple[float, ...]
+    phase: tuple[float, ...]
+
+    def arm(self, reading: Array, robot: Any, at: SampleConditions) -> Array:
+        return reading + np.array(self.size) * np.cos(self.lobes * (reading - np.array(self.phase)))
+
+
+@dataclass(frozen=True)
+class LateStamp(Effect):
+    """A device that stamps poses `delay` s late: it shows where the joints were before."""
+
+    delay: float
+
+    def arm(self, reading: Array, robot: Any, at: Visit) -> Array:  # type: ignore[override]
+        return reading - self.delay * at.velocity
+
+
+@dataclass(frozen=True)
+class HomedAnew(Effect):
+    """Joints homed again before the second recording: their zeros are off by `by` (rad or m)."""
+
+    by: tuple[float, ...]
+
+    def arm(self, reading: Array, robot: Any, at: Visit) -> Array:  # type: ignore[override]
+        return np.where(at.session[:, None] == 0, reading, reading + np.array(self.by))
+
+
+@dataclass(frozen=True)
+class CrookedAxes(Effect):
+    """A measuring machine whose axes are not perpendicular and differ in scale.
+
+    `x`, `y`, `z` are its axes in the base frame: the true point is axes @ reading.
+    """
+
+    x: tuple[float, float, float]
+    y: tuple[float, float, float]
+    z: tuple[float, float, float]
+
+    def device(self, r: Array, R: Array, at: SampleConditions) -> tuple[Array, Array]:
+        axes = np.column_stack([self.x, self.y, self.z])
+        return apply(np.linalg.inv(axes), r), R
+
+
+@dataclass(frozen=True)
+class Knock(Effect):
+    """A push against the tripod at `time` (s): later poses are turned by `spin` and shifted."""
+
+    time: float
+    shift: tuple[float, float, float]
+    spin: tuple[float, float, float]
+
+    def device(self, r: Array, R: Array, at: SampleConditions) -> tuple[Array, Array]:
+        after = (at.time > self.time)[:, None]
+        turned = turn(after * np.array(self.spin))
+        return apply(turned, r) + after * np.array(self.shift), turned @ R
+
+
+@dataclass(frozen=True)
+class BentSpace(Effect):
+    """A device whose error is quadratic in the position relative to `centre`.
+
+    If the device shows s, the true position is s_i + s^T bend_i s, with one form (1/m) per axis i.
+    """
+
+    bend: tuple[tuple[tuple[float, ...], ...], ...]
+    centre: tuple[float, float, float]
+
+    def device(self, r: Array, R: Array, at: SampleConditions) -> tuple[Array, Array]:
+        true = r - np.array(self.centre)
+        shown = true
+        for _ in range(6):  # fixed point: the error depends on the shown position
+            shown = true - np.einsum("ijk,...j,...k->...i", np.array(self.bend), shown, shown)
+        return shown + np.array(self.centre), R
+
+
+@dataclass(frozen=True)
+class LeaningBase(Effect):
+    """A base that tips towards the platform, in rad per metre of the platform's lateral position.
+
+    `lean` has one number for turns about x and one for turns about y. The side under the platform
+    sinks.
+    """
+
+    lean: tuple[float, float]
+
+    def device(self, r: Array, R: Array, at: SampleConditions) -> tuple[Array, Array]:
+        about_x, about_y = self.lean
+        tipped = np.stack([-about_x * r[..., 1], about_y * r[..., 0], 0 * r[..., 0]], -1)
+        return apply(turn(tipped), r), turn(tipped) @ R
+
+
+@dataclass(frozen=True)
+class MisplacedTarget(Effect):
+    """A reflector at `at_platform` (m, in {P}) instead of the platform's origin."""
+
+    at_platform: tuple[float, float, float]
+
+    def device(self, r: Array, R: Array, at: SampleConditions) -> tuple[Array, Array]:
+        return r + apply(R, np.array(self.at_platform)), R
+
+
+@dataclass(frozen=True)
+class LooseBalls(Effect):
+    """Ball joints with clearance `play` (m), which is taken up fully above some `force` (N)."""
+
+    play: float
+    force: float
+    weights: Weights = field(default_factory=Weights)
+
+    def loaded_robot(self, robot: Any, angle: Array, at: SampleConditions) -> Any:
+        loose = robot
+        for _ in range(3):
+            e = np.exp(-2 * self.weights.tensions(loose, angle, at.payload) / self.force)
+            loose = with_rods(
+                robot, robot.rods + self.play * (1 - e) / (1 + e)
+            )  # tanh of the tension
+        return loose
