@@ -20,6 +20,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "test"))
 
 import virtual_day as vd
+import virtual_effects_more as more
 import virtual_findings as vf
 import virtual_setups as vs
 from twins import hexapod
@@ -161,7 +162,7 @@ def growing(size: float, rng: np.random.Generator, n: int) -> Any:
 
 
 def lobes(size: float, rng: np.random.Generator, n: int) -> Any:
-    return ve.LobedRing(int(rng.integers(3, 9)), some(size, rng, n), phases(rng, n))
+    return more.LobedRing(int(rng.integers(3, 9)), some(size, rng, n), phases(rng, n))
 
 
 def dragged(size: float, rng: np.random.Generator, n: int) -> Any:
@@ -170,22 +171,22 @@ def dragged(size: float, rng: np.random.Generator, n: int) -> Any:
 
 
 def knock(size: float, rng: np.random.Generator, n: int) -> Any:
-    return ve.Knock(rng.uniform(300, 1200), some(size, rng), some(3 * size, rng))  # type: ignore[arg-type]
+    return more.Knock(rng.uniform(300, 1200), some(size, rng), some(3 * size, rng))  # type: ignore[arg-type]
 
 
 def bent(size: float, rng: np.random.Generator, n: int) -> Any:
     form = np.reshape(some(size, rng, 27), (3, 3, 3))
-    return ve.BentSpace(tuple(form + form.transpose(0, 2, 1)), (0.0, 0.0, 0.2))
+    return more.BentSpace(tuple(form + form.transpose(0, 2, 1)), (0.0, 0.0, 0.2))
 
 
 def refraction(size: float, rng: np.random.Generator, n: int) -> Any:
     form = np.zeros((3, 3, 3))
     form[:2, 2, 2] = some(size, rng, 2)
-    return ve.BentSpace(tuple(form), (0.0, 0.0, 0.0))
+    return more.BentSpace(tuple(form), (0.0, 0.0, 0.0))
 
 
 def leaning(size: float, rng: np.random.Generator, n: int) -> Any:
-    return ve.LeaningBase(tuple(np.abs(some(size, rng, 2))))  # type: ignore[arg-type]
+    return more.LeaningBase(tuple(np.abs(some(size, rng, 2))))  # type: ignore[arg-type]
 
 
 def bed(size: float, rng: np.random.Generator, n: int) -> Any:

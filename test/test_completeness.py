@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+import parameter_counts
 import pytest
 from test_serial import PUMA
 
@@ -37,36 +38,36 @@ TABLE_3_1 = [
 @pytest.mark.parametrize("row", TABLE_3_1, ids=lambda row: f"{row[0]} {row[1]}")
 def test_every_row_of_table_3_1(row):
     *_, R, P, SS, E, L, C = row
-    assert completeness.multi_loop(R, P, SS, E, L) == C
+    assert parameter_counts.multi_loop(R, P, SS, E, L) == C
 
 
 @pytest.mark.parametrize("row", TABLE_3_1[:2], ids=lambda row: row[0])
 def test_an_open_chain_counts_the_same_by_everetts_formula(row):
     _, _, R, P, _, E, _, C = row
-    assert completeness.serial(R, P) == C  # eq. 3.1
+    assert parameter_counts.serial(R, P) == C  # eq. 3.1
     assert R + P == E  # an open chain has an encoder in every joint
 
 
 def test_one_loop_counts_the_same_by_lins_formula_with_one_frame():
-    kite = completeness.single_loop(R=5, P=0, SS=0, E=2)  # eq. 3.2
-    assert kite == completeness.multi_loop(5, 0, 0, 2, L=1, F=1)
+    kite = parameter_counts.single_loop(R=5, P=0, SS=0, E=2)  # eq. 3.2
+    assert kite == parameter_counts.multi_loop(5, 0, 0, 2, L=1, F=1)
     assert kite + 6 == 29
 
 
 def test_the_examples_in_a_plane_and_on_a_sphere():
-    assert completeness.planar_or_spherical(R=0, S=6, E=3, L=2) == 18  # figure 3.2
-    assert completeness.planar_or_spherical(R=9, S=0, E=3, L=2) == 21  # Gosselin's 3[3R]
+    assert parameter_counts.planar_or_spherical(R=0, S=6, E=3, L=2) == 18  # figure 3.2
+    assert parameter_counts.planar_or_spherical(R=9, S=0, E=3, L=2) == 21  # Gosselin's 3[3R]
 
 
 # Mechanism, parameters left out, C by the formulas with both frames arbitrary, frames it has.
 COMPLETE = [
-    ("scara16", (), completeness.serial(R=2, P=1), 2),
-    ("serial", (), completeness.serial(R=6, P=0), 2),
-    ("delta54", (), completeness.multi_loop(R=3, P=0, SS=6, E=3, L=5), 2),
-    ("linear_delta", (), completeness.multi_loop(R=0, P=3, SS=6, E=3, L=5), 2),
-    ("stewart42", (), completeness.multi_loop(R=0, P=0, SS=6, E=0, L=5), 2),
-    ("planar_stewart", (), completeness.planar_or_spherical(R=0, S=6, E=3, L=2), 2),
-    ("argos27", (), completeness.multi_loop(R=6, P=0, SS=0, E=3, L=2), 0),
+    ("scara16", (), parameter_counts.serial(R=2, P=1), 2),
+    ("serial", (), parameter_counts.serial(R=6, P=0), 2),
+    ("delta54", (), parameter_counts.multi_loop(R=3, P=0, SS=6, E=3, L=5), 2),
+    ("linear_delta", (), parameter_counts.multi_loop(R=0, P=3, SS=6, E=3, L=5), 2),
+    ("stewart42", (), parameter_counts.multi_loop(R=0, P=0, SS=6, E=0, L=5), 2),
+    ("planar_stewart", (), parameter_counts.planar_or_spherical(R=0, S=6, E=3, L=2), 2),
+    ("argos27", (), parameter_counts.multi_loop(R=6, P=0, SS=0, E=3, L=2), 0),
 ]
 
 
@@ -88,9 +89,13 @@ def test_the_rank_of_the_identification_jacobian_is_what_the_formulas_count(
 
 
 SIMPLIFIED = [  # C by the formulas with both frames arbitrary; what the smaller model neglects
-    ("argos9", completeness.planar_or_spherical(R=3, S=3, E=3, L=2), "motor axes off the circles"),
-    ("delta24", completeness.multi_loop(R=3, P=0, SS=6, E=3, L=5), "set P1 and the platform"),
-    ("delta_nominal", completeness.multi_loop(R=3, P=0, SS=6, E=3, L=5), "unequal chains"),
+    (
+        "argos9",
+        parameter_counts.planar_or_spherical(R=3, S=3, E=3, L=2),
+        "motor axes off the circles",
+    ),
+    ("delta24", parameter_counts.multi_loop(R=3, P=0, SS=6, E=3, L=5), "set P1 and the platform"),
+    ("delta_nominal", parameter_counts.multi_loop(R=3, P=0, SS=6, E=3, L=5), "unequal chains"),
 ]
 
 
@@ -137,7 +142,7 @@ def test_a_perfect_delta_shows_42_of_them_which_are_the_ones_free_by_default(nam
 
 def test_the_papers_parallelogram_lacks_one_coordinate_of_the_base_frame():
     found = completeness.compute_completeness(load_mechanism("parallelogram"))
-    C = completeness.planar_or_spherical(R=4, S=0, E=1, L=1)
+    C = parameter_counts.planar_or_spherical(R=4, S=0, E=1, L=1)
     assert (found.parameters, found.rank, found.needed) == (10, 10, C) == (10, 10, 11)
     perfect = completeness.compute_completeness(
         load_mechanism("parallelogram"), spread=0, without=["h"]

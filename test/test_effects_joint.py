@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import virtual_day as vd
+import virtual_effects_more as more
 from twins import hexapod, joints_near_home
 
 from parallel_cal.diagnosis.catalogue import collect_recorded_values
@@ -346,7 +347,7 @@ RIPPLE, PHASE = (4e-4, 3e-4, -5e-4), (0.4, 1.1, -0.8)
 SIX = (60e-6, -40e-6, 50e-6, 30e-6, -70e-6, 20e-6)
 PITCH = tuple(2 * v for v in SIX)
 SLIDE, SPIN = (5e-8, -8e-8, 4e-8), (1e-7, -2e-7, 1.5e-7)
-CROOKED = ve.CrookedAxes((1 + 2e-4, 0, 0), (1e-4, 1 - 1.5e-4, 0), (-2e-4, 1.2e-4, 1))
+CROOKED = more.CrookedAxes((1 + 2e-4, 0, 0), (1e-4, 1 - 1.5e-4, 0), (-2e-4, 1.2e-4, 1))
 AXES = {
     **{"scale_x": 2e-4, "scale_y": -1.5e-4},
     **{"square_xy": 1e-4, "square_xz": -2e-4, "square_yz": 1.2e-4},
@@ -358,7 +359,7 @@ WOBBLE, ANGLE = (12e-6, -8e-6, 10e-6, 15e-6, -9e-6, 11e-6), (0.3, 1.2, -0.7, 2.0
 GROWING = (3e-3, -2e-3, 4e-3, 1e-3, -3e-3, 2e-3)
 PUSH, TWIST = (80e-6, -50e-6, 60e-6), (2e-4, -3e-4, 1e-4)
 BEND = np.random.default_rng(5).uniform(-1.2e-3, 1.2e-3, (3, 3, 3))
-BENT = ve.BentSpace(tuple(BEND + BEND.transpose(0, 2, 1)), (0.0, 0.0, 0.3))
+BENT = more.BentSpace(tuple(BEND + BEND.transpose(0, 2, 1)), (0.0, 0.0, 0.3))
 FIELD = {
     f"{i}_{j}{k}": BENT.bend[a][b][c] * (1 if b == c else 2)
     for a, i in enumerate("xyz")
@@ -412,21 +413,21 @@ CASES = [
         a_joint(HEXAPOD, "lag", (20e-6,) * 6),
         a_joint(HEXAPOD, "width", (5e-4,) * 6),
     ),
-    Case(DELTA, "latency", ve.LateStamp(3e-3), {"delay": 3e-3}),
-    Case(HEXAPOD, "latency", ve.LateStamp(-2e-3), {"delay": -2e-3}),
+    Case(DELTA, "latency", more.LateStamp(3e-3), {"delay": 3e-3}),
+    Case(HEXAPOD, "latency", more.LateStamp(-2e-3), {"delay": -2e-3}),
     Case(
         DELTA,
         "zero_shift",
-        ve.HomedAnew((1e-3, -5e-4, 7e-4)),
+        more.HomedAnew((1e-3, -5e-4, 7e-4)),
         a_joint(DELTA, "since1", (1e-3, -5e-4, 7e-4)),
     ),
-    Case(HEXAPOD, "zero_shift", ve.HomedAnew(SIX), a_joint(HEXAPOD, "since1", SIX)),
+    Case(HEXAPOD, "zero_shift", more.HomedAnew(SIX), a_joint(HEXAPOD, "since1", SIX)),
     Case(DELTA, "base_drift", ve.CreepingStand(SLIDE, SPIN), DRIFT),
     Case(HEXAPOD, "base_drift", ve.CreepingStand(SLIDE, SPIN), DRIFT),
     Case(
         DELTA,
         "encoder_harmonic",
-        ve.LobedRing(5, LOBES, AT),
+        more.LobedRing(5, LOBES, AT),
         a_joint(DELTA, "sin", np.array(LOBES) * np.sin(5 * np.array(AT)))
         | a_joint(DELTA, "cos", np.array(LOBES) * np.cos(5 * np.array(AT))),
         {"order": 5.0},
@@ -453,7 +454,7 @@ CASES = [
         Case(
             robot,
             "device_bump",
-            ve.Knock(1500.0, PUSH, TWIST),
+            more.Knock(1500.0, PUSH, TWIST),
             KNOCKED,
             {"time": 1500.0},
         )
@@ -464,7 +465,7 @@ CASES = [
         Case(
             robot,
             "base_compliance",
-            ve.LeaningBase((1e-3, 1.5e-3)),
+            more.LeaningBase((1e-3, 1.5e-3)),
             {"lean_x": 1e-3, "lean_y": 1.5e-3},
         )
         for robot in (DELTA, HEXAPOD)
@@ -473,7 +474,7 @@ CASES = [
     Case(
         HEXAPOD,
         "target_offset",
-        ve.MisplacedTarget((1e-3, -2e-3, 1.5e-3)),
+        more.MisplacedTarget((1e-3, -2e-3, 1.5e-3)),
         {"o_x": 1e-3, "o_y": -2e-3, "o_z": 1.5e-3},
         fix=("*.B_?",),
     ),
@@ -550,7 +551,7 @@ def test_a_gear_of_unknown_ratio_is_found_by_scanning_and_then_refined():
 
 def test_a_third_session_needs_its_own_shift_freed():
     """Sessions that were not recorded cost nothing; one that was may be freed."""
-    data = measured(DELTA, [ve.HomedAnew((1e-3, -5e-4, 7e-4))])
+    data = measured(DELTA, [more.HomedAnew((1e-3, -5e-4, 7e-4))])
     session = np.repeat([0.0, 1.0, 2.0], [50, 25, 25])  # 2 goes on from 1 without a shift
     thrice = replace(data, conditions={**data.conditions, "session": session})
     model = new_model("delta54").with_effect("zero_shift")

@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 import pytest
 import virtual_day as vd
+import virtual_effects_more as more
 from datasets import measured as session
 from twins import hexapod, joints_near_home
 
@@ -319,7 +320,7 @@ CASES = [
     Case(
         DELTA,
         "ball_joint_clearance",
-        vl.LooseBalls(40e-6, 1.5, HUNG),
+        more.LooseBalls(40e-6, 1.5, HUNG),
         {"play": 40e-6},
         {"force": 1.5, **MASSES},
         1e-7,

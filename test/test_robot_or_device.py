@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import virtual_blind as vb
 import virtual_day as vd
+import virtual_effects_more as more
 import virtual_findings as vf
 from datasets import JOINTS, as_dataset, measured
 from findings import clean, dataset, hiding, sized
@@ -195,7 +196,7 @@ def test_light_that_bends_before_a_stewart_platform_is_the_devices(bend):
     """Over a low workspace its parabola is a lean of the axes, which gains of the legs imitate."""
     form = np.zeros((3, 3, 3))
     form[:2, 2, 2] = bend
-    found = diagnose(new_model("stewart42"), before_hexapod(ve.BentSpace(tuple(form), (0, 0, 0))))
+    found = diagnose(new_model("stewart42"), before_hexapod(more.BentSpace(tuple(form), (0, 0, 0))))
     assert set(found.effects) <= {"device_axes", "device_field"}
     assert found.effects
 

@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 
 import numpy as np
+import parameter_counts
 import pytest
 import yaml
 
@@ -287,7 +288,7 @@ def test_the_puma_of_the_documentation_is_a_puma():
     found = Kinematics(new_model(arm)).direct(np.zeros(6))
     assert found.position == pytest.approx([0.4318 + 0.0203, -0.15005, 0.4318 + 0.056], abs=1e-15)
     assert found.rotation == pytest.approx(np.eye(3), abs=1e-15)
-    assert len(arm.parameters) == completeness.serial(R=6, P=0)
+    assert len(arm.parameters) == parameter_counts.serial(R=6, P=0)
 
 
 def test_the_scara_of_the_documentation_moves_as_model_16_and_is_complete():
@@ -295,7 +296,7 @@ def test_the_scara_of_the_documentation_moves_as_model_16_and_is_complete():
     q = np.random.default_rng(0).uniform([-1, 0.3, -0.1], [1, 2.5, 0.1], (20, 3))
     found, known = (Kinematics(new_model(m)).direct(q) for m in (arm, "scara16"))
     assert np.abs(found.position - known.position).max() < 1e-15
-    assert completeness.compute_completeness(arm).rank == completeness.serial(R=2, P=1)
+    assert completeness.compute_completeness(arm).rank == parameter_counts.serial(R=2, P=1)
 
 
 def test_an_arm_is_described_in_its_model_file(tmp_path):

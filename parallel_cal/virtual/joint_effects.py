@@ -46,18 +46,6 @@ class WrongPitch(Effect):
 
 
 @dataclass(frozen=True)
-class LobedRing(Effect):
-    """An encoder ring pulled out of round by its screws: the reading waves `lobes` times a turn."""
-
-    lobes: int
-    size: tuple[float, ...]
-    phase: tuple[float, ...]
-
-    def arm(self, reading: Array, robot: Any, at: SampleConditions) -> Array:
-        return reading + np.array(self.size) * np.cos(self.lobes * (reading - np.array(self.phase)))
-
-
-@dataclass(frozen=True)
 class DraggedNeighbours(Effect):
     """Shafts led through one another: `drag[i][j]` of what joint j has turned is added to i."""
 
@@ -107,26 +95,6 @@ class WindUp(Effect):
 
 
 @dataclass(frozen=True)
-class LateStamp(Effect):
-    """Poses are stamped late: what is shown was so when the joints were not yet so far."""
-
-    delay: float
-
-    def arm(self, reading: Array, robot: Any, at: Visit) -> Array:  # type: ignore[override]
-        return reading - self.delay * at.velocity
-
-
-@dataclass(frozen=True)
-class HomedAnew(Effect):
-    """Before the second recording the joints were homed again, not quite to the same zero."""
-
-    by: tuple[float, ...]
-
-    def arm(self, reading: Array, robot: Any, at: Visit) -> Array:  # type: ignore[override]
-        return np.where(at.session[:, None] == 0, reading, reading + np.array(self.by))
-
-
-@dataclass(frozen=True)
 class CreepingStand(Effect):
     """The robot's stand slides and turns slowly under the device's eyes."""
 
@@ -136,76 +104,3 @@ class CreepingStand(Effect):
     def device(self, r: Array, R: Array, at: SampleConditions) -> tuple[Array, Array]:
         turned = turn(at.time[:, None] * np.array(self.spin))
         return apply(turned, r) + at.time[:, None] * np.array(self.slide), turned @ R
-
-
-@dataclass(frozen=True)
-class CrookedAxes(Effect):
-    """A machine whose slides do not meet at right angles, nor measure in one metre.
-
-    Its axes as columns: going by its own reading along them leads to the true point.
-    """
-
-    x: tuple[float, float, float]
-    y: tuple[float, float, float]
-    z: tuple[float, float, float]
-
-    def device(self, r: Array, R: Array, at: SampleConditions) -> tuple[Array, Array]:
-        axes = np.column_stack([self.x, self.y, self.z])
-        return apply(np.linalg.inv(axes), r), R
-
-
-@dataclass(frozen=True)
-class Knock(Effect):
-    """Somebody runs into the tripod at `time`: what it shows has since been turned and shifted."""
-
-    time: float
-    shift: tuple[float, float, float]
-    spin: tuple[float, float, float]
-
-    def device(self, r: Array, R: Array, at: SampleConditions) -> tuple[Array, Array]:
-        after = (at.time > self.time)[:, None]
-        turned = turn(after * np.array(self.spin))
-        return apply(turned, r) + after * np.array(self.shift), turned @ R
-
-
-@dataclass(frozen=True)
-class BentSpace(Effect):
-    """Light that curves and slides that are not straight, about `centre`.
-
-    Where the device shows s from there, the point is at s + bend_i . s s, a form (1/m) each axis.
-    """
-
-    bend: tuple[tuple[tuple[float, ...], ...], ...]
-    centre: tuple[float, float, float]
-
-    def device(self, r: Array, R: Array, at: SampleConditions) -> tuple[Array, Array]:
-        true = r - np.array(self.centre)
-        shown = true
-        for _ in range(6):  # the bend is of what is shown, and that is what is asked for
-            shown = true - np.einsum("ijk,...j,...k->...i", np.array(self.bend), shown, shown)
-        return shown + np.array(self.centre), R
-
-
-@dataclass(frozen=True)
-class LeaningBase(Effect):
-    """A base that tips towards the side on which the robot holds its weight, rad per metre aside.
-
-    `lean` about x and about y: a weight at +x lowers that side, one at +y the other.
-    """
-
-    lean: tuple[float, float]
-
-    def device(self, r: Array, R: Array, at: SampleConditions) -> tuple[Array, Array]:
-        about_x, about_y = self.lean
-        tipped = np.stack([-about_x * r[..., 1], about_y * r[..., 0], 0 * r[..., 0]], -1)
-        return apply(turn(tipped), r), turn(tipped) @ R
-
-
-@dataclass(frozen=True)
-class MisplacedTarget(Effect):
-    """The reflector sits beside the platform's origin."""
-
-    at_platform: tuple[float, float, float]
-
-    def device(self, r: Array, R: Array, at: SampleConditions) -> tuple[Array, Array]:
-        return r + apply(R, np.array(self.at_platform)), R

@@ -95,22 +95,6 @@ class SoftRods(Effect):
 
 
 @dataclass(frozen=True)
-class LooseBalls(Effect):
-    """Balls that lie on the side where they are pushed: fully so from some newtons on."""
-
-    play: float
-    force: float
-    weights: Weights = field(default_factory=Weights)
-
-    def loaded_robot(self, robot: Any, angle: Array, at: SampleConditions) -> Any:
-        loose = robot
-        for _ in range(3):
-            way = np.exp(-2 * self.weights.tensions(loose, angle, at.payload) / self.force)
-            loose = with_rods(robot, robot.rods + self.play * (1 - way) / (1 + way))
-        return loose
-
-
-@dataclass(frozen=True)
 class Warmth(Effect):
     """Named dimensions grow by so much per kelvin above 20 degC: {"Lb": 1e-6}."""
 
