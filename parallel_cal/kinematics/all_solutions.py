@@ -1,4 +1,4 @@
-"""All solutions of one sample: by a complete method where the mechanism has one, else searched."""
+"""All solutions of one sample, by a complete method if the mechanism has one, else by search."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from parallel_cal.model.model import Model
 
 __all__ = ["direct_all", "inverse_all"]
 
-# The method of a mechanism that names its methods: complete for six rods (6.2.4), for three balls
-# on circles (6.7.2) and on great circles (6.2.3).
+# Method of a mechanism -> solver that finds all its poses: six rods (6.2.4), three balls on circles
+# (6.7.2) and on great circles (6.2.3).
 COMPLETE = {"rods": homotopy, "circles": three_circles, "normals": polynomial}
 
 
 def direct_all(model: Model, q: np.ndarray, at: Mapping[str, Any] | None = None) -> Solutions:
-    """Every pose for joints (nq,), home branch first; `complete` where no other exists."""
+    """Find every pose for joints (nq,), home branch first; `complete` if no other pose exists."""
     methods = [m for name, m in COMPLETE.items() if hasattr(model.mechanism, name)]
     for method in methods if np.isfinite(q).all() else ():
         try:
             found = method.direct_all(model, q, at)
-        except SolveError:  # an effect or this geometry denies it what it needs
+        except SolveError:  # an effect or this geometry violates its assumptions
             continue
         if len(found):
             return found

@@ -1,4 +1,4 @@
-"""What is given and given back for the direct and inverse problem, in words and numbers."""
+"""Parse the inputs and format the outputs of the direct and inverse problem."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from parallel_cal.model.model import Model
 
 
 def parse_conditions(model: Model, items: Iterable[str]) -> dict[str, float]:
-    """`temperature=25`, `direction.joint1=-1` as conditions (ModelError)."""
+    """Parse `temperature=25`, `direction.joint1=-1` as conditions (ModelError)."""
     given = []
     for item in items:
         name, _, text = item.partition("=")
@@ -27,23 +27,27 @@ def parse_conditions(model: Model, items: Iterable[str]) -> dict[str, float]:
 
 
 def named_conditions(model: Model, given: Iterable[tuple[str, float]]) -> dict[str, float]:
-    """Conditions by name; `direction` is for all joints (ModelError for a name not known)."""
-    return {column: value for name, value in given for column in _columns(model, name)}
+    """Collect conditions by column name (ModelError for an unknown name).
 
-
-def _columns(model: Model, name: str) -> list[str]:
-    kind, _, joint = name.partition(".")
-    if kind not in CONDITIONS or (joint and joint not in model.joints):
-        per_joint = [f"{c}.JOINT" if spec[2] else c for c, spec in CONDITIONS.items()]
-        raise ModelError(
-            f"no condition '{name}'; there are {', '.join(per_joint)}, where JOINT is "
-            f"one of {', '.join(model.joints)}"
-        )
-    return [f"{kind}.{j}" for j in model.joints] if CONDITIONS[kind][2] and not joint else [name]
+    A condition of joints without a joint's name, like `direction`, applies to all joints.
+    """
+    conditions: dict[str, float] = {}
+    for name, value in given:
+        kind, _, joint = name.partition(".")
+        if kind not in CONDITIONS or (joint and joint not in model.joints):
+            known = [f"{c}.JOINT" if spec[2] else c for c, spec in CONDITIONS.items()]
+            raise ModelError(
+                f"no condition '{name}'; there are {', '.join(known)}, where JOINT is "
+                f"one of {', '.join(model.joints)}"
+            )
+        of_all_joints = CONDITIONS[kind][2] and not joint
+        columns = [f"{kind}.{j}" for j in model.joints] if of_all_joints else [name]
+        conditions.update(dict.fromkeys(columns, value))
+    return conditions
 
 
 def parse_rotation(quaternion: Sequence[float]) -> np.ndarray:
-    """The matrix of a quaternion x y z w of any length; SolveError where it is none."""
+    """Convert a quaternion x y z w of any length to a matrix; SolveError if it is not one."""
     q = np.array(quaternion, dtype=float)
     if not np.isfinite(q).all() or np.linalg.norm(q) < 1e-9:
         raise SolveError(f"orientation {q.tolist()}: expected a quaternion x y z w, not all zero")
@@ -51,13 +55,13 @@ def parse_rotation(quaternion: Sequence[float]) -> np.ndarray:
 
 
 def direct_covariances(model: Model, found: Solutions, at: Mapping[str, Any]) -> list[np.ndarray]:
-    """Covariance (6, 6) of each answered pose; ModelError where the model file has none."""
+    """Compute the covariance (6, 6) of each solved pose; ModelError if the model has none."""
     kinematics = _with_covariance(model)
     return [kinematics.direct_covariance(s, at) for s in found]
 
 
 def inverse_covariances(model: Model, found: Solutions, at: Mapping[str, Any]) -> list[np.ndarray]:
-    """Covariance (nq, nq) of each answered joint set; ModelError likewise."""
+    """Compute the covariance (nq, nq) of each solved joint set; ModelError as above."""
     kinematics = _with_covariance(model)
     return [kinematics.inverse_covariance(s, at) for s in found]
 
@@ -69,7 +73,7 @@ def _with_covariance(model: Model) -> Kinematics:
 
 
 def to_rows(solutions: Solutions) -> list[dict[str, Any]]:
-    """One dictionary a solution, as the command line's contract has it."""
+    """Convert solutions to dictionaries with the keys of the command line's JSON documents."""
     return [
         {
             "position": s.position,
@@ -83,5 +87,5 @@ def to_rows(solutions: Solutions) -> list[dict[str, Any]]:
 
 
 def status_text(status: Any) -> str:
-    """`converged`, `unreachable`, ..."""
+    """Name of a status: `converged`, `unreachable`, ..."""
     return Status(int(status)).text

@@ -25,8 +25,8 @@ __all__ = ["MAX_CLOSED_RESIDUAL_M", "Kinematics", "Solutions", "Status"]
 
 
 class NewtonResult(NamedTuple):
-    """What Newton's iterations end in: configurations x (N, nq + 12), and of each the last step
-    (m), the closure's norm (m) and the smallest pivot."""
+    """Result of Newton's iterations: configurations x (N, nq + 12), and for each one the last step
+    (m), the norm of the closure (m) and the smallest pivot."""
 
     x: np.ndarray
     step: np.ndarray
@@ -35,8 +35,10 @@ class NewtonResult(NamedTuple):
 
 
 class Kinematics:
-    """The direct and inverse problem of one model, its tables computed once; `quick` gives up where
-    the usual iterations do not end, where otherwise the careful solver goes on."""
+    """Solve the direct and inverse problem of one model. Its tables are computed once.
+
+    `quick` omits the careful solver, which continues if the usual iterations do not converge.
+    """
 
     def __init__(self, model: Model, compile: bool = False, quick: bool = False):
         self.model = model
@@ -54,7 +56,7 @@ class Kinematics:
     def direct(
         self, q: np.ndarray, at: Mapping[str, Any] | None = None, start: Solutions | None = None
     ) -> Solutions:
-        """Poses for joints q (nq,) or (N, nq), on the home branch or from `start`."""
+        """Find poses for joints q (nq,) or (N, nq), on the home branch or from `start`."""
         if start is None and _shape(q) == self._one:
             found = self._solve_fast(self.direct_problem, self._joints, q, None, at)
             if found is not None:
@@ -68,7 +70,10 @@ class Kinematics:
         at: Mapping[str, Any] | None = None,
         start: Solutions | None = None,
     ) -> Solutions:
-        """Joints for positions (3,) or (N, 3) and rotations; passive coordinates follow."""
+        """Find joints for positions (3,) or (N, 3) and rotations.
+
+        Passive coordinates follow from the closure.
+        """
         if start is None and _shape(position) == (3,):
             found = self._solve_fast(self.inverse_problem, self._position, position, rotation, at)
             if found is not None:
@@ -76,20 +81,25 @@ class Kinematics:
         given = pose_rows(self.model, position, rotation)
         return self._solve(self.inverse_problem, given, position, at, start)
 
-    fk, ik = direct, inverse  # as much of the field calls them
+    fk, ik = direct, inverse  # common names in the field
 
     def direct_covariance(
         self, solution: Solutions, at: Mapping[str, Any] | None = None, joint_sigma: float = 0.0
     ) -> np.ndarray:
-        """Covariance (6, 6) of an answered pose (m, rad about base axes), or (N, 6, 6) of N, from
-        the parameters' covariance and the joints' noise: dx = -J_x^-1 (J_v dv + J_q dq)."""
+        """Compute the covariance (6, 6) of a solved pose (m, rad about base axes), or (N, 6, 6).
+
+        It follows from the parameters' covariance and the joints' noise:
+        dx = -J_x^-1 (J_v dv + J_q dq).
+        """
         return self._covariance(solution, at, self.model.mechanism.moved, 0, joint_sigma)
 
     def inverse_covariance(
         self, solution: Solutions, at: Mapping[str, Any] | None = None
     ) -> np.ndarray:
-        """Covariance (nq, nq) of answered joints, or (N, nq, nq), from the parameters'
-        covariance."""
+        """Compute the covariance (nq, nq) of solved joints, or (N, nq, nq).
+
+        It follows from the parameters' covariance.
+        """
         columns = [c - self._n for c in range(self._n)] + self.model.mechanism.passive
         return self._covariance(solution, at, columns, self._n, 0.0)
 
@@ -121,7 +131,7 @@ class Kinematics:
         at: Mapping[str, Any] | None = None,
         start: Solutions | None = None,
     ) -> Solutions:
-        """Solutions of rows (N, nq + 12) that hold what is given."""
+        """Solve configurations (N, nq + 12) that contain the given coordinates."""
         rows = self.model.condition_rows(at, len(given))
         if start is None:
             reached = problem.solve_many(given, rows)
@@ -137,7 +147,7 @@ class Kinematics:
         rotation: np.ndarray | None,
         at: Mapping[str, Any] | None,
     ) -> Solutions | None:
-        """One sample in place, in microseconds; None where its solution is anything but usual."""
+        """Solve one sample in microseconds; None unless it is regular and within limits."""
         one = problem.single_solver
         with one.lock:
             row, a, k = one.arguments
@@ -155,25 +165,19 @@ class Kinematics:
             usual = step.item() < MAX_SETTLED_STEP_M and pivot.item() > SUSPECT_PIVOT
             if not (usual and residual.item() < problem.largest):
                 return None
-            x, left = x.copy(), residual[0]
+            x, error = x.copy(), residual[0]  # copies: the buffers are shared
         q = x[self._joints]
         for (low, high), angle in zip(self._limits, q.tolist(), strict=True):
             if not low <= angle <= high:
                 return None
-        return Solutions.from_converged(q, x[self._position], x[self._turn].reshape(3, 3), left)
-
-    def _inside_limits(self, q: np.ndarray) -> Any:
-        low, high = np.array(self._limits, dtype=float).T
-        return ((q >= low) & (q <= high)).all(axis=-1)
+        return Solutions.from_converged(q, x[self._position], x[self._turn].reshape(3, 3), error)
 
     def _classify(
         self, problem: Problem, given: np.ndarray, rows: np.ndarray, reached: NewtonResult
     ) -> Solutions:
-        """Solutions with status; samples that the fast way left open are solved carefully."""
+        """Assign a status to each sample; samples that did not converge are solved carefully."""
         n = self._n
-        x, step, residual, pivot = self._refine_unsettled(
-            problem, self._wrap_joints(problem, reached), rows
-        )
+        x, step, residual, pivot = self._wrap_and_refine(problem, reached, rows)
         status = np.full(len(x), Status.CONVERGED, dtype=np.int8)
         finite = np.isfinite(given).all(axis=1) & np.isfinite(rows).all(axis=1)
         status[~finite] = Status.INVALID_INPUT
@@ -187,15 +191,15 @@ class Kinematics:
         for i in np.flatnonzero(suspect & (status == Status.CONVERGED)):
             if problem.smallest_singular_value(x[i], rows[i]) < MIN_REGULAR_SINGULAR_VALUE:
                 status[i] = Status.SINGULAR
-        status[~self._inside_limits(x[:, :n]) & (status == Status.CONVERGED)] = (
-            Status.OUTSIDE_LIMITS
-        )
+        low, high = np.array(self._limits, dtype=float).T
+        inside = ((x[:, :n] >= low) & (x[:, :n] <= high)).all(axis=1)
+        status[~inside & (status == Status.CONVERGED)] = Status.OUTSIDE_LIMITS
         return Solutions.of(x, residual, status)
 
     def _solve_carefully(
         self, problem: Problem, x: np.ndarray, row: np.ndarray, given: np.ndarray
     ) -> tuple[np.ndarray, float, Status]:
-        """The careful solver's answer; it may have wound joints up on its way."""
+        """Solve one sample carefully, and undo whole turns that the solver made."""
         x, residual, status = problem.solve_carefully(x, row, given)
         q = _wrap_towards_home(x[: self._n], problem.unknown_joints, self.model)
         if (q == x[: self._n]).all():
@@ -205,27 +209,23 @@ class Kinematics:
             return turned, residual, status
         return problem.solve_carefully(turned, row, given)
 
-    def _wrap_joints(self, problem: Problem, reached: NewtonResult) -> NewtonResult:
-        """With solved angles near home, and the measures as flat arrays."""
+    def _wrap_and_refine(
+        self, problem: Problem, reached: NewtonResult, rows: np.ndarray
+    ) -> NewtonResult:
+        """Move solved angles near home, then iterate further where the last step is large."""
         x, *measures = reached
         step, residual, pivot = (part.reshape(-1) for part in measures)
         q = _wrap_towards_home(x[:, : self._n], problem.unknown_joints, self.model)
-        if self.model.effects:  # which need not repeat after a turn: solve anew from there
+        if self.model.effects:  # An effect need not repeat after a turn: iterate again from there.
             step[(q != x[:, : self._n]).any(axis=1)] = 1.0
         x[:, : self._n] = q
-        return NewtonResult(x, step, residual, pivot)
-
-    @staticmethod
-    def _refine_unsettled(
-        problem: Problem, reached: NewtonResult, rows: np.ndarray
-    ) -> NewtonResult:
-        """After further iterations where the last step is still large."""
-        open_ = np.flatnonzero(np.isfinite(reached.step) & (reached.step >= MAX_SETTLED_STEP_M))
+        result = NewtonResult(x, step, residual, pivot)
+        open_ = np.flatnonzero(np.isfinite(step) & (step >= MAX_SETTLED_STEP_M))
         if len(open_):
-            further = problem.refine(reached.x[open_], rows[open_])
-            for array, new in zip(reached, further, strict=True):
+            further = problem.refine(x[open_], rows[open_])
+            for array, new in zip(result, further, strict=True):
                 array[open_] = new.reshape(array[open_].shape)
-        return reached
+        return result
 
     # ------------------------------------------------------------------ uncertainty
 
@@ -238,7 +238,16 @@ class Kinematics:
         joint_sigma: float,
     ) -> np.ndarray:
         n, x = self._n, solution.configuration.rows
-        J_x, J_v = self._blocks(np.atleast_2d(x), at)
+        rows, m = np.atleast_2d(x), self.model.structure.phi.shape[0]
+        a = self.model.condition_rows(at, len(rows))
+        found = [
+            self._closure(row, one, self.model.values)[1:] for row, one in zip(rows, a, strict=True)
+        ]
+        # CasADi's matrices come column by column: (N, columns, m) before the axes are swapped.
+        J_x, J_v = (
+            np.array(flat).reshape(len(rows), -1, m).swapaxes(1, 2)
+            for flat in zip(*found, strict=True)
+        )
         unknown, known = J_x[..., [c + n for c in columns]], J_x[..., :n]
         spread = joint_sigma**2 * known @ known.swapaxes(1, 2)
         if self.model.covariance is not None:
@@ -253,22 +262,14 @@ class Kinematics:
             covariance = full
         return covariance[0] if x.ndim == 1 else covariance
 
-    def _blocks(self, x: np.ndarray, at: Mapping[str, Any] | None) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives (N, m, .) of the closure by coordinates and by parameters at rows (N, .)."""
-        values, m = self.model.values, self.model.structure.phi.shape[0]
-        a = self.model.condition_rows(at, len(x))
-        found = [self._closure(row, one, values)[1:] for row, one in zip(x, a, strict=True)]
-        J_x, J_v = (np.array(flat).reshape(len(x), -1, m) for flat in zip(*found, strict=True))
-        return J_x.swapaxes(1, 2), J_v.swapaxes(1, 2)
-
     @cached_property
     def _closure(self) -> Single:
         return Single(self.model.structure.closure)
 
 
 def _wrap_towards_home(q: np.ndarray, unknown: bool, model: Model) -> np.ndarray:
-    """Solved angles moved by whole turns to within half a turn of home, or one turn further where
-    only that is inside the limits."""
+    """Move solved angles by whole turns to within half a turn of home, or by one more turn if only
+    that is inside the limits."""
     if not unknown or not model.mechanism.periodic:
         return q
     turn = model.mechanism.joint_periods
@@ -284,5 +285,5 @@ def _wrap_towards_home(q: np.ndarray, unknown: bool, model: Model) -> np.ndarray
 
 
 def _shape(given: Any) -> tuple[int, ...]:
-    """NumPy's own function takes as long as a third of a solution."""
+    """Shape of an array or sequence: np.shape alone takes a third of the time of a solution."""
     return given.shape if isinstance(given, np.ndarray) else np.shape(given)

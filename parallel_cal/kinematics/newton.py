@@ -1,4 +1,4 @@
-"""Newton's method on the closure (eq. 6.31), for any split into given and unknown."""
+"""Newton's method on the closure (eq. 6.31), for any split into given and unknown coordinates."""
 
 from __future__ import annotations
 
@@ -13,16 +13,19 @@ from parallel_cal.base.compiled import dense
 from parallel_cal.base.rotation import cayley
 from parallel_cal.model.structure import Structure
 
-ITERATIONS = 2  # of third order, from model 24's solution; more follow only where needed
-INLINE_BELOW = 2000  # instructions of one step that are worth repeating in the function
+ITERATIONS = 2  # third order, from the solution of model 24; more follow only if necessary
+INLINE_BELOW = 2000  # instructions of one step; below that, repeating them is faster than a call
 
 
 @dataclass(frozen=True)
 class NewtonFunctions:
-    """`tables`: v -> k, once a model. The others: (configuration, a, k) -> configuration,
-    last step (m), norm of phi (m), smallest pivot; `solve` starts at the mechanism's own
-    start, `refine` at the given configuration. `columns`: the unknown ones of (q, r, w).
-    `iteration` is what these are made of."""
+    """CasADi functions of one problem.
+
+    `tables`: v -> k, evaluated once per model. `solve` and `refine`: (configuration, a, k) ->
+    configuration, last step (m), norm of phi (m), smallest pivot. `solve` begins at the mechanism's
+    own start, `refine` at the given configuration. `columns`: the unknown columns of (q, r, w).
+    `iteration`: the parts of `solve` and `refine`.
+    """
 
     tables: ca.Function
     solve: ca.Function
@@ -33,10 +36,10 @@ class NewtonFunctions:
 
 @lru_cache(maxsize=64)
 def newton_functions(structure: Structure, problem: str) -> NewtonFunctions:
-    """Compiled-ready Newton iterations for `problem` = "direct" or "inverse".
+    """Build Newton iterations for `problem` = "direct" or "inverse", ready to compile.
 
-    Everything that depends on the parameters alone, and then on the given coordinates alone,
-    is computed once and not in every iteration: CasADi finds these parts of the expression.
+    CasADi finds the parts of the expression that depend on the parameters alone, and those that
+    depend on the given coordinates alone. They are computed once, not in every iteration.
     """
     s = structure
     columns, given, start = split(s, problem)
@@ -56,7 +59,7 @@ def newton_functions(structure: Structure, problem: str) -> NewtonFunctions:
 
 
 def split(s: Structure, problem: str) -> tuple[list[int], Any, Any]:
-    """Unknown columns of (q, r, w); the given symbols; the start as a configuration."""
+    """Return the unknown columns of (q, r, w), the given symbols and the start configuration."""
     m, n = s.mechanism, len(s.mechanism.joints)
     if problem == "direct":
         r, R = m.start(s.q, s.geometry)
@@ -71,13 +74,13 @@ def split(s: Structure, problem: str) -> tuple[list[int], Any, Any]:
 
 
 def _extract_constant_parts(expressions: list[Any], of: Any) -> tuple[list[Any], Any, Any]:
-    """The expressions with every part that depends on `of` alone replaced by a symbol.
+    """Replace every part of the expressions that depends on `of` alone by a symbol.
 
     Returns the rewritten expressions, the parts (column) and their symbols (column).
     """
     rewritten, symbols, parts = ca.extract_parametric(expressions, of, {})
     of_names = {str(x) for x in ca.symvar(of)}
-    # Bare symbols of `of` stay where they stand: they are passed on as parts of their own.
+    # CasADi leaves bare symbols of `of` in the expressions. They become parts, too.
     bare = [x for x in ca.symvar(ca.veccat(*rewritten)) if str(x) in of_names]
     symbol_column = ca.veccat(*symbols, *bare)
     part_column = ca.veccat(*parts, *bare)
@@ -92,8 +95,8 @@ def _step_function(
     """(configuration, constants) -> configuration after one iteration, last step, pivot.
 
     One iteration is a Newton step and a second step with the same Jacobian: third order
-    (Traub) for little more than the price of one. With more rows than unknowns it is the
-    least-squares step, with fewer (a redundant arm) the shortest one that closes the rows.
+    (Traub) at little more than the cost of one step. With more rows than unknowns the step is that
+    of least squares; with fewer (a redundant arm) it is the shortest one that closes the rows.
     """
     solver = Elimination(_square(J), order)
 
@@ -111,13 +114,13 @@ def _step_function(
 
 
 def _square(J: Any) -> Any:
-    """What a step with a Jacobian of any shape has to invert."""
+    """The square matrix that a step with a Jacobian of any shape inverts."""
     rows, unknowns = J.shape
     return J if rows == unknowns else J.T @ J if rows > unknowns else J @ J.T
 
 
 def apply_change(s: Structure, x: Any, columns: list[int], scaled: Any) -> Any:
-    """The configuration after a change of its unknown coordinates, given in metres."""
+    """Apply a change of the unknown coordinates, in metres, to a configuration."""
     change = ca.SX.zeros(len(s.scale))
     change[columns] = scaled / ca.DM(s.scale[columns])
     n = len(s.mechanism.joints)
@@ -128,7 +131,7 @@ def apply_change(s: Structure, x: Any, columns: list[int], scaled: Any) -> Any:
 
 
 def row_order(s: Structure, J: Any) -> list[int]:
-    """A fixed order of rows that eliminates well at home, for a robot off its nominal."""
+    """Choose a row order that gives large pivots at home, for a robot that is not nominal."""
     off = s.table.nominal + s.table.tolerance * np.random.default_rng(0).standard_normal(
         len(s.table)
     )
@@ -145,26 +148,23 @@ def row_order(s: Structure, J: Any) -> list[int]:
 
 
 class Elimination:
-    """A^-1 b for several b, by elimination in a given row order, and the smallest pivot.
+    """Compute A^-1 b for several b by elimination in a given row order, and the smallest pivot.
 
-    No exchange of rows at run time, so it stays one straight expression; Newton's method
-    corrects what that loses, and a small pivot sends the sample to the careful solver.
+    Rows are not exchanged at run time, so the result is one expression without branches. Newton's
+    method corrects the lost accuracy; a small pivot sends the sample to the careful solver.
     """
 
     def __init__(self, A: Any, order: list[int]):
         self._order = order
-        self._rows = [[A[i, j] for j in range(len(order))] for i in order]
-        self._eliminate()
-        self.pivot = ca.mmin(ca.fabs(ca.vertcat(*[row[i] for i, row in enumerate(self._rows)])))
-
-    def _eliminate(self) -> None:
-        """Upper triangle in place; the factors take the place of the zeros below it."""
-        M, n = self._rows, len(self._rows)
+        self._rows = M = [[A[i, j] for j in range(len(order))] for i in order]
+        n = len(M)
+        # Upper triangle in place; the factors are stored in the place of the zeros below it.
         for k in range(n):
             for i in range(k + 1, n):
                 M[i][k] = M[i][k] / M[k][k]
                 for j in range(k + 1, n):
                     M[i][j] = M[i][j] - M[i][k] * M[k][j]
+        self.pivot = ca.mmin(ca.fabs(ca.vertcat(*[M[i][i] for i in range(n)])))
 
     def __call__(self, b: Any) -> Any:
         M, n = self._rows, len(self._rows)
@@ -178,8 +178,12 @@ class Elimination:
 
 @dataclass(frozen=True)
 class Iteration:
-    """`prepare`: (configuration, a, k) -> constants, start. `step`: (configuration, constants) ->
-    configuration, last step (m), smallest pivot. `residual`: (configuration, constants) -> phi."""
+    """The CasADi functions of one iteration.
+
+    `prepare`: (configuration, a, k) -> constants, start.
+    `step`: (configuration, constants) -> configuration, last step (m), smallest pivot.
+    `residual`: (configuration, constants) -> phi.
+    """
 
     prepare: ca.Function
     step: ca.Function
@@ -187,7 +191,7 @@ class Iteration:
     n_constants: int
 
     def function(self, name: str, from_start: bool) -> ca.Function:
-        """A fixed number of iterations; inlined where short, else generated once as C."""
+        """Build a fixed number of iterations; a short step is inlined, a long one is called."""
         symbol = ca.SX if self.step.n_instructions() < INLINE_BELOW else ca.MX
         given, a, k = (symbol.sym(f"i{i}", self.prepare.numel_in(i)) for i in range(3))
         prepared = self.prepare(given, a, k)

@@ -1,4 +1,4 @@
-"""One split into given and unknown coordinates with a model's numbers: the fast and careful way."""
+"""One split into given and unknown coordinates, with a fast and a careful solver."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from parallel_cal.model.structure import Structure
 
 
 class _Calls:
-    """A structure's Newton iterations for one split, whatever its numbers: made once."""
+    """Newton iterations of a structure for one split. All models of the structure share them."""
 
     def __init__(self, structure: Structure, name: str, compile: bool):
         functions = newton_functions(structure, name)
@@ -36,7 +36,7 @@ _calls = lru_cache(maxsize=256)(_Calls)
 
 
 class Problem:
-    """One split into given and unknown coordinates, with this model's numbers."""
+    """One split into given and unknown coordinates, with the parameter values of one model."""
 
     def __init__(self, model: Model, name: str, compile: bool):
         self.calls = _calls(model.structure, name, compile)
@@ -45,23 +45,22 @@ class Problem:
         self.unknown_joints = name == "inverse"
         self.k = self.calls.tables(model.values)[0]
         self.columns = self.calls.columns
-        # More rows than unknowns (lines of a cable robot): the answer is the least-squares one,
-        # and what it leaves is in the residual, not in the status.
+        # More rows than unknowns (lines of a cable robot): the solution is that of least squares.
+        # Its residual is not zero, so the residual does not decide on the status.
         self.redundant = model.structure.phi.shape[0] > len(self.columns)
-        self.largest = (
-            np.inf if self.redundant else MAX_CLOSED_RESIDUAL_M
-        )  # residual (m) of a settled answer
+        # Largest residual (m) of a converged solution
+        self.largest = np.inf if self.redundant else MAX_CLOSED_RESIDUAL_M
 
     def solve_many(self, given: np.ndarray, rows: np.ndarray) -> list[np.ndarray]:
-        """Newton iterations from the mechanism's own start."""
+        """Iterate from the mechanism's own start."""
         return self.calls.many(given, rows, self.k)
 
     def refine(self, begin: np.ndarray, rows: np.ndarray) -> list[np.ndarray]:
-        """Newton iterations from given configurations."""
+        """Iterate from given configurations."""
         return self.calls.refine(begin, rows, self.k)
 
     def begin(self, given: np.ndarray, start: Solutions) -> np.ndarray:
-        """`given`, with the unknown coordinates taken from `start`."""
+        """Copy `given`, with the unknown coordinates taken from `start`."""
         begin, n = given.copy(), self._n
         if self.unknown_joints:
             begin[:, :n] = start.joints
@@ -75,7 +74,7 @@ class Problem:
 
     @cached_property
     def single_solver(self) -> Single:
-        """The same for one sample, with home, what is neutral, and the model's numbers put in."""
+        """`solve_many` for one sample; its buffers hold home, neutral conditions and the tables."""
         single, home = Single(self.calls.many.function), self._model.mechanism.home.configuration
         for array, known in zip(single.arguments, (home, self.neutral, self.k), strict=True):
             array[:] = known
@@ -85,7 +84,7 @@ class Problem:
     def neutral(self) -> np.ndarray:
         return self._model.condition_rows(None, 1)[0]
 
-    # ------------------------------------------------------------------ the careful way
+    # ------------------------------------------------------------------ the careful solver
 
     @cached_property
     def _evaluate(self) -> Single:
@@ -97,13 +96,16 @@ class Problem:
         return phi, J / self._model.structure.scale[self.columns]
 
     def smallest_singular_value(self, x: np.ndarray, a: np.ndarray) -> float:
-        """Of the closure's Jacobian in the unknowns, scaled to metres: 0 = singular."""
+        """Smallest singular value of the closure's Jacobian in the unknowns, scaled to metres.
+
+        Zero means singular.
+        """
         return float(np.linalg.svd(self._phi_and_jacobian(x, a)[1], compute_uv=False)[-1])
 
     def solve_carefully(
         self, x: np.ndarray, a: np.ndarray, given: np.ndarray
     ) -> tuple[np.ndarray, float, Status]:
-        """Levenberg-Marquardt from where the fast way ended, then from home (C.4)."""
+        """Descend by Levenberg-Marquardt from the fast solver's end `x`, then from home (C.4)."""
         ends = []
         for start in (x, given):
             if not np.isfinite(start).all():
@@ -124,7 +126,9 @@ class Problem:
                 return x, size, Status.NOT_CONVERGED
             if np.linalg.norm(step) < 1e-15:
                 break
-            candidate = self._apply_step(x, step)
+            change = np.zeros(self._n + 6)
+            change[self.columns] = step / self._model.structure.scale[self.columns]
+            candidate = Configuration.from_rows(x).apply_change(change).rows
             new_phi, new_J = self._phi_and_jacobian(candidate, a)
             new_size = float(np.linalg.norm(new_phi))
             if new_size < size:
@@ -140,8 +144,3 @@ class Problem:
         if size < MAX_CLOSED_RESIDUAL_M or (flat and self.redundant):
             return x, size, Status.CONVERGED
         return x, size, Status.UNREACHABLE if flat or size > 1e-6 else Status.NOT_CONVERGED
-
-    def _apply_step(self, x: np.ndarray, step: np.ndarray) -> np.ndarray:
-        change = np.zeros(self._n + 6)
-        change[self.columns] = step / self._model.structure.scale[self.columns]
-        return Configuration.from_rows(x).apply_change(change).rows

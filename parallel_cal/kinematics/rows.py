@@ -1,4 +1,4 @@
-"""Given joints or poses as configurations, the unknown part at home."""
+"""Configurations from given joints or poses, with the unknown part at home."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from parallel_cal.model.model import Model
 
 
 def joint_rows(model: Model, q: np.ndarray) -> np.ndarray:
-    """(N, nq + 12) configurations with joints (nq,) or (N, nq) and the platform at home."""
+    """Build configurations (N, nq + 12) with joints (nq,) or (N, nq) and the platform at home."""
     q = np.atleast_2d(np.asarray(q, dtype=float))
     n = len(model.joints)
     if q.shape[1] != n:
@@ -24,7 +24,7 @@ def joint_rows(model: Model, q: np.ndarray) -> np.ndarray:
 
 
 def pose_rows(model: Model, position: np.ndarray, rotation: np.ndarray | None) -> np.ndarray:
-    """(N, nq + 12) configurations with the given poses and the joints at home."""
+    """Build configurations (N, nq + 12) with the given poses and the joints at home."""
     r = np.atleast_2d(np.asarray(position, dtype=float))
     if r.shape[1] != 3:
         raise SolveError(f"a position has 3 coordinates (m), but {r.shape[1]} are given")

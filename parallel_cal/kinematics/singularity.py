@@ -1,4 +1,4 @@
-"""How far a configuration is from a direct or an inverse singularity (6.2.4)."""
+"""Distance of a configuration from a direct and an inverse singularity (6.2.4)."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ class Distances:
     """Smallest scaled singular values (N,) of the closure's Jacobian in the pose (`direct`)
     and in joints and passive coordinates (`inverse`), and the signs of their determinants.
 
-    Metres of closure error for a metre of motion: 0 is singular. In a direct singularity the
-    platform moves with locked joints, in an inverse one the joints with a locked platform. A
-    determinant that changes sign on the way between two poses means a singularity between.
+    They are metres of closure error per metre of motion; 0 is singular. In a direct singularity
+    the platform moves with locked joints, in an inverse one the joints move with a locked platform.
+    If a determinant changes its sign along a path, the path passes a singularity.
     """
 
     direct: np.ndarray
@@ -29,7 +29,7 @@ class Distances:
 
 
 def distances(model: Model, solutions: Solutions, at: Mapping[str, Any] | None = None) -> Distances:
-    """Both distances of N solved configurations."""
+    """Compute both distances of N solved configurations."""
     direct, inverse = jacobians(model, solutions, at)
     return Distances(
         smallest_singular_values(direct),
@@ -42,7 +42,7 @@ def distances(model: Model, solutions: Solutions, at: Mapping[str, Any] | None =
 def jacobians(
     model: Model, solutions: Solutions, at: Mapping[str, Any] | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """d phi/d(pose) and d phi/d(joints, passive), columns in metres: (N, rows, unknowns)."""
+    """Compute d phi/d(pose) and d phi/d(joints, passive), (N, rows, unknowns), in metres."""
     s, m, n = model.structure, model.mechanism, len(model.joints)
     x = np.atleast_2d(solutions.configuration.rows)
     C = s.jacobians(x, model.condition_rows(at, len(x)), model.values)[0] / s.scale
@@ -50,7 +50,7 @@ def jacobians(
 
 
 def smallest_singular_values(J: np.ndarray) -> np.ndarray:
-    """The smallest singular value of each Jacobian, NaN where it is not finite."""
+    """Compute the smallest singular value of each Jacobian; NaN if it is not finite."""
     finite = np.isfinite(J).all(axis=(1, 2))
     sizes = np.full(len(J), np.nan)
     if finite.any():
@@ -59,7 +59,7 @@ def smallest_singular_values(J: np.ndarray) -> np.ndarray:
 
 
 def _sign(J: np.ndarray) -> np.ndarray:
-    """Of the determinant; 1 where there are more rows than unknowns."""
+    """Sign of the determinant; 1 if there are more rows than unknowns."""
     signs = np.ones(len(J))
     if J.shape[1] == J.shape[2]:
         finite = np.isfinite(J).all(axis=(1, 2))

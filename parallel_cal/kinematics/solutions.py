@@ -1,4 +1,4 @@
-"""What a solved direct or inverse problem is: arrays of solutions, each with a status."""
+"""Solutions of a direct or inverse problem: arrays, each row with a status."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ MAX_SETTLED_STEP_M = 1e-10  # m: a last step below this leaves an error below ro
 MIN_REGULAR_SINGULAR_VALUE = (
     1e-4  # smallest scaled singular value: errors are amplified more than 10^4 times
 )
-SUSPECT_PIVOT = 1e-2  # the cheap sign that a sample may be near a singularity
+SUSPECT_PIVOT = 1e-2  # a smaller pivot means that a sample may be near a singularity
 
 
 class Status(IntEnum):
-    """What a solution is worth; the numbers are those of parallel_cal_msgs/Solution."""
+    """Status of a solution; the numbers are those of parallel_cal_msgs/Solution."""
 
     CONVERGED = 0
     UNREACHABLE = 1
@@ -43,11 +43,11 @@ SOLVED = np.isin(list(Status), [Status.CONVERGED, Status.SINGULAR, Status.OUTSID
 @dataclass(frozen=True)
 class Solutions:
     """N solved configurations: joints (N, nq), position (N, 3) m, rotation (N, 3, 3),
-    residual (N,) m and status (N,). Indexing gives one, or a smaller set.
+    residual (N,) m and status (N,). Indexing returns one solution or a smaller set.
 
-    `complete`: whether these are known to be all of one sample (None: not asked for).
-    `count_complex` says how many complex solutions a complete search found (None: no such search);
-    `message` what a solver has to say about all of them together.
+    `complete`: whether these are known to be all solutions of one sample (None: not requested).
+    `count_complex`: number of complex solutions that a complete search found (None: no such
+    search). `message`: a solver's remark on the whole set.
     """
 
     joints: np.ndarray
@@ -61,16 +61,19 @@ class Solutions:
 
     @classmethod
     def from_converged(
-        cls, q: np.ndarray, r: np.ndarray, R: np.ndarray, left: np.ndarray
+        cls, q: np.ndarray, r: np.ndarray, R: np.ndarray, residual: np.ndarray
     ) -> Solutions:
-        """One that converged, all numbers its own; the class's beginning takes a microsecond."""
+        """A converged solution that owns its arrays.
+
+        It bypasses `__init__`, which would take a microsecond of every solution.
+        """
         one = object.__new__(cls)
-        one.__dict__.update(joints=q, position=r, rotation=R, residual=left, status=CONVERGED)
+        one.__dict__.update(joints=q, position=r, rotation=R, residual=residual, status=CONVERGED)
         return one
 
     @classmethod
     def of(cls, rows: np.ndarray, residual: np.ndarray, status: np.ndarray) -> Solutions:
-        """Solved configurations (N, nq + 12), or one."""
+        """Solutions from configurations (N, nq + 12) or (nq + 12,)."""
         x = Configuration.from_rows(rows)
         return cls(x.q, x.r, x.R, residual, status)
 
@@ -102,7 +105,7 @@ class Solutions:
 
     @property
     def solved(self) -> np.ndarray:
-        """Which are solutions at all, singular or outside the limits as they may be."""
+        """Which rows close, including singular ones and those outside the joint limits."""
         return np.asarray(SOLVED[self.status])
 
     @property
@@ -111,12 +114,12 @@ class Solutions:
 
 
 def stack_solutions(found: Sequence[Solutions]) -> Solutions:
-    """Single solutions as one set."""
+    """Stack single solutions to one set."""
     return _combine(np.stack, found)
 
 
 def concatenate_solutions(found: Sequence[Solutions]) -> Solutions:
-    """Several sets as one."""
+    """Concatenate several sets to one."""
     return _combine(np.concatenate, found)
 
 

@@ -25,17 +25,15 @@ SHELF = "kinematics.solvers"
 def direct(
     model: Model, q: np.ndarray, at: Conditions, every: bool = False, solver: str = ""
 ) -> Solutions:
-    """Poses for joints: one each for (N, nq), or `every` one for (nq,), home branch first.
+    """Find poses for joints: one each for (N, nq), or `every` one for (nq,), home branch first.
 
-    Without a `solver` Newton's method, or for `every` one what is most complete. SolveError where
-    the solver is unknown or not made for this model.
+    Without a `solver`, Newton's method is used, or the most complete method for `every` one.
+    SolveError if the solver is unknown or does not support this model.
     """
     if not every:
         return _load_solver(solver, "direct", every)(model, np.atleast_2d(q), at)
-    solve, none = (
-        _load_solver(solver, "direct", every),
-        stack_solutions([make_unsolved(model, q=q)]),
-    )
+    solve = _load_solver(solver, "direct", every)
+    none = stack_solutions([make_unsolved(model, q=q)])
     if not np.isfinite(q).all():
         return none
     found = solve(model, q, at)
@@ -50,9 +48,9 @@ def inverse(
     every: bool = False,
     solver: str = "",
 ) -> Solutions:
-    """Joints for positions and rotations: one each for (N, 3), or `every` one for (3,).
+    """Find joints for positions and rotations: one each for (N, 3), or `every` one for (3,).
 
-    Of the pose only what the robot controls counts (`controlled_pose`).
+    Only the controlled coordinates of the pose count (`controlled_pose`).
     """
     r, R = controlled_pose(model, r, R)
     if not every:
@@ -67,7 +65,10 @@ def inverse(
 def controlled_pose(
     model: Model, r: np.ndarray, R: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """The pose with what the robot does not control taken from home; None: all of the rotation."""
+    """Replace uncontrolled coordinates of the position by those of home.
+
+    The rotation is None if the robot controls none of its coordinates.
+    """
     controlled = model.mechanism.controlled
     ignored = [i for i in range(3) if i not in controlled]
     if ignored:
@@ -77,21 +78,21 @@ def controlled_pose(
 
 
 def solvers() -> dict[str, str]:
-    """Name and purpose of every solver on the shelf: the last paragraph of its file's docstring."""
+    """List name and purpose of every solver: the last paragraph of its module's docstring."""
     docs = {name: load_module(SHELF, name).__doc__ or "" for name in list_plugins(SHELF)}
     return {name: " ".join(doc.split("\n\n")[-1].split()) for name, doc in docs.items()}
 
 
 def get_build_note(solver: str) -> str:
-    """What a solver on the shelf builds before its first answer, where that takes long."""
+    """Name what a solver builds before its first solution, if that takes long, else ''."""
     name = solver.partition(":")[0]
     on_shelf = name in list_plugins(SHELF)
     return getattr(load_module(SHELF, name), "BUILDS", "") if on_shelf else ""
 
 
 def _load_solver(text: str, problem: str, every: bool) -> Callable[..., Solutions]:
-    """A solver's function by `NAME[:option=value,...]`: a file on the shelf solvers/, or the one at
-    a Python path; SolveError where it has none for this."""
+    """Load a solver's function by `NAME[:option=value,...]`; NAME is a file on the shelf solvers/
+    or a Python path. SolveError if there is none for this problem."""
     if every and not text:
         return direct_all if problem == "direct" else inverse_all
     name, given = split_options(text or "newton", "solver", SolveError)

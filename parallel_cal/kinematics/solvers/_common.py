@@ -1,4 +1,4 @@
-"""What the solver modules share: what the mechanism sees, branches, and solutions with status."""
+"""Helpers of the solvers: inputs of the mechanism, branches, and solutions with status."""
 
 from __future__ import annotations
 
@@ -35,19 +35,19 @@ def check_step_count(steps: int) -> int:
 
 @lru_cache(maxsize=8)
 def get_kinematics(model: Model) -> Kinematics:
-    """The model's own direct problem, for refining what a solver found; made once a model."""
+    """The model's Newton solver, which refines solutions of other solvers; one per model."""
     return Kinematics(model)
 
 
 def half_step_function(name: str, s: Structure, q: Any, r: Any, R: Any) -> ca.Function:
-    """(configuration, a, v) -> configuration, where half steps lead to q, r and R."""
+    """Build (configuration, a, v) -> configuration from the q, r and R that half steps reach."""
     found = ca.vertcat(q, r, ca.vec(ca.SX(R).T))
     return dense(name, [s.configuration, s.a, s.v], [found])
 
 
 @lru_cache(maxsize=32)
 def _parts(s: Structure, method: str) -> Single:
-    """(configuration, a, v) -> what the mechanism's method lists, after the effects."""
+    """Compile (configuration, a, v) -> results of the mechanism's method, after the effects."""
     parts = getattr(s.mechanism, method)(s.seen.q, s.seen.p)
     outputs = [ca.SX(ca.horzcat(*part)) for part in parts]
     return Single(dense(method, [s.configuration, s.a, s.v], outputs))
@@ -56,8 +56,10 @@ def _parts(s: Structure, method: str) -> Single:
 def parts(
     model: Model, method: str, q: np.ndarray, at: Mapping[str, Any] | None
 ) -> list[np.ndarray]:
-    """What the mechanism's method `rods` or `circles` lists at joints q (nq,), after the effects:
-    points (n, 3) and lengths (n,); SolveError where it has no such method."""
+    """Evaluate the mechanism's method `rods` or `circles` at joints q (nq,), after the effects.
+
+    Returns points (n, 3) and lengths (n,). SolveError if the mechanism has no such method.
+    """
     if not hasattr(model.mechanism, method):
         raise SolveError(
             f"mechanism {model.mechanism.name} has no method `{method}`, so its "
@@ -70,7 +72,7 @@ def parts(
 
 
 def match_shape(solutions: Solutions, given: np.ndarray) -> Solutions:
-    """One solution where one was asked for."""
+    """Return one solution if one sample was given."""
     return solutions[0] if np.ndim(given) == 1 else solutions
 
 
@@ -82,9 +84,9 @@ def evaluate_solver(
     tolerance: float,
     problem: str,
 ) -> Solutions:
-    """(configuration, a, v) -> configuration on all samples, judged by the closure.
+    """Evaluate (configuration, a, v) -> configuration on all samples; the closure gives the status.
 
-    Converged means a residual below `tolerance` (m): a fixed number of steps is as good as it is.
+    Converged means a residual below `tolerance` (m): the number of steps is fixed.
     """
     (x,) = Batch(solve)(given, model.condition_rows(at, len(given)), model.values)
     solutions = with_status(model, x, at, tolerance, problem)
@@ -93,7 +95,7 @@ def evaluate_solver(
 
 
 def residuals(model: Model, x: np.ndarray, at: Mapping[str, Any] | None) -> np.ndarray:
-    """Of the closure at configurations (N, nq + 12): (N,) m."""
+    """Compute the closure's residual (N,) in m at configurations (N, nq + 12)."""
     phi = model.structure.closure_batch(x, model.condition_rows(at, len(x)), model.values)[0]
     return np.asarray(np.linalg.norm(phi, axis=1))
 
@@ -101,7 +103,7 @@ def residuals(model: Model, x: np.ndarray, at: Mapping[str, Any] | None) -> np.n
 def with_status(
     model: Model, x: np.ndarray, at: Mapping[str, Any] | None, tolerance: float, problem: str
 ) -> Solutions:
-    """Configurations (N, nq + 12) as solutions of the direct or the inverse problem, with the
+    """Convert configurations (N, nq + 12) to solutions of the direct or inverse problem, with the
     closure's residual and a status."""
     n, residual = len(model.joints), residuals(model, x, at)
     limits = np.array(model.mechanism.joint_limits, dtype=float).reshape(-1, 2)
@@ -124,7 +126,7 @@ def solve_on_home_branch(
     at: Mapping[str, Any] | None,
     every: Callable[[Model, np.ndarray, Mapping[str, Any] | None], Solutions],
 ) -> Solutions:
-    """The first of `every` solution for joints (nq,) or (N, nq); unreachable where none is."""
+    """Return the first solution of `every` for joints (nq,) or (N, nq); unreachable if none."""
     q = np.asarray(q, dtype=float)
     if q.ndim == 1:
         found = every(model, q, at) if np.isfinite(q).all() else None
@@ -136,9 +138,9 @@ def solve_on_home_branch(
 
 
 def order_from_home(model: Model, poses: Solutions, at: Mapping[str, Any] | None) -> np.ndarray:
-    """The order of all poses of one set of joints from the home branch outwards.
+    """Order all poses of one set of joints by their distance from the pose on the home branch.
 
-    Nearest to home is not enough: far from home a pose of another assembly mode may be nearer.
+    The distance from home would not do: far from home another assembly mode may be nearer to it.
     """
     if len(poses) == 0:
         return np.arange(0)
@@ -152,7 +154,7 @@ def order_from_home(model: Model, poses: Solutions, at: Mapping[str, Any] | None
 
 
 def select_conditions(at: Mapping[str, Any] | None, i: int) -> dict[str, Any] | None:
-    """The conditions of sample i, where some are columns."""
+    """Select the conditions of sample i; some conditions may be columns."""
     if at is None:
         return None
     return {name: np.ravel(v)[i] if np.size(v) > 1 else v for name, v in at.items()}
@@ -161,7 +163,7 @@ def select_conditions(at: Mapping[str, Any] | None, i: int) -> dict[str, Any] | 
 def make_unsolved(
     model: Model, q: np.ndarray | None = None, r: np.ndarray | None = None
 ) -> Solutions:
-    """The one answer where nothing is real: out of reach, or not a number to begin with."""
+    """Make the solution of an unreachable sample or of an input that is not finite."""
     finite = all(np.isfinite(given).all() for given in (q, r) if given is not None)
     status = np.array(Status.UNREACHABLE if finite else Status.INVALID_INPUT, dtype=np.int8)
     x = Configuration.from_rows(np.full(len(model.joints) + 12, np.nan))
@@ -170,14 +172,14 @@ def make_unsolved(
 
 
 def pose_candidates(model: Model, q: np.ndarray) -> Configuration:
-    """The mechanism's candidates for the poses of joints (nq,), those that are real."""
+    """Evaluate the mechanism's candidates for the poses of joints (nq,); real ones only."""
     columns = np.array(model.structure.candidates(q, model.values)).T
     poses = columns[np.isfinite(columns).all(axis=1)]
     return Configuration(np.asarray(q), poses[:, :3], poses[:, 3:].reshape(-1, 3, 3))
 
 
 def joint_candidates(model: Model, r: np.ndarray, R: np.ndarray) -> Configuration:
-    """All combinations of the joints' candidates for a pose, those that are real."""
+    """Combine the joints' candidates for a pose in all ways; real ones only."""
     choices = model.structure.joint_candidates.call([r, R.ravel(), model.values])
     sets = np.array(list(product(*(np.array(c).ravel() for c in choices))))
     return Configuration(sets[np.isfinite(sets).all(axis=1)], np.asarray(r, dtype=float), R)
@@ -185,7 +187,7 @@ def joint_candidates(model: Model, r: np.ndarray, R: np.ndarray) -> Configuratio
 
 @lru_cache(maxsize=16)
 def is_pose_unaffected(s: Structure) -> bool:
-    """Whether no effect edits the pose, or looks at it to edit joints or geometry."""
+    """Whether no effect changes the pose, and none uses it to change joints or geometry."""
     ideal, pose = s.seen, ca.vertcat(s.r, s.R9)
     edited = ca.vertcat(ca.vec(ideal.r - s.r), ca.vec(ca.SX(ideal.R - s.R)))
     return edited.is_zero() and not ca.depends_on(ca.vertcat(ideal.q, ideal.p._vector), pose)

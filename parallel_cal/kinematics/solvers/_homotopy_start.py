@@ -1,8 +1,8 @@
-"""Makes homotopy_start.json, the platform with 40 known poses that every homotopy starts from.
+"""Make homotopy_start.json, the platform with 40 known poses at which every homotopy begins.
 
 One pose of a random complex platform is known by construction: choose the pose, compute the
-lengths. Leading it around loops in the space of platforms permutes the poses of the platform
-(monodromy) and so finds the others; the search stops at the 40 that exist.
+lengths. Tracking it along loops in the space of platforms permutes the poses of the platform
+(monodromy) and so finds the others. The search stops at the 40 that exist.
 
 Run it with `python -m parallel_cal.kinematics.solvers._homotopy_start`.
 """
@@ -29,7 +29,7 @@ LOOPS = 60
 
 
 def random_platform(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Complex C and B (6, 3) of size one, centred as every target is, and one zero (8,)."""
+    """Draw complex C and B (6, 3) of size one, centred like every target, and one zero (8,)."""
     C, B = (_complex_normal(rng, 6, 3) for _ in range(2))
     C, B = C - C.mean(axis=0), B - B.mean(axis=0)
     zero = _complex_normal(rng, 8)
@@ -39,13 +39,13 @@ def random_platform(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, n
 
 
 def squares_through(C: np.ndarray, B: np.ndarray, zero: np.ndarray) -> np.ndarray:
-    """Squared lengths (6,) of the rods that reach from C to B at a pose."""
+    """Compute the squared lengths (6,) of the rods from C to B at a pose."""
     M = quadrics(C, B, np.zeros(6))
     return (zero @ M[:6] @ zero) / (zero[:4] @ zero[:4])
 
 
 def all_zeros(M: np.ndarray, zero: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """The zeros of M reached from one of them by loops through other platforms."""
+    """Find the zeros of M from one of them, by loops through other platforms."""
     found = normalise(zero[None])
     for _ in range(LOOPS):
         C, B, elsewhere = random_platform(rng)

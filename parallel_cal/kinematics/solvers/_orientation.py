@@ -15,23 +15,26 @@ from parallel_cal.base.errors import SolveError
 
 # (cos, sin, 1) (1 + u^2) = HALF_TANGENT (u^2, u, 1)
 HALF_TANGENT = np.array([[-1.0, 0, 1], [0, 2, 0], [1, 0, 1]])
-TURNS = (0.0, 0.7, 1.9, 2.6, 4.1)  # origins tried, so that no root is at u = inf
+TURNS = (0.0, 0.7, 1.9, 2.6, 4.1)  # rad: origins to try, so that no root is at u = inf
 NEARLY_REAL = 1e-4  # imaginary part of u that rounding may leave on a double root
-MAX_CLOSED_RESIDUAL = 1e-11  # residual of a solution, relative to the size of the conditions
+MAX_CLOSED_RESIDUAL = 1e-11  # of a solution, relative to the size of the conditions
 
 
 def orientations(
     u: np.ndarray, v: np.ndarray, c: np.ndarray, form: str = "eigenvalue"
 ) -> np.ndarray:
-    """All rotations R (k, 3, 3), k <= 8, with u_i . R v_i = c_i.
+    """Find all rotations R (k, 3, 3), k <= 8, with u_i . R v_i = c_i.
 
-    u (3, 3) rows fixed in the base, v (3, 3) rows fixed in the platform, c (3,) cosines for
-    unit vectors. `form` is how the first angle is found: "polynomial" or "eigenvalue".
+    The rows of u (3, 3) are fixed in the base, those of v (3, 3) in the platform; c (3,) are
+    cosines if these are unit vectors. `form` selects the method for the first angle: "polynomial"
+    or "eigenvalue".
     """
     u, v, c = (np.asarray(a, dtype=float) for a in (u, v, c))
     size_u, size_v = np.linalg.norm(u, axis=1), np.linalg.norm(v, axis=1)
     u, v, c = u / size_u[:, None], v / size_v[:, None], c / (size_u * size_v)
-    first = int(np.argmin(np.abs(c)))  # the widest circle: a point would leave one angle idle
+    first = int(
+        np.argmin(np.abs(c))
+    )  # the widest circle; a point would leave one angle undetermined
     if abs(c[first]) > 1:
         return np.empty((0, 3, 3))
     A = _find_carrying_rotation(v[first], u[first], c[first])
@@ -45,24 +48,29 @@ def orientations(
 
 
 def angles(m: np.ndarray, k: np.ndarray, form: str = "eigenvalue") -> np.ndarray:
-    """All real pairs (theta2, theta3), (n, 2) rad, of eq. 6.7 for matrices m and k (3, 3).
+    """Find all real pairs (theta2, theta3), (n, 2) rad, of eq. 6.7 for matrices m and k (3, 3).
 
-    A half tangent has no value at pi: both angles are counted from an origin that keeps the
-    solutions away from there.
+    A half tangent is infinite at pi. Both angles have an origin that keeps the solutions away from
+    pi.
     """
     m, k = (a / np.linalg.norm(a) for a in (np.asarray(m, dtype=float), np.asarray(k, dtype=float)))
     roots, turn = _first_roots(m, k, FORMS[form])
     real = roots[np.abs(roots.imag) < NEARLY_REAL * (1 + np.abs(roots))].real
     pairs = [pair for t in 2 * np.arctan(real) + turn for pair in _find_second_angles(t, m, k)]
-    return _distinct([_polish(np.array(pair), m, k) for pair in pairs], m, k)
+    found: list[np.ndarray] = []
+    for pair in (_polish(np.array(pair), m, k) for pair in pairs):
+        new = np.all([np.abs(np.exp(1j * pair) - np.exp(1j * old)).max() > 1e-6 for old in found])
+        if new and np.abs(_bilinear(pair, m, k)[0]).max() < MAX_CLOSED_RESIDUAL:
+            found.append(np.angle(np.exp(1j * pair)))  # between -pi and pi
+    return np.array(sorted(found, key=tuple)).reshape(-1, 2)
 
 
 def coefficients(m: np.ndarray, k: np.ndarray) -> np.ndarray:
-    """P_8 .. P_0 of the univariate polynomial in u_2 (eqs 6.11, 6.12 and 6.17)."""
+    """Compute P_8 .. P_0 of the polynomial in u_2 (eqs 6.11, 6.12 and 6.17)."""
     M, K = ((HALF_TANGENT.T @ a @ HALF_TANGENT).T for a in (m, k))  # rows: columns of eq. 6.9
 
     def term(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.ndarray:
-        """(u.a)(u.b)(u.c)(u.d), blown up and shrunk (eq. 6.16)."""
+        """(u.a)(u.b)(u.c)(u.d), expanded and shrunk (eq. 6.16)."""
         return sh(np.outer(sh(np.outer(a, b)), sh(np.outer(c, d))))
 
     (M1, M2, M3), (K1, K2, K3) = M, K
@@ -72,7 +80,7 @@ def coefficients(m: np.ndarray, k: np.ndarray) -> np.ndarray:
 
 
 def sh(G: np.ndarray) -> np.ndarray:
-    """Shrink (eq. B.5): the polynomial x G x as coefficients, sums along the antidiagonals."""
+    """Shrink (eq. B.5): coefficients of the polynomial x G x, as sums along the antidiagonals."""
     n = len(G)
     flipped = G[:, ::-1]
     return np.array([np.trace(flipped, offset) for offset in range(n - 1, -n, -1)])
@@ -85,7 +93,7 @@ def sw(k: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 
 def _by_polynomial(m: np.ndarray, k: np.ndarray) -> tuple[np.ndarray, float]:
-    """Roots u_2 of eq. 6.12, and how far its leading coefficient is from vanishing."""
+    """Roots u_2 of eq. 6.12, and the relative size of its leading coefficient."""
     P = coefficients(m, k)
     size = np.abs(P).max()
     if size < 1e-14:
@@ -94,9 +102,9 @@ def _by_polynomial(m: np.ndarray, k: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 def _by_eigenvalues(m: np.ndarray, k: np.ndarray) -> tuple[np.ndarray, float]:
-    """The same u_2 as eigenvalues: eq. 6.10 says that u^2 S2 + u S1 + S0 is singular.
+    """Roots u_2 as eigenvalues: by eq. 6.10, u^2 S2 + u S1 + S0 is singular.
 
-    Better conditioned than the polynomial, whose coefficients are products of four factors.
+    This is better conditioned than the polynomial, whose coefficients are products of four factors.
     """
     S = np.zeros((3, 4, 4))
     for row, a in ((0, m), (2, k)):
@@ -116,10 +124,10 @@ FORMS = {"polynomial": _by_polynomial, "eigenvalue": _by_eigenvalues}
 
 
 def _first_roots(m: np.ndarray, k: np.ndarray, roots: Callable) -> tuple[np.ndarray, float]:
-    """u_2 from the best of a few origins of both angles, and the origin of the first."""
+    """Roots u_2 for the best of a few origins of both angles, and the origin of the first angle."""
     tried = []
     for turn in TURNS:
-        # theta = turn + theta' turns the cosine and sine; the second angle's origin moves too.
+        # theta = turn + theta' rotates cosine and sine; the second angle's origin moves, too.
         there, other = _rot3(np.eye(3)[2], turn), _rot3(np.eye(3)[2], 0.3 - turn)
         tried.append((*roots(there.T @ m @ other, there.T @ k @ other), turn))
     best = max(tried, key=lambda t: t[1])
@@ -133,10 +141,10 @@ def _first_roots(m: np.ndarray, k: np.ndarray, roots: Callable) -> tuple[np.ndar
 
 
 def _find_second_angles(t: float, m: np.ndarray, k: np.ndarray) -> list[tuple[float, float]]:
-    """theta_3 for a theta_2: where both circles a cos + b sin + c = 0 agree (eq. 6.18).
+    """theta_3 for a given theta_2: the solution of two equations a cos + b sin + c = 0 (eq. 6.18).
 
-    As two lines in (cos, sin) they meet in one point; where they coincide, a double root of
-    the polynomial has two values of theta_3: those at which the line meets the circle.
+    As lines in the plane (cos, sin) they meet in one point. If they coincide, a double root of the
+    polynomial has two values of theta_3: those at which the line meets the unit circle.
     """
     q = np.array([np.cos(t), np.sin(t), 1.0])
     lines = np.array([q @ m, q @ k])
@@ -150,7 +158,7 @@ def _find_second_angles(t: float, m: np.ndarray, k: np.ndarray) -> list[tuple[fl
 
 
 def _polish(pair: np.ndarray, m: np.ndarray, k: np.ndarray) -> np.ndarray:
-    """Newton's method on eq. 6.7; least squares where a double solution makes it singular."""
+    """Newton's method on eq. 6.7; least squares, as a double solution makes it singular."""
     for _ in range(8):
         value, slope = _bilinear(pair, m, k)
         pair = pair - np.linalg.lstsq(slope, value, rcond=1e-9)[0]
@@ -165,16 +173,6 @@ def _bilinear(pair: np.ndarray, m: np.ndarray, k: np.ndarray) -> tuple[np.ndarra
     return value, np.array([[d2 @ a @ q3, q2 @ a @ d3] for a in (m, k)])
 
 
-def _distinct(pairs: list[np.ndarray], m: np.ndarray, k: np.ndarray) -> np.ndarray:
-    """Those that solve eq. 6.7, each once, between -pi and pi."""
-    found: list[np.ndarray] = []
-    for pair in pairs:
-        new = np.all([np.abs(np.exp(1j * pair) - np.exp(1j * old)).max() > 1e-6 for old in found])
-        if new and np.abs(_bilinear(pair, m, k)[0]).max() < MAX_CLOSED_RESIDUAL:
-            found.append(np.angle(np.exp(1j * pair)))
-    return np.array(sorted(found, key=tuple)).reshape(-1, 2)
-
-
 def _find_carrying_rotation(v: np.ndarray, u: np.ndarray, cosine: float) -> np.ndarray:
     """Some rotation that carries the unit vector v to the angle arccos(cosine) from u."""
     across = np.eye(3)[np.argmin(np.abs(v))]
@@ -182,7 +180,7 @@ def _find_carrying_rotation(v: np.ndarray, u: np.ndarray, cosine: float) -> np.n
     aside = np.cross(u, np.eye(3)[np.argmin(np.abs(u))])
     aside /= np.linalg.norm(aside)
     goal = cosine * u + np.sqrt(max(0.0, 1 - cosine**2)) * aside
-    # frames with first axis v and `goal`: their quotient carries one to the other
+    # Two frames, with first axis v and `goal`: their quotient carries v to `goal`.
     other = np.cross(goal, np.eye(3)[np.argmin(np.abs(goal))])
     other /= np.linalg.norm(other)
     there = np.column_stack([goal, other, np.cross(goal, other)])

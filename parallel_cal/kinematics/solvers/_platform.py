@@ -1,7 +1,7 @@
-"""All poses of one platform on six rods (6.2.4), by a homotopy from 40 stored ones.
+"""All poses of one platform on six rods (6.2.4), by a homotopy from 40 stored poses.
 
 Each rod is a quadric in the dual quaternion of the pose (eq. 6.19); seven quadrics have 40
-proper zeros. The 40 of one generic platform are led to the platform asked for.
+proper zeros. The zeros of one generic platform are tracked to those of the given platform.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ from parallel_cal.kinematics.solvers._quadrics import (
 from parallel_cal.kinematics.solvers._study import poses, quadrics
 
 START = Path(__file__).with_name("homotopy_start.json")
-N_GENERIC_POSES = 40  # of a generic platform (Wampler, Husty, Raghavan)
-NEARLY_REAL = 1e-3  # imaginary part that a real zero, however ill-conditioned, stays below
-AT_INFINITY = 1e-13  # |e.e| of a zero that is no pose (e = 0 = g.g is a singular surface)
+N_GENERIC_POSES = 40  # poses of a generic platform (Wampler, Husty, Raghavan)
+NEARLY_REAL = 1e-3  # bound on the imaginary part of a real zero, even if ill-conditioned
+AT_INFINITY = 1e-13  # |e.e| of a zero that is not a pose (e = 0 = g.g is a singular surface)
 
 
 @dataclass(frozen=True)
 class PoseSet:
     """All poses of one platform: the complex ones, and the real ones among them.
 
-    position (k, 3) m and rotation (k, 3, 3) are complex; `certified` (k,) tells which passed
+    position (k, 3) m and rotation (k, 3, 3) are complex; `certified` (k,) says which passed
     Smale's alpha test. `real` holds the real poses, certified to be real, residuals in m.
-    `retries` counts the times that the paths had to be followed anew; `complete`: all 40 were
-    found, or another way found no more.
+    `retries` counts how often the paths were tracked again; `complete`: all 40 were found, or
+    other paths found no more.
     """
 
     position: np.ndarray
@@ -55,10 +55,10 @@ class PoseSet:
 
 
 def all_poses(C: np.ndarray, B: np.ndarray, L: np.ndarray, retries: int = 2) -> PoseSet:
-    """Every pose with |P + R B_i - C_i| = L_i: C and B (6, 3), L (6,), in m.
+    """Find every pose with |P + R B_i - C_i| = L_i: C and B (6, 3), L (6,), in m.
 
-    Poses are counted where they are regular: at a singularity, or in a special geometry, where
-    some coincide or lie at infinity, there are fewer than 40.
+    Only regular poses count. At a singularity, or in a special geometry, some coincide or lie at
+    infinity, and there are fewer than 40.
     """
     C, B, L = _check_platform(C, B, L)
     c, b = C.mean(axis=0), B.mean(axis=0)
@@ -67,37 +67,44 @@ def all_poses(C: np.ndarray, B: np.ndarray, L: np.ndarray, retries: int = 2) -> 
     X, used, complete = _zeros(M, retries)
     size, _ = alpha(X, M) if len(X) else (np.empty(0), None)
     position, rotation = poses(X)
-    real_position, real_rotation = poses(_real_zeros(X, M))
-
-    def back(r: np.ndarray, R: np.ndarray) -> np.ndarray:
-        return r * unit + c - R @ b
-
-    real = _rod_solutions(back(real_position, real_rotation), real_rotation, C, B, L)
-    return PoseSet(
-        back(position, rotation), rotation, size < MAX_CERTIFIED_ALPHA, real, used, complete
-    )
+    r, R = poses(_real_zeros(X, M))
+    # Undo the scaling and centring.
+    position, r = position * unit + c - rotation @ b, r * unit + c - R @ b
+    rods = r[:, None, :] + np.einsum("kij,nj->kni", R, B) - C
+    residual = np.linalg.norm(np.linalg.norm(rods, axis=2) - L, axis=1)
+    converged = np.full(len(r), Status.CONVERGED, dtype=np.int8)
+    real = Solutions(np.empty((len(r), 0)), r, R, residual, converged)
+    return PoseSet(position, rotation, size < MAX_CERTIFIED_ALPHA, real, used, complete)
 
 
 @lru_cache(maxsize=1)
 def start_system() -> tuple[np.ndarray, np.ndarray]:
     """The stored generic platform's quadrics (7, 8, 8) and their zeros (40, 8)."""
     stored = json.loads(START.read_text())
-    C, B, squares, zeros = (_complex(stored[k]) for k in ("C", "B", "squares", "zeros"))
+    # Complex numbers are stored as [real, imaginary].
+    C, B, squares, zeros = (
+        np.asarray(stored[k], dtype=float) @ np.array([1, 1j])
+        for k in ("C", "B", "squares", "zeros")
+    )
     return quadrics(C, B, squares), zeros
 
 
 def _zeros(M: np.ndarray, retries: int) -> tuple[np.ndarray, int, bool]:
-    """The distinct proper zeros of M, how often its paths had to be followed again, and whether
-    they are all.
+    """The distinct proper zeros of M, the number of retries, and whether the zeros are complete.
 
-    Again, another way and in shorter steps, until there are 40 or the next time adds none.
+    A retry tracks other paths in shorter steps. It ends at 40 zeros, or if a retry adds none.
     """
     start, zeros = start_system()
     found = np.empty((0, 8), dtype=complex)
     for attempt in range(retries + 1):
         gamma = np.exp(2j * np.pi * np.random.default_rng(attempt).random())
         X, arrived = Tracker(start, M, gamma, 1e-5 * 0.1**attempt)(zeros)
-        before, found = len(found), np.concatenate([found, _select_proper(X[arrived], M)])
+        X = refine(X[arrived], M)
+        # Proper zeros are regular and have a finite pose.
+        size, beta = alpha(X, M)
+        finite = np.abs((X[:, :4] ** 2).sum(axis=1)) > AT_INFINITY
+        proper = X[finite & (size < MAX_CERTIFIED_ALPHA) & (beta < 1e-8)]
+        before, found = len(found), np.concatenate([found, proper])
         found = found[find_distinct(found)]
         repeated = attempt > 0 and len(found) == before
         if len(found) >= N_GENERIC_POSES or (repeated and arrived.all()):
@@ -105,16 +112,9 @@ def _zeros(M: np.ndarray, retries: int) -> tuple[np.ndarray, int, bool]:
     return found, attempt, len(found) >= N_GENERIC_POSES or repeated
 
 
-def _select_proper(X: np.ndarray, M: np.ndarray) -> np.ndarray:
-    """The refined zeros that are regular and have a finite pose."""
-    X = refine(X, M)
-    size, beta = alpha(X, M)
-    finite = np.abs((X[:, :4] ** 2).sum(axis=1)) > AT_INFINITY
-    return X[finite & (size < MAX_CERTIFIED_ALPHA) & (beta < 1e-8)]
-
-
 def _real_zeros(X: np.ndarray, M: np.ndarray) -> np.ndarray:
-    """The real ones, each proved by Newton's method in real arithmetic from its real part."""
+    """The real zeros, each proved by Newton's method in real arithmetic from its real part."""
+    # A zero is known up to a complex factor: choose the factor that makes X.X real.
     square = (X**2).sum(axis=1)
     X = X * np.sqrt(square.conj() / np.abs(square))[:, None]
     X = normalise(X.real[np.abs(X.imag).max(axis=1) < NEARLY_REAL])
@@ -123,15 +123,6 @@ def _real_zeros(X: np.ndarray, M: np.ndarray) -> np.ndarray:
     X = refine(X, M)
     X = X[alpha(X, M)[0] < MAX_CERTIFIED_ALPHA]
     return X[find_distinct(X)]
-
-
-def _rod_solutions(
-    r: np.ndarray, R: np.ndarray, C: np.ndarray, B: np.ndarray, L: np.ndarray
-) -> Solutions:
-    rods = r[:, None, :] + np.einsum("kij,nj->kni", R, B) - C
-    residual = np.linalg.norm(np.linalg.norm(rods, axis=2) - L, axis=1)
-    status = np.full(len(r), Status.CONVERGED, dtype=np.int8)
-    return Solutions(np.empty((len(r), 0)), r, R, residual, status)
 
 
 def _check_platform(C: Any, B: Any, L: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -147,8 +138,3 @@ def _check_platform(C: Any, B: Any, L: Any) -> tuple[np.ndarray, np.ndarray, np.
     if not (np.ptp(C, axis=0).any() and np.ptp(B, axis=0).any()):
         raise SolveError("all six rods meet in one point: the orientation is not determined")
     return C, B, L
-
-
-def _complex(pairs: Any) -> np.ndarray:
-    """Stored (..., 2) real and imaginary parts."""
-    return np.asarray(pairs, dtype=float) @ np.array([1, 1j])

@@ -1,9 +1,9 @@
-"""Zeros of n quadrics X^T M_i X = 0 in projective n-space, followed from one system to another.
+"""Zeros of n quadrics X^T M_i X = 0 in projective n-space, tracked from system to system.
 
 A path X(t) solves M(t) = (1 - t) gamma M_start + t M_target. Because the system is quadratic
 in X and linear in t, the Taylor series of a path follows from a short recurrence with one
-inverse Jacobian, and its coefficients tell how far it may be trusted. All paths advance
-together, each with its own t. Rows of X are the paths, with |X| = 1.
+inverse Jacobian, and its coefficients limit the step. All paths advance together, each with its
+own t. Rows of X are the paths, with |X| = 1.
 """
 
 from __future__ import annotations
@@ -13,20 +13,17 @@ from functools import cached_property
 
 import numpy as np
 
-ORDER = 10  # of the Taylor predictor; from 8 to 12 the time is the same
-MIN_PATH_REMAINDER = (
-    1e-12  # 1 - t at which a path that still cannot reach t = 1 ends in a multiple zero
-)
-MAX_CERTIFIED_ALPHA = (
-    13 - 3 * np.sqrt(17)
-) / 4  # alpha below this proves a zero (Smale's alpha theorem)
+ORDER = 10  # order of the Taylor predictor; from 8 to 12 the time is the same
+MIN_PATH_REMAINDER = 1e-12  # 1 - t at which a path ends; it cannot reach t = 1 at a multiple zero
+# alpha below this proves a zero (Smale's alpha theorem)
+MAX_CERTIFIED_ALPHA = (13 - 3 * np.sqrt(17)) / 4
 
 
 @dataclass(frozen=True)
 class Tracker:
     """Paths from the zeros of `start` to those of `target`, (n, n + 1, n + 1) symmetric each.
 
-    `gamma` leads the way around the finitely many systems with a multiple zero; `tolerance`
+    `gamma` leads the paths around the finitely many systems with a multiple zero. `tolerance`
     bounds the predictor's error relative to |X| = 1: smaller means shorter, safer steps.
     """
 
@@ -37,9 +34,9 @@ class Tracker:
     max_steps: int = 400
 
     def __call__(self, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Zeros (k, n + 1) of `target` that continue the zeros X of `start`; which arrived.
+        """Track the zeros X of `start` to zeros (k, n + 1) of `target`; also say which arrived.
 
-        A path to a multiple zero arrives too, but only near it.
+        A path to a multiple zero arrives, too, but only near it.
         """
         X, t = normalise(X.astype(complex)), np.zeros(len(X))
         shrink = np.ones(len(X))
@@ -55,14 +52,18 @@ class Tracker:
     def _advance(
         self, X: np.ndarray, t: np.ndarray, shrink: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """One step of every path: new X, new t, and which of these steps may be kept."""
+        """Advance every path by one step: new X, new t, and whether the step is accepted."""
         series = self._series(X, t)
-        after = np.minimum(t + shrink * self._compute_trusted_step(series), 1.0)
+        # Trust the series up to the step at which its last two terms reach the tolerance.
+        last = np.linalg.norm(series[:, -2:], axis=2)
+        orders = np.array([ORDER - 1, ORDER])
+        trusted = ((self.tolerance / np.maximum(last, 1e-300)) ** (1 / orders)).min(axis=1)
+        after = np.minimum(t + shrink * trusted, 1.0)
         powers = (after - t)[:, None] ** np.arange(ORDER + 1)
         X = normalise((powers[:, None, :] @ series)[:, 0])
         first = second = np.full(len(X), np.inf)
         for _ in range(2):
-            change = self._newton(X, after)
+            change, _ = _newton_step(X, self._products(X, after)[0])
             X = normalise(X + change)
             first, second = second, np.linalg.norm(change, axis=1)
         good = (first < 10 * self.tolerance) & (second < 1e-3 * first + 1e-9)
@@ -88,17 +89,6 @@ class Tracker:
             slope = next_slope
         return x
 
-    def _compute_trusted_step(self, series: np.ndarray) -> np.ndarray:
-        """The step at which the last two terms of a series reach the tolerance."""
-        last = np.linalg.norm(series[:, -2:], axis=2)
-        orders = np.array([ORDER - 1, ORDER])
-        return ((self.tolerance / np.maximum(last, 1e-300)) ** (1 / orders)).min(axis=1)
-
-    def _newton(self, X: np.ndarray, t: np.ndarray) -> np.ndarray:
-        Mx, _ = self._products(X, t)
-        value = Mx @ X[:, :, None]
-        return -(_inverse(_jacobian(Mx, X))[:, :, :-1] @ value)[:, :, 0]
-
     def _products(self, x: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """M(t) x and dM/dt x, (k, n, n + 1) each."""
         n = len(self.start)
@@ -114,19 +104,19 @@ class Tracker:
 
 
 def refine(X: np.ndarray, M: np.ndarray, steps: int = 3) -> np.ndarray:
-    """Zeros after some Newton steps, in the arithmetic (real or complex) of X and M."""
+    """Refine zeros by Newton steps, in the arithmetic (real or complex) of X and M."""
     for _ in range(steps):
-        X = normalise(X + _newton_step(X, M)[0])
+        X = normalise(X + _newton_step(X, _multiply(X, M))[0])
     return X
 
 
 def alpha(X: np.ndarray, M: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """alpha and beta of Smale's theorem for each row of X as a zero of the quadrics M.
+    """Compute alpha and beta of Smale's theorem for each row of X as a zero of the quadrics M.
 
-    beta is the length of a Newton step; the true zero lies within 2 beta if alpha < CERTAIN,
-    and is real if X and M are.
+    beta is the length of a Newton step. If alpha < MAX_CERTIFIED_ALPHA, the true zero lies within
+    2 beta, and it is real if X and M are.
     """
-    step, inverse = _newton_step(X, M)
+    step, inverse = _newton_step(X, _multiply(X, M))
     beta = np.linalg.norm(step, axis=1)
     # gamma = |DF^-1 D^2F / 2|, bounded by the Frobenius norm of the tensor
     curvature = inverse @ M.reshape(len(M), -1)
@@ -134,7 +124,7 @@ def alpha(X: np.ndarray, M: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def find_distinct(X: np.ndarray, apart: float = 1e-8) -> np.ndarray:
-    """Indices of the first row of each group of equal points of projective space."""
+    """Return the index of the first row of each group of equal points of projective space."""
     if len(X) == 0:
         return np.arange(0)
     overlap = X @ X.conj().T
@@ -148,20 +138,24 @@ def normalise(X: np.ndarray) -> np.ndarray:
         return X / np.linalg.norm(X, axis=1, keepdims=True)
 
 
-def _newton_step(X: np.ndarray, M: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _multiply(X: np.ndarray, M: np.ndarray) -> np.ndarray:
+    """Products M_i x, (k, n, n + 1), of all points and quadrics."""
+    return np.moveaxis(X @ M, 0, 1)
+
+
+def _newton_step(X: np.ndarray, Mx: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Newton step (k, n + 1) and the part of the inverse Jacobian that belongs to M."""
-    Mx = np.moveaxis(X @ M, 0, 1)
     inverse = _inverse(_jacobian(Mx, X))[:, :, :-1]
     return -(inverse @ (Mx @ X[:, :, None]))[:, :, 0], inverse
 
 
 def _jacobian(Mx: np.ndarray, X: np.ndarray) -> np.ndarray:
-    """Derivatives of x M x and, as last row, of the chart's condition conj(X) . x = 1."""
+    """Derivatives of x M x and, in the last row, of the chart's condition conj(X) . x = 1."""
     return np.concatenate([2 * Mx, X.conj()[:, None, :]], axis=1)
 
 
 def _inverse(A: np.ndarray) -> np.ndarray:
-    """Inverses of a batch; a singular member becomes NaN instead of stopping the others."""
+    """Inverses of a batch; a singular matrix gives NaN and does not stop the others."""
     try:
         return np.linalg.inv(A)
     except np.linalg.LinAlgError:

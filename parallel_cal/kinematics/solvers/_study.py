@@ -1,7 +1,7 @@
 """Poses as dual quaternions: a rod between two balls is a quadric (eq. 6.19).
 
 (e, g) with scalar parts first: R b = e b e* / e.e and P = g e* / e.e, on Study's quadric
-e.g = 0. All of it holds for complex numbers too, with x.x and never |x|^2.
+e.g = 0. Everything holds for complex numbers, too, with x.x instead of |x|^2.
 """
 
 from __future__ import annotations
@@ -10,13 +10,13 @@ import numpy as np
 
 
 def quadrics(C: np.ndarray, B: np.ndarray, squares: np.ndarray) -> np.ndarray:
-    """Eq. 6.19: matrices (7, 8, 8) of |g + W e|^2 - L^2 e.e with W e = e B - C e, and of 2 e.g.
+    """Matrices (7, 8, 8) of |g + W e|^2 - L^2 e.e with W e = e B - C e, and of 2 e.g (eq. 6.19).
 
-    Written out, |e.e (P + R B - C)|^2 / e.e is exactly that, wherever e.g = 0.
+    If e.g = 0, |g + W e|^2 equals |e.e (P + R B - C)|^2 / e.e.
     """
     W = _right(B) - _left(C)
     M = np.zeros((7, 8, 8), dtype=W.dtype)
-    # W is skew, so W^T W needs no conjugate even where the platform is complex.
+    # W is skew, so W^T W needs no conjugate even if the platform is complex.
     M[:6, :4, :4] = np.swapaxes(W, 1, 2) @ W - squares[:, None, None] * np.eye(4)
     M[:6, :4, 4:], M[:6, 4:, :4] = np.swapaxes(W, 1, 2), W
     M[:6, 4:, 4:] = np.eye(4)
@@ -25,7 +25,7 @@ def quadrics(C: np.ndarray, B: np.ndarray, squares: np.ndarray) -> np.ndarray:
 
 
 def poses(X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Positions (k, 3) and rotations (k, 3, 3) of dual quaternions (k, 8), scalar part first."""
+    """Convert dual quaternions (k, 8), scalar parts first, to positions (k, 3) and rotations."""
     e, g = X[:, :4], X[:, 4:]
     norm = (e**2).sum(axis=1)
     w, v = e[:, 0], e[:, 1:]

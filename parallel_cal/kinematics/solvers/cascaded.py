@@ -35,9 +35,9 @@ from parallel_cal.model.parameters import Named
 from parallel_cal.model.structure import Structure
 
 HALF_STEPS = 3  # G1, G2, G1: one and a half iterations (6.4.5)
-TOLERANCE = 1e-6  # m: what such few steps are expected to reach
+TOLERANCE = 1e-6  # m: expected accuracy after so few steps
 PERFECT = "P1"  # the group of parameters that vanish in a perfect parallelogram
-N_EFFECT_PASSES = 3  # passes that undo joint effects; each shrinks the rest by the effect's slope
+N_EFFECT_PASSES = 3  # passes that undo joint effects; each one multiplies the error by their slope
 
 
 def direct(
@@ -48,7 +48,7 @@ def direct(
     rough: bool = False,
     tolerance: float = TOLERANCE,
 ) -> Solutions:
-    """Poses for joints (nq,) or (N, nq) after some half steps; `rough` is eq. 6.33 instead."""
+    """Find poses for joints (nq,) or (N, nq) by half steps; `rough` uses eq. 6.33 instead."""
     solve = direct_function(model.structure, 0 if rough else check_step_count(half_steps))
     return match_shape(
         evaluate_solver(model, solve, joint_rows(model, q), at, tolerance, "direct"), q
@@ -64,7 +64,7 @@ def inverse(
     rough: bool = False,
     tolerance: float = TOLERANCE,
 ) -> Solutions:
-    """Joints, and the orientation that follows, for positions (3,) or (N, 3)."""
+    """Find joints, and the resulting orientation, for positions (3,) or (N, 3)."""
     solve = inverse_function(model.structure, 0 if rough else check_step_count(half_steps))
     given = pose_rows(model, position, None)
     return match_shape(evaluate_solver(model, solve, given, at, tolerance, "inverse"), position)
@@ -72,7 +72,7 @@ def inverse(
 
 @lru_cache(maxsize=32)
 def direct_function(s: Structure, half_steps: int) -> ca.Function:
-    """(configuration, a, v) -> configuration with the pose found; 0 half steps: eq. 6.33."""
+    """Build (configuration, a, v) -> configuration with the solved pose; 0 half steps: eq. 6.33."""
     ideal = _check_structure(s)
     p = ideal.p if half_steps else _perfect(ideal.p, s)
     turn, r, R = _orientation(s, ideal.q, p, ideal.p), s.r, ca.SX.eye(3)
@@ -87,31 +87,33 @@ def direct_function(s: Structure, half_steps: int) -> ca.Function:
 
 @lru_cache(maxsize=32)
 def inverse_function(s: Structure, half_steps: int) -> ca.Function:
-    """The same for joints and orientation at a given position."""
+    """Build (configuration, a, v) -> configuration with solved joints and orientation."""
     if set(s.mechanism.joint_units) != {"rad"}:
         raise SolveError(
             "the cascaded inverse problem needs revolute joints (eqs 6.36-6.37); "
             f"those of {s.mechanism.name} are prismatic: use --solver newton"
         )
-    q, R = ca.SX(ca.DM(s.mechanism.home.joints)), ca.SX.eye(3)
+    seen, q, R = _check_structure(s), ca.SX(ca.DM(s.mechanism.home.joints)), ca.SX.eye(3)
     for k in range(max(half_steps, 2)):
         for _ in range(N_EFFECT_PASSES if s.effects and k % 2 == 0 else 1):
-            ideal = _substitute_joints(_check_structure(s), s, q)
-            p = ideal.p if half_steps else _perfect(ideal.p, s)
+            # The mechanism's joints and geometry at the current joint readings q
+            ideal_q, vector = ca.substitute([seen.q, ca.SX(seen.p._vector)], [s.q], [q])
+            complete = Named(seen.p._names, vector)
+            p = complete if half_steps else _perfect(complete, s)
             if k % 2:
-                R = _orientation(s, ideal.q, p, ideal.p)(s.r, R)
+                R = _orientation(s, ideal_q, p, complete)(s.r, R)
             else:
                 both = joint_angles(s.mechanism, s.r, R, p)  # eqs 6.36-6.37
-                change = s.mechanism.nearest_home(both) - ideal.q
-                q = q + ca.atan2(ca.sin(change), ca.cos(change))  # not by a whole turn
+                change = s.mechanism.nearest_home(both) - ideal_q
+                q = q + ca.atan2(ca.sin(change), ca.cos(change))  # without whole turns
     return half_step_function("cascaded_inverse", s, q, s.r, R)
 
 
 def _orientation(s: Structure, q: Any, p: Named, complete: Named) -> Any:
-    """(r, R) -> R after one linear solution of G2 (eq. 6.39).
+    """Make (r, R) -> R, one linear solution of G2 (eq. 6.39).
 
-    With p short of `complete`, the missing parameters enter to first order, at p: that drops
-    all products of small quantities, as eq. 6.33 does.
+    Parameters of `complete` that differ from p enter to first order. Like eq. 6.33, this omits
+    all products of small quantities.
     """
     r, R9, missing = ca.SX.sym("r", 3), ca.SX.sym("R", 9), complete._vector - p._vector
     R = ca.reshape(R9, 3, 3).T
@@ -130,7 +132,7 @@ def _orientation(s: Structure, q: Any, p: Named, complete: Named) -> Any:
 
 
 def _perfect(p: Named, s: Structure) -> Named:
-    """The geometry with perfect parallelograms: model 24's, for the first set of eq. 6.33."""
+    """Geometry with perfect parallelograms (model 24), for the first set of eq. 6.33."""
     errors = {row.name: 0.0 for row in s.mechanism.parameters if row.group == PERFECT}
     if not errors:
         raise SolveError(f"mechanism {s.mechanism.name} has no rough model (no group {PERFECT})")
@@ -138,7 +140,7 @@ def _perfect(p: Named, s: Structure) -> Named:
 
 
 def _check_structure(s: Structure) -> Seen:
-    """What the mechanism sees, where cascading is possible; SolveError where it is not."""
+    """Inputs of the mechanism after the effects; SolveError if cascading is impossible."""
     rows = s.mechanism.closure(s.q, s.r, s.R, s.geometry)
     halves = s.mechanism.moves == POSE and rows.shape[0] == 6 and len(s.q.nz) == 3
     curvature = [ca.hessian(row, s.r)[0] for row in ca.vertsplit(rows)] if halves else []
@@ -152,9 +154,3 @@ def _check_structure(s: Structure) -> Seen:
     if not is_pose_unaffected(s):
         raise SolveError("an effect depends on the pose: use --solver newton for this model")
     return s.seen
-
-
-def _substitute_joints(ideal: Seen, s: Structure, q: Any) -> Seen:
-    """What the mechanism sees at other joint readings."""
-    new_q, vector = ca.substitute([ideal.q, ca.SX(ideal.p._vector)], [s.q], [q])
-    return Seen(new_q, ideal.r, ideal.R, Named(ideal.p._names, vector))

@@ -1,7 +1,8 @@
 """Model 27 of the Argos in half steps: orientation from G1, position from G2, in turn (6.7).
 
-The opposite of the Delta's cascade: with the centre known, G1 gives the orientation (by Newton's
-method) or the motors (in closed form); with those known, G2 is three spheres for the centre.
+The order is opposite to that of the Delta. If the centre is known, G1 gives the orientation (by
+Newton's method) or the motors (in closed form). If these are known, G2 is three spheres for the
+centre.
 
 Kept as the thesis' own; prefer it where an Argos' controller must answer in fixed time.
 """
@@ -31,9 +32,9 @@ from parallel_cal.model.model import Model
 from parallel_cal.model.parameters import Named
 from parallel_cal.model.structure import Structure
 
-HALF_STEPS = 12  # G1 and G2 six times: some 10 nm for a robot within its tolerances
-NEWTON_STEPS = 2  # of G1 in one half step
-TOLERANCE = 1e-6  # m: what such few steps are expected to reach
+HALF_STEPS = 12  # G1 and G2 six times: an error of about 10 nm within the tolerances
+NEWTON_STEPS = 2  # per half step of G1
+TOLERANCE = 1e-6  # m: expected accuracy after so few steps
 
 
 def direct(
@@ -43,7 +44,7 @@ def direct(
     half_steps: int = HALF_STEPS,
     tolerance: float = TOLERANCE,
 ) -> Solutions:
-    """Poses for joints (nq,) or (N, nq) after some half steps (6.7.2)."""
+    """Find poses for joints (nq,) or (N, nq) by half steps (6.7.2)."""
     solve = direct_function(model.structure, check_step_count(half_steps))
     return match_shape(
         evaluate_solver(model, solve, joint_rows(model, q), at, tolerance, "direct"), q
@@ -58,7 +59,7 @@ def inverse(
     half_steps: int = HALF_STEPS,
     tolerance: float = TOLERANCE,
 ) -> Solutions:
-    """Joints, and the position that follows, for rotations (3, 3) or (N, 3, 3) (6.7.3)."""
+    """Find joints, and the resulting position, for rotations (3, 3) or (N, 3, 3) (6.7.3)."""
     solve = inverse_function(model.structure, check_step_count(half_steps))
     given = pose_rows(model, position, rotation)
     return match_shape(evaluate_solver(model, solve, given, at, tolerance, "inverse"), position)
@@ -66,9 +67,8 @@ def inverse(
 
 @lru_cache(maxsize=16)
 def direct_function(s: Structure, half_steps: int) -> ca.Function:
-    """(configuration, a, v) -> configuration with the pose found."""
+    """Build (configuration, a, v) -> configuration with the solved pose."""
     ideal = _check_structure(s)
-    turn = _orientation(s.mechanism, ideal.q, ideal.p)
     _, R = s.mechanism.start(ideal.q, ideal.p)
     r = ca.SX(ca.DM(s.mechanism.home.position))
     for k in range(half_steps):
@@ -76,13 +76,13 @@ def direct_function(s: Structure, half_steps: int) -> ca.Function:
             r = _centre(s.mechanism, ideal.q, R, ideal.p, r)
         else:
             for _ in range(NEWTON_STEPS):
-                R = turn(r, R)
+                R = _step_orientation(s.mechanism, ideal.q, ideal.p, r, R)
     return half_step_function("circles_direct", s, s.q, r, R)
 
 
 @lru_cache(maxsize=16)
 def inverse_function(s: Structure, half_steps: int) -> ca.Function:
-    """The same for joints and position at a given orientation."""
+    """Build (configuration, a, v) -> configuration with solved joints and position."""
     ideal = _check_structure(s)
     r, q = ca.SX(ca.DM(s.mechanism.home.position)), ca.SX(ca.DM(s.mechanism.home.joints))
     for k in range(half_steps):
@@ -93,26 +93,22 @@ def inverse_function(s: Structure, half_steps: int) -> ca.Function:
     return half_step_function("circles_inverse", s, q, r, s.R)
 
 
-def _orientation(mechanism: Mechanism, q: Any, p: Named) -> Any:
-    """(r, R) -> R after one Newton step on G1."""
-
-    def turned(r: Any, R: Any) -> Any:
-        w = ca.SX.sym("w", 3)
-        rows = mechanism.closure(q, r, R + ca.skew(w) @ R, p)[:3]
-        phi, slope = ca.substitute([rows, ca.jacobian(rows, w)], [w], [ca.DM.zeros(3)])
-        return cayley(-ca.inv_minor(slope) @ phi) @ R
-
-    return turned
+def _step_orientation(mechanism: Mechanism, q: Any, p: Named, r: Any, R: Any) -> Any:
+    """R after one Newton step on G1."""
+    w = ca.SX.sym("w", 3)
+    rows = mechanism.closure(q, r, R + ca.skew(w) @ R, p)[:3]
+    phi, slope = ca.substitute([rows, ca.jacobian(rows, w)], [w], [ca.DM.zeros(3)])
+    return cayley(-ca.inv_minor(slope) @ phi) @ R
 
 
 def _centre(mechanism: Mechanism, q: Any, R: Any, p: Named, r: Any) -> Any:
-    """The point common to G2's three spheres that is nearer to the centre reached so far."""
-    spheres: Any = _Spheres(mechanism)  # all that `positions` asks of a mechanism
+    """The common point of G2's three spheres that is nearer to the current centre."""
+    spheres: Any = _Spheres(mechanism)  # `positions` needs no more of a mechanism
     return nearest(positions(spheres, q, p, R), lambda x: ca.sumsqr(x - r))
 
 
 class _Spheres:
-    """G2 first, where `positions` looks for spheres."""
+    """A mechanism whose closure begins with G2, as `positions` expects."""
 
     def __init__(self, mechanism: Mechanism):
         self._mechanism = mechanism
@@ -122,7 +118,7 @@ class _Spheres:
 
 
 def _check_structure(s: Structure) -> Any:
-    """What the mechanism sees; SolveError unless it is an Argos with effects on geometry alone."""
+    """Inputs of the mechanism; SolveError unless it is an Argos without effects."""
     m = s.mechanism
     if not hasattr(m, "circles") or m.moves != POSE:
         raise SolveError(f"cascaded_circles is for argos27, not for {m.name}; use --solver newton")

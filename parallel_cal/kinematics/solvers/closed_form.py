@@ -1,4 +1,4 @@
-"""The mechanism's own closed form, where the closure says that it is exact.
+"""The mechanism's own closed form, if the closure confirms that it is exact.
 
 Prefer it where an error in the formula must not go unseen: it refuses where it is not exact.
 """
@@ -33,12 +33,12 @@ At = Mapping[str, Any]
 
 
 def direct(model: Model, q: np.ndarray, at: At | None = None) -> Solutions:
-    """The pose on the home branch for joints (nq,) or (N, nq)."""
+    """Find the pose on the home branch for joints (nq,) or (N, nq)."""
     return solve_on_home_branch(model, q, at, direct_all)
 
 
 def direct_all(model: Model, q: np.ndarray, at: At | None = None) -> Solutions:
-    """The candidate poses of joints (nq,) that are exact, the home branch first."""
+    """Find the candidate poses of joints (nq,) that are exact, the home branch first."""
     found = _select_exact(model, pose_candidates(model, q), at, "direct")
     return replace(found[order_from_home(model, found, at)], complete=found.complete)
 
@@ -46,7 +46,7 @@ def direct_all(model: Model, q: np.ndarray, at: At | None = None) -> Solutions:
 def inverse(
     model: Model, position: np.ndarray, rotation: np.ndarray | None = None, at: At | None = None
 ) -> Solutions:
-    """The joints on the home branch for positions (3,) or (N, 3) and rotations."""
+    """Find the joints on the home branch for positions (3,) or (N, 3) and rotations."""
     r = np.asarray(position, dtype=float)
     if r.ndim == 1:
         found = inverse_all(model, r, rotation, at)
@@ -59,7 +59,7 @@ def inverse(
 def inverse_all(
     model: Model, position: np.ndarray, rotation: np.ndarray | None = None, at: At | None = None
 ) -> Solutions:
-    """The candidate joints for a pose that are exact, the ones nearest to home first."""
+    """Find the candidate joints for a pose that are exact, those nearest to home first."""
     home = model.mechanism.home
     R = quaternion_to_matrix(home.quaternion) if rotation is None else np.reshape(rotation, (3, 3))
     found = _select_exact(model, joint_candidates(model, position, R), at, "inverse")
@@ -70,14 +70,13 @@ def inverse_all(
 def _select_exact(
     model: Model, candidates: Configuration, at: At | None, problem: str
 ) -> Solutions:
-    """The exact ones with status, maybe none; SolveError where the workspace has none either."""
+    """The exact candidates with status; SolveError if none is exact in the workspace either."""
     solutions = with_status(model, candidates.rows, at, MAX_CLOSED_RESIDUAL_M, problem)
     exact = np.flatnonzero(solutions.residual < MAX_CLOSED_RESIDUAL_M)
     if len(solutions) and not len(exact):
         off = _compute_max_residual(model, at, problem)
-        if (
-            off >= MAX_CLOSED_RESIDUAL_M
-        ):  # else the formula holds for this model: the sample is out of reach
+        # Otherwise the formula holds for this model, and the sample is out of reach.
+        if off >= MAX_CLOSED_RESIDUAL_M:
             raise SolveError(
                 f"closed_form is not exact for this {model.mechanism.name} and its "
                 f"effects (error {off:.2g} m); use newton"
@@ -87,7 +86,7 @@ def _select_exact(
 
 
 def _compute_max_residual(model: Model, at: At | None, problem: str) -> float:
-    """The largest residual (m) of the formula's best answers at five poses of the workspace."""
+    """Largest residual (m) of the formula's best candidates at five poses of the workspace."""
     r, R = poses_in_workspace(model.mechanism, 5, np.random.default_rng(0))
     solved = get_kinematics(model).inverse(r, R, at)
     judged = partial(with_status, model, at=at, tolerance=MAX_CLOSED_RESIDUAL_M, problem=problem)

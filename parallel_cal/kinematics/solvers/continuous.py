@@ -1,4 +1,4 @@
-"""Keep the assembly mode along a trajectory, and say when it is about to be lost (6.2.4).
+"""Keep the assembly mode along a trajectory, and warn before it is lost (6.2.4).
 
 Prefer it for the points of one trajectory: each stays on the branch of the one before.
 """
@@ -24,24 +24,25 @@ from parallel_cal.kinematics.solutions import (
 from parallel_cal.kinematics.solvers._common import get_kinematics, select_conditions
 from parallel_cal.model.model import Model
 
-MIN_SAFE_DISTANCE = 0.02  # scaled singular value below which the mode is called in danger
-WARN_POINTS_AHEAD = 5  # points: danger is announced when the branch will end within so many
-MIN_STEP_FRACTION = (
-    2.0**-12
-)  # of a way between two points: finer steps mean that the branch has ended
+MIN_SAFE_DISTANCE = 0.02  # scaled singular value; below it the assembly mode is in danger
+WARN_POINTS_AHEAD = 5  # danger is announced if the branch will end within so many points
+MIN_STEP_FRACTION = 2.0**-12  # of the path between two points; below it the branch has ended
 SOLVED = (Status.CONVERGED, Status.OUTSIDE_LIMITS)
 # Driven joints leave the platform free in a direct singularity only. A commanded platform brings
 # the robot into either kind.
 SINGULARITY_KINDS = {"direct": ("direct",), "inverse": ("direct", "inverse")}
 
-# (k, t, here) -> the solution at t between points k - 1 and k, from one nearby
+# (k, t, here) -> the solution at t between points k - 1 and k, from a solution nearby
 Step = Callable[[int, float, Solutions | None], Solutions]
 
 
 @dataclass(frozen=True)
 class Track:
-    """Solutions along a trajectory on one branch; `distance` (N,) to the singularity that ends
-    it; `danger` the first point that is near one, `lost` the first that is beyond, or None."""
+    """Solutions along a trajectory on one branch.
+
+    `distance` (N,): distance from the singularity that ends the branch. `danger`: the first point
+    near a singularity, or None. `lost`: the first point beyond it, or None.
+    """
 
     solutions: Solutions
     distance: np.ndarray
@@ -61,8 +62,10 @@ class Track:
 
 
 def direct(model: Model, q: np.ndarray, at: Mapping[str, Any] | None = None) -> Solutions:
-    """Poses along joints (N, nq), each on the branch of the one before; not converged where the
-    branch has ended."""
+    """Find poses along joints (N, nq), each on the branch of the pose before.
+
+    Points beyond the end of the branch are not converged.
+    """
     q = np.atleast_2d(q)
     nowhere = np.full((len(q), 3), np.nan)
     return _fill_lost_points(follow_joints(get_kinematics(model), q, at), q, nowhere)
@@ -74,7 +77,7 @@ def inverse(
     rotation: np.ndarray | None = None,
     at: Mapping[str, Any] | None = None,
 ) -> Solutions:
-    """Joints along positions (N, 3) and rotations (N, 3, 3), likewise."""
+    """Find joints along positions (N, 3) and rotations (N, 3, 3), like `direct`."""
     r = np.atleast_2d(position)
     nowhere = np.full((len(r), len(model.joints)), np.nan)
     return _fill_lost_points(follow_poses(get_kinematics(model), r, rotation, at), nowhere, r)
@@ -83,7 +86,7 @@ def inverse(
 def follow_joints(
     kinematics: Kinematics, joints: np.ndarray, at: Mapping[str, Any] | None = None
 ) -> Track:
-    """Poses for joints (N, nq), each on the branch of the one before."""
+    """Find poses for joints (N, nq), each on the branch of the pose before."""
     q = np.asarray(joints, dtype=float)
 
     def solve(k: int, t: float, here: Solutions | None) -> Solutions:
@@ -98,28 +101,28 @@ def follow_poses(
     rotations: np.ndarray | None = None,
     at: Mapping[str, Any] | None = None,
 ) -> Track:
-    """Joints for positions (N, 3) and rotations (N, 3, 3), each on the branch of the one before;
-    passive coordinates follow."""
+    """Find joints for positions (N, 3) and rotations (N, 3, 3), each on the branch of those before.
+
+    Passive coordinates follow from the closure.
+    """
     r = np.asarray(positions, dtype=float)
     R = None if rotations is None else np.reshape(rotations, (-1, 3, 3))
 
     def solve(k: int, t: float, here: Solutions | None) -> Solutions:
-        kept = None if here is None else np.asarray(here.rotation)
-        turned = kept if R is None else _interpolate_rotation(R, k, t)
+        if R is None:
+            turned = None if here is None else np.asarray(here.rotation)
+        else:
+            begin = R[max(k - 1, 0)]
+            turned = rotation_matrix(t * rotation_vector(R[k] @ begin.T)) @ begin
         return kinematics.inverse(_interpolate(r, k, t), turned, select_conditions(at, k), here)
 
     return _follow(kinematics, len(r), "inverse", at, solve)
 
 
 def _interpolate(points: np.ndarray, k: int, t: float) -> np.ndarray:
-    """The point at t between points k - 1 and k; point 0 where k is 0."""
+    """The point at t between points k - 1 and k; point 0 if k is 0."""
     begin = points[max(k - 1, 0)]
     return np.asarray(begin + t * (points[k] - begin))
-
-
-def _interpolate_rotation(R: np.ndarray, k: int, t: float) -> np.ndarray:
-    begin = R[max(k - 1, 0)]
-    return np.asarray(rotation_matrix(t * rotation_vector(R[k] @ begin.T)) @ begin)
 
 
 def _follow(
@@ -140,30 +143,23 @@ def _follow(
     conditions = {name: np.resize(values, len(found)) for name, values in (at or {}).items()}
     here = distances(kinematics.model, solutions, conditions)
     distance = np.min([getattr(here, end) for end in SINGULARITY_KINDS[kind]], axis=0)
-    return Track(solutions, distance, _first_danger(distance), lost)
-
-
-def _first_danger(distance: np.ndarray) -> int | None:
-    """The first point near a singularity, or on the way to one.
-
-    Two branches meet like a square root, so distance^2 falls in a straight line to zero.
-    """
+    # Two branches meet like a square root, so distance^2 falls linearly to zero: extrapolate it.
     square = distance**2
     ends = square + WARN_POINTS_AHEAD * np.diff(square, prepend=square[:1]) <= 0
     near = np.flatnonzero((distance < MIN_SAFE_DISTANCE) | ends)
-    return int(near[0]) if len(near) else None
+    return Track(solutions, distance, int(near[0]) if len(near) else None, lost)
 
 
 def _walk(
     model: Model, k: int, start: Solutions, kind: str, at: Mapping[str, Any] | None, solve: Step
 ) -> Solutions | None:
-    """To point k in steps small enough to stay on the branch; None if it ends."""
-    here, way, step = start, 0.0, 1.0
-    while way < 1:
-        target = min(way + step, 1.0)
+    """Go to point k in steps small enough to stay on the branch; None if the branch ends."""
+    here, t, step = start, 0.0, 1.0
+    while t < 1:
+        target = min(t + step, 1.0)
         there = solve(k, target, here)
         if _is_same_branch(model, here, there, kind, at):
-            here, way, step = there, target, 2 * step
+            here, t, step = there, target, 2 * step
         else:
             step /= 2
             if step < MIN_STEP_FRACTION:
@@ -174,7 +170,7 @@ def _walk(
 def _is_same_branch(
     model: Model, here: Solutions, there: Solutions, kind: str, at: Mapping[str, Any] | None
 ) -> bool:
-    """Solved, no determinant's sign changed, and the step no longer than what it led to."""
+    """Whether `there` is solved, no determinant changed its sign, and the step is short."""
     if there.status not in SOLVED:
         return False
     both = distances(model, stack_solutions([here, there]), at)
@@ -184,12 +180,12 @@ def _is_same_branch(
     moved = np.abs(there.position - here.position).max() / model.mechanism.length
     turned = np.abs(there.rotation - here.rotation).max()
     swung = np.abs(there.joints - here.joints).max()
-    # A jump to another branch is a finite one; a fair step is much shorter than that.
+    # A jump to another branch is finite, however short the step; these bounds are well below it.
     return bool(max(moved / 4, turned, swung / 2) < 0.25)
 
 
 def _fill_lost_points(track: Track, joints: np.ndarray, positions: np.ndarray) -> Solutions:
-    """The track's solutions, then what is given and NaN for the points beyond its end."""
+    """The track's solutions, then the given coordinates and NaN for the points beyond its end."""
     n = len(track.solutions)
     beyond = len(joints) - n
     nan = np.full((beyond, 3, 3), np.nan)

@@ -1,4 +1,4 @@
-"""Newton's method with a chosen number of steps, with or without a new Jacobian each (6.4.1).
+"""Newton's method with a chosen number of steps, with or without Jacobian updates (6.4.1).
 
 Eq. 6.31 is one step with the Jacobian of the start. Without updating, a step costs one
 evaluation of the closure and converges linearly; with updating it converges quadratically.
@@ -25,7 +25,7 @@ from parallel_cal.model.model import Model
 from parallel_cal.model.structure import Structure
 
 STEPS = 5
-TOLERANCE = 1e-6  # m: what such few steps are expected to reach
+TOLERANCE = 1e-6  # m: expected accuracy after so few steps
 STARTS = ("mechanism", "home")  # model 24's solution for a Delta; the centre of the workspace
 
 
@@ -38,7 +38,7 @@ def direct(
     start: str = "mechanism",
     tolerance: float = TOLERANCE,
 ) -> Solutions:
-    """Poses for joints (nq,) or (N, nq) after some steps."""
+    """Find poses for joints (nq,) or (N, nq) by a number of steps."""
     solve = newton_steps(model.structure, "direct", check_step_count(steps), update, start)
     return match_shape(
         evaluate_solver(model, solve, joint_rows(model, q), at, tolerance, "direct"), q
@@ -55,7 +55,7 @@ def inverse(
     start: str = "mechanism",
     tolerance: float = TOLERANCE,
 ) -> Solutions:
-    """Joints for positions (3,) or (N, 3) and rotations; passive coordinates follow."""
+    """Find joints for positions (3,) or (N, 3) and rotations by a number of steps."""
     solve = newton_steps(model.structure, "inverse", check_step_count(steps), update, start)
     given = pose_rows(model, position, rotation)
     return match_shape(evaluate_solver(model, solve, given, at, tolerance, "inverse"), position)
@@ -65,11 +65,11 @@ def inverse(
 def newton_steps(
     s: Structure, problem: str, steps: int, update: bool = False, start: str = "mechanism"
 ) -> ca.Function:
-    """(configuration, a, v) -> configuration after some steps of eq. 6.31."""
+    """Build (configuration, a, v) -> configuration after a number of steps of eq. 6.31."""
     if start not in STARTS:
         raise SolveError(f"no start '{start}'; there are {', '.join(STARTS)}")
     columns, _, begin = split(s, problem)
-    # The rows that `answers` passes hold the given coordinates and home for all others.
+    # The given rows contain the given coordinates, and home for all others (`rows`).
     x = begin if start == "mechanism" else s.configuration
     J = s.jacobian_configuration[:, columns] / ca.repmat(ca.DM(s.scale[columns]).T, s.phi.shape[0])
     if J.shape[0] != J.shape[1]:

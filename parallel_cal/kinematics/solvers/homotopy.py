@@ -1,4 +1,4 @@
-"""General pose problem (6.2.4): every solution of a direct problem that stands on six rods.
+"""General pose problem (6.2.4): every solution of a direct problem with six rods.
 
 For mechanisms with a method `rods(q, p) -> (C, B, L)`: six points C of the base and B of the
 platform, (3, 1) each, and the distances L that the joints q impose (Delta 54, Stewart 42).
@@ -27,10 +27,10 @@ from parallel_cal.model.model import Model
 
 
 def pose_set(model: Model, q: np.ndarray, at: Mapping[str, Any] | None = None) -> PoseSet:
-    """Every pose of the model at joints q (nq,), the home branch first among the real ones.
+    """Find every pose of the model at joints q (nq,); the home branch is the first real one.
 
-    They are the poses of six rods, refined on the whole closure: the same where the effects act
-    on joints and geometry, and their continuation where an effect depends on the pose too.
+    They are the poses of six rods, refined on the whole closure. They are exact if the effects act
+    on joints and geometry alone, and continuations if an effect depends on the pose, too.
     """
     q = np.asarray(q, dtype=float)
     C, B, L = parts(model, "rods", q, at)
@@ -44,12 +44,12 @@ def pose_set(model: Model, q: np.ndarray, at: Mapping[str, Any] | None = None) -
 
 
 def direct_all(model: Model, q: np.ndarray, at: Mapping[str, Any] | None = None) -> Solutions:
-    """Every real pose of the model at joints q (nq,), the home branch first; maybe none."""
+    """Find every real pose of the model at joints q (nq,), the home branch first."""
     found = pose_set(model, q, at)
     complete = found.complete and is_pose_unaffected(model.structure)
     return replace(found.real, count_complex=found.count_complex, complete=complete)
 
 
 def direct(model: Model, q: np.ndarray, at: Mapping[str, Any] | None = None) -> Solutions:
-    """The pose on the home branch for joints (nq,) or (N, nq); unreachable where none is real."""
+    """Find the pose on the home branch for joints (nq,) or (N, nq); unreachable if none is real."""
     return solve_on_home_branch(model, q, at, direct_all)

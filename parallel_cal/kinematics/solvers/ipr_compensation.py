@@ -1,9 +1,9 @@
 """Nominal solution corrected to first order in the parameter errors (Savoure et al., eqs 27-33).
 
-No iteration and no start: what a controller that knows the nominal closed form can add. The
-answer is wrong by a second-order amount; `residual` says how far the full model's closure is
-from zero there. Effects take part: they are parameter errors with nominal value zero. A fixed
-parameter is not an error but known (a tool's length): the nominal robot has its value.
+A controller that knows the nominal closed form can do this: it needs neither iterations nor a
+start. The solution has an error of second order; `residual` is that of the full model's closure.
+Effects are included: they are parameter errors with nominal value zero. A fixed parameter (a tool's
+length) is known and not an error: the nominal robot has its value.
 
 Prefer it where a controller has the nominal closed form alone: no iteration, first order.
 """
@@ -24,7 +24,7 @@ from parallel_cal.model.model import Model
 
 
 def direct(model: Model, q: np.ndarray, at: Mapping[str, Any] | None = None) -> Solutions:
-    """The nominal pose moved by the predicted error dX (eq. 30)."""
+    """Find the nominal pose and add the predicted error dX (eq. 30)."""
     nominal = _nominal(model).direct(np.atleast_2d(q), at)
     dX = pose_error(model, nominal, at)
     still = np.zeros_like(nominal.joints)
@@ -38,9 +38,10 @@ def inverse(
     rotation: np.ndarray | None = None,
     at: Mapping[str, Any] | None = None,
 ) -> Solutions:
-    """The nominal joints less what the predicted error asks for (eqs 29-33).
+    """Find the nominal joints and subtract the correction of the predicted error (eqs 29-33).
 
-    SolveError for a robot with more rows than freedoms: its joints need not agree on one error.
+    SolveError for a robot with more closure rows than degrees of freedom: its joints need not agree
+    on one error.
     """
     if model.structure.phi.shape[0] > len(model.mechanism.moved):
         raise SolveError(
@@ -53,14 +54,14 @@ def inverse(
     m = model.mechanism
     dx = dX[:, m.controlled]  # (iii)
     dq, follows = joint_correction(model, nominal, dx, at)  # (iv)
-    left = np.zeros_like(dX)
-    left[:, m.passive] = dX[:, m.passive] - follows
-    x = nominal.configuration.apply_change(np.hstack([-dq, left]))
+    passive = np.zeros_like(dX)
+    passive[:, m.passive] = dX[:, m.passive] - follows
+    x = nominal.configuration.apply_change(np.hstack([-dq, passive]))
     return match_shape(_answer(model, x, nominal, at, "inverse"), position)  # (v)
 
 
 def pose_error(model: Model, nominal: Solutions, at: Mapping[str, Any] | None = None) -> np.ndarray:
-    """dX = S_C dk (eqs 22, 30) at nominal solutions: (N, 6), m and rad about base axes."""
+    """Compute dX = S_C dk (eqs 22, 30) at nominal solutions: (N, 6), m and rad about base axes."""
     _, J_x, J_v = _blocks(model, nominal, at)
     dk = model.values - nominal_values(model)
     dX, moved = np.zeros((len(nominal), 6)), model.mechanism.moved
@@ -71,7 +72,7 @@ def pose_error(model: Model, nominal: Solutions, at: Mapping[str, Any] | None = 
 def joint_correction(
     model: Model, nominal: Solutions, dx: np.ndarray, at: Mapping[str, Any] | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """dq = J_S dx (eq. 32), and the passive coordinates that follow a displacement dx."""
+    """Compute dq = J_S dx (eq. 32), and how passive coordinates follow a displacement dx."""
     J_q, J_x, _ = _blocks(model, nominal, at)
     m, n = model.mechanism, len(model.joints)
     unknown = np.concatenate([J_q, J_x[:, :, m.passive]], axis=2)
@@ -86,7 +87,7 @@ def _nominal(model: Model) -> Kinematics:
 
 
 def nominal_values(model: Model) -> np.ndarray:
-    """The parameters k of the robot before calibration."""
+    """Return the parameters k of the robot before calibration."""
     return np.where(model.fixed, model.values, model.table.nominal)
 
 
@@ -101,7 +102,7 @@ def _blocks(
 
 
 def _solve_least_squares(A: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Least squares A u = b for each sample; NaN where the nominal solution failed."""
+    """Least squares A u = b for each sample; NaN if the nominal solution failed."""
     u = np.full(A.shape[::2], np.nan)
     good = np.isfinite(A).all(axis=(1, 2)) & np.isfinite(b).all(axis=1)
     A, b = A[good], b[good][..., None]
@@ -120,15 +121,15 @@ def _answer(
     at: Mapping[str, Any] | None,
     problem: str,
 ) -> Solutions:
-    """Solutions with the full model's closure as residual; where nominal failed, its status.
+    """Solutions with the full model's residual; a failed nominal solution keeps its status.
 
-    Not converged where more than a tenth of the error is left: there it is not of first order.
+    Not converged if more than a tenth of the error remains: it is then not of first order.
     """
     before, solutions = (
         with_status(model, each.rows, at, np.inf, problem) for each in (nominal.configuration, x)
     )
-    left = solutions.residual > np.maximum(0.1 * before.residual, MAX_CLOSED_RESIDUAL_M)
-    solutions.status[left] = Status.NOT_CONVERGED
+    bad = solutions.residual > np.maximum(0.1 * before.residual, MAX_CLOSED_RESIDUAL_M)
+    solutions.status[bad] = Status.NOT_CONVERGED
     failed = (nominal.status != Status.CONVERGED) & (nominal.status != Status.OUTSIDE_LIMITS)
     solutions.status[failed] = nominal.status[failed]
     return solutions

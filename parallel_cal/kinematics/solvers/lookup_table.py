@@ -1,4 +1,4 @@
-"""Differences to the nominal solution, stored on a grid and interpolated (section 6.1).
+"""Corrections of the nominal solution, stored on a grid and interpolated (section 6.1).
 
 The calibrated solution is nominal solution + table. The table is filled once, with the exact
 solver; it holds for one set of conditions. Smooth interpolation (B-splines) needs far fewer
@@ -21,19 +21,21 @@ from parallel_cal.base.errors import SolveError
 from parallel_cal.base.rotation import rotation_vector
 from parallel_cal.kinematics.kinematics import Kinematics, Solutions, Status
 from parallel_cal.kinematics.solvers._common import match_shape, with_status
-from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.model import Model
 
 BUILDS = "a table of the whole workspace"
-SIZE = 9  # grid points along each given coordinate
-EDGE = 0.02  # of each side: how far the grid reaches beyond the workspace
+SIZE = 9  # grid points per given coordinate
+EDGE = 0.02  # of each side: margin of the grid around the workspace
 
 
 @dataclass(frozen=True, eq=False)
 class LookUpTable:
-    """`axes`: grid values of each given coordinate; `values` (n1, n2, .., n_answers):
-    corrections to the nominal joints (inverse) or none (direct), then position (m) and rotation
-    (rad) of the pose; `nominal`: the solver that they correct."""
+    """Corrections of a nominal solver on a grid.
+
+    `axes`: grid values of each given coordinate. `values` (n1, n2, .., n_answers): corrections of
+    the nominal joints (inverse problem only), then of position (m) and rotation (rad). `nominal`:
+    the solver whose solutions they correct.
+    """
 
     problem: str
     axes: tuple[np.ndarray, ...]
@@ -43,19 +45,19 @@ class LookUpTable:
 
     @property
     def bytes(self) -> int:
-        """Memory of the stored corrections as 4-byte floats."""
+        """Memory of the corrections if stored as 4-byte floats."""
         return 4 * self.values.size
 
     @cached_property
     def interpolant(self) -> ca.Function:
-        """Given coordinates -> corrections; a CasADi function, so it can be generated as C."""
-        # CasADi wants the first axis to vary fastest, each point's answers side by side.
+        """Given coordinates -> corrections; a CasADi function, so C code can be generated."""
+        # CasADi expects the first axis to vary fastest and a point's corrections side by side.
         points = np.moveaxis(self.values, -1, 0).ravel(order="F")
         kind = "linear" if self.order == "linear" else "bspline"
         return ca.interpolant("table", kind, [list(a) for a in self.axes], points)
 
     def corrections(self, given: np.ndarray) -> np.ndarray:
-        """(N, n_answers) at given coordinates (N, n); NaN outside the grid."""
+        """Interpolate corrections (N, n_answers) at coordinates (N, n); NaN outside the grid."""
         found = np.array(self.interpolant(given.T)).T
         low, high = (np.array([a[i] for a in self.axes]) for i in (0, -1))
         found[~((given >= low) & (given <= high)).all(axis=1)] = np.nan
@@ -69,7 +71,7 @@ def direct(
     size: int = SIZE,
     order: str = "smooth",
 ) -> Solutions:
-    """Nominal pose + table at joints q; status NOT_CONVERGED outside the table."""
+    """Find nominal pose + table at joints q; status NOT_CONVERGED outside the table."""
     table = table_for(model, "direct", at, size, order)
     nominal = table.nominal.direct(np.atleast_2d(q), at)
     return match_shape(_apply_corrections(model, table, nominal, np.atleast_2d(q), at), q)
@@ -83,17 +85,18 @@ def inverse(
     size: int = SIZE,
     order: str = "smooth",
 ) -> Solutions:
-    """Nominal joints + table at the controlled coordinates; NOT_CONVERGED outside the table."""
+    """Find nominal joints + table at controlled coordinates; NOT_CONVERGED outside the table."""
     table = table_for(model, "inverse", at, size, order)
     nominal = table.nominal.inverse(np.atleast_2d(position), rotation, at)
-    given = _controlled(model.mechanism, nominal)
+    pose = np.hstack([nominal.position, rotation_vector(nominal.rotation)])
+    given = pose[:, model.mechanism.controlled]
     return match_shape(_apply_corrections(model, table, nominal, given, at), position)
 
 
 def table_for(
     model: Model, problem: str, at: Mapping[str, Any] | None, size: int, order: str
 ) -> LookUpTable:
-    """The table of a model for one set of conditions, built at the first call and kept."""
+    """Return the table of a model for one set of conditions; it is built at the first call."""
     if order not in ("linear", "smooth"):
         raise SolveError(f"order='{order}'; expected 'linear' or 'smooth'")
     least = 2 if order == "linear" else 4
@@ -129,7 +132,7 @@ def _build_table(
 
 
 def _axes(robots: Sequence[Kinematics], problem: str, size: int) -> tuple[np.ndarray, ...]:
-    """A grid over the workspace, or over the joints that both robots reach it with."""
+    """Grid axes over the workspace, or over the joints with which both robots reach it."""
     m = robots[0].model.mechanism
     low, high = np.array(m.workspace.low), np.array(m.workspace.high)
     if problem == "direct":
@@ -147,15 +150,10 @@ def _grid(axes: Sequence[np.ndarray]) -> np.ndarray:
 def _solve_at(
     kinematics: Kinematics, problem: str, points: np.ndarray, at: Mapping[str, Any]
 ) -> Solutions:
-    """Solutions at grid points: joints, or controlled coordinates as `Workspace` has them."""
+    """Solutions at grid points: joints, or controlled coordinates like those of `Workspace`."""
     if problem == "direct":
         return kinematics.direct(points, at)
     return kinematics.inverse(*kinematics.model.mechanism.poses(points), at)
-
-
-def _controlled(mechanism: Mechanism, s: Solutions) -> np.ndarray:
-    """Controlled coordinates: position (m), rotation vector (rad)."""
-    return np.hstack([s.position, rotation_vector(s.rotation)])[:, mechanism.controlled]
 
 
 def _apply_corrections(
@@ -165,7 +163,7 @@ def _apply_corrections(
     given: np.ndarray,
     at: Mapping[str, Any] | None,
 ) -> Solutions:
-    """Nominal solutions with the table's corrections, and the closure's residual there."""
+    """Nominal solutions with the table's corrections and the resulting residual."""
     change = table.corrections(given)
     still = np.zeros((len(given), len(model.joints) if table.problem == "direct" else 0))
     x = nominal.configuration.apply_change(np.hstack([still, change]))

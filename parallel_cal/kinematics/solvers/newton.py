@@ -33,30 +33,33 @@ from parallel_cal.model.configuration import Configuration
 from parallel_cal.model.mechanism import Mechanism
 from parallel_cal.model.model import Model
 
-STARTS = 256  # random ones
-ROUNDS = 6  # of iterations from each
-MAX_SAME_SOLUTION_DIFFERENCE = 1e-7  # m or rad: solutions nearer than that are one
+STARTS = 256  # random starts
+ROUNDS = 6  # rounds of iterations from each start
+MAX_SAME_SOLUTION_DIFFERENCE = 1e-7  # m or rad: below that, two solutions are the same
 
 At = Mapping[str, Any]
 
 
 def direct(model: Model, q: np.ndarray, at: At | None = None) -> Solutions:
-    """Poses on the home branch for joints (nq,) or (N, nq)."""
+    """Find poses on the home branch for joints (nq,) or (N, nq)."""
     return get_kinematics(model).direct(q, at)
 
 
 def inverse(
     model: Model, position: np.ndarray, rotation: np.ndarray | None = None, at: At | None = None
 ) -> Solutions:
-    """Joints on the home branch for positions (3,) or (N, 3) and rotations."""
+    """Find joints on the home branch for positions (3,) or (N, 3) and rotations."""
     return get_kinematics(model).inverse(position, rotation, at)
 
 
 def direct_all(
     model: Model, q: np.ndarray, at: At | None = None, starts: int = STARTS
 ) -> Solutions:
-    """Every distinct pose found for joints (nq,), the home branch first: from the mechanism's
-    candidates and, where these are not known to be all, from random `starts`."""
+    """Search all distinct poses for joints (nq,); the home branch comes first.
+
+    The search begins at the mechanism's candidates and, unless these are known to be all solutions,
+    at random `starts`.
+    """
     kinematics, given = get_kinematics(model), joint_rows(model, q)
     candidates = pose_candidates(model, given[0, : len(model.joints)])
     return _Search(kinematics, kinematics.direct_problem, given, at)(candidates, starts)
@@ -69,9 +72,9 @@ def inverse_all(
     at: At | None = None,
     starts: int = STARTS,
 ) -> Solutions:
-    """Every distinct joint set found for a pose, likewise.
+    """Search all distinct joint sets for a pose, like `direct_all`.
 
-    SolveError for a redundant arm: infinitely many are none.
+    SolveError for a redundant arm, which has infinitely many.
     """
     kinematics, given = get_kinematics(model), pose_rows(model, position, rotation)
     pose, problem = Configuration.from_rows(given[0]), kinematics.inverse_problem
@@ -86,7 +89,7 @@ def inverse_all(
 
 @dataclass(frozen=True)
 class _Search:
-    """All solutions of one sample, `given` (1, nq + 12)."""
+    """Search for all solutions of one sample, `given` (1, nq + 12)."""
 
     kinematics: Kinematics
     problem: Problem
@@ -98,46 +101,39 @@ class _Search:
         if first.status == Status.INVALID_INPUT:
             return first
         known = concatenate_solutions([first, self._solve_from(candidates.rows)])
-        complete = self._are_all_exact(candidates)
+        model, rows = self.kinematics.model, candidates.rows
+        complete = self.problem.name in model.mechanism.closed_forms
+        if complete:  # unless effects make the closed form inexact
+            exact = residuals(model, rows, self.at) < MAX_CLOSED_RESIDUAL_M
+            complete = bool(exact.all()) if len(rows) else not model.effects
         if not complete:
             more = self._solve_from(self._search_randomly(starts))
-            # Not the singular ones: where the robot moves by itself they are without number.
+            # Omit singular ones: a robot that can move with locked joints has infinitely many.
             known = concatenate_solutions([known, more[more.status != Status.SINGULAR]])
         found = known[known.solved]
         found = found[self._distinct(found.configuration.rows)]
         return replace(found if len(found) else first, complete=complete)
 
     def _solve_from(self, rows: np.ndarray) -> Solutions:
-        """The solutions reached from configurations (k, nq + 12)."""
+        """Iterate from configurations (k, nq + 12)."""
         given = np.repeat(self.given, len(rows), axis=0)
         return self.kinematics.solve_rows(self.problem, given, self.at, _start(rows))
 
     def _distinct(self, rows: np.ndarray) -> list[int]:
-        """The first of each group of equal ones, whole turns aside."""
-        turns, firsts, left = (
-            self.kinematics.model.mechanism.joint_periods,
-            [],
-            np.arange(len(rows)),
-        )
-        while len(left):
-            here = Configuration.from_rows(rows[left[0]])
-            change = Configuration.from_rows(rows[left]).change_from(here)
-            change -= np.append(turns, np.zeros(6)) * np.round(change / (2 * np.pi))
-            firsts.append(int(left[0]))
-            left = left[np.abs(change).max(axis=1) > MAX_SAME_SOLUTION_DIFFERENCE]
+        """Index of the first of each group of equal configurations; whole turns do not count."""
+        turns = np.append(self.kinematics.model.mechanism.joint_periods, np.zeros(6))
+        firsts, rest = [], np.arange(len(rows))
+        while len(rest):
+            here = Configuration.from_rows(rows[rest[0]])
+            change = Configuration.from_rows(rows[rest]).change_from(here)
+            change -= turns * np.round(change / (2 * np.pi))
+            firsts.append(int(rest[0]))
+            rest = rest[np.abs(change).max(axis=1) > MAX_SAME_SOLUTION_DIFFERENCE]
         return firsts
 
-    def _are_all_exact(self, candidates: Configuration) -> bool:
-        """Whether the candidates are the mechanism's closed form and effects leave it exact."""
-        model, rows = self.kinematics.model, candidates.rows
-        if self.problem.name not in model.mechanism.closed_forms:
-            return False
-        exact = (residuals(model, rows, self.at) < MAX_CLOSED_RESIDUAL_M).all()
-        return bool(exact) if len(rows) else not model.effects
-
     def _search_randomly(self, starts: int) -> np.ndarray:
-        """Different configurations (k, nq + 12) that plain iterations from random ones end in."""
-        if self.problem.redundant:  # there a local minimum is no answer
+        """Distinct configurations (k, nq + 12) that plain iterations reach from random starts."""
+        if self.problem.redundant:  # a local minimum is not a solution
             return self.given[:0]
         model = self.kinematics.model
         given = np.repeat(self.given, starts, axis=0)
@@ -150,13 +146,18 @@ class _Search:
 
 
 def _start(rows: np.ndarray) -> Solutions:
+    """Configurations as starts."""
     nothing = np.full(len(rows), np.nan)
     return Solutions.of(rows, nothing, np.full(len(rows), Status.NOT_CONVERGED))
 
 
 def _sample_configurations(m: Mechanism, n: int) -> Configuration:
-    """Random configurations: what turns anywhere, slides within their limits and half as far
-    beyond, positions a length around the workspace and its mirror image; always the same."""
+    """Random configurations, the same in each call.
+
+    Revolute joints turn anywhere; sliding ones exceed their limits by up to
+    half their range. Positions
+    lie within a length of the workspace and its mirror image.
+    """
     rng, home = np.random.default_rng(0), Configuration.from_rows(m.home.configuration)
     q, r, w = (rng.uniform(-1, 1, (n, size)) for size in (len(m.joints), 3, 3))
     limits, half = np.array(m.joint_limits, dtype=float), np.full(len(m.joints), np.pi)

@@ -1,7 +1,7 @@
 """General orientation problem (6.2.3) of a mechanism: every orientation, by one polynomial.
 
-For mechanisms whose three closure rows say that a platform's direction v_i keeps a given angle
-to a direction u_i of the base (Argos 9, section 6.6). Both follow from the closure itself.
+For mechanisms whose three closure rows fix the angle between a direction v_i of the platform and
+a direction u_i of the base (Argos 9, section 6.6). Both follow from the closure itself.
 
 Prefer it where every orientation of a spherical robot is wanted, as --all does.
 """
@@ -40,7 +40,7 @@ def direct_all(
     at: Mapping[str, Any] | None = None,
     form: str = "eigenvalue",
 ) -> Solutions:
-    """All real orientations, at most eight, at joints q (nq,), the home branch first."""
+    """Find all real orientations, at most eight, at joints q (nq,), the home branch first."""
     u, v, c = circles(model, q, at)
     R = orientations(u, v, c, form)
     x = Configuration(np.asarray(q), np.array(model.mechanism.home.position), R).rows
@@ -54,17 +54,17 @@ def direct(
     at: Mapping[str, Any] | None = None,
     form: str = "eigenvalue",
 ) -> Solutions:
-    """The orientation on the home branch for joints (nq,) or (N, nq); unreachable where none is."""
+    """Find the orientation on the home branch for joints (nq,) or (N, nq); unreachable if none."""
     return solve_on_home_branch(model, q, at, partial(direct_all, form=form))
 
 
 def circles(
     model: Model, q: np.ndarray, at: Mapping[str, Any] | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """u (3, 3), v (3, 3) and c (3,) of u_i . R v_i = c_i at joints q, after the effects."""
+    """Compute u (3, 3), v (3, 3), c (3,) of u_i . R v_i = c_i at joints q, after the effects."""
     given = joint_rows(model, q)[0]
     slopes, rest = _circles(model.structure)(given, model.condition_rows(at, 1)[0], model.values)
-    # A row of dphi/dR is u v^T, the rest of phi is -c; here they come column by column.
+    # A row of dphi/dR is u v^T, stored column by column; the rest of phi is -c.
     left, sizes, right = np.linalg.svd(slopes.reshape(9, 3).T.reshape(3, 3, 3))
     if (sizes[:, 1] > 1e-9 * sizes[:, 0]).any():
         raise _unfit(model.structure)
@@ -73,7 +73,7 @@ def circles(
 
 @lru_cache(maxsize=16)
 def _circles(s: Structure) -> Single:
-    """(configuration, a, v) -> dphi/dR (3, 9) and the part of phi without R."""
+    """Compile (configuration, a, v) -> dphi/dR (3, 9) and the part of phi without R."""
     slopes = ca.jacobian(s.phi, s.R9)
     if s.mechanism.moves != ROTATIONS or s.phi.shape[0] != 3 or ca.depends_on(slopes, s.R9):
         raise _unfit(s)

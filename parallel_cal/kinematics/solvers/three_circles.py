@@ -31,12 +31,12 @@ from parallel_cal.model.model import Model
 RESULTANT_DEGREE = 16
 SIDES = ((0, 1), (0, 2), (1, 2))
 SAMPLES = 64  # on the unit circle; more than the resultant's 17 coefficients need
-NEGLIGIBLE = 1e-12  # of the largest coefficient: the degree is lower in symmetric cases
-NEARLY_REAL = 1e-3  # distance from the unit circle at which Newton's method decides
+NEGLIGIBLE = 1e-12  # relative to the largest coefficient; the degree is lower in symmetric cases
+NEARLY_REAL = 1e-3  # distance from the unit circle; within it, Newton's method decides
 
 
 def direct_all(model: Model, q: np.ndarray, at: Mapping[str, Any] | None = None) -> Solutions:
-    """Every real pose at joints q (nq,), home branch first; `count_complex` is 16 in general."""
+    """Find every real pose at joints q (nq,), home branch first; `count_complex` is usually 16."""
     q = np.asarray(q, dtype=float)
     C, u, radius, B = parts(model, "circles", q, at)
     z, starts = balls(C, u, radius, B)
@@ -56,14 +56,14 @@ def direct_all(model: Model, q: np.ndarray, at: Mapping[str, Any] | None = None)
 
 
 def direct(model: Model, q: np.ndarray, at: Mapping[str, Any] | None = None) -> Solutions:
-    """The pose on the home branch for joints (nq,) or (N, nq); unreachable where none is real."""
+    """Find the pose on the home branch for joints (nq,) or (N, nq); unreachable if none is real."""
     return solve_on_home_branch(model, q, at, direct_all)
 
 
 def balls(
     C: np.ndarray, u: np.ndarray, radius: np.ndarray, B: np.ndarray
 ) -> tuple[np.ndarray, list[np.ndarray]]:
-    """All complex z_1 (up to 16), and for the nearly real ones the three balls (3, 3)."""
+    """Find all complex z_1 (up to 16), and the three balls (3, 3) of the nearly real ones."""
     size = float(radius.mean())
     terms = [_terms(*one) for one in zip(C / size, u, radius / size, strict=True)]
     pairs = {(i, j): _side(terms[i], terms[j], (B[i] - B[j]) / size) for i, j in SIDES}
@@ -114,11 +114,11 @@ def _powers(z: complex) -> np.ndarray:
 
 
 def _triangles(z: complex, terms: list[Any], pairs: dict[tuple[int, int], np.ndarray]) -> list[Any]:
-    """Balls on their circles that come near to closing the triangle, with z_1 given."""
+    """Balls on their circles that nearly close the triangle for a given z_1."""
     second, third = (np.roots((_powers(z) @ pairs[0, j])[::-1]) for j in (1, 2))
     choices = [(x / abs(x), y / abs(y)) for x, y in product(second, third)]
     gaps = [abs(_powers(x) @ pairs[1, 2] @ _powers(y)) for x, y in choices]
-    best = sorted(range(len(gaps)), key=gaps.__getitem__)[:2]  # a double root has two near ones
+    best = sorted(range(len(gaps)), key=gaps.__getitem__)[:2]  # two, because of double roots
     return [
         np.array([(_powers(w) @ t[0]).real for w, t in zip((z, *choices[k]), terms, strict=True)])
         for k in best
@@ -126,7 +126,7 @@ def _triangles(z: complex, terms: list[Any], pairs: dict[tuple[int, int], np.nda
 
 
 def fit_pose(B: np.ndarray, P: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The pose (r, R) that brings points B (n, 3) nearest to P (n, 3)."""
+    """Fit the pose (r, R) that brings points B (n, 3) nearest to P (n, 3)."""
     b, p = B - B.mean(axis=0), P - P.mean(axis=0)
     turn = nearest_rotation(p.T @ b)
     return P.mean(axis=0) - turn @ B.mean(axis=0), turn
