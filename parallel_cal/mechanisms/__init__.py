@@ -7,5 +7,5 @@ __all__ = ["load", "names"]
 
 
 def names() -> list[str]:
-    """What is on this shelf; `load` takes one of these, or the Python path of your own."""
+    """List the mechanisms of this shelf; `load` takes one of them or a Python path."""
     return list_plugins("mechanisms")

@@ -1,4 +1,4 @@
-"""What the models of the Argos share: home, workspace, and where the direct problem starts."""
+"""Common parts of the Argos models: home, workspace, and starts of the direct problem."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from parallel_cal.model.drawing import Line, ring
 from parallel_cal.model.mechanism import Home, Mechanism, Workspace
 from parallel_cal.model.parameters import Named
 
-RADIUS = 110 * MM  # of the mock-up: {p} lies this far from all three ball centres
+RADIUS = 110 * MM  # of the mock-up: distance of {p} from all three ball centres
 # Home turns the platform by 109.5 degrees about (-1, 1, 0): ball 1 points to (1, -2, -2) / 3,
 # between the motor axes 2 and 3, and the others likewise. As a rotation vector:
 HOME_TURN = float(np.arccos(-1 / 3) / np.sqrt(2))
 REACH = 30 * DEGREE
-ARC = tuple(np.radians(np.arange(-60, 61, 10)).tolist())  # of a pantograph's circle, drawn
+ARC = tuple(np.radians(np.arange(-60, 61, 10)).tolist())  # drawn part of a pantograph's circle
 
 
 class Argos(Mechanism):
@@ -39,17 +39,20 @@ class Argos(Mechanism):
         self.length = float(radius)
 
     def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
-        """The nominal model's four orientations about a centre at rest (section 6.7.2)."""
+        """Find the nominal model's four orientations, with the centre at home (section 6.7.2)."""
         return orientations(q, p)
 
     def joint_candidates(self, r: Any, R: Any, p: Named) -> list[tuple[Any, ...]]:
-        """Both angles of every motor, the centre at rest (eqs 6.50-6.53, 6.62-6.63, 6.7.3)."""
+        """Find both angles of every motor, with the centre at home.
+
+        See eqs 6.50-6.53, 6.62-6.63 and section 6.7.3.
+        """
         return joint_angles(self, ca.DM(self.home.position), R, p)
 
 
 def pantographs(circles: list[tuple[Any, ...]], r: Any, R: Any) -> list[Line]:
-    """Of circles C, u, radius and balls B in {p}: an arc about each ball's place, the pantograph
-    to the ball, and the platform."""
+    """Draw circles (C, u, radius) with balls B in {p}: for each ball an arc of its circle and the
+    pantograph to the ball; and the platform."""
     lines, balls = [], []
     for i, (C, u, radius, B) in enumerate(circles, start=1):
         ball, own = r + R @ B, f"chain{i}."
@@ -65,11 +68,11 @@ def pantographs(circles: list[tuple[Any, ...]], r: Any, R: Any) -> list[Line]:
 
 
 def orientations(q: Any, p: Named) -> list[tuple[Any, Any]]:
-    """All four regular solutions (eqs 6.43-6.49), the centre at rest.
+    """Find all four regular solutions (eqs 6.43-6.49), with the centre at home.
 
-    With one solution R, R diag(+-1) of determinant 1 are the others: the balls change to
-    the opposite points of their circles. The factor sin(theta2) = 0 of eq. 6.47 gives four
-    more poses with a ball on its motor axis, all singular; they are left out.
+    If R is one solution, the others are R diag(+-1) of determinant 1: the balls change to the
+    opposite points of their circles. The factor sin(theta2) = 0 of eq. 6.47 gives four more poses
+    with a ball on its motor axis. They are all singular and omitted.
     """
     a1, a2, a3 = (q[i] + p[f"chain{i + 1}"].alpha0 for i in range(3))  # eq. 6.41
     R = rot_x(a1) @ _platform_angles(a1, a2, a3)
@@ -80,8 +83,8 @@ def orientations(q: Any, p: Named) -> list[tuple[Any, Any]]:
 def _platform_angles(a1: Any, a2: Any, a3: Any) -> Any:
     """Rot(y, theta2) Rot(x, theta3) from eqs 6.44-6.49.
 
-    theta3 solves two equations that agree; where a1 vanishes both factors of the first one do,
-    so the one with the larger factors is taken.
+    theta3 solves two equivalent equations. If a1 vanishes, both factors of the first equation
+    vanish, so the equation with the larger factors is used.
     """
     s, c = ca.sin, ca.cos
     C1 = -(c(a1) * s(a2) * c(a3) + s(a1) * c(a2) * s(a3))

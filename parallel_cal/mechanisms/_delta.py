@@ -1,4 +1,4 @@
-"""What the models of the Delta robot share: table, home, workspace, rod pairs (3.10, 5.12)."""
+"""Common parts of the Delta models: table, home, workspace, rod pairs (tables 3.10, 5.12)."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ POSITION = {
 
 
 class Delta(Mechanism):
-    """Three driven arms that place a platform, however it is described."""
+    """Three driven arms that move a platform; common to all Delta models."""
 
     joints = ("joint1", "joint2", "joint3")
     controls = ("x", "y", "z")
@@ -40,7 +40,7 @@ class Delta(Mechanism):
 
 
 def chain_parameters(groups: dict[str, dict[str, Entry]]) -> ParameterTable:
-    """The table of three equal chains, 120 degrees apart (theta is the thesis' vartheta)."""
+    """Make the table of three equal chains, 120 degrees apart (theta is the thesis' vartheta)."""
     return ParameterTable(
         Parameter(
             f"chain{i + 1}.{name}",
@@ -57,9 +57,12 @@ def chain_parameters(groups: dict[str, dict[str, Entry]]) -> ParameterTable:
 
 
 def pair_errors(rods: tuple[list[Any], list[Any], list[Any]], r: Any, R: Any, p: Named) -> Any:
-    """G1 and G2 of eq. 3.12, divided by 2 Lb and Lb: mean and half difference of a rod pair's
-    length error, three rows each, in metres; `rods` as C in {B}, B in {P} and length."""
-    # |CB + dd|^2 and |CB - dd|^2: their half sum is G1, a quarter of their difference G2
+    """Compute G1 and G2 of eq. 3.12, divided by 2 Lb and Lb, three rows each, in metres.
+
+    They are mean and half difference of the length errors of a rod pair. `rods`: C in {B}, B in {P}
+    and length.
+    """
+    # G1 is half the sum of |CB + dd|^2 and |CB - dd|^2, G2 a quarter of their difference.
     errors = [ca.sumsqr(r + R @ B - C) - L**2 for C, B, L in zip(*rods, strict=True)]
     first, second = ca.vertcat(*errors[::2]), ca.vertcat(*errors[1::2])
     to_metres = 0.25 / ca.vertcat(*[p[f"chain{i + 1}"].Lb for i in range(3)])
@@ -67,7 +70,7 @@ def pair_errors(rods: tuple[list[Any], list[Any], list[Any]], r: Any, R: Any, p:
 
 
 def rod_pairs(rods: tuple[list[Any], list[Any], list[Any]], r: Any, R: Any) -> list[Line]:
-    """The bars of three pairs, their six rods and the platform; `rods` as of `pair_errors`."""
+    """Draw the bars of three pairs, their six rods and the platform; `rods` as in `pair_errors`."""
     C, tops = rods[0], [r + R @ B for B in rods[1]]
     lines = []
     for i, k in enumerate((0, 2, 4), start=1):
@@ -81,6 +84,6 @@ def rod_pairs(rods: tuple[list[Any], list[Any], list[Any]], r: Any, R: Any) -> l
 
 
 def pair_lengths(p: Named) -> list[Any]:
-    """Lb + dLb and Lb - dLb of each pair."""
+    """Return Lb + dLb and Lb - dLb of each pair."""
     chains = [p[f"chain{i + 1}"] for i in range(3)]
     return [c.Lb + side * c.dLb for c in chains for side in (1, -1)]

@@ -41,7 +41,7 @@ CHAIN = tuple(LABELS)
 
 
 def angle_parameters(chain: int) -> list[Parameter]:
-    """The angles of one chain; they are all there is in model 9 (table 3.16)."""
+    """Make the angles of one chain, the only parameters of model 9 (table 3.16)."""
     return [
         Parameter(
             f"chain{chain + 1}.{name}",
@@ -56,7 +56,7 @@ def angle_parameters(chain: int) -> list[Parameter]:
 
 
 def shift_parameters(chain: int, radius: float) -> list[Parameter]:
-    """What lets one chain leave the common sphere."""
+    """Make the parameters by which one chain deviates from the common sphere."""
     lengths = {**dict.fromkeys((*MOTOR_SHIFTS[chain], "da", "dc", "dR"), 0.0), "R": radius}
     name = f"chain{chain + 1}."
     return [
@@ -69,7 +69,7 @@ def shift_parameters(chain: int, radius: float) -> list[Parameter]:
 
 
 def chain_of(p: Named, chain: int) -> Named:
-    """All entries of `CHAIN` for one chain (0..2), zero where the frames make them so."""
+    """Return all entries of `CHAIN` for one chain (0..2); those that a chain lacks are zero."""
     own = p[f"chain{chain + 1}"]
     has = {*ANGLES[chain], *MOTOR_SHIFTS[chain], "da", "dc", "gamma", "dR", "R"}
     return Named(CHAIN, [own[name] if name in has else 0.0 for name in CHAIN])
@@ -94,8 +94,11 @@ class Argos27(Argos):
         )
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
-        """G1 and G2 of eq. 3.22: how far each ball is out of its pantograph's plane and off its
-        circle (divided by 2 R), three rows each, in metres."""
+        """Compute G1 and G2 of eq. 3.22, three rows each, in metres.
+
+        G1 is the distance of each ball from its pantograph's plane, G2 its distance from the
+        circle (divided by 2 R).
+        """
         plane, circle = [], []
         for C, u, radius, B in zip(*self.circles(q, p), strict=True):
             CB = r + R @ B - C
@@ -104,16 +107,16 @@ class Argos27(Argos):
         return ca.vertcat(*plane, *circle)
 
     def circles(self, q: Any, p: Named) -> list[tuple[Any, ...]]:
-        """Of the circles that carry the balls, one a chain: centres C and unit normals u in {b},
-        radii, and the balls' places B in {p}."""
+        """Return the circles of the balls, one per chain: centres C and unit normals u in {b},
+        radii, and the balls' positions B in {p}."""
         return list(zip(*[self.circle(q[i], chain_of(p, i)) for i in range(3)], strict=True))
 
     def drawing(self, q: Any, r: Any, R: Any, p: Named) -> list[Line]:
-        """The pantographs' circles, the balls on them and the platform."""
+        """Draw the pantographs' circles, the balls on them and the platform."""
         return pantographs(list(zip(*self.circles(q, p), strict=True)), r, R)
 
     def circle(self, angle: Any, c: Named) -> tuple[Any, Any, Any, Any]:
-        """One chain's circle and ball (eqs 3.17-3.21, transformations of table 3.15)."""
+        """Compute one chain's circle and ball (eqs 3.17-3.21, transformations of table 3.15)."""
         W, Q, G = rot_x(c.Omega), rot_x(angle + c.alpha0), rot_z(c.gamma)
         S = W @ rot_z(c.Phi)
         u = S @ Q @ G[:, 0]
@@ -123,6 +126,6 @@ class Argos27(Argos):
 
 
 def widen_spherical(values: Mapping[str, float], radius: float) -> dict[str, float]:
-    """Model 27 of a spherical Argos (eqs 3.24, 3.25): nominal shifts, the angles as given."""
+    """Widen a spherical Argos to model 27 (eqs 3.24, 3.25): nominal shifts, the given angles."""
     shifts = [p for i in range(3) for p in shift_parameters(i, radius)]
     return {**values, **{p.name: p.nominal for p in shifts}}

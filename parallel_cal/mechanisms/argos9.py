@@ -24,28 +24,28 @@ class Argos9(Argos):
     closed_forms = ("inverse",)
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
-        """Eq. 3.26 times the radius: each ball's distance from its circle's plane, in metres."""
+        """Compute each ball's distance from its circle's plane (eq. 3.26 times radius), in m."""
         u, v = self.normals(q, p), self.balls(p)
         return self.length * ca.vertcat(*[ca.dot(u[i], R @ v[i]) for i in range(3)])
 
     def drawing(self, q: Any, r: Any, R: Any, p: Named) -> list[Line]:
-        """The great circles, the balls on them and the platform."""
+        """Draw the great circles, the balls on them and the platform."""
         both = zip(self.normals(q, p), self.balls(p), strict=True)
         circles = [(ca.DM.zeros(3), u, self.length, self.length * v) for u, v in both]
         return pantographs(circles, r, R)
 
     def normals(self, q: Any, p: Named) -> list[Any]:
-        """u_i: normals of the three pantograph planes in {b}."""
+        """Return u_i, the normals of the three pantograph planes in {b}."""
         one, two, three = (p[f"chain{i + 1}"] for i in range(3))
         S = (ca.DM.eye(3), rot_z(two.Phi), rot_x(three.Omega) @ rot_z(three.Phi))
         return [S[i] @ rot_x(q[i] + c.alpha0)[:, 1] for i, c in enumerate((one, two, three))]
 
     def balls(self, p: Named) -> list[Any]:
-        """v_i: directions to the three balls in {p}."""
+        """Return v_i, the directions to the three balls in {p}."""
         two, three = p["chain2"], p["chain3"]
         v3 = rot_x(three.omega) @ rot_z(three.phi)[:, 0]
         return [ca.DM([1, 0, 0]), rot_z(two.phi)[:, 0], v3]
 
     def widen(self, values: Mapping[str, float]) -> tuple[str, dict[str, float]]:
-        """Model 27 with all three circles on one sphere (eqs 3.24-3.25)."""
+        """Widen to model 27 with all three circles on one sphere (eqs 3.24-3.25)."""
         return "argos27", widen_spherical(values, self.length)

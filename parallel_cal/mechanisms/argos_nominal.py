@@ -18,11 +18,11 @@ class ArgosNominal(Argos):
     closed_forms = ("direct", "inverse")
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
-        """Model 9's closure (eq. 3.26) with the angles of eq. 3.27."""
+        """Compute model 9's closure (eq. 3.26) with the angles of eq. 3.27."""
         return Argos9(self.length).closure(q, r, R, self._to_model9_parameters(p))
 
     def drawing(self, q: Any, r: Any, R: Any, p: Named) -> list[Line]:
-        """As model 9."""
+        """Draw the robot like model 9."""
         return Argos9(self.length).drawing(q, r, R, self._to_model9_parameters(p))
 
     @staticmethod
@@ -33,5 +33,5 @@ class ArgosNominal(Argos):
         return Named(table.names, [offsets.get(row.name, row.nominal) for row in table])
 
     def widen(self, values: Mapping[str, float]) -> tuple[str, dict[str, float]]:
-        """Model 9 with right angles."""
+        """Widen to model 9 with right angles."""
         return "argos9", {**Argos9.parameters.mapping(Argos9.parameters.nominal), **values}

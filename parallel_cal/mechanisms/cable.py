@@ -27,9 +27,9 @@ BODIES = {"base": ("*.A_?",), "spools": ("*.R",)}
 class Cable(Mechanism):
     """End point P, lines from P to anchors A_i; readings are zero with P at the origin.
 
-    `anchors` (n, 3) m, `advantages` (n,), and `spools` (n,): lines of equal number share one
-    spool radius. The first three anchors must not be in one line. Gear ratio and advantage
-    act like the radius and are counted, not measured: they are fixed by default.
+    `anchors` (n, 3) m, `advantages` (n,), and `spools` (n,): lines with equal spool numbers share
+    one spool radius. The first three anchors must not be collinear. Gear ratio and advantage act
+    like the radius and are known by counting: they are fixed by default.
     """
 
     moves = ("x", "y", "z")
@@ -39,7 +39,7 @@ class Cable(Mechanism):
     closed_forms = ("direct", "inverse")
     bodies = BODIES
     workspace = Workspace(low=(-0.5, -0.5, 0.0), high=(0.5, 0.5, 0.8))
-    length = RADIUS / GEAR / 2  # of line, for a radian of the motor
+    length = RADIUS / GEAR / 2  # m of line per rad of the motor
 
     def __init__(
         self,
@@ -64,7 +64,7 @@ class Cable(Mechanism):
 
     @property
     def winds(self) -> tuple[float, ...]:
-        """m of line that a radian of each motor lets out at the platform."""
+        """Line (m) that each motor lets out at the platform per rad."""
         p = {parameter.name: parameter.nominal for parameter in self.parameters}
         lines = enumerate(self.spools, start=1)
         return tuple(
@@ -72,7 +72,7 @@ class Cable(Mechanism):
         )
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
-        """|P - A| - |A| - (line let out + offset): length error of each line, in metres."""
+        """Compute |P - A| - |A| - (line let out + offset): length error of each line, in metres."""
         lines = [p[f"line{i + 1}"] for i in range(len(self.joints))]
         A = [c.vector("A_x", "A_y", "A_z") for c in lines]
         let_out = [q[i] * self.per_radian(p, i) + c.offset for i, c in enumerate(lines)]
@@ -81,12 +81,12 @@ class Cable(Mechanism):
         )
 
     def per_radian(self, p: Named, i: int) -> Any:
-        """Metres of line that one radian of motor i lets out."""
+        """Line (m) that motor i lets out per rad."""
         c = p[f"line{i + 1}"]
         return p[f"spool{self.spools[i]}"].R / (c.gear * c.advantage)
 
     def drawing(self, q: Any, r: Any, R: Any, p: Named) -> list[Line]:
-        """The lines from the end point to their anchors."""
+        """Draw the lines from the end point to their anchors."""
         lines = [(f"line{i + 1}", p[f"line{i + 1}"]) for i in range(len(self.joints))]
         return [
             Line("rod", (r, c.vector("A_x", "A_y", "A_z")), (f"{name}.A_?", f"{name}.offset"))
@@ -94,7 +94,7 @@ class Cable(Mechanism):
         ]
 
     def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
-        """Where spheres about the anchors meet: of four lines one point, of three lines two."""
+        """Intersect the spheres about the anchors: one point of four lines, two of three lines."""
         lengths = -self.closure(q, ca.DM.zeros(3), ca.DM.eye(3), p)
         lines = [p[f"line{i + 1}"] for i in range(len(self.joints))]
         A = [c.vector("A_x", "A_y", "A_z") for c in lines]
@@ -105,12 +105,12 @@ class Cable(Mechanism):
         return [(point, ca.DM.eye(3)) for point in points]
 
     def joint_candidates(self, r: Any, R: Any, p: Named) -> list[tuple[Any, ...]]:
-        """The only solution: each line's length gives its motor's angle."""
+        """Find the only solution: each line's length gives its motor's angle."""
         missing = self.closure(ca.DM.zeros(len(self.joints)), r, R, p)
         return [(missing[i] / self.per_radian(p, i),) for i in range(len(self.joints))]
 
     def _spatial(self) -> bool:
-        """Whether the first four anchors span space, far from lying in one plane."""
+        """Whether the first four anchors span space and are far from coplanar."""
         if len(self.joints) < 4:
             return False
         names = [f"line{i + 1}.A_{axis}" for i in range(4) for axis in "xyz"]
@@ -163,7 +163,7 @@ def _line(number: int, anchor: Sequence[float], advantage: float) -> list[Parame
 
 
 def _four_spheres(centres: Sequence[Any], squares: Sequence[Any]) -> Any:
-    """The point at four distances from four centres: differences of spheres are planes."""
+    """Intersect four spheres in one point: their differences are planes."""
     planes = ca.vertcat(*[(centres[0] - c).T for c in centres[1:4]])
     heights = [
         (squares[i] - squares[0] - ca.dot(c, c) + ca.dot(centres[0], centres[0])) / 2

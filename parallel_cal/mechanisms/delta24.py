@@ -26,28 +26,28 @@ class Delta24(Delta):
     parts = ("arm", "rod")
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
-        """Eq. 3.16 divided by 2 Lb: length error of each rod, in metres."""
+        """Compute eq. 3.16 divided by 2 Lb: length error of each rod, in metres."""
         return ca.vertcat(*[self.rod(q[i], r, c) for i, c in enumerate(self.chains(p))])
 
     def chains(self, p: Named) -> list[Named]:
-        """Each chain's eight parameters."""
+        """Return each chain's eight parameters."""
         return [p[f"chain{i + 1}"] for i in range(3)]
 
     @staticmethod
     def rod(angle: Any, r: Any, c: Named) -> Any:
-        """The closure row of one chain."""
+        """Compute the closure row of one chain."""
         CB = r - Delta24.arm(angle, c)[1]
         return (ca.dot(CB, CB) - c.Lb**2) / (2 * c.Lb)
 
     @staticmethod
     def arm(angle: Any, c: Named) -> tuple[Any, Any]:
-        """Both ends of one arm, less the platform's radius: hub and C."""
+        """Compute both ends of one arm, hub and C, shifted by the platform's radius."""
         T = rot_z(c.theta) @ rot_x(c.alpha)
         D, La = c.vector("D_x", "D_y", "D_z"), ca.vertcat(c.La_x, c.La_y, 0)
         return T @ D, T @ (D + rot_z(angle) @ La)
 
     def drawing(self, q: Any, r: Any, R: Any, p: Named) -> list[Line]:
-        """Motor axes, arms and the rods that meet in one point: no platform has a size."""
+        """Draw motor axes, arms and the rods, which meet in one point: the platform has no size."""
         chains, hubs, lines = self.chains(p), [], []
         for i, c in enumerate(chains, start=1):
             (hub, C), own = self.arm(q[i - 1], c), f"chain{i}."
@@ -61,23 +61,23 @@ class Delta24(Delta):
         return [ring("base", hubs, "*.D_?", "R"), *lines]
 
     def rod_lengths(self, p: Named) -> list[Any]:
-        """Lb of both rods of each pair."""
+        """Return Lb for both rods of each pair."""
         return [c.Lb for c in self.chains(p) for _ in range(2)]
 
     def centres(self, q: Any, r: Any, R: Any, p: Named) -> Mapping[str, list[Any]]:
-        """Arms and rods half way between their ends, up to constant shifts."""
+        """Return the middles of arms and rods, up to constant shifts."""
         arms = [self.arm(q[i], c) for i, c in enumerate(self.chains(p))]
         rods = [(C + r) / 2 for _, C in arms for _ in range(2)]
         return {"arm": [(hub + C) / 2 for hub, C in arms], "rod": rods}
 
     def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
-        """Both solutions of the general position problem (eqs 6.25-6.26)."""
+        """Find both solutions of the general position problem (eqs 6.25-6.26)."""
         return [(r, ca.DM.eye(3)) for r in positions(self, q, p)]
 
     def joint_candidates(self, r: Any, R: Any, p: Named) -> list[tuple[Any, ...]]:
-        """Both solutions of each joint-angle problem (eqs 6.27-6.30)."""
+        """Find both solutions of each joint-angle problem (eqs 6.27-6.30)."""
         return joint_angles(self, r, R, p)
 
     def widen(self, values: Mapping[str, float]) -> tuple[str, dict[str, float]]:
-        """Model 54 with a perfect parallelogram (eq. 3.14) and the nominal platform."""
+        """Widen to model 54 with a perfect parallelogram (eq. 3.14) and the nominal platform."""
         return "delta54", dict(values)

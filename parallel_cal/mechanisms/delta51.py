@@ -1,11 +1,11 @@
 """Delta robot by its joint points, 51 parameters (Savoure et al. 2006, eqs 2-22).
 
-What it says that model 54 says too: where both balls of an arm and of the platform sit, how
-long the six rods are, how the motor axes point. One rotation a chain (the arm about its own
-axis) is in a_ij and in beta_i, so 48 of the 51 are independent. What it cannot say: where the
-motor axis passes through the base; eq. 13 counts that among the platform points, which is exact
-only while the platform does not tilt. Those nine coordinates p_i are here too, fixed by default;
-with them free this model and model 54 describe the same robots (`widen`, `from_delta54`).
+Like model 54, it describes the balls of an arm and of the platform, the lengths of the six rods
+and the directions of the motor axes. One rotation per chain (of the arm about its own axis) is in
+a_ij and in beta_i, so 48 of the 51 parameters are independent. It does not describe where the motor
+axis passes through the base: eq. 13 includes that in the platform points, which is exact only if
+the platform does not tilt. This model therefore has those nine coordinates p_i, too, fixed by
+default. With them free, it describes the same robots as model 54 (`widen`, `from_delta54`).
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from parallel_cal.model.closed_form import joint_angles, positions
 from parallel_cal.model.drawing import Line, axis, ring
 from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 
-# Eq. 10: direction of each motor axis u_i; here those of the thesis' mock-up.
+# Eq. 10: direction of each motor axis u_i, as in the thesis' mock-up.
 THETA = (-90 * DEGREE, 30 * DEGREE, 150 * DEGREE)
 RODS = ("11", "12", "21", "22", "31", "32")
 XYZ = ("x", "y", "z")
@@ -40,9 +40,9 @@ AXES = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
 
 def from_delta54(values: Mapping[str, float]) -> dict[str, float]:
-    """Joint points, axes and lengths of the robot that model 54's parameters describe: exact.
+    """Convert parameters of model 54 to joint points, axes and lengths, without loss.
 
-    One rotation a chain is free; it is chosen so that q means the same in both models.
+    One rotation per chain is arbitrary. It is chosen so that both models have equal readings q.
     """
     result: dict[str, float] = {}
     for i in (1, 2, 3):
@@ -62,15 +62,21 @@ def from_delta54(values: Mapping[str, float]) -> dict[str, float]:
 
 
 def to_delta54(values: Mapping[str, float]) -> dict[str, float]:
-    """Model 54's parameters of the same robot: exact."""
+    """Convert to parameters of model 54, without loss."""
     result: dict[str, float] = {}
     for i in (1, 2, 3):
         B1, B2 = _get(values, f"rod{i}1.b"), _get(values, f"rod{i}2.b")
-        theta, alpha, d_z = _direction((B1 - B2) / 2, THETA[i - 1] + np.pi / 2)
+        # theta and alpha turn z along the platform bar, whose half length is d_z.
+        half = (B1 - B2) / 2
+        theta, near = np.arctan2(half[0], -half[1]), THETA[i - 1] + np.pi / 2
+        theta += 2 * np.pi * np.round((near - theta) / (2 * np.pi))
+        alpha, d_z = np.arctan2(np.hypot(*half[:2]), half[2]), np.linalg.norm(half)
         T = _full(rot_z(theta) @ rot_x(alpha))
         u = rotation_matrix(_get(values, f"chain{i}.beta")) @ _frame(i)
-        local = T.T @ u @ AXES  # dT Rz(gamma): gamma is an encoder offset, put into the arm
-        dalpha, dbeta, gamma = _xyz_angles(local)
+        # local = Rx(dalpha) Ry(dbeta) Rz(gamma); gamma is an encoder offset, which the arm absorbs.
+        local = T.T @ u @ AXES
+        dalpha, dbeta = np.arctan2(-local[1, 2], local[2, 2]), np.arcsin(local[0, 2])
+        gamma = np.arctan2(-local[0, 1], local[0, 0])
         arms = [_full(rot_z(gamma)) @ AXES.T @ _get(values, f"rod{i}{j}.a") for j in (1, 2)]
         slide, dT = sum(arms)[2] / 2, _full(rot_x(dalpha) @ rot_y(dbeta))
         hub = T.T @ _get(values, f"chain{i}.p") + dT @ np.array([0, 0, slide])
@@ -102,19 +108,6 @@ def _get(values: Mapping[str, float], name: str) -> np.ndarray:
     return np.array([values[f"{name}_{k}"] for k in XYZ])
 
 
-def _direction(half: np.ndarray, theta_near: float) -> tuple[float, float, float]:
-    """theta and alpha that turn z along a vector, and the vector's length."""
-    theta = np.arctan2(half[0], -half[1])
-    theta += 2 * np.pi * np.round((theta_near - theta) / (2 * np.pi))
-    return theta, np.arctan2(np.hypot(half[0], half[1]), half[2]), float(np.linalg.norm(half))
-
-
-def _xyz_angles(M: np.ndarray) -> tuple[float, float, float]:
-    """a, b, c of M = Rx(a) Ry(b) Rz(c)."""
-    first, last = np.arctan2(-M[1, 2], M[2, 2]), np.arctan2(-M[0, 1], M[0, 0])
-    return first, np.arcsin(M[0, 2]), last
-
-
 LABELS = {
     "b": "platform ball",
     "a": "arm ball",
@@ -132,7 +125,7 @@ def _label(name: str) -> str:
 
 
 def _table() -> ParameterTable:
-    """The order of eq. 20: a rod's platform point, arm point and length; then the axes."""
+    """Parameters in the order of eq. 20: platform point, arm point, length of rods; then axes."""
     rods = [f"rod{rod}.{n}" for rod in RODS for n in "b_x b_y b_z a_x a_y a_z l".split()]
     axes = [f"chain{i}.beta_{k}" for i in (1, 2, 3) for k in XYZ]
     base = [f"chain{i}.p_{k}" for i in (1, 2, 3) for k in XYZ]
@@ -156,17 +149,17 @@ class Delta51(Delta):
     """Six rods between points on three arms and on the platform; all six coordinates move."""
 
     parameters = _table()
-    # What an almost level platform hides: the hubs, each arm's turn about its axis, and shifts
-    # of a rod along it. 42 parameters stay free, as in model 54.
+    # An almost level platform hides the hubs, each arm's rotation about its axis, and shifts of a
+    # rod along that axis. 42 parameters stay free, as in model 54.
     fixed = ("chain*.p_*", "rod*.a_x", "chain1.beta_y", "chain2.beta_x", "chain3.beta_x")
     bodies = BODIES
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
-        """(|A B|^2 - l^2) / 2l of each rod (eq. 2), in metres."""
+        """Compute (|A B|^2 - l^2) / 2l of each rod (eq. 2), in metres."""
         return ca.vertcat(*[self._rod(rod, q, r, R, p) for rod in RODS])
 
     def rods(self, q: Any, p: Named) -> tuple[list[Any], list[Any], list[Any]]:
-        """The six rods' ends in {B} and in {P}, (3, 1) each, and their lengths."""
+        """Return the six rods' ends in {B} and in {P}, (3, 1) each, and their lengths."""
         A, b, length = zip(*[self._ends(rod, q, p) for rod in RODS], strict=True)
         return list(A), list(b), list(length)
 
@@ -184,15 +177,15 @@ class Delta51(Delta):
         return c.vector("p_x", "p_y", "p_z") + turn @ (rot_x(q[i - 1]) @ a), b, k.l
 
     def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
-        """Both positions at which the rods close on average, platform parallel to the base."""
+        """Find both positions at which the pairs close on average, with a parallel platform."""
         return [(r, ca.DM.eye(3)) for r in positions(_Middle(), q, p)]
 
     def joint_candidates(self, r: Any, R: Any, p: Named) -> list[tuple[Any, ...]]:
-        """Both angles of each joint at which its two rods close on average."""
+        """Find both angles of each joint at which its two rods close on average."""
         return joint_angles(_Middle(), r, R, p)
 
     def drawing(self, q: Any, r: Any, R: Any, p: Named) -> list[Line]:
-        """Motor axes, arms to the rods' balls, six rods and the platform."""
+        """Draw motor axes, arms to the rods' balls, six rods and the platform."""
         rods, lines = self.rods(q, p), []
         chains = [p[f"chain{i}"] for i in (1, 2, 3)]
         hubs = [c.vector("p_x", "p_y", "p_z") for c in chains]
@@ -214,7 +207,7 @@ class Delta51(Delta):
 
 
 class _Middle(Delta51):
-    """The mean of each pair's two rows: three spheres while the platform does not tilt."""
+    """The mean of each pair's two rows: three spheres if the platform does not tilt."""
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
         return ca.vertcat(

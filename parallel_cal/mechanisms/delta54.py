@@ -37,12 +37,12 @@ PLATFORM = {  # set P2 (eq. 3.15): size of the platform, nearly unobservable, fi
     "b_z": ("m", 0.0, 0.2 * MM, "platform balls' shift along the bar"),
 }
 GROUPS = {"position": POSITION, "P1": PARALLELOGRAM, "P2": PLATFORM}
-# Of base and platform the chains feel the difference D: one body of one material.
+# The chains depend on the difference D of base and platform, so these are one body of one material.
 BODIES = {"arms": ("*.La_?",), "rods": ("*.Lb", "*.dLb"), "base": ("*.D_?", "*.b_?")}
 
 
 def rotation_as_matrix(v: Any) -> Any:
-    """Rot(z, q) v as a matrix times (cos q, sin q, 1): eqs 6.28 and 6.29."""
+    """Write Rot(z, q) v as a matrix times (cos q, sin q, 1): eqs 6.28 and 6.29."""
     x, y, z = v[0], v[1], v[2]
     return ca.vertcat(ca.horzcat(x, -y, 0), ca.horzcat(y, x, 0), ca.horzcat(0, 0, z))
 
@@ -56,18 +56,18 @@ class Delta54(Delta):
     parts = ("arm", "rod")
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
-        """Eq. 3.12, mean and half difference of each pair's two rods, in metres."""
+        """Compute mean and half difference of each pair's two rods (eq. 3.12), in metres."""
         return pair_errors(self.rods(q, p), r, R, p)
 
     def rods(self, q: Any, p: Named) -> tuple[list[Any], list[Any], list[Any]]:
-        """Eq. 3.9: the six rods' ends C in {B} and B in {P}, (3, 1) each, and their lengths."""
+        """Return the rods' ends C in {B} and B in {P}, (3, 1) each, and lengths (eq. 3.9)."""
         chains = [self.rod_pair(q[i], p[f"chain{i + 1}"]) for i in range(3)]
         C, B, L = zip(*[rod for pair in chains for rod in pair], strict=True)
         return list(C), list(B), list(L)
 
     @staticmethod
     def rod_pair(angle: Any, c: Named) -> list[tuple[Any, Any, Any]]:
-        """Both rods of one chain: C on the arm, B on the platform, length (table 3.10)."""
+        """Compute both rods of one chain: C on the arm, B on the platform, length (table 3.10)."""
         T = rot_z(c.theta) @ rot_x(c.alpha)
         motor = T @ (rot_x(c.dalpha) @ rot_y(c.dbeta))
         b, D = c.vector("b_x", "b_y", "b_z"), c.vector("D_x", "D_y", "D_z")
@@ -75,14 +75,14 @@ class Delta54(Delta):
         d, turn = ca.vertcat(0, 0, c.d_z), ca.vertcat(ca.cos(angle), ca.sin(angle), 1)
 
         def rod(side: int) -> tuple[Any, Any, Any]:
-            # What stands before `turn` is of the parameters alone: computed once a model.
+            # The factors of `turn` depend on the parameters alone: computed once per model.
             C = T @ (b + D) + side * motor @ d + motor @ rotation_as_matrix(La + side * dC) @ turn
             return C, T @ (b + side * d), c.Lb + side * c.dLb
 
         return [rod(1), rod(-1)]
 
     def drawing(self, q: Any, r: Any, R: Any, p: Named) -> list[Line]:
-        """Motor axes, arms, bars, six rods and the platform."""
+        """Draw motor axes, arms, bars, six rods and the platform."""
         rods, chains = self.rods(q, p), [p[f"chain{i + 1}"] for i in range(3)]
         hubs, lines = [self._hub(c) for c in chains], []
         for i, (hub, c) in enumerate(zip(hubs, chains, strict=True), start=1):
@@ -98,7 +98,7 @@ class Delta54(Delta):
         return pair_lengths(p)
 
     def centres(self, q: Any, r: Any, R: Any, p: Named) -> Mapping[str, list[Any]]:
-        """Arms and rods half way between their ends."""
+        """Return the middles of arms and rods."""
         C, B, _ = self.rods(q, p)
         rods = [(c + r + R @ b) / 2 for c, b in zip(C, B, strict=True)]
         balls = [(one + other) / 2 for one, other in zip(C[::2], C[1::2], strict=True)]
@@ -111,9 +111,9 @@ class Delta54(Delta):
         return rot_z(c.theta) @ rot_x(c.alpha) @ (b + D)
 
     def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
-        """Model 24's two positions, platform parallel to the base (section 6.4.1)."""
+        """Find model 24's two positions, with a parallel platform (section 6.4.1)."""
         return Delta24().candidates(q, p)
 
     def joint_candidates(self, r: Any, R: Any, p: Named) -> list[tuple[Any, ...]]:
-        """Model 24's two angles a joint (section 6.4.1)."""
+        """Find model 24's two angles of each joint (section 6.4.1)."""
         return Delta24().joint_candidates(r, R, p)

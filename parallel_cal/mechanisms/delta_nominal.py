@@ -39,7 +39,7 @@ class DeltaNominal(Delta24):
     bodies = BODIES
 
     def chains(self, p: Named) -> list[Named]:
-        """Model 24's parameters with the numbers of table 3.12."""
+        """Return model 24's parameters with the numbers of table 3.12."""
         names = tuple(POSITION)
         return [
             Named(names, [p.R, 0, 0, p[f"chain{i + 1}.theta"], np.pi / 2, p.La, 0, p.Lb])
@@ -47,7 +47,7 @@ class DeltaNominal(Delta24):
         ]
 
     def widen(self, values: Mapping[str, float]) -> tuple[str, dict[str, float]]:
-        """Model 24 with equal chains."""
+        """Widen to model 24 with equal chains."""
         chains = self.chains(Named(list(values), list(values.values())))
         numbers = [chain[name] for chain in chains for name in POSITION]
         return "delta24", dict(zip(Delta24.parameters.names, numbers, strict=True))

@@ -16,7 +16,7 @@ from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 
 MM, DEGREE = 1e-3, np.pi / 180
 CRANK, ROD = 100 * MM, 150 * MM
-HEIGHT = float(CRANK * np.sin(60 * DEGREE) + np.sqrt(ROD**2 - CRANK**2))  # of the point at home
+HEIGHT = float(CRANK * np.sin(60 * DEGREE) + np.sqrt(ROD**2 - CRANK**2))  # m: the point at home
 SIDES = {"left": -1, "right": 1}
 BODIES = {"base": ("*.x", "*.y"), "cranks": ("*.crank",), "rods": ("*.rod",)}
 
@@ -53,7 +53,7 @@ class FiveBar(Mechanism):
         self.switches = tuple(map(float, switches))
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
-        """Length error of each rod (m): (|P - elbow|^2 - rod^2) / (2 rod)."""
+        """Compute the length error (|P - elbow|^2 - rod^2) / (2 rod) of each rod, in metres."""
         rows = [
             (ca.sumsqr(r[:2] - self.elbow(q[i], p[side])) - p[side].rod ** 2) / (2 * p[side].rod)
             for i, side in enumerate(SIDES)
@@ -62,7 +62,7 @@ class FiveBar(Mechanism):
 
     @staticmethod
     def elbow(angle: Any, s: Named) -> Any:
-        """Where crank and rod of one side meet, (2, 1)."""
+        """Compute the point (2, 1) where crank and rod of one side meet."""
         turned = angle + s.q0
         return ca.vertcat(s.x + s.crank * ca.cos(turned), s.y + s.crank * ca.sin(turned))
 
@@ -70,7 +70,7 @@ class FiveBar(Mechanism):
         return [p[side].rod for side in SIDES]
 
     def drawing(self, q: Any, r: Any, R: Any, p: Named) -> list[Line]:
-        """The base between the cranks' axes, cranks and rods."""
+        """Draw the base between the cranks' axes, cranks and rods."""
         axes = [ca.vertcat(p[side].x, p[side].y, 0) for side in SIDES]
         elbows = [ca.vertcat(self.elbow(q[i], p[side]), 0) for i, side in enumerate(SIDES)]
         lines = [Line("base", tuple(axes), ("*.x", "*.y"))]
@@ -80,7 +80,7 @@ class FiveBar(Mechanism):
         return lines
 
     def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
-        """Where circles of the rods about both elbows meet, above their line and below it."""
+        """Intersect the rods' circles about both elbows, above their line and below it."""
         left, right = (self.elbow(q[i], p[side]) for i, side in enumerate(SIDES))
         away = right - left
         square = ca.sumsqr(away)
@@ -91,5 +91,5 @@ class FiveBar(Mechanism):
         return [(ca.vertcat(point, 0), ca.DM.eye(3)) for point in points]
 
     def joint_candidates(self, r: Any, R: Any, p: Named) -> list[tuple[Any, ...]]:
-        """Both angles of each crank (eq. 6.24)."""
+        """Find both angles of each crank (eq. 6.24)."""
         return joint_angles(self, r, R, p)

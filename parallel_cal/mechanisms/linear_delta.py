@@ -37,15 +37,15 @@ CHAIN = {
     "b_z": ("m", 0.0, 0.2 * MM, "P2"),
 }
 RAIL = ("D_?", "alpha", "beta")
-HOME_CARRIAGE_HEIGHT = float(np.sqrt(ROD**2 - OFFSET**2))  # carriage above platform
+HOME_CARRIAGE_HEIGHT = float(np.sqrt(ROD**2 - OFFSET**2))  # m: carriage above platform
 BODIES = {"rods": ("*.Lb", "*.dLb"), "base": ("*.D_?", "*.b_?")}  # with the platform
 
 
 class LinearDelta(Mechanism):
     """Three carriages on rails, six rods of free length; all six coordinates move.
 
-    `inclination` (rad): how far the rails lean outwards, 0 for vertical ones; `direction` (rad):
-    where the first one stands, about z from x.
+    `inclination` (rad): angle by which the rails lean outwards from the vertical. `direction`
+    (rad): angle of the first rail about z from x.
     """
 
     joints = ("joint1", "joint2", "joint3")
@@ -64,14 +64,19 @@ class LinearDelta(Mechanism):
 
     def __init__(self, inclination: float = 0.0, direction: float = 0.0):
         self.inclination, self.direction = float(inclination), float(direction)
-        self.home = Home(joints=(self._home_reading(),) * 3, position=(0.0, 0.0, LOW))
+        # At reading q the carriage is pushed out by q sin(inclination). Solve for the rod's length.
+        lean = np.array([np.sin(self.inclination), np.cos(self.inclination)])
+        away = np.array([OFFSET, -LOW])
+        along = float(away @ lean)
+        reading = float(-along + np.sqrt(along**2 - away @ away + ROD**2))
+        self.home = Home(joints=(reading,) * 3, position=(0.0, 0.0, LOW))
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
-        """As in eq. 3.12, mean and half difference of each pair's two rods, in metres."""
+        """Compute mean and half difference of each pair's two rods, like eq. 3.12, in metres."""
         return pair_errors(self.rods(q, p), r, R, p)
 
     def rods(self, q: Any, p: Named) -> tuple[list[Any], list[Any], list[Any]]:
-        """The six rods' ends C in {B} and B in {P}, (3, 1) each, and their lengths."""
+        """Return the six rods' ends C in {B} and B in {P}, (3, 1) each, and their lengths."""
         C, B = [], []
         for i in range(3):
             c, T = p[f"chain{i + 1}"], self.frame(i)
@@ -83,7 +88,7 @@ class LinearDelta(Mechanism):
         return C, B, self.rod_lengths(p)
 
     def drawing(self, q: Any, r: Any, R: Any, p: Named) -> list[Line]:
-        """Rails, the carriages on them, six rods and the platform."""
+        """Draw rails, carriages, six rods and the platform."""
         lines = []
         for i in range(3):
             c, T = p[f"chain{i + 1}"], self.frame(i)
@@ -93,7 +98,7 @@ class LinearDelta(Mechanism):
         return [*lines, *rod_pairs(self.rods(q, p), r, R)]
 
     def frame(self, i: int) -> Any:
-        """From a chain's frame to {B}."""
+        """Rotation from a chain's frame to {B}."""
         return rot_z(self.direction + i * 120 * DEGREE)
 
     def rod_lengths(self, p: Named) -> list[Any]:
@@ -104,26 +109,16 @@ class LinearDelta(Mechanism):
         return (rot_y(self.inclination) @ rot_x(c.alpha) @ rot_y(c.beta))[:, 2]
 
     def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
-        """Both solutions of the general position problem (eq. 6.6) for a parallel platform."""
+        """Find both solutions of the general position problem (eq. 6.6) for a parallel platform."""
         return [(r, ca.DM.eye(3)) for r in positions(self, q, p)]
 
     def joint_candidates(self, r: Any, R: Any, p: Named) -> list[tuple[Any, ...]]:
-        """Both readings of every carriage for a parallel platform, higher one first."""
+        """Find both readings of every carriage for a parallel platform, the higher one first."""
         zero, plus, minus = (
             self.closure(ca.DM.ones(3) * reading, r, ca.DM.eye(3), p) for reading in (0, 1, -1)
         )
-        return [_parabola_roots(zero[i], plus[i], minus[i]) for i in range(3)]
-
-    def _home_reading(self) -> float:
-        """Where a carriage at reading q, pushed out by q sin(lean), has the rod's length."""
-        lean = np.array([np.sin(self.inclination), np.cos(self.inclination)])
-        away = np.array([OFFSET, -LOW])
-        along = float(away @ lean)
-        return float(-along + np.sqrt(along**2 - away @ away + ROD**2))
-
-
-def _parabola_roots(zero: Any, plus: Any, minus: Any) -> tuple[Any, Any]:
-    """Both zeros of a quadratic expression by its values at 0, 1 and -1."""
-    a, half_b = (plus + minus) / 2 - zero, (plus - minus) / 4
-    root = ca.sqrt(half_b**2 - a * zero)
-    return (root - half_b) / a, -(root + half_b) / a
+        # The closure is a quadratic in the reading, given by its values at 0, 1 and -1.
+        a, half_b = (plus + minus) / 2 - zero, (plus - minus) / 4
+        root = ca.sqrt(half_b**2 - a * zero)
+        high, low = (root - half_b) / a, -(root + half_b) / a
+        return [(high[i], low[i]) for i in range(3)]

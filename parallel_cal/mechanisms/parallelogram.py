@@ -39,7 +39,7 @@ class Parallelogram(Mechanism):
     moves = ("x", "y", "rz")
     controls = ("x",)
     parameters = ParameterTable(Parameter(name, *entry) for name, entry in NOMINAL.items())
-    fixed = ("h", "a1_x", "b2_x", "b2_y")  # eqs 70-73: six of nine errors can be told apart
+    fixed = ("h", "a1_x", "b2_x", "b2_y")  # eqs 70-73: six of nine errors are identifiable
     home = Home(joints=(0.0,), position=(0.0, -1050 * MM, 0.0))
     workspace = Workspace(low=(-0.65,), high=(0.65,))
     joint_limits = ((-60 * DEGREE, 60 * DEGREE),)
@@ -49,7 +49,7 @@ class Parallelogram(Mechanism):
     bodies = BODIES
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
-        """A1 B1 = l1 u, drive and first length in one (eqs 55, 61), and |A2 B2| = l2, in m."""
+        """Compute the errors of A1 B1 = l1 u (eqs 55, 61) and of |A2 B2| = l2, in metres."""
         A1, A2, B1, B2 = self._points(r[:2], R[:2, :2], p)
         angle = q + p.q0
         u = ca.vertcat(ca.sin(angle), -ca.cos(angle))
@@ -58,13 +58,13 @@ class Parallelogram(Mechanism):
 
     @staticmethod
     def _points(C: Any, R: Any, p: Named) -> tuple[Any, Any, Any, Any]:
-        """A1 A2 on the base, B1 B2 on the platform, from the tool point C."""
+        """A1, A2 on the base, B1, B2 on the platform, from the tool point C."""
         A1, A2 = ca.vertcat(-p.a1_x, 0), ca.vertcat(p.a2_x, p.a2_y)
         B1, B2 = ca.vertcat(-p.b1_x, p.h), ca.vertcat(p.b2_x, p.h + p.b2_y)
         return A1, A2, C + R @ B1, C + R @ B2
 
     def drawing(self, q: Any, r: Any, R: Any, p: Named) -> list[Line]:
-        """Base, crank, rod, and the platform with its tool."""
+        """Draw base, crank, rod, and the platform with its tool."""
         A1, A2, B1, B2 = (ca.vertcat(point, 0) for point in self._points(r[:2], R[:2, :2], p))
         return [
             Line("base", (A1, ca.DM.zeros(3), A2), ("a?_?",)),
@@ -74,18 +74,18 @@ class Parallelogram(Mechanism):
         ]
 
     def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
-        """Both assemblies in closed form: parallelogram and antiparallelogram (eqs 42-52)."""
+        """Find both assembly modes: parallelogram and antiparallelogram (eqs 42-52)."""
         return [self._assemble(q, p, sign) for sign in (1, -1)]
 
     def start(self, q: Any, p: Named) -> tuple[Any, Any]:
-        """The parallelogram: B2 on the right of the line from B1 to A2, where sin > 0."""
+        """Start at the parallelogram: B2 on the right of the line from B1 to A2, where sin > 0."""
         return self._assemble(q, p, 1)
 
     def _assemble(self, q: Any, p: Named, sign: int) -> tuple[Any, Any]:
-        """Tool point and tilt where B2 closes the loop on one side.
+        """Tool point and tilt at which B2 closes the loop on one side.
 
         w + R c is A2 B2, so 2 w . R c = l2^2 - w.w - c.c, a cosine of the tilt (eq. 50).
-        (The printed G of eq. 48 has an h too many, C is common to both sides of the loop;
+        (The printed G of eq. 48 has a superfluous h, as C is common to both sides of the loop;
         eq. 52 must end in gamma_p.)
         """
         angle = q + p.q0
@@ -99,7 +99,7 @@ class Parallelogram(Mechanism):
         return ca.vertcat(C, 0), R
 
     def joint_candidates(self, r: Any, R: Any, p: Named) -> list[tuple[Any, ...]]:
-        """The simple mechanism's two angles (eq. 35)."""
+        """Find the simple mechanism's two angles (eq. 35)."""
         angle = ca.asin(ca.fmin(ca.fmax(r[0] / p.l1, -1), 1))
         return [(angle - p.q0, ca.pi - angle - p.q0)]
 

@@ -34,7 +34,7 @@ class ParallelogramSimple(Mechanism):
     bodies = BODIES
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
-        """x = l sin(q + q0) (eq. 34), and the height that goes with it, in metres."""
+        """Compute the errors of x = l sin(q + q0) (eq. 34) and of the height, in metres."""
         return r[:2] - self._tool(q, p)
 
     @staticmethod
@@ -43,7 +43,7 @@ class ParallelogramSimple(Mechanism):
         return ca.vertcat(p.l * ca.sin(angle), -p.l * ca.cos(angle) - p.h)
 
     def drawing(self, q: Any, r: Any, R: Any, p: Named) -> list[Line]:
-        """The bar and the tool below its end."""
+        """Draw the bar and the tool below its end."""
         end = r + ca.vertcat(0, p.h, 0)
         return [
             Line("driven", (ca.DM.zeros(3), end), ("q0", "l")),
@@ -54,11 +54,11 @@ class ParallelogramSimple(Mechanism):
         return [(ca.vertcat(self._tool(q, p), 0), ca.DM.eye(3))]
 
     def joint_candidates(self, r: Any, R: Any, p: Named) -> list[tuple[Any, ...]]:
-        """Eq. 35, and the bar on the other side of the pivot."""
+        """Solve eq. 35; the second solution has the bar on the other side of the pivot."""
         angle = ca.asin(ca.fmin(ca.fmax(r[0] / p.l, -1), 1))
         return [(angle - p.q0, ca.pi - angle - p.q0)]
 
     def widen(self, values: Mapping[str, float]) -> tuple[str, dict[str, float]]:
-        """The complete mechanism with two equal rods."""
+        """Widen to the complete mechanism with two equal rods."""
         equal = {"l1": values["l"], "l2": values["l"]}
         return "parallelogram", {"q0": values["q0"], "h": values["h"], **equal}

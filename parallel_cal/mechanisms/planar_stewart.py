@@ -20,14 +20,8 @@ BASE_ANGLES, PLATFORM_ANGLES = (0, 120, 240), (30, 150, 270)  # turned: no leg p
 
 PLATFORM = ring(PLATFORM_RADIUS, PLATFORM_ANGLES)[:, :2]
 BASE = ring(BASE_RADIUS, BASE_ANGLES)[:, :2]
-TURNS = np.radians(np.arange(0, 360, 10))  # close enough to find all six poses at once
+TURNS = np.radians(np.arange(0, 360, 10))  # close enough to find all six poses
 LENGTH = float(np.linalg.norm(PLATFORM[0] - BASE[0]))  # of all legs, at home
-
-
-def _leg(i: int) -> list[Parameter]:
-    leg, label = f"leg{i + 1}", "actuator's misalignment"
-    delta = Parameter(f"{leg}.delta", "rad", 0.0, 0.5 * DEGREE, "misalignment", label=label)
-    return [*one_leg(leg, PLATFORM[i], BASE[i], RETRACTED), delta]
 
 
 BODIES = {"base": ("*.C_?",), "platform": ("*.B_?",), "legs": ("*.L0",)}
@@ -37,14 +31,28 @@ class PlanarStewart(Mechanism):
     """Three legs in a plane; joint readings are the extensions of the legs.
 
     L0 is a leg's length at reading zero and delta the angle between it and the sliding axis.
-    delta acts by its square: at zero no measurement can see it, so it is fixed by default.
+    delta acts by its square. At zero no measurement determines it, so it is fixed by default.
     """
 
     joints = ("leg1", "leg2", "leg3")
     joint_unit = "m"
     moves = ("x", "y", "rz")
     controls = ("x", "y", "rz")
-    parameters = ParameterTable(parameter for i in range(3) for parameter in _leg(i))
+    parameters = ParameterTable(
+        parameter
+        for i, leg in enumerate(joints)
+        for parameter in (
+            *one_leg(leg, PLATFORM[i], BASE[i], RETRACTED),
+            Parameter(
+                f"{leg}.delta",
+                "rad",
+                0.0,
+                0.5 * DEGREE,
+                "misalignment",
+                label="actuator's misalignment",
+            ),
+        )
+    )
     fixed = ("*.delta",)
     home = Home(joints=(LENGTH - RETRACTED,) * 3)
     workspace = Workspace(low=(-0.05, -0.05, -20 * DEGREE), high=(0.05, 0.05, 20 * DEGREE))
@@ -53,7 +61,7 @@ class PlanarStewart(Mechanism):
     bodies = BODIES
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
-        """Distance of the joint centres minus the leg's length by its reading, in metres."""
+        """Compute the distance of each leg's joint centres minus its length, in metres."""
         legs = [p[f"leg{i + 1}"] for i in range(3)]
         return ca.vertcat(
             *[self.span(r, R, c) - self.leg_length(q[i], c) for i, c in enumerate(legs)]
@@ -67,11 +75,11 @@ class PlanarStewart(Mechanism):
 
     @staticmethod
     def leg_length(q: Any, c: Named) -> Any:
-        """|L0 + q exp(i delta)|: the slide does not quite run along the leg."""
+        """|L0 + q exp(i delta)|: the slide is misaligned with the leg by delta."""
         return ca.sqrt(c.L0**2 + q**2 + 2 * c.L0 * q * ca.cos(c.delta))
 
     def drawing(self, q: Any, r: Any, R: Any, p: Named) -> list[Line]:
-        """Both triangles and the legs between them."""
+        """Draw both triangles and the legs between them."""
         legs = [p[f"leg{i + 1}"] for i in range(3)]
         C = [ca.vertcat(c.C_x, c.C_y, 0) for c in legs]
         tops = [r + R @ ca.vertcat(c.B_x, c.B_y, 0) for c in legs]
@@ -83,12 +91,14 @@ class PlanarStewart(Mechanism):
         ]
 
     def start(self, q: Any, p: Named) -> tuple[Any, Any]:
-        """Home."""
+        """Return home."""
         return super().candidates(q, p)[0]
 
     def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
-        """Where the platform, turned in steps of 10 degrees, would have to be: with
-        m_i = R B_i - C_i, |r + m_i|^2 = l_i^2, and the difference of two legs is linear in r."""
+        """Find the position of the platform for orientations in steps of 10 degrees.
+
+        With m_i = R B_i - C_i, |r + m_i|^2 = l_i^2; the difference of two legs is linear in r.
+        """
         legs = [p[f"leg{i + 1}"] for i in range(3)]
         lengths = ca.vertcat(*[self.leg_length(q[i], c) for i, c in enumerate(legs)])
         return [(self._position(rot_z(turn), lengths, legs), rot_z(turn)) for turn in TURNS]
@@ -104,7 +114,7 @@ class PlanarStewart(Mechanism):
         return ca.vertcat(d * g - b * h, a * h - c * g, 0) / (a * d - b * c)
 
     def joint_candidates(self, r: Any, R: Any, p: Named) -> list[tuple[Any, ...]]:
-        """The longer of the two extensions that give a leg its length."""
+        """Find the longer of the two extensions at which a leg has its length."""
         legs = [p[f"leg{i + 1}"] for i in range(3)]
         return [(self._reading(self.span(r, R, c), c),) for c in legs]
 

@@ -1,8 +1,8 @@
 """RSSR loop of the short-cut set-up, 9 parameters (sections 4.2.7 and 5.4.5).
 
-Two arms of a Delta, joined by one of its rods, make a loop with one freedom. Encoder 1 is the
-joint; encoder 2 is the measured pose: the loop's platform is the second arm, and {P} is {B}
-turned about z by that encoder's reading. So a short-cut recording needs no other device.
+Two arms of a Delta, joined by one of its rods, make a loop with one degree of freedom. Encoder 1 is
+the joint; encoder 2 is the measured pose: the loop's platform is the second arm, and {P} is {B}
+turned about z by that encoder's reading. A short-cut recording therefore needs no measuring device.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ MM, DEGREE = 1e-3, np.pi / 180
 # meet 173.2 mm from the arms, whose inner balls are 20 mm nearer. Encoder zero: arm horizontal.
 CENTRE, BAR, ARM, ROD = 100 * MM, 20 * MM, 120 * MM, 240 * MM
 BALL_SHIFT = CENTRE * np.tan(60 * DEGREE) - BAR
-_reach = (ROD / 2 + BAR * np.cos(60 * DEGREE)) / np.sin(60 * DEGREE)  # of both balls, at home
+_reach = (ROD / 2 + BAR * np.cos(60 * DEGREE)) / np.sin(60 * DEGREE)  # both balls at home
 ANGLE = float(np.arccos((_reach - CENTRE) / ARM))
 BODIES = {"arms": ("*.r",), "rod": ("L",), "base": ("a", "*.s")}
 
@@ -33,8 +33,8 @@ class Rssr(Mechanism):
     """{B}: z on the output axis, x along the common normal towards the input axis.
 
     `a` and `alpha` place the input axis; each crank has an arm r, a shift s of its ball along
-    its axis and an encoder offset q0; L is the rod. Angles alone do not see the scale, so one
-    length must be known, and a second one where the axes meet (a = 0) as in a Delta.
+    its axis and an encoder offset q0; L is the rod. Angles alone do not determine the scale, so one
+    length must be known, and a second one if the axes meet (a = 0) as in a Delta.
     """
 
     joints = ("input",)
@@ -68,18 +68,18 @@ class Rssr(Mechanism):
     bodies = BODIES
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
-        """(|BC|^2 - L^2) / 2 L: length error of the rod, in metres."""
+        """Compute (|BC|^2 - L^2) / 2 L: length error of the rod, in metres."""
         C = ca.vertcat(p.a, 0, 0) + rot_x(p.alpha) @ rot_z(q[0]) @ self.ball(p.input)
         CB = R @ self.ball(p.output) - C
         return (ca.dot(CB, CB) - p.L**2) / (2 * p.L)
 
     @staticmethod
     def ball(crank: Named) -> Any:
-        """A crank's ball at reading zero, its axis being z."""
+        """Compute a crank's ball at reading zero; its axis is z."""
         return rot_z(crank.q0)[:, 0] * crank.r + ca.vertcat(0, 0, crank.s)
 
     def drawing(self, q: Any, r: Any, R: Any, p: Named) -> list[Line]:
-        """Both axes, their cranks and the rod between the cranks' balls."""
+        """Draw both axes, their cranks and the rod between the cranks' balls."""
         to_input = rot_x(p.alpha)
         foot, along = ca.vertcat(p.a, 0, 0), to_input[:, 2]
         hub, own = foot + along * p.input.s, ca.vertcat(0, 0, p.output.s)
@@ -95,25 +95,25 @@ class Rssr(Mechanism):
         ]
 
     def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
-        """Both output angles: the rod's ball meets the output circle twice (cf. eq. 6.24)."""
+        """Find both output angles: the rod's ball meets the output circle twice (cf. eq. 6.24)."""
         turned = _OutputAsJoint(q)
         return [(ca.DM.zeros(3), rot_z(w)) for w in joint_angles(turned, None, None, p)[0]]
 
     def joint_candidates(self, r: Any, R: Any, p: Named) -> list[tuple[Any, ...]]:
-        """Both input angles (eq. 6.24)."""
+        """Find both input angles (eq. 6.24)."""
         return joint_angles(self, r, R, p)
 
 
 def compute_parameters(input: Circle, output: Circle, rod: Any) -> Any:
-    """The nine parameters, in the table's order, of a rod between balls on two circles (9, 1).
+    """Compute the nine parameters (9, 1) of a rod between balls on two circles, in table order.
 
-    The common normal runs so that alpha lies between -pi and 0; axes must not be parallel.
+    The common normal is directed so that alpha is between -pi and 0; the axes must not be parallel.
     """
     normal = ca.cross(input.axis, output.axis)
     x = normal / ca.norm_2(normal)
     alpha = ca.atan2(-ca.norm_2(normal), ca.dot(input.axis, output.axis))
     between = input.centre - output.centre
-    # Each centre's place along its axis, counted from the common normal's foot.
+    # Position of each centre along its axis, from the foot of the common normal
     c, s2 = ca.cos(alpha), ca.sin(alpha) ** 2
     along_in, along_out = ca.dot(between, input.axis), ca.dot(between, output.axis)
     s_in, s_out = (along_in - c * along_out) / s2, (c * along_in - along_out) / s2
@@ -122,7 +122,7 @@ def compute_parameters(input: Circle, output: Circle, rod: Any) -> Any:
 
 
 class Circle:
-    """The circle of a ball on a crank, from the ball's place at 0, 90 and 180 degrees (3, 1)."""
+    """The circle of a ball on a crank, from the ball's position (3, 1) at 0, 90 and 180 degrees."""
 
     def __init__(self, start: Any, quarter: Any, half: Any):
         self.centre, self.arm = (start + half) / 2, (start - half) / 2
@@ -130,12 +130,12 @@ class Circle:
         self.axis = ca.cross(self.arm, quarter - self.centre) / self.radius**2
 
     def angle_from(self, x: Any) -> Any:
-        """Angle (rad) about the axis from direction x, square to it, to the ball at zero."""
+        """Angle (rad) about the axis from direction x, perpendicular to it, to the ball at zero."""
         return ca.atan2(ca.dot(self.arm, ca.cross(self.axis, x)), ca.dot(self.arm, x))
 
 
 class _OutputAsJoint(Rssr):
-    """The same loop with the output angle for a joint: the direct problem as an inverse one."""
+    """The loop with the output angle as its joint: the direct problem becomes an inverse one."""
 
     def __init__(self, q: Any):
         self._q = q

@@ -12,8 +12,8 @@ from parallel_cal.model.mechanism import Workspace
 from parallel_cal.model.parameters import Named
 
 HAYATI = ["theta", "a", "alpha", "beta"]
-# Table 3.7. {B} lies 0.25 m in front of the first axis, in the middle of what the arm reaches;
-# z of {P} is horizontal, as the row "DH" of link 3 asks for (alpha near 90 degrees).
+# Table 3.7. {B} is 0.25 m in front of the first axis, in the middle of the reachable area;
+# z of {P} is horizontal, as the row "DH" of link 3 requires (alpha near 90 degrees).
 LINKS: list[dict[str, Any]] = [
     {"joint": None, "free": HAYATI, "theta": np.pi, "a": 0.25},
     {"joint": "R", "free": HAYATI, "theta": np.pi, "a": 0.20, "low": -2.6, "high": 2.6},
@@ -32,19 +32,19 @@ class Scara16(Serial):
         self.length = 0.1
 
     def joint_candidates(self, r: Any, R: Any, p: Named) -> list[tuple[Any, ...]]:
-        """Elbow to one side and to the other, exact where all axes are parallel."""
+        """Find the angles with the elbow on either side; exact if all axes are parallel."""
         elbows = [self._elbow(r, p, sign) for sign in (1, -1)]
         return [tuple(e[i] for e in elbows) for i in range(2)] + [(r[2] - p["link3.d"],)]
 
     def start_inverse(self, r: Any, R: Any, p: Named) -> Any:
-        """The elbow on home's side: the two angles belong together."""
+        """Start with the elbow on home's side for both angles."""
         shoulder, elbow = self._elbow(r, p, np.sign(self.home.joints[1]))
         angles = self.wrap_to_home([(shoulder,), (elbow,), (r[2] - p["link3.d"],)])
         return ca.vertcat(*[values[0] for values in angles])
 
     @staticmethod
     def _elbow(r: Any, p: Named, sign: float) -> tuple[Any, Any]:
-        """Joints 1 and 2 of the plane arm, by the law of cosines."""
+        """Joints 1 and 2 of the planar arm, by the law of cosines."""
         base, upper, fore = p.base, p.link1, p.link2
         x = r[0] - base.a * ca.cos(base.theta)
         y = r[1] - base.a * ca.sin(base.theta)

@@ -19,8 +19,8 @@ from parallel_cal.model.parameters import Named, Parameter, ParameterTable
 
 DEGREE = np.pi / 180
 UNITS = {"theta": "rad", "d": "m", "a": "m", "b": "m", "alpha": "rad", "beta": "rad"}
-# Table 3.5: how the next axis lies to this frame's z, and its kind -> what describes the link.
-# Two rows are ours: {B} on the first axis (Hayati's theta is undefined there), and {P} itself.
+# Table 3.5: position of the next axis relative to this frame's z, and its kind -> parameters of
+# the link. Two rows are ours: {B} on the first axis (Hayati's theta is undefined there), and {P}.
 TOPOLOGY = {
     ("perpendicular", "R"): ("theta", "d", "a", "alpha"),  # DH
     ("parallel", "R"): ("theta", "a", "alpha", "beta"),  # H
@@ -45,7 +45,7 @@ class Link:
     limits: tuple[float, float]
 
     def transform(self, q: Any, p: Named) -> tuple[Any, Any]:
-        """Rotation and translation of eq. 3.6: Rz(theta) Tz(d) Tx(a) Rx(alpha) Ry(beta).
+        """Compute rotation and translation of eq. 3.6: Rz(theta) Tz(d) Tx(a) Rx(alpha) Ry(beta).
 
         b is a shift along y', zero in the thesis.
         """
@@ -62,7 +62,7 @@ class Serial(Mechanism):
 
     Each link: `joint` R, P or null, `axes` parallel, perpendicular or coincident (the next
     axis against this one; not for the last link), numbers theta d a b alpha beta (m, rad),
-    joint limits `low` `high`; `free` names the parameters where table 3.5 is not wanted.
+    joint limits `low` `high`. `free` lists the parameters if not those of table 3.5.
     """
 
     moves = POSE
@@ -80,12 +80,25 @@ class Serial(Mechanism):
         self.driven = [link for link in self.links if link.joint]
         self.joints = tuple(f"joint{i + 1}" for i in range(len(self.driven)))
         self.joint_limits = tuple(link.limits for link in self.driven)
-        self.parameters = _table(self.links, length_tolerance, angle_tolerance)
+        tolerance = {"m": length_tolerance, "rad": angle_tolerance}
+        self.parameters = ParameterTable(
+            Parameter(f"{link.name}.{key}", unit, link.nominal[key], tolerance[unit])
+            for link in self.links
+            for key, unit in UNITS.items()
+            if key in link.free
+        )
         self.bodies = {"links": [p.name for p in self.parameters if p.unit == "m"]}
-        self.controls = tuple(controls) if controls else _controls(len(self.driven))
-        self.length = 0.3 * self._reach()
+        self.controls = tuple(controls) if controls else POSE[: len(self.driven)]
         self.home = self._home(home)
-        self.workspace = self._workspace()
+        lengths = [
+            np.hypot(k.nominal["a"], np.hypot(k.nominal["b"], k.nominal["d"])) for k in self.links
+        ]
+        reach = max(float(sum(lengths)), 0.1)
+        self.length = 0.3 * reach
+        # A tenth of the reach around home's position, 0.2 rad around its orientation
+        centre = np.array([*self.home.position, 0.0, 0.0, 0.0])[self.controlled]
+        half = np.array([0.1 * reach] * 3 + [0.2] * 3)[self.controlled]
+        self.workspace = Workspace(tuple((centre - half).tolist()), tuple((centre + half).tolist()))
 
     @property
     def joint_units(self) -> tuple[str, ...]:
@@ -97,7 +110,7 @@ class Serial(Mechanism):
         return ca.vertcat(r - position, rotation_difference(rotation, R))
 
     def drawing(self, q: Any, r: Any, R: Any, p: Named) -> list[Line]:
-        """Every link from its frame to the next, and the axes of its joints."""
+        """Draw every link from its frame to the next, and the axes of its joints."""
         lines, at, turned, used = [], ca.DM.zeros(3), ca.DM.eye(3), 0
         for link in self.links:
             turn, shift = link.transform(q[used] if link.joint else 0, p)
@@ -109,7 +122,7 @@ class Serial(Mechanism):
         return lines
 
     def pose(self, q: Any, p: Named) -> tuple[Any, Any]:
-        """Position and rotation of {P} in {B}: the product of the links (eq. 3.7)."""
+        """Compute position and rotation of {P} in {B}: the product of the links (eq. 3.7)."""
         position, rotation, used = ca.DM.zeros(3), ca.DM.eye(3), 0
         for link in self.links:
             turn, shift = link.transform(q[used] if link.joint else 0, p)
@@ -118,18 +131,18 @@ class Serial(Mechanism):
         return position, rotation
 
     def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
-        """The direct problem of a serial arm is solved by evaluating it."""
+        """Evaluate the arm: this solves its direct problem."""
         return [self.pose(q, p)]
 
     def joint_candidates(self, r: Any, R: Any, p: Named) -> list[tuple[Any, ...]]:
-        """Home first, then joints turned away from it: places from where Newton may begin."""
+        """Propose starts for Newton's method: home, then revolute joints turned away from it."""
         n = 4 if len(self.joints) <= 3 else 2
         turns = [i * 2 * np.pi / n for i in range(n)]
         choices = zip(self.driven, self.home.joints, strict=True)
         return [tuple(h + t for t in turns) if k.joint == "R" else (h,) for k, h in choices]
 
     def start_inverse(self, r: Any, R: Any, p: Named) -> Any:
-        """Home: a general arm's inverse problem has no closed form."""
+        """Return home: a general arm's inverse problem has no closed form."""
         return ca.DM(self.home.joints)
 
     def _home(self, joints: Sequence[float] | None) -> Home:
@@ -142,23 +155,11 @@ class Serial(Mechanism):
         a, b, c, w = matrix_to_quaternion(np.array(rotation)).tolist()
         return Home(tuple(float(q) for q in joints), (x, y, z), (a, b, c, w))
 
-    def _workspace(self) -> Workspace:
-        """A tenth of the reach around home's position, 0.2 rad around its orientation."""
-        centre = np.array([*self.home.position, 0.0, 0.0, 0.0])[self.controlled]
-        half = np.array([0.1 * self._reach()] * 3 + [0.2] * 3)[self.controlled]
-        return Workspace(tuple((centre - half).tolist()), tuple((centre + half).tolist()))
-
-    def _reach(self) -> float:
-        lengths = [
-            np.hypot(k.nominal["a"], np.hypot(k.nominal["b"], k.nominal["d"])) for k in self.links
-        ]
-        return max(float(sum(lengths)), 0.1)
-
 
 def rotation_difference(model: Any, R: Any) -> Any:
-    """The rotation that is left, E = model^T R, as 2 tan(angle / 2) times its axis (rad).
+    """Compute the remaining rotation E = model^T R as 2 tan(angle / 2) times its axis (rad).
 
-    The skew part of E alone is sin(angle) and would also vanish half a turn away.
+    The skew part of E alone is sin(angle); it would also vanish half a turn away.
     """
     E = model.T @ R
     return (
@@ -167,7 +168,7 @@ def rotation_difference(model: Any, R: Any) -> Any:
 
 
 def read_links(given: Sequence[Mapping[str, Any]]) -> tuple[Link, ...]:
-    """Links from the model file, each checked and given table 3.5's parameters."""
+    """Check the links of a model file and give them the parameters of table 3.5."""
     if not isinstance(given, list | tuple) or not all(isinstance(k, Mapping) for k in given):
         raise ModelError(f"links {given!r}, expected a list such as {EXAMPLE}")
     last = max((i for i, link in enumerate(given) if link.get("joint")), default=-1)
@@ -180,7 +181,7 @@ def read_links(given: Sequence[Mapping[str, Any]]) -> tuple[Link, ...]:
 
 
 def _names(given: Sequence[Mapping[str, Any]], last: int) -> list[str]:
-    """`base` before the first joint, `platform` after the last, `link1`.. between."""
+    """Default names: `base` before the first joint, `platform` after the last, else `link1`.."""
     names, driven = [], 0
     for i, link in enumerate(given):
         driven += 1 if link.get("joint") else 0
@@ -199,7 +200,14 @@ def _link(name: str, given: Mapping[str, Any], next_joint: str | None) -> Link:
     numbers = {**dict.fromkeys(UNITS, 0.0), "low": low, "high": high}
     numbers = {key: _number(name, key, given.get(key, own)) for key, own in numbers.items()}
     nominal = {key: numbers[key] for key in UNITS}
-    free = given["free"] if "free" in given else _topology(name, given, next_joint)
+    if "free" in given:
+        free = given["free"]
+    else:
+        axes = given.get("axes", "frame" if next_joint is None else None)
+        if (axes, next_joint) not in TOPOLOGY:
+            known = ", ".join(known for known, joint in TOPOLOGY if joint == next_joint)
+            raise ModelError(f"{name}: axes is '{axes}' for a joint {next_joint}, expected {known}")
+        free = TOPOLOGY[axes, next_joint]
     if not isinstance(free, list | tuple) or not set(free) <= set(UNITS):
         raise ModelError(f"{name}: free is {free!r}, expected a list of some of {list(UNITS)}")
     _check_regular(name, free, nominal)
@@ -214,16 +222,8 @@ def _number(name: str, key: str, value: Any) -> float:
     return float(value)
 
 
-def _topology(name: str, given: Mapping[str, Any], next_joint: str | None) -> tuple[str, ...]:
-    key = (given.get("axes", "frame" if next_joint is None else None), next_joint)
-    if key not in TOPOLOGY:
-        known = ", ".join(axes for axes, joint in TOPOLOGY if joint == next_joint)
-        raise ModelError(f"{name}: axes is '{key[0]}' for a joint {next_joint}, expected {known}")
-    return TOPOLOGY[key]
-
-
 def _check_regular(name: str, free: Sequence[str], nominal: Mapping[str, float]) -> None:
-    """Parameters must follow small changes of the geometry: proportionality (3.2.2)."""
+    """Refuse parameters that do not follow small changes of the geometry (3.2.2)."""
     polar = {"theta", "a", "beta"} <= set(free) and "b" not in free
     if polar and abs(nominal["a"]) < 1e-6:
         raise ModelError(
@@ -234,18 +234,3 @@ def _check_regular(name: str, free: Sequence[str], nominal: Mapping[str, float])
         raise ModelError(f"{name}: DH's d is undefined for parallel axes; use axes: parallel")
     if {"theta", "alpha", "beta"} <= set(free) and abs(np.cos(nominal["alpha"])) < 0.1:
         raise ModelError(f"{name}: theta and beta are the same rotation at alpha = 90 degrees")
-
-
-def _table(links: Sequence[Link], length: float, angle: float) -> ParameterTable:
-    tolerance = {"m": length, "rad": angle}
-    return ParameterTable(
-        Parameter(f"{link.name}.{key}", UNITS[key], link.nominal[key], tolerance[UNITS[key]])
-        for link in links
-        for key in UNITS
-        if key in link.free
-    )
-
-
-def _controls(n: int) -> tuple[str, ...]:
-    """As many coordinates as joints: the position, then the orientation."""
-    return POSE[: min(n, 6)]

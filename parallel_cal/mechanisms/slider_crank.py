@@ -37,28 +37,28 @@ class SliderCrank(Mechanism):
     bodies = BODIES
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
-        """Eq. 5.10 divided by 2 b: length error of the rod, in metres."""
+        """Compute eq. 5.10 divided by 2 b: length error of the rod, in metres."""
         x = r[0]
         return (p.a**2 + x**2 - p.b**2 - 2 * p.a * x * ca.cos(q[0] + p.q0)) / (2 * p.b)
 
     def drawing(self, q: Any, r: Any, R: Any, p: Named) -> list[Line]:
-        """Crank, rod, and the slider's way."""
-        origin, way = ca.DM.zeros(3), ca.DM([A, 0, 0])
+        """Draw crank, rod and the slider's axis."""
+        origin, slide = ca.DM.zeros(3), ca.DM([2 * A, 0, 0])
         pin = p.a * ca.vertcat(ca.cos(q[0] + p.q0), ca.sin(q[0] + p.q0), 0)
         return [
-            Line("base", (origin, 2 * way)),
+            Line("base", (origin, slide)),
             Line("driven", (origin, pin), ("a", "q0")),
             Line("rod", (pin, r), ("b",)),
         ]
 
     def candidates(self, q: Any, p: Named) -> list[tuple[Any, Any]]:
-        """Both solutions of eq. 5.11."""
+        """Find both solutions of eq. 5.11."""
         foot, height = p.a * ca.cos(q[0] + p.q0), p.a * ca.sin(q[0] + p.q0)
         away = ca.sqrt(p.b**2 - height**2)
         return [(ca.vertcat(x, 0, 0), ca.DM.eye(3)) for x in (foot + away, foot - away)]
 
     def joint_candidates(self, r: Any, R: Any, p: Named) -> list[tuple[Any, ...]]:
-        """Both solutions of eq. 5.12."""
+        """Find both solutions of eq. 5.12."""
         x = r[0]
         angle = ca.acos((p.a**2 + x**2 - p.b**2) / (2 * p.a * x))
         return [(angle - p.q0, -angle - p.q0)]

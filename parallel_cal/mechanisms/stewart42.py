@@ -21,7 +21,7 @@ PLATFORM_ANGLES = (-50, 50, 70, 170, 190, 290)
 
 
 def ring(radius: float, degrees: tuple[float, ...]) -> np.ndarray:
-    """Points (n, 3) on a circle in the plane z = 0."""
+    """Place points (n, 3) on a circle in the plane z = 0."""
     angles = np.radians(degrees)
     return radius * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(len(angles))])
 
@@ -30,8 +30,8 @@ ENDS = {"B": "platform joint", "C": "base joint"}
 
 
 def one_leg(leg: str, B: np.ndarray, C: np.ndarray, retracted: float) -> list[Parameter]:
-    """A ball's centre B in {P} and C in {B}, (3,) m or in the plane (2,), and the length at
-    reading zero."""
+    """Make the parameters of one leg: centres B in {P} and C in {B}, (3,) or (2,) m, and the length
+    at reading zero."""
     balls = [
         Parameter(
             f"{leg}.{name}_{axis}",
@@ -49,13 +49,13 @@ def one_leg(leg: str, B: np.ndarray, C: np.ndarray, retracted: float) -> list[Pa
 
 
 def leg_parameters(platform: np.ndarray, base: np.ndarray, retracted: float) -> ParameterTable:
-    """All six legs: ball centres B in {P} and C in {B}, each (6, 3) m."""
+    """Make the parameters of all six legs; centres B in {P} and C in {B} are (6, 3) m each."""
     pairs = enumerate(zip(platform, base, strict=True), start=1)
     return ParameterTable(p for i, (B, C) in pairs for p in one_leg(f"leg{i}", B, C, retracted))
 
 
 PLATFORM, BASE = ring(PLATFORM_RADIUS, PLATFORM_ANGLES), ring(BASE_RADIUS, BASE_ANGLES)
-# Of all legs at home; rounded below what a machine's norm may differ by in its last bit.
+# Length of all legs at home, rounded: the last bit of a norm depends on the machine.
 LENGTH = round(float(np.linalg.norm(PLATFORM[0] + [0, 0, HEIGHT] - BASE[0])), 13)
 BODIES = {"base": ("*.C_?",), "platform": ("*.B_?",), "legs": ("*.L0",)}
 
@@ -63,7 +63,7 @@ BODIES = {"base": ("*.C_?",), "platform": ("*.B_?",), "legs": ("*.L0",)}
 class Stewart42(Mechanism):
     """Six legs of measured length between points B of the platform and C of the base (6-SPS).
 
-    The nominal one has both hexagons flat; any other takes its nominal values from its file.
+    The nominal robot has two flat hexagons. Any other takes its nominal values from its model file.
     """
 
     joints = tuple(f"leg{i + 1}" for i in range(6))
@@ -81,7 +81,7 @@ class Stewart42(Mechanism):
     parts = ("leg",)
 
     def closure(self, q: Any, r: Any, R: Any, p: Named) -> Any:
-        """Eq. 3.8 without the squares: length error of each leg, in metres, q + L0 long."""
+        """Compute the length error of each leg, eq. 3.8 without the squares, in metres."""
         legs = [p[f"leg{i + 1}"] for i in range(6)]
         return ca.vertcat(*[self.span(r, R, c) - (q[i] + c.L0) for i, c in enumerate(legs)])
 
@@ -92,19 +92,19 @@ class Stewart42(Mechanism):
         return ca.norm_2(r + R @ B - C)
 
     def rods(self, q: Any, p: Named) -> tuple[list[Any], list[Any], list[Any]]:
-        """The six legs' ends C in {B} and B in {P}, (3, 1) each, and their lengths."""
+        """Return the six legs' ends C in {B} and B in {P}, (3, 1) each, and their lengths."""
         legs = [p[f"leg{i + 1}"] for i in range(6)]
         C = [c.vector("C_x", "C_y", "C_z") for c in legs]
         B = [c.vector("B_x", "B_y", "B_z") for c in legs]
         return C, B, [q[i] + c.L0 for i, c in enumerate(legs)]
 
     def centres(self, q: Any, r: Any, R: Any, p: Named) -> Mapping[str, list[Any]]:
-        """Legs half way between their balls."""
+        """Return the middles of the legs."""
         C, B, _ = self.rods(q, p)
         return {"leg": [(c + r + R @ b) / 2 for c, b in zip(C, B, strict=True)]}
 
     def drawing(self, q: Any, r: Any, R: Any, p: Named) -> list[Line]:
-        """Both hexagons and the legs between them."""
+        """Draw both hexagons and the legs between them."""
         C, B, _ = self.rods(q, p)
         tops = [r + R @ b for b in B]
         legs = enumerate(zip(C, tops, strict=True), start=1)
@@ -115,6 +115,6 @@ class Stewart42(Mechanism):
         ]
 
     def joint_candidates(self, r: Any, R: Any, p: Named) -> list[tuple[Any, ...]]:
-        """The only solution: a leg's length is positive."""
+        """Find the only solution: a leg's length is positive."""
         legs = [p[f"leg{i + 1}"] for i in range(6)]
         return [(self.span(r, R, c) - c.L0,) for c in legs]

@@ -154,9 +154,8 @@ def _start(rows: np.ndarray) -> Solutions:
 def _sample_configurations(m: Mechanism, n: int) -> Configuration:
     """Random configurations, the same in each call.
 
-    Revolute joints turn anywhere; sliding ones exceed their limits by up to
-    half their range. Positions
-    lie within a length of the workspace and its mirror image.
+    Revolute joints turn anywhere; sliding ones exceed their limits by up to half their range.
+    Positions lie within a length of the workspace and its mirror image.
     """
     rng, home = np.random.default_rng(0), Configuration.from_rows(m.home.configuration)
     q, r, w = (rng.uniform(-1, 1, (n, size)) for size in (len(m.joints), 3, 3))
